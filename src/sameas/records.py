@@ -150,12 +150,15 @@ class Records:
         return replace(self, features=self.features[some], covariance=self.covariance[some], rows=self.rows[some])
 
     def with_errors(self, factor: float, variance: ArrayLike) -> Records:
-        """The same with errors ``factor`` times as large, and ``variance``, a number or (d,), more along the axes."""
+        """The same with errors ``factor`` times as large, and ``variance`` more along the axes.
+
+        variance : a number, (d,) per axis, or (n, 1) and (n, d) of every record.
+        """
         d, p = self.d, self.covariance.shape[1]
-        packed = factor**2 * self.covariance
-        if p == 1 and np.size(variance) > 1:
+        more, packed = np.asarray(variance, np.float64), factor**2 * self.covariance
+        if p == 1 and more.ndim and more.shape[-1] > 1:
             packed = np.repeat(packed, d, axis=1)
-        packed[:, slice(None) if p <= d else np.cumsum([0, *range(d, 1, -1)])] += np.asarray(variance, np.float64)
+        packed[:, slice(None) if p <= d else np.cumsum([0, *range(d, 1, -1)])] += more
         return replace(self, covariance=packed)
 
 

@@ -144,12 +144,12 @@ def bettered(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tup
     if not model.is_estimated:
         return errors, 0.0
     some, weight = pairs.part(probable), p_pair[probable]
-    now, there = (_log_likelihood(each, some, weight) for each in (errors, model.errors))
+    now, there = (log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
         factor = over_quoted(errors, pairs, p_pair) * errors.typical_scale
         factor = factor if abs(math.log(factor)) > ABOUT_QUOTED else 1.0
         plain = Errors(factor_1=factor, factor_2=factor)
-        if _log_likelihood(plain, some, weight) > max(now, there) - BETTER:
+        if log_likelihood(plain, some, weight) > max(now, there) - BETTER:
             return plain, math.inf
     return model.errors, there - now
 
@@ -160,7 +160,7 @@ ABOUT_QUOTED = 0.3
 LADDER, LADDER_STEPS = 1.5 ** np.arange(-5.0, 8.0), 30
 
 
-def _log_likelihood(errors: Errors, pairs: Pairs, weight: FloatArray) -> float:
+def log_likelihood(errors: Errors, pairs: Pairs, weight: FloatArray) -> float:
     """ln of the likelihood of pairs with these weights (m,), the mixture of scales being the likeliest."""
     modelled = errors.pairs(pairs)
     mixture = _mixture(modelled.mahalanobis_sq, pairs.d, weight, LADDER)
@@ -201,6 +201,14 @@ def spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
     kept = [(scale, share) for scale, share in zip(mixture.scales, mixture.shares, strict=True) if share > 0.0]
     scales, shares = zip(*kept, strict=True)
     return Errors(scales, shares)
+
+
+def fit_variances(residual: FloatArray, weight: FloatArray, parts: Sequence[FloatArray]) -> FloatArray:
+    """(k,) the θ ≥ 0 of greatest likelihood of residuals (m, d) whose covariances are Σ θ_k parts_k, (m, d, d) each.
+
+    Where the parts do not tell them apart, they are any of the likeliest: their sum is known.
+    """
+    return _fit(residual, weight, np.stack(parts), np.zeros_like(parts[0])).theta
 
 
 @in_short

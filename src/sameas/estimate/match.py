@@ -6,6 +6,7 @@ expected number of common objects settles:
 - the local densities of common objects and of records that only one source shows (``coverage.py``);
 - how residuals spread about the quoted errors: a mixture of normals over a ladder of error scales, whose shares have
   one maximum of the likelihood, so that errors quoted too small and heavy tails come out of the same estimate;
+- what errors grow with: magnitude, or the distance from the field's centre (``error_trends.py``);
 - where magnitudes are given, how those of one source follow the other's, and how the shares in common depend on them
   (``photometry.py``);
 - how wide the gate must be: it opens while its outermost part still holds true pairs.
@@ -32,6 +33,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates
 from sameas.estimate.error_grid import DEFAULT_GRID, ErrorScan, GridTuning, LeftOpen, scanned
 from sameas.estimate.error_model import ErrorModel, Tail, bettered, error_model, over_quoted, spread, tail
+from sameas.estimate.error_trends import Trend, covariates, with_trends
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.sample import Sampling, Setting
@@ -111,6 +113,7 @@ class Estimate:
     photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
     precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
     columns : what other columns say, None where none were given.
+    trends : what errors grow with beside what is quoted; they are in ``errors``.
     answer : the identification. judged : whether the spread of the errors was learned from its pairs.
     left_open : what few pairs leave open of the errors; probabilities are averages over it. None where they are many.
 
@@ -133,6 +136,7 @@ class Estimate:
     judged: bool
     left_open: LeftOpen | None = None
     columns: ColumnEvidence | None = None
+    trends: tuple[Trend, ...] = ()
 
     @cached_property
     def quantities(self) -> Mapping[str, Quantity]:
@@ -243,7 +247,7 @@ def match(
         return search.averaged(scan, rounds)
     search, found, remarks = _converged(search, scan, errors, rounds)
     answer, found = search.identified(found, rounds)
-    return answer, _estimate_of(answer, search.coverage, found, remarks)
+    return answer, replace(_estimate_of(answer, search.coverage, found, remarks), trends=search.trends)
 
 
 @in_short
@@ -283,7 +287,7 @@ def match_sample(
     every = Sampling(enough=2**62)
     search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning, columns=columns)
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
-    search, found, remarks = _converged(search, scan, errors, rounds)
+    search, found, remarks = _converged(search, scan, errors, rounds, growing=False)
     answer, found = search.identified(found, rounds)
     estimate = _estimate_of(answer, coverage, found, remarks)
     (one, two), common = found.known.setting.numbers, found.known.common
@@ -293,9 +297,12 @@ def match_sample(
 
 
 def _converged(
-    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, rounds: int
+    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, rounds: int, *, growing: bool = True
 ) -> tuple[_GateSearch, _Converged, list[str]]:
-    """Where the rounds end, with the errors that the records show, and what is to be said of it."""
+    """Where the rounds end, with the errors that the records show, and what is to be said of it.
+
+    growing : whether it is asked what errors grow with, which holds for these records alone.
+    """
     tuning = search.tuning
     if scan is not None and scan.contrast > tuning.bettering and scan.gain > tuning.bettering:
         search = replace(search, start=scan.likeliest)
@@ -307,15 +314,32 @@ def _converged(
         search = replace(search, start=model)
         again = search.settled(None, max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
+    if growing and errors is None and found.settled:
+        search, found = _with_trends(search, found, rounds)
     if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
         more = search.photometry is not None or search.columns is not None
         believed = "positions and quoted errors alone" if more else "the quoted errors"
         given = search.columns and search.columns.given_only
-        search = replace(search, photometry=None, precision=False, columns=given)
+        search = replace(search, photometry=None, precision=False, columns=given, trends=())
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
         remarks.append(f"close candidates do not exceed what chance gives; {believed} are believed")
     return search, found, remarks
+
+
+def _with_trends(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
+    """Where the rounds end with errors that grow with magnitude or place, if the pairs show that they do."""
+    known = covariates(search.coverage, search.photometry)
+    while found.rounds < rounds and found.known.learns_errors and found.known.common >= search.tuning.em.fewest:
+        model, trends, gain = with_trends(
+            found.known.errors, found.known.setting.pairs, found.p_counted, known, search.tuning.modelled, search.trends
+        )
+        if gain < search.tuning.bettering:
+            break
+        search = replace(search, start=model, trends=trends)
+        again = search.settled(None, max(rounds - found.rounds, 5))
+        found = replace(again, rounds=found.rounds + again.rounds)
+    return search, found
 
 
 def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None) -> Photometry | None:
@@ -406,6 +430,7 @@ class _GateSearch:
     start: Errors = AS_QUOTED
     tuning: MatchTuning = DEFAULT_MATCH
     columns: ColumnEvidence | None = None
+    trends: tuple[Trend, ...] = ()
 
     def settled(self, errors: Errors | None, most: int) -> _Converged:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""

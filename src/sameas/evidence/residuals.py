@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -30,6 +30,8 @@ class Errors:
     factor_1, factor_2 : a₁ and a₂, by which the errors of either source are multiplied.
     floor : f, the standard deviation per axis that both sources together have beside what they quote; a tuple where the
         axes have units of their own.
+    added : variances per axis, (n_table,) by the rows of either source's table, that its records have beside these, or
+        None; they do not take part in comparisons.
 
     Source: METHOD 6, 11.1.
     """
@@ -39,6 +41,7 @@ class Errors:
     factor_1: float = 1.0
     factor_2: float = 1.0
     floor: float | tuple[float, ...] = 0.0
+    added: tuple[FloatArray | None, FloatArray | None] = field(default=(None, None), repr=False, compare=False)
 
     def __post_init__(self) -> None:
         if len(self.scales) != len(self.shares) or not self.scales:
@@ -65,7 +68,8 @@ class Errors:
     @property
     def as_modelled(self) -> bool:
         """Whether S is not the sum of the quoted covariances."""
-        return (self.factor_1, self.factor_2) != (1.0, 1.0) or bool(np.any(self.floor))
+        added = any(variance is not None for variance in self.added)
+        return (self.factor_1, self.factor_2) != (1.0, 1.0) or bool(np.any(self.floor)) or added
 
     def with_mixture(self, mixture: Errors) -> Errors:
         """The same S with the scales and shares of another."""
@@ -76,7 +80,11 @@ class Errors:
         if not self.as_modelled:
             return first, second
         half = 0.5 * np.asarray(self.floor) ** 2
-        return first.with_errors(self.factor_1, half), second.with_errors(self.factor_2, half)
+        one, two = (
+            half if more is None else half + more[records.rows, None]
+            for records, more in zip((first, second), self.added, strict=True)
+        )
+        return first.with_errors(self.factor_1, one), second.with_errors(self.factor_2, two)
 
     def pairs(self, pairs: Pairs) -> Pairs:
         """The same candidates with distances, determinants and covariances by S instead of the quoted errors."""

@@ -111,7 +111,14 @@ def _learned(estimate: Estimate) -> dict[str, Any]:
         "error_shares": list(estimate.spread.shares),
         "evidence_error_factor_1": estimate.errors.factor_1,
         "evidence_error_factor_2": estimate.errors.factor_2,
+        **({"evidence_error_trends": trends} if (trends := _trends(estimate)) else {}),
     }
+
+
+def _trends(estimate: Estimate) -> list[str]:
+    """What errors grow with, beside these factors, in words."""
+    scale = estimate.errors.typical_scale
+    return [trend.words(f"source {trend.source + 1}", scale) for trend in estimate.trends]
 
 
 def _roles(catalogues: Sequence[Catalogue], names: Sequence[Sequence[str]]) -> dict[str, Any]:

@@ -197,6 +197,9 @@ def _evidence_errors(match: SkyMatch) -> str:
         )
     if not errors.as_modelled:
         return ""
+    names = match.first.name, match.second.name
+    if trends := [trend.words(names[trend.source], errors.typical_scale) for trend in match.estimate.trends]:
+        return f"those of a pair on each axis, in arcsec, {'; '.join(trends)}"
     factors = [errors.typical_scale * factor for factor in (errors.factor_1, errors.factor_2)]
     both = (
         f"{factors[0]:.2f} times those quoted"

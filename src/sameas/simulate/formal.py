@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -64,6 +65,63 @@ def formal_field(
         truths.append(truth)
     false_1, false_2 = (truth >= objects for truth in truths)
     return SimulatedScene(sides[0], sides[1], truths[0], truths[1], false_1, false_2)
+
+
+def growing_field(
+    rng: np.random.Generator,
+    objects: int,
+    error_arcsec: Callable[[FloatArray, FloatArray], FloatArray],
+    *,
+    quoted_arcsec: float = 0.1,
+    chance: float = 1.0,
+    missing: float = 0.15,
+) -> tuple[SimulatedScene, tuple[FloatArray, FloatArray], FloatArray]:
+    """Two sources of a crowded square that quote one error for all, which is that of the first; the second's grow.
+
+    Parameters
+    ----------
+    rng : source of all random numbers.
+    objects : number of real objects in the field.
+    error_arcsec : (n,) errors of the second source per axis, of magnitudes (n,) and distances (n,) from the centre
+        over that of a corner.
+    quoted_arcsec : what both quote, and the error of the first.
+    chance : other objects within 3σ of a pair with 1.5 times those errors, on average.
+    missing : probability with which either source misses an object.
+
+    Returns
+    -------
+    The scene, the magnitudes of its records, and the true errors of the second source's, arcsec.
+
+    Raises
+    ------
+    InputError : a number that is out of range.
+
+    >>> scene, (first, _), errors = growing_field(np.random.default_rng(1), 400, lambda m, r: 0.1 + 0.02 * (m - 12.0))
+    >>> len(scene.first) == len(first), float(errors.min()) >= 0.1
+    (True, True)
+    """
+    if objects < 1 or not quoted_arcsec > 0.0 or not chance > 0.0 or not 0.0 <= missing < 1.0:
+        raise InputError(
+            f"growing_field: {objects} objects, errors of {quoted_arcsec:g} arcsec, {chance:g} by chance, {missing:g} "
+            "missed; give positive numbers"
+        )
+    per_arcsec2 = chance / (math.pi * (3.0 * 1.5 * math.sqrt(2.0) * quoted_arcsec) ** 2)
+    side_deg = math.sqrt(objects / per_arcsec2) / 3600.0
+    field = LonLatBox((150.0, 150.0 + side_deg), (-side_deg / 2.0, side_deg / 2.0))
+    place = field.draw(rng, objects)
+    magnitude = np.clip(22.0 - rng.exponential(1.5, objects), 12.0, 22.0)
+    distance = np.hypot(place[:, 0] - 150.0 - side_deg / 2.0, place[:, 1]) / (side_deg / math.sqrt(2.0))
+    sides, truths, magnitudes = [], [], []
+    true = np.full(objects, quoted_arcsec), np.asarray(error_arcsec(magnitude, distance), np.float64)
+    for name, sigma in zip(("first", "second"), true, strict=True):
+        truth = rng.permutation(np.flatnonzero(rng.uniform(size=objects) >= missing))
+        measured = displaced(place[truth], sigma[truth, None] * rng.standard_normal((len(truth), 2)))
+        sides.append(Records.of(measured, sigma=np.full(len(truth), quoted_arcsec), space=Sphere(), source=name))
+        truths.append(truth)
+        magnitudes.append(magnitude[truth] + rng.normal(0.0, 0.05, len(truth)))
+    none = [np.zeros(len(truth), np.bool_) for truth in truths]
+    scene = SimulatedScene(sides[0], sides[1], truths[0], truths[1], none[0], none[1])
+    return scene, (magnitudes[0], magnitudes[1]), true[1][truths[1]]
 
 
 def _measured(

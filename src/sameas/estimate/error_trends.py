@@ -1,0 +1,237 @@
+"""What errors grow with beside what is quoted: the magnitude of either source, the distance from the field's centre.
+
+The covariance of a pair becomes
+
+    S = a₁² Σ₁ + a₂² Σ₂ + t(x)² 1
+
+with t² piecewise linear in x, its values at the knots found by maximum likelihood as the floor is in
+:mod:`~sameas.estimate.error_model`, of which it is the floor that is not the same everywhere. A score test says first
+whether residuals over their modelled errors change with x at all; a trend is believed where it betters the likelihood
+by more than its parameters do by chance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.error_model import FEWEST, fit_variances, log_likelihood
+from sameas.estimate.photometry import Photometry
+from sameas.evidence import Errors
+from sameas.gate import Pairs
+from sameas.records import Records, unpack
+from sameas.representation import in_short
+from sameas.space import Plane
+
+#: Pairs less probable than this tell nothing.
+TELLING = 0.05
+#: Knots: at most, and pairs to each at least.
+KNOTS, PER_KNOT = 7, 60.0
+#: ln of the likelihood that a score test must promise, beside that of chance, before a trend is looked for.
+PROMISING = 6.0
+#: Quoted errors count for this part of themselves at least.
+LEAST_FACTOR = 1e-3
+#: Beyond this distance between its records, in degrees, a field has no centre.
+WIDEST_DEG = 20.0
+
+
+@dataclass(frozen=True)
+class Trend:
+    """How errors change with a quantity, beside what is quoted.
+
+    source : 0 or 1, whose records it is told by. quantity : "magnitude" or "distance from the centre". unit : of it.
+    at : (k,) knots. added : (k,) variance there per axis, in the unit of the residuals squared, beside what is quoted;
+    linear between knots and constant beyond. sigma : (k,) all of the error of pairs about there, per axis.
+    """
+
+    source: int
+    quantity: str
+    unit: str
+    at: FloatArray
+    added: FloatArray
+    sigma: FloatArray
+
+    def variance(self, x: FloatArray) -> FloatArray:
+        """(n,) variances per axis; where ``x`` (n,) is not known, that of the middle knot."""
+        known = np.where(np.isfinite(x), x, self.at[len(self.at) // 2])
+        return np.asarray(np.interp(known, self.at, self.added))
+
+    def words(self, name: str, scale: float = 1.0) -> str:
+        """The error at the first, the middle and the last knot, by a source of this name, ``scale`` times as large.
+
+        >>> at, sigma = np.array([15.0, 19.0, 21.5]), np.array([0.02, 0.1, 0.4])
+        >>> Trend(0, "magnitude", "", at, sigma**2, sigma).words("plate")
+        'by magnitude (plate): 0.02 at 15, 0.1 at 19, 0.4 at 21.5'
+        """
+        of = f" ({name})" if self.quantity == "magnitude" else ""
+        some = [0, len(self.at) // 2, len(self.at) - 1]
+        at = ", ".join(f"{scale * self.sigma[k]:.2g} at {self.at[k]:.3g}{self.unit}" for k in some)
+        return f"by {self.quantity}{of}: {at}"
+
+
+@in_short
+@dataclass(frozen=True)
+class Covariate:
+    """A quantity that errors may grow with: ``values`` (n_table,) by the rows of a source's table, NaN if unknown."""
+
+    source: int
+    quantity: str
+    unit: str
+    values: FloatArray
+
+    def of(self, pairs: Pairs) -> FloatArray:
+        """(m,) of pairs."""
+        records, at = (pairs.first, pairs.i) if self.source == 0 else (pairs.second, pairs.j)
+        return self.values[records.rows[at]]
+
+
+def covariates(coverage: Coverage, photometry: Photometry | None) -> list[Covariate]:
+    """What the errors of these records may grow with."""
+    found, sides = [], (coverage.first, coverage.second)
+    if photometry is not None:
+        for source, (records, side) in enumerate(zip(sides, photometry.sides, strict=True)):
+            measured = np.isfinite(side.measured.values)
+            band = int(np.argmax(measured.sum(axis=0)))
+            values = _by_row(records, side.measured.values[:, band])
+            found.append(Covariate(source, "magnitude", "", values))
+    distance = _from_centre(coverage.first)
+    if distance is not None:
+        found.append(Covariate(0, "distance from the centre", "°", _by_row(coverage.first, distance)))
+    return found
+
+
+def _by_row(records: Records, values: FloatArray) -> FloatArray:
+    by_row = np.full(records.n_table, np.nan)
+    by_row[records.rows] = values
+    return by_row
+
+
+def _from_centre(records: Records) -> FloatArray | None:
+    """(n,) distance from the middle of a field on the sky, degrees; None where it is too wide to be one field."""
+    if isinstance(records.space, Plane):
+        return None
+    lon, lat = np.radians(records.features).T
+    place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    middle = 0.5 * (place.min(axis=0) + place.max(axis=0))
+    length = float(np.linalg.norm(middle))
+    distance = np.linalg.norm(place - middle / max(length, 1e-9), axis=1)
+    distance = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * distance, 1.0)))
+    return distance if float(distance.max()) < WIDEST_DEG else None
+
+
+def with_trends(
+    errors: Errors,
+    pairs: Pairs,
+    p_pair: FloatArray,
+    known: Sequence[Covariate],
+    most: int,
+    believed: Sequence[Trend] = (),
+) -> tuple[Errors, tuple[Trend, ...], float]:
+    """Errors that grow with what these pairs show them to grow with, and by how much ln of their likelihood betters.
+
+    errors : the model to be bettered. p_pair : (m,) probabilities. most : pairs learned from, at most. believed :
+    trends that these errors have already: they are fitted again.
+
+    Source: METHOD 11.1.
+    """
+    telling = np.flatnonzero(p_pair > TELLING)
+    telling = telling[:: max(1, -(-len(telling) // most))]
+    some, weight = pairs.part(telling), p_pair[telling]
+    if float(weight.sum()) < FEWEST:
+        return errors, (), 0.0
+    number = int(min(KNOTS, float(weight.sum()) / PER_KNOT))
+    score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
+    before = {(trend.source, trend.quantity) for trend in believed}
+    asked = [hats for one in known if (hats := _Hats.of(one, some, weight, number)) is not None]
+    asked = [hats for hats in asked if hats.key in before or hats.promise(score, weight) > PROMISING]
+    now = log_likelihood(errors, some, weight)
+    best: tuple[float, Errors, tuple[Trend, ...]] = (now if not believed else -math.inf, errors, ())
+    taken: list[_Hats] = []
+    while len(taken) < len(asked):
+        fits = [(hats, *_fitted(some, weight, [*taken, hats])) for hats in asked if hats not in taken]
+        hats, there, model, trends = max(fits, key=lambda fit: fit[1])
+        if there - best[0] < PROMISING + 0.5 * number * math.log(float(weight.sum())):
+            break
+        best = there, model, trends
+        taken.append(hats)
+    there, model, trends = best
+    return model, trends, there - now
+
+
+@in_short
+@dataclass(frozen=True, eq=False)
+class _Hats:
+    """Piecewise linear functions of a covariate x: (k, m) ``hats`` of pairs, one at each of the ``knots`` (k,)."""
+
+    covariate: Covariate
+    knots: FloatArray
+    hats: FloatArray
+
+    @property
+    def key(self) -> tuple[int, str]:
+        return self.covariate.source, self.covariate.quantity
+
+    @classmethod
+    def of(cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, number: int) -> _Hats | None:
+        """Knots with as many pairs between each two; None where x is hardly known, or hardly varies."""
+        x = covariate.of(pairs)
+        finite = np.isfinite(x)
+        if float(weight[finite].sum()) < max(FEWEST, 0.5 * float(weight.sum())):
+            return None
+        order = np.flatnonzero(finite)[np.argsort(x[finite], kind="stable")]
+        cumulated = np.cumsum(weight[order])
+        at = np.searchsorted(cumulated, np.linspace(0.02, 0.98, number) * cumulated[-1])
+        knots = np.unique(x[order][np.minimum(at, len(order) - 1)])
+        if len(knots) < 3:
+            return None
+        known = np.where(finite, x, knots[len(knots) // 2])
+        return cls(covariate, knots, np.array([np.interp(known, knots, one) for one in np.eye(len(knots))]))
+
+    def promise(self, score: FloatArray, weight: FloatArray) -> float:
+        """What changes with x promise ln of the likelihood to better by, but for what chance gives, to second order."""
+        slope = self.hats @ (weight * score)
+        information = (self.hats * (weight * score**2)) @ self.hats.T
+        gain = 0.5 * float(slope @ np.linalg.lstsq(information, slope, rcond=1e-9)[0])
+        return gain - 0.5 * len(slope)
+
+    def trend(self, added: FloatArray, all_of_it: FloatArray, weight: FloatArray) -> Trend:
+        """With these variances (k,) at the knots, where all that of the pairs is (m,)."""
+        one, shares = self.covariate, self.hats * weight
+        sigma = np.sqrt(shares @ all_of_it / shares.sum(axis=1))
+        return Trend(one.source, one.quantity, one.unit, self.knots, added, sigma)
+
+
+def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
+    """(m,) how ln of the density of residuals changes with ln of all errors. square : (m,) normalised, by the model."""
+    scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
+    member = np.log(np.maximum(shares, 1e-300)) - d * np.log(scales) - 0.5 * square[:, None] / scales**2
+    member = np.exp(member - member.max(axis=1, keepdims=True))
+    member /= member.sum(axis=1, keepdims=True)
+    return np.asarray(square * (member / scales**2).sum(axis=1) - d)
+
+
+def _fitted(pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats]) -> tuple[float, Errors, tuple[Trend, ...]]:
+    """ln of the likelihood of pairs with errors that grow with all of these, the errors, and how they grow."""
+    one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
+    unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
+    level = unit * np.eye(pairs.d)
+    parts = [one, two, *(hat[:, None, None] * level for each in hats for hat in each.hats)]
+    theta = fit_variances(pairs.residual, weight, parts)
+    all_of_it = np.einsum("k,kmvv->m", theta, np.stack(parts)) / pairs.d
+    ends = np.cumsum([2, *(len(each.hats) for each in hats)])
+    trends = tuple(
+        each.trend(unit * theta[begin:end], all_of_it, weight)
+        for each, begin, end in zip(hats, ends, ends[1:], strict=False)
+    )
+    added: list[FloatArray | None] = [None, None]
+    for trend, each in zip(trends, hats, strict=True):
+        more, before = trend.variance(each.covariate.values), added[trend.source]
+        added[trend.source] = more if before is None else before + more
+    factors = np.maximum(np.sqrt(theta[:2]), LEAST_FACTOR).tolist()
+    errors = Errors(factor_1=factors[0], factor_2=factors[1], added=(added[0], added[1]))
+    return log_likelihood(errors, pairs, weight), errors, trends

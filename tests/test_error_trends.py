@@ -1,0 +1,101 @@
+"""Errors that grow with magnitude or place while all quote one: found, used, and not seen where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sameas import Identification
+from sameas.arrays import FloatArray
+from sameas.estimate.match import Estimate, match
+from sameas.evidence import Errors, Magnitudes
+from sameas.score.pairs import is_true_pair
+from sameas.simulate.formal import growing_field
+from sameas.simulate.scenes import SimulatedScene
+
+Field = tuple[SimulatedScene, tuple[FloatArray, FloatArray], FloatArray]
+Found = tuple[Identification, Estimate]
+
+
+def faint_are_worse(magnitude: FloatArray, distance: FloatArray) -> FloatArray:
+    return np.hypot(0.02, 0.4 * 10.0 ** (0.3 * (magnitude - 22.0)))
+
+
+def rim_is_worse(magnitude: FloatArray, distance: FloatArray) -> FloatArray:
+    return 0.05 + 0.6 * distance**2
+
+
+def as_quoted(magnitude: FloatArray, distance: FloatArray) -> FloatArray:
+    return np.full(len(magnitude), 0.1)
+
+
+def by_magnitudes(field: Field, errors: Errors | None = None) -> Found:
+    scene, (one, two), _ = field
+    return match(scene.first, scene.second, brightness=(Magnitudes(one), Magnitudes(two)), errors=errors)
+
+
+def right(answer: Identification, scene: SimulatedScene) -> tuple[int, int]:
+    """Pairs that are right, and wrong."""
+    true = is_true_pair((answer.matches.rows_1, answer.matches.rows_2), scene.true_pairs())
+    return int(true.sum()), int((~true).sum())
+
+
+@pytest.fixture(scope="module")
+def faint() -> tuple[Field, Found]:
+    field = growing_field(np.random.default_rng([7, 1]), 3000, faint_are_worse)
+    return field, by_magnitudes(field)
+
+
+def test_errors_that_grow_with_magnitude_are_found(faint: tuple[Field, Found]) -> None:
+    _, (_, estimate) = faint
+    (trend,) = estimate.trends
+    assert trend.quantity == "magnitude"
+    true = np.hypot(0.1, faint_are_worse(trend.at, trend.at))
+    assert trend.sigma == pytest.approx(true, rel=0.2)
+    assert "magnitude (second)" in trend.words("second")
+
+
+def test_they_find_what_true_errors_find(faint: tuple[Field, Found]) -> None:
+    (scene, magnitudes, errors), (answer, _) = faint
+    told = replace(scene, second=replace(scene.second, covariance=errors[:, None] ** 2)), magnitudes, errors
+    (found, wrong), (most, least) = right(answer, scene), right(by_magnitudes(told)[0], scene)
+    assert found >= most - 8 and wrong <= least + 8
+    assert found > right(by_magnitudes(faint[0], Errors((1.9,), (1.0,)))[0], scene)[0] + 8
+    p = answer.p_pair[answer.chosen]
+    assert abs(wrong - (1.0 - p).sum()) < 3.0 * np.sqrt((p * (1.0 - p)).sum())
+
+
+def test_errors_that_grow_toward_the_rim_are_found() -> None:
+    _, estimate = by_magnitudes(growing_field(np.random.default_rng([7, 2]), 3000, rim_is_worse))
+    (trend,) = estimate.trends
+    assert trend.quantity == "distance from the centre" and np.all(np.diff(trend.sigma) > 0.0)
+
+
+@pytest.mark.parametrize("number", range(3))
+def test_honest_errors_do_not_grow(number: int) -> None:
+    _, estimate = by_magnitudes(growing_field(np.random.default_rng([8, number]), 1500, as_quoted))
+    assert not estimate.trends and not estimate.errors.as_modelled
+
+
+def test_records_that_have_no_magnitude_take_the_typical_error() -> None:
+    scene, (one, two), errors = growing_field(np.random.default_rng([7, 3]), 2000, faint_are_worse)
+    two = np.where(np.random.default_rng(1).uniform(size=len(two)) < 0.1, np.nan, two)
+    answer, estimate = by_magnitudes((scene, (one, two), errors))
+    assert estimate.trends and np.isfinite(answer.p_pair).all()
+
+
+def test_given_errors_are_not_bettered() -> None:
+    _, estimate = by_magnitudes(growing_field(np.random.default_rng([7, 4]), 1000, faint_are_worse), Errors())
+    assert not estimate.trends and estimate.errors == Errors()
+
+
+def test_added_variances_follow_the_rows_of_a_table() -> None:
+    scene, _, _ = growing_field(np.random.default_rng(5), 300, as_quoted)
+    more = np.linspace(0.0, 1.0, scene.second.n_table)
+    errors = Errors(added=(None, more))
+    some = np.arange(0, len(scene.second), 3)
+    _, second = errors.records(scene.first, scene.second.part(some))
+    assert second.covariance[:, 0] == pytest.approx(0.01 + more[scene.second.rows[some]])
+    assert errors.as_modelled and errors == Errors()
