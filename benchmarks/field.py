@@ -17,12 +17,12 @@ from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
 from sameas.estimate.blends import Blends, find_blends
-from sameas.estimate.match import match
-from sameas.evidence import Column, Related
+from sameas.estimate.match import DEFAULT_MATCH, match
+from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
 from sameas.simulate.exposures import Exposure, Sky, exposure
-from sameas.simulate.formal import formal_field
+from sameas.simulate.formal import formal_field, growing_field
 from sameas.simulate.scenes import SimulatedScene
 from sameas.simulate.surveys import BlendedField, Counterparts, blended_field, counterparts
 from sameas.sky.crossmatch import nearest
@@ -214,6 +214,40 @@ def crowded(options: argparse.Namespace) -> Iterator[Table]:
 
 
 # ---- others ----
+
+
+#: How errors grow that are all quoted as 0.1″: by magnitude and distance from the centre over that of a corner.
+GROWING: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "as quoted": lambda magnitude, distance: np.full(len(magnitude), 0.1),
+    "faint 0.4″, bright 0.02″": lambda magnitude, distance: np.hypot(0.02, 0.4 * 10.0 ** (0.3 * (magnitude - 22.0))),
+    "bright 0.5″, others 0.1″": lambda magnitude, distance: np.where(magnitude < 19.0, 0.5, 0.1),
+    "centre 0.05″, corners 0.65″": lambda magnitude, distance: 0.05 + 0.6 * distance**2,
+}
+
+
+def growing(options: argparse.Namespace) -> Iterator[Table]:
+    """Errors that grow with magnitude or place, all quoted alike: one error for all, found, and told."""
+    lines: list[list[object]] = []
+    for name, law in GROWING.items():
+        tallies: dict[str, Tally] = {}
+        beside = Nearest()
+        for number in range(options.fields):
+            scene, (one, two), errors = growing_field(np.random.default_rng([7, number]), 3000, law)
+            told = replace(scene.second, covariance=errors[:, None] ** 2)
+            beside.add(scene)
+            for by, brightness in (("positions", None), ("magnitudes", (Magnitudes(one), Magnitudes(two)))):
+                for how, second, grown in (("one error for all", scene.second, False), ("sameas", scene.second, True),
+                                           ("errors told", told, False)):  # fmt: skip
+                    tuning = replace(DEFAULT_MATCH, growing=grown)
+                    answer, _ = match(scene.first, second, brightness=brightness, tuning=tuning)
+                    tallies.setdefault(f"{by}, {how}", Tally()).add_answer(answer, scene)
+        for title, tally in tallies.items():
+            claimed, wrong, error = tally.line()[:3]
+            lines.append([name, title, claimed, wrong, error, tally.line()[6], tally.line()[7]])
+        radius, found, wrong = beside.best()
+        lines.append([name, f"mutual nearest within {radius:.2g}″", found + wrong, wrong, None, None, None])
+    columns = ("errors, all quoted 0.1″", "by", "claimed", "wrong", "±", "expected wrong", "ECE")
+    yield Table(f"Errors that grow: {options.fields} fields of 3 000 objects each", columns, lines)
 
 
 def others(options: argparse.Namespace) -> Iterator[Table]:
@@ -416,6 +450,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         "floors": lambda: formal(FLOORS, "Floors", options),
         "scales": lambda: formal(SCALES, "Scales", options),
         "crowded": lambda: crowded(options),
+        "growing": lambda: growing(options),
         "others": lambda: others(options),
         "columns": lambda: columns(options),
         "blends": lambda: blended(options),
@@ -435,7 +470,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=2, help="sets of counterparts (default 2)")
     parser.add_argument("--fields", type=int, default=4, help="fields with blends (default 4)")
     parser.add_argument("--blend-objects", type=int, default=4000, help="objects of each (default 4000)")
-    every = ["floors", "scales", "crowded", "others", "columns", "blends", "real"]
+    every = ["floors", "scales", "crowded", "growing", "others", "columns", "blends", "real"]
     parser.add_argument("--only", nargs="+", default=every, choices=every)
     options = parser.parse_args()
     options.interpreters = peers.Interpreters.of(options.peer_python)

@@ -73,6 +73,7 @@ class MatchTuning:
         judged.
     misled : a sample has misled where it lets expect another number of common objects, by more than this share beyond
         chance.
+    growing : whether it is asked what errors grow with.
     unrelated : from this share of pairs on whose magnitudes follow no relation, that is said.
     em : of the EM iterations. grid : of the errors that are thought of before any are believed.
     """
@@ -88,6 +89,7 @@ class MatchTuning:
     bettering: float = 8.0
     significant: float = 4.0
     misled: float = 0.02
+    growing: bool = True
     unrelated: float = 0.5
     em: EMTuning = DEFAULT_EM
     grid: GridTuning = DEFAULT_GRID
@@ -285,9 +287,11 @@ def match_sample(
     """
     seen = _photometry(coverage.first, coverage.second, brightness)
     every = Sampling(enough=2**62)
+    # What errors grow with would hold for the records of the sample alone.
+    tuning = replace(tuning, growing=False)
     search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning, columns=columns)
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
-    search, found, remarks = _converged(search, scan, errors, rounds, growing=False)
+    search, found, remarks = _converged(search, scan, errors, rounds)
     answer, found = search.identified(found, rounds)
     estimate = _estimate_of(answer, coverage, found, remarks)
     (one, two), common = found.known.setting.numbers, found.known.common
@@ -297,12 +301,9 @@ def match_sample(
 
 
 def _converged(
-    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, rounds: int, *, growing: bool = True
+    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, rounds: int
 ) -> tuple[_GateSearch, _Converged, list[str]]:
-    """Where the rounds end, with the errors that the records show, and what is to be said of it.
-
-    growing : whether it is asked what errors grow with, which holds for these records alone.
-    """
+    """Where the rounds end, with the errors that the records show, and what is to be said of it."""
     tuning = search.tuning
     if scan is not None and scan.contrast > tuning.bettering and scan.gain > tuning.bettering:
         search = replace(search, start=scan.likeliest)
@@ -314,7 +315,7 @@ def _converged(
         search = replace(search, start=model)
         again = search.settled(None, max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
-    if growing and errors is None and found.settled:
+    if tuning.growing and errors is None and found.settled:
         search, found = _with_trends(search, found, rounds)
     if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
         more = search.photometry is not None or search.columns is not None

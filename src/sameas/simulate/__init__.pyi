@@ -6,6 +6,7 @@ from .exposures import exposure as exposure
 from .exposures import misquoted as misquoted
 from .exposures import with_outliers as with_outliers
 from .formal import formal_field as formal_field
+from .formal import growing_field as growing_field
 from .frames import Camera as Camera
 from .frames import Gaussian as Gaussian
 from .frames import Lens as Lens
