@@ -33,6 +33,8 @@ from sameas.result import Identification
 
 #: Pairs learned from: at least, in expectation, and at most.
 FEWEST, ENOUGH = 200.0, 5_000
+#: Pairs less probable than this tell nothing of errors.
+TELLING_P = 0.05
 #: The core and the normals of the tail, in units of the modelled error; shares that the search begins with.
 SCALES, FIRST_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
 #: A normal that has fewer pairs than this tells nothing of the errors, and takes nothing from what is known of them.
@@ -129,8 +131,11 @@ def model_of(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
 
 
 def _probable(p_pair: FloatArray, most: int) -> IntArray:
-    """Pairs that are more probable than not; every second, third, … where there are more than ``most``."""
-    probable = np.flatnonzero(p_pair > 0.5)
+    """Pairs that tell of errors; every second, third, … where there are more than ``most``.
+
+    Not only those more probable than not: of large errors among many neighbours, these are the ones with small residuals.
+    """
+    probable = np.flatnonzero(p_pair > TELLING_P)
     return probable[:: max(1, -(-len(probable) // most))]
 
 
