@@ -133,7 +133,7 @@ def model_of(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
 def _probable(p_pair: FloatArray, most: int) -> IntArray:
     """Pairs that tell of errors; every second, third, … where there are more than ``most``.
 
-    Not only those more probable than not: of large errors among many neighbours, these are the ones with small residuals.
+    Not only those more probable than not: where large errors meet many neighbours, these have small residuals.
     """
     probable = np.flatnonzero(p_pair > TELLING_P)
     return probable[:: max(1, -(-len(probable) // most))]
