@@ -12,8 +12,7 @@ from sameas.estimate.match import match
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.regression import Sample, density_of, fit_relation, weighted_median
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
-from sameas.evidence.detection import DetectionCurve, ShareCurve, logit, share_error
-from sameas.evidence.piecewise import Hats, knots_of
+from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair, score_probabilities
 from sameas.simulate.exposures import Sky, exposure, misquoted, with_outliers
 

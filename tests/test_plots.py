@@ -18,7 +18,7 @@ from sameas.space import sphere_offset
 pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
 
 from sameas import plots
-from sameas.plots.normalised import containment, rayleigh_mixture
+from sameas.plots.residuals import containment, rayleigh_mixture
 from sameas.plots.sheet import TangentAxes, ellipse, nice_length
 
 DEC = 40.0

@@ -8,7 +8,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import aircraft, mode_s, sbs
-from sameas.tracks.accuracy import RADIUS_95
+from sameas.io.sensors.format import RADIUS_95
 
 SAMPLE = Path(__file__).parent / "data" / "mode_s_sample.csv"
 BARCELONA = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas.io.sensors.ais import Hull
-from sameas.tracks.accuracy import (
+from sameas.io.sensors.format import (
     RADIUS_95,
     round_covariance,
     sigma_of_containment,

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.sample import Setting
 from sameas.evidence.columns import Association, CodedColumn, Column, Columns, Related
-from sameas.evidence.detection import logit
-from sameas.evidence.piecewise import Hats, roughness
+from sameas.evidence.detection import Hats, logit, roughness
 from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short

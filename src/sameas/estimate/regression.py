@@ -15,7 +15,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.evidence import MagnitudeDensity, Relation
-from sameas.evidence.piecewise import knots_of, roughness
+from sameas.evidence.detection import knots_of, roughness
 from sameas.representation import in_short
 
 #: Scales of the mixture, in units of error and scatter; the kernels rely on their ratio.

@@ -21,12 +21,9 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
-from sameas.plots.brightness import brightness
-from sameas.plots.certainty import certainty
+from sameas.plots.brightness import brightness, certainty
 from sameas.plots.group import group, most_ambiguous
-from sameas.plots.normalised import normalised
-from sameas.plots.residuals import residuals
-from sameas.plots.scatter import scatter
+from sameas.plots.residuals import normalised, residuals, scatter
 from sameas.plots.sheet import required, save
 from sameas.sky.crossmatch import SkyMatch
 

@@ -1,4 +1,7 @@
-"""Magnitudes: completeness of either catalogue, density of its unmatched records, relation of the magnitudes."""
+"""How sure the identification is, and how complete: by a cut on probability, and along the magnitudes.
+
+Beside these the density of what is not identified, and how the magnitudes of both catalogues are related.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,95 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.evidence.detection import DetectionCurve
 from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
-from sameas.report.prose import percent
+from sameas.report.prose import count, percent
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+# Expected errors of the identification by a cut on probability, and the identified share of the first catalogue.
+
+#: The highest cut on probability that is drawn is one less this.
+SUREST = 1e-4
+
+
+def certainty(match: SkyMatch) -> Figure:
+    """Expected numbers of wrong pairs and of lost true pairs against a cut on probability, and the identified share.
+
+    The share is of the first catalogue against its magnitude; the panel is left out where it has none.
+    """
+    matches = match.result.matches
+    title = f"Of {count(len(matches))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
+    rows = f"{count(len(match.result.first))} usable rows of {match.first.name}"
+    figure = sheet(title, f"{rows}, {count(len(match.result.second))} of {match.second.name}.")
+    if not len(matches):
+        return figure
+    has_magnitude = match.first.magnitude is not None and np.isfinite(match.first.magnitude).any()
+    axes = figure.subplots(1, 2 if has_magnitude else 1, squeeze=False)[0]
+    _cut(axes[0], match)
+    if has_magnitude:
+        _reach(axes[1], match)
+    return figure
+
+
+def _cut(axes: Axes, match: SkyMatch) -> None:
+    """Expected numbers of wrong pairs kept and of true pairs given up, against the least probability kept."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
+    p = np.sort(match.result.matches.p_match)
+    # What a cut does happens near 1: the axis is that of 1 − p, a decade of it as wide as any other.
+    doubt = np.geomspace(1.0, SUREST, 400)
+    cuts = 1.0 - doubt
+    first_kept = np.searchsorted(p, cuts)
+    below = np.concatenate([[0.0], np.cumsum(p)])[first_kept]
+    wrong_above = np.concatenate([[0.0], np.cumsum((1.0 - p)[::-1])])[len(p) - first_kept]
+    axes.plot(doubt, wrong_above, color=SECOND, lw=2.2)
+    axes.plot(doubt, below, color=FIRST, lw=2.2)
+    at = int(np.searchsorted(below, 0.5 * below[-1]))
+    for words, place, shift, colour, side in (
+        ("wrong pairs kept", (doubt[200], wrong_above[200]), (0, 6), SECOND, "left"),
+        ("true pairs given up", (doubt[at], below[at]), (-6, 0), FIRST, "right"),
+    ):
+        axes.annotate(words, place, shift, textcoords="offset points", color=colour, ha=side)
+    axes.set_xscale("log")
+    axes.set_xlim(1.0, SUREST)
+    shown = (1.0, 0.5, 0.1, 0.01, 1e-3, 1e-4)
+    axes.set_xticks(shown, [f"{1.0 - value:g}" for value in shown])
+    axes.xaxis.set_minor_locator(NullLocator())
+    # Few wrong ones beside many given up are seen both.
+    axes.set_yscale("symlog", linthresh=10.0)
+    top = max(float(below.max()), float(wrong_above.max()), 1.0)
+    axes.set_yticks(
+        [0.0, *(step * 10.0**power for power in range(8) for step in (2, 5, 10) if step * 10.0**power <= top)]
+    )
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.set_ylim(bottom=0.0)
+    tidy(axes, "least p_match that is kept", "expected number of pairs", "what a cut would do")
+
+
+def _reach(axes: Axes, match: SkyMatch) -> None:
+    magnitude = match.first.magnitude
+    assert magnitude is not None
+    usable = match.result.answers_1.usable & np.isfinite(magnitude)
+    identified = usable & ~np.ma.getmaskarray(match.result.answers_1.partner)
+    low, high = np.floor(magnitude[usable].min()), np.ceil(magnitude[usable].max())
+    edges = np.arange(low, high + 0.5, 0.5)
+    every = np.histogram(magnitude[usable], edges)[0]
+    counted = np.histogram(magnitude[identified], edges)[0]
+    with np.errstate(invalid="ignore"):
+        share = np.where(every > 0, counted / np.maximum(every, 1), np.nan)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    axes.bar(middle, 100.0 * share, width=0.46, color=FOUND, alpha=0.85)
+    for x, y, n in zip(middle, share, every, strict=True):
+        if n:
+            axes.text(x, 100.0 * y + 1.0, f"{n}", ha="center", va="bottom", fontsize=7.5, rotation=90)
+    axes.set_ylim(0.0, 118.0)
+    axes.set_yticks(range(0, 101, 20))
+    brightness = f"{match.first.magnitude_name} of {match.first.name}  [mag]"
+    tidy(axes, brightness, "identified  [%]", "share identified (number of rows above each bar)")
+
 
 #: Most dots.
 MOST_DOTS = 5000

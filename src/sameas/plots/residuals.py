@@ -1,14 +1,20 @@
-"""The offsets of the identified pairs on the sky, as observed and at the common epoch."""
+"""Offsets of the identified pairs: on the sky, in units of their quoted errors, against these and brightness."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
-from sameas.plots.sheet import DENSITY, FAINT, INK, sheet, tidy
-from sameas.report.prose import count
+from sameas.evidence import Errors
+from sameas.plots.sheet import DENSITY, FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
+from sameas.records import unpack
+from sameas.report.findings import by_source
+from sameas.report.prose import count, percent
 from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:
@@ -142,3 +148,208 @@ def _arcsec(value: float) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.1f} %" if share >= 0.001 else f"{100 * share:.2g} %"
+
+
+# Offsets in units of their quoted errors, against the distribution for correct errors and the estimated one.
+
+
+def normalised(match: SkyMatch) -> Figure:
+    """Histograms of the identified pairs' normalised separations: the bulk linear, the tail logarithmic.
+
+    With them the Rayleigh density that the quoted errors promise, and that of the errors that were estimated.
+    """
+    distance = match.result.matches.mahalanobis
+    errors = match.estimate.spread
+    figure = sheet(finding(match), _detail(match))
+    if not len(distance):
+        return figure
+    bulk, tail = figure.subplots(1, 2)
+    _bulk(bulk, distance, errors)
+    _tail(tail, distance, errors)
+    return figure
+
+
+def _bulk(axes: Axes, distance: FloatArray, errors: Errors) -> None:
+    end = max(5.0, 1.6 * float(np.quantile(distance, 0.9)))
+    edges = np.linspace(0.0, end, 81)
+    x = np.linspace(0.0, end, 400)
+    height = np.histogram(distance, edges)[0] / (len(distance) * np.diff(edges))
+    axes.stairs(height, edges, fill=True, color=FILL, label="identified pairs")
+    axes.plot(x, rayleigh_mixture(x, Errors()), "--", color=SECOND, lw=2, label="quoted errors (Rayleigh)")
+    axes.plot(x, rayleigh_mixture(x, errors), color=FOUND, lw=2.2, label="estimated spread of the errors")
+    top = 1.06 * max(height.max(), 0.607)
+    for value, colour, text, level in (
+        (np.sqrt(2.0 * np.log(2.0)), SECOND, "due", 0.97),
+        (np.median(distance), INK, "median", 0.88),
+    ):
+        axes.axvline(value, ymax=level / 1.06, color=colour, lw=1.0, ls=":")
+        axes.annotate(f" {text} {value:.2f}", (value, level * top), color=colour, fontsize=9.5, va="top", ha="left")
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(0.0, 1.06 * top)
+    tidy(axes, "separation / its quoted error  [σ]", "density of pairs  [1/σ]", "the bulk, linear")
+    axes.legend(frameon=False, fontsize=9.5, loc="center right")
+
+
+def _tail(axes: Axes, distance: FloatArray, errors: Errors) -> None:
+    """Pairs per step of 10^0.05 in distance: the same areas, counted, so that one pair can be seen."""
+    step = 0.05
+    high = np.log10(max(10.0, 1.2 * float(distance.max())))
+    edges = 10.0 ** np.arange(-1.0, high + step, step)
+    x = np.geomspace(edges[0], edges[-1], 500)
+    per_step = x * np.log(10.0) * step * len(distance)
+    axes.stairs(np.histogram(distance, edges)[0], edges, fill=True, color=FILL, baseline=0.3)
+    axes.plot(x, per_step * rayleigh_mixture(x, Errors()), "--", color=SECOND, lw=2)
+    axes.plot(x, per_step * rayleigh_mixture(x, errors), color=FOUND, lw=2.2)
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_ylim(0.3, 3.0 * len(distance) * step)
+    axes.set_xlim(edges[0], edges[-1])
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    beyond = int(np.count_nonzero(distance > 5.0))
+    if beyond:
+        axes.axvline(5.0, color=FAINT, lw=0.8, ls=":")
+        due = len(distance) * np.exp(-12.5)
+        words = f"beyond 5 σ: {count(beyond)} pairs;\nhonest errors would leave {due:.1g}"
+        axes.text(5.3, 1.6 * len(distance) * step, words, fontsize=9.5, color=INK, va="top")
+    tidy(axes, "separation / its quoted error  [σ]", "pairs per 0.05 dex", "the tail, logarithmic")
+
+
+def rayleigh_mixture(distance: FloatArray, errors: Errors) -> FloatArray:
+    """(n,) density of the normalised separation in two dimensions: Σ_k share_k m/s_k² exp(−m²/2s_k²)."""
+    scales, shares = np.array(errors.scales), np.array(errors.shares)
+    m = np.asarray(distance)[:, None]
+    return np.asarray(np.sum(shares * m / scales**2 * np.exp(-0.5 * (m / scales) ** 2), axis=1))
+
+
+def containment(errors: Errors, share: float) -> float:
+    """Normalised separation in two dimensions within which ``share`` of true pairs lie."""
+    scales, shares = np.array(errors.scales), np.array(errors.shares)
+    x = np.geomspace(1e-2, 10.0 * scales.max(), 4000)
+    inside = 1.0 - np.exp(-0.5 * (x[:, None] / scales) ** 2) @ shares
+    return float(np.interp(share, inside, x))
+
+
+def finding(match: SkyMatch) -> str:
+    """Whether the quoted errors are right, in a sentence."""
+    e = match.estimate
+    scale = e.quantities["error_scale"].value if "error_scale" in e.quantities else e.typical_scale
+    if not len(match.result.matches):
+        return "No pair was identified"
+    if scale > 1.1:
+        return f"The quoted errors are {scale:.2f} times too small for the typical pair"
+    if scale < 0.9:
+        return f"The quoted errors are too large: the typical pair scatters {scale:.2f} times as far"
+    return "The typical pair scatters as its quoted errors say"
+
+
+def _detail(match: SkyMatch) -> str:
+    words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
+    beyond = match.estimate.tail
+    if beyond is not None:
+        share = f"{percent(beyond.share.value)} of them have errors about {beyond.factor:.1f} times the quoted ones"
+        words += f" A tail: {share}."
+    return words
+
+
+# Scatter of the identified pairs against their quoted errors and against brightness.
+
+#: Fewest pairs of a bin, and most bins.
+LEAST, MOST_BINS = 40, 16
+#: Axes are logarithmic where errors differ by more than this factor.
+FAR = 20.0
+#: Median separation of two-dimensional normal errors over their σ, and √n times the relative error of that median.
+DUE = math.sqrt(2.0 * math.log(2.0))
+OF_MEDIAN = 1.0 / (DUE * DUE)
+
+
+def scatter(match: SkyMatch) -> Figure:
+    """Scatter of the identified pairs, σ on each axis, in bins of quoted error and of magnitude.
+
+    With them the quoted errors, and the estimated ones: by a factor, or by factors and a floor.
+    """
+    figure = sheet(finding(match), _subtitle(match))
+    pairs = match.result.matches
+    if not len(pairs):
+        return figure
+    quoted, estimated = _sigmas(match)
+    scattered = np.hypot(*pairs.residual.T) / DUE
+    magnitude, words = _magnitude(match)
+    by_error, drawn = _bins(quoted), (scattered, quoted, estimated)
+    # No panel against quoted errors that hardly differ.
+    panels = (len(by_error) > 1 or magnitude is None) + (magnitude is not None)
+    axes = figure.subplots(1, panels, squeeze=False)[0]
+    spread = "scatter, σ on each axis  [arcsec]"
+    if len(by_error) > 1 or magnitude is None:
+        _against(axes[0], by_error, quoted, drawn)
+        tidy(axes[0], "quoted error of the pair, σ on each axis  [arcsec]", spread, "against the quoted error")
+        _scaled(axes[0].set_xscale, quoted)
+    if magnitude is not None:
+        known = np.flatnonzero(np.isfinite(magnitude))
+        _against(axes[-1], [known[part] for part in _bins(magnitude[known])], magnitude, drawn)
+        tidy(axes[-1], f"{words}  [mag]", spread, "against brightness")
+    for one in axes:
+        if not _scaled(one.set_yscale, quoted):
+            one.set_ylim(bottom=0.0)
+    axes[0].legend(frameon=False, fontsize=9.5)
+    return figure
+
+
+def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
+    """Makes an axis logarithmic where the values reach far; whether it did."""
+    low, high = np.quantile(values, (0.02, 0.98))
+    far = bool(high > FAR * low)
+    if far:
+        set_scale("log")
+    return far
+
+
+def _subtitle(match: SkyMatch) -> str:
+    # The line is short: the reasons after the semicolon are in the report.
+    words = by_source(match).partition(";")[0]
+    return words[:1].upper() + words[1:] if words else "The errors were taken as they were given, not estimated"
+
+
+def _sigmas(match: SkyMatch) -> tuple[FloatArray, FloatArray]:
+    """(k,) σ on each axis of the identified pairs, arcsec: as quoted, and as estimated."""
+    pairs, chosen = match.result.pairs, match.result.matches.pair
+    e = match.estimate
+    one = unpack(pairs.first.covariance[pairs.i[chosen]], pairs.d)
+    two = unpack(pairs.second.covariance[pairs.j[chosen]], pairs.d)
+    of_1, of_2 = (0.5 * np.einsum("mvv->m", covariance) for covariance in (one, two))
+    quoted = np.sqrt(of_1 + of_2)
+    model = e.error_model
+    if model is None or not model.is_estimated:
+        scale = e.quantities["error_scale"].value if "error_scale" in e.quantities else e.typical_scale
+        return quoted, scale * quoted
+    return quoted, np.sqrt(model.variance(of_1, of_2))
+
+
+def _magnitude(match: SkyMatch) -> tuple[FloatArray | None, str]:
+    """(k,) of the identified pairs, from the first catalogue that has some, and its name."""
+    pairs = match.result.matches
+    for catalogue, rows in ((match.first, pairs.rows_1), (match.second, pairs.rows_2)):
+        if catalogue.magnitude is not None and np.isfinite(catalogue.magnitude[rows]).sum() >= 2 * LEAST:
+            return catalogue.magnitude[rows], f"{catalogue.magnitude_name} of {catalogue.name}"
+    return None, ""
+
+
+def _bins(values: FloatArray) -> list[NDArray[np.intp]]:
+    """Positions of the values in bins of equal number, rising; one bin where the values hardly differ."""
+    order = np.argsort(values, kind="stable")
+    low, high = np.quantile(values, (0.02, 0.98))
+    number = 1 if high - low <= 0.02 * abs(high) else max(1, min(MOST_BINS, len(values) // LEAST))
+    return np.array_split(order, number)
+
+
+def _against(
+    axes: Axes, parts: Sequence[NDArray[np.intp]], along: FloatArray, sigmas: tuple[FloatArray, FloatArray, FloatArray]
+) -> None:
+    """Medians in bins along some values: the scatter with its error, the quoted σ, the estimated σ."""
+    x = np.array([np.median(along[part]) for part in parts])
+    scattered, quoted, estimated = (np.array([np.median(values[part]) for part in parts]) for values in sigmas)
+    error = OF_MEDIAN * scattered / np.sqrt([len(part) for part in parts])
+    mark = "" if len(parts) > 1 else "_"
+    axes.plot(x, quoted, "--", marker=mark, ms=18, color=SECOND, lw=2.0, label="as quoted")
+    axes.plot(x, estimated, marker=mark, ms=18, color=FOUND, lw=2.2, label="as estimated")
+    axes.errorbar(x, scattered, error, fmt="o", ms=4.5, color=INK, elinewidth=1.0, label="identified pairs, ± 1 σ")

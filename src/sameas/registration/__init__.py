@@ -6,8 +6,7 @@ may have: ``Shift``, ``Similarity``, ``Affine`` or ``SensorBias``.
 """
 
 from sameas.registration.joint import Parameter, Registration, register
-from sameas.registration.offsets import Affine, Offset, Shift, Similarity
-from sameas.registration.sensor import SensorBias
+from sameas.registration.offsets import Affine, Offset, SensorBias, Shift, Similarity
 from sameas.registration.solution import Solution
 from sameas.registration.tuning import Tuning
 

@@ -17,8 +17,8 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
-from sameas.io.sensors.format import SensorFormat
-from sameas.tracks.accuracy import (
+from sameas.io.sensors.format import (
+    SensorFormat,
     round_covariance,
     sigma_of_containment,
     sigma_of_nacp,

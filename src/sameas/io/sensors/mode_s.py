@@ -18,8 +18,7 @@ import numpy as np
 from sameas.errors import InputError, naming
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, instant, unwrapped
-from sameas.io.sensors.format import SensorFormat
-from sameas.tracks.accuracy import round_covariance, sigma_of_nucp
+from sameas.io.sensors.format import SensorFormat, round_covariance, sigma_of_nucp
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 _LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")

@@ -24,8 +24,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
 from sameas.io.sensors.clock import DAY_S, instant, seconds, unwrapped
 from sameas.io.sensors.columns import Choice, choose, naming_columns
-from sameas.io.sensors.format import SensorFile, SensorFormat
-from sameas.tracks.accuracy import round_covariance
+from sameas.io.sensors.format import SensorFile, SensorFormat, round_covariance
 from sameas.tracks.reports import Damaged, Reports
 
 _NULLS = {"", "null", "none", "na", "n/a", "--", "nan"}

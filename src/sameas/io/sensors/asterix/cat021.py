@@ -10,7 +10,7 @@ import numpy as np
 from sameas.io.sensors.aircraft import errors_of
 from sameas.io.sensors.asterix.records import letters, octal, signed, unsigned
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, MILE_M
-from sameas.tracks.accuracy import round_covariance, sigma_of_nucp
+from sameas.io.sensors.format import round_covariance, sigma_of_nucp
 
 #: Times of the position, the best first: of applicability, of its reception, of the report.
 _TIMES = ("071", "073", "077")
