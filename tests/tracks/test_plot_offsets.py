@@ -6,6 +6,7 @@ import pytest
 from sameas.errors import InputError
 from sameas.simulate.boat_radar import boat_radar
 from sameas.simulate.sensors import Bias
+from sameas.tracks import plot_offsets
 from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
 from sameas.tracks.scene import Scene
 
@@ -28,6 +29,18 @@ def test_three_vessels_in_clutter_establish_an_offset_within_its_error(seed, azi
     azimuth = found.parameters["azimuth_deg"]
     assert found.established and found.against == ("ais",)
     assert abs(azimuth.value - azimuth_deg) < min(4.0 * azimuth.standard_error, 0.5)
+
+
+@pytest.mark.slow
+def test_doubts_and_registration_fit_the_same_plots_once(monkeypatch):
+    fits = []
+    monkeypatch.setattr(plot_offsets, "fit_plots", lambda *given: fits.append(fit_plots(*given)) or fits[-1])
+    scene = Scene.of(drawn(4, 7.5, common=3, minutes=3.0).sources)
+    scene.doubts()
+    registered, _ = scene.registered()
+    assert len(fits) == 1
+    registered.doubts()  # another scene: its radar lies elsewhere
+    assert len(fits) == 2
 
 
 @pytest.mark.slow

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: On the dark sky: identified, not identified, missing; apart for every colour vision, as those of the page.
 BLUE, YELLOW, RED = "#2f9bff", "#ffe14a", "#d9522e"
-NIGHT, PAPER = "#0b0d12", "#e8e6df"
+NIGHT, PAPER, DIM = "#0b0d12", "#e8e6df", "#a9adb5"
 #: Number of the brightest identified stars whose residuals are arrows.
 ARROWS = 1500
 
@@ -166,7 +166,7 @@ def _words(figure: Figure, found: FrameIdentification, handles: list[Any], high:
         left, 1 - 0.62 / high,
         f"{ra[0]:.4f}° {dec[0]:+.4f}° · {size}{when} · {found.stars.name} · "
         f"scatter {scatter[0]:.2g}″ × {scatter[1]:.2g}″",
-        color="#a9adb5", fontsize=10, va="center",
+        color=DIM, fontsize=10, va="center",
     )  # fmt: skip
     legend = figure.legend(
         handles=handles, loc="lower left", ncols=3, frameon=False, fontsize=10, bbox_to_anchor=(left - 0.012, 0.0),

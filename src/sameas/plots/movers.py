@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.plots.frame import BLUE, NIGHT, PAPER, YELLOW
+from sameas.plots.frame import BLUE, DIM, NIGHT, PAPER, YELLOW
 from sameas.plots.sheet import DOTS_PER_INCH, nice_length, required
 from sameas.sky.movers.known import KnownObjects
 from sameas.sky.movers.search import Movers
@@ -69,8 +69,8 @@ def mover_picture(
     for axes in (left, right):
         _scale_bar(axes, pixels.scale_arcsec_per_px)
     figure.text(0.018, 0.957, _name(found, known, k), color=PAPER, fontsize=16, fontweight="bold", va="center")
-    figure.text(0.018, 0.916, _facts(found, series, known, k), color="#a9adb5", fontsize=10.5, va="center")
-    figure.text(0.982, 0.022, "north up, east left", color="#a9adb5", fontsize=9.5, ha="right", va="center")
+    figure.text(0.018, 0.916, _facts(found, series, known, k), color=DIM, fontsize=10.5, va="center")
+    figure.text(0.982, 0.022, "north up, east left", color=DIM, fontsize=9.5, ha="right", va="center")
     return figure
 
 
@@ -86,7 +86,7 @@ def _show(axes: Axes, light: FloatArray, words: str) -> None:
     grey = np.arcsinh(np.maximum(np.nan_to_num(light) + BLACK, 0.0) / SOFT) / math.asinh((top + BLACK) / SOFT)
     axes.imshow(grey, cmap="gray", origin="upper", vmin=0.0, vmax=1.0, interpolation="bicubic")
     axes.set_axis_off()
-    axes.set_title(words, color="#a9adb5", fontsize=10.5, loc="left", pad=4)
+    axes.set_title(words, color=DIM, fontsize=10.5, loc="left", pad=4)
 
 
 def _ring(axes: Axes, at: FloatArray, radius: float, colour: str, style: str) -> None:

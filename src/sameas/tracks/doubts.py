@@ -25,7 +25,7 @@ from sameas.tracks.biases import TIME
 from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 from sameas.tracks.feed import Feed
-from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
+from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Site
@@ -175,10 +175,16 @@ class Shared:
         return self.pairs / max(self.records, 1e-9)
 
 
-def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
-    """One sentence for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`."""
+def doubts(
+    feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEFAULT_TUNING, fits: PlotFits | None = None
+) -> tuple[str, ...]:
+    """One sentence for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`.
+
+    fits : of bare plots, where some are known already.
+    """
+    fits = fits or PlotFits()
     # A radar in clutter shares little with others at any instant: its plots of all scans tell.
-    by_plots = [_by_plots(feed, feeds) for feed in feeds]
+    by_plots = [_by_plots(feed, feeds, fits) for feed in feeds]
     met = {name for fit in by_plots if fit is not None and fit[0].established for name in fit[1]}
     tolerant = [_tolerant(feed) for feed in feeds]
     others = [
@@ -211,12 +217,12 @@ def doubts(feeds: Sequence[Feed], plane: LocalPlane | None, tuning: Tuning = DEF
     return tuple(sentences[feed.description.name] for feed in feeds if feed.description.name in sentences)
 
 
-def _by_plots(feed: Feed, feeds: Sequence[Feed]) -> tuple[BiasFit, tuple[str, ...]] | None:
+def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:
     """The offsets of a source of bare plots by all its scans, and the names of the sources that took part."""
     if not shows_bare_plots(feed):
         return None
     named = [other for other in feeds if other is not feed and shows_tracks(other)]
-    fit = fit_plots(feed, named)
+    fit = fits(feed, named)
     return None if fit is None else (fit, tuple(one.description.name for one in (feed, *named)))
 
 

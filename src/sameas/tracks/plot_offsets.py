@@ -24,6 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -323,6 +324,22 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
         rivals.append((theta, evidence - less))
     rivals.sort(key=lambda rival: -rival[1])
     return replace(best, log_evidence=evidence, rivals=tuple(rivals))
+
+
+class PlotFits:
+    """:func:`fit_plots` of the sources of one scene, each fit made once: doubts and registration ask for the same."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[Feed, tuple[Feed, ...], BiasFit | None]] = []
+
+    def __call__(self, feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
+        """The fit of a feed to its partners; that which is kept where all of them are the same objects."""
+        for known, others, fit in self._kept:
+            if known is feed and len(others) == len(partners) and all(map(is_, others, partners)):
+                return fit
+        fit = fit_plots(feed, partners)
+        self._kept.append((feed, tuple(partners), fit))
+        return fit
 
 
 def _same(best: BiasFit, theta: FloatArray) -> bool:

@@ -21,7 +21,7 @@ from sameas.tracks.biases import BIASES, TIME, corrected
 from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
-from sameas.tracks.plot_offsets import fit_plots, shows_bare_plots, shows_tracks
+from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
 
 _UNITS = ("m", "deg", "", "s", "m", "m")
 _TEXTS = {
@@ -81,28 +81,30 @@ Settled = tuple[Feed, SourceBiases]
 
 
 def registered(
-    feeds: Sequence[Feed], references: Sequence[str] | None = None
+    feeds: Sequence[Feed], references: Sequence[str] | None = None, fits: PlotFits | None = None
 ) -> tuple[tuple[Feed, ...], tuple[SourceBiases, ...]]:
     """The feeds without their biases, and the biases of each, in their order.
 
     references : names of the sources whose positions are taken as they are; all that may have no bias if not given.
+    fits : of bare plots, where some are known already.
 
     Raises
     ------
     InputError : a reference that is no source of positions.
     """
     fixed, free, directions = _parts(feeds, references)
+    fits = fits or PlotFits()
     settled: dict[int, Settled] = {k: (feeds[k], SourceBiases(feeds[k].description.name)) for k in fixed}
     anchors = [feeds[k] for k in fixed]
     if not fixed and len(free) > 1:
         settled |= dict(zip(free[:2], _mutual(feeds[free[0]], feeds[free[1]]), strict=True))
     for k in free:
         if k not in settled:
-            settled[k] = _against(feeds[k], anchors or [feed for feed, _ in settled.values()][:1])
+            settled[k] = _against(feeds[k], anchors or [feed for feed, _ in settled.values()][:1], fits)
     # A source that shares nothing with the references may share something with those that do; so may directions.
     for k in [k for k in free if fixed and not settled[k][1].established] + directions:
         partner = _richest(feeds[k], [source for at, source in settled.items() if at != k])
-        second = _against(feeds[k], partner)
+        second = _against(feeds[k], partner, fits)
         if k not in settled or second[1].established:
             settled[k] = second
     in_order = [settled[k] for k in range(len(feeds))]
@@ -135,7 +137,7 @@ def _richest(feed: Feed, settled: Sequence[Settled]) -> list[Feed]:
     return [known[int(np.argmax(counts))]] if known else []
 
 
-def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
+def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Settled:
     """One source against others that are taken as they are."""
     name = feed.description.name
     if not bias_widths(feed).any():
@@ -143,7 +145,7 @@ def _against(feed: Feed, partners: Sequence[Feed]) -> Settled:
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
     named = [other for other in partners if shows_tracks(other)]
-    by_plots = fit_plots(feed, named) if named and shows_bare_plots(feed) else None
+    by_plots = fits(feed, named) if named and shows_bare_plots(feed) else None
     if by_plots is not None:
         return _settled(feed, 0, by_plots, tuple(other.description.name for other in named))
     scans = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]

@@ -41,6 +41,7 @@ from sameas.tracks.doubts import apart, doubts
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
+from sameas.tracks.plot_offsets import PlotFits
 from sameas.tracks.registration import SourceBiases, registered
 from sameas.tracks.reports import Reports
 from sameas.tracks.snapshot import POSITION, POSITION_AND_VELOCITY, Snapshot
@@ -103,7 +104,7 @@ class Scene:
 
         references : names of sources whose positions are taken as they are, if not by their descriptions.
         """
-        feeds, found = registered(self.feeds, references)
+        feeds, found = registered(self.feeds, references, self._plot_fits)
         return replace(self, feeds=feeds), found
 
     def doubts(self) -> tuple[str, ...]:
@@ -113,7 +114,11 @@ class Scene:
         in another zone, nothing in common with the others. Nothing is changed. It takes seconds where a source makes no
         sense.
         """
-        return doubts(self.feeds, self.plane, self.tuning)
+        return doubts(self.feeds, self.plane, self.tuning, self._plot_fits)
+
+    @cached_property
+    def _plot_fits(self) -> PlotFits:
+        return PlotFits()
 
     @property
     def notes(self) -> tuple[str, ...]:
