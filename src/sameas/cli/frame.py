@@ -170,7 +170,7 @@ def frame(
 
 
 def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: str | None) -> bool:
-    """Does the frames, prints what is to be said; whether any failed.
+    """Does the frames, prints their lines; whether any failed.
 
     series : what the series of a folder is called, None where the frames are each by itself.
     """

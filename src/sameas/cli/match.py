@@ -199,7 +199,7 @@ def match(
 
 @dataclass(frozen=True)
 class Joining:
-    """What the joined table holds, and what is said and drawn beside it."""
+    """What the joined table holds, and what is printed and drawn beside it."""
 
     join: str
     nway_columns: bool

@@ -1,6 +1,6 @@
 """Options: those of several commands, and how the arguments of the library are named by them.
 
-Those of catalogues are declared in :mod:`sameas.front.options`; those that only one command has stand in its
+Those of catalogues are declared in :mod:`sameas.front.options`; those of one command only are in its
 signature.
 """
 

@@ -74,7 +74,7 @@ def end_now(code: int, words: str = "") -> None:
 
 
 def stopped() -> str:
-    """What is said of a process that was stopped."""
+    """The message of a process that was stopped."""
     atomic = sys.modules.get("sameas.io.atomic")
     written = [str(path) for path in atomic.written] if atomic else []
     return f"stopped; {', '.join(written) or 'nothing'} was written"
@@ -136,7 +136,7 @@ def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
 
 
 def fault(error: Exception) -> str:
-    """What is said of an error that nobody foresaw."""
+    """The message of an error that was not foreseen."""
     words = InputError(" ".join(str(error).split()))
     return f"unexpected {type(error).__name__}: {words}; this is a fault of sameas, please report it"
 

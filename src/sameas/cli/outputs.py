@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Catalogue]:
     """All catalogues of a request."""
 
-    def told(side: int, catalogue: Catalogue) -> None:
+    def printed(side: int, catalogue: Catalogue) -> None:
         pace.pause()
         printer([*catalogue_lines(catalogue, side, request.paths[side - 1], partial(_in_own_terms, request, side)), ""])
         if side < len(request.paths):
             pace(f"reading {request.paths[side]}")
 
     pace(f"reading {request.paths[0]}")
-    return request.catalogues(told)
+    return request.catalogues(printed)
 
 
 def _in_own_terms(request: Request[Any], side: int, text: str) -> str:

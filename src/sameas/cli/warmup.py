@@ -26,7 +26,7 @@ LONGEST_S = 120.0
 
 
 def beside(cache: Path) -> None:
-    """Start to compile scales and sums in a process of its own, unless one does already; nobody has to wait for it.
+    """Start to compile scales and sums in a process of its own, unless one does already; without waiting.
 
     cache : the folder in which compiled kernels are kept.
     """

@@ -127,7 +127,7 @@ def _origin(sources: Any) -> dict[str, float] | None:
 
 
 def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | None, say: Printer) -> Any:
-    """The server with its socket, and where it is said to be."""
+    """The server with its socket, and the address that is printed."""
     import socket
 
     try:
@@ -156,7 +156,7 @@ def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | 
 
 
 async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
-    """The loop and the server, until time is over or somebody ends it."""
+    """The loop and the server, until the time is over or it is stopped."""
     over = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):

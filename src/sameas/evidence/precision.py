@@ -23,7 +23,7 @@ from sameas.representation import in_short
 class TrainingPairs:
     """The pairs from which a table of grades was learned.
 
-    cell : (m,) where each pair's two grades stand in the table, row by row. own : (m,) by how much the pair itself
+    cell : (m,) the place of each pair's two grades in the table, row by row. own : (m,) by how much the pair itself
     raised the table's log ratio there.
     """
 

@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 
 #: Rows of both catalogues up to which the match is repeated without being asked for: under a second (chosen).
 REPEATED = 100_000
-#: What a story lacks that is told by the table of two catalogues.
+#: What an explanation from the table of two catalogues lacks.
 ALONE = "Told by the table alone; matching again tells the terms of the odds and the cost of other answers."
-#: What is said of an output that was edited, cut or put together, beside what its reader met.
+#: Lines on an output that was edited, cut or put together, beside what its reader met.
 CHANGED = "is not as sameas wrote it"
 #: Tables of a picture's folder.
 _TABLES = ("objects", "identities")
@@ -191,7 +191,7 @@ def _explained(match: SkyMatch, record: str, source: int) -> Any:
 def _either(
     lines: Callable[..., list[str]], table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool
 ) -> list[str]:
-    """The lines of a record; where the other catalogue has it, that is said."""
+    """The lines of a record; where the other catalogue has it, they say so."""
     try:
         return lines(table, facts, record, source, by_row)
     except InputError as error:
@@ -378,7 +378,7 @@ def _objects_of_table(path: Path) -> _Objects:
         name = str(facts[f"name_{k}"])
         for row in np.flatnonzero(there & chosen).tolist():
             of[0.0, name, str(names[row])] = row
-        # Of a record that is only among candidates that were not chosen nothing is said.
+        # A record that is only among candidates that were not chosen has no line.
         for row in np.flatnonzero(there & ~chosen).tolist():
             of.setdefault((0.0, name, str(names[row])), len(table) + len(of))
     p = next((table[name] for name in ("p_object", "p_match") if name in table.colnames), None)

@@ -80,7 +80,7 @@ class MatchFrame:
         return summary_of(self.sky, self.frame, self.catalogue, partial(renamed, side=0, columns={}))
 
     def report(self) -> str:
-        """All that is to be said of the frame, as the command prints it."""
+        """The report of the frame, as the command prints it."""
         from sameas.report.frame import frame_lines
 
         return "\n".join(frame_lines(self.summary))
@@ -210,10 +210,10 @@ def match_frame(
     time : middle of the exposure: a date, a Julian year or an astropy ``Time``.
     dark, flat, bias : paths of calibration frames. mask : of an image, not 0 where not usable. hdu : of the image.
     threshold : faintest detection in σ. gain, read_noise, saturation : in electrons per unit, electrons, units.
-    order : of the plate model, 1 to 5; what the pairs support if not said. magnitudes : "off" leaves brightness out.
+    order : of the plate model, 1 to 5; what the pairs support if not given. magnitudes : "off" leaves brightness out.
     faintest : use no fainter stars. motion : False leaves the stars at their own epoch.
     progress : called with the name of what is being done.
-    columns : what is said of the catalogue's columns, as of :func:`sameas.match`, without numbers: ``sigma=0.1``.
+    columns : options of the catalogue's columns, as of :func:`sameas.match`, without numbers: ``sigma=0.1``.
 
     Raises
     ------

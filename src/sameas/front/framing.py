@@ -1,6 +1,6 @@
 """One frame, from its file to its outputs: read, calibrate, detect, place, identify, refine, write.
 
-A :class:`FrameRequest` is all that is said of it; it travels to another process and back into the summary, by whose
+A :class:`FrameRequest` holds all its options; it travels to another process and back into the summary, by whose
 digest a frame that is done already is known.
 """
 
@@ -48,9 +48,9 @@ _TABLES["parquet"] = ".stars.parquet"
 
 # Where the frame points: what is known from the command line and from its header.
 
-#: A scale from focal length and pixels is believed so far, a scale of one number so far.
+#: Relative tolerance of a scale from focal length and pixels, and of a scale that was given as one number.
 LOOSE, CLOSE = 0.2, 0.05
-#: How far off an aim may be, if nothing is said: degrees, and in halves of the frame's diagonal.
+#: How far off an aim may be, by default: degrees, and in halves of the frame's diagonal.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 
 
@@ -133,7 +133,7 @@ def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
 
 @dataclass(frozen=True)
 class FrameRequest:
-    """A frame and all that is said of it. ``columns`` are fields of ``CatalogueOptions``.
+    """A frame and all its options. ``columns`` are fields of ``CatalogueOptions``.
 
     name : of the outputs in ``folder``. time : middle of the exposure as it was typed. given : fields of ``Given``.
     """
@@ -176,7 +176,7 @@ class FrameRequest:
         return Path(self.folder) / f"{self.name}.json"
 
     def digest(self) -> str:
-        """The SHA-256 of the frame, of all other files that it takes, and of everything that is said."""
+        """The SHA-256 of the frame, of all other files that it takes, and of all options."""
         facts = {key: value for key, value in asdict(self).items() if key not in ("folder", "path")}
         files = [self.path, *self.darks, *self.flats, *self.biases, *([self.mask] if self.mask else [])]
         facts["files"] = [_checksum(path, _stamp(path)) for path in files]

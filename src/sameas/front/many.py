@@ -73,7 +73,7 @@ class MatchMany:
         return joined_many(self.sky, least=least)
 
     def report(self) -> str:
-        """All that is to be said, as the command prints it."""
+        """The report, as the command prints it."""
         return "\n".join(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
@@ -217,11 +217,11 @@ def match_many(
     ----------
     sources : two to eight, each anything that :func:`sameas.match` takes but ``Records``, or one list of them.
     least : how many catalogues an object of ``.table`` must be in.
-    to_epoch : Julian year of the objects' places; the mean of the catalogues' epochs if not said.
+    to_epoch : Julian year of the objects' places; the mean of the catalogues' epochs if not given.
     gate_sigmas, error_scale : as of :func:`sameas.match`, of every two catalogues.
     offset : "find" looks for a shift and turn of each catalogue, and takes it away.
     names : of the catalogues in messages. progress : called with the name of what is being done.
-    columns : what is said of the columns: ``sigma=0.1`` of all, ``epoch3=2000`` of the third.
+    columns : options of the columns: ``sigma=0.1`` of all, ``epoch3=2000`` of the third.
 
     Raises
     ------

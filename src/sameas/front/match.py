@@ -111,7 +111,7 @@ class Match:
         ----------
         resolution : separation at which half of the couples are one record of the first source; in arcsec on the sky.
         flux : (n,) of every row of the second source, in the band of the first; a blend lies between its objects where
-            that says. Not said, it may lie anywhere between.
+            that says. By default it may lie anywhere between.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class Match:
 
     @cached_property
     def table(self) -> Table:
-        """The joined table, by :attr:`join`: all columns of both, and what is said of each row; see :meth:`joined`."""
+        """The joined table, by :attr:`join`: all columns of both, and the answer for each row; see :meth:`joined`."""
         return self.joined(self.join, nway_columns=self.nway_columns)
 
     def joined(self, join: str = "all1", *, nway_columns: bool = False) -> Table:
@@ -155,7 +155,7 @@ class Match:
         return joined(found, join, nway_columns=nway_columns)
 
     def report(self) -> str:
-        """All that is to be said of the match, as the command prints it."""
+        """The report of the match, as the command prints it."""
         return "\n".join(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
@@ -347,7 +347,7 @@ def match(
     progress: Callable[[str], None] = lambda stage: None,
     **columns: Any,
 ) -> Match | PartitionedMatch:
-    """Which records of two sources are the same object, and how sure that is; what is not said is estimated.
+    """Which records of two sources are the same object, and how sure that is; what is not given is estimated.
 
     Parameters
     ----------
@@ -355,8 +355,8 @@ def match(
         polars or Arrow table; a structured array; a dict of columns; a ``Catalogue``; or both ``Records``. Two folders
         of HATS catalogues give a :class:`PartitionedMatch`, which identifies them partition by partition.
     join : of ``.table``, by the names of STILTS; all1 keeps every row of the first. nway_columns : add those of NWAY.
-    to_epoch : Julian year to which both are moved; as the catalogues need it if not said.
-    gate_sigmas : radius of the gate in quoted σ; as wide as the errors need if not said.
+    to_epoch : Julian year to which both are moved; as the catalogues need it if not given.
+    gate_sigmas : radius of the gate in quoted σ; as wide as the errors need if not given.
     error_scale : "auto" estimates how residuals spread about the quoted errors; a factor, or ``Errors``, is believed;
         1 believes the quoted errors.
     density : of all records of the first and the second per square degree; of ``Records`` per unit of residuals.
@@ -366,7 +366,7 @@ def match(
         ``odds`` a prior of your own; ``Related("flux", "MAG")`` of both.
     offset : "find" looks for a shift and turn of the second against the first, and takes it away.
     names : of the two in messages. progress : called with the name of what is being done.
-    columns : what is said of the columns, as the command has it: ``ra1``, ``sigma2=0.1``, ``epoch2=2015.5``; without a
+    columns : options of the columns, as the command has them: ``ra1``, ``sigma2=0.1``, ``epoch2=2015.5``; without a
         number of both. :class:`~sameas.sky.CatalogueOptions` explains them.
 
     Raises

@@ -69,13 +69,13 @@ SIDE_OPTIONS = (*COLUMN_OPTIONS, *FILE_OPTIONS)
 
 
 def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:
-    """What was said of catalogue 1, 2, …: of it alone, else of all."""
+    """The value for catalogue 1, 2, …: its own, else that of all."""
     own = columns.get(f"{parameter}{side}")
     return columns.get(parameter) if own is None else own
 
 
 def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
-    """The fields of ``CatalogueOptions`` that the user said of catalogue 1, 2, …."""
+    """The fields of ``CatalogueOptions`` that the user gave for catalogue 1, 2, …."""
     values = {one: of_side(columns, one.parameter, side) for one in COLUMN_OPTIONS}
     return {one.field: _plain(value, one) for one, value in values.items() if value is not None}
 

@@ -264,7 +264,7 @@ class MatchPicture:
             "files": [str(path) for path in files], "sha256": [checksum(path) for path in files],
         }  # fmt: skip
 
-    def told(self) -> dict[str, Any]:
+    def as_json(self) -> dict[str, Any]:
         """The summary as JSON has it."""
         summary = self.picture.summary
         return {
@@ -311,7 +311,7 @@ def write(
         written.append("objects.geojson")
         write_geojson(picture.objects, draft / written[-1])
     written.append("summary.json")
-    (draft / written[-1]).write_text(json.dumps(facts | made.told(), indent=1, ensure_ascii=False) + "\n", "utf-8")
+    (draft / written[-1]).write_text(json.dumps(facts | made.as_json(), indent=1, ensure_ascii=False) + "\n", "utf-8")
     if outputs.map or outputs.image:
         written += _drawn(made, draft, outputs, warn)
     return written
@@ -351,7 +351,7 @@ def _drawn(made: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Calla
 
 @contextmanager
 def _optional_plots(warn: Callable[[str], object]) -> Iterator[None]:
-    """Without matplotlib there is no image, which is said; the rest is there."""
+    """Without matplotlib there is no image, and a line says so; the rest is there."""
     try:
         yield
     except InputError as error:

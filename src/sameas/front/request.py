@@ -1,4 +1,4 @@
-"""Requests: sources and all that is said of them, enough to identify them again; kept in the output."""
+"""Requests: sources and all their options, enough to identify them again; kept in the output."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Request(Generic[Options]):
     """Which catalogues are identified, and how.
 
     sources : two or more: paths, or whatever :func:`sameas.front.tables.table_of` takes, or catalogues. options : of
-    the match. columns : options of the catalogues as they were said, by parameter: ``sigma`` is that of all, ``sigma2``
+    the match. columns : options of the catalogues as given, by parameter: ``sigma`` is that of all, ``sigma2``
     that of the second. given_names : the catalogues' names in messages, where the user says them.
     """
 
@@ -47,7 +47,7 @@ class Request(Generic[Options]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The catalogues' names in messages: as said, else their files' stems, or more where these are not different;
+        """The catalogues' names in messages: as given, else their files' stems, or more where these are not different;
         of tables their numbers."""
         if self.given_names:
             return self.given_names
@@ -127,7 +127,7 @@ class Request(Generic[Options]):
         return InputError(self.words(error.words, side), source=error.source)
 
     def words(self, text: str, side: int = 0) -> str:
-        """A text on one catalogue, or on all, that names the options as they are said here."""
+        """A text on one catalogue, or on all, that names the options as they are spelled here."""
         return renamed(text, side, self.columns)
 
     def in_own_terms(self, words: Callable[[str], str], side: int, text: str) -> str:
@@ -198,7 +198,7 @@ class Request(Generic[Options]):
 
 
 def _in_memory(value: Any) -> Any:
-    """What provenance says of numbers that were given and stand in no table."""
+    """How provenance keeps numbers that were given as arrays, not in a table."""
     return value.item() if hasattr(value, "item") and not getattr(value, "ndim", 0) else None
 
 

@@ -49,7 +49,7 @@ def _shows_sky(path: Path) -> bool:
         with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2880 * 4).decode("ascii", "replace")
     except OSError:
-        return True  # what is wrong with it is told when it is read
+        return True  # reading it says what is wrong with it
     cards = (head[k : k + 80] for k in range(0, len(head), 80))
     kind = next((card[10:].split("/")[0].strip(" '").lower() for card in cards if card.startswith("IMAGETYP")), "")
     return not any(word in kind for word in _NO_SKY)

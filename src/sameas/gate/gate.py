@@ -5,7 +5,7 @@ pair by pair: a record with a large error neither widens the gate of others nor 
 
 - :class:`ChiSquare` (default): Δᵀ Σ⁻¹ Δ within the χ² quantile of a stated completeness, the probability that the gate
   keeps a true pair.
-- :class:`Radius`: Δᵀ Σ⁻¹ Δ ≤ k², for those who think in sigmas of the distance.
+- :class:`Radius`: Δᵀ Σ⁻¹ Δ ≤ k², a limit in standard deviations of the distance.
 - :class:`Box`: |Δ_v| ≤ k σ_v in every feature, the papers' "three sigma" gate.
 
 The gate is part of the model: what it leaves out has probability zero. The default is so wide that opening it further
@@ -50,7 +50,7 @@ Columns = tuple[
 
 #: Records for which an interpreted search takes some milliseconds.
 FEW_RECORDS = 64
-#: Bytes that nobody need ask for.
+#: Memory below this is allocated without asking how much is left, bytes.
 _SMALL = 1 << 28
 
 #: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.

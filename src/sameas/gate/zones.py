@@ -1,7 +1,7 @@
 """Zones: how the search lays two sources out, so that what is near in space is near in memory.
 
 Records are sorted into zones of one coordinate and along the other within each; the few of very different errors are
-laid out apart, class by class. The order depends on the records' content, not on the rows they stand in.
+laid out apart, class by class. The order depends on the records' content, not on their rows.
 """
 
 from __future__ import annotations

@@ -82,7 +82,7 @@ def unended(text: pa.Buffer | bytes) -> bool:
 
 
 def may_be_cut(path: Path) -> str:
-    """What is said of a table whose last line has no end."""
+    """The note on a table whose last line has no end."""
     return f"{path}: its last line has no line end: it may be incomplete"
 
 
@@ -100,7 +100,7 @@ def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], 
         with replacing(path, overwrite=overwrite) as draft:
             write(table, draft, {})
         with suppress(FileNotFoundError):
-            # What an earlier run said is not true of this file.
+            # What an earlier run noted is not true of this file.
             beside.unlink()
         return
     with together() as arm, replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:

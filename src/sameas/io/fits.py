@@ -379,7 +379,7 @@ def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
 
 
 def _unused(values: NDArray[Any], mask: BoolArray) -> int:
-    """A whole number that stands in no unmasked cell: the least of its kind, or the next one that is free."""
+    """A whole number that is in no unmasked cell: the least of its kind, or the next one that is free."""
     limits = np.iinfo(values.dtype)
     present = values[~mask]
     for candidate in (int(limits.min), int(limits.max)) if limits.min < 0 else (int(limits.max), 0):

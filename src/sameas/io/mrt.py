@@ -1,4 +1,4 @@
-"""Tables of journals and of the CDS: columns by their bytes, told in a "Byte-by-byte Description"; read by astropy.
+"""Tables of journals and of the CDS: columns by their bytes, given in a "Byte-by-byte Description"; read by astropy.
 
 The description stands above the rows (machine-readable tables) or in the file ReadMe beside (``table.dat`` of the CDS).
 """

@@ -107,7 +107,7 @@ def kind_of(first: bytes) -> str | None:
 def known_formats() -> dict[str, tuple[str, ...]]:
     """The formats we read, by name, with their extensions.
 
-    Texts are told by what is in them: any of these extensions of text may hold any of the formats of text.
+    Texts are recognised by their content: any of these extensions of text may hold any of the formats of text.
 
     Examples
     --------

@@ -212,7 +212,7 @@ def _blank(column: Column) -> Column:
 
 
 def _portable(column: Column) -> Column:
-    """The column in a kind that VOTable has, without what an earlier VOTable said of its layout."""
+    """The column in a kind that VOTable has, without the layout that an earlier VOTable gave it."""
     from astropy.table import Column, MaskedColumn
 
     values, mask = np.asarray(column), getattr(column, "mask", None)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import sameas
 
-#: Content-Security-Policy: no network, no frame, no form; the one script whose digest is told.
+#: Content-Security-Policy: no network, no frame, no form; the one script of the given digest.
 POLICY = (
     "default-src 'none'; script-src '{}'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'"
 )

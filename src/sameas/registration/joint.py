@@ -38,7 +38,7 @@ class Parameter:
 @in_short
 @dataclass(frozen=True)
 class Registration:
-    """The offset between two sources, and who is whom once it is taken away.
+    """The offset between two sources, and the identification once it is removed.
 
     Attributes
     ----------

@@ -14,7 +14,7 @@ from sameas.sky.frame.summary import ERROR_NAMES
 
 
 def frame_lines(summary: Mapping[str, Any]) -> list[str]:
-    """All that is to be said of one frame."""
+    """The whole report of one frame."""
     place, plate, found = summary["place"], summary["plate"], summary["found"]
     size = f"{place['columns']} × {place['rows']} px, {_angle(place['width_deg'])} × {_angle(place['height_deg'])}"
     middle = f"RA {place['middle_ra_deg']:.5f}° Dec {place['middle_dec_deg']:+.5f}°"

@@ -34,7 +34,7 @@ USUAL_RADIUS_ARCSEC = 5.0
 
 
 def report(match: SkyMatch) -> str:
-    """All that is to be said of a match.
+    """The whole report of a match.
 
     Example
     -------
@@ -61,9 +61,9 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     for k, (label, colon, text) in enumerate(lines_read):
         if not colon or len(label) > LABEL:
             lines += entry("note", label + colon + text)
-        elif last[label] == k:  # what is said of the same thing later corrects what was said before
+        elif last[label] == k:  # a later line on the same thing corrects the earlier one
             lines += entry(label, text)
-    for note in catalogue.table.meta.get("sameas_notes", ()):  # what reading the file left to be said
+    for note in catalogue.table.meta.get("sameas_notes", ()):  # notes of the reader
         lines += entry("file", note)
     return lines + _doubt_lines(catalogue.doubts, words)
 

@@ -22,7 +22,7 @@ FEW = 3
 #: Pixels that a core adds in a second, below the limit of single frames (measured, 2 GHz).
 SUMS_PER_S = 2.5e9
 
-#: Stars whose scatter constant ones have less often than this are told as hardly constant.
+#: Stars whose scatter constant ones have less often than this are listed as hardly constant.
 UNLIKELY = 0.001
 
 

@@ -47,7 +47,7 @@ def found_lines(summary: Summary) -> Iterator[str]:
 
 
 def assumed_lines(scene: Scene) -> Iterator[str]:
-    """Every number that nobody gave, those of one kind of source together; summary.json says why each was taken."""
+    """Every number that was not given, those of one kind of source together; summary.json says why each was taken."""
     taken: dict[tuple[str, str], list[str]] = {}
     for feed in scene.feeds:
         described = feed.description

@@ -50,7 +50,7 @@ def moment(time_s: float) -> str:
 
 
 def span(first_s: float, last_s: float) -> str:
-    """From one time to another; a day that both share is said once.
+    """From one time to another; a day that both share is written once.
 
     >>> span(1714560000.0, 1714560300.0), span(0.0, 60.0)
     ('2024-05-01 10:40:00 to 10:45:00 UTC', '0 to 60 s')

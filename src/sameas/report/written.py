@@ -1,4 +1,4 @@
-"""Why a record was identified as it was, told from an output alone: what its table and its header hold.
+"""Why a record was identified as it was, from an output alone: what its table and its header hold.
 
 Of two catalogues and of several, of a frame, and of a picture: the answer, its probability, the most probable other
 one, and the records that compete. What each term of the odds says is not in the tables; repeating the match tells it.
@@ -166,7 +166,7 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
 
 
 def _record_of(records: Table, record: str, source: str, at_s: float | None) -> tuple[int, str, list[str]]:
-    """Row in the table of records, its name, and what is told of it."""
+    """Row in the table of records, its name, and what is printed of it."""
     ours = texts_of(records["source"]) == source
     if not ours.any():
         known = ", ".join(sorted(set(texts_of(records["source"]).tolist())))

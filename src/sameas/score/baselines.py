@@ -3,7 +3,7 @@
 - :func:`nearest`: for each record its nearest candidate, one at a time; several records may name the same one.
 - :func:`mutual_nearest`: pairs that are each other's nearest.
 - :func:`most_pairs`: as many pairs as can be, k = min(N₁, N₂) in every group, with the least sum of ΔᵀΣ⁻¹Δ [T3].
-- :func:`classified`: each record for itself to the candidate, or nobody, of least average risk [F8–F13]; several
+- :func:`classified`: each record for itself to the candidate, or no partner, of least average risk [F8–F13]; several
   records may name the same one.
 - :func:`enumerated`: the most probable hypothesis by looking at every one. Exact like ``sameas.assignment``, and
   hopeless beyond some ten records a group: the oracle for small ones.
@@ -72,13 +72,13 @@ def most_pairs(pairs: Pairs, groups: Groups) -> BoolArray:
 
 
 def classified(pairs: Pairs, log_odds: FloatArray, loss: Loss = ALL_ALIKE) -> BoolArray:
-    """(m,) each record of source 1 to the candidate of least average risk, or to nobody. Not one to one.
+    """(m,) each record of source 1 to the candidate of least average risk, or to no partner. Not one to one.
 
-    z_j = −Σ_k P(k) Π_kj f_k(Y), k over the candidates of the record and nobody (METHOD 3.5 [F8–F13]).
+    z_j = −Σ_k P(k) Π_kj f_k(Y), k over the candidates of the record and no partner (METHOD 3.5 [F8–F13]).
 
     Parameters
     ----------
-    log_odds : (m,) ln of λ times the prior odds of every candidate against nobody, f and P of the formula;
+    log_odds : (m,) ln of λ times the prior odds of every candidate against no partner, f and P of the formula;
         ``Identification.log_odds`` where the prior is linear.
     loss : the matrix Π. Where every mistake costs the same, the most probable answer is chosen.
     """

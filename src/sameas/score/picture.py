@@ -123,7 +123,7 @@ FALSE = -1
 @in_short
 @dataclass(frozen=True)
 class Identities:
-    """Which object every record was said to be, and which it is. Make it with :meth:`of`.
+    """Which object every record was identified with, and which it is. Make it with :meth:`of`.
 
     Attributes
     ----------

@@ -121,7 +121,7 @@ CATALOGUE_SIGMA_ARCSEC = 0.1
 @in_short
 @dataclass(frozen=True)
 class Counterparts:
-    """Few sources, a deep catalogue, and what stands in the columns of both.
+    """Few sources, a deep catalogue, and the columns of both.
 
     scene : records and truth. flux : (n₁,) log₁₀ of the sources' fluxes, which counterparts' magnitudes go with.
     magnitude, colour : (n₂,) mag. kind : (n₂,) "point" or "extended". noise : (n₂,) a column that tells nothing.

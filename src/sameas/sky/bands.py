@@ -55,7 +55,7 @@ def columns_of(
 
     Parameters
     ----------
-    evidence : as said, by names of columns. magnitudes : as :func:`magnitudes_of` takes them.
+    evidence : as given, by names of columns. magnitudes : as :func:`magnitudes_of` takes them.
 
     Raises
     ------

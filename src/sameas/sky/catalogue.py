@@ -68,7 +68,7 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
 
 
 def _taken_errors(choice: ColumnChoice) -> str:
-    """A doubt of errors that were not in the table, or in a unit that is not said."""
+    """A doubt of errors that were not in the table, or in a unit that is not given."""
     error = choice.error
     if error.survey is not None:
         by = f" at its {choice.magnitude}" if choice.magnitude else ""
@@ -160,7 +160,7 @@ class Catalogue:
     ids : (n,) identifiers, unique.
     astrometry : (n,) positions, motions and errors; NaN where there is no position or no error of it, and in
         ``epoch_jyr`` where the epoch is not known.
-    options : what the user said. choice : which columns were taken. interpretation : the same as lines to print.
+    options : what the user gave. choice : which columns were taken. interpretation : the same as lines to print.
     doubts : what looks wrong.
     has_motion : is there a proper motion in any row?
     magnitude, magnitude_error : (n,), NaN where not measured, or None. magnitude_name : the column.
@@ -247,7 +247,7 @@ class Catalogue:
         )
 
     def alike(self, table: Any) -> Catalogue:
-        """Other rows of the same source, understood as these are; nothing is said of them, and they may be none."""
+        """Other rows of the same source, understood as these are; nothing is printed of them, and they may be none."""
         rows = column_values.as_table(table, self.name)
         magnitude = _brightness(rows, self.choice.magnitude, self.name)
         astrometry, _ = _astrometry(rows, self.choice, self.options, magnitude, self.name)

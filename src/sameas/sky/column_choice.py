@@ -1,4 +1,4 @@
-"""Understood: what a user says of a catalogue's columns, and what we made of it."""
+"""The choice of a catalogue's columns: what a user gives, and what was chosen."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ GUESSED = "guessed by its size"
 
 @dataclass(frozen=True)
 class CatalogueOptions:
-    """What the user says of a catalogue; everything not said is looked for. Columns are named in any case.
+    """What the user gives of a catalogue; everything else is looked for. Columns are named in any case.
 
     ra, dec, id, magnitude, parallax, radial_velocity : column names; "none" for the last three ignores them.
-    sigma : one standard deviation per axis: a number (in ``sigma_unit``, arcsec if not said), a column, or
+    sigma : one standard deviation per axis: a number (in ``sigma_unit``, arcsec if not given), a column, or
         "column east,column north". sigma_unit : arcsec, mas, deg, ...
     ellipse : "a,b,angle": columns of one-sigma semi-axes and of the angle of a, degrees east of north.
     correlation : column of the correlation of east and north.
@@ -53,7 +53,7 @@ class CatalogueOptions:
 class Column:
     """A column in its role: its name, the unit of its numbers, and where we have the unit from.
 
-    parts : the columns of hours (or sign and degrees), minutes and seconds, where one angle stands in so many.
+    parts : the columns of hours (or sign and degrees), minutes and seconds, where one angle is spread over several.
     """
 
     name: str

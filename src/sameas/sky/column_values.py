@@ -117,7 +117,7 @@ def _from_sexagesimal(text: str) -> float:
 
 
 def of_parts(table: Table, names: tuple[str, ...], source: str) -> FloatArray:
-    """(n,) angles that stand in columns of hours or degrees, minutes and seconds.
+    """(n,) angles that are in columns of hours or degrees, minutes and seconds.
 
     names : of the columns; a first one of words holds the signs.
     """
@@ -126,7 +126,7 @@ def of_parts(table: Table, names: tuple[str, ...], source: str) -> FloatArray:
         sign = np.array([-1.0 if text.strip() in ("-", "−") else 1.0 for text in _texts(table, names[0])])
         names = names[1:]
     parts = [numbers(table, name, source) for name in names]
-    # What is not said of minutes and seconds, where the angle is quoted to the minute, is nothing.
+    # Where the angle is quoted to the minute, missing minutes and seconds count as zero.
     whole = parts[0] + sum(np.nan_to_num(part) / 60.0**k for k, part in enumerate(parts[1:], 1))
     return np.asarray(sign * whole)
 

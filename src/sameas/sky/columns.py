@@ -30,7 +30,7 @@ from sameas.sky.surveys import survey_of
 _SUFFIXES = {"_arcsec": "arcsec", "_mas": "mas", "_deg": "deg", "_hours": "hourangle", "_h": "hourangle"}
 #: Error columns without a unit: a smaller median is in degrees, a larger one in mas (chosen).
 _LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
-#: Units that stand in brackets behind a name, as people write them.
+#: Units in brackets behind a name, as people write them.
 _BRACKETED = re.compile(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
 _UNIT_WORDS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",

@@ -310,7 +310,7 @@ def _every_answer(result: Identification) -> JoinedRows:
 
 
 def joined_names(first: Table, second: Table) -> tuple[list[str], list[str]]:
-    """Column names of both tables; those that stand in both get the suffixes _1 and _2, as STILTS does."""
+    """Column names of both tables; those that are in both get the suffixes _1 and _2, as STILTS does."""
     taken = {name.lower() for name in first.colnames} & {name.lower() for name in second.colnames}
     return (
         [f"{name}_1" if name.lower() in taken else name for name in first.colnames],

@@ -1,4 +1,4 @@
-"""A smooth local warp between two catalogues: plates, drift scans, a distortion that nobody took away.
+"""A smooth local warp between two catalogues: plates, drift scans, a distortion that was not removed.
 
 Beside a shift and a turn (:mod:`sameas.sky.rotation`) the second catalogue may be bent against the first. The residuals
 of the identified pairs, each weighted by its probability and its errors with a scatter that is estimated, are fitted by

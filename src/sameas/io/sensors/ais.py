@@ -129,7 +129,7 @@ class Static:
 
 @dataclass
 class ReceiverState:
-    """What a receiver has heard before these lines: parts of messages that wait for the others, data of ships."""
+    """What a receiver has received before these lines: parts of messages that wait for the others, data of ships."""
 
     waiting: dict[tuple[str, ...], list[Sentence]] = field(default_factory=dict)
     statics: dict[str, Mapping[str, Any]] = field(default_factory=dict)

@@ -32,7 +32,7 @@ _STATUS = {"L": "lost", "Q": "being acquired", "T": "tracked"}
 
 @dataclass
 class OwnShip:
-    """What the log said of own ship before these lines, and whether it has had TTM sentences."""
+    """Own ship by the log before these lines, and whether it has had TTM sentences."""
 
     heading: float = math.nan
     lat: float = math.nan

@@ -1,6 +1,6 @@
 """NMEA 0183: the sentences of a log, their checksums, and the log's own clock.
 
-``$RATTM,…*hh`` of navigation equipment and ``!AIVDM,…*hh`` of AIS stand in the same files. Receivers write the time of
+``$RATTM,…*hh`` of navigation equipment and ``!AIVDM,…*hh`` of AIS are in the same files. Receivers write the time of
 receipt in many ways, all known here: a tag block (``\\c:1241544035*53\\!AIVDM…``), an instant before the sentence, an
 instant after its checksum (as coast guards do), a ``$PGHP`` sentence before it. Else own ship's ``ZDA`` and ``RMC``
 give the time.

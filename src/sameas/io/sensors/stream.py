@@ -126,7 +126,7 @@ class ReportStream:
 
     @property
     def own_ship(self) -> tuple[float, float, float]:
-        """Latitude, longitude and heading of own ship as the stream told them last, NaN where it did not."""
+        """Latitude, longitude and heading of own ship as the stream gave them last, NaN where it did not."""
         if self.format == "signalk":
             heading = self._vessels.fields.get("self", {}).get("heading_deg", (0.0, math.nan))[1]
             return (*self._vessels.station, heading)

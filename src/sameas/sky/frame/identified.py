@@ -29,7 +29,7 @@ from sameas.sky.frame.plate import MatchedStars, PlateModel, PlateTuning, fit_pl
 
 #: Magnitudes of a relative error of one.
 POGSON = 2.5 / math.log(10.0)
-#: With fewer pairs the root mean square is told instead of the robust scatter (chosen).
+#: With fewer pairs the root mean square is given instead of the robust scatter (chosen).
 FEW = 20
 #: The catalogue reaches as faint as this share of the identified measurements; it is shallow where more than this share
 #: of all measurements is fainter, and not identified (both chosen).

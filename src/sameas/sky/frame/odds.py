@@ -1,4 +1,4 @@
-"""The odds that a frame points where it is said to, against all chance.
+"""The odds that a frame points where a placement has it, against all chance.
 
 Stars predicted on the frame are identified with its measurements, one to one, and the whole identification is weighed
 against "every measurement lies anywhere". With n measurements and m predicted stars, of which k are paired, A the

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SearchTuning:
-    """Numbers of the search for a pointing, tuned on simulated frames unless said otherwise.
+    """Numbers of the search for a pointing, tuned on simulated frames unless stated otherwise.
 
     Attributes
     ----------

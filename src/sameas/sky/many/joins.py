@@ -1,6 +1,6 @@
 """The joined table of several catalogues: one row per object, the columns of every catalogue side by side.
 
-Columns that stand in several tables get the number of their catalogue, ``_1``, ``_2`` …, as in the tables of two. Rows
+Columns that are in several tables get the number of their catalogue, ``_1``, ``_2`` …, as in the tables of two. Rows
 are in the order of the first catalogue, then of the second for objects that are not in the first, and so on. Added
 columns:
 

@@ -91,7 +91,7 @@ TUNING = BelowLimitTuning()
 
 @dataclass(frozen=True)
 class Plan:
-    """What a search will do, told before it starts.
+    """What a search will do, known before it starts.
 
     rates : (r, 2) arcsec/min east and north. origin : (2,) place of the first pixel of the grid, arcsec. shape : of the
     grid, rows to the north. scale : arcsec per px of it. minutes : (f,) from the middle. strips : (s + 1,) rows.

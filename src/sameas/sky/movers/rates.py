@@ -1,6 +1,6 @@
 """Rates: how fast what moves on the sky moves, as a density in ecliptic axes, learned from the data.
 
-The rate is told against that of a circular orbit in the ecliptic at 2.7 au, seen at the same elongation from the Sun:
+Rates are relative to that of a circular orbit in the ecliptic at 2.7 au, seen at the same elongation from the Sun:
 most asteroids then make one narrow component, whatever part of the sky is observed. A mixture of Gaussians convolves
 with the error of a measured rate in closed form (extreme deconvolution, Bovy, Hogg & Roweis 2011, AnnAS 5, 1657).
 """

@@ -205,7 +205,7 @@ class Series:
         return ra, np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
 
     def star_table(self) -> Table:
-        """One row a star; what it was in every frame stands in columns of as many values as there are frames."""
+        """One row a star; its values in every frame are in columns of as many values as there are frames."""
         from astropy.table import Table
 
         stars = self.stars

@@ -48,7 +48,7 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
 
 
 def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """NACp of versions 1 and 2; NUCp of version 0, which stands in the bits of NIC."""
+    """NACp of versions 1 and 2; NUCp of version 0, which is in the bits of NIC."""
     n = len(columns["time_s"])
     absent = np.full(n, np.nan)
     first = columns.get("version", absent) == 0
