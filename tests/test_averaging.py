@@ -148,6 +148,21 @@ def test_records_too_close_to_widen_their_errors_are_not_scanned():
     assert scanned(Coverage.of(first, second)) is None
 
 
+@pytest.mark.parametrize("apart_deg", [1.0, 60.0])
+def test_fields_apart_are_not_scanned(apart_deg):
+    # By the density of the empty sky between them every record was a candidate of every other: gigabytes, minutes.
+    rng = np.random.default_rng(16)
+    first, second = (
+        Records.of(
+            np.column_stack([rng.uniform(20, 20.3, 500), rng.uniform(at, at + 0.3, 500)]), sigma=0.2, space=Sphere()
+        )
+        for at in (0.0, apart_deg)
+    )
+    assert scanned(Coverage.of(first, second)) is None
+    answer, estimate = match(first, second)
+    assert len(answer.matches) == 0 and estimate.common < 1.0
+
+
 def test_the_grid_gets_finer_where_the_records_tell_more():
     scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
     coarse, fine = (scanned(Coverage.of(s.first, s.second)) for s in scenes)

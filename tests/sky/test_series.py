@@ -16,8 +16,9 @@ from sameas.sky.series.tied import Exposure, tie
 RA, DEC, SCALE = 62.5, 22.9, 1.2
 
 
-def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, dither_px=4.0, minutes=8.0):
-    """Exposures of a field of unknown stars, movers (px/min), noise, and hot pixels on a chip that wanders."""
+def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, dither_px=4.0, drift_px=(0, 0),
+           minutes=8.0):  # fmt: skip
+    """Exposures of a field of unknown stars, movers (px/min), noise, hot pixels on a chip that wanders and drifts."""
     rng = np.random.default_rng(seed)
     star = rng.uniform(20, 1000, (stars, 2))
     bright = 10 ** rng.uniform(2.5, 5.0, stars)
@@ -25,7 +26,7 @@ def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, 
     fixed = rng.uniform(20, 1000, (hot, 2))
     out = []
     for k in range(count):
-        wander = rng.normal(0.0, dither_px, 2)
+        wander = rng.normal(0.0, dither_px, 2) + k * np.array(drift_px)
         sky = np.concatenate([star, start + k * minutes * np.array(rates).reshape(-1, 2)]) + wander
         flux = np.concatenate([bright, np.full(len(rates), 8000.0)])
         found = rng.random(len(sky)) < np.clip(flux / 600.0, 0.0, 1.0)
@@ -70,6 +71,16 @@ def test_hot_pixels_stand_still_on_the_chip():
     series = tie(frames(3, hot=60, dither_px=6.0))
     found, _ = search(series)
     assert series.fixed.sum() > 0.8 * 60 * 6 and len(found) == 1
+
+
+def test_what_creeps_over_a_chip_that_the_sky_drifts_over_is_no_mover():
+    # Warm pixels of which noise shows now one and now another: 1.1 px over the chip, 11 px over the sky.
+    creeping, mover = (-2.0 / 8.0 + 0.025, -1.0 / 8.0 + 0.012), (0.2, 0.05)
+    series = tie(frames(11, rates=(creeping, mover), dither_px=0.1, drift_px=(2.0, 1.0)))
+    found, _ = search(series)
+    assert len(found) == 1 and np.hypot(*found.rate_arcsec_per_min[0]) / SCALE == pytest.approx(
+        np.hypot(*mover), rel=0.05
+    )
 
 
 def test_slow_and_fast_movers_are_found():

@@ -211,6 +211,22 @@ def test_what_has_nothing_in_common_is_left_where_it_is():
     assert registered.feeds[0] is later.feeds[0]
 
 
+@pytest.mark.parametrize("kinds", [("lidar", "marine radar"), ("marine radar", "marine radar")])
+def test_plots_without_a_site_and_without_velocities_show_no_bias(kinds):
+    # Late stamps are all that may be wrong with them, and nothing tells these.
+    rng, t = np.random.default_rng(5), np.repeat(np.arange(0.0, 30.0), 2)
+    place = np.array([[-100.0, 20.0], [80.0, -30.0]])[np.arange(60) % 2] + t[:, None] * [2.0, 1.0]
+    sources = []
+    for k, kind in enumerate(kinds):
+        x_m, y_m = (place + 2.0 * rng.normal(size=place.shape)).T
+        about = Description(f"{kind} {k}", kind, errors=SensorErrors(position_m=2.0))
+        sources.append((about, Reports.of(f"{kind} {k}", "table", {"time_s": t, "x_m": x_m, "y_m": y_m})))
+    scene = Scene.of(sources)
+    registered, found = scene.registered()
+    assert registered.feeds == scene.feeds and not any(source.parameters for source in found)
+    assert any("late stamps alone may bias it" in note for source in found for note in source.notes)
+
+
 def test_few_tracks_are_told():
     made = harbour(90, 2, biases=((0.0, 0.0, 0.0),), until_s=150.0)
     _, (found, _) = made.scene.registered()

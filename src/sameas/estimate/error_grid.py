@@ -180,12 +180,17 @@ class ErrorScan:
 def scanned(
     coverage: Coverage, density: tuple[float, float] | None = None, tuning: GridTuning = DEFAULT_GRID
 ) -> ErrorScan | None:
-    """What candidates say of the errors; None where records stand so close that the quoted errors cannot be widened.
+    """What candidates say of the errors; None where they can say nothing.
+
+    That is where records stand so close that the quoted errors cannot be widened, and where no record of one source
+    lies in the field of the other: densities there are those of empty sky, by which all would be candidates of all.
 
     Parameters
     ----------
     density : (ρ₁, ρ₂) of all records of each source, where the user gave them.
     """
+    if not all(covered.any() for covered in coverage.covered):
+        return None
     unit = _typical(coverage)
     part = _part(coverage, tuning)
     if part is None:

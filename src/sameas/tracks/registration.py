@@ -18,7 +18,7 @@ from sameas.registration import Parameter
 from sameas.representation import in_short
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME, corrected
-from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
+from sameas.tracks.common_scans import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
@@ -151,6 +151,8 @@ def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Settled:
     scans = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
     if not scans:
         return feed, SourceBiases(name, established=False, notes=(_unmet(name, partners),))
+    if not _sought(scans):
+        return feed, SourceBiases(name, notes=(_unseen(name, partners),))
     fit = fit_biases(scans, feed.tuning)
     return _settled(feed, 0, fit, tuple(other.description.name for other in partners))
 
@@ -163,6 +165,10 @@ def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
         notes = _unmet(names[0], [other]), _unmet(names[1], [one])
         unmet = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
         return (one, unmet[0]), (other, unmet[1])
+    if not _sought(scans):
+        notes = _unseen(names[0], [other]), _unseen(names[1], [one])
+        unseen = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
+        return (one, unseen[0]), (other, unseen[1])
     fit = fit_biases(scans, one.tuning)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is taken "
@@ -172,6 +178,16 @@ def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
     if fit.established:
         first = first[0], replace(first[1], notes=(gauge, *first[1].notes))
     return first, second
+
+
+def _sought(scans: Sequence[CommonScan]) -> bool:
+    """Whether any of these scans shows a bias that may be there."""
+    return any(scan.weighing.model.names for scan in scans)
+
+
+def _unseen(name: str, partners: Sequence[Feed]) -> str:
+    others = " nor ".join(other.description.name for other in partners)
+    return f"{name}: late stamps alone may bias it, and were not looked for: neither it nor {others} tells velocities"
 
 
 def _unmet(name: str, partners: Sequence[Feed]) -> str:

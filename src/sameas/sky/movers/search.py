@@ -301,13 +301,16 @@ class SearchTuning:
 
     Attributes
     ----------
-    least_move_px : what moves less between its first and last frame stands still: a faint or blended star.
+    least_move_px : what moves less between its first and last frame stands still: over the sky a faint or blended star,
+        over the chip a defect.
+    drift : what moves over the chip by less than this part of its motion over the sky may be a defect.
     turns : the search is repeated without what it has shown to stand still, so many times at most.
     counts : what is believed of movers weighs as many links: what is left of frames is mostly noise, which teaches
         nothing of rates.
     """
 
     least_move_px: float = 2.0
+    drift: float = 0.5
     turns: int = 3
     counts: float = 300.0
 
@@ -360,7 +363,8 @@ def search(
 
     least : frames that show it. least_probability : of a tracklet.
 
-    Tracklets that move less than two pixels in all are faint or blended stars; they are marked, and the rest is
+    Tracklets that move less than two pixels in all are faint or blended stars; those that move less than two pixels
+    over the chip, by twice their error, while the sky moves over it, are warm pixels. They are marked, and the rest is
     searched again, so that rates are not learned from them.
     """
     for _ in range(tuning.turns):
@@ -369,16 +373,42 @@ def search(
         detections = left_over(series)
         model = learn_motion(detections, counts=tuning.counts)
         found = find_movers(detections, model=model, least=2, least_probability=0.0, tuning=motion)
-        slow = found.only(_moved_arcsec(found) < tuning.least_move_px * series.scale_arcsec_per_px)
-        rows = slow.members[slow.members >= 0]
-        if not len(rows):
+        slow, stuck = _standing(found, series, tuning)
+        if not (slow | stuck).any():
             break
-        still = series.still.copy()
-        still[detections.rows[rows]] = True
-        series = replace(series, still=still)
-    wanted = (found.size >= least) & (found.p_tracklet >= least_probability)
-    wanted &= _moved_arcsec(found) >= tuning.least_move_px * series.scale_arcsec_per_px
+        still, fixed = series.still.copy(), series.fixed.copy()
+        for standing, which in ((still, slow), (fixed, stuck & ~slow)):
+            members = found.members[which]
+            standing[detections.rows[members[members >= 0]]] = True
+        series = replace(series, still=still, fixed=fixed)
+    slow, stuck = _standing(found, series, tuning)
+    wanted = (found.size >= least) & (found.p_tracklet >= least_probability) & ~slow & ~stuck
     return found.only(wanted), series
+
+
+def _standing(found: Movers, series: Series, tuning: SearchTuning) -> tuple[BoolArray, BoolArray]:
+    """(k,) whether each tracklet stands still on the sky, and whether it may on the chip, which the sky moves over."""
+    over_sky = _moved_arcsec(found) / series.scale_arcsec_per_px
+    rows = found.detections.rows[found.members[:, 0]], found.detections.rows[_last(found)]
+    first, last = (_chip(series, these) for these in rows)
+    over_chip = np.hypot(*(last - first).T)
+    error = np.hypot(*(series.sigma_arcsec[these] for these in rows)) / series.scale_arcsec_per_px
+    stuck = (over_chip < tuning.least_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
+    return over_sky < tuning.least_move_px, stuck
+
+
+def _chip(series: Series, rows: IntArray) -> FloatArray:
+    """(n, 2) pixels of some measurements on their frames."""
+    out = np.empty((len(rows), 2))
+    for n in np.unique(series.frame[rows]):
+        here, exposure = series.frame[rows] == n, series.exposures[n]
+        out[here] = np.column_stack([exposure.x_px, exposure.y_px])[series.row[rows[here]]]
+    return out
+
+
+def _last(found: Movers) -> IntArray:
+    """(k,) the last detection of each tracklet."""
+    return np.asarray(found.members[np.arange(len(found)), found.size - 1])
 
 
 def _nothing(series: Series) -> Movers:
@@ -394,6 +424,5 @@ def _nothing(series: Series) -> Movers:
 
 def _moved_arcsec(found: Movers) -> FloatArray:
     """(k,) how far each tracklet moves between its first and last detection."""
-    last = found.members[np.arange(len(found)), found.size - 1]
-    minutes = (found.detections.mjd_utc[last] - found.detections.mjd_utc[found.members[:, 0]]) * 1440.0
+    minutes = (found.detections.mjd_utc[_last(found)] - found.detections.mjd_utc[found.members[:, 0]]) * 1440.0
     return np.asarray(np.hypot(*found.rate_arcsec_per_min.T) * minutes)
