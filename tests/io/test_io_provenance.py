@@ -117,3 +117,10 @@ def test_checksum_is_the_sha256(tmp_path):
 def test_importing_io_imports_nothing_heavy():
     code = "import sys, sameas.io; print(*{'astropy', 'pyarrow', 'numba', 'scipy', 'pandas'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
+
+
+@pytest.mark.parametrize("ending", [".vot", ".ecsv"])
+def test_a_text_that_only_looks_like_json_stays_text(ending, tmp_path):
+    table, facts = Table({"id": ["a"]}), {"deep": "[" * 100_000, "digits": "9" * 5000}
+    write_table(table, tmp_path / f"t{ending}", provenance=facts)
+    assert read_provenance(tmp_path / f"t{ending}") == facts

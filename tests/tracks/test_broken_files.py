@@ -13,6 +13,7 @@ from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
 from sameas.io.sensors.nmea import checksum
 from sameas.io.sensors.sources import read_sources
+from sameas.io.sensors.stream import ReportStream
 from sameas.tracks.reports import Reports
 
 STAMP = "\\c:1452603731*00\\"
@@ -164,3 +165,53 @@ def test_one_source_that_cannot_be_read_does_not_end_a_run_of_many(tmp_path):
         read_sources(files)
     with pytest.raises(InputError, match="radar"):
         read_sources(files[1:], set_aside=[])
+
+
+def delta(latitude, name="x", second=0):
+    position = {"path": "navigation.position", "value": {"latitude": latitude, "longitude": -1.0}}
+    update = {"timestamp": f"2024-05-01T12:00:{second:02d}Z", "values": [{"path": "name", "value": name}, position]}
+    return {"context": "vessels.urn:mrn:imo:mmsi:235070762", "updates": [update]}
+
+
+def snapshot(latitude, name="x", second=0):
+    plane = {"hex": "4ca7a8", "lat": latitude, "lon": -1.0, "r": name, "flight": name, "t": name, "category": name}
+    return {"now": 1.7e9 + second, "aircraft": [plane]}
+
+
+def row(latitude, name="x", second=0):
+    return {"time": 1.7e9 + second, "lat": latitude, "lon": -1.0, "mmsi": "235070762", "name": name}
+
+
+LINES_OF_JSON = {"signalk": delta, "aircraft": snapshot, "table": row}
+#: Deeper than Python's stack, not closed, as deep as may just be read, and whole numbers beyond every float or reader.
+NOT_TO_BE_READ = {
+    "deep list": "[" * 100_000 + "]" * 100_000, "deep object": '{"a":' * 100_000 + "1" + "}" * 100_000,
+    "open": "[" * 100_000, "nearly too deep": "[" * 960 + "]" * 960, "beyond floats": "9" * 400, "digits": "9" * 5000,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("text", NOT_TO_BE_READ.values(), ids=NOT_TO_BE_READ)
+@pytest.mark.parametrize("kind", LINES_OF_JSON)
+def test_json_that_cannot_be_read_sets_one_line_aside(kind, text, first, tmp_path):
+    made = LINES_OF_JSON[kind]
+    good = [json.dumps(made(50.0)), json.dumps(made(51.0, second=20))]
+    for hostile in (json.dumps(made("@")).replace('"@"', text), text):
+        lines = [hostile, *good] if first else [good[0], hostile, good[1]]
+        [found] = read(tmp_path, "a.json", "\n".join(lines) + "\n", format=kind)
+        assert found.lat_deg.tolist() == [50.0, 51.0] and list(damage(found)) == [1 if first else 2]
+        stream = ReportStream("wire", format=kind)
+        stream.feed("".join(line + "\n" for line in lines).encode(), 1.7e9)
+        [heard] = stream.reports()
+        assert heard.lat_deg.tolist() == [50.0, 51.0] and sum(stream.damaged.values()) == 1
+
+
+@pytest.mark.parametrize("depth", [1, 100, 800])
+@pytest.mark.parametrize("kind", LINES_OF_JSON)
+def test_a_name_that_is_no_text_is_absent(kind, depth, tmp_path):
+    made = LINES_OF_JSON[kind]
+    for opening, inside, closing in ("[", "", "]"), ('{"a":', "1", "}"):
+        hostile = json.dumps(made(50.5, "@", 10)).replace('"@"', opening * depth + inside + closing * depth)
+        lines = [json.dumps(made(50.0, None)), hostile, json.dumps(made(51.0, "x", 20))]
+        [found] = read(tmp_path, "a.json", "\n".join(lines) + "\n", format=kind)
+        assert found.lat_deg.tolist() == [50.0, 50.5, 51.0] and found.name.tolist() == [None, None, "x"]

@@ -188,7 +188,7 @@ class FrameRequest:
         """The summary of a run with the same files and words whose outputs are all there."""
         try:
             outcome = json.loads(self.summary_path.read_text(encoding="utf-8"))
-        except (OSError, ValueError):
+        except (OSError, ValueError, RecursionError):
             return None
         same = isinstance(outcome, dict) and outcome.get("digest") == self.digest()
         return outcome if same and all(path.exists() for path in self.outputs().values()) else None

@@ -107,7 +107,7 @@ def from_text(text: str) -> Any:
     """The value that :func:`to_text` spelled."""
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 

@@ -7,7 +7,7 @@ positions by multilateration (mlat) and rebroadcast (tisb) state none and stay w
 
 from __future__ import annotations
 
-import json
+import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,6 +19,8 @@ from sameas.arrays import FloatArray
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
 from sameas.io.sensors.format import (
     SensorFormat,
+    of_json,
+    plain_text,
     round_covariance,
     sigma_of_containment,
     sigma_of_nacp,
@@ -116,13 +118,13 @@ def identity_of(address: str) -> dict[str, str | None]:
 def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator[tuple[int, Mapping[str, Any]]]:
     """Numbers of lines and snapshots; one snapshot may be spread over all lines."""
     try:
-        whole = [(1, json.loads("\n".join(lines)))]
+        whole = [(1, of_json("\n".join(lines)))]
     except ValueError:
         whole = []
         for number, line in enumerate(lines, start=1):
             if line.strip():
                 try:
-                    whole.append((number, json.loads(line)))
+                    whole.append((number, of_json(line)))
                 except ValueError:
                     damaged.append((number, "no JSON"))
     for number, snapshot in whole:
@@ -130,10 +132,15 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
             damaged.append((number, "no list of aircraft"))
         elif not isinstance(snapshot.get("now"), (int, float)):
             damaged.append((number, 'no time ("now")'))
-        elif not abs(seconds(snapshot["now"])) <= LAST_S:
-            damaged.append((number, "no time"))
         else:
-            yield number, snapshot | {"now": float(seconds(snapshot["now"]))}
+            try:
+                now = seconds(float(snapshot["now"]))
+            except OverflowError:
+                now = math.inf
+            if abs(now) <= LAST_S:
+                yield number, snapshot | {"now": now}
+            else:
+                damaged.append((number, "no time"))
 
 
 def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
@@ -161,12 +168,12 @@ def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
         "lat_deg": lat,
         "lon_deg": lon,
         **identity_of(aircraft["hex"]),
-        "callsign": str(aircraft.get("flight", "")).strip() or None,
-        "mode_a": str(aircraft.get("squawk", "")).strip() or None,
-        "name": aircraft.get("r"),
-        "type": aircraft.get("t"),
-        "category": aircraft.get("category"),
-        "origin": str(aircraft.get("type", "")) or None,
+        "callsign": plain_text(aircraft.get("flight")),
+        "mode_a": plain_text(aircraft.get("squawk")),
+        "name": plain_text(aircraft.get("r")),
+        "type": plain_text(aircraft.get("t")),
+        "category": plain_text(aircraft.get("category")),
+        "origin": plain_text(aircraft.get("type")),
         "pressure_alt_m": pressure,
         "on_ground": float(on_ground),
         "climb_m_per_s": None if climb is None else climb * FEET_PER_MINUTE_M_PER_S,

@@ -5,12 +5,14 @@ A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -139,6 +141,24 @@ def lines_of(content_bytes: bytes) -> list[str]:
         .rstrip("\n")
         .split("\n")
     )
+
+
+def of_json(text: str) -> Any:
+    """The value of JSON.
+
+    Raises
+    ------
+    ValueError : it is none, or is nested deeper than Python's stack.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("no JSON: nested too deep") from None
+
+
+def plain_text(value: Any) -> str | None:
+    """A text or a number of JSON as text; None for what is neither, or is blank."""
+    return str(value).strip() or None if isinstance(value, str | int | float) else None
 
 
 # Accuracy: the standard deviations behind the classes in which transponders state how good their positions are.

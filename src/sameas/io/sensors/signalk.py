@@ -8,7 +8,6 @@ of Signal K 2 puts targets under ``radars.ID.targets.NUMBER``.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections import Counter
@@ -17,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sameas.io.sensors.clock import instant
-from sameas.io.sensors.format import SensorFormat
+from sameas.io.sensors.format import SensorFormat, of_json, plain_text
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
@@ -61,9 +60,14 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
         if not line.strip():
             continue
         try:
-            _take(json.loads(line), number, vessels, rows, passed_over)
-        except (ValueError, TypeError, KeyError, AttributeError) as error:
-            damaged.append((number, "no delta" if isinstance(error, json.JSONDecodeError) else f"no delta: {error}"))
+            delta = of_json(line)
+        except ValueError:
+            damaged.append((number, "no delta"))
+            continue
+        try:
+            _take(delta, number, vessels, rows, passed_over)
+        except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
+            damaged.append((number, f"no delta: {error}"))
     about, have = Damaged.of(damaged), [kind for kind in rows if rows[kind]]
     if not have:
         raise NoReports(
@@ -84,10 +88,12 @@ def _take(
     delta: Any, number: int, vessels: Vessels, rows: dict[str, list[dict[str, Any]]], passed_over: Counter[str]
 ) -> None:
     if "updates" not in delta:
-        vessels.own = str(delta.get("self", vessels.own))
+        vessels.own = plain_text(delta.get("self")) or vessels.own
         passed_over["hello or other message"] += 1
         return
-    context = str(delta.get("context", vessels.own))
+    context = plain_text(delta.get("context", vessels.own))
+    if context is None:
+        raise ValueError("its context is no text")
     own = context in ("vessels.self", vessels.own, f"vessels.{vessels.own}")
     fields = vessels.fields.setdefault("self" if own else context, {})
     for update in delta["updates"]:
@@ -107,7 +113,7 @@ def _take(
                 column, scale = _NUMBERS[path]
                 fields[column] = (time_s, scale * float(value))
             elif path in ("", "name") and (name := value.get("name") if isinstance(value, Mapping) else value):
-                fields["name"] = (math.inf, str(name))
+                fields["name"] = (math.inf, plain_text(name))
         if placed is None:
             passed_over["update without a position"] += 1
         elif not (abs(placed[0]) <= 90.0 and abs(placed[1]) <= 180.0):

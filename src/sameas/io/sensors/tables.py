@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -24,7 +23,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
 from sameas.io.sensors.clock import DAY_S, instant, seconds, unwrapped
 from sameas.io.sensors.columns import Choice, choose, naming_columns
-from sameas.io.sensors.format import SensorFile, SensorFormat, round_covariance
+from sameas.io.sensors.format import SensorFile, SensorFormat, of_json, round_covariance
 from sameas.tracks.reports import Damaged, Reports
 
 _NULLS = {"", "null", "none", "na", "n/a", "--", "nan"}
@@ -84,13 +83,13 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     damaged: list[tuple[int, str]] = []
     objects: list[tuple[int, Any]] = []
     try:
-        whole = json.loads("\n".join(lines))
+        whole = of_json("\n".join(lines))
         objects = list(enumerate(whole, start=1)) if isinstance(whole, list) else [(1, whole)]
     except ValueError:
         for number, line in enumerate(lines, start=1):
             if line.strip():
                 try:
-                    objects.append((number, json.loads(line)))
+                    objects.append((number, of_json(line)))
                 except ValueError:
                     damaged.append((number, "no JSON"))
     for number, value in objects:
@@ -184,7 +183,7 @@ def _opened(nested: Mapping[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for name, value in nested.items():
         for inner, cell in value.items() if isinstance(value, dict) else [(name, value)]:
-            row[inner if inner not in row else f"{name}_{inner}"] = cell
+            row[inner if inner not in row else f"{name}_{inner}"] = None if isinstance(cell, dict | list) else cell
     return row
 
 
@@ -392,7 +391,8 @@ def _cells_of(file: SensorFile) -> TableText:
     if file.content.startswith(PARQUET):
         return cells_of_parquet(file.path)
     first = next((line.strip() for line in file.lines if line.strip()), "")
-    if first[:1] in "{[":
+    # The first line of a log may be what is left of one.
+    if first[:1] in "{[" or file.share_of_lines(r"\{.*") > 0.5:
         return cells_of_json(file.lines, file.source)
     return replace(cells_of_csv(file.lines, file.source), unended=file.unended)
 
