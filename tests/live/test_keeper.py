@@ -189,10 +189,24 @@ def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):
     for text, words in (
         ("[watch]\nevery = 1\n", "'every' is not known"), ("[watch]\nlag_s = -1\n", "give a number, 0 or more"),
         ("[watch]\nown_ship = { name = 1 }\n", "give lat_deg and lon_deg"),
+        ('[watch]\nown_ship = { lat_deg = 50.0, lon_deg = "1" }\n', "own_ship.lon_deg is '1'; give degrees"),
+        ("[watch]\nown_ship = { lat_deg = 95.0, lon_deg = 1.0 }\n", r"lat_deg is 95.0; give degrees within ±90"),
+        ("[watch]\nown_ship = { lat_deg = 50.0 }\n", "own_ship: lat_deg, but not lon_deg; give both"),
+        ("[watch]\nown_ship = { mmsi = [1] }\n", "own_ship.mmsi is .*; give it in quotes"),
+        ('[watch]\nown_ship = { source = "quay" }\n', "own_ship.source is 'quay'; give one of coast"),
+        ('[watch]\nplane = { lat_deg = 50.0, lon_deg = "1" }\n', "plane.lon_deg is '1'; give degrees"),
+        ("[watch]\nplane = { lat_deg = nan, lon_deg = 1 }\n", "plane.lat_deg is nan; give degrees"),
+        ("[watch]\nplane = { lat_deg = true, lon_deg = 1 }\n", "plane.lat_deg is True; give degrees"),
+        ("[watch]\nevery_s = nan\n", "every_s is nan; give a number, 0 or more"),
+        ("[watch]\nlag_s = inf\n", "lag_s is inf; give a number, 0 or more"),
+        ("[watch]\noutputs = 3\n", "outputs is 3; give a list"),
+        ("[watch]\nchart = 3\n", "chart is 3; give the name of a file in quotes"),
     ):  # fmt: skip
         path.write_text(text + '[sources.coast]\nkind = "ais"\n')
         with pytest.raises(InputError, match=words):
             read_settings(path)
+    path.write_text('[watch]\nown_ship = { mmsi = 23507 }\n[sources.coast]\nkind = "ais"\n')
+    assert read_settings(path).watch.own_ship == OwnShip(mmsi="000023507")
     path.write_text('[sources.coast]\nkind = "ais"\n')
     with pytest.raises(InputError, match="has no input"):
         Keeper(read_settings(path))

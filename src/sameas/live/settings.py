@@ -18,6 +18,7 @@ file (``ais``, ``arpa``, ``048 SAC/SIC``); without it AIS goes to the source of 
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
@@ -121,7 +122,7 @@ def read_settings(path: str | Path) -> Settings:
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     with reading(str(path), "is no description of a watch"):
         sources = {name: _source(name, table, f"{path}: sources.{name}") for name, table in tables.items()}
-        return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch"))
+        return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch", sources))
 
 
 def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
@@ -141,7 +142,7 @@ def _source(name: str, table: Mapping[str, Any], where: str) -> LiveSource:
     return LiveSource(description, given.get("url"), given.get("format"), given.get("sensor"), options)
 
 
-def _watch(table: Any, where: str) -> WatchSettings:
+def _watch(table: Any, where: str, sources: Mapping[str, LiveSource]) -> WatchSettings:
     if not isinstance(table, Mapping):
         raise InputError(f"{where} is no table; give [watch]")
     known = {f.name for f in fields(WatchSettings)}
@@ -150,22 +151,53 @@ def _watch(table: Any, where: str) -> WatchSettings:
         if key not in known:
             raise InputError(f"{where}: {key!r} is not known; give {', '.join(sorted(known))}")
         if key == "own_ship":
-            try:
-                values[key] = OwnShip(**value)
-            except TypeError as error:
-                raise InputError(f"{where}.own_ship is {value!r}; give lat_deg and lon_deg, mmsi, or source") from error
+            values[key] = _own_ship(value, f"{where}.own_ship", sources)
         elif key == "plane":
             if not isinstance(value, Mapping) or set(value) != {"lat_deg", "lon_deg"}:
                 raise InputError(f"{where}.plane is {value!r}; give {{ lat_deg = …, lon_deg = … }}")
-            values[key] = value
+            values[key] = _place(value, f"{where}.plane")
         elif key == "outputs":
+            if not isinstance(value, list):
+                raise InputError(f"{where}.outputs is {value!r}; give a list")
             values[key] = tuple(value)
         elif key == "chart":
-            values[key] = str(Path(where.split(": ")[0]).parent / str(value))
-        elif isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
+            if not isinstance(value, str):
+                raise InputError(f"{where}.chart is {value!r}; give the name of a file in quotes")
+            values[key] = str(Path(where.split(": ")[0]).parent / value)
+        elif isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < math.inf:
             raise InputError(f"{where}.{key} is {value!r}; give a number, 0 or more")
         else:
             values[key] = float(value)
     if values.get("every_s", 1.0) <= 0.0:
         raise InputError(f"{where}.every_s is 0; give seconds above 0")
     return WatchSettings(**values)
+
+
+def _own_ship(given: Any, where: str, sources: Mapping[str, LiveSource]) -> OwnShip:
+    known = [f.name for f in fields(OwnShip)]
+    if not isinstance(given, Mapping) or not given or not set(given) <= set(known):
+        raise InputError(f"{where} is {given!r}; give lat_deg and lon_deg, mmsi, or source")
+    if ("lat_deg" in given) != ("lon_deg" in given):
+        there, missing = ("lat_deg", "lon_deg") if "lat_deg" in given else ("lon_deg", "lat_deg")
+        raise InputError(f"{where}: {there}, but not {missing}; give both")
+    mmsi, source = given.get("mmsi"), given.get("source")
+    if isinstance(mmsi, int) and not isinstance(mmsi, bool):
+        mmsi = f"{mmsi:09d}"
+    if not isinstance(mmsi, str | None):
+        raise InputError(f"{where}.mmsi is {mmsi!r}; give it in quotes")
+    if source is not None and source not in list(sources):
+        raise InputError(f"{where}.source is {source!r}; give one of {', '.join(sources)}")
+    return OwnShip(mmsi=mmsi, source=source, **_place(given, where))
+
+
+def _place(given: Mapping[str, Any], where: str) -> dict[str, float]:
+    """Latitude and longitude of a table, where it has them."""
+    place: dict[str, float] = {}
+    for name, most in (("lat_deg", 90.0), ("lon_deg", 360.0)):
+        value = given.get(name)
+        if value is None:
+            continue
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= most:
+            raise InputError(f"{where}.{name} is {value!r}; give degrees within ±{most:g}")
+        place[name] = float(value)
+    return place
