@@ -97,7 +97,12 @@ def test_a_state_of_something_else_is_refused(state, tmp_path):
         ("hats.properties", b"\xff\xfe", "cannot be read"),
         ("partition_info.csv", b"Norder,Npix\n4,x\n", "cannot be read"),
         ("partition_info.csv", b"Norder\n4\n", "cannot be read"),
-        ("partition_info.csv", b"Norder,Npix\n99999999,1\n", "cannot be read"),
+        ("partition_info.csv", b"Norder,Npix\n99999999,1\n", "no cell of HEALPix is of order 99999999"),
+        ("partition_info.csv", b"Norder,Npix\n-2147483648,1\n", "no cell of HEALPix is of order -2147483648"),
+        ("partition_info.csv", b"Norder,Npix\n1,48\n", "no cell of HEALPix is of order 1 and number 48"),
+        ("partition_info.csv", b"Norder,Npix\n1,-1\n", "no cell of HEALPix is of order 1 and number -1"),
+        ("hats.properties", b"hats_npix_suffix=" + 300 * b"A", "hats_npix_suffix is 'A"),
+        ("hats.properties", b"hats_npix_suffix=/../../../other.parquet", "hats_npix_suffix is '/../../../other.parquet'"),
         ("partition_info.csv", b"Norder,Npix\n0,0\n1,3\n", "overlap"),
     ],
 )

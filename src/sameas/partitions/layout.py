@@ -34,6 +34,8 @@ CELL = "_healpix_29"
 #: Columns of HATS itself, which no catalogue is understood by.
 OWN = (CELL, "_hipscat_index", "Norder", "Dir", "Npix")
 COLLECTION, PROPERTIES = "collection.properties", ("hats.properties", "properties")
+#: How the files of partitions may end, and what their folders do: they lie in the catalogue, whatever its properties say.
+_SUFFIX = re.compile(r"/|(\.\w{1,20}){1,3}")
 
 
 @dataclass(frozen=True, order=True)
@@ -119,7 +121,13 @@ class HatsCatalogue:
                 raise InputError(f"{path}: no HATS catalogue", "give a folder with hats.properties and dataset/")
             stated = properties(file)
             suffix = stated.get("hats_npix_suffix", ".parquet")
-            cells = sorted(_listed(folder, suffix), key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+            if not _SUFFIX.fullmatch(suffix):
+                raise InputError(f"{file}: hats_npix_suffix is {suffix!r}", "give .parquet, or / for folders")
+            listed = _listed(folder, suffix)
+            for one in listed:
+                if not (0 <= one.order <= FINEST and 0 <= one.number < 12 * 4**one.order):
+                    raise InputError(f"{path}: no cell of HEALPix is of order {one.order} and number {one.number}")
+            cells = sorted(listed, key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
         if not cells:
             raise InputError(f"{path}: the catalogue has no partitions", "was it imported to the end?")
         for one, other in pairwise(cells):
