@@ -10,6 +10,7 @@ the work, and is not what is to be hit. Loads that nobody foresaw are in ``loads
 from __future__ import annotations
 
 import argparse
+import ctypes
 import hashlib
 import json
 import os
@@ -94,6 +95,28 @@ class Work:
     def fresh(self, what: str) -> Work:
         """The work into an output that may be written: this one, where an output is replaced."""
         return self
+
+    @property
+    def fills(self) -> bool:
+        """Whether it writes files into a folder, not one file."""
+        return not self.output.suffix
+
+    def among_inputs(self, folder: Path) -> Work:
+        """The work on copies of its inputs in a folder; it writes among them, or over the first of them."""
+        given = [folder / Path(path).name if Path(path).is_file() else folder for path in self.inputs()]
+        folder.mkdir()
+        for path in map(Path, self.inputs()):
+            if path.is_dir():
+                shutil.copytree(path, folder, dirs_exist_ok=True)
+            else:
+                shutil.copy(path, folder)
+        instead = dict(zip(self.inputs(), map(str, given), strict=True))
+        arguments = tuple(instead.get(argument, argument) for argument in self.arguments)
+        return replace(self, arguments=arguments, output=folder if self.fills else given[0])
+
+    def inputs(self) -> list[str]:
+        """Those of its arguments that are files or folders."""
+        return [argument for argument in self.arguments if os.path.isabs(argument) and os.path.exists(argument)]
 
     def part(self, name: str) -> str:
         """What part of the output a file belongs to, of which all files come at once."""
@@ -193,6 +216,11 @@ class Hats(Work):
 
     def fresh(self, what: str) -> Work:
         return replace(self, output=self.output.with_name(what.replace(" ", "-")))
+
+    def among_inputs(self, folder: Path) -> Work:
+        """It is to write into a folder that is full of something else, as its inputs are."""
+        shutil.copytree(self.inputs()[0], folder)
+        return replace(self, output=folder)
 
     def verdict(self, now: dict[str, str], old: dict[str, str], new: dict[str, str], number: signal.Signals) -> str:
         if now == new:
@@ -315,10 +343,12 @@ class Count:
     old: int = 0
     new: int = 0
     mixed: int = 0
+    #: Until the process had ended that was asked to, in seconds.
+    slowest_s: float = 0.0
     faults: list[str] = field(default_factory=list)
 
     def row(self, name: str) -> list[object]:
-        return [name, self.runs, self.old, self.new, self.mixed, len(self.faults)]
+        return [name, self.runs, self.old, self.new, self.mixed, round(self.slowest_s, 2), len(self.faults)]
 
 
 def catalogues(folder: Path, count: int = 3, n: int = 400) -> list[Path]:
@@ -503,6 +533,7 @@ def hit(work: Work, server: Server | Begun, number: signal.Signals, moments: int
             tell(process, number)
         code, said = server.ended()
         answer_s = time.monotonic() - asked
+        found.slowest_s = max(found.slowest_s, answer_s)
         drafts = work.drafts()
         found.faults += [f"{work.name}, {number.name}: a process stayed: {words}" for words in server.orphans()]
         now = work.files()
@@ -594,13 +625,13 @@ def _until(true: Callable[[], bool], patience_s: float = 60.0) -> None:
 
 
 def places(work: Work) -> Count:
-    """Disks that are full or read-only, folders that disappear, links, two runs at once: one line, nothing lost."""
+    """Disks that are full or read-only, folders that disappear, links, outputs among the inputs, two runs at once: one
+    line, nothing lost."""
     found = Count()
 
-    def run(work: Work, what: str, expected: int, limited: bool = False) -> None:
-        work = work.fresh(what)
+    def run(work: Work, what: str, expected: int, begin: Callable[[], None] | None = None) -> None:
         old = work.files()
-        done = subprocess.run(work.command(), capture_output=True, text=True, preexec_fn=_small if limited else None)
+        done = subprocess.run(work.command(), capture_output=True, text=True, preexec_fn=begin)
         found.runs += 1
         if done.returncode != expected or "Traceback" in done.stderr or "fault of sameas" in done.stderr:
             found.faults.append(f"{work.name}, {what}: exit code {done.returncode}: {done.stderr[-300:]}")
@@ -613,21 +644,29 @@ def places(work: Work) -> Count:
         else:
             found.new += 1
 
-    run(work, "files no larger than 2 kB", 1, limited=True)
+    run(work.fresh("small"), "files no larger than 2 kB", 1, _small)
+    closed = replace(work, output=work.output.with_name("closed") / work.output.name)
+    closed.output.parent.mkdir(mode=0o555)
+    run(closed, "a folder that is closed", 1, _without_power)
     disk = work.output.with_name("disk")
     with mounted(disk) as may:
         if may:
             there = replace(work, output=disk / work.output.name)
-            run(there, "a disk in memory", 0)
+            run(there.fresh("first"), "a disk in memory", 0)
             with (disk / "filler").open("wb", buffering=0) as filler, suppress(OSError):
                 while True:
                     filler.write(bytes(4096))
-            run(there, "a full disk", 1)
+            run(there.fresh("full"), "a full disk", 1)
             (disk / "filler").unlink()
             subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-            run(there, "a read-only disk", 1)
-    if work.name.startswith("match ."):
-        run(replace(work, output=Path(work.arguments[1])), "output = input", 1)
+            run(there.fresh("locked"), "a read-only disk", 1)
+    folder = work.output.with_name("inputs")
+    copied = work.among_inputs(folder)
+    before = _digests(folder)
+    run(copied, "output among the inputs", 0 if work.fills and not isinstance(work, Hats) else 1)
+    if not before.items() <= _digests(folder).items():
+        found.faults.append(f"{work.name}, output among the inputs: an input changed")
+    if not isinstance(work, Hats):  # which is not replaced
         link = work.output.with_name(f"link{work.output.suffix}")
         link.symlink_to(work.output)
         run(replace(work, output=link), "a link", 0)
@@ -657,8 +696,19 @@ def places(work: Work) -> Count:
     return found
 
 
+def _digests(path: Path) -> dict[str, str]:
+    """Of all files in a folder."""
+    return {str(one.relative_to(path)): hashlib.sha256(one.read_bytes()).hexdigest()
+            for one in sorted(path.rglob("*")) if one.is_file()}  # fmt: skip
+
+
 def _small() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
+
+
+def _without_power() -> None:
+    """What it begins has to ask before it writes, as a user does, even where it is root (CAP_DAC_OVERRIDE is 1)."""
+    ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)
 
 
 def main() -> None:
@@ -689,7 +739,7 @@ def main() -> None:
                 faults += found.faults
                 print(*rows[-1], *found.faults, sep="\n    ", flush=True)
             server.close()
-    columns = ("what", "runs", "old one", "new one", "files of both", "faults")
+    columns = ("what", "runs", "old one", "new one", "files of both", "slowest answer, s", "faults")
     made = [Table("Outputs of processes that were hit", columns, rows, faults)]
     made += [] if given.only else tables(given.load, rng)
     report("faults", made)

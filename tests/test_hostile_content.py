@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import Table
+from astropy.units import UnrecognizedUnit
 from astropy.utils import minversion
 from typer.testing import CliRunner
 
 import sameas
 from sameas.cli.app import app
-from sameas.io import read_table, write_table
+from sameas.io import read_provenance, read_table, write_table
 from sameas.io.geojson import write_geojson
 from sameas.io.plate import write_regions
 
@@ -42,6 +43,40 @@ def test_cells_come_back_as_they_were(ending, tmp_path):
     write_table(stars(names), tmp_path / f"t{ending}", provenance={"command": HOSTILE[4], "names": HOSTILE[:3]})
     back = np.ma.filled(read_table(tmp_path / f"t{ending}")["name"], "").tolist()
     assert back == names
+
+
+CONTROLS = ["a\nEND\r\n--", "a\nb", "a\rb", "a\tb", "a\x00b", "\x1b[31mred\x1b]0;t\x07", "\x85z", "\u2028y", "\ufffez"]
+
+
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
+def test_names_of_columns_are_one_line_and_their_tables_are_read_again(ending, tmp_path):
+    given = ["ra", "dec", *CONTROLS, "a  END  --", "a b", *HOSTILE[:3], HOSTILE[8]]
+    write_table(Table([[float(k)] for k in range(len(given))], names=given), tmp_path / f"t{ending}", provenance={})
+    back = read_table(tmp_path / f"t{ending}")
+    assert [float(back[name][0]) for name in back.colnames] == list(range(len(given)))
+    assert all(name.isprintable() for name in back.colnames) and back.colnames[:2] + back.colnames[-4:] == [
+        "ra", "dec", *HOSTILE[:3], HOSTILE[8],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
+@pytest.mark.parametrize("text", CONTROLS)
+def test_what_is_said_of_columns_does_not_make_a_table_unreadable(text, ending, tmp_path):
+    table = stars(["a"])
+    table.meta["key"], table["name"].description = text, text
+    table["ra"].unit = UnrecognizedUnit(text)
+    write_table(table, tmp_path / f"t{ending}", provenance={"fact": text})
+    back = read_table(tmp_path / f"t{ending}")
+    assert back["name"].tolist() == ["a"] and read_provenance(tmp_path / f"t{ending}") == {"fact": text}
+    if ending == ".ecsv":
+        assert back.meta["key"] == back["name"].description == text
+
+
+def test_an_ecsv_header_with_an_empty_line_is_read(tmp_path):
+    table = stars(["a"])
+    table.meta["key"] = "a\nb"
+    table.write(tmp_path / "t.ecsv", format="ascii.ecsv")  # astropy's own writer makes one
+    assert "\n# \n" in (tmp_path / "t.ecsv").read_text() and read_table(tmp_path / "t.ecsv")["name"].tolist() == ["a"]
 
 
 def test_headers_of_fits_hold_nothing_but_printable_ascii(tmp_path):

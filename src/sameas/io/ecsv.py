@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Mapping
+from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,11 +42,13 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
     """Writes an ECSV file with commas."""
     from astropy.table import Table
 
-    meta = {key: value for key, value in table.meta.items() if key not in ("sameas_notes", _KEY)}
+    meta = {key: _spelled_out(value) for key, value in table.meta.items() if key not in ("sameas_notes", _KEY)}
     if provenance:
-        meta[_KEY] = dict(provenance)
+        meta[_KEY] = _spelled_out(dict(provenance))
     whole = Table(list(table.columns.values()), names=table.colnames, meta=meta, copy=False)
     columns = list(whole.columns.values())
+    for column in columns:
+        column.description = _spelled_out(column.description)
     text = StringIO()
     if any(len(column.shape) > 1 or column.dtype.kind not in "biufSU" for column in columns):
         # Cells with several values are JSON: astropy's own writer, slower, knows how.
@@ -79,11 +82,39 @@ def _bulk_read(path: Path) -> Table | None:
         from astropy.io.misc.ecsv import read_ecsv
     except ImportError:  # astropy before 7.2
         return None
+    from astropy.io.ascii import InconsistentTableError
+
     try:
         # "null": files of the Gaia archive call themselves ECSV and say so.
         return read_ecsv(path, engine="pyarrow", null_values=["", "null"])
     except TypeError:  # float128
         return None
+    except InconsistentTableError as error:
+        if "yaml" in str(error):  # its header has an empty line, as astropy writes texts of several lines
+            return None
+        raise
+
+
+class _Lines(str):
+    """A text of several lines, which YAML has in one: an empty line within ends the header for some readers."""
+
+
+@cache
+def _known_to_yaml() -> None:
+    from astropy.io.misc.yaml import AstropyDumper
+
+    tag = "tag:yaml.org,2002:str"
+    AstropyDumper.add_representer(_Lines, lambda dumper, text: dumper.represent_scalar(tag, str(text), style='"'))
+
+
+def _spelled_out(value: Any) -> Any:
+    """The same metadata, texts of several lines as ``_Lines``."""
+    if isinstance(value, str) and "\n" in value:
+        _known_to_yaml()
+        return _Lines(value)
+    if isinstance(value, dict):
+        return type(value)((_spelled_out(key), _spelled_out(inner)) for key, inner in value.items())
+    return [_spelled_out(inner) for inner in value] if type(value) is list else value
 
 
 def _spelled(column: Column) -> pa.Array:

@@ -6,12 +6,13 @@ import difflib
 import gzip
 import hashlib
 import os
+import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.errors import Argument, InputError, Message, first_line, reading
+from sameas.errors import Argument, InputError, Message, first_line, printable, reading
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
 from sameas.io.atomic import replacing
@@ -296,10 +297,10 @@ def _similar_names(path: Path) -> str:
 
 
 def _with_plain_columns(table: Table, path: Path) -> Table:
-    """The same table, its quantities and times as plain columns."""
+    """The same table, its quantities and times as plain columns, their names and units in one line."""
     from astropy.table import Column, Table
     from astropy.time import Time
-    from astropy.units import Quantity
+    from astropy.units import Quantity, UnrecognizedUnit
 
     columns = []
     for name, column in table.columns.items():
@@ -311,7 +312,34 @@ def _with_plain_columns(table: Table, path: Path) -> Table:
             kind = type(column).__name__
             raise InputError(f"cannot write {path}: column {name} is a {kind}; write its parts as columns")
         columns.append(column)
-    return Table(columns, names=table.colnames, meta=table.meta, copy=False)
+    made = Table(columns, names=_names_of_one_line(table.colnames), meta=table.meta, copy=False)
+    for column in made.columns.values():
+        if _NO_NAME.search(str(column.unit or "")):
+            column.unit = UnrecognizedUnit(_one_line(str(column.unit)))
+    return made
+
+
+#: What ends a line or controls a terminal: no name of a column and no unit may hold it.
+_NO_NAME = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ufffe\uffff]")
+
+
+def _one_line(name: str) -> str:
+    return _NO_NAME.sub(lambda found: printable(found[0]), name)
+
+
+def _names_of_one_line(names: Sequence[str]) -> list[str]:
+    """Different names, of which each stays what it is where it is one line."""
+    taken, made = {name for name in names if not _NO_NAME.search(name)}, []
+    for name in names:
+        if _NO_NAME.search(name):
+            name = begin = _one_line(name)
+            number = 1
+            while name in taken:
+                number += 1
+                name = f"{begin}_{number}"
+            taken.add(name)
+        made.append(name)
+    return made
 
 
 def _naming(error: BaseException, path: Path) -> BaseException:

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
-from sameas.errors import InputError
+from sameas.errors import InputError, printable
 from sameas.io.format import Format, ascii_of, from_text, to_text, unicode_of
 
 if TYPE_CHECKING:
@@ -38,6 +38,8 @@ FORMAT = Format(
 )
 
 _INFO = "sameas:"
+#: What XML has no room for.
+_NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 _STREAM = re.compile(rb"<BINARY2>\s*<STREAM\s[^>]*encoding=[\"']base64[\"'][^>]*>")
 _DTYPES = {
     "boolean": "S1",
@@ -97,7 +99,8 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
             document.resources[0].infos.append(info)
         _params(document, table.meta)
         document.to_xml(packed, tabledata_format="binary2")
-    text = packed.getvalue()
+    # Cells are base64: what is no letter of XML stands in names and descriptions.
+    text = _NO_XML.sub(lambda found: printable(found[0].decode()).encode(), packed.getvalue())
     with gzip.open(path, "wb", compresslevel=4) if path.suffix == ".gz" else path.open("wb") as file:
         opening = _STREAM.search(text)
         if not fixed or opening is None:

@@ -34,7 +34,7 @@ CELL = "_healpix_29"
 #: Columns of HATS itself, which no catalogue is understood by.
 OWN = (CELL, "_hipscat_index", "Norder", "Dir", "Npix")
 COLLECTION, PROPERTIES = "collection.properties", ("hats.properties", "properties")
-#: How the files of partitions may end, and what their folders do: they lie in the catalogue, whatever its properties say.
+#: How files of partitions, or the names of their folders, may end: they lie in the catalogue, whatever properties say.
 _SUFFIX = re.compile(r"/|(\.\w{1,20}){1,3}")
 
 
