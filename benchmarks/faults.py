@@ -103,14 +103,16 @@ class Work:
 
     def among_inputs(self, folder: Path) -> Work:
         """The work on copies of its inputs in a folder; it writes among them, or over the first of them."""
-        given = [folder / Path(path).name if Path(path).is_file() else folder for path in self.inputs()]
+        every = self.inputs()
+        copied = [path for path in every if Path(path).is_dir()] or every
+        given = [folder / Path(path).name if Path(path).is_file() else folder for path in copied]
         folder.mkdir()
-        for path in map(Path, self.inputs()):
+        for path in map(Path, copied):
             if path.is_dir():
                 shutil.copytree(path, folder, dirs_exist_ok=True)
             else:
                 shutil.copy(path, folder)
-        instead = dict(zip(self.inputs(), map(str, given), strict=True))
+        instead = dict(zip(copied, map(str, given), strict=True))
         arguments = tuple(instead.get(argument, argument) for argument in self.arguments)
         return replace(self, arguments=arguments, output=folder if self.fills else given[0])
 
