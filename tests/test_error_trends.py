@@ -73,6 +73,15 @@ def test_errors_that_grow_toward_the_rim_are_found() -> None:
     assert trend.quantity == "distance from the centre" and np.all(np.diff(trend.sigma) > 0.0)
 
 
+def test_quoted_errors_that_differ_and_are_true_are_believed() -> None:
+    """Where large errors meet many neighbours, the pairs more probable than not have small residuals."""
+    scene, _, errors = growing_field(np.random.default_rng([7, 0]), 3000, rim_is_worse)
+    answer, estimate = match(scene.first, replace(scene.second, covariance=errors[:, None] ** 2))
+    assert not estimate.errors.as_modelled and not estimate.trends
+    p, (_, wrong) = answer.p_pair[answer.chosen], right(answer, scene)
+    assert abs(wrong - (1.0 - p).sum()) < 3.0 * np.sqrt((p * (1.0 - p)).sum())
+
+
 @pytest.mark.parametrize("number", range(3))
 def test_honest_errors_do_not_grow(number: int) -> None:
     _, estimate = by_magnitudes(growing_field(np.random.default_rng([8, number]), 1500, as_quoted))

@@ -167,9 +167,12 @@ LADDER, LADDER_STEPS = 1.5 ** np.arange(-5.0, 8.0), 30
 
 def log_likelihood(errors: Errors, pairs: Pairs, weight: FloatArray) -> float:
     """ln of the likelihood of pairs with these weights (m,), the mixture of scales being the likeliest."""
-    modelled = errors.pairs(pairs)
-    mixture = _mixture(modelled.mahalanobis_sq, pairs.d, weight, LADDER)
-    return float(weight @ (modelled.log_peak + mixture.log_profile(modelled.mahalanobis_sq, pairs.d)))
+    return float(weight @ with_spread(errors, pairs, weight).log_density(pairs))
+
+
+def with_spread(errors: Errors, pairs: Pairs, weight: FloatArray) -> Errors:
+    """The same S with the mixture of scales that is likeliest for pairs (m,) with these weights."""
+    return errors.with_mixture(_mixture(errors.pairs(pairs).mahalanobis_sq, pairs.d, weight, LADDER))
 
 
 def _mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales: FloatArray) -> Errors:

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.arrays import FloatArray
+from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_model import FEWEST, fit_variances, log_likelihood
+from sameas.estimate.error_model import FEWEST, fit_variances, log_likelihood, with_spread
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -28,8 +28,10 @@ from sameas.records import Records, unpack
 from sameas.representation import in_short
 from sameas.space import Plane
 
-#: Pairs less probable than this tell nothing.
-TELLING = 0.05
+#: Pairs less probable than this tell nothing; less than the second, not by other errors either.
+TELLING, RISING = 0.05, 1e-4
+#: Fits of a trend, at most, and ln of the likelihood that the last is worth.
+REFINING, REFINED = 12, 0.5
 #: Knots: at most, and pairs to each at least.
 KNOTS, PER_KNOT = 7, 60.0
 #: ln of the likelihood that a score test must promise, beside that of chance, before a trend is looked for.
@@ -146,9 +148,9 @@ def with_trends(
         return errors, (), 0.0
     number = int(min(KNOTS, float(weight.sum()) / PER_KNOT))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
-    before = {(trend.source, trend.quantity) for trend in believed}
+    had = {(trend.source, trend.quantity) for trend in believed}
     asked = [hats for one in known if (hats := _Hats.of(one, some, weight, number)) is not None]
-    asked = [hats for hats in asked if hats.key in before or hats.promise(score, weight) > PROMISING]
+    asked = [hats for hats in asked if hats.key in had or hats.promise(score, weight) > PROMISING]
     now = log_likelihood(errors, some, weight)
     best: tuple[float, Errors, tuple[Trend, ...]] = (now if not believed else -math.inf, errors, ())
     taken: list[_Hats] = []
@@ -159,8 +161,61 @@ def with_trends(
             break
         best = there, model, trends
         taken.append(hats)
-    there, model, trends = best
-    return model, trends, there - now
+    if not taken:
+        return errors, (), 0.0
+    competing = _Competing.of(errors, pairs, p_pair, most)
+    before = competing.under(with_spread(errors, some, weight))[1]
+    model, trends, there = _refined(competing, best, taken)
+    return model, trends, there - before
+
+
+def _refined(
+    competing: _Competing, begin: tuple[float, Errors, tuple[Trend, ...]], taken: Sequence[_Hats]
+) -> tuple[Errors, tuple[Trend, ...], float]:
+    """The same fitted again and again, with the probabilities that candidates have by it, and ln of the likelihood."""
+    (_, errors, trends), all_hats = begin, [each.at(competing.pairs) for each in taken]
+    weight, gain = competing.p, -math.inf
+    for _ in range(REFINING):
+        telling = weight > TELLING
+        some = competing.pairs.part(np.flatnonzero(telling))
+        weight, better = competing.under(with_spread(errors, some, weight[telling]))
+        if better - gain < REFINED:
+            break
+        gain, telling = better, weight > TELLING
+        some, hats = competing.pairs.part(np.flatnonzero(telling)), [each.part(telling) for each in all_hats]
+        _, errors, trends = _fitted(some, weight[telling], hats)
+    return errors, trends, gain
+
+
+@in_short
+@dataclass(frozen=True)
+class _Competing:
+    """All candidates of some records of source 1, of which each has one or none.
+
+    p, log_density : (m,) the probabilities of the pairs, and ln of the density of their residuals in these.
+    """
+
+    pairs: Pairs
+    p: FloatArray
+    log_density: FloatArray
+
+    @classmethod
+    def of(cls, errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> _Competing:
+        """Of so many records, at most, that probably have a partner."""
+        some = np.zeros(len(pairs.first), np.bool_)
+        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > TELLING)
+        some[has[:: max(1, -(-len(has) // most))]] = True
+        kept = np.flatnonzero(some[pairs.i] & (p_pair > RISING))
+        part = pairs.part(kept)
+        return cls(part, p_pair[kept], errors.log_density(part))
+
+    def under(self, errors: Errors) -> tuple[FloatArray, float]:
+        """(m,) probabilities by other errors, and by how much ln of the likelihood of all that is seen betters."""
+        n = len(self.pairs.first)
+        odds = self.p * np.exp(np.clip(errors.log_density(self.pairs) - self.log_density, -50.0, 50.0))
+        none = np.maximum(1.0 - np.bincount(self.pairs.i, self.p, n), 1e-9)
+        total = none + np.bincount(self.pairs.i, odds, n)
+        return odds / total[self.pairs.i], float(np.log(total).sum())
 
 
 @in_short
@@ -171,6 +226,16 @@ class _Hats:
     covariate: Covariate
     knots: FloatArray
     hats: FloatArray
+
+    def at(self, pairs: Pairs) -> _Hats:
+        """The same functions of other pairs."""
+        x = self.covariate.of(pairs)
+        known = np.where(np.isfinite(x), x, self.knots[len(self.knots) // 2])
+        return replace(self, hats=np.array([np.interp(known, self.knots, one) for one in np.eye(len(self.knots))]))
+
+    def part(self, some: BoolArray) -> _Hats:
+        """Of some pairs."""
+        return replace(self, hats=self.hats[:, some])
 
     @property
     def key(self) -> tuple[int, str]:
@@ -189,8 +254,7 @@ class _Hats:
         knots = np.unique(x[order][np.minimum(at, len(order) - 1)])
         if len(knots) < 3:
             return None
-        known = np.where(finite, x, knots[len(knots) // 2])
-        return cls(covariate, knots, np.array([np.interp(known, knots, one) for one in np.eye(len(knots))]))
+        return cls(covariate, knots, np.empty(0)).at(pairs)
 
     def promise(self, score: FloatArray, weight: FloatArray) -> float:
         """What changes with x promise ln of the likelihood to better by, but for what chance gives, to second order."""

@@ -73,7 +73,8 @@ class MatchTuning:
         judged.
     misled : a sample has misled where it lets expect another number of common objects, by more than this share beyond
         chance.
-    growing : whether it is asked what errors grow with.
+    growing : whether it is asked what errors grow with. growing_fits : so often, at most, and
+        growing_settled : while another fit of it betters ln of the likelihood by so much.
     unrelated : from this share of pairs on whose magnitudes follow no relation, that is said.
     em : of the EM iterations. grid : of the errors that are thought of before any are believed.
     """
@@ -90,6 +91,8 @@ class MatchTuning:
     significant: float = 4.0
     misled: float = 0.02
     growing: bool = True
+    growing_fits: int = 3
+    growing_settled: float = 2.0
     unrelated: float = 0.5
     em: EMTuning = DEFAULT_EM
     grid: GridTuning = DEFAULT_GRID
@@ -331,11 +334,13 @@ def _converged(
 def _with_trends(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
     """Where the rounds end with errors that grow with magnitude or place, if the pairs show that they do."""
     known = covariates(search.coverage, search.photometry)
-    while found.rounds < rounds and found.known.learns_errors and found.known.common >= search.tuning.em.fewest:
+    for _ in range(search.tuning.growing_fits):
+        if found.rounds >= rounds or not found.known.learns_errors or found.known.common < search.tuning.em.fewest:
+            break
         model, trends, gain = with_trends(
             found.known.errors, found.known.setting.pairs, found.p_counted, known, search.tuning.modelled, search.trends
         )
-        if gain < search.tuning.bettering:
+        if gain < (search.tuning.growing_settled if search.trends else search.tuning.bettering):
             break
         search = replace(search, start=model, trends=trends)
         again = search.settled(None, max(rounds - found.rounds, 5))
