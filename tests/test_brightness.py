@@ -428,3 +428,16 @@ def test_magnitudes_that_have_nothing_to_do_with_each_other_do_not_hide_pairs():
     assert any("have nothing to do with each other" in note for note in estimate.notes)
     claimed = answer.matches.rows_1, answer.matches.rows_2
     assert is_true_pair(claimed, scene.true_pairs()).sum() > 0.87 * true
+
+
+def test_magnitudes_whose_errors_are_larger_than_their_spread_are_said_to_be_that():
+    """Saturated stars of a plate: it was said that the magnitudes had nothing to do with each other."""
+    made = exposure(np.random.default_rng([78, 1]), Sky(stars_per_deg2=20_000.0), side_deg=0.2)
+    scene, rng = made.scene, np.random.default_rng(6)
+    first, second = rng.normal(12.0, 0.2, len(scene.first)), rng.normal(13.0, 0.2, len(scene.second))
+    i, j = scene.true_pairs()
+    first[i] = second[j] - 1.0 + rng.normal(0.0, 0.15, len(i))
+    vague = Magnitudes(first, np.full(len(first), 0.5)), Magnitudes(second, np.full(len(second), 0.01))
+    _, estimate = match(scene.first, scene.second, brightness=vague)
+    (note,) = (note for note in estimate.notes if "magnitudes" in note)
+    assert note.startswith("the quoted errors of the magnitudes, 0.5 mag, are larger than the spread")

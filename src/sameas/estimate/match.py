@@ -566,10 +566,14 @@ def _notes(found: _Converged, common: float) -> tuple[str, ...]:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
         notes.append(f"{few} to learn from the magnitudes; they are not used")
     relation = None if known.photometry is None else known.photometry.first_relation
-    if relation is not None and relation.unrelated > found.tuning.unrelated:
+    if known.photometry is not None and relation is not None and relation.unrelated > found.tuning.unrelated:
+        error, spread_mag = known.photometry.quoted_and_spread(known.setting.pairs, found.p_counted)
         notes.append(
-            f"the magnitudes of {relation.unrelated:.0%} of the pairs have nothing to do with each other, and weigh "
-            "next to nothing: are they of these objects, and in the columns that were meant?"
+            f"the quoted errors of the magnitudes, {error:.2g} mag, are larger than the spread of those of the pairs, "
+            f"{spread_mag:.2g} mag: they weigh next to nothing"
+            if error > spread_mag
+            else f"the magnitudes of {relation.unrelated:.0%} of the pairs have nothing to do with each other, and "
+            "weigh next to nothing: are they of these objects, and in the columns that were meant?"
         )
     return tuple(notes)
 

@@ -138,6 +138,16 @@ class Photometry:
             return False
         return relation.typical_scatter < 0.5 * float(np.nanstd(magnitude))
 
+    def quoted_and_spread(self, pairs: Pairs, p_pair: FloatArray) -> tuple[float, float]:
+        """The median error, mag, that pairs (m,) of these probabilities quote of both first bands together, and the
+        least spread of a first band among them: half of what lies between the 16th and the 84th percent."""
+        probable = p_pair > 0.5
+        rows, sides = (pairs.i[probable], pairs.j[probable]), [side.measured for side in self.sides]
+        variance = sum(side.variance[at, 0] for side, at in zip(sides, rows, strict=True))
+        ends = (np.nanpercentile(side.values[at, 0], [16.0, 84.0]) for side, at in zip(sides, rows, strict=True))
+        spread = min(0.5 * float(high - low) for low, high in ends)
+        return math.sqrt(float(np.nanmedian(variance))), spread
+
     @property
     def tells(self) -> bool:
         """Whether anything has been learned."""
