@@ -82,6 +82,18 @@ def test_titles_say_the_finding(stars: SkyMatch) -> None:
     assert told.startswith("Motion brings the identified pairs together: median distance 1.")
 
 
+def test_a_long_subtitle_goes_on_in_a_second_line() -> None:
+    from sameas.plots.sheet import sheet
+
+    figure = sheet("A finding", "its reasons, of which there are many, " * 5)
+    figure.draw_without_rendering()
+    assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in figure.texts)
+
+
+def test_names_of_catalogues_keep_their_letters(stars: SkyMatch) -> None:
+    assert any(" early moved from " in text.get_text() for text in plots.residuals(stars).texts)
+
+
 def test_east_is_left_in_pictures_of_the_sky(stars: SkyMatch) -> None:
     for figure in (plots.residuals(stars), plots.group(stars)):
         left, right = figure.axes[0].get_xlim()

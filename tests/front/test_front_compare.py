@@ -36,6 +36,16 @@ def test_what_changed_is_told_and_nothing_else(tables, tmp_path, ending: str) ->
     assert "0 of 20 are of another object" in same and "10 objects" in same
 
 
+def test_a_partner_that_the_other_table_does_not_have_is_another_answer(tmp_path) -> None:
+    first = {"ra": [10.0, 10.1], "dec": [0.0, 0.0], "name": ["a0", "a1"]}
+    for name, nearer in (("before", "b0"), ("after", "b2")):
+        other = {"ra": [10.00001, 10.10001], "dec": [0.0, 0.0], "name": [nearer, "b1"]}
+        sameas.match(first, other, sigma=0.2, id="name").write(tmp_path / f"{name}.fits", join="1and2")
+    told = str(sameas.compare(tmp_path / "before.fits", tmp_path / "after.fits"))
+    assert "1 only in before.fits" in told and "1 of 3 are of another object" in told
+    assert "first a0" in told and "second b0, probability" in told and "second b2, probability" in told
+
+
 def test_every_candidate_of_a_join_of_all_is_no_second_answer(tables, tmp_path) -> None:
     first, second, _ = tables
     ra, dec = (np.concatenate([np.asarray(second[name]), np.asarray(second[name])]) for name in ("ra", "dec"))

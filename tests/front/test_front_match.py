@@ -219,6 +219,22 @@ def test_what_holds_no_positions_is_refused(stars, in_memory):
         sameas.match(QTable({"a": place, "b": place}), stars.second)
 
 
+def test_doubts_name_the_argument_of_their_catalogue():
+    gaia = {
+        "ra": [10.0, 10.1],
+        "dec": [0.0, 0.0],
+        "pmra": [1.0, 2.0],
+        "pmdec": [0.0, 1.0],
+        "phot_g_mean_mag": [15.0, 16.0],
+    }
+    found = sameas.match(gaia, {"ra": [10.0, 10.1], "dec": [0.0, 0.0]}, sigma2=0.1, epoch2=2000.0)
+    for words in ("say epoch1=YEAR", "say pm_sigma1=MAS_PER_YR"):
+        assert any(words in doubt for doubt in found.doubts) and words in repr(found)
+    assert (
+        "pm_sigma1=MAS_PER_YR" in " ".join(found.report().split()) and max(map(len, found.report().splitlines())) <= 100
+    )
+
+
 def test_one_table_given_twice_is_doubted(stars):
     found = sameas.match(stars.first, (same := Table(stars.second)), sigma=0.05)
     assert not any("given twice" in doubt for doubt in found.doubts)

@@ -20,7 +20,7 @@ def compare(
 ) -> None:
     """Which identities two outputs give differently: a what-if, another gate, a sensor left out.
 
-    Records that one of the two does not have are counted and left out of the comparison.
+    Records that one of the two does not have are counted; a sensor left out is no difference by itself.
     """
     with answering(debug):
         from sameas.cli.terminal import Pace, Printer

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import textwrap
 import threading
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,7 +11,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING
 
 from sameas.errors import printable
-from sameas.report.prose import ALARM, DOUBT, WIDTH
+from sameas.report.prose import ALARM, DOUBT, wrapped
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -41,7 +40,7 @@ class Printer:
                     notice(f"{label.strip()}: {line[len(label) :]}")
                 continue
             style = _STYLES[label] if label else "bold" if line[:1].strip() else None
-            for part in _wrapped(line) if label else [line]:
+            for part in wrapped(line) if label else [line]:
                 self._print(part, style)
 
     def _print(self, line: str, style: str | None) -> None:
@@ -51,11 +50,6 @@ class Printer:
             # Whoever read stdout has seen enough; the output is still to be written.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             self.quiet = True
-
-
-def _wrapped(line: str) -> list[str]:
-    indent = " " * len(DOUBT)
-    return textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 class Pace:

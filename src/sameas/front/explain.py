@@ -253,7 +253,7 @@ def _is_number(text: float | str) -> bool:
 # Two outputs compared: which records the one says are one object, and the other does not; :func:`compare`.
 #
 # What-ifs end here: other errors, another gate, a sensor left out. Records that one of the two does not have are
-# counted and left out of the comparison, so that a sensor left out is no difference by itself.
+# counted, and those of a picture left out of the comparison, so that a sensor left out is no difference by itself.
 
 #: Differences that are listed (chosen).
 LISTED = 20
@@ -269,10 +269,10 @@ class _Objects:
     of: Mapping[Record, int]
     probability: Mapping[int, float]
 
-    def sets(self, shared: set[Record]) -> dict[Record, frozenset[Record]]:
-        """Of every shared record the shared ones that are one object with it, itself among them."""
+    def sets(self, shared: set[Record], counted: Iterable[Record]) -> dict[Record, frozenset[Record]]:
+        """Of every shared record the counted ones that are one object with it, itself among them."""
         members: dict[int, list[Record]] = {}
-        for record in shared:
+        for record in counted:
             members.setdefault(self.of[record], []).append(record)
         whole = {number: frozenset(records) for number, records in members.items()}
         return {record: whole[self.of[record]] for record in shared}
@@ -301,8 +301,12 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
 
 
 def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[str]:
-    sides = [(objects, objects.sets(shared)) for objects in (first, second)]
     pictures = any(time_s for time_s, _, _ in shared)
+    # A table of pairs leaves out what has none: a partner that the other table does not have is another answer. At an
+    # instant of a picture, a record that only one of the two has says nothing.
+    sources = {name for _, name, _ in shared}
+    counted = [shared if pictures else {record for record in one.of if record[1] in sources} for one in (first, second)]
+    sides = [(one, one.sets(shared, its)) for one, its in zip((first, second), counted, strict=True)]
     yield f"{first.title} against {second.title}"
     yield from entry("records", f"{count(len(shared))} in both" + "".join(
         f"; {count(len(one.of) - len(shared))} only in {one.title}" for one, _ in sides if len(one.of) > len(shared)

@@ -82,8 +82,9 @@ class MatchFrame:
     def report(self) -> str:
         """The report of the frame, as the command prints it."""
         from sameas.report.frame import frame_lines
+        from sameas.report.prose import in_one
 
-        return "\n".join(frame_lines(self.summary))
+        return in_one(frame_lines(self.summary))
 
     def explain(
         self, id: Any = None, *, row: int | None = None, source: Literal["measurement", "star"] = "star"

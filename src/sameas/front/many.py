@@ -54,7 +54,9 @@ class MatchMany:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong, of the input and of the result; a sentence each."""
-        return (*(doubt for catalogue in self.sky.catalogues for doubt in catalogue.doubts), *self.sky.doubts)
+        sides = enumerate(self.sky.catalogues, 1)
+        own = (self.request.words(doubt, side) for side, catalogue in sides for doubt in catalogue.doubts)
+        return (*own, *self.sky.doubts)
 
     @cached_property
     def table(self) -> Table:
@@ -74,7 +76,9 @@ class MatchMany:
 
     def report(self) -> str:
         """The report, as the command prints it."""
-        return "\n".join(self.report_lines())
+        from sameas.report.prose import in_one
+
+        return in_one(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : how a message that names arguments is put."""

@@ -79,7 +79,11 @@ class Match:
         """What looks wrong, of the input and of the result; a sentence each."""
         if self.sky is None:
             return (*self.notes, *self.estimate.notes)
-        return (*self.notes, *self.sky.first.doubts, *self.sky.second.doubts, *self.sky.doubts)
+        sides = (self.sky.first.doubts, self.sky.second.doubts)
+        if self.request is not None:
+            request = self.request
+            sides = tuple(tuple(request.words(one, side) for one in doubts) for side, doubts in enumerate(sides, 1))
+        return (*self.notes, *(doubt for doubts in sides for doubt in doubts), *self.sky.doubts)
 
     @property
     def expected_wrong(self) -> float:
@@ -156,7 +160,9 @@ class Match:
 
     def report(self) -> str:
         """The report of the match, as the command prints it."""
-        return "\n".join(self.report_lines())
+        from sameas.report.prose import in_one
+
+        return in_one(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : how a message that names arguments is put."""

@@ -33,7 +33,7 @@ from sameas.picture.picture import MOST_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import EvidenceOf, Watch, all_evidence
 from sameas.report.picture import assumed_lines, doubt_lines, found_lines, listed, read_lines, scene_lines
-from sameas.report.prose import count, counted, in_html, in_lines, span
+from sameas.report.prose import count, counted, in_html, in_lines, in_one, span
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -190,7 +190,7 @@ class MatchPicture:
         """What was read, found, estimated and assumed, as the command prints it."""
         lines = [*read_lines((source.reports.source, source.lines()) for source in self.sources)]
         lines += doubt_lines(self.source_doubts)
-        return "\n".join([*lines, *found_lines(self.picture.summary), *assumed_lines(self.scene)])
+        return in_one([*lines, *found_lines(self.picture.summary), *assumed_lines(self.scene)])
 
     def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None) -> Lines:
         """Why an object has its records; ``print`` it.

@@ -290,7 +290,7 @@ function showCounts() {
     several = live.filter(isSeveral).length;
   el("counts").replaceChildren(
     text("b", plural(live.length, "object")),
-    `, ${grouped(several)} seen by two or more sources`,
+    ...(data.sensors.length > 1 ? [`, ${grouped(several)} seen by two or more sources`] : []),
     ...(doubtful ? [", ", text("span", `${grouped(doubtful)} ambiguous`, "warn")] : []),
   );
 }

@@ -6,7 +6,7 @@ const still = window.matchMedia("(prefers-reduced-motion: reduce)").matches; pla
 const lit = { found: "#2f9bff", alone: "#ffe14a", dim: "#a9adb5", ink: "#ffffff" };
 const clock = mjd => { const s = Math.round((mjd % 1) * 86400) % 86400; return `${String(Math.floor(s / 3600)).padStart(2, "0")}:${String(Math.floor(s / 60) % 60).padStart(2, "0")}:${String(s % 60).padStart(2, "0")}`; };
 const date = mjd => new Date(Math.round((mjd - 40587) * 86400) * 1000).toISOString().slice(0, 10);
-const few = p => { if (p >= 1e-3) return fix(p, 4); const k = Math.floor(Math.log10(p)); return p > 0 ? `${fix(p / 10 ** k, 0)}·10${String(k).replace(/./g, d => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(d)])}` : "0"; };
+const few = p => { if (p >= 1e-3) return fix(p, 4); const [m, k] = p.toExponential(0).split("e"); return p > 0 ? `${m}·10${k.replace(/./g, d => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(d)])}` : "0"; };
 const ratio = r => fix(r, r < 100 ? 1 : 0);
 const named = m => m.known ? m.known.name : m.name;
 const mode = () => el("fixed").checked && mover.fixed ? "fixed" : "along";

@@ -12,7 +12,7 @@ function frames() {
     if (f.page) { const a = document.createElement("a"); a.href = encodeURIComponent(f.page); a.textContent = f.name; first.append(a); } else first.textContent = f.name;
     const number = w => cell("td", w, "number");
     tr.append(first, cell("td", clock(f.mjd)), number(grouped(f.measured)), number(grouped(f.identified)), number(grouped(f.missing)),
-      number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts.length ? `${f.doubts.length}: ${f.doubts[0]}` : "none", f.doubts.length ? "doubt" : ""));
+      number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts.length ? `${f.doubts.length}, below` : "none", f.doubts.length ? "doubt" : ""));
     return tr; });
   const failed = data.failed.map(([name, why]) => { const tr = document.createElement("tr"), words = cell("td", why); tr.className = "failed"; words.colSpan = 8; tr.append(cell("td", name), words); return tr; });
   el("frames").replaceChildren(head, ...rows, ...failed);
@@ -50,7 +50,11 @@ function star() {
   overTime("residuals", [[s.de[k].map((v, n) => [t[n], v]).filter(p => p[1] !== null), colour.east], [s.dn[k].map((v, n) => [t[n], v]).filter(p => p[1] !== null), colour.north]], "residual [″]");
 }
 function notes() {
-  const list = [...(field ? field.notes : []), ...(field ? field.frames.flatMap(f => f.doubts.map(d => `${f.name}: ${d}`)) : []), ...data.reasons];
+  // What is said of many frames, with other numbers, stands once.
+  const alike = new Map(), plain = d => d.replace(/^doubt: /, "");
+  for (const f of field ? field.frames : []) for (const d of f.doubts) { const key = d.replace(/[0-9.e]+/g, "#"); alike.set(key, [...(alike.get(key) ?? []), `${f.name}: ${plain(d)}`]); }
+  const told = [...alike.values()].map(d => d.length > 1 ? `${d.length} frames, the first ${d[0]}` : d[0]);
+  const list = [...(field ? field.notes : []), ...told, ...data.reasons];
   el("notes").replaceChildren(...(list.length ? list : ["nothing"]).map(n => text("li", n, list.length ? "doubt" : "")));
 }
 function show(f) {

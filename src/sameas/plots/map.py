@@ -183,7 +183,9 @@ class _Now:
         o = self.drawn.objects
         doubtful, several = int(o["ambiguous"][self.rows].sum()), int((o["n_sources"][self.rows] > 1).sum())
         plural = "" if len(self.rows) == 1 else "s"
-        words = f"{count(len(self.rows))} object{plural}, {count(several)} seen by two or more sources"
+        words = f"{count(len(self.rows))} object{plural}"
+        if len(np.unique(self.drawn.records["source"])) > 1:
+            words += f", {count(several)} seen by two or more sources"
         return words + (f", {count(doubtful)} ambiguous" if doubtful else "")
 
     @property

@@ -35,7 +35,7 @@ def residuals(match: SkyMatch) -> Figure:
     The scale is that of the first map; an inset magnifies the second.
     """
     still, moved = match.still_offsets, match.result.matches.residual
-    subtitle = f"{count(len(moved))} identified pairs. {_sentence(match.moved)}"
+    subtitle = f"{count(len(moved))} identified pairs. {_sentence(match, match.moved)}"
     figure = sheet(_finding(still, moved), subtitle, 11.0, 6.25)
     figure.set_layout_engine("compressed")
     if not len(moved):
@@ -132,8 +132,9 @@ def _common(match: SkyMatch) -> str:
     return "nothing was moved" if match.epoch_jyr is None else f"with motion (both at {match.epoch_jyr:.2f})"
 
 
-def _sentence(text: str) -> str:
-    return text[:1].upper() + text[1:] + "."
+def _sentence(match: SkyMatch, text: str) -> str:
+    named = text.startswith((match.first.name, match.second.name))
+    return (text if named else text[:1].upper() + text[1:]) + "."
 
 
 def _nice(value: float) -> float:

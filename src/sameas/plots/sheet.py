@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import textwrap
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -30,6 +31,8 @@ DENSITY = "viridis"
 
 #: Dots per inch of a file, and of a notebook, which is about 900 pixels wide.
 DOTS_PER_INCH, NOTEBOOK_DPI = 150, 80
+#: Of a subtitle, which goes on in a second line.
+LETTERS_PER_INCH = 12.0
 
 
 def required() -> type[Figure]:
@@ -68,9 +71,12 @@ def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -
     ------
     InputError : matplotlib is not installed.
     """
+    subtitle = textwrap.fill(subtitle, int(LETTERS_PER_INCH * width), break_on_hyphens=False)
     figure = required()(figsize=(width, height), dpi=DOTS_PER_INCH, facecolor="white", layout="constrained")
-    head = figure.suptitle(f"{title}\n", x=0.012, ha="left", fontsize=14, fontweight="bold", color=INK)
-    # Constrained layout leaves room for the title only: its empty second line is the subtitle's.
+    head = figure.suptitle(
+        title + "\n" * (1 + subtitle.count("\n")), x=0.012, ha="left", fontsize=14, fontweight="bold", color=INK
+    )
+    # Constrained layout leaves room for the title only: its empty lines are the subtitle's.
     head.set_linespacing(1.6)
     figure.text(0.012, 0.98 - 0.33 / height, subtitle, ha="left", va="top", fontsize=10.5, color="#4A4A4A")
     return figure

@@ -6,7 +6,7 @@ import base64
 import html
 import io
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -82,6 +82,17 @@ def entry(label: str, words: str) -> list[str]:
     ) or [f"  {label}"]  # fmt: skip
 
 
+def wrapped(line: str) -> list[str]:
+    """A line that begins with the mark of a doubt or an alarm, wrapped under itself."""
+    indent = " " * len(DOUBT)
+    return textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+
+
+def in_one(lines: Iterable[str]) -> str:
+    """A report as one text."""
+    return "\n".join(part for line in lines for part in (wrapped(line) if line.startswith((DOUBT, ALARM)) else [line]))
+
+
 # How results show themselves: in a few lines where they are printed, with their report and a picture in a notebook.
 
 #: Lines of doubts, and letters of one, that a short text has room for (chosen).
@@ -96,7 +107,7 @@ def in_lines(headline: str, doubts: Sequence[str], offers: str) -> str:
     """A result in at most seven lines: what it is, what is doubted, what it offers."""
     lines = [headline, *(f"  doubt: {textwrap.shorten(doubt, LETTERS, placeholder=' …')}" for doubt in doubts[:DOUBTS])]
     if len(doubts) > DOUBTS:
-        lines.append(f"  and {count(len(doubts) - DOUBTS)} more doubts")
+        lines.append(f"  and {counted(len(doubts) - DOUBTS, 'more doubt')}")
     return "\n".join([*lines, f"  {offers}"])
 
 
