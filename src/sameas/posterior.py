@@ -404,9 +404,10 @@ class _Thinned:
         column, claim = g.places[1].astype(np.int32), claims[g.order]
         reduced = np.maximum(best.weight - best.dual_1[g.places[0]] - best.dual_2[column], -700.0)
         none, free = (np.exp(np.maximum(-dual, -DEEPEST)) for dual in (best.dual_1, best.dual_2))
-        column_start, rival, rival_claim = by_columns(len(free), g.edges_1, column, claim)
         odds = np.exp(reduced)
-        graph = Graph(g.edges_1, column, odds, claim, column_start, rival, rival_claim, none, free)
+        graph = Graph(
+            g.edges_1, column, odds, claim, *by_columns(len(free), g.edges_1, column, claim, odds), none, free
+        )
         rivals = np.empty((len(none), tuning.neighbourhood_rows), np.int32)
         strength, share = np.empty(rivals.shape), np.zeros(len(g.order))
         ranges = threads.even(len(none), least=256)

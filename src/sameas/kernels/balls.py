@@ -21,8 +21,9 @@ from sameas.kernels.compiled import inlined, kernel, part
 
 #: Odds are not divided by less: products of them over the rows of a ball stay finite.
 TINY = 1e-30
-#: Weaker claims call no row into a ball.
-WEAKEST = 1e-9
+#: Weaker claims call no row into a ball, unless the reduced odds of both pairs are a good part of those of the best
+#: hypothesis: around a loop of pairs that hardly leave each other alone messages grow over-confident without bound.
+WEAKEST, TIGHT = 1e-9, 1e-6
 #: Where less than this share of the sums is left to the center, differences have lost digits.
 CANCELLED = 1e-6
 #: Where less than this is left, messages alone answer.
@@ -30,8 +31,8 @@ LEAST = 1e-200
 UNKNOWN, NONE = -1, -1
 
 #: A graph by rows: CSR starts; of the pairs the columns, the reduced odds, and those with which rows claim columns.
-#: The same pairs by columns: CSR starts, rows, claims. Odds of rows and of columns to have no partner.
-Graph = namedtuple("Graph", "start column odds claim column_start rival rival_claim none free")
+#: The same pairs by columns: CSR starts, rows, claims, reduced odds. Odds of rows and of columns to have no partner.
+Graph = namedtuple("Graph", "start column odds claim column_start rival rival_claim rival_odds none free")
 #: Room for a ball. Its rows, and the next rival of each. Of all rows whether they are inside, of all columns the number
 #: in the ball. Of the ball's columns what each counts when nobody takes it, whether rows share it, whether one has
 #: taken it, what is lost to the center by that, the weights that the last two rows give it. Options of the rows: where
@@ -46,29 +47,30 @@ Ball = namedtuple(
 
 @kernel
 def by_columns(
-    columns: int, start: IntArray, column: Int32Array, claim: FloatArray
-) -> tuple[IntArray, Int32Array, FloatArray]:
-    """The pairs of a graph by column and, within it, by row: CSR starts, rows (m,), claims (m,)."""
+    columns: int, start: IntArray, column: Int32Array, claim: FloatArray, odds: FloatArray
+) -> tuple[IntArray, Int32Array, FloatArray, FloatArray]:
+    """The pairs of a graph by column and, within it, by row: CSR starts, rows (m,), claims (m,), reduced odds (m,)."""
     starts = np.zeros(columns + 1, np.int64)
     for e in range(len(column)):
         starts[column[e] + 1] += 1
     for c in range(columns):
         starts[c + 1] += starts[c]
     fill = starts[:-1].copy()
-    rival, rival_claim = np.empty(len(column), np.int32), np.empty(len(column))
+    rival, rival_claim, rival_odds = np.empty(len(column), np.int32), np.empty(len(column)), np.empty(len(column))
     for r in range(len(start) - 1):
         for e in range(start[r], start[r + 1]):
             at = fill[column[e]]
             fill[column[e]] += 1
-            rival[at], rival_claim[at] = r, claim[e]
-    return starts, rival, rival_claim
+            rival[at], rival_claim[at], rival_odds[at] = r, claim[e], odds[e]
+    return starts, rival, rival_claim, rival_odds
 
 
 @kernel
 def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray) -> None:
     """Fill ``rivals`` (n1, k) with the k rows that compete with each of some rows most, NONE where there are fewer.
 
-    strength (n1, k) : a rival's claim on a column counts for as much as the row itself can want that.
+    strength (n1, k) : a rival's claim on a column counts for as much as the row itself can want that; claims that are
+    next to nothing although duality lets them be count least.
     """
     most = rivals.shape[1]
     for row in range(first, last):
@@ -79,7 +81,10 @@ def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strengt
             for p in range(graph.column_start[c], graph.column_start[c + 1]):
                 claim = min(graph.rival_claim[p], 1.0) * wanted
                 rival = graph.rival[p]
-                if claim <= WEAKEST or rival == row or (found == most and claim <= strength[row, most - 1]):
+                if claim <= WEAKEST:
+                    tight = graph.rival_odds[p] * graph.odds[e]
+                    claim = WEAKEST * tight if tight > TIGHT else 0.0
+                if claim == 0.0 or rival == row or (found == most and claim <= strength[row, most - 1]):
                     continue
                 at = np.int64(0)
                 while at < found and rivals[row, at] != rival:
