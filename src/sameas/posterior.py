@@ -186,7 +186,8 @@ def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNIN
         _bounds(groups, best, large, bound)
         probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > tuning.unimportant))
         thin = _Thinned.of(groups, best, probable, best.weight[probable])
-        share[probable], change = thin.by_messages(tuning)
+        share[probable], messages = thin.by_messages(tuning.roughly, tuning)
+        change = messages.change
     p_pair = np.empty(len(share))
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
     return Posterior(p_pair, method, np.zeros(len(groups)), change)
@@ -322,9 +323,7 @@ def _local(
     ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
     probability, as first estimated, below which their pairs keep that estimate.
     """
-    p_messages = np.zeros(len(share))
-    messages = _Messages.of(groups, best, method, p_messages, tuning.closely, tuning)
-    share[open_pairs] = p_messages[open_pairs]
+    messages = _messages(groups, best, open_pairs, method, share, tuning)
     group = groups.group
     method[method == APPROXIMATE] = THINNED
     for threshold in tuning.thresholds:
@@ -340,6 +339,23 @@ def _local(
             break
     method[group[open_pairs]] = APPROXIMATE
     return messages.change
+
+
+def _messages(
+    groups: Groups, best: Hypothesis, open_pairs: IntArray, method: NDArray[np.int8], share: FloatArray, tuning: Tuning
+) -> _Messages:
+    """The messages of the pairs that elimination gave up, among these alone; fills their ``share``."""
+    m = len(share)
+    if best.prior.slope is None:  # which is made linear group by group
+        p_messages = np.zeros(m)
+        messages = _Messages.of(groups, best, method, p_messages, tuning.closely, tuning)
+        share[open_pairs] = p_messages[open_pairs]
+        return messages
+    thin = _Thinned.of(groups, best, open_pairs, best.weight[open_pairs])
+    share[open_pairs], messages = thin.by_messages(tuning.closely, tuning)
+    claims = np.zeros(m), np.zeros(m)
+    claims[0][open_pairs], claims[1][open_pairs] = messages.claims_1, messages.claims_2
+    return _Messages(best.weight, *claims, messages.change)
 
 
 def _neighbourhoods(
@@ -388,12 +404,13 @@ class _Thinned:
         solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
         return self._as_given(share), self._as_given(solved)
 
-    def by_messages(self, tuning: Tuning) -> tuple[FloatArray, float]:
-        """Probability of every pair by messages alone, and their largest relative change in the last sweep."""
+    def by_messages(self, settled: float, tuning: Tuning) -> tuple[FloatArray, _Messages]:
+        """Probability of every pair by messages alone, and these, in the order in which the pairs were given."""
         share = np.zeros(len(self.groups.order))
         method = np.full(len(self.groups), APPROXIMATE, np.int8)
-        change = _Messages.of(self.groups, self.best, method, share, tuning.roughly, tuning).change
-        return self._as_given(share), change
+        messages = _Messages.of(self.groups, self.best, method, share, settled, tuning)
+        of_pairs = (self._as_given(of) for of in (messages.weight, messages.claims_1, messages.claims_2))
+        return self._as_given(share), _Messages(*of_pairs, messages.change)
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
