@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.cells import FINEST, GridLevel
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
@@ -52,7 +52,7 @@ class Counts:
     """
 
     cells: IntArray
-    numbers: IntArray
+    numbers: AnyIntArray
 
     @classmethod
     def of(cls, cells_1: IntArray, cells_2: IntArray) -> Counts:
@@ -60,7 +60,7 @@ class Counts:
         cells, at = np.unique(np.concatenate([cells_1, cells_2]), return_inverse=True)
         one, two = at[: len(cells_1)], at[len(cells_1) :]
         numbers = np.column_stack([np.bincount(one, minlength=len(cells)), np.bincount(two, minlength=len(cells))])
-        return cls(cells, numbers)
+        return cls(cells, numbers.astype(np.int32))
 
     @classmethod
     def sum(cls, parts: Sequence[Counts]) -> Counts:
@@ -68,17 +68,18 @@ class Counts:
         return cls._summed(np.concatenate([part.cells for part in parts]), np.concatenate([p.numbers for p in parts]))
 
     @classmethod
-    def _summed(cls, cells: IntArray, numbers: IntArray) -> Counts:
-        order = np.argsort(cells, kind="stable")
-        cells, numbers = cells[order], numbers[order]
+    def _summed(cls, cells: IntArray, numbers: AnyIntArray) -> Counts:
         if not len(cells):
             return cls(cells, numbers)
+        if np.any(cells[1:] < cells[:-1]):
+            order = np.argsort(cells, kind="stable")
+            cells, numbers = cells[order], numbers[order]
         start = np.flatnonzero(np.append(True, cells[1:] != cells[:-1]))
         return cls(cells[start], np.add.reduceat(numbers, start, axis=0))
 
     def coarser(self, steps: int) -> Counts:
         """In cells ``4 ** steps`` times as large."""
-        return self._summed(self.cells >> (2 * steps), self.numbers)
+        return self._summed(self.cells >> (2 * steps), self.numbers.astype(np.int64))
 
     def at(self, cells: IntArray) -> IntArray:
         """Places among the occupied cells of some cells, which are among them."""
@@ -116,20 +117,17 @@ class Places:
         totals = counts.numbers.sum(axis=0)
         if not totals.all():
             raise InputError("one of the catalogues has no usable records; nothing can be identified")
-        by_step = [counts]
-        while len(by_step[-1].cells) * COARSEST > totals.sum() and len(by_step[-1].cells) > 1 and len(by_step) < 25:
-            by_step.append(by_step[-1].coarser(1))
-        richer = int(np.argmax(totals))
-        finest = 0
-        for steps in range(len(by_step) - 1, -1, -1):
-            number = by_step[steps].numbers[:, richer].astype(np.float64)
+        # Only one size of cells is held at once, besides those that were counted.
+        richer, level, last, finest = int(np.argmax(totals)), counts, 0, 0
+        while True:
+            number = level.numbers[:, richer].astype(np.float64)
             if number @ number <= FINEST * totals[richer]:
-                finest = steps
+                finest = last
+            if len(level.cells) * COARSEST <= totals.sum() or len(level.cells) == 1 or last == 24:
                 break
-        cells = by_step[finest].cells
-        levels = tuple(range(len(by_step) - 1 - finest, -1, -1))
-        volume *= 4.0**finest
-        numbers = by_step[finest].numbers.astype(np.float64)
+            level, last = level.coarser(1), last + 1
+        counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
+        cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers.astype(np.float64)
         seen = _seen(cells, numbers, levels, volume)
         density = _density(cells, numbers * seen, levels, volume)
         return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)

@@ -91,7 +91,7 @@ class RunTuning:
     far_sigmas: float = 40.0
     chunks: int = 16
     in_chunk: int = 4_000
-    in_cell: float = 4.0
+    in_cell: float = 8.0
     margin_gates: float = 8.0
     groups: float = 0.9999
     least_halo_arcsec: float = 1.0
@@ -196,8 +196,10 @@ def estimate(
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
     counted = _counted(work, scratch, workers, executor, progress, tuning)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
+    rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
     counts = Counts.sum([one.counts for side in counted for one in side])
+    del counted
     places = Places.of(counts, healpix.area_arcsec2(order))
     steps, cells = drawn(counts, tuning.sampling)
     volume = places.within(counts, cells, steps)
@@ -206,7 +208,6 @@ def estimate(
     work = replace(work, sides=(final[0], final[1]), learned=learned)
     work = replace(work, halo_arcsec=_halo(work, tuning))
     assert learned.estimate is not None
-    rows = tuple(sum(one.rows for one in side) for side in counted)
     return Estimated(work, counts, (sampled[0], sampled[1]), moved, (rows[0], rows[1]),
                      (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
