@@ -21,6 +21,7 @@ pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealp
 from typer.testing import CliRunner
 
 from sameas.cli.app import app
+from sameas.estimate.places import Counts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import cells as healpix
@@ -533,3 +534,16 @@ def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         matched(tmp_path, paths)
     assert (tmp_path / "out" / "collection.properties").exists() and not (tmp_path / "out" / ".sameas-run").exists()
+
+
+@pytest.mark.parametrize("part", [0.25, 0.5, 1.0])
+def test_a_cell_counts_with_the_part_of_it_that_lies_within_the_field(part):
+    """Records strewn over a part of 1 024 cells, eight in each on average; the poorer source follows the richer."""
+    rng, n = np.random.default_rng(2), 1_024
+    rich, poor = (rng.integers(0, int(part * n), int(mean * part * n)) for mean in (8.0, 2.0))
+    counts = Counts.of(rich, poor)
+    places = Places.of(counts, 1.0)
+    assert places.steps == 0 and places.within(counts, np.array([0]), 5) == pytest.approx(part * n, rel=0.03)
+    at = places.at(rich)
+    assert places.density[at, 0, 0].mean() == pytest.approx(8.0, rel=0.04)
+    assert places.density[at, 1, 1].mean() == pytest.approx(2.0, rel=0.06)
