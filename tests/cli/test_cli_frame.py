@@ -531,3 +531,15 @@ def test_files_of_a_frame_come_together_and_say_the_same_every_time(files, samea
     with pytest.raises((AssertionError, KeyboardInterrupt)):
         written("--threshold", "6")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+
+
+def test_calibration_frames_of_a_folder_that_nobody_named_are_told(tmp_path, capsys):
+    from sameas.cli.frames import expanded
+
+    for name, kind in (("dark", "Dark Frame"), ("light", "Light Frame")):
+        header = fits.Header({"IMAGETYP": kind})
+        fits.PrimaryHDU(np.zeros((4, 4), np.int16), header).writeto(tmp_path / f"{name}.fit")
+    light, dark = (str(tmp_path / f"{name}.fit") for name in ("light", "dark"))
+    assert expanded([str(tmp_path)]) == [light]
+    assert "1 calibration frame left out, the first dark.fit; --dark," in capsys.readouterr().err
+    assert expanded([str(tmp_path)], [dark]) == [light] and capsys.readouterr().err == ""

@@ -84,14 +84,27 @@ class Outcome:
 
 
 def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
-    """The frames, folders replaced by those that they hold. others : files in those folders that are none."""
-    from sameas.front.series import frames_in
+    """The frames, folders replaced by those that they hold. others : files in those folders that are none.
+
+    Calibration frames of a folder that nobody named are left out, and that is told.
+    """
+    from sameas.cli.terminal import notice
+    from sameas.front.series import calibrations_in, frames_in
+    from sameas.report.prose import counted
 
     taken = {Path(other).resolve() for other in others}
     found: list[str] = []
     for path in paths:
-        inside = frames_in(path) if Path(path).is_dir() else [path]
-        found += [one for one in inside if not Path(path).is_dir() or Path(one).resolve() not in taken]
+        if not Path(path).is_dir():
+            found.append(path)
+            continue
+        found += [one for one in frames_in(path) if Path(one).resolve() not in taken]
+        unused = [Path(one).name for one in calibrations_in(path) if Path(one).resolve() not in taken]
+        if unused:
+            left = counted(len(unused), "calibration frame")
+            notice(
+                f"{path}: {left} left out, the first {unused[0]}; --dark, --flat and --bias FILE calibrate with them"
+            )
     return found
 
 

@@ -33,13 +33,24 @@ def frames_in(folder: str | Path) -> list[str]:
     ------
     InputError : it holds none.
     """
+    found = [str(path) for path in _images_in(folder) if _shows_sky(path)]
+    if not found:
+        raise InputError(f"{folder}: no frames in this folder ({', '.join(ENDINGS)}, plain or packed .gz, .fz)")
+    return found
+
+
+def calibrations_in(folder: str | Path) -> list[str]:
+    """The calibration frames of a folder that say so (IMAGETYP), by name."""
+    return [str(path) for path in _images_in(folder) if not _shows_sky(path)]
+
+
+def _images_in(folder: str | Path) -> list[Path]:
+    """The FITS files of a folder that are none of our tables, by name."""
     found = []
     for path in sorted(Path(folder).iterdir()):
         plain = path.name.lower().removesuffix(".gz").removesuffix(".fz")
-        if path.is_file() and plain.endswith(ENDINGS) and not plain.endswith(".stars.fits") and _shows_sky(path):
-            found.append(str(path))
-    if not found:
-        raise InputError(f"{folder}: no frames in this folder ({', '.join(ENDINGS)}, plain or packed .gz, .fz)")
+        if path.is_file() and plain.endswith(ENDINGS) and not plain.endswith(".stars.fits"):
+            found.append(path)
     return found
 
 

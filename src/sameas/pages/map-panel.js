@@ -123,10 +123,9 @@ function membership(r) {
     ]
       .filter(Boolean)
       .join("; ");
-    parts.push(
-      text("h3", `Otherwise, with probability ${probability(objects.rival[r])}${change ? ": " + change : ""}`),
-    );
-    if (objects.rival[r] > objects.p[r])
+    // A rival of records that are not on the map has no words.
+    if (change) parts.push(text("h3", `Otherwise, with probability ${probability(objects.rival[r])}: ${change}`));
+    if (change && objects.rival[r] > objects.p[r])
       parts.push(
         text("p", "By itself that is more probable; the answer is the most probable for all records together.", "hint"),
       );

@@ -372,7 +372,8 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
     scale = estimate.typical_scale
     least, largest = tuning.usual_scale
     if scale > largest or scale < least:
-        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: are their units right?")
+        asked = "is one a copy of the other, or are their units wrong?" if scale < least else "are their units right?"
+        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: {asked}")
     if result.approximate_pairs:
         count = result.approximate_pairs
         doubts.append(f"{count} candidates lie in entangled groups; their probabilities are approximate")
