@@ -83,3 +83,23 @@ def test_a_log_of_two_sensors_gives_two_sources():
     log = Path(__file__).parent / "data" / "ais_sample.nmea"
     ais = read_sources([log], start="2024-05-01")
     assert [s.description.kind for s in ais] == ["ais"]
+
+
+def test_a_format_called_like_a_kind_of_source_has_that_kind(folder, monkeypatch):
+    """So a new sensor needs its format and its kind, and no table of which format has which kind."""
+    from sameas.io.sensors import sources
+    from sameas.io.sensors.format import SensorFormat
+    from sameas.tracks.kinds import KINDS, Kind
+    from sameas.tracks.reports import Reports
+
+    def read(file):
+        time_s, x_m, y_m = zip(*(map(float, line.split()) for line in file.lines[1:]), strict=True)
+        return [Reports.of(file.source, "sonar", {"time_s": time_s, "x_m": x_m, "y_m": y_m})]
+
+    sonar = SensorFormat("sonar", "sonar pings", read, lambda file: file.head_lines[0] == "SONAR")
+    monkeypatch.setattr(sources, "FORMATS", (sonar, *sources.FORMATS))
+    monkeypatch.setitem(KINDS, "sonar", Kind("a sonar", {"errors.position_m": (20.0, "a test")}))
+    (folder / "pings.txt").write_text("SONAR\n0 10 20\n5 12 22\n")
+    [pings] = read_sources([folder / "pings.txt"])
+    assert (pings.description.kind, pings.why_kind) == ("sonar", "its format is sonar")
+    assert pings.description.errors.position_m == 20.0

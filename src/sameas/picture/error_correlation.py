@@ -9,7 +9,7 @@ second report with the same error adds no information. Where the errors of two r
 with R = L Lᵀ and R′ = L′ L′ᵀ the covariances of the two reports, and D the largest covariance of the motion between
 them. Most objects move far less, so κ is one of ``motion_shares``, each as probable. Every report so changes the
 probability of each τ (``correlation_s``). The prior of ln(τ + 1 s) is normal about that of the source's kind
-(:data:`CORRELATION_S`) with ``correlation_sigma``; after some dozens of reports the data dominate.
+(:data:`sameas.tracks.kinds.KINDS`) with ``correlation_sigma``; after some dozens of reports the data dominate.
 
 A share s of the variance of a source's errors is *lasting*: the antenna's place on the hull, the rest of a bias. Such
 an error is one vector z ~ N(0, 1) for all reports of a track, e = √s L z + f, and only f is forgotten after τ: ρ above
@@ -33,6 +33,7 @@ from sameas.gaussian import inverse, log_density, mahalanobis_sq
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.kinds import KINDS
 
 #: Least variance of a step, m²: it keeps the covariance of a certain step invertible.
 LEAST_M2 = 1e-6
@@ -57,21 +58,6 @@ def growth(change: FloatArray) -> FloatArray:
     return np.asarray((axes * np.maximum(values, 0.0)[:, None, :]) @ axes.transpose(0, 2, 1))
 
 
-#: τ by kind of source: how long an error of position lasts, in seconds. Chosen, not measured.
-CORRELATION_S: Mapping[str, float] = {
-    "marine radar": 60.0,  # what such a radar names it has smoothed, for a minute or so
-    "air radar": 5.0,  # every turn is a new measurement
-    "ais": 600.0,  # the antenna stays where it is on the hull, and a receiver's error drifts over minutes
-    "ads-b": 600.0,  # a receiver's error drifts over minutes
-    "mlat": 30.0,  # the same receivers for a while
-    "lidar": 10.0,  # the same side of the hull for a while
-    "camera": 10.0,  # the same side of the hull for a while
-    "esm": 10.0,
-    "tracks": 60.0,  # smoothed
-    "other": 60.0,
-}
-
-
 #: Correlations of two reports at which likelihoods are computed; between them they are interpolated.
 CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 
@@ -94,7 +80,7 @@ class ErrorCorrelation:
         new = [d for d in scan.now.descriptions if d.name not in self.names]
         if self.names and not new:
             return self
-        kind_s = np.array([CORRELATION_S[description.kind] for description in new], np.float64)
+        kind_s = np.array([KINDS[description.kind].correlation_s for description in new], np.float64)
         away = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
         prior = -0.5 * (away / scan.tuning.correlation_sigma) ** 2
         prior = np.repeat(prior[:, None], len(scan.tuning.lasting_shares), axis=1)

@@ -38,6 +38,7 @@ from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.records import Records
+from sameas.tracks.kinds import KINDS
 
 
 def keys(first: IntArray, second: IntArray) -> IntArray:
@@ -261,10 +262,6 @@ class Rivals:
         return np.clip(log_ratio - excess, -bound, bound)
 
 
-#: Kinds of sources whose objects name themselves: these ids are not a tracker's, and nobody swaps them.
-SELF_NAMED = ("ais", "ads-b", "mlat")
-
-
 @dataclass(frozen=True)
 class SwapRates:
     """How often trackers swap near objects; log_probable : (S, r) ln of the probability of each rate, by source."""
@@ -276,7 +273,7 @@ class SwapRates:
         rates = np.log(np.array(tuning.swap_rates))
         prior = -0.5 * ((rates - math.log(tuning.swap_rate)) / tuning.swap_sigma) ** 2
         never = np.where(rates == rates.min(), 0.0, -np.inf)
-        new = [never if kind in SELF_NAMED else prior for kind in kinds[len(self.log_probable) :]]
+        new = [never if KINDS[kind].self_named else prior for kind in kinds[len(self.log_probable) :]]
         if not new:
             return self
         return SwapRates(np.concatenate([self.log_probable.reshape(-1, len(rates)), new]))

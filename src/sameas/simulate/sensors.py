@@ -29,6 +29,7 @@ from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane, geodesy, turned
 from sameas.tracks.feed import walk_of
 from sameas.tracks.filter import follow
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
@@ -379,7 +380,7 @@ class Sensor:
 
     @property
     def _turns(self) -> bool:
-        return self.description.site is not None and self.description.kind not in ("camera", "esm")
+        return self.description.site is not None and not KINDS[self.description.kind].directions
 
     def _passed(self, motion: TrueMotion, scan_times: FloatArray, period: float) -> Echoes:
         """Every object at every scan, at its place when the antenna passed it."""

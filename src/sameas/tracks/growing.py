@@ -40,14 +40,12 @@ from sameas.tracks.feed import (
 )
 from sameas.tracks.filter import follow, measures_anew
 from sameas.tracks.heights import HeightColumns
+from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
-
-#: Kinds of sources of directions alone.
-_DIRECTIONS = ("camera", "esm")
 
 
 @dataclass(frozen=True)
@@ -118,7 +116,7 @@ class GrowingFeed:
         self._split: dict[str, Branches] = {}
         self._named: bool | None = None
         self._horizon_s = -math.inf
-        self._directions = self.description.kind in _DIRECTIONS
+        self._directions = KINDS[self.description.kind].directions
         self._has_heights = False
 
     @property

@@ -14,10 +14,18 @@ Value = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Kind:
-    """One kind of source. defaults : name of a quantity to (value, why)."""
+    """One kind of source.
+
+    defaults : name of a quantity to (value, why). correlation_s : correlation time of its position errors before any
+    is measured, seconds (chosen). directions : whether it gives directions alone. self_named : whether its objects
+    name themselves, so that no tracker swaps their ids.
+    """
 
     title: str
     defaults: Mapping[str, tuple[Value, str]]
+    correlation_s: float = 60.0
+    directions: bool = False
+    self_named: bool = False
 
 
 _VESSEL = {
@@ -60,6 +68,7 @@ KINDS: Mapping[str, Kind] = {
             "bias.time_s": (2.0, "displays and networks send on what was measured a turn or so ago"),
             **_VESSEL,
         },
+        correlation_s=60.0,  # a radar smooths the tracks that it names, for a minute or so
     ),
     "air radar": Kind(
         "a surveillance radar for aircraft: primary, secondary or Mode S",
@@ -86,6 +95,7 @@ KINDS: Mapping[str, Kind] = {
             "bias.time_s": (0.5, "clocks and queues"),
             **_AIRCRAFT,
         },
+        correlation_s=5.0,  # every rotation is a new measurement
     ),
     "ais": Kind(
         "vessels that say where they are (AIS)",
@@ -102,6 +112,8 @@ KINDS: Mapping[str, Kind] = {
             **_FIXED_ERRORS,
             **_VESSEL,
         },
+        correlation_s=600.0,  # the antenna's place on the hull is constant, and a receiver's error drifts over minutes
+        self_named=True,
     ),
     "ads-b": Kind(
         "aircraft that say where they are (ADS-B)",
@@ -117,6 +129,8 @@ KINDS: Mapping[str, Kind] = {
             "errors.course_deg": (1.0, "from the velocity"),
             **_AIRCRAFT,
         },
+        correlation_s=600.0,  # a receiver's error drifts over minutes
+        self_named=True,
     ),
     "mlat": Kind(
         "aircraft located by the times of arrival at several receivers",
@@ -132,6 +146,8 @@ KINDS: Mapping[str, Kind] = {
             "errors.course_deg": (5.0, "tracked"),
             **_AIRCRAFT,
         },
+        correlation_s=30.0,  # the same receivers for a while
+        self_named=True,
     ),
     "lidar": Kind(
         "clusters of a scanning laser",
@@ -152,6 +168,7 @@ KINDS: Mapping[str, Kind] = {
             "bias.azimuth_deg": (1.0, "mounting"),
             **_VESSEL,
         },
+        correlation_s=10.0,  # the same side of the hull for a while
     ),
     "camera": Kind(
         "directions of what an electro-optical or infrared camera sees",
@@ -169,6 +186,8 @@ KINDS: Mapping[str, Kind] = {
             "bias.azimuth_deg": (1.0, "mounting"),
             **_VESSEL,
         },
+        correlation_s=10.0,  # the same side of the hull for a while
+        directions=True,
     ),
     "esm": Kind(
         "directions of emitters (ESM, DF)",
@@ -185,6 +204,8 @@ KINDS: Mapping[str, Kind] = {
             "bias.azimuth_deg": (2.0, "mounting"),
             **_VESSEL,
         },
+        correlation_s=10.0,
+        directions=True,
     ),
     "tracks": Kind(
         "tracks of another system, which state their own covariances",
@@ -198,6 +219,7 @@ KINDS: Mapping[str, Kind] = {
             "timing.latency_sigma_s": (0.0, "the stamp is the state's"),
             **_VESSEL,
         },
+        correlation_s=60.0,  # smoothed
     ),
     "other": Kind("a source of which nothing is assumed", {}),
 }

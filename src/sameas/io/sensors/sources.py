@@ -100,7 +100,7 @@ def format_of(file: SensorFile) -> SensorFormat:
     raise InputError(f"{file.source}: is binary, but neither ASTERIX, pcap nor Parquet; give another file")
 
 
-#: The kind of source that writes a format.
+#: The kind of source that writes a format, where they have different names.
 KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
     "asterix 062": "tracks",
@@ -255,6 +255,8 @@ def _kind(reports: Reports) -> tuple[str, str]:
     """The guessed kind of a source without a description, and the reason."""
     if reports.kind in KIND_OF_FORMAT:
         return KIND_OF_FORMAT[reports.kind], f"its format is {reports.kind}"
+    if reports.kind in KINDS:
+        return reports.kind, f"its format is {reports.kind}"
     plain = re.sub(r"[^a-z]", "", reports.source.lower())
     for word, kind in _WORDS.items():
         if word in plain:
