@@ -34,7 +34,12 @@ def test_three_vessels_in_clutter_establish_an_offset_within_its_error(seed, azi
 @pytest.mark.slow
 def test_doubts_and_registration_fit_the_same_plots_once(monkeypatch):
     fits = []
-    monkeypatch.setattr(plot_offsets, "fit_plots", lambda *given: fits.append(fit_plots(*given)) or fits[-1])
+
+    def counted(*given):
+        fits.append(fit_plots(*given))
+        return fits[-1]
+
+    monkeypatch.setattr(plot_offsets, "fit_plots", counted)
     scene = Scene.of(drawn(4, 7.5, common=3, minutes=3.0).sources)
     scene.doubts()
     registered, _ = scene.registered()
