@@ -9,7 +9,7 @@ import pytest
 from sameas import Records, match
 from sameas.errors import InputError
 from sameas.estimate.blends import BlendTuning as Tuning
-from sameas.estimate.blends import candidates_of, find_blends, hypotheses, log_odds_of
+from sameas.estimate.blends import Merging, Shown, candidates_of, find_blends, hypotheses, log_odds_of
 from sameas.evidence import Errors
 from sameas.simulate.surveys import blended_field
 
@@ -23,41 +23,46 @@ def small(rng):
     return Records.of(coarse, sigma=SIGMA), Records.of(fine, sigma=1e-6), flux
 
 
-def written_out(coarse, fine, flux):
-    """Every way in which four objects are shown by the coarse source, with its probability up to one factor.
+def merged(fine):
+    """Every way in which objects merge two by two, the nearest first, with its probability."""
+    couples = sorted(itertools.combinations(range(len(fine)), 2), key=lambda c: math.dist(fine[c[0]], fine[c[1]]))
+    for outcome in itertools.product((False, True), repeat=len(couples)):
+        p, pairs, taken = 1.0, [], set()
+        for (j, k), together in zip(couples, outcome, strict=True):
+            s = math.dist(fine[j], fine[k])
+            b = 2.0 ** -((s / RESOLUTION) ** 4) if s <= 1.75 * RESOLUTION and not taken & {j, k} else 0.0
+            p *= b if together else 1.0 - b
+            if together:
+                pairs.append((j, k))
+                taken |= {j, k}
+        if p > 0.0:
+            yield p, pairs, taken
 
-    Objects that are nearer than the reach merge pair by pair; no object takes part in two merged couples.
-    """
+
+def written_out(coarse, fine, flux):
+    """Every way in which four objects are shown by the coarse source, with its probability up to one factor."""
 
     def density(x, at):
         return math.exp(-((x - at) ** 2).sum() / (2 * SIGMA**2)) / (2 * math.pi * SIGMA**2)
 
     weights = {}
+    couples = list(itertools.combinations(range(len(fine)), 2))
+    ways = list(merged(fine))
     for answer in itertools.product(range(-1, 10), repeat=len(coarse)):
-        couples = list(itertools.combinations(range(len(fine)), 2))
         said = [() if a < 0 else (a,) if a < 4 else couples[a - 4] for a in answer]
         used = [n for objects in said for n in objects]
         if len(set(used)) < len(used):
             continue
         weight = 1.0
         for x, objects in zip(coarse, said, strict=True):
-            if len(objects) == 1:
-                weight *= SHARE * density(x, fine[objects[0]]) / (ALONE * (1 - SHARE))
-            elif objects:
+            if objects:
                 w = flux[objects[0]] / flux[list(objects)].sum()
-                weight *= density(x, w * fine[objects[0]] + (1 - w) * fine[objects[1]]) / ALONE
-        for j, k in couples:
-            s = math.dist(fine[j], fine[k])
-            if s > 1.75 * RESOLUTION:
-                weight *= (j, k) not in said
-                continue
-            b = 2.0 ** -((s / RESOLUTION) ** 4)
-            neither = b * (1 - SHARE) + (1 - b) * (1 - SHARE) ** 2
-            if (j, k) in said:
-                weight *= b * SHARE / neither
-            elif any(objects in ((j,), (k,)) for objects in said):
-                weight *= (1 - b) * (1 - SHARE) ** 2 / neither
-        weights[answer] = weight
+                weight *= density(x, w * fine[objects[0]] + (1 - w) * fine[objects[-1]]) / ALONE
+        shown, prior = sum(map(bool, said)), 0.0
+        for p, pairs, taken in ways:
+            fits = all(o in pairs if len(o) == 2 else not taken & set(o) for o in said)
+            prior += fits * p * SHARE**shown * (1 - SHARE) ** (len(fine) - len(pairs) - shown)
+        weights[answer] = weight * prior
     total = sum(weights.values())
     return {answer: weight / total for answer, weight in weights.items()}
 
@@ -68,8 +73,9 @@ def test_probabilities_are_the_sums_over_all_hypotheses(seed):
     first, second, flux = small(rng)
     tuning = Tuning(least_log_odds=-np.inf, most_hypotheses=1e9)
     found = candidates_of(first, second, RESOLUTION, Errors(), flux, tuning)
-    log_odds, log_factor = log_odds_of(found, SHARE, np.ones(1), np.full(3, ALONE))
-    summed = hypotheses(found, log_odds, log_factor, 3, tuning)
+    shown = Shown(Merging.of(found.couples, found.blended, 4, tuning.most_ways), SHARE)
+    log_density, log_odds = log_odds_of(found, shown, np.ones(1), np.full(3, ALONE))
+    summed = hypotheses(found, log_density, log_odds, shown, 3, tuning)
     due = written_out(first.features, second.features, flux)
     couples = list(itertools.combinations(range(4), 2))
     for i, j, k, p in zip(found.i, found.j, found.k, summed.p, strict=True):

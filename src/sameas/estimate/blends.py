@@ -1,16 +1,17 @@
 """Blends: one record of a coarse source may be two objects of a fine one (METHOD 11.3).
 
 Two objects of the fine source (2) at separation s give one record of the coarse source (1) with probability B(s), which
-is 1 at s = 0 and ½ at the resolution; else each is shown by itself. With c the probability that the coarse source shows
-an object, or the two that are one record, and ρ₁ its density of other records, the odds against all of them having no
-partner are, with Z = (1 − c)(1 − c(1 − B)) what both without partner weigh,
+is 1 at s = 0 and ½ at the resolution; else each is shown by itself. Couples merge or part from the nearest on, and no
+object is of two. With c the probability that the coarse source shows an object, or the two that are one record, and ρ₁
+its density of other records, a hypothesis weighs, beside that in which nothing has a partner,
 
-    {i; j, k}            B c N(x_i − w x_j − (1 − w) x_k; Σ) / (ρ₁ Z)
-    {i; j}, {i; j} {i′; k}    those of the pairs, c N(Δ; Σ) / (ρ₁ (1 − c)), times (1 − B)(1 − c)² / Z once a couple,
+    Π N(x_i − x_j; Σ) / ρ₁  Π N(x_i − w x_j − (1 − w) x_k; Σ) / ρ₁  Q(hypothesis) / Q(nothing)
 
-w being j's share of the flux, or all of 0 to 1 where fluxes are not given. The hypotheses of a group are summed
-exactly: every record of the coarse source has no partner, one, or two, and no object is taken twice. c, ρ₁ and the
-shares of the error scales are estimated from the result in turn.
+over its records of one object and of two. Q = Σ P(M) c^shown (1 − c)^(units − shown) over the ways M in which couples
+may have merged: those that have merged the hypothesis' couples and none of its single objects. Units are couples that
+merged, and objects that did not; w is j's share of the flux, or all of 0 to 1 where fluxes are not given. Hypotheses
+of a group are summed exactly: every record of the coarse source has no partner, one, or two, and no object is taken
+twice. c, ρ₁ and the shares of the error scales are estimated from the result in turn.
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ class BlendTuning:
     gate_sigmas, tail_sigmas : farther than this from where it is due no partner is, in typical standard deviations and
         in those of the widest scale of the errors, the latter to a resolution at most.
     flux_shares : shares w that are averaged over where fluxes are not given.
+    most_ways : in which objects near each other may have merged; with more, the widest couples never merge.
     least_log_odds : candidates of smaller ln of the odds against no partner are left out.
     most_hypotheses : of a group; with more, its least probable candidates are left out until it has fewer.
     rounds, settled : of the estimation, and the change of c that ends it.
@@ -55,6 +57,7 @@ class BlendTuning:
     gate_sigmas: float = 6.4
     tail_sigmas: float = 3.0
     flux_shares: int = 9
+    most_ways: int = 1_000
     least_log_odds: float = math.log(1e-6)
     most_hypotheses: float = 1e4
     rounds: int = 10
@@ -71,7 +74,7 @@ class Candidates:
     """What records of the coarse source may be: o candidates, those of one object first.
 
     i, j, k : (o,) record of source 1, of source 2, and the other of a blend, −1 where there is none.
-    log_density : (o, s) ln N by every scale of the errors. blend : (o,) B, 1 for one object.
+    log_density : (o, s) ln N by every scale of the errors. couple : (o,) which couple it is, −1 for one object.
     couples : (q, 2) objects of source 2 that may be one record. blended : (q,) B of each.
     """
 
@@ -79,7 +82,7 @@ class Candidates:
     j: IntArray
     k: IntArray
     log_density: FloatArray
-    blend: FloatArray
+    couple: IntArray
     couples: IntArray
     blended: FloatArray
 
@@ -87,7 +90,7 @@ class Candidates:
         """Some of the candidates."""
         return replace(
             self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept],
-            blend=self.blend[kept],
+            couple=self.couple[kept],
         )  # fmt: skip
 
 
@@ -163,12 +166,14 @@ def find_blends(
     n1, n2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     density = coverage.covered_densities[0][0]
     every = candidates_of(first, second, resolution, errors, flux, tuning)
+    merging = Merging.of(every.couples, every.blended, len(second), tuning.most_ways)
     share, alone, shares = 0.5, 0.5, np.asarray(errors.shares)
     for _ in range(tuning.rounds):
-        log_odds, log_factor = log_odds_of(every, share, shares, density * alone)
+        shown_with = Shown(merging, share)
+        log_density, log_odds = log_odds_of(every, shown_with, shares, density * alone)
         kept = log_odds > tuning.least_log_odds
         found = every.part(kept)
-        summed = hypotheses(found, log_odds[kept], log_factor, len(first), tuning)
+        summed = hypotheses(found, log_density[kept], log_odds[kept], shown_with, len(first), tuning)
         shown, two = float(summed.p.sum()), float(summed.p[found.k >= 0].sum())
         before = share
         # Of couples that are one record, a share c is shown: so many more objects than units that may be.
@@ -195,16 +200,13 @@ def candidates_of(
     order = np.lexsort((near.j, near.i))
     i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
     covariance = near.covariance[order]
-    single = Candidates(
-        i, j, np.full(len(i), -1), _log_densities(residual, covariance, errors), np.ones(len(i)),
-        np.empty((0, 2), np.int64), np.empty(0),
-    )  # fmt: skip
+    single = _log_densities(residual, covariance, errors)
     e, f = _of_one_record(i)
     separation = np.sqrt(((residual[e] - residual[f]) ** 2).sum(axis=1))
     close = separation <= apart
     e, f, separation = e[close], f[close], separation[close]
     blended = np.exp(-math.log(2.0) * (separation / resolution) ** tuning.steepness)
-    couples, at = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True)
+    couples, at, which = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True, return_inverse=True)
     if flux is not None:
         parts = (np.asarray(flux)[j[e]] / (np.asarray(flux)[j[e]] + np.asarray(flux)[j[f]]))[:, None]
     else:
@@ -217,8 +219,9 @@ def candidates_of(
         log_n = _log_densities(between, covariance[np.where(part >= 0.5, e, f)], errors)
         density = np.logaddexp(density, log_n - math.log(parts.shape[1]))
     return Candidates(
-        np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([single.k, j[f]]),
-        np.concatenate([single.log_density, density]), np.concatenate([single.blend, blended]), couples, blended[at],
+        np.concatenate([i, i[e]]), np.concatenate([j, j[e]]), np.concatenate([np.full(len(i), -1), j[f]]),
+        np.concatenate([single, density]), np.concatenate([np.full(len(i), -1), which.reshape(-1)]), couples,
+        blended[at],
     )  # fmt: skip
 
 
@@ -238,24 +241,113 @@ def _log_densities(residual: FloatArray, covariance: FloatArray, errors: Errors)
     return np.stack([log_density(residual, scale**2 * covariance) for scale in errors.scales], axis=1)
 
 
-def log_odds_of(
-    found: Candidates, share: float, shares: FloatArray, alone: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """(o,) ln of the odds of each candidate against no partner, and (q,) of what a couple, shown apart, loses.
+Couple = tuple[int, int]
 
-    share : c. shares : (s,) of the error scales. alone : (n₁,) density ρ₁ of coarse records that are nothing else.
+
+@in_short
+@dataclass(frozen=True)
+class Merging:
+    """In which ways the objects of the fine source may be one record, two by two. Make it with :meth:`Merging.of`.
+
+    cluster : (n₂,) of each object; those of one cluster may merge, directly or one after the other. couples : (q, 2).
+    sizes : objects of each cluster. ways : of each cluster of more than one, the probability of every way, the couples
+    that have merged in it, and their objects.
     """
-    missed = 1.0 - share
+
+    cluster: IntArray
+    couples: list[Couple]
+    sizes: IntArray
+    ways: dict[int, list[tuple[float, frozenset[Couple], frozenset[int]]]]
+
+    @classmethod
+    def of(cls, couples: IntArray, blended: FloatArray, n2: int, most: int) -> Merging:
+        """Of couples (q, 2) of n₂ objects that merge with these probabilities (q,), at most so many ways a cluster."""
+        joined = coo_array((np.ones(len(couples), np.bool_), (couples[:, 0], couples[:, 1])), (n2, n2))
+        number, cluster = connected_components(joined, directed=False)
+        of_cluster: dict[int, list[tuple[float, Couple]]] = {}
+        named = [(int(j), int(k)) for j, k in couples]
+        for at in np.argsort(-blended, kind="stable"):
+            of_cluster.setdefault(int(cluster[named[at][0]]), []).append((float(blended[at]), named[at]))
+        ways = {each: _ways(nearest_first, most) for each, nearest_first in of_cluster.items()}
+        return cls(cluster.astype(np.int64), named, np.bincount(cluster, minlength=number), ways)
+
+
+def _ways(
+    nearest_first: list[tuple[float, Couple]], most: int
+) -> list[tuple[float, frozenset[Couple], frozenset[int]]]:
+    """Every way in which couples merge or part, from the nearest on."""
+    ways: list[tuple[float, frozenset[Couple], frozenset[int]]] = [(1.0, frozenset(), frozenset())]
+    for b, couple in nearest_first:
+        more = []
+        for p, merged, objects in ways:
+            if couple[0] in objects or couple[1] in objects:
+                more.append((p, merged, objects))
+                continue
+            more.append((p * (1.0 - b), merged, objects))
+            more.append((p * b, merged | {couple}, objects | set(couple)))
+        if len(more) > most:
+            break
+        ways = more
+    return [way for way in ways if way[0] > 0.0]
+
+
+class Shown:
+    """How probable it is that some objects and couples are shown, and no others, when objects are with probability c.
+
+    merging : in which ways couples may have merged. share : c.
+    """
+
+    def __init__(self, merging: Merging, share: float) -> None:
+        self.merging, self._shown, self._missed = merging, share, 1.0 - share
+        self._known: dict[tuple[int, frozenset[Couple], frozenset[int]], float] = {}
+
+    def log_ratio(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
+        """ln of the probability of showing these couples and single objects of a cluster over that of showing none."""
+        key = cluster, couples, single
+        if key not in self._known:
+            with np.errstate(divide="ignore"):
+                none = self._probability(cluster, frozenset(), frozenset())
+                self._known[key] = float(np.log(self._probability(cluster, couples, single) / none))
+        return self._known[key]
+
+    def _probability(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
+        size, shown = int(self.merging.sizes[cluster]), len(couples) + len(single)
+        ways = self.merging.ways.get(cluster, [(1.0, frozenset(), frozenset())])
+        return sum(
+            p * self._shown**shown * self._missed ** (size - len(merged) - shown)
+            for p, merged, objects in ways
+            if couples <= merged and not (single & objects)
+        )
+
+    def of_all(self, single: list[tuple[list[int], list[Couple]]]) -> list[float]:
+        """ln of the same of several sets of single objects and couples, of whatever clusters."""
+        out = []
+        for objects, couples in single:
+            parts: dict[int, tuple[set[Couple], set[int]]] = {}
+            for one in objects:
+                parts.setdefault(int(self.merging.cluster[one]), (set(), set()))[1].add(one)
+            for couple in couples:
+                parts.setdefault(int(self.merging.cluster[couple[0]]), (set(), set()))[0].add(couple)
+            out.append(sum(self.log_ratio(c, frozenset(a), frozenset(b)) for c, (a, b) in parts.items()))
+        return out
+
+
+def log_odds_of(
+    found: Candidates, shown: Shown, shares: FloatArray, alone: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(o,) ln of N / ρ₁ of each candidate, and ln of its odds against no partner where nothing else has one.
+
+    shares : (s,) of the error scales. alone : (n₁,) density ρ₁ of coarse records that are nothing else.
+    """
     with np.errstate(divide="ignore"):
-        log_n = np.logaddexp.reduce(found.log_density + np.log(shares), axis=1)
-        log_factor = np.log((1.0 - found.blended) * missed / (1.0 - share * (1.0 - found.blended)))
-        as_blend = np.log(found.blend / (1.0 - share * (1.0 - found.blend)))
-    log_odds = log_n - np.log(alone[found.i]) + math.log(share / missed) + np.where(found.k >= 0, as_blend, 0.0)
-    log_factor = np.maximum(log_factor, -1e3)
-    apart = np.zeros(int(max(found.j.max(initial=0), found.k.max(initial=0), found.couples.max(initial=0))) + 1)
-    for side in found.couples.T:
-        np.add.at(apart, side, log_factor)
-    return np.where(found.k >= 0, log_odds, log_odds + apart[found.j]), log_factor
+        log_density = np.logaddexp.reduce(found.log_density + np.log(shares), axis=1) - np.log(alone[found.i])
+    objects, at = np.unique(found.j[found.k < 0], return_inverse=True)
+    log_odds = np.empty(len(log_density))
+    log_odds[found.k < 0] = np.array(shown.of_all([([j], []) for j in objects.tolist()]))[at]
+    couples = np.array(shown.of_all([([], [couple]) for couple in shown.merging.couples]))
+    if len(couples):
+        log_odds[found.k >= 0] = couples[found.couple[found.k >= 0]]
+    return log_density, log_density + log_odds
 
 
 @in_short
@@ -269,17 +361,21 @@ class Summed:
 
 
 def hypotheses(
-    found: Candidates, log_odds: FloatArray, log_factor: FloatArray, n1: int, tuning: BlendTuning = DEFAULT_BLENDS
+    found: Candidates,
+    log_density: FloatArray,
+    log_odds: FloatArray,
+    shown: Shown,
+    n1: int,
+    tuning: BlendTuning = DEFAULT_BLENDS,
 ) -> Summed:
     """The sum over all hypotheses of every group.
 
-    log_odds : (o,) of the candidates. log_factor : (q,) of couples; what two of a couple lose is counted once.
+    log_density, log_odds : (o,) of the candidates, from :func:`log_odds_of`.
     """
     p, chosen, exact = np.zeros(len(log_odds)), np.zeros(len(log_odds), np.bool_), np.ones(n1, np.bool_)
     if not len(log_odds):
         return Summed(p, chosen, exact)
-    factors = {(int(a), int(b)): float(x) for (a, b), x in zip(found.couples, log_factor, strict=True)}
-    group = _groups(found, n1)
+    group = _groups(found, n1, shown.merging.cluster)
     order = np.lexsort((found.i, group))
     for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
         i = found.i[rows]
@@ -295,24 +391,20 @@ def hypotheses(
             rows = rows[log_odds[rows] > least]
             i = found.i[rows]
         exact[i] = np.isneginf(least)
-        p[rows], chosen[rows] = _enumerated(found, rows, log_odds[rows], factors)
+        p[rows], chosen[rows] = _enumerated(found, rows, log_density[rows], shown)
     return Summed(p, chosen, exact)
 
 
-def _groups(found: Candidates, n1: int) -> IntArray:
-    """(o,) number of the group of each candidate: of records that compete, or that a couple's objects tie."""
-    two = found.k >= 0
-    records, objects = np.concatenate([found.i, found.i[two]]), n1 + np.concatenate([found.j, found.k[two]])
-    # A couple shown apart counts once: whoever has the one is of one group with whoever has the other.
-    couples = n1 + found.couples[np.isin(found.couples + n1, objects).all(axis=1)]
-    one, other = np.concatenate([records, couples[:, 0]]), np.concatenate([objects, couples[:, 1]])
-    n = int(max(one.max(), other.max())) + 1
-    part = connected_components(coo_array((np.ones(len(one), np.bool_), (one, other)), (n, n)), directed=False)[1]
-    return np.asarray(part[found.i])
+def _groups(found: Candidates, n1: int, cluster: IntArray) -> IntArray:
+    """(o,) number of the group of each candidate: of records that compete, or whose objects may merge."""
+    objects = n1 + cluster[found.j]
+    n = int(objects.max()) + 1
+    joined = coo_array((np.ones(len(objects), np.bool_), (found.i, objects)), (n, n))
+    return np.asarray(connected_components(joined, directed=False)[1][found.i])
 
 
 def _enumerated(
-    found: Candidates, rows: IntArray, log_odds: FloatArray, factors: dict[tuple[int, int], float]
+    found: Candidates, rows: IntArray, log_density: FloatArray, shown: Shown
 ) -> tuple[FloatArray, BoolArray]:
     """Probabilities of the candidates ``rows`` of one group, and which are in its most probable answer."""
     options: dict[int, list[int]] = {}
@@ -320,33 +412,30 @@ def _enumerated(
         options.setdefault(int(found.i[row]), []).append(place)
     j, k = found.j[rows].tolist(), found.k[rows].tolist()
 
-    def walked(level: int, taken: frozenset[int], apart: tuple[int, ...]) -> Iterator[tuple[float, tuple[int, ...]]]:
-        """ln of the weight, and the candidates, of every way to go on from the first ``level`` records."""
+    def walked(level: int, taken: frozenset[int]) -> Iterator[tuple[int, ...]]:
+        """The candidates of every way to go on from the first ``level`` records."""
         if level == len(lists):
-            yield 0.0, ()
+            yield ()
             return
-        yield from walked(level + 1, taken, apart)
+        yield from walked(level + 1, taken)
         for place in lists[level]:
             one, two = j[place], k[place]
             if one in taken or two in taken:
                 continue
-            log_weight, more = float(log_odds[place]), apart
-            if two < 0:
-                log_weight -= sum(factors.get((min(one, at), max(one, at)), 0.0) for at in apart)
-                more = (*apart, one)
-            for rest, others in walked(level + 1, taken | ({one} if two < 0 else {one, two}), more):
-                yield log_weight + rest, (place, *others)
+            for others in walked(level + 1, taken | ({one} if two < 0 else {one, two})):
+                yield (place, *others)
 
     lists = list(options.values())
-    ways = list(walked(0, frozenset(), ()))
-    weight = np.array([log_weight for log_weight, _ in ways])
+    ways = list(walked(0, frozenset()))
+    sets = [([j[at] for at in way if k[at] < 0], [(j[at], k[at]) for at in way if k[at] >= 0]) for way in ways]
+    weight = np.array(shown.of_all(sets)) + [float(sum(log_density[at] for at in way)) for way in ways]
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     p = np.zeros(len(rows))
-    for share, (_, places) in zip(weight, ways, strict=True):
+    for share, places in zip(weight, ways, strict=True):
         p[list(places)] += share
     chosen = np.zeros(len(rows), np.bool_)
-    chosen[list(ways[int(np.argmax(weight))][1])] = True
+    chosen[list(ways[int(np.argmax(weight))])] = True
     return p, chosen
 
 
