@@ -288,6 +288,35 @@ def test_an_interruption_in_compiled_code_is_one(capsys):
     assert ended.value.exit_code == 1 and "fault of sameas" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("kind", "code"), [("KeyboardInterrupt", 130), ("Terminated", 143)])
+def test_a_process_that_is_stopped_before_its_command_begins_says_so(kind, code, monkeypatch):
+    """typer's own exit code is that of Ctrl-C, whatever the signal was, and it says nothing."""
+    from sameas.cli import main, outcome
+
+    ended, small = [], typer.Typer()
+
+    def end_now(code, words=""):
+        ended.append((code, words))
+        raise RuntimeError("the process has ended")
+
+    @small.command()
+    def interrupted():
+        raise getattr(outcome, kind, KeyboardInterrupt)
+
+    monkeypatch.setattr(outcome, "end_now", end_now)
+    monkeypatch.setattr(outcome, "end_cleanly_when_asked", lambda: None)
+    monkeypatch.setattr("sameas.cli.app.app", small)
+    monkeypatch.setattr("sys.argv", ["sameas"])
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with pytest.raises(RuntimeError, match="has ended"):
+            main()
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    assert ended == [(code, "stopped; nothing was written")]
+
+
 def test_a_frame_that_is_interrupted_ends_the_series(monkeypatch):
     """It was said to be a fault of that frame, and the next one was begun."""
     from sameas.cli import frames

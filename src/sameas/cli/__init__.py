@@ -31,13 +31,16 @@ def main() -> None:
     except SystemExit as error:
         import signal
 
-        from sameas.cli.outcome import INTERRUPTED, TERMINATED, end_now, exit_code, stopped
+        from sameas.cli.outcome import INTERRUPTED, TERMINATED, end_now, exit_code, stopped, unanswered
 
         try:
             for number in (signal.SIGINT, signal.SIGTERM):  # nothing is begun any more: Python ends, or is ended
                 signal.signal(number, signal.SIG_DFL)
         except KeyboardInterrupt as asked:
             end_now(exit_code(asked), stopped())
+        early = unanswered(error)
+        if early is not None:
+            end_now(exit_code(early), stopped())
         if error.code in (INTERRUPTED, TERMINATED):
             # Libraries may still have threads at work, which C++ does not let end with the process.
             end_now(error.code)

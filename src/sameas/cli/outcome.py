@@ -135,6 +135,12 @@ def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
     return None
 
 
+def unanswered(error: SystemExit) -> KeyboardInterrupt | None:
+    """The interruption that came before ``answering`` or after it: typer says nothing of it, and of no signal but one."""
+    cause = None if error.__context__ is None else error.__context__.__cause__
+    return cause if isinstance(cause, KeyboardInterrupt) else None
+
+
 def fault(error: Exception) -> str:
     """The message of an error that was not foreseen."""
     words = InputError(" ".join(str(error).split()))
