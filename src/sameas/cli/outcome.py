@@ -136,7 +136,7 @@ def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
 
 
 def unanswered(error: SystemExit) -> KeyboardInterrupt | None:
-    """The interruption that came before ``answering`` or after it: typer says nothing of it, and of no signal but one."""
+    """The interruption that came outside of ``answering``: typer says nothing of it, and knows one signal only."""
     cause = None if error.__context__ is None else error.__context__.__cause__
     return cause if isinstance(cause, KeyboardInterrupt) else None
 
