@@ -44,6 +44,14 @@ def test_what_stands_for_a_mark_is_no_mark_itself(template):
     assert "<title>{{data}}" in page and page.count("{{js}}") == 1 and HOSTILE not in page
 
 
+@pytest.mark.parametrize("template", TEMPLATES)
+def test_a_page_holds_nothing_that_controls_a_terminal(template):
+    hostile = "a \x1b[31mred\x1b]0;t\x07\x85 \u2028 b"
+    page = filled(template, title=hostile, data=script_safe({"name": hostile}))
+    # In data JSON's own escapes stand for the first 32 characters; what stands for others shows nowhere.
+    assert not re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\u2028]", page) and "<title>a \\x1b[31mred" in page
+
+
 def test_templates_have_no_handlers_that_the_policy_would_stop():
     for template in ["head.html", *TEMPLATES]:
         assert not re.search(r"\son\w+=|javascript:", asset(template))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import sameas
+from sameas.errors import printable
 
 #: Content-Security-Policy: no network, no frame, no form; the one script of the given digest.
 POLICY = (
@@ -43,7 +44,7 @@ def page_of(template: str, title: str, kind: str, marks: Mapping[str, str], poli
     The marks of the script must be files of ours. All are filled in one pass: what stands for one is no mark itself.
     """
     text = asset("head.html") + asset(template)
-    marks = {"title": html.escape(title), "kind": kind, "version": html.escape(sameas.__version__), **marks}
+    marks = {"title": html.escape(printable(title)), "kind": kind, "version": html.escape(sameas.__version__), **marks}
     script = _filled(_SCRIPT.findall(text)[0], marks)
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
     return _filled(text, {**marks, "policy": policy.format(f"sha256-{digest}")})
