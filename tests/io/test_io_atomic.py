@@ -2,17 +2,19 @@
 
 import errno
 import os
+import shutil
 import signal
 import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from astropy.table import Table
 
 from sameas.errors import InputError
 from sameas.io import read_provenance, read_table, replacing, write_table
-from sameas.io.atomic import filling
+from sameas.io.atomic import discard_drafts, filling
 
 ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
 
@@ -229,3 +231,19 @@ def test_files_of_one_output_come_together_however_it_is_interrupted(kind, tmp_p
         signal.signal(signal.SIGINT, before)
     files = sorted((tmp_path / "out").iterdir())
     assert len(files) in (2, 3) and all("new" in file.read_text() for file in files)
+
+
+@pytest.mark.parametrize("output", [replacing, filling])
+def test_a_stop_while_a_draft_is_removed_leaves_that_to_the_end_of_the_process(output, tmp_path, monkeypatch):
+    """A refusal removed its draft when SIGTERM came: the draft was forgotten before it was gone."""
+
+    def stopped(*given, **options):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt), output(tmp_path / "out"):
+        patch.setattr(Path, "unlink", stopped)
+        patch.setattr(shutil, "rmtree", stopped)
+        raise ValueError
+    assert [path for path in tmp_path.rglob("*") if path.name.startswith(".sameas-")]
+    discard_drafts()
+    assert not [path for path in tmp_path.rglob("*") if path.name.startswith(".sameas-")]

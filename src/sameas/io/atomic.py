@@ -85,9 +85,9 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
     except BaseException:
         with suppress(OSError):
             draft.unlink()
+        _drafts.discard(draft)  # not in a finally: where a signal comes before this, who ends the process removes it
         raise
-    finally:
-        _drafts.discard(draft)
+    _drafts.discard(draft)
 
 
 @contextmanager
@@ -130,8 +130,8 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
                 written.append(target)
         made = False
     finally:
-        _drafts.discard(known)
         shutil.rmtree(draft, ignore_errors=True)
+        _drafts.discard(known)
         if made:
             with suppress(OSError):
                 target.rmdir()
