@@ -181,6 +181,17 @@ def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int
     assert common_error(one, both, shared=True)[0] == pytest.approx(sigma / np.sqrt(2.0), rel=0.2)
 
 
+def test_two_catalogues_without_errors_get_the_same_one_whichever_moves() -> None:
+    # What the years make of motions without an error counts from either side.
+    here, there = scattered(600, 0.3, seed=3)
+    pm = {"pmra": np.full(600, 3.0), "pmdec": np.zeros(600)}
+    one = catalogue({"ra": here[:, 0], "dec": here[:, 1]} | pm, "one", epoch=2016.0, pm_sigma_mas_per_yr=10.0)
+    two = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "two", epoch=2000.0)
+    found = [common_error(*of, shared=True)[0] for of in ((one, two), (two, one))]
+    assert found[0] == pytest.approx(found[1], rel=0.1)
+    assert 2.0 * found[0] ** 2 + 0.16**2 == pytest.approx(0.3**2, rel=0.3)
+
+
 @pytest.mark.parametrize("covered", [1.0, 0.4])
 def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) -> None:
     rng = np.random.default_rng(7)

@@ -149,16 +149,15 @@ def common_error(
 
     shared : the other catalogue's errors are not known either, and taken to be the same.
     """
-    position, other_variance = _positions(*_in_strips(catalogue, other, tuning), shared)
+    position, variances = _positions(*_in_strips(catalogue, other, tuning), shared)
     if not len(position[0]) or not len(position[1]):
         return tuning.usual_arcsec, 0.0
     # From the side of fewer records: of those of a deep catalogue next to none have a partner in a sparse one.
     if len(position[1]) < len(position[0]):
-        distance, density, partner, own = _neighbours(position[1], position[0], tuning)
-        partner = own
+        distance, density, rows, partner = _neighbours(position[1], position[0], tuning)
     else:
-        distance, density, partner, _ = _neighbours(*position, tuning)
-    known = other_variance[partner] if len(other_variance) else np.zeros(len(distance))
+        distance, density, partner, rows = _neighbours(*position, tuning)
+    known = variances[0][rows] + variances[1][partner]
     s = np.geomspace(tuning.least_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
     variance = s**2 * (2.0 if shared else 1.0) + known
     chance = 2.0 * np.pi * density * distance
@@ -195,16 +194,17 @@ def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tup
 
 def _positions(
     catalogue: Catalogue, other: Catalogue, shared: bool
-) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """(n, 3) and (m, 3) directions at the other's epoch, and (m,) the other's variance an axis in arcsec²."""
+) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """(n, 3) and (m, 3) directions at the other's epoch; (n,) and (m,) variances an axis in arcsec², by the motions of
+    what has no error of its own."""
     placed = [c.with_error(PositionError("number", sigma_arcsec=1e-3)) for c in (catalogue, other)]
     if not shared and not other.error_is_unknown:
         placed[1] = other
     epochs = [c.epoch_jyr for c in placed]
     epoch = None if None in epochs else epochs[0] if placed[1].has_motion else epochs[1]
     one, two = (c.records(epoch) for c in placed)
-    variance = 0.5 * (two.covariance[:, 0] + two.covariance[:, -1])
-    return (_directions(one.features), _directions(two.features)), variance
+    known = [0.5 * (records.covariance[:, 0] + records.covariance[:, -1]) for records in (one, two)]
+    return (_directions(one.features), _directions(two.features)), (known[0], known[1])
 
 
 def _directions(position_deg: FloatArray) -> FloatArray:
