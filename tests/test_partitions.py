@@ -103,7 +103,8 @@ def test_what_is_estimated_does_not_depend_on_how_the_sky_is_cut(tmp_path, crowd
     for most in ((20_000, 20_000), (1_000, 500), (60, 90)):
         found = sameas.match(*stored(tmp_path, tables, most), sigma="pos_err", sigma_unit="arcsec")
         estimates.append(found.estimated)
-        shutil.rmtree(tmp_path / "a"), shutil.rmtree(tmp_path / "b")
+        for name in ("a", "b"):
+            shutil.rmtree(tmp_path / name)
     whole, *others = estimates
     for other in others:
         assert all(

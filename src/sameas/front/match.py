@@ -79,7 +79,7 @@ class Match:
         """What looks wrong, of the input and of the result; a sentence each."""
         if self.sky is None:
             return (*self.notes, *self.estimate.notes)
-        sides = (self.sky.first.doubts, self.sky.second.doubts)
+        sides: tuple[tuple[str, ...], ...] = (self.sky.first.doubts, self.sky.second.doubts)
         if self.request is not None:
             request = self.request
             sides = tuple(tuple(request.words(one, side) for one in doubts) for side, doubts in enumerate(sides, 1))
