@@ -212,6 +212,21 @@ def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):
         Keeper(read_settings(path))
 
 
+def test_a_watch_that_ticks_seldom_ends_when_it_is_asked_to(tmp_path):
+    """It slept until its next tick: Ctrl-C was answered after as long as --every says."""
+
+    async def stopped():
+        keeper, over = Keeper(settings(every_s=3600.0), tmp_path, replay=replay()), asyncio.Event()
+        running = asyncio.create_task(keeper.run(until=over.is_set, stop=over))
+        while keeper.frame is None:
+            await asyncio.sleep(0.01)
+        over.set()
+        await asyncio.wait_for(running, 60.0)
+        return keeper
+
+    assert asyncio.run(stopped()).frame is not None and load_state(tmp_path)["tick"] == 1
+
+
 @pytest.mark.long
 def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
     psutil = pytest.importorskip("psutil")

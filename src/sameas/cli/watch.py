@@ -173,7 +173,7 @@ async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
         server[0].install_signal_handlers = lambda: None
         server[0].capture_signals = contextlib.nullcontext
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
-    watched = asyncio.create_task(keeper.run(until=ends))
+    watched = asyncio.create_task(keeper.run(until=ends, stop=over))
     ending = asyncio.create_task(over.wait())
     try:
         await asyncio.wait({watched, ending}, return_when=asyncio.FIRST_COMPLETED)

@@ -7,6 +7,7 @@ journal, and tells those who listen what has changed. What cannot be used is cou
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import math
 import sqlite3
@@ -373,8 +374,11 @@ class Keeper:
 
     # ---- the loop ----
 
-    async def run(self, *, until: Callable[[], bool] | None = None) -> None:
-        """Ticks until it is cancelled, or ``until`` says so; the state is saved at the end."""
+    async def run(self, *, until: Callable[[], bool] | None = None, stop: asyncio.Event | None = None) -> None:
+        """Ticks until it is cancelled, or ``until`` says so; the state is saved at the end.
+
+        stop : ends the wait for the next tick, so that ``until`` is asked at once.
+        """
         readers = [asyncio.create_task(wire.run()) for wire in self.wires.values()]
         every_s = self.settings.watch.every_s
         registration: asyncio.Task[None] | None = None
@@ -400,7 +404,12 @@ class Keeper:
                     search = asyncio.create_task(asyncio.to_thread(self.search))
                 # A tick that took too long is not made up for: the next one has all reports.
                 next_s = max(next_s + every_s, self.clock())
-                await asyncio.sleep(max(next_s - self.clock(), 0.0))
+                wait_s = max(next_s - self.clock(), 0.0)
+                if stop is None:
+                    await asyncio.sleep(wait_s)
+                else:
+                    with contextlib.suppress(asyncio.TimeoutError):
+                        await asyncio.wait_for(stop.wait(), wait_s)
         finally:
             for task in readers:
                 task.cancel()
