@@ -8,6 +8,9 @@ they move, and how many, are told. Two ways are judged:
 - alone: every instant for itself, the last look of every sensor;
 - with memory: :class:`sameas.picture.plot_tracker.PlotTracker`, every look used once.
 
+A last table tells nothing but the kinds of the sensors: errors, clutter and late stamps are those of the kinds, or
+those that the plots themselves show (:mod:`sameas.tracks.error_fit`).
+
 Counted are instants at which two sensors or more show each of the vessels. One is right where both are found as two
 objects, each with a detection of it from every sensor that shows it, and with nothing that is not on its hull. Cameras
 split a hull of 36 m in two, so any detection on the hull is a right one; one where both hulls lie may be either's.
@@ -20,21 +23,32 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
-from benchmarks.autoferry_models import Learned, describe_all, learned_elsewhere
-from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, Truth, off_hulls, off_sights, scene_of, truth_of, turned
+from benchmarks.autoferry_models import KIND, NAME, Learned, describe_all, learned_elsewhere
+from benchmarks.autoferry_scenes import (
+    FOLDER,
+    SCENARIOS,
+    SENSORS,
+    Truth,
+    off_hulls,
+    off_sights,
+    scene_of,
+    truth_of,
+    turned,
+)
 from benchmarks.tables import Table, report
 from sameas.many.identify import identify_many
 from sameas.many.observations import Region, records_of
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
-from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant
+from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
+from sameas.tracks.source import Description
 
 WAYS = ("alone", "with memory")
 #: Off the hull, but by so little that the criterion is to blame.
@@ -137,12 +151,13 @@ class Tally:
     """Counts of one scenario, judged in one way.
 
     judged : of every instant that counts its time, how far the vessels are apart, and whether it is right. wrong : what
-        is wrong where it is not. errors : by sensor its error and the fused one. changes : of the vessels' numbers.
+        is wrong where it is not. errors : by sensor its error at the instant, the fused one, and the sensor's at the
+        time of its look. changes : of the vessels' numbers.
     """
 
     judged: list[tuple[float, float, bool]] = field(default_factory=list)
     wrong: Counter[str] = field(default_factory=Counter)
-    errors: dict[str, list[tuple[float, float]]] = field(default_factory=lambda: {"lidar": [], "radar": []})
+    errors: dict[str, list[tuple[float, float, float]]] = field(default_factory=lambda: {"lidar": [], "radar": []})
     square: list[float] = field(default_factory=list)
     changes: int = 0
     last: dict[int, int] = field(default_factory=dict)
@@ -157,11 +172,12 @@ class Tally:
         for s, feed in enumerate(now.feeds):
             if not isinstance(feed.reports, Directions):
                 for vessel in (0, 1):
-                    self._measure(now, due, found, (s, vessel), places[vessel])
+                    self._measure(now, due, found, (s, vessel), truth)
 
-    def _measure(self, now: Instant, due: Due, found: Found, which: tuple[int, int], place: np.ndarray) -> None:
+    def _measure(self, now: Instant, due: Due, found: Found, which: tuple[int, int], truth: Truth) -> None:
         """Errors of the detection of a sensor that shows a vessel best, and of the object that it is a member of."""
         s, vessel = which
+        place = truth.at(now.instant_s)[vessel]
         cost = due.cost[s]
         shown = np.flatnonzero((cost[vessel] < 1.0) & (cost[vessel] <= cost[1 - vessel]))
         if not len(shown):
@@ -170,7 +186,10 @@ class Tally:
         feed, (n, *_) = now.feeds[s], np.flatnonzero(found.members[:, s] == best)
         seen = feed.reports.state[records_of(now.sources[s]).ids[best], :2]  # type: ignore[union-attr]
         off = found.position[n] - place
-        self.errors[feed.description.name].append((float(np.linalg.norm(seen - place)), float(np.linalg.norm(off))))
+        looked_s = feed.reports.time_s[records_of(now.sources[s]).ids[best]]
+        errors = seen - place, off, seen - truth.at(float(looked_s))[vessel]
+        one, fused, at_look = (float(np.linalg.norm(error)) for error in errors)
+        self.errors[feed.description.name].append((one, fused, at_look))
         self.square.append(float(off @ np.linalg.solve(found.covariance[n], off)) / 2.0)
         if found.number is not None:
             numbers = found.number[np.isin(found.members[:, s], shown)].tolist()
@@ -182,10 +201,10 @@ class Tally:
         right = [right for _, apart_m, right in self.judged if nearest_m <= apart_m < farthest_m]
         return 100.0 * float(np.mean(right)) if right else float("nan")
 
-    def root_mean_square(self, sensor: str) -> tuple[float, float]:
-        """The sensor's, and the fused one where the sensor shows a vessel."""
-        own, fused = np.sqrt(np.mean(np.square(self.errors[sensor]).reshape(-1, 2), axis=0)).tolist()
-        return own, fused
+    def root_mean_square(self, sensor: str) -> tuple[float, float, float]:
+        """The sensor's, the fused one where the sensor shows a vessel, and the sensor's at the time of its look."""
+        own, fused, at_look = np.sqrt(np.mean(np.square(self.errors[sensor]).reshape(-1, 3), axis=0)).tolist()
+        return own, fused, at_look
 
 
 def among_few(now: Instant) -> Instant:
@@ -196,13 +215,18 @@ def among_few(now: Instant) -> Instant:
 
 
 def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, Tally]:
-    """One scenario from its beginning to its end, in every way."""
-    scene, truth = scene_of(scenario, describe_all(models, scenario)), truth_of(scenario)
+    """One scenario from its beginning to its end, in every way, with sensors as described by ``models``."""
+    return judged(scenario, scene_of(scenario, describe_all(models, scenario)), step_s, among_few)
+
+
+def judged(scenario: str, scene: Scene, step_s: float, told: Callable[[Instant], Instant]) -> dict[str, Tally]:
+    """A scene of one scenario from its beginning to its end; ``told`` adds to an instant what is told."""
+    truth = truth_of(scenario)
     start, end = scene.span_s
     tallies = {way: Tally() for way in WAYS}
     tracker, tracks = PlotTracker(), None
     for instant_s in np.arange(start + step_s, end, step_s):
-        now = among_few(scene.at(instant_s, features=POSITION_AND_VELOCITY))
+        now = told(scene.at(instant_s, features=POSITION_AND_VELOCITY))
         tracks = tracker.advance(now, tracks)
         heard = now.with_records()
         if len(heard.sources) < 2:
@@ -217,7 +241,8 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
 def alone(heard: Instant) -> Found:
     """An instant for itself."""
     found = identify_many(heard.sources, rule=heard.rule(), region=heard.region)
-    return Found(np.ma.filled(found.members, -1), found.fused.state[:, :2], found.fused.covariance[:, :2, :2])
+    covariance = found.fused.covariance[:, :2, :2] + heard.shared_error_m**2 * np.eye(2)
+    return Found(np.ma.filled(found.members, -1), found.fused.state[:, :2], covariance)
 
 
 def followed(tracks: TrackedPlots) -> Found:
@@ -234,6 +259,7 @@ def tables(step_s: float) -> Iterator[Table]:
     yield _distances(done)
     yield _positions(done)
     yield _failures(done)
+    yield untold(step_s)
 
 
 def _shares(done: dict[str, dict[str, Tally]]) -> Table:
@@ -268,6 +294,7 @@ def _positions(done: dict[str, dict[str, Tally]]) -> Table:
         "scenario",
         "sensor",
         "its error, m",
+        "at its look",
         *(f"fused {way}" for way in WAYS),
         *(f"NEES {way}" for way in WAYS),
     )
@@ -276,14 +303,36 @@ def _positions(done: dict[str, dict[str, Tally]]) -> Table:
         nees = [float(np.mean(tally.square)) for tally in by_way.values()]
         for sensor in ("lidar", "radar"):
             pairs = [tally.root_mean_square(sensor) for tally in by_way.values()]
-            rows.append([scenario, sensor, pairs[0][0], *(fused for _, fused in pairs), *nees])
-    notes = ("NEES per dimension of all objects that a sensor of positions shows, 1 where covariances are right",)
+            rows.append([scenario, sensor, pairs[0][0], pairs[0][2], *(fused for _, fused, _ in pairs), *nees])
+    notes = (
+        "its error at the instant has its age: of a vessel that approaches, that and the near side cancel",
+        "NEES per dimension of all objects that a sensor of positions shows, 1 where covariances are right",
+    )
     return Table("Positions where the sensor shows a vessel", columns, rows, notes)
 
 
 def positions(step_s: float) -> Table:
     """Errors of the fused positions in all scenarios, beside those of the sensors."""
     return _positions({one: run(one, learned_elsewhere(one, SCENARIOS), step_s) for one in SCENARIOS})
+
+
+def untold(step_s: float) -> Table:
+    """All scenarios with nothing told but what kind a sensor is: errors of its kind, and those that its plots show."""
+    kinds = {sensor: Description(NAME[sensor], KIND[sensor]) for sensor in SENSORS}
+    rows: list[list[object]] = []
+    notes = []
+    for scenario in SCENARIOS:
+        assumed = scene_of(scenario, kinds)
+        estimated, fit = assumed.with_fitted_errors()
+        notes.append(f"{scenario}: {'; '.join(fit.lines())}; in common ± {fit.shared_m:.2g} m")
+        for words, scene in (("of the kinds", assumed), ("estimated", estimated)):
+            tally = judged(scenario, scene, step_s, lambda now: now)["with memory"]
+            lidar, radar = tally.root_mean_square("lidar"), tally.root_mean_square("radar")
+            rows.append([scenario, words, tally.share(), *lidar, *radar, float(np.mean(tally.square))])
+    columns = (
+        "scenario", "errors", "right %", "lidar, m", "fused", "at its look", "radar, m", "fused", "at its look", "NEES"
+    )  # fmt: skip
+    return Table("With memory, nothing told of the sensors but their kinds", columns, rows, tuple(notes))
 
 
 def _failures(done: dict[str, dict[str, Tally]]) -> Table:

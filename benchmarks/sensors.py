@@ -315,6 +315,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield alarms(min(options.scenes, 20))
     if "positions" in options.only and FOLDER.exists():
         yield autoferry.positions(0.5)
+        yield autoferry.untold(0.5)
     if "memory" in options.only:
         yield from memory.table(every_s=30.0, seeds=1, only="")
     if "deception" in options.only and (table := deceptions(min(options.scenes, 10))) is not None:

@@ -32,7 +32,7 @@ from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import MOST_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import EvidenceOf, Watch, all_evidence
-from sameas.report.picture import assumed_lines, doubt_lines, found_lines, listed, read_lines, scene_lines
+from sameas.report.picture import assumed_lines, doubt_lines, fitted_lines, found_lines, listed, read_lines, scene_lines
 from sameas.report.prose import count, counted, in_html, in_lines, in_one, span
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
@@ -413,6 +413,10 @@ def pictured(
     progress("looking for what is wrong")
     doubts = scene.doubts()
     say(doubt_lines(doubts))
+    if method.memory and nameless(scene):
+        progress("the sensors' errors")
+        scene, fit = scene.with_fitted_errors()
+        say(fitted_lines(fit))
     biases: tuple[SourceBiases, ...] = ()
     if method.registration and len(sources) > 1:
         progress("the sensors' offsets")

@@ -213,7 +213,7 @@ class TrackedPlots:
 
     @property
     def covariance(self) -> FloatArray:
-        """(n, 4, 4) of the states."""
+        """(n, 4, 4) of the states, with the errors that all sources have in common."""
         return self._joint[1]
 
     @cached_property
@@ -223,6 +223,7 @@ class TrackedPlots:
         for region, which in ((self._wide_region, self.prior_of >= 0), (self.now.region, self.prior_of < 0)):
             joint = self._pooled(which, self.members[which], np.ones(len(self.scan_s)), region)
             state[which], covariance[which] = joint.state, joint.covariance
+        covariance[:, :2, :2] += self.now.shared_error_m**2 * np.eye(2)
         return state, covariance
 
     @property

@@ -9,6 +9,7 @@ from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.summary import Summary
 from sameas.picture.watch import Watch
 from sameas.report.prose import ALARM, DOUBT, counted, entry, moment, span
+from sameas.tracks.error_fit import ErrorFit
 from sameas.tracks.scene import Scene
 
 
@@ -34,6 +35,11 @@ def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
 def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:
     """What looks wrong with a source as a whole."""
     yield from (f"{DOUBT}{doubt}" for doubt in doubts)
+
+
+def fitted_lines(fit: ErrorFit) -> Iterator[str]:
+    """The errors of bare plots by how much they differ from each other, 1σ."""
+    yield from (f"  estimated {line}" for line in fit.lines())
 
 
 def found_lines(summary: Summary) -> Iterator[str]:

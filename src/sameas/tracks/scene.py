@@ -38,6 +38,7 @@ from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.doubts import apart, doubts
+from sameas.tracks.error_fit import ErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
 from sameas.tracks.placement import PlacedReports
@@ -57,12 +58,14 @@ class Scene:
     """Feeds of all sources in one plane. Make it with :meth:`Scene.of`; ask :meth:`at` for an instant.
 
     height_model : how heights of all sources are brought to one kind; what their reports show where not given.
+    shared_error_m : 1σ per axis of what the errors of all sources have in common, such as the near side of a hull.
     """
 
     feeds: tuple[Feed, ...]
     plane: LocalPlane | None = None
     tuning: Tuning = DEFAULT_TUNING
     height_model: HeightModel | None = None
+    shared_error_m: float = 0.0
 
     @classmethod
     def of(
@@ -107,6 +110,14 @@ class Scene:
         feeds, found = registered(self.feeds, references, self._plot_fits)
         return replace(self, feeds=feeds), found
 
+    def with_fitted_errors(self) -> tuple[Scene, ErrorFit]:
+        """The scene with the errors, clutter and late stamps that its bare plots show, and these.
+
+        Numbers that a user gave stay; see :mod:`sameas.tracks.error_fit`. Do it before :meth:`registered`.
+        """
+        fit = fit_errors(self.feeds, self.plane, self.tuning)
+        return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m), fit
+
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong with a source as a whole, one sentence each, with the remedy; empty where all make sense.
 
@@ -148,7 +159,7 @@ class Scene:
         return Instant(
             instant_s, features, tuple(self.feeds), tuple(one.source(instant_s, features, places) for one in snapshots),
             tuple(instant_s - one.time_s for one in snapshots), tuple(one.aged for one in snapshots), heights,
-            surroundings.region, surroundings.density,
+            surroundings.region, surroundings.density, self.shared_error_m,
         )  # fmt: skip
 
 
@@ -167,6 +178,7 @@ class Instant:
         none; None where no record of the source ever has one.
     region : where objects are; needed by ``identify_many`` where a source observes a part of the state.
     density : objects per m² at the middle of the region (per m² and (m/s)² where velocities are features).
+    shared_error_m : of the scene; in no record's covariance.
     """
 
     instant_s: float
@@ -178,6 +190,7 @@ class Instant:
     heights: tuple[FloatArray | None, ...]
     region: Region
     density: float
+    shared_error_m: float = 0.0
 
     @property
     def descriptions(self) -> tuple[Description, ...]:

@@ -66,6 +66,17 @@ class Tuning:
     hull_prior : axes of tracks that the described extents are worth when they are learned.
     rate_prior : scans that the mean of plot_rates is worth. seen : a track is seen with more plots than this.
 
+    fit_box_m, fit_box_sigmas : plots of two sources are compared where they differ by less than the first, or this many
+        assumed σ. fit_scans : looks of two sources that are compared, at most.
+    fit_correlation_s : looks within this time count as one: their errors last. fit_pairs : independent looks with pairs
+        from which on errors are estimated.
+    fit_sigma : 1σ of the logarithms of assumed errors about their kind's. hull_sigma_m : median of the wander over a
+        hull, that of one of 20 m in any direction. fit_least_m : least median of an error.
+    shared_hull : variance of what all sources of one place have in common, in that of the wander.
+    fit_latencies : by which stamps may be late, in 1σ of their prior.
+    fit_real, fit_begins : share of real pairs at first, and where EM begins, in 1σ of the prior from its medians.
+    fit_steps, fit_settled : steps of EM, and the change of a logarithm that ends them.
+
     fault_prior, sure_fault : probability that a source has a fault of one kind, and that at which it is an alarm.
     fault_reports : fewest reports of a source that is judged. clock_jumps : jumps of a clock that are told at most.
     clock_speed_m_per_s, clock_gap_s, stamp_s : tracks as fast as this, reports at most so far apart, and the error of a
@@ -146,6 +157,21 @@ class Tuning:
     hull_prior: float = 4.0
     rate_prior: float = 10.0
     seen: float = 3.0
+
+    fit_box_m: float = 40.0
+    fit_box_sigmas: float = 2.5
+    fit_scans: int = 2000
+    fit_correlation_s: float = 10.0
+    fit_pairs: float = 5.0
+    fit_sigma: float = 0.7
+    hull_sigma_m: float = 4.0
+    fit_least_m: float = 1e-3
+    shared_hull: float = 0.5
+    fit_latencies: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+    fit_real: float = 0.3
+    fit_begins: tuple[float, ...] = (0.0, -2.0)
+    fit_steps: int = 200
+    fit_settled: float = 1e-3
 
     fault_prior: float = 1e-3
     sure_fault: float = 0.95

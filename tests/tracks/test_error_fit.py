@@ -1,0 +1,128 @@
+"""Errors of bare plots by how much sources differ: they are those of the scene, and what a user gave stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sameas.picture.plot_tracker import PlotTracker
+from sameas.tracks.error_fit import fit_errors
+from sameas.tracks.feed import Feed
+from sameas.tracks.reports import Reports
+from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
+from sameas.tracks.source import Clutter, Description, SensorErrors, Site, Timing
+
+SITE = Site(east_m=0.0, north_m=0.0)
+#: 1σ of ranges (m), of bearings (°), wander over the hull (m), period (s), clutter a look, lateness of stamps (s).
+TRUTH = {
+    "lidar": (0.4, 0.4, 1.2, 0.5, 0.3, 0.0),
+    "radar": (4.0, 1.0, 2.5, 1.5, 2.0, 1.0),
+    "camera": (0.0, 1.5, 1.5, 0.5, 3.0, 0.0),
+}
+KIND = {"lidar": "lidar", "radar": "marine radar", "camera": "camera"}
+UNTIL_S = 200.0
+
+
+def course(vessel, t):
+    """Two vessels that go about their ways within 30 to 130 m, sometimes 20 m apart."""
+    t = np.asarray(t)[..., None]
+    first = np.concatenate([90.0 * np.sin(t / 35.0), 75.0 + 40.0 * np.cos(t / 50.0)], axis=-1)
+    other = np.concatenate([80.0 * np.cos(t / 30.0 + 1.0), 70.0 - 35.0 * np.sin(t / 45.0)], axis=-1)
+    return (first, other)[vessel]
+
+
+def feed_of(rng, name, described, until_s=UNTIL_S):
+    """Plots of a sensor at the origin."""
+    a, b, e, period, clutter, late = TRUTH[name]
+    columns = {"time_s": [], "bearing_deg": [], "range_m": []}
+    for t in np.arange(0.0, until_s, period).tolist():
+        plots = []
+        for vessel in (0, 1):
+            if rng.random() < 0.8:
+                place = course(vessel, t) + e * rng.standard_normal(2)
+                r, beta = np.hypot(*place), np.degrees(np.arctan2(*place))
+                plots.append((r + a * rng.standard_normal(), beta + b * rng.standard_normal()))
+        for x in rng.uniform(-150.0, 150.0, (rng.poisson(clutter), 2)):
+            plots.append((np.hypot(*x), np.degrees(np.arctan2(*x))))
+        for r, beta in plots:
+            for key, value in zip(columns, (t + late, beta, r), strict=True):
+                columns[key].append(value)
+    if name == "camera":
+        del columns["range_m"]
+    return Feed.of(described, Reports.of(name, "table", columns))
+
+
+def scene(seed, until_s=UNTIL_S, **described):
+    rng = np.random.default_rng(seed)
+    parts = {name: described.get(name, Description(name, KIND[name], site=SITE)) for name in TRUTH}
+    return Scene(tuple(feed_of(rng, name, each, until_s) for name, each in parts.items()))
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    return scene(1).with_fitted_errors()
+
+
+def test_errors_clutter_and_lateness_are_those_of_the_scene(fitted):
+    after, fit = fitted
+    assert fit.fitted == tuple(TRUTH)
+    for feed in after.feeds:
+        a, b, e, _, clutter, late = TRUTH[feed.description.name]
+        errors, timing = feed.description.errors, feed.description.timing
+        # At 80 m, where the vessels are, within a factor of 1.6: errors that may last leave some twenty looks.
+        across = np.hypot(np.radians(b) * 80.0, e)
+        found = np.hypot(np.radians(errors.bearing_deg) * 80.0, errors.extent_m)
+        assert abs(np.log(found / across)) < np.log(1.6), feed.description.name
+        assert timing.latency_s == pytest.approx(late, abs=0.3)
+        if feed.description.name == "camera":
+            assert feed.description.clutter.per_deg == pytest.approx(clutter / 360.0, rel=0.4)
+        else:
+            along = np.hypot(errors.range_m, errors.extent_m) / np.hypot(a, e)
+            assert abs(np.log(along)) < np.log(1.6), feed.description.name
+            assert timing.latency_sigma_s == 0.0
+
+
+def test_what_is_estimated_is_not_listed_as_assumed_and_is_said(fitted):
+    after, fit = fitted
+    listed = {f"{line.source} {line.name}" for feed in after.feeds for line in feed.description.assumed}
+    assert not {"lidar errors.range_m", "radar errors.bearing_deg", "camera clutter.per_deg"} & listed
+    assert "lidar misses.q" in listed
+    assert fit.lines()[1].startswith("radar: range ± ") and fit.lines()[1].endswith(" s late")
+
+
+def test_numbers_that_a_user_gave_stay():
+    radar = Description(
+        "radar",
+        "marine radar",
+        site=SITE,
+        errors=SensorErrors(range_m=9.0),
+        clutter=Clutter(7.0),
+        timing=Timing(latency_s=0.4),
+    )
+    after, _ = scene(2, radar=radar).with_fitted_errors()
+    kept = after.feeds[1].description
+    assert (kept.errors.range_m, kept.clutter.per_km2, kept.timing.latency_s) == (9.0, 7.0, 0.4)
+    assert kept.errors.bearing_deg != radar.errors.bearing_deg
+
+
+def test_too_few_looks_a_single_source_and_stated_errors_are_left_alone():
+    whole = scene(3)
+    assert fit_errors(whole.feeds[:1]).feeds == whole.feeds[:1]
+    assert fit_errors(whole.feeds[2:]).shared_m == 0.0
+    few = scene(3, until_s=6.0).feeds
+    assert fit_errors(few).fitted == () and fit_errors(few).feeds == few
+    stating = replace(whole.feeds[0].description, errors=SensorErrors(position_m=1.0, extent_m=0.0))
+    stated = Feed.of(stating, whole.feeds[0].raw_reports)
+    assert fit_errors((stated, *whole.feeds[1:])).feeds[0] is stated
+
+
+def test_what_all_have_in_common_is_in_the_fused_covariance_and_in_no_record():
+    after, fit = scene(4).with_fitted_errors()
+    assert fit.shared_m > 0.0
+    now = after.at(20.0, features=POSITION_AND_VELOCITY)
+    without = PlotTracker().advance(replace(now, shared_error_m=0.0))
+    tracks = PlotTracker().advance(now)
+    added = np.zeros((4, 4))
+    added[:2, :2] = fit.shared_m**2 * np.eye(2)
+    assert np.allclose(tracks.covariance, without.covariance + added)
+    assert np.array_equal(tracks.state, without.state)
