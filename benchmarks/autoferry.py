@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -219,11 +219,13 @@ def run(scenario: str, models: dict[int, Learned], step_s: float) -> dict[str, T
     return judged(scenario, scene_of(scenario, describe_all(models, scenario)), step_s, among_few)
 
 
-def judged(scenario: str, scene: Scene, step_s: float, told: Callable[[Instant], Instant]) -> dict[str, Tally]:
+def judged(
+    scenario: str, scene: Scene, step_s: float, told: Callable[[Instant], Instant], ways: Sequence[str] = WAYS
+) -> dict[str, Tally]:
     """A scene of one scenario from its beginning to its end; ``told`` adds to an instant what is told."""
     truth = truth_of(scenario)
     start, end = scene.span_s
-    tallies = {way: Tally() for way in WAYS}
+    tallies = {way: Tally() for way in ways}
     tracker, tracks = PlotTracker(), None
     for instant_s in np.arange(start + step_s, end, step_s):
         now = told(scene.at(instant_s, features=POSITION_AND_VELOCITY))
@@ -232,9 +234,8 @@ def judged(scenario: str, scene: Scene, step_s: float, told: Callable[[Instant],
         if len(heard.sources) < 2:
             continue
         due = Due.of(heard, truth)
-        found = {"alone": alone(heard), "with memory": followed(tracks)}
         for way, tally in tallies.items():
-            tally.add(heard, due, found[way], truth)
+            tally.add(heard, due, alone(heard) if way == "alone" else followed(tracks), truth)
     return tallies
 
 
@@ -326,7 +327,7 @@ def untold(step_s: float) -> Table:
         estimated, fit = assumed.with_fitted_errors()
         notes.append(f"{scenario}: {'; '.join(fit.lines())}; in common ± {fit.shared_m:.2g} m")
         for words, scene in (("of the kinds", assumed), ("estimated", estimated)):
-            tally = judged(scenario, scene, step_s, lambda now: now)["with memory"]
+            tally = judged(scenario, scene, step_s, lambda now: now, WAYS[1:])["with memory"]
             lidar, radar = tally.root_mean_square("lidar"), tally.root_mean_square("radar")
             rows.append([scenario, words, tally.share(), *lidar, *radar, float(np.mean(tally.square))])
     columns = (

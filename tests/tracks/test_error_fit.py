@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sameas import match_picture
 from sameas.picture.plot_tracker import PlotTracker
 from sameas.tracks.error_fit import fit_errors
 from sameas.tracks.feed import Feed
@@ -126,3 +127,19 @@ def test_what_all_have_in_common_is_in_the_fused_covariance_and_in_no_record():
     added[:2, :2] = fit.shared_m**2 * np.eye(2)
     assert np.allclose(tracks.covariance, without.covariance + added)
     assert np.array_equal(tracks.state, without.state)
+
+
+@pytest.mark.slow
+def test_a_picture_of_bare_plots_says_what_it_estimated_and_assumes_it_no_more(tmp_path):
+    lines = []
+    for feed in scene(6, until_s=80.0).feeds[:2]:
+        raw, name = feed.raw_reports, feed.description.name
+        rows = np.column_stack([raw.time_s, raw.range_m, raw.bearing_deg])
+        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="time_s,range_m,bearing_deg", comments="")
+        lines.append(f'[sources.{name}]\nkind = "{KIND[name]}"\nsite = {{ east_m = 0, north_m = 0 }}\n')
+    (tmp_path / "sensors.toml").write_text("".join(lines))
+    files = [str(tmp_path / f"{name}.csv") for name in ("lidar", "radar")]
+    said = match_picture(files, sensors=tmp_path / "sensors.toml", at=40.0).report()
+    text = " ".join(said.split())
+    assert "estimated lidar: range ± " in text and "estimated radar: range ± " in text
+    assert "errors.range_m 15" not in text and "misses.q 0.3" in text

@@ -32,7 +32,15 @@ from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
 from sameas.picture.picture import MOST_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import EvidenceOf, Watch, all_evidence
-from sameas.report.picture import assumed_lines, doubt_lines, fitted_lines, found_lines, listed, read_lines, scene_lines
+from sameas.report.picture import (
+    assumed_lines,
+    doubt_lines,
+    estimated_lines,
+    found_lines,
+    listed,
+    read_lines,
+    scene_lines,
+)
 from sameas.report.prose import count, counted, in_html, in_lines, in_one, span
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
@@ -190,7 +198,9 @@ class MatchPicture:
         """What was read, found, estimated and assumed, as the command prints it."""
         lines = [*read_lines((source.reports.source, source.lines()) for source in self.sources)]
         lines += doubt_lines(self.source_doubts)
-        return in_one([*lines, *found_lines(self.picture.summary), *assumed_lines(self.scene)])
+        return in_one(
+            [*lines, *found_lines(self.picture.summary), *estimated_lines(self.scene), *assumed_lines(self.scene)]
+        )
 
     def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None) -> Lines:
         """Why an object has its records; ``print`` it.
@@ -415,8 +425,7 @@ def pictured(
     say(doubt_lines(doubts))
     if method.memory and nameless(scene):
         progress("the sensors' errors")
-        scene, fit = scene.with_fitted_errors()
-        say(fitted_lines(fit))
+        scene, _ = scene.with_fitted_errors()
     biases: tuple[SourceBiases, ...] = ()
     if method.registration and len(sources) > 1:
         progress("the sensors' offsets")
@@ -430,7 +439,7 @@ def pictured(
             f"no source says anything at {span(times[0], times[-1])}; they speak from {span(*scene.span_s)}",
             naming("say {at}, or {begin} and {end}, within that"),
         )
-    say([*found_lines(picture.summary), *assumed_lines(scene)])
+    say([*found_lines(picture.summary), *estimated_lines(scene), *assumed_lines(scene)])
     return MatchPicture(picture, sources, scene, biases, (*unread, *doubts), call)
 
 

@@ -9,7 +9,6 @@ from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.summary import Summary
 from sameas.picture.watch import Watch
 from sameas.report.prose import ALARM, DOUBT, counted, entry, moment, span
-from sameas.tracks.error_fit import ErrorFit
 from sameas.tracks.scene import Scene
 
 
@@ -37,9 +36,10 @@ def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:
     yield from (f"{DOUBT}{doubt}" for doubt in doubts)
 
 
-def fitted_lines(fit: ErrorFit) -> Iterator[str]:
+def estimated_lines(scene: Scene) -> Iterator[str]:
     """The errors of bare plots by how much they differ from each other, 1σ."""
-    yield from (f"  estimated {line}" for line in fit.lines())
+    for line in scene.estimated:
+        yield from entry("estimated", line)
 
 
 def found_lines(summary: Summary) -> Iterator[str]:

@@ -183,7 +183,7 @@ class _Prior:
         median = np.array([[max(value or 0.0, least) for value in row] for row in given])
         median[1] = np.radians([[max(value or 0.0, 1e-3) for value in given[1]]])
         median[2] = np.where(told[2], median[2], tuning.hull_sigma_m)
-        return cls(np.log(median), np.where(told, 1e-3, tuning.fit_sigma))
+        return cls(np.log(median), np.where(told, 1e-3, np.array(tuning.fit_sigmas)[:, None]))
 
     def log_density(self, logs: FloatArray) -> float:
         return -0.5 * float(np.sum(((logs - self.median) / self.sigma) ** 2))
@@ -299,11 +299,10 @@ def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
     if not parts:
         none, no_rows = np.empty(0), np.empty(0, np.int64)
         return _Pairs(no_rows, no_rows, no_rows, no_rows, none, none, none, np.empty(0, bool), none, none)
-    s, t, i, j, share = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return _compared(feeds, prior, (s, t, i, j, share), tuning)
+    return _compared(feeds, prior, [np.concatenate(column) for column in zip(*parts, strict=True)], tuning)
 
 
-def _compared(feeds: Sequence[Feed], prior: _Prior, columns: tuple[Any, ...], tuning: Tuning) -> _Pairs:
+def _compared(feeds: Sequence[Feed], prior: _Prior, columns: Sequence[NDArray[Any]], tuning: Tuning) -> _Pairs:
     s, t, i, j, share = columns
     n = len(s)
     place, sensor, bearing = np.full((2, n, 2), np.nan), np.empty((2, n, 2)), np.full((2, n), np.nan)
@@ -410,6 +409,7 @@ def _field(feed: Feed) -> float:
         bearing = np.sort(reports.bearing_deg[reports.usable] % 360.0)
         gap = np.diff(np.append(bearing, bearing[:1] + 360.0))
         return float(max(360.0 - gap.max(initial=0.0), 1.0)) if len(bearing) > 20 else 360.0
+    assert feed.sensor_m is not None
     arm = (reports.state[:, :2] - feed.sensor_m)[reports.usable]
     # A Gaussian of covariance C has the mean density of a uniform one on 4π |C|^½.
     return float(max(4.0 * math.pi * math.sqrt(max(float(np.linalg.det(np.cov(arm.T))), 0.0)), 1.0)) / 1e6

@@ -59,6 +59,7 @@ class Scene:
 
     height_model : how heights of all sources are brought to one kind; what their reports show where not given.
     shared_error_m : 1σ per axis of what the errors of all sources have in common, such as the near side of a hull.
+    estimated : printable sentences on errors that were estimated.
     """
 
     feeds: tuple[Feed, ...]
@@ -66,6 +67,7 @@ class Scene:
     tuning: Tuning = DEFAULT_TUNING
     height_model: HeightModel | None = None
     shared_error_m: float = 0.0
+    estimated: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -116,7 +118,7 @@ class Scene:
         Numbers that a user gave stay; see :mod:`sameas.tracks.error_fit`. Do it before :meth:`registered`.
         """
         fit = fit_errors(self.feeds, self.plane, self.tuning)
-        return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m), fit
+        return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m, estimated=tuple(fit.lines())), fit
 
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong with a source as a whole, one sentence each, with the remedy; empty where all make sense.

@@ -70,8 +70,8 @@ class Tuning:
         assumed σ. fit_scans : looks of two sources that are compared, at most.
     fit_correlation_s : looks within this time count as one: their errors last. fit_pairs : independent looks with pairs
         from which on errors are estimated.
-    fit_sigma : 1σ of the logarithms of assumed errors about their kind's. hull_sigma_m : median of the wander over a
-        hull, that of one of 20 m in any direction. fit_least_m : least median of an error.
+    fit_sigmas : 1σ of the logarithms of assumed errors of ranges, of bearings, and of the wander over a hull.
+    hull_sigma_m : median of the wander, that of a hull of 20 m in any direction. fit_least_m : least median of an error.
     shared_hull : variance of what all sources of one place have in common, in that of the wander.
     fit_latencies : by which stamps may be late, in 1σ of their prior.
     fit_real, fit_begins : share of real pairs at first, and where EM begins, in 1σ of the prior from its medians.
@@ -163,7 +163,7 @@ class Tuning:
     fit_scans: int = 2000
     fit_correlation_s: float = 10.0
     fit_pairs: float = 5.0
-    fit_sigma: float = 0.7
+    fit_sigmas: tuple[float, float, float] = (0.7, 0.35, 0.7)
     hull_sigma_m: float = 4.0
     fit_least_m: float = 1e-3
     shared_hull: float = 0.5
