@@ -71,7 +71,7 @@ class Tuning:
     fit_correlation_s : looks within this time count as one: their errors last. fit_pairs : independent looks with pairs
         from which on errors are estimated.
     fit_sigmas : 1σ of the logarithms of assumed errors of ranges, of bearings, and of the wander over a hull.
-    hull_sigma_m : median of the wander, that of a hull of 20 m in any direction. fit_least_m : least median of an error.
+    hull_sigma_m : median of the wander, that of a hull of 20 m in any direction. fit_least_m : least median of any.
     shared_hull : variance of what all sources of one place have in common, in that of the wander.
     fit_latencies : by which stamps may be late, in 1σ of their prior.
     fit_real, fit_begins : share of real pairs at first, and where EM begins, in 1σ of the prior from its medians.
