@@ -409,8 +409,9 @@ class _Thinned:
         share = np.zeros(len(self.groups.order))
         method = np.full(len(self.groups), APPROXIMATE, np.int8)
         messages = _Messages.of(self.groups, self.best, method, share, settled, tuning)
-        of_pairs = (self._as_given(of) for of in (messages.weight, messages.claims_1, messages.claims_2))
-        return self._as_given(share), _Messages(*of_pairs, messages.change)
+        of_pairs = (messages.weight, messages.claims_1, messages.claims_2)
+        weight, claims_1, claims_2 = (self._as_given(values) for values in of_pairs)
+        return self._as_given(share), _Messages(weight, claims_1, claims_2, messages.change)
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
@@ -422,9 +423,8 @@ class _Thinned:
         reduced = np.maximum(best.weight - best.dual_1[g.places[0]] - best.dual_2[column], -700.0)
         none, free = (np.exp(np.maximum(-dual, -DEEPEST)) for dual in (best.dual_1, best.dual_2))
         odds = np.exp(reduced)
-        graph = Graph(
-            g.edges_1, column, odds, claim, *by_columns(len(free), g.edges_1, column, claim, odds), none, free
-        )
+        start, rival, rival_claim, rival_odds = by_columns(len(free), g.edges_1, column, claim, odds)
+        graph = Graph(g.edges_1, column, odds, claim, start, rival, rival_claim, rival_odds, none, free)
         rivals = np.empty((len(none), tuning.neighbourhood_rows), np.int32)
         strength, share = np.empty(rivals.shape), np.zeros(len(g.order))
         ranges = threads.even(len(none), least=256)
