@@ -114,10 +114,16 @@ def test_what_is_estimated_does_not_depend_on_how_the_sky_is_cut(tmp_path, crowd
             assert np.array_equal(getattr(whole.learned.places, name), getattr(other.learned.places, name)), name
         assert whole.learned.means == other.learned.means and whole.work.halo_arcsec == other.work.halo_arcsec
         assert whole.learned.estimate.quantities == other.learned.estimate.quantities
+        assert whole.rows_with_halo(10**6) == other.rows_with_halo(10**6)
     one = sameas.match(*tables, sigma="pos_err", sigma_unit="arcsec").estimate.quantities
     for name in ("common", "share_1", "share_2", "error_scale"):
         quantity, of_one = whole.learned.estimate.quantities[name], one[name]
         assert abs(quantity.value - of_one.value) < np.hypot(quantity.standard_error, of_one.standard_error), name
+    # So many rows are decided at once that they and their halo have so many candidates: a square of them, as a check.
+    answer, halo, pairs = whole.learned.estimate.answer, whole.work.halo_arcsec, 10**6
+    density = sum(whole.sample) / whole.learned.estimate.coverage.volume
+    with_halo = density * (np.sqrt(whole.rows_with_halo(pairs) / density) + 2.0 * halo) ** 2
+    assert with_halo * len(answer.pairs) / sum(whole.sample) == pytest.approx(pairs, rel=0.01)
     # Records are as dense as they were strewn, each without itself.
     density = crowding / (9.0 * np.pi * 2.0 * np.mean([np.mean(np.square(table["pos_err"])) for table in tables])) * 0.9
     places, numbers = whole.learned.places, whole.counts.numbers

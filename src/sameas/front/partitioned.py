@@ -100,8 +100,8 @@ class PartitionedMatch:
         path : the collection's folder. margin_arcsec : of the margin catalogue; 0 writes none.
         workers : processes. executor : used instead of processes of our own, such as ``client.get_executor()`` of
             dask.distributed; its workers must see the folders.
-        piece_rows : records of both catalogues that a worker decides at once, about, however they are partitioned:
-            0.5 GB of memory for the default.
+        piece_rows : records of both catalogues that a worker decides at once, about, however they are partitioned;
+            fewer in a crowd, where these and their candidates would need more than some 0.6 GB of memory.
 
         Raises
         ------

@@ -101,8 +101,9 @@ class RunTuning:
 
 
 DEFAULT_RUN = RunTuning()
-#: Records of both catalogues that are decided at once: 0.5 GB of memory. Fewer make halos a larger part of the work.
-PIECE_ROWS = 300_000
+#: Records of both catalogues that are decided at once, and their candidates, of which each takes 0.4 kB: 0.6 GB of
+#: memory with what is loaded. Fewer make halos a larger part of the work.
+PIECE_ROWS, PIECE_PAIRS = 300_000, 660_000
 
 
 @dataclass(frozen=True)
@@ -145,6 +146,15 @@ class Estimated:
         """What is known."""
         assert self.work.learned is not None
         return self.work.learned
+
+    def rows_with_halo(self, pairs: int) -> int:
+        """Records of both in a square that has so many candidates with its halo; it is no narrower than its halo."""
+        assert self.learned.estimate is not None
+        answer, halo = self.learned.estimate.answer, self.work.halo_arcsec
+        per_record = max(len(answer.pairs), 1) / (len(answer.first) + len(answer.second))
+        density = sum(self.sample) / self.learned.estimate.coverage.volume
+        side = max(math.sqrt(pairs / per_record / density) - 2.0 * halo, 2.0 * halo)
+        return max(int(density * side**2), 1)
 
 
 def estimate(
@@ -611,7 +621,7 @@ def write(
     """All parts decided and written as a HATS collection; parts that an interrupted run has written stay.
 
     path : the collection's folder. facts : how it is made; a folder that was begun otherwise is refused. piece_rows :
-    records of both catalogues that are decided at once, about.
+    records of both catalogues that are decided at once, about; fewer where candidates are too many for it.
 
     Raises
     ------
@@ -675,7 +685,8 @@ def _all_written(
     mark = scratch / "begun.json"
     store(work, scratch)
     written_whole(mark, json.dumps(facts).encode())
-    every = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, piece_rows))
+    most = min(piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
+    every = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, most))
     summaries = [_finished(scratch, catalogue, task) for task in every]
     tasks = [(task, str(catalogue), facts) for task, there in zip(every, summaries, strict=True) if there is None]
     done, cpu = [one for one in summaries if one is not None], 0.0
