@@ -40,6 +40,7 @@ def found(three):
     return sameas.match_many(*three, sigma1=0.05, sigma2=0.1, sigma3=0.2, id="name", offset="find")
 
 
+@pytest.mark.slow
 def test_an_offset_of_one_catalogue_is_found_and_taken_away(three, found):
     assert names(found) == (90, 90)
     assert set(found.sky.rotations) == {"second", "third"}

@@ -7,15 +7,18 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from tests.live.conftest import EVIL, SITE, START_S
+from tests.live.conftest import EVIL, SITE, START_S, replay, settings
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
+from sameas.live.keeper import Keeper
 from sameas.live.outputs import FORMATS, Sink, geojson, metrics, sinks_of
 
 
-@pytest.fixture
-def frame(keeper):
+@pytest.fixture(scope="module")
+def frame(tmp_path_factory):
+    """One frame for all tests, which only read it."""
+    keeper = Keeper(settings(), tmp_path_factory.mktemp("outputs") / "state", replay=replay(until_s=2400.0))
     for k in range(1, 30):
         made = keeper.tick(START_S + 2.0 * k)
     keeper.close()

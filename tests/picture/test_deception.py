@@ -35,6 +35,7 @@ def faults(made):
     return Picture.of(made, instants(made.span_s, 10.0)).summary.faults
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize(("drag", "leap"), [(4.0, 0.0), (0.0, 800.0)])
 @pytest.mark.parametrize("radars", [("radar",), ("radar", "other")])
 def test_ais_that_drags_a_ship_away_from_where_radars_see_it_is_an_alarm(drag, leap, radars):
@@ -50,13 +51,14 @@ def test_a_second_radar_makes_it_more_probable():
     assert two.log_odds > one.log_odds + 2.0
 
 
+@pytest.mark.slow
 def test_a_ship_that_falls_silent_while_a_radar_goes_on_seeing_it_is_an_alarm():
     (fault,) = faults(scene(silent_from_s=200.0))
     assert (fault.kind, fault.track) == ("silent", MMSI[0]) and 190.0 <= fault.first_s < 200.1
     assert "has gone silent: radar saw it for" in str(fault)
 
 
-@pytest.mark.slow_after(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "kind"),
     [
@@ -77,6 +79,7 @@ def test_a_live_picture_finds_them_too(changes, kind):
     assert pickle.loads(pickle.dumps(live)).faults() == ()
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_sound_picture_raises_none(seed):
     assert faults(scene(seed, radars=("radar", "other"))) == ()

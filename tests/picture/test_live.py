@@ -116,6 +116,7 @@ def test_reports_that_come_late_and_out_of_order_within_the_lag_change_nothing(f
     assert_same(shuffled, in_time)
 
 
+@pytest.mark.slow
 def test_what_is_later_than_the_lag_is_counted_and_left_out():
     made = sources(3)
     picture = LivePicture([d for d, _ in made], lag_s=5.0)
