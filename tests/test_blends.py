@@ -9,7 +9,8 @@ import pytest
 from sameas import Records, match
 from sameas.errors import InputError
 from sameas.estimate.blends import BlendTuning as Tuning
-from sameas.estimate.blends import Merging, Shown, candidates_of, find_blends, hypotheses, log_odds_of
+from sameas.estimate.blends import Merging, Shown, candidates_of, find_blends, hypotheses, log_odds_of, suspected
+from sameas.estimate.match import match as estimated
 from sameas.evidence import Errors
 from sameas.simulate.surveys import blended_field
 
@@ -143,3 +144,20 @@ def test_a_match_says_which_of_its_records_are_blends():
     assert len(said) > 10 and (said == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
     with pytest.raises(InputError, match="one for each of 300 rows"):
         found.blends(6.0, flux=[1.0])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_residuals_that_point_to_a_neighbour_suggest_blends(seed):
+    made = blended_field(np.random.default_rng([13, seed]), objects=1_500)
+    answer, estimate = estimated(made.first, made.second)
+    number, within, sigmas = suspected(answer, estimate.errors, estimate.coverage, 0)
+    assert number > 20 and 3.0 < within < 12.0 and sigmas > 10.0
+    assert suspected(answer, estimate.errors, estimate.coverage, 1) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_neighbours_alone_suggest_none(seed):
+    made = blended_field(np.random.default_rng([14, seed]), objects=1_500, resolution_arcsec=0.01)
+    answer, estimate = estimated(made.first, made.second)
+    for coarse in (0, 1):
+        assert suspected(answer, estimate.errors, estimate.coverage, coarse) is None

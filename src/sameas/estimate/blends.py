@@ -21,8 +21,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
@@ -32,6 +30,7 @@ from sameas.gate import Radius
 from sameas.gaussian import log_density
 from sameas.records import Records
 from sameas.representation import in_short
+from sameas.result import Identification
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,9 @@ class BlendTuning:
     most_ways : in which objects near each other may have merged; with more, the widest couples never merge.
     least_log_odds : candidates of smaller ln of the odds against no partner are left out.
     most_hypotheses : of a group; with more, its least probable candidates are left out until it has fewer.
+    asked, beyond_sigmas : pairs that are asked whether the coarse source may show two objects as one, at most, and how
+        many standard deviations of theirs their neighbours must be away.
+    fewest, suspected : of such neighbours, and the standard errors by which residuals must point to them.
     rounds, settled : of the estimation, and the change of c that ends it.
     least_share : of c, and of 1 − c.
     """
@@ -60,12 +62,18 @@ class BlendTuning:
     most_ways: int = 1_000
     least_log_odds: float = math.log(1e-6)
     most_hypotheses: float = 1e4
+    asked: int = 5_000
+    beyond_sigmas: float = 4.0
+    fewest: int = 20
+    suspected: float = 6.0
     rounds: int = 10
     settled: float = 1e-3
     least_share: float = 1e-3
 
 
 DEFAULT_BLENDS = BlendTuning()
+#: Neighbours are looked for within so many standard deviations of the typical pair, where few lie there by chance.
+REACH_SIGMAS = 60.0
 
 
 @in_short
@@ -187,6 +195,53 @@ def find_blends(
     return _answered(found, summed, len(first), share, shares)
 
 
+def suspected(
+    answer: Identification, errors: Errors, coverage: Coverage, coarse: int, tuning: BlendTuning = DEFAULT_BLENDS
+) -> tuple[int, float, float] | None:
+    """Whether source ``coarse`` (0 or 1) seems to show two objects of the other as one: of how many pairs the fine
+    record has a neighbour without partner, within what distance, and by how many standard errors residuals point to it.
+
+    A record that is two objects lies between them, where that of one object is as often on this side as on that. None
+    where they point nowhere.
+    """
+    fine = (answer.second, answer.first)[coarse]
+    chosen = answer.chosen[:: max(1, len(answer.chosen) // tuning.asked)]
+    if len(chosen) < tuning.fewest:
+        return None
+    rows = ((answer.pairs.j, answer.pairs.i)[coarse])[answer.chosen]
+    alone = np.ones(len(fine), np.bool_)
+    alone[rows] = False
+    some = errors.pairs(answer.pairs.part(chosen))
+    own = (some.j, some.i)[coarse]
+    without = np.flatnonzero(alone)
+    if len(without) < tuning.fewest:
+        return None
+    # To the coarse record, on the axes of the pair.
+    toward = some.residual if coarse == 0 else -some.residual
+    sigma = np.sqrt(np.einsum("mdd->m", some.covariance) / some.d)
+    spacing = math.sqrt(coverage.common_volume / (math.pi * len(without)))
+    reach = min(REACH_SIGMAS * float(np.median(sigma)), spacing)
+    here, there = (fine.part(at.astype(np.int64)).with_errors(0.0, 0.5) for at in (own, without))
+    near = Radius(reach)(here, there)
+    # The residual of two fine records is the first minus the second: to the neighbour it is the other way.
+    separation = np.sqrt((near.residual**2).sum(axis=1))
+    order = np.lexsort((separation, near.i))
+    nearest = order[np.unique(near.i[order], return_index=True)[1]]
+    nearest = nearest[separation[nearest] > tuning.beyond_sigmas * sigma[near.i[nearest]]]
+    nearest = nearest[np.argsort(separation[nearest], kind="stable")]
+    if len(nearest) < tuning.fewest:
+        return None
+    at = near.i[nearest]
+    along = -(toward[at] * near.residual[nearest]).sum(axis=1) / (separation[nearest] * sigma[at])
+    number = np.arange(1, len(along) + 1)
+    significance = np.cumsum(np.clip(along, -3.0, 3.0)) / np.sqrt(number)
+    significance[: tuning.fewest - 1] = 0.0
+    best = int(np.argmax(significance))
+    if significance[best] < tuning.suspected:
+        return None
+    return best + 1, float(separation[nearest[best]]), float(significance[best])
+
+
 def candidates_of(
     first: Records, second: Records, resolution: float, errors: Errors, flux: FloatArray | None, tuning: BlendTuning
 ) -> Candidates:
@@ -262,14 +317,13 @@ class Merging:
     @classmethod
     def of(cls, couples: IntArray, blended: FloatArray, n2: int, most: int) -> Merging:
         """Of couples (q, 2) of n₂ objects that merge with these probabilities (q,), at most so many ways a cluster."""
-        joined = coo_array((np.ones(len(couples), np.bool_), (couples[:, 0], couples[:, 1])), (n2, n2))
-        number, cluster = connected_components(joined, directed=False)
+        cluster = _components(couples[:, 0], couples[:, 1], n2)
         of_cluster: dict[int, list[tuple[float, Couple]]] = {}
         named = [(int(j), int(k)) for j, k in couples]
         for at in np.argsort(-blended, kind="stable"):
             of_cluster.setdefault(int(cluster[named[at][0]]), []).append((float(blended[at]), named[at]))
         ways = {each: _ways(nearest_first, most) for each, nearest_first in of_cluster.items()}
-        return cls(cluster.astype(np.int64), named, np.bincount(cluster, minlength=number), ways)
+        return cls(cluster, named, np.bincount(cluster), ways)
 
 
 def _ways(
@@ -398,9 +452,16 @@ def hypotheses(
 def _groups(found: Candidates, n1: int, cluster: IntArray) -> IntArray:
     """(o,) number of the group of each candidate: of records that compete, or whose objects may merge."""
     objects = n1 + cluster[found.j]
-    n = int(objects.max()) + 1
-    joined = coo_array((np.ones(len(objects), np.bool_), (found.i, objects)), (n, n))
-    return np.asarray(connected_components(joined, directed=False)[1][found.i])
+    return _components(found.i, objects, int(objects.max()) + 1)[found.i]
+
+
+def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
+    """(n,) which of n nodes hang together by these edges (q,), (q,)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    joined = coo_array((np.ones(len(one), np.bool_), (one, other)), (n, n))
+    return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
 
 def _enumerated(

@@ -14,6 +14,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
+from sameas.estimate.blends import suspected
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimated
@@ -237,6 +238,7 @@ def match(
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
     doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search, warp)
+    doubts += _blend_doubts(result, estimate)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
 
 
@@ -377,6 +379,23 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
     if result.approximate_pairs:
         count = result.approximate_pairs
         doubts.append(f"{count} candidates lie in entangled groups; their probabilities are approximate")
+    return tuple(doubts)
+
+
+def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
+    """A doubt of one-to-one where records of one catalogue seem to be two objects of the other."""
+    doubts = []
+    for coarse, fine in ((result.first, result.second), (result.second, result.first)):
+        seen = suspected(result, estimate.errors, estimate.coverage, 0 if coarse is result.first else 1)
+        if seen is not None:
+            number, within, sigmas = seen
+            one, other = coarse.source, fine.source
+            first = "" if coarse is result.first else f", {one} given first,"
+            doubts.append(
+                f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {number} of its pairs "
+                f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
+                f"`blends`{first} tells them, with the resolution of {one}"
+            )
     return tuple(doubts)
 
 
