@@ -88,7 +88,12 @@ def test_arrays_are_told_by_kind_and_shape():
 def test_results_show_themselves_in_notebooks(in_memory):
     pytest.importorskip("matplotlib")
     html = in_memory._repr_html_()
-    assert "data:image/png;base64," in html and "common objects" in html and "&lt;" not in html.split("<pre")[0]
+    assert (
+        "font-family:monospace" in html
+        and "data:image/png;base64," in html
+        and "common objects" in html
+        and "&lt;" not in html.split("<pre")[0]
+    )
     assert len(html) < 300_000
     assert in_memory.plot()._repr_png_().startswith(b"\x89PNG")
 

@@ -127,8 +127,10 @@ def in_html(headline: str, report: str, plot: Callable[[], Figure]) -> str:
     except InputError:  # matplotlib is missing, or there is nothing to draw
         pass
     else:
-        parts.append(f'<br><img alt="" src="data:image/png;base64,{base64.b64encode(drawn.getvalue()).decode()}">')
-    parts.append(f'<pre style="line-height:1.2">{html.escape(report)}</pre>')
+        data = base64.b64encode(drawn.getvalue()).decode()
+        parts.append(f'<br><img alt="{html.escape(headline)}" src="data:image/png;base64,{data}">')
+    # Notebooks set their own font for such a block, in which columns do not stand one under the other.
+    parts.append(f'<pre style="line-height:1.2;font-family:monospace">{html.escape(report)}</pre>')
     return "".join(parts)
 
 
