@@ -1,5 +1,6 @@
 """Errors of bare plots by how much sources differ: they are those of the scene, and what a user gave stays."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -139,7 +140,11 @@ def test_a_picture_of_bare_plots_says_what_it_estimated_and_assumes_it_no_more(t
         lines.append(f'[sources.{name}]\nkind = "{KIND[name]}"\nsite = {{ east_m = 0, north_m = 0 }}\n')
     (tmp_path / "sensors.toml").write_text("".join(lines))
     files = [str(tmp_path / f"{name}.csv") for name in ("lidar", "radar")]
-    said = match_picture(files, sensors=tmp_path / "sensors.toml", at=40.0).report()
-    text = " ".join(said.split())
+    made = match_picture(files, sensors=tmp_path / "sensors.toml", at=40.0)
+    text = " ".join(made.report().split())
     assert "estimated lidar: range ± " in text and "estimated radar: range ± " in text
     assert "errors.range_m 15" not in text and "misses.q 0.3" in text
+    made.write(tmp_path / "picture", format="csv", map=False, image=False)
+    told = json.loads((tmp_path / "picture" / "summary.json").read_text())
+    assert [line.split(":")[0] for line in told["estimated"]] == ["lidar", "radar"]
+    assert not {"errors.range_m", "clutter.per_km2"} & {line["name"] for line in told["assumed"]}

@@ -288,7 +288,8 @@ class MatchPicture:
             "doubts": [*self.source_doubts, *summary.notes],
             "offsets": [_offset(found) for found in self.biases],
             "misses": [asdict(misses) for misses in summary.misses],
-            "assumed": [asdict(line) for source in self.sources for line in source.description.assumed],
+            "estimated": list(self.scene.estimated),
+            "assumed": [asdict(line) for feed in self.scene.feeds for line in feed.description.assumed],
         }  # fmt: skip
 
     def sheet(self) -> MapSheet:
