@@ -278,6 +278,7 @@ CHOOSERS: dict[str, Any] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHOOSERS)
 def test_who_chooses_among_pairs_refuses_a_crowd_before_beginning(name):
     with pytest.raises(InputError, match=r"at row \d+, 1800 records of .* may each be any of 1800: .* some 6 minutes"):

@@ -107,6 +107,7 @@ def test_a_mover_that_no_frame_shows_is_found_and_measured(seed):
         below.movers.p_tracklet[0])  # fmt: skip
 
 
+@pytest.mark.slow
 def test_what_is_linked_is_not_found_again():
     tied, frames, _ = series(3, -1.5, listed=True)
     found, tied, below = searched(tied, frames)
@@ -144,6 +145,7 @@ def test_noise_is_one_everywhere_though_the_sky_is_uneven():
     assert [z[:, part].std() for part in (slice(0, 64), slice(192, 256))] == pytest.approx([1.0, 1.0], abs=0.1)
 
 
+@pytest.mark.slow
 def test_strips_bound_the_memory_and_change_nothing():
     from sameas.sky.movers.below_limit import BelowLimitTuning
 

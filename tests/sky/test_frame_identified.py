@@ -150,6 +150,7 @@ def test_a_star_that_is_much_brighter_than_catalogued_is_told(seen: Scene) -> No
     )
 
 
+@pytest.mark.slow
 def test_the_loop_rests_and_finds_the_cubic_that_bends_the_frame(found: FrameIdentification) -> None:
     assert found.settled and found.plate.order == 3
     truth = found.placement.pointing.to_sky(np.array([[499.5, 499.5]]))

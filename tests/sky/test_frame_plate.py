@@ -271,6 +271,7 @@ def test_the_order_is_no_higher_than_the_pairs_support() -> None:
     assert max(errors) < 2.0 and np.median(errors) < 0.5
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("size_px", [0.5, 10.0, 40.0])
 def test_every_plate_that_is_chosen_can_be_inverted(order: int, size_px: float) -> None:

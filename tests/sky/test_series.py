@@ -174,6 +174,7 @@ def test_a_covariance_of_elements_is_carried_to_the_sky(tmp_path):
     assert there.sigma_arcsec[1, 0] == pytest.approx(0.1 * 648000.0 ** (2.5 / 9.0) * 400.0 / 365.25, rel=0.01)
 
 
+@pytest.mark.slow
 def test_objects_of_many_epochs_are_followed_together(elements):
     """Each as if it were alone; also from a time at which all are known."""
     some = elements.some(np.zeros(4, np.int64))
@@ -233,6 +234,7 @@ PLUTO = ["134340 Pluto (1930 BM)", "-0.44", None, "54000", ".250248713478499", "
          "17.089000919562", "110.3769579554089", "112.5971416774872", "25.24718971218841"]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_pluto_does_not_attract_itself(tmp_path):
     pytest.importorskip("jplephem", reason="places of the planets need jplephem and skyfield-data")
     pytest.importorskip("skyfield_data", reason="places of the planets need jplephem and skyfield-data")
