@@ -40,12 +40,18 @@ def used():
     return resource.getrusage(resource.RUSAGE_SELF)
 def cpu():
     return sum(used()[:2])
+def most_memory():
+    try:  # the other number is that of the process that started this one, where that was larger
+        with open("/proc/self/status") as lines:
+            return next(int(line.split()[1]) / 1e6 for line in lines if line.startswith("VmHWM"))
+    except OSError:
+        return used().ru_maxrss / (1e9 if sys.platform == "darwin" else 1e6)
 a, b, out, rows = sys.argv[1:]
 found = dataclasses.replace(sameas.match(a, b, sigma="pos_err", sigma_unit="arcsec"), workers=1)
 start = cpu(); found.estimated; middle = cpu()
 written = found.write(out, workers=1, margin_arcsec=0.0, piece_rows=int(rows))
 print(middle - start, cpu() - middle, written.doubtful, written.halo_arcsec, written.read, written.pairs,
-      used().ru_maxrss / (1e9 if sys.platform == "darwin" else 1e6))
+      most_memory())
 """
 THEIRS = """
 import resource, sys, warnings; warnings.simplefilter("ignore")
