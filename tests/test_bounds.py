@@ -84,6 +84,22 @@ def test_a_text_where_a_compressed_image_has_a_count_is_refused_before_it_is_mul
         read_frame(edited(path, 1, **{"ZPCOUNT": 9999999, name: "'x'"}))
 
 
+@pytest.mark.parametrize("form", ["'9Z'", "3", "'x'"])
+def test_a_compressed_image_whose_column_has_no_format_is_refused(form, tmp_path):
+    path = tmp_path / "c.fits"
+    fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
+    with pytest.raises(InputError, match="c.fits: the file cannot be read as FITS"):
+        read_frame(edited(path, 1, TFORM1=form))
+
+
+@pytest.mark.parametrize("value", ["'x'", "T", "(1,2)", "1e999", "''", "58546", "'9999-99-99'"])
+def test_a_date_that_is_none_is_not_a_fault(value, tmp_path):
+    path = tmp_path / "f.fits"
+    fits.PrimaryHDU(SKY, fits.Header({"DATE-OBS": "2019-03-04T05:06:07", "MJD-OBS": 1.0, "EXPTIME": 9.0})).writeto(path)
+    frame = read_frame(edited(path, 0, **{"DATE-OBS": value, "MJD-OBS": value, "EXPTIME": value}))
+    assert frame.shape == SKY.shape
+
+
 def test_whole_files_pass(tmp_path):
     path = tmp_path / "many.fits"
     images = [fits.ImageHDU(SKY, name=f"I{k}") for k in range(3)]
