@@ -88,7 +88,7 @@ def test_a_text_where_a_compressed_image_has_a_count_is_refused_before_it_is_mul
 def test_a_compressed_image_whose_column_has_no_format_is_refused(form, tmp_path):
     path = tmp_path / "c.fits"
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
-    with pytest.raises(InputError, match="c.fits: the file cannot be read as FITS"):
+    with pytest.raises(InputError, match=r"c\.fits: the file cannot be read as FITS"):
         read_frame(edited(path, 1, TFORM1=form))
 
 

@@ -269,6 +269,32 @@ def test_a_compiled_loop_does_not_keep_a_process_that_is_to_stop(number, code, t
     assert not list(tmp_path.iterdir())
 
 
+_TWICE = """
+import os, signal, sys, time
+from pathlib import Path
+from sameas.cli import outcome
+from sameas.io.atomic import replacing
+outcome.end_cleanly_when_asked(worker=True)
+unlink = Path.unlink
+def asked_again(path):
+    os.kill(os.getpid(), signal.SIGTERM)
+    unlink(path)
+Path.unlink = asked_again
+try:
+    with replacing(sys.argv[1]):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(60)
+except KeyboardInterrupt:
+    sys.exit(3)
+"""
+
+
+def test_a_worker_that_is_asked_twice_to_end_still_removes_its_draft(tmp_path):
+    """Who is interrupted asks its workers to end, and again when it ends itself."""
+    done = subprocess.run([sys.executable, "-c", _TWICE, str(tmp_path / "out.txt")], timeout=60, check=False)
+    assert done.returncode in (3, 143) and not list(tmp_path.iterdir())
+
+
 def _answer(path):
     from sameas.io import read_table
 

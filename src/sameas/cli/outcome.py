@@ -34,9 +34,9 @@ def end_cleanly_when_asked(worker: bool = False) -> None:
     """From now on SIGTERM raises ``Terminated`` in the main thread, the first time; a second one ends at once.
 
     Compiled loops do not look whether they are to stop: where the main thread has not ended the process within
-    ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it. worker : says nothing and is faster.
+    ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it. worker : says nothing and is faster; a second SIGTERM is nothing to it.
     """
-    signal.signal(signal.SIGTERM, _terminate)
+    signal.signal(signal.SIGTERM, _terminate_worker if worker else _terminate)
     read_end, write_end = os.pipe()
     os.set_blocking(write_end, False)
     signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
@@ -82,6 +82,12 @@ def stopped() -> str:
 
 def _terminate(number: int, frame: Any) -> None:
     signal.signal(number, signal.SIG_DFL)
+    raise Terminated
+
+
+def _terminate_worker(number: int, frame: Any) -> None:
+    # It is asked twice where who started it is interrupted, and then ends; it ends within its patience anyway.
+    signal.signal(number, signal.SIG_IGN)
     raise Terminated
 
 
