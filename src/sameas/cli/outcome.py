@@ -34,8 +34,8 @@ def end_cleanly_when_asked(worker: bool = False) -> None:
     """From now on SIGTERM raises ``Terminated`` in the main thread, the first time; a second one ends at once.
 
     Compiled loops do not look whether they are to stop: where the main thread has not ended the process within
-    ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it. worker : says nothing and is faster, and
-    a second SIGTERM is nothing to it.
+    ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it. worker : says nothing and is
+    faster, and a second SIGTERM is nothing to it.
     """
     signal.signal(signal.SIGTERM, _terminate_worker if worker else _terminate)
     read_end, write_end = os.pipe()
