@@ -152,6 +152,9 @@ def test_residuals_that_point_to_a_neighbour_suggest_blends(seed):
     answer, estimate = estimated(made.first, made.second)
     number, within, sigmas = suspected(answer, estimate.errors, estimate.coverage, 0)
     assert number > 20 and 3.0 < within < 12.0 and sigmas > 10.0
+    # Of many pairs some are asked.
+    fewer, _, _ = suspected(answer, estimate.errors, estimate.coverage, 0, Tuning(asked=len(answer.pairs) // 5))
+    assert fewer < number
     assert suspected(answer, estimate.errors, estimate.coverage, 1) is None
 
 

@@ -205,7 +205,8 @@ def suspected(
     where they point nowhere.
     """
     fine = (answer.second, answer.first)[coarse]
-    chosen = answer.chosen[:: max(1, len(answer.chosen) // tuning.asked)]
+    chosen = np.flatnonzero(answer.chosen)
+    chosen = chosen[:: max(1, len(chosen) // tuning.asked)]
     if len(chosen) < tuning.fewest:
         return None
     rows = ((answer.pairs.j, answer.pairs.i)[coarse])[answer.chosen]
