@@ -156,3 +156,16 @@ def test_shares_of_an_even_field_do_not_follow_the_records_that_chance_puts_into
         logit = np.log(at / (1.0 - at))
         assert np.mean(logit) == pytest.approx(np.log(share / (1.0 - share)), abs=0.1)
         assert np.std(logit) < 0.2
+
+
+@pytest.mark.parametrize("overlap", [0.5, 0.1, 0.03])
+def test_fields_that_overlap_by_a_strip_have_their_density_in_it(overlap):
+    """Of a cell that lies in the strip by a part, that part counts: densities were up to a hundred times too low."""
+    rng = np.random.default_rng(int(1000 * overlap))
+    low = 10.0 * (1.0 - overlap)
+    first = Records.of(rng.uniform(0.0, 10.0, (5000, 2)), sigma=0.01)
+    second = Records.of(rng.uniform(0.0, 10.0, (5000, 2)) + [low, 0.0], sigma=0.01)
+    cover = Coverage.of(first, second)
+    for densities in cover.covered_densities:
+        for density, covered in zip(densities, cover.covered, strict=True):
+            assert np.median(density[covered]) == pytest.approx(50.0, rel=0.4)

@@ -292,13 +292,32 @@ class Coverage:
         """Local densities of the covered records of source 1 and of source 2, each at the records of both."""
         seen = [covered.astype(np.float64) for covered in self.covered]
         one, two = (float(weights.sum()) for weights in seen)
+        volumes = self._common_volumes()
         if max(one, two) <= RICHER * min(one, two):
-            at_1, at_2 = threads.each([partial(self.density, k + 1, seen[k]) for k in (0, 1)], len(seen[0]))
+            at_1, at_2 = threads.each([partial(self.density, k + 1, seen[k], volumes) for k in (0, 1)], len(seen[0]))
             return at_1, at_2
         richer = 1 if one > two else 2
-        known = self.density(richer, seen[richer - 1])
+        known = self.density(richer, seen[richer - 1], volumes)
         other = self.density(3 - richer, seen[2 - richer], self._seen_volumes(richer, seen[richer - 1], known))
         return (known, other) if richer == 1 else (other, known)
+
+    def _common_volumes(self) -> list[FloatArray]:
+        """Level by level (c,) the volume of the cells where both sources look, as their records tell.
+
+        Two fields that overlap by a strip share a part of a large cell only. Of a cell that they fill together, where
+        shares s₁ and s₂ of their records lie in what is common, that is 1 / (1/s₁ + 1/s₂ − 1).
+        """
+        if all(covered.all() for covered in self.covered):
+            return [level.volume for level in self.levels]
+        volumes = []
+        for level in self.levels:
+            n, inverse = len(level.volume), []
+            for of, covered in zip((level.of_first, level.of_second), self.covered, strict=True):
+                every, seen = np.bincount(of, minlength=n), np.bincount(of, covered, n)
+                inverse.append(np.where(every > 0, np.maximum(every, 0.5) / np.maximum(seen, 0.5), np.nan))
+            one, two = (np.where(np.isnan(a), b, a) for a, b in (inverse, inverse[::-1]))
+            volumes.append(level.volume / np.nan_to_num(np.maximum(one + two - 1.0, 1.0), nan=1.0))
+        return volumes
 
     def _seen_volumes(self, richer: int, seen: FloatArray, density: tuple[FloatArray, FloatArray]) -> list[FloatArray]:
         """Level by level (c,) the volume of the cells where both sources look, as the records of the ``richer`` tell.
