@@ -164,7 +164,7 @@ def test_fields_that_overlap_by_a_strip_have_their_density_in_it(overlap):
     rng = np.random.default_rng(int(1000 * overlap))
     low = 10.0 * (1.0 - overlap)
     first = Records.of(rng.uniform(0.0, 10.0, (5000, 2)), sigma=0.01)
-    second = Records.of(rng.uniform(0.0, 10.0, (5000, 2)) + [low, 0.0], sigma=0.01)
+    second = Records.of(rng.uniform(0.0, 10.0, (5000, 2)) + np.array([low, 0.0]), sigma=0.01)
     cover = Coverage.of(first, second)
     for densities in cover.covered_densities:
         for density, covered in zip(densities, cover.covered, strict=True):
