@@ -115,7 +115,7 @@ def _by_row(records: Records, values: FloatArray) -> FloatArray:
 
 def _from_centre(records: Records) -> FloatArray | None:
     """(n,) distance from the middle of a field on the sky, degrees; None where it is too wide to be one field."""
-    if isinstance(records.space, Plane):
+    if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * WIDEST_DEG:
         return None
     lon, lat = np.radians(records.features).T
     place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
