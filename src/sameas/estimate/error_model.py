@@ -46,6 +46,8 @@ INTERVAL = 1.96
 TELLING = 0.25
 #: Least eigenvalue of the information beside its greatest: less is none.
 NONE = 1e-10
+#: Less information of a term is taken for this, of which the inverse is still a number.
+NOTHING = 1e-200
 #: Two factors are exchanged for each other, not one of them for the floor, from this ratio of their changes on.
 EXCHANGED = 0.5
 #: ln of the likelihood by which a floor must be better or worse than a common factor (three standard errors).
@@ -407,7 +409,7 @@ def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatA
 
 def _bounded_inverse(information: FloatArray) -> FloatArray:
     """Its inverse; where there is no information, a variance that is larger than any."""
-    size = np.sqrt(np.maximum(np.diag(information), np.finfo(float).tiny))
+    size = np.sqrt(np.maximum(np.diag(information), NOTHING))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     scaled = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
     return np.asarray(scaled / np.outer(size, size))
