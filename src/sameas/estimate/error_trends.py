@@ -28,18 +28,34 @@ from sameas.records import Records, unpack
 from sameas.representation import in_short
 from sameas.space import Plane
 
-#: Pairs less probable than this tell nothing; less than the second, not by other errors either.
-TELLING, RISING = 0.05, 1e-4
-#: Fits of a trend, at most, and ln of the likelihood that the last is worth.
-REFINING, REFINED = 12, 0.5
-#: Knots: at most, and pairs to each at least.
-KNOTS, PER_KNOT = 7, 60.0
-#: ln of the likelihood that a score test must promise, beside that of chance, before a trend is looked for.
-PROMISING = 6.0
-#: Quoted errors count for this part of themselves at least.
-LEAST_FACTOR = 1e-3
-#: Beyond this distance between its records, in degrees, a field has no centre.
-WIDEST_DEG = 20.0
+
+@dataclass(frozen=True)
+class TrendTuning:
+    """When errors are believed to grow; all chosen.
+
+    Attributes
+    ----------
+    telling, rising : pairs less probable than this tell nothing; less than the second, not by other errors either.
+    knots, per_knot : knots of a trend at most, and pairs to each at least.
+    promising : ln of the likelihood that a score test must promise, and a trend better, beside what chance gives.
+    refining, refined : fits of a trend with the probabilities by it, at most, and ln of the likelihood that the last is
+        worth.
+    least_factor : quoted errors count for this part of themselves at least.
+    widest_deg : a field that reaches farther from its middle, in degrees, has no centre.
+    """
+
+    telling: float = 0.05
+    rising: float = 1e-4
+    knots: int = 7
+    per_knot: float = 60.0
+    promising: float = 6.0
+    refining: int = 12
+    refined: float = 0.5
+    least_factor: float = 1e-3
+    widest_deg: float = 20.0
+
+
+DEFAULT_TRENDS = TrendTuning()
 
 
 @dataclass(frozen=True)
@@ -92,7 +108,9 @@ class Covariate:
         return self.values[records.rows[at]]
 
 
-def covariates(coverage: Coverage, photometry: Photometry | None) -> list[Covariate]:
+def covariates(
+    coverage: Coverage, photometry: Photometry | None, tuning: TrendTuning = DEFAULT_TRENDS
+) -> list[Covariate]:
     """What the errors of these records may grow with."""
     found, sides = [], (coverage.first, coverage.second)
     if photometry is not None:
@@ -101,7 +119,7 @@ def covariates(coverage: Coverage, photometry: Photometry | None) -> list[Covari
             band = int(np.argmax(measured.sum(axis=0)))
             values = _by_row(records, side.measured.values[:, band])
             found.append(Covariate(source, "magnitude", "", values))
-    distance = _from_centre(coverage.first)
+    distance = _from_centre(coverage.first, tuning.widest_deg)
     if distance is not None:
         found.append(Covariate(0, "distance from the centre", "°", _by_row(coverage.first, distance)))
     return found
@@ -113,9 +131,9 @@ def _by_row(records: Records, values: FloatArray) -> FloatArray:
     return by_row
 
 
-def _from_centre(records: Records) -> FloatArray | None:
+def _from_centre(records: Records, widest_deg: float) -> FloatArray | None:
     """(n,) distance from the middle of a field on the sky, degrees; None where it is too wide to be one field."""
-    if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * WIDEST_DEG:
+    if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * widest_deg:
         return None
     lon, lat = np.radians(records.features).T
     place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
@@ -123,7 +141,7 @@ def _from_centre(records: Records) -> FloatArray | None:
     length = float(np.linalg.norm(middle))
     distance = np.linalg.norm(place - middle / max(length, 1e-9), axis=1)
     distance = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * distance, 1.0)))
-    return distance if float(distance.max()) < WIDEST_DEG else None
+    return distance if float(distance.max()) < widest_deg else None
 
 
 def with_trends(
@@ -133,6 +151,7 @@ def with_trends(
     known: Sequence[Covariate],
     most: int,
     believed: Sequence[Trend] = (),
+    tuning: TrendTuning = DEFAULT_TRENDS,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """Errors that grow with what these pairs show them to grow with, and by how much ln of their likelihood betters.
 
@@ -141,49 +160,52 @@ def with_trends(
 
     Source: METHOD 11.1.
     """
-    telling = np.flatnonzero(p_pair > TELLING)
+    telling = np.flatnonzero(p_pair > tuning.telling)
     telling = telling[:: max(1, -(-len(telling) // most))]
     some, weight = pairs.part(telling), p_pair[telling]
     if float(weight.sum()) < FEWEST:
         return errors, (), 0.0
-    number = int(min(KNOTS, float(weight.sum()) / PER_KNOT))
+    number = int(min(tuning.knots, float(weight.sum()) / tuning.per_knot))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
     had = {(trend.source, trend.quantity) for trend in believed}
     asked = [hats for one in known if (hats := _Hats.of(one, some, weight, number)) is not None]
-    asked = [hats for hats in asked if hats.key in had or hats.promise(score, weight) > PROMISING]
+    asked = [hats for hats in asked if hats.key in had or hats.promise(score, weight) > tuning.promising]
     now = log_likelihood(errors, some, weight)
     best: tuple[float, Errors, tuple[Trend, ...]] = (now if not believed else -math.inf, errors, ())
     taken: list[_Hats] = []
     while len(taken) < len(asked):
-        fits = [(hats, *_fitted(some, weight, [*taken, hats])) for hats in asked if hats not in taken]
+        fits = [(hats, *_fitted(some, weight, [*taken, hats], tuning)) for hats in asked if hats not in taken]
         hats, there, model, trends = max(fits, key=lambda fit: fit[1])
-        if there - best[0] < PROMISING + 0.5 * number * math.log(float(weight.sum())):
+        if there - best[0] < tuning.promising + 0.5 * number * math.log(float(weight.sum())):
             break
         best = there, model, trends
         taken.append(hats)
     if not taken:
         return errors, (), 0.0
-    competing = _Competing.of(errors, pairs, p_pair, most)
+    competing = _Competing.of(errors, pairs, p_pair, most, tuning)
     before = competing.under(with_spread(errors, some, weight))[1]
-    model, trends, there = _refined(competing, best, taken)
+    model, trends, there = _refined(competing, best, taken, tuning)
     return model, trends, there - before
 
 
 def _refined(
-    competing: _Competing, begin: tuple[float, Errors, tuple[Trend, ...]], taken: Sequence[_Hats]
+    competing: _Competing,
+    begin: tuple[float, Errors, tuple[Trend, ...]],
+    taken: Sequence[_Hats],
+    tuning: TrendTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
     """The same fitted again and again, with the probabilities that candidates have by it, and ln of the likelihood."""
     (_, errors, trends), all_hats = begin, [each.at(competing.pairs) for each in taken]
     weight, gain = competing.p, -math.inf
-    for _ in range(REFINING):
-        telling = weight > TELLING
+    for _ in range(tuning.refining):
+        telling = weight > tuning.telling
         some = competing.pairs.part(np.flatnonzero(telling))
         weight, better = competing.under(with_spread(errors, some, weight[telling]))
-        if better - gain < REFINED:
+        if better - gain < tuning.refined:
             break
-        gain, telling = better, weight > TELLING
+        gain, telling = better, weight > tuning.telling
         some, hats = competing.pairs.part(np.flatnonzero(telling)), [each.part(telling) for each in all_hats]
-        _, errors, trends = _fitted(some, weight[telling], hats)
+        _, errors, trends = _fitted(some, weight[telling], hats, tuning)
     return errors, trends, gain
 
 
@@ -200,12 +222,12 @@ class _Competing:
     log_density: FloatArray
 
     @classmethod
-    def of(cls, errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> _Competing:
+    def of(cls, errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int, tuning: TrendTuning) -> _Competing:
         """Of so many records, at most, that probably have a partner."""
         some = np.zeros(len(pairs.first), np.bool_)
-        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > TELLING)
+        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > tuning.telling)
         some[has[:: max(1, -(-len(has) // most))]] = True
-        kept = np.flatnonzero(some[pairs.i] & (p_pair > RISING))
+        kept = np.flatnonzero(some[pairs.i] & (p_pair > tuning.rising))
         part = pairs.part(kept)
         return cls(part, p_pair[kept], errors.log_density(part))
 
@@ -279,7 +301,9 @@ def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
     return np.asarray(square * (member / scales**2).sum(axis=1) - d)
 
 
-def _fitted(pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats]) -> tuple[float, Errors, tuple[Trend, ...]]:
+def _fitted(
+    pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats], tuning: TrendTuning
+) -> tuple[float, Errors, tuple[Trend, ...]]:
     """ln of the likelihood of pairs with errors that grow with all of these, the errors, and how they grow."""
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
     unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
@@ -296,6 +320,6 @@ def _fitted(pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats]) -> tuple[fl
     for trend, each in zip(trends, hats, strict=True):
         more, before = trend.variance(each.covariate.values), added[trend.source]
         added[trend.source] = more if before is None else before + more
-    factors = np.maximum(np.sqrt(theta[:2]), LEAST_FACTOR).tolist()
+    factors = np.maximum(np.sqrt(theta[:2]), tuning.least_factor).tolist()
     errors = Errors(factor_1=factors[0], factor_2=factors[1], added=(added[0], added[1]))
     return log_likelihood(errors, pairs, weight), errors, trends

@@ -33,7 +33,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates
 from sameas.estimate.error_grid import DEFAULT_GRID, ErrorScan, GridTuning, LeftOpen, scanned
 from sameas.estimate.error_model import ErrorModel, Tail, bettered, error_model, over_quoted, spread, tail
-from sameas.estimate.error_trends import Trend, covariates, with_trends
+from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
 from sameas.estimate.sample import Sampling, Setting
@@ -76,7 +76,8 @@ class MatchTuning:
     growing : whether it is asked what errors grow with. growing_fits : so often, at most, and
         growing_settled : while another fit of it betters ln of the likelihood by so much.
     unrelated : from this share of pairs on whose magnitudes follow no relation, that is said.
-    em : of the EM iterations. grid : of the errors that are thought of before any are believed.
+    em : of the EM iterations. trends : of errors that grow. grid : of the errors that are thought of before any are
+        believed.
     """
 
     opening: float = 6e-5
@@ -95,6 +96,7 @@ class MatchTuning:
     growing_settled: float = 2.0
     unrelated: float = 0.5
     em: EMTuning = DEFAULT_EM
+    trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
 
 
@@ -333,13 +335,14 @@ def _converged(
 
 def _with_trends(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
     """Where the rounds end with errors that grow with magnitude or place, if the pairs show that they do."""
-    known = covariates(search.coverage, search.photometry)
+    known = covariates(search.coverage, search.photometry, search.tuning.trends)
     for _ in range(search.tuning.growing_fits):
         if found.rounds >= rounds or not found.known.learns_errors or found.known.common < search.tuning.em.fewest:
             break
         model, trends, gain = with_trends(
-            found.known.errors, found.known.setting.pairs, found.p_counted, known, search.tuning.modelled, search.trends
-        )
+            found.known.errors, found.known.setting.pairs, found.p_counted, known, search.tuning.modelled,
+            search.trends, search.tuning.trends,
+        )  # fmt: skip
         if gain < (search.tuning.growing_settled if search.trends else search.tuning.bettering):
             break
         search = replace(search, start=model, trends=trends)
