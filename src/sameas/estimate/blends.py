@@ -47,8 +47,9 @@ class BlendTuning:
     most_ways : in which objects near each other may have merged; with more, the widest couples never merge.
     least_log_odds : candidates of smaller ln of the odds against no partner are left out.
     most_hypotheses : of a group; with more, its least probable candidates are left out until it has fewer.
-    asked, beyond_sigmas : pairs that are asked whether the coarse source may show two objects as one, at most, and how
-        many standard deviations of theirs their neighbours must be away.
+    asked, beyond_sigmas, within_sigmas : pairs that are asked whether the coarse source may show two objects as one, at
+        most, how many standard deviations of theirs their neighbours must be away, and within how many of the typical
+        pair's they are looked for, where few lie there by chance.
     fewest, suspected : of such neighbours, and the standard errors by which residuals must point to them.
     rounds, settled : of the estimation, and the change of c that ends it.
     least_share : of c, and of 1 − c.
@@ -64,6 +65,7 @@ class BlendTuning:
     most_hypotheses: float = 1e4
     asked: int = 5_000
     beyond_sigmas: float = 4.0
+    within_sigmas: float = 60.0
     fewest: int = 20
     suspected: float = 6.0
     rounds: int = 10
@@ -72,8 +74,6 @@ class BlendTuning:
 
 
 DEFAULT_BLENDS = BlendTuning()
-#: Neighbours are looked for within so many standard deviations of the typical pair, where few lie there by chance.
-REACH_SIGMAS = 60.0
 
 
 @in_short
@@ -221,7 +221,7 @@ def suspected(
     toward = some.residual if coarse == 0 else -some.residual
     sigma = np.sqrt(np.einsum("mdd->m", some.covariance) / some.d)
     spacing = math.sqrt(coverage.common_volume / (math.pi * len(without)))
-    reach = min(REACH_SIGMAS * float(np.median(sigma)), spacing)
+    reach = min(tuning.within_sigmas * float(np.median(sigma)), spacing)
     here, there = (fine.part(at.astype(np.int64)).with_errors(0.0, 0.5) for at in (own, without))
     near = Radius(reach)(here, there)
     # The residual of two fine records is the first minus the second: to the neighbour it is the other way.
@@ -358,26 +358,26 @@ class Shown:
 
     def log_ratio(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
         """ln of the probability of showing these couples and single objects of a cluster over that of showing none."""
-        key = cluster, couples, single
-        if key not in self._known:
-            with np.errstate(divide="ignore"):
-                none = self._probability(cluster, frozenset(), frozenset())
-                self._known[key] = float(np.log(self._probability(cluster, couples, single) / none))
-        return self._known[key]
+        none = self._probability(cluster, frozenset(), frozenset())
+        shown = self._probability(cluster, couples, single) / none
+        return math.log(shown) if shown > 0.0 else -math.inf
 
     def _probability(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
-        size, shown = int(self.merging.sizes[cluster]), len(couples) + len(single)
-        ways = self.merging.ways.get(cluster, [(1.0, frozenset(), frozenset())])
-        return sum(
-            p * self._shown**shown * self._missed ** (size - len(merged) - shown)
-            for p, merged, objects in ways
-            if couples <= merged and not (single & objects)
-        )
+        key = cluster, couples, single
+        if key not in self._known:
+            size, shown = int(self.merging.sizes[cluster]), len(couples) + len(single)
+            ways = self.merging.ways.get(cluster, [(1.0, frozenset(), frozenset())])
+            self._known[key] = sum(
+                p * self._shown**shown * self._missed ** (size - len(merged) - shown)
+                for p, merged, objects in ways
+                if couples <= merged and not (single & objects)
+            )
+        return self._known[key]
 
-    def of_all(self, single: list[tuple[list[int], list[Couple]]]) -> list[float]:
+    def of_all(self, sets: list[tuple[list[int], list[Couple]]]) -> list[float]:
         """ln of the same of several sets of single objects and couples, of whatever clusters."""
         out = []
-        for objects, couples in single:
+        for objects, couples in sets:
             parts: dict[int, tuple[set[Couple], set[int]]] = {}
             for one in objects:
                 parts.setdefault(int(self.merging.cluster[one]), (set(), set()))[1].add(one)

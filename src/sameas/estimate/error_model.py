@@ -213,12 +213,12 @@ def spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
     return Errors(scales, shares)
 
 
-def fit_variances(residual: FloatArray, weight: FloatArray, parts: Sequence[FloatArray]) -> FloatArray:
-    """(k,) the θ ≥ 0 of greatest likelihood of residuals (m, d) whose covariances are Σ θ_k parts_k, (m, d, d) each.
+def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray) -> FloatArray:
+    """(k,) the θ ≥ 0 of greatest likelihood of residuals (m, d) whose covariances are Σ θ_k parts_k, (k, m, d, d).
 
     Where the parts do not tell them apart, they are any of the likeliest: their sum is known.
     """
-    return _fit(residual, weight, np.stack(parts), np.zeros_like(parts[0])).theta
+    return _fit(residual, weight, parts, np.zeros_like(parts[0])).theta
 
 
 @in_short

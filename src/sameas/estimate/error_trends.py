@@ -170,6 +170,8 @@ def with_trends(
     had = {(trend.source, trend.quantity) for trend in believed}
     asked = [hats for one in known if (hats := _Hats.of(one, some, weight, number)) is not None]
     asked = [hats for hats in asked if hats.key in had or hats.promise(score, weight) > tuning.promising]
+    if not asked:
+        return errors, (), 0.0
     now = log_likelihood(errors, some, weight)
     best: tuple[float, Errors, tuple[Trend, ...]] = (now if not believed else -math.inf, errors, ())
     taken: list[_Hats] = []
@@ -308,9 +310,9 @@ def _fitted(
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
     unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
     level = unit * np.eye(pairs.d)
-    parts = [one, two, *(hat[:, None, None] * level for each in hats for hat in each.hats)]
+    parts = np.stack([one, two, *(hat[:, None, None] * level for each in hats for hat in each.hats)])
     theta = fit_variances(pairs.residual, weight, parts)
-    all_of_it = np.einsum("k,kmvv->m", theta, np.stack(parts)) / pairs.d
+    all_of_it = np.einsum("k,kmvv->m", theta, parts) / pairs.d
     ends = np.cumsum([2, *(len(each.hats) for each in hats)])
     trends = tuple(
         each.trend(unit * theta[begin:end], all_of_it, weight)

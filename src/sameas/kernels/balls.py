@@ -298,25 +298,8 @@ def sum_two(weight: float, a: int, ball: Ball) -> float:
     No difference loses digits: the greatest weight of a row is not subtracted, but left out.
     """
     first_a, last_a, first_b, last_b = ball.first[a], ball.last[a] - 1, ball.first[a + 1], ball.last[a + 1] - 1
-    top_a, top_b = ball.weight[last_a], ball.weight[last_b]
-    at_a, at_b = np.int64(NONE), np.int64(NONE)
-    rest_a = rest_b = 0.0
-    for k in range(first_a, last_a):
-        if not ball.taken[ball.column[k]]:
-            w = ball.weight[k]
-            if w > top_a:
-                rest_a += top_a
-                top_a, at_a = w, ball.column[k]
-            else:
-                rest_a += w
-    for k in range(first_b, last_b):
-        if not ball.taken[ball.column[k]]:
-            w = ball.weight[k]
-            if w > top_b:
-                rest_b += top_b
-                top_b, at_b = w, ball.column[k]
-            else:
-                rest_b += w
+    at_a, top_a, rest_a = greatest(first_a, last_a, ball)
+    at_b, top_b, rest_b = greatest(first_b, last_b, ball)
     all_a, all_b = rest_a + top_a, rest_b + top_b
     total = ball.weight[last_a] * all_b
     for k in range(first_a, last_a):
@@ -330,6 +313,22 @@ def sum_two(weight: float, a: int, ball: Ball) -> float:
         if not ball.taken[c]:
             ball.lost[c] += weight * ball.weight[k] * (rest_a if c == at_a else all_a - ball.weight_a[c])
     return weight * total
+
+
+@inlined
+def greatest(first: int, last: int, ball: Ball) -> tuple[int, float, float]:
+    """Of what one row can do without conflict, all else at ``last``: the column of the greatest weight, NONE for all
+    else, that weight, and the sum of the others."""
+    at, top, rest = np.int64(NONE), ball.weight[last], 0.0
+    for k in range(first, last):
+        if not ball.taken[ball.column[k]]:
+            w = ball.weight[k]
+            if w > top:
+                rest += top
+                top, at = w, ball.column[k]
+            else:
+                rest += w
+    return at, top, rest
 
 
 @part

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import kernel, part
+from sameas.kernels.compiled import inlined, kernel, part
 from sameas.kernels.posterior import LOCAL, bounded_exp
 
 # Compiled upper bounds of the probability of pairs, from what their records can do without each other.
@@ -141,6 +141,21 @@ def freed(mate: IntArray, local: Int32Array, without: FloatArray, others: FloatA
             free[r] = min(1.0, max(without[r] + others[local[e]], math.exp(-HIGHEST)))
 
 
+@inlined
+def sum_but(at: int, whole: float, none: float, values: FloatArray, first: int, last: int) -> float:
+    """``whole``, which is ``none`` and the values from ``first`` to ``last``, but for the one at ``at``.
+
+    The greatest is not subtracted, but left out: a difference would lose digits.
+    """
+    others = whole - values[at]
+    if others < values[at]:
+        others = none
+        for one in range(first, last):
+            if one != at:
+                others += values[one]
+    return others
+
+
 @kernel
 def messages(
     first: int,
@@ -205,13 +220,7 @@ def messages(
                     product[e] = odds[e] * to_row[e]
                     whole += product[e]
                 for e in range(first_, last_):
-                    others = whole - product[e]
-                    if others < product[e]:
-                        # The greatest is not subtracted, but left out: a difference would lose digits.
-                        others = none[r]
-                        for k in range(first_, last_):
-                            if k != e:
-                                others += product[k]
+                    others = sum_but(e, whole, none[r], product, first_, last_)
                     new = odds[e] / others
                     at = at_column[e]
                     moved, scale = abs(new - claim[at]), 1.0 + new
@@ -228,12 +237,7 @@ def messages(
                 for k in range(first_, last_):
                     whole += claim[k]
                 for k in range(first_, last_):
-                    others = whole - claim[k]
-                    if others < claim[k]:
-                        others = free[c]
-                        for e in range(first_, last_):
-                            if k != e:
-                                others += claim[e]
+                    others = sum_but(k, whole, free[c], claim, first_, last_)
                     new = 1.0 / others
                     e = at_row[k]
                     if abs(new - to_row[e]) > still * new:

@@ -35,6 +35,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import NO_TEXTS
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
+from sameas.tracks.scans import usual_period_s
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
 
@@ -68,7 +69,7 @@ def scan_times_between(
 def _period_s(feed: Feed) -> float:
     if feed.rotation is not None:
         return feed.rotation.period_s
-    return float(np.median(np.diff(feed.scan_times_s))) if len(feed.scan_times_s) > 1 else math.inf
+    return usual_period_s(feed.scan_times_s)
 
 
 @dataclass(frozen=True)

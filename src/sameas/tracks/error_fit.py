@@ -34,6 +34,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, PlacedReports
+from sameas.tracks.scans import usual_period_s
 from sameas.tracks.source import Description
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -286,7 +287,7 @@ def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
         times, rows = scans[lead]
         if len(times) < 2 or not len(scans[other][0]):
             continue
-        period, period_other = _period_s(times), _period_s(scans[other][0])
+        period, period_other = usual_period_s(times), usual_period_s(scans[other][0])
         step = max(len(times) // tuning.fit_scans, 1)
         near = _nearest(scans[other][0], times)
         gap = np.abs(scans[other][0][near] - times)
@@ -342,10 +343,6 @@ def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
     times, number = np.unique(feed.scan_s[rows], return_inverse=True)
     order = np.argsort(number, kind="stable")
     return times, np.split(rows[order], np.cumsum(np.bincount(number))[:-1]) if len(rows) else []
-
-
-def _period_s(times: FloatArray) -> float:
-    return float(np.median(np.diff(times))) if len(times) > 1 else math.inf
 
 
 def _nearest(times: FloatArray, at: FloatArray) -> IntArray:

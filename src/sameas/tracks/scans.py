@@ -22,6 +22,11 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
+def usual_period_s(times_s: FloatArray) -> float:
+    """The median time from one scan to the next, of their times (l,) in order; infinite of a single one."""
+    return float(np.median(np.diff(times_s))) if len(times_s) > 1 else math.inf
+
+
 @dataclass(frozen=True)
 class AntennaRotation:
     """Of an antenna whose plots bear their own stamps: its period, and how long it may show nothing in between."""
