@@ -129,7 +129,7 @@ import sys
 import numpy as np
 from sameas import Records
 
-Records.of(np.zeros((3, 2)), sigma=0.1)
+Records.of(np.zeros((3, 2)), covariance=np.array([np.eye(2)] * 3))
 print("numba" in sys.modules, "scipy.linalg" in sys.modules)
 if "numba" in sys.modules:  # and for others numba is what it was
     import numba

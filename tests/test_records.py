@@ -4,6 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 import naive
 from sameas import InputError, Plane, Records, Sphere
@@ -158,3 +161,18 @@ def of(features=SQUARE, **keywords):
 def test_what_cannot_be_a_record_is_refused_in_words(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+@given(
+    values=arrays(float, (3, 2), elements=st.sampled_from([0.0, 45.0, 90.0, -91.0, np.nan, np.inf, -np.inf])),
+    sigma=arrays(float, (3, 1), elements=st.sampled_from([0.1, 1.0, 0.0, -1.0, np.nan, np.inf])),
+)
+def test_a_glance_at_all_rows_passes_none_that_is_set_aside_alone(values, sigma):
+    together = Records.of(values, sigma=sigma, space=Sphere(), invalid="set aside")
+    alone = [
+        len(Records.of(values[k : k + 1], sigma=sigma[k : k + 1], space=Sphere(), invalid="set aside")) == 1
+        for k in range(3)
+    ]
+    assert together.rows.tolist() == np.flatnonzero(alone).tolist()
+    known = np.isfinite(values).all(axis=1) & (np.abs(values[:, 1]) <= 90.0) & np.isfinite(sigma[:, 0])
+    assert alone == (known & (sigma[:, 0] > 0.0)).tolist()

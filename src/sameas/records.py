@@ -246,6 +246,8 @@ def _unusable(
 
     if invalid not in ("refuse", "set aside"):
         raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')
+    if _all_usable(values, packed, isinstance(space, Sphere)):
+        return None
     reasons = np.empty(len(values), np.int8)
     if not check_rows(values, packed, isinstance(space, Sphere), reasons):
         return None
@@ -260,6 +262,22 @@ def _unusable(
                 "give longitude, latitude in degrees"
             )
     return reasons
+
+
+def _all_usable(values: FloatArray, packed: FloatArray, directions: bool) -> bool:
+    """Whether all rows can surely be used, without asking which: what is not a number is neither less nor more."""
+    d, p = values.shape[1], packed.shape[1]
+    if not len(values) or (p > d and d != 2):
+        return not len(values)
+    if directions and not (values[:, 1].min() >= -90.0 and values[:, 1].max() <= 90.0):
+        return False
+    if not (values.min() > -np.inf and values.max() < np.inf and packed.max() < np.inf):
+        return False
+    if p <= d:
+        return bool(packed.min() > 0.0)
+    xx, xy, yy = packed.T
+    # Twice what a row must have to be used: near the limit, the rows are looked at one by one.
+    return bool(xx.min() > 0.0 and yy.min() > 0.0 and (xx * yy * (1.0 - 2e-14) > xy * xy).all())
 
 
 def _not_positive(packed: FloatArray, wrong: IntArray, d: int, source: str) -> str:

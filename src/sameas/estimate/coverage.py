@@ -340,7 +340,7 @@ class Coverage:
         if n_seen != [len(self.first), len(self.second)]:
             # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
             rough = self._by_cells((IN_CELL * n_seen[0] / n_seen[1], IN_CELL * n_seen[1] / n_seen[0]))
-        elif max(excess for _, _, excess in rough) < UNEVEN:
+        if all(seen.all() for seen, _, _ in rough) and max(excess for _, _, excess in rough) < UNEVEN:
             return rough[0][0], rough[1][0]
         (seen_1, highest_2, _), (seen_2, highest_1, _) = rough
         seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)

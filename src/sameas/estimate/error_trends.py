@@ -136,11 +136,12 @@ def _from_centre(records: Records, widest_deg: float) -> FloatArray | None:
     if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * widest_deg:
         return None
     lon, lat = np.radians(records.features).T
-    place = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    middle = 0.5 * (place.min(axis=0) + place.max(axis=0))
-    length = float(np.linalg.norm(middle))
-    distance = np.linalg.norm(place - middle / max(length, 1e-9), axis=1)
-    distance = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * distance, 1.0)))
+    across = np.cos(lat)
+    place = across * np.cos(lon), across * np.sin(lon), np.sin(lat)
+    middle = np.array([0.5 * (x.min() + x.max()) for x in place])
+    length = max(float(np.linalg.norm(middle)), 1e-9)
+    chord_sq = sum((x - m) ** 2 for x, m in zip(place, middle / length, strict=True))
+    distance = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(chord_sq), 1.0)))
     return distance if float(distance.max()) < widest_deg else None
 
 

@@ -22,7 +22,9 @@ CORNERS, MOST = 0.5, 0.95
 #: Depth of a corner, as a part of the side.
 CORNER = 0.1
 #: Directions in which the outermost points are taken before the others are sorted.
-DIRECTIONS = 16
+DIRECTIONS = 64
+#: About so many of the points tell whether corners are empty, and which points lie too far inside to be a vertex.
+SOME = 50_000
 #: Places across a cell at which it is seen how much of it lies within.
 ACROSS = 32
 #: A cell that holds a record has at least such a part of its volume.
@@ -54,8 +56,9 @@ class Outline:
         if records < FEWEST or not (extent > 0.0).all():
             return None
         place = (points - low) / extent
-        in_corners = np.count_nonzero((np.abs(place - 0.5) > 0.5 - CORNER).all(axis=1))
-        if in_corners > CORNERS * (2.0 * CORNER) ** 2 * len(points):
+        some = place[:: max(1, len(place) // SOME)]
+        in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - CORNER).all(axis=1))
+        if in_corners > CORNERS * (2.0 * CORNER) ** 2 * len(some):
             return None
         hull = _hull(_outermost(place))
         if len(hull) < 3 or 2 * len(hull) > records:
@@ -102,13 +105,27 @@ class Outline:
 
 def _outermost(points: FloatArray) -> FloatArray:
     """The points that lie outside the polygon of those outermost in some directions, and these."""
-    angle = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
-    corners = points[[int(np.argmax(points @ way)) for way in np.column_stack([np.cos(angle), np.sin(angle)])]]
+    corners = _farthest(points[:: max(1, len(points) // SOME)])
+    # What lies within the circle inscribed in the polygon of some is no vertex: of many points nearly all.
+    centre = corners.mean(axis=0)
+    from_centre = corners - centre, np.roll(corners, -1, axis=0) - centre
+    side = np.linalg.norm(from_centre[1] - from_centre[0], axis=1)
+    area = from_centre[0][:, 0] * from_centre[1][:, 1] - from_centre[0][:, 1] * from_centre[1][:, 0]
+    inscribed = float((area[side > 0.0] / side[side > 0.0]).min())
+    x, y = points[:, 0] - centre[0], points[:, 1] - centre[1]
+    points = points[x * x + y * y >= max(0.0, inscribed) ** 2]
+    corners = _farthest(points)
     outside = np.zeros(len(points), np.bool_)
     for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         along = two - one
         outside |= along[0] * (points[:, 1] - one[1]) - along[1] * (points[:, 0] - one[0]) < 0.0
     return np.concatenate([points[outside], corners])
+
+
+def _farthest(points: FloatArray) -> FloatArray:
+    """(DIRECTIONS, 2) the point farthest out in each of some directions, counterclockwise."""
+    angle = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
+    return points[[int(np.argmax(points @ way)) for way in np.column_stack([np.cos(angle), np.sin(angle)])]]
 
 
 def _hull(points: FloatArray) -> FloatArray:

@@ -17,10 +17,8 @@ USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
 def check_rows(features: FloatArray, packed: FloatArray, directions: bool, reasons: NDArray[np.int8]) -> int:
     """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
 
-    Where it returns 0, reasons are not filled. directions : features are longitude and latitude in degrees.
+    directions : features are longitude and latitude in degrees.
     """
-    if all_usable(features, packed, directions):
-        return 0
     n, d = features.shape
     p = packed.shape[1]
     factor = np.empty((d, d))
@@ -46,32 +44,6 @@ def check_rows(features: FloatArray, packed: FloatArray, directions: bool, reaso
         reasons[k] = reason
         wrong += reason != USABLE
     return wrong
-
-
-@part
-def all_usable(features: FloatArray, packed: FloatArray, directions: bool) -> bool:
-    """Whether all rows can surely be used, without asking which: loops so plain that they work on many at once."""
-    d = features.shape[1]
-    p = packed.shape[1]
-    if p > d and d != 2:
-        return False
-    unsure = 0
-    if directions:
-        for k in range(len(features)):
-            unsure += not ((abs(features[k, 0]) < np.inf) & (abs(features[k, 1]) <= 90.0))
-    else:
-        for value in features.reshape(-1):
-            unsure += not abs(value) < np.inf
-    if p <= d:
-        for value in packed.reshape(-1):
-            unsure += not ((value > 0.0) & (value < np.inf))
-        return unsure == 0
-    for k in range(len(packed)):
-        xx, xy, yy = packed[k, 0], packed[k, 1], packed[k, 2]
-        # Twice what is asked below: near the limit, the rows are looked at one by one.
-        positive = (xx > 0.0) & (yy > 0.0) & (xx * yy - xy * xy > 2e-14 * xx * yy)
-        unsure += not (positive & (xx < np.inf) & (yy < np.inf))
-    return unsure == 0
 
 
 @small

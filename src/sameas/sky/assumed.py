@@ -46,8 +46,8 @@ class CommonErrorTuning:
     share_steps: int = 16
     neighbours: int = 6
     most_records: int = 4000
-    most_rows: int = 100_000
-    strips: int = 4
+    most_rows: int = 40_000
+    strips: int = 2
     most_products: int = 4_000_000
 
 
@@ -177,10 +177,10 @@ def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tup
     if share >= 1.0:
         return one, two
     fewer = min(one, two, key=len)
-    dec_deg = np.sort(fewer.astrometry.dec_deg[np.isfinite(fewer.astrometry.dec_deg)])
+    dec_deg = fewer.astrometry.dec_deg[np.isfinite(fewer.astrometry.dec_deg)]
     middle, half = (np.arange(tuning.strips) + 0.5) / tuning.strips, 0.25 * share / tuning.strips
     places = (np.array([middle - half, middle + half]) * (len(dec_deg) - 1)).round().astype(np.intp)
-    low, high = dec_deg[places]
+    low, high = np.partition(dec_deg, places.ravel())[places]
     margin = 0.5 * (high - low)
 
     def part(catalogue: Catalogue, low: FloatArray, high: FloatArray) -> Catalogue:
