@@ -124,6 +124,8 @@ def test_the_line_of_a_bad_row_is_right_in_a_long_file(tmp_path):
 
 def test_csv_that_is_not_utf8(tmp_path):
     assert "column name is not UTF-8" in refusal(tmp_path / "t.csv", "name,n\nÅngström,1\n".encode("latin-1"))
+    # Arrow's own traceback for a row that it cannot decode would be a warning here, and an error.
+    assert "(line 3); save it as UTF-8" in refusal(tmp_path / "t.csv", "name,n\na,1\nÅ,1,2\n".encode("latin-1"))
     assert "(line 1); save it as UTF-8" in refusal(tmp_path / "t.csv", "Ångström,n\n1,1\n".encode("latin-1"))
 
 

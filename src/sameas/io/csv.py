@@ -282,11 +282,11 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
         wrong.append(row)
         return "error"
 
-    def parse(threads: bool) -> pa.Table:
+    def parse(threads: bool, handler: Any = None) -> pa.Table:
         return arrow_csv.read_csv(
             pa.BufferReader(text),
             arrow_csv.ReadOptions(use_threads=threads, column_names=header.names, skip_rows=header.lines),
-            arrow_csv.ParseOptions(delimiter=header.delimiter, newlines_in_values=True, invalid_row_handler=note),
+            arrow_csv.ParseOptions(delimiter=header.delimiter, newlines_in_values=True, invalid_row_handler=handler),
             arrow_csv.ConvertOptions(null_values=_NULLS, strings_can_be_null=True, column_types=kinds),
         )
 
@@ -295,12 +295,13 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
     try:
         return parse(True)
     except pa.ArrowInvalid as error:
-        if not wrong:
-            raise
-        wrong.clear()
+        # Arrow decodes a row for its handler, and prints a traceback where it is not UTF-8.
+        _check_encoding(text, header, path)
         # Threads do not know which line they are in.
         with suppress(pa.ArrowInvalid):
-            parse(False)
+            parse(False, note)
+        if not wrong:
+            raise
         row = wrong[0]
         if unended(text) and bytes(memoryview(text)[-len(row.text.encode()) :]) == row.text.encode():
             raise InputError(f"{path}: the last line is incomplete, the file was cut off; copy it again") from error
@@ -309,6 +310,16 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
             f"{path}: {line} has {row.actual_columns} cells, not {row.expected_columns}; "
             "put text with a delimiter in it in quotes"
         ) from error
+
+
+def _check_encoding(text: pa.Buffer, header: TableHead, path: Path) -> None:
+    """Refuses rows that are not UTF-8, with the first line that is not."""
+    for number, line in enumerate(io.BytesIO(memoryview(text)), start=1):
+        try:
+            line.decode()
+        except UnicodeDecodeError as error:
+            if number > header.lines:
+                raise InputError(f"{path}: is not UTF-8 text (line {number}); save it as UTF-8") from error
 
 
 def _has_rows(text: pa.Buffer, header: TableHead) -> bool:
