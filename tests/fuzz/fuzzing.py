@@ -3,13 +3,17 @@
 ``scripts/fuzz --all --inputs 100000`` runs this for hours, tests/fuzz/test_fuzz.py for seconds. Inputs are read in one
 child process that lives long, each within seconds of the processor and within memory beyond what the child had before;
 a child that dies or hangs is a fault of the input it was at, and another goes on behind it. Input k of a format is the
-same in every run with the same seed. With ``--results FOLDER`` the findings on a format are kept in a file: a run that
-was stopped goes on where it stood, and ``--again`` reads once more the inputs that ended in a fault.
+same in every run with the same seed. With ``--results FOLDER`` the findings on a format are kept in a file, with the
+code that read them: a run that was stopped goes on where it stood, and one that is complete is printed. What other code
+has read (another module that reading this format loads, another library, other inputs) counts for nothing and is read
+anew, unless ``--older`` is given: then it is printed, with its day. ``--again`` reads the inputs that ended in a fault
+once more.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import math
 import os
@@ -22,10 +26,15 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).parent
+SOURCE = HERE.parents[1] / "src" / "sameas"
+#: Libraries that read, where they are installed.
+LIBRARIES = ("numpy", "numba", "astropy", "pyarrow", "PyYAML", "pyais", "pyModeS", "rs1090", "pymap3d")
 #: An input is read within so many seconds of the processor, and so many bytes beyond those that the child had before.
 SECONDS, BYTES = 5.0, 1 << 30
 #: Where Python is not asked in that time (a loop in C), so many seconds of the processor end the child.
@@ -35,7 +44,7 @@ SILENT_SECONDS = 600.0
 #: A child reads so many inputs; a new one then takes over, so that what libraries keep does not add up.
 INPUTS_OF_A_CHILD = 20_000
 #: Findings are kept after so many inputs.
-INPUTS_OF_A_PART = 500
+INPUTS_OF_A_PART = 2000
 
 NUMBERS = (
     b"0",
@@ -174,9 +183,15 @@ def outcome(read: Any, path: Path) -> str:
     """What came of reading a file: "answered", "refused", or what is wrong with it."""
     from sameas.errors import InputError
 
+    ignored: list[Any] = []
+    hook, sys.unraisablehook = sys.unraisablehook, ignored.append
     try:
         read(path)
+        if ignored:  # what a library caught, and printed with a traceback
+            raise ignored[0].exc_value
     except InputError as error:
+        if ignored:
+            return f"prints {type(ignored[0].exc_value).__name__}: {str(ignored[0].exc_value)[:150]}"
         said = str(error)
         if not said.isprintable() or len(said) > 2100:
             return f"says {said[:300]!r}"
@@ -192,6 +207,8 @@ def outcome(read: Any, path: Path) -> str:
         ours = [f for f in at if "sameas" in f.filename] or at
         where = f"{Path(ours[-1].filename).name}:{ours[-1].lineno}"
         return f"{type(error).__name__}: {str(error)[:150]} ({where})"
+    finally:
+        sys.unraisablehook = hook
     return "answered"
 
 
@@ -212,6 +229,10 @@ def _child() -> None:
     signal.signal(signal.SIGPROF, too_long)
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.path.isdir("/dev/shm") else None) as folder:
         for line in sys.stdin:
+            if line == "modules\n":
+                sys.stdout.write("\t".join(_modules()) + "\n")
+                sys.stdout.flush()
+                continue
             name, seed, first, last = line.rstrip("\n").split("\t")
             path = Path(folder) / f"input{TARGETS[name].ending}"
             if name not in warm:
@@ -246,6 +267,12 @@ def _child() -> None:
                 sys.stdout.flush()
 
 
+def _modules() -> list[str]:
+    """The modules of sameas that this process has loaded, as paths below its folder."""
+    files = [getattr(module, "__file__", None) for name, module in sys.modules.items() if name.startswith("sameas")]
+    return sorted({Path(file).relative_to(SOURCE).as_posix() for file in files if file})
+
+
 # The parent: gives a child its work, and takes over where it dies or hangs.
 
 
@@ -277,37 +304,91 @@ class Findings:
             self.faults.setdefault(what, []).extend(numbers)
 
 
+@dataclass(frozen=True)
+class Code:
+    """What inputs are read by. modules : of sameas, each as a digest. libraries : their versions. inputs : a digest of
+    the first fifty, which are other ones when the files or their changes are."""
+
+    modules: dict[str, str]
+    libraries: dict[str, str]
+    inputs: str
+
+    @classmethod
+    def of(cls, modules: Sequence[str], name: str, seed: int, corpus: Any) -> Code:
+        """The code that is there now."""
+        digest = hashlib.sha256()
+        for number in range(50):
+            digest.update(input_of(name, seed, number, corpus))
+        found = {"python": sys.version.split()[0]}
+        for library in LIBRARIES:
+            try:
+                found[library] = version(library)
+            except PackageNotFoundError:
+                continue
+        paths = {module: SOURCE / module for module in modules}
+        return cls(
+            {module: _digest(path.read_bytes()) if path.is_file() else "gone" for module, path in paths.items()},
+            found, digest.hexdigest()[:16],
+        )  # fmt: skip
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:16]
+
+
 @dataclass
 class Kept:
-    """The findings on the inputs of one format up to ``upto``, in a file."""
+    """The findings on the inputs of one format up to ``upto``, in a file. code : what these were read by; None of those
+    that were not told. day : when the last of them was read. older : what was read by other code, if more."""
 
     path: Path
+    name: str
     seed: int
     upto: int = 0
     findings: Findings = field(default_factory=Findings)
+    code: Code | None = None
+    day: str = ""
+    older: dict[str, Any] | None = None
 
     @classmethod
-    def of(cls, folder: Path, name: str, seed: int) -> Kept:
-        """Those of an earlier run with this seed, or none yet."""
+    def of(cls, folder: Path, name: str, seed: int, corpus: Any) -> Kept:
+        """Those of an earlier run with this seed and this code, or none yet."""
         path = folder / f"{name.replace(' ', '-')}-{seed}.json"
         if not path.exists():
-            return cls(path, seed)
+            return cls(path, name, seed)
         saved = json.loads(path.read_text(encoding="utf-8"))
-        return cls(path, seed, saved["upto"], Findings(**saved["findings"]))
+        older, code = saved.pop("older", None), saved.get("code")
+        if code is not None and asdict(Code.of(list(code["modules"]), name, seed, corpus)) == code:
+            return cls(
+                path, name, seed, saved["upto"], Findings(**saved["findings"]), Code(**code), saved["day"], older
+            )
+        saved.setdefault("day", datetime.fromtimestamp(path.stat().st_mtime, UTC).date().isoformat())
+        return cls(path, name, seed, older=max(saved, older or saved, key=lambda one: int(one["upto"])))
 
     def save(self) -> None:
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.day = datetime.now(UTC).date().isoformat()
+        code = None if self.code is None else asdict(self.code)
+        saved = {"upto": self.upto, "findings": asdict(self.findings), "code": code, "day": self.day}
+        if self.older is not None:
+            saved["older"] = self.older
         draft = self.path.with_suffix(".draft")
-        draft.write_text(json.dumps({"upto": self.upto, "findings": asdict(self.findings)}, indent=1) + "\n", "utf-8")
+        draft.write_text(json.dumps(saved, indent=1) + "\n", "utf-8")
         draft.replace(self.path)
 
-    def again(self, fuzzer: Fuzzer, name: str) -> None:
+    def again(self, fuzzer: Fuzzer) -> None:
         """Read once more what ended in a fault."""
         before, self.findings.faults = self.findings.faults, {}
         for number in sorted(number for numbers in before.values() for number in numbers):
             self.findings.tried -= 1
-            self.findings.include(fuzzer.run(name, number, number + 1))
+            self.findings.include(fuzzer.run(self.name, number, number + 1))
         self.save()
+
+    def printed(self, older: bool) -> tuple[Findings, str]:
+        """The findings to be printed, and what they were read by."""
+        if older and self.older is not None and int(self.older["upto"]) > self.upto:
+            return Findings(**self.older["findings"]), self.older["day"]
+        return self.findings, "this code"
 
 
 class Fuzzer:
@@ -343,12 +424,21 @@ class Fuzzer:
                 at += 1
         return found
 
+    def modules(self) -> list[str]:
+        """What the child has loaded of sameas."""
+        process = self._child()
+        assert process.stdin is not None
+        process.stdin.write(b"modules\n")
+        process.stdin.flush()
+        return next(self._lines(process)).split("\t")
+
     def _child(self) -> subprocess.Popen[bytes]:
         if self.process is not None and self.read >= INPUTS_OF_A_CHILD:
             self.close()
         if self.process is None:
             environment = {**os.environ, "ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "2",
-                           "SAMEAS_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "0"}  # fmt: skip
+                           "SAMEAS_THREADS": "1", "OMP_NUM_THREADS": "1", "PYTHONFAULTHANDLER": "0",
+                           "SOURCE_DATE_EPOCH": "1700000000"}  # fmt: skip
             self.process = subprocess.Popen(
                 [sys.executable, __file__, "--child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL, env=environment,
@@ -392,38 +482,46 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=float("inf"), help="time for each format, at most")
     parser.add_argument("--keep", type=Path, help="folder for the inputs that end in a fault")
-    parser.add_argument("--results", type=Path, help="folder for the findings; a stopped run goes on from there")
+    parser.add_argument("--results", type=Path, help="folder for the findings; a run that was stopped goes on from "
+                        "there, and what the same code has read already is not read again")  # fmt: skip
+    parser.add_argument("--older", action="store_true", help="with --results: print also what other code has read, "
+                        "where that is more, with its day; read nothing")  # fmt: skip
     parser.add_argument("--again", action="store_true", help="first read again what ended in a fault (with --results)")
     given = parser.parse_args()
     names = list(TARGETS) if given.all else given.format
     if not names:
         parser.error("give --all or --format NAME")
+    os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that the files that are changed are the same on every day
     heads = f"{'format':16}{'tried':>9}{'answered':>10}{'refused':>9}{'faults':>8}{'slowest s':>11}{'a minute':>10}"
-    print(heads, flush=True)
-    fuzzer, together = Fuzzer(given.seed), Findings()
+    print(heads + ("  read by" if given.results else ""), flush=True)
+    fuzzer, together, corpus = Fuzzer(given.seed), Findings(), Corpus()
     for name in names:
-        kept = Kept.of(given.results, name, given.seed) if given.results else None
+        kept = Kept.of(given.results, name, given.seed, corpus) if given.results else None
         found = kept.findings if kept else Findings()
+        if kept:
+            fuzzer.close()  # so that a child has loaded what this format needs, and no more
         if kept and given.again:
-            kept.again(fuzzer, name)
+            kept.again(fuzzer)
         began, at, last = time.monotonic(), max(given.first, kept.upto if kept else 0), given.first + given.inputs
         first = at
-        while at < last and time.monotonic() - began < given.seconds:
+        while at < last and time.monotonic() - began < given.seconds and not given.older:
             end = min(at + INPUTS_OF_A_PART, last)
             found.include(fuzzer.run(name, at, end))
             at = end
             if kept:
-                kept.upto = at
+                loaded = {*fuzzer.modules(), *(kept.code.modules if kept.code else ())}
+                kept.upto, kept.code = at, Code.of(sorted(loaded), name, given.seed, corpus)
                 kept.save()
-        together.include(found)
+        shown, by = kept.printed(given.older) if kept else (found, "")
+        together.include(shown)
         rate = 60.0 * (at - first) / (time.monotonic() - began)
-        print(_row(name, found) + f"{rate:10.0f}", flush=True)
-        for what, numbers in sorted(found.faults.items(), key=lambda fault: -len(fault[1])):
+        print(_row(name, shown) + f"{rate:10.0f}" + (f"  {by}" if by else ""), flush=True)
+        for what, numbers in sorted(shown.faults.items(), key=lambda fault: -len(fault[1])):
             print(f"    {len(numbers)} × {what}; inputs {', '.join(map(str, numbers[:5]))}", flush=True)
             if given.keep:
                 given.keep.mkdir(parents=True, exist_ok=True)
                 path = given.keep / f"{name.replace(' ', '-')}-{numbers[0]}{TARGETS[name].ending}"
-                path.write_bytes(input_of(name, given.seed, numbers[0], Corpus()))
+                path.write_bytes(input_of(name, given.seed, numbers[0], corpus))
     fuzzer.close()
     print(_row("together", together), flush=True)
     return int(bool(together.faults))

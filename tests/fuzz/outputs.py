@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import copy
 import io
+import pickle
 import shutil
 import sqlite3
 import tempfile
@@ -13,6 +15,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -93,6 +96,85 @@ def framed() -> bytes:
         return (folder / "f.ecsv").read_bytes()
 
 
+class Remembered:
+    """A function that gives what it gave when what its answer depends on is the same again; the last ones are kept.
+
+    A question reads a file several times, and one of two files that are compared is the same for all inputs: to read
+    each content once makes several times as many inputs in the same time. key : what the answer depends on; None where
+    that cannot be told. copied : a copy of an answer, where who asked may change it.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], key: Callable[..., object], copied: Callable[[Any], Any] | None = None
+    ) -> None:
+        self.function, self.key, self.copied = function, key, copied
+        self.kept = dict[object, tuple[Any, Exception | None]]()
+
+    def __call__(self, *given: Any, **named: Any) -> Any:
+        key = self.key(*given, **named)
+        if key is None:
+            return self.function(*given, **named)
+        answer, error = self.kept.pop(key, (None, None)) if key in self.kept else self._asked(*given, **named)
+        while len(self.kept) >= 12:
+            del self.kept[next(iter(self.kept))]
+        self.kept[key] = (answer, error)  # what was asked for last is kept longest
+        if error is not None:
+            raise error.with_traceback(None)
+        return answer if self.copied is None else self.copied(answer)
+
+    def _asked(self, *given: Any, **named: Any) -> tuple[Any, Exception | None]:
+        try:
+            return self.function(*given, **named), None
+        except Exception as error:
+            return None, error
+
+
+def _content(path: Any, **_: Any) -> object:
+    """A file by its name and what is in it and beside it."""
+    beside = Path(f"{path}.provenance.json")
+    if not Path(path).is_file():
+        return None
+    return str(path), Path(path).read_bytes(), beside.read_bytes() if beside.is_file() else b""
+
+
+def _pickled(*given: Any, **_: Any) -> object:
+    with contextlib.suppress(Exception):
+        return pickle.dumps(given)
+    return None
+
+
+def _header(lines: Any) -> object:
+    return "\n".join(lines)
+
+
+@cache
+def _remembering() -> tuple[tuple[str, Remembered], ...]:
+    """The functions that are remembered, by where they stand."""
+    from astropy.table import meta
+
+    import sameas.io
+    from sameas.sky import crossmatch
+
+    return (
+        ("sameas.io.read_table", Remembered(sameas.io.read_table, _content)),
+        ("sameas.io.read_provenance", Remembered(sameas.io.read_provenance, _content, copy.deepcopy)),
+        ("sameas.sky.crossmatch.match", Remembered(crossmatch.match, _pickled)),
+        (
+            "astropy.table.meta.get_header_from_yaml",
+            Remembered(meta.get_header_from_yaml, _header, copy.deepcopy),
+        ),
+    )
+
+
+@contextlib.contextmanager
+def _once() -> Iterator[None]:
+    """Within it the same content is read once, and the same catalogues are matched once."""
+    with contextlib.ExitStack() as stack:
+        for place, function in _remembering():
+            stack.enter_context(mock.patch(place, function))
+        yield
+
+
 def told(path: Path) -> object:
     """Why records are what they are, and what differs, as ``explain`` and ``compare`` say it."""
     import sameas
@@ -108,11 +190,12 @@ def told(path: Path) -> object:
         lambda: sameas.explain(path, row=1),
     )  # fmt: skip
     first = zlib.crc32(path.read_bytes()) % 4 if path.suffix != ".csv" else 0
-    for question in questions[first : first + 2]:
-        try:
-            answers.append(str(question()))
-        except InputError as error:
-            refused = error
+    with _once():
+        for question in questions[first : first + 2]:
+            try:
+                answers.append(str(question()))
+            except InputError as error:
+                refused = error
     if refused is not None and not answers:
         raise refused
     return answers
@@ -171,14 +254,16 @@ def told_of_picture(path: Path) -> object:
     name = "identities.csv" if b"p_alone" in content.partition(b"\n")[0] else "objects.csv"
     (folder / name).write_bytes(content)
     answers, refused = [], None
-    for question in (
+    questions = (
         lambda: sameas.explain(folder, "1"), lambda: sameas.explain(folder, "235000001", source="ais"),
         lambda: sameas.compare(folder, whole),
-    ):  # fmt: skip
-        try:
-            answers.append(str(question()))
-        except InputError as error:
-            refused = error
+    )  # fmt: skip
+    with _once():
+        for question in questions:
+            try:
+                answers.append(str(question()))
+            except InputError as error:
+                refused = error
     if refused is not None and not answers:
         raise refused
     return answers
@@ -222,6 +307,41 @@ def _replay() -> Any:
                    for name, key in keys.items()])  # fmt: skip
 
 
+#: The next instant of a watch that goes on.
+_NEXT_S = 1.7e9 + 40
+
+
+@cache
+def _next() -> Any:
+    """The picture after the next tick of a watch whose files nobody changed."""
+    from sameas.live.keeper import Keeper
+    from sameas.picture.live import LivePicture
+
+    told, advance = [], LivePicture.advance
+    with _folder() as folder:
+        for name, own in kept().items():
+            (folder / name).write_bytes(own)
+        keeper = Keeper(_harbour(), folder, replay=_replay())
+        with mock.patch.object(LivePicture, "advance", lambda *given: told.append(advance(*given)) or told[0]):
+            keeper.tick(_NEXT_S)
+        keeper.close()
+    return told[0]
+
+
+@contextlib.contextmanager
+def _advanced(path: Path) -> Iterator[None]:
+    """Within it a watch whose journal was changed is told its next picture, which it has from the state, not changed."""
+    from sameas.live.keeper import Keeper
+    from sameas.picture.live import LivePicture
+
+    with contextlib.ExitStack() as stack:
+        if path.suffix == ".sqlite":
+            picture = _next()
+            stack.enter_context(mock.patch.object(LivePicture, "advance", lambda *_: picture))
+            stack.enter_context(mock.patch.object(Keeper, "_take_in", lambda *_: None))
+        yield
+
+
 def gone_on(path: Path) -> object:
     """A watch that goes on where another was; what a tick cannot do is an alarm of it."""
     from sameas.live.keeper import Keeper
@@ -233,10 +353,11 @@ def gone_on(path: Path) -> object:
         (folder / name).write_bytes(own)
     (folder / ("journal.sqlite" if path.suffix == ".sqlite" else "state.pickle")).write_bytes(content)
     keeper = Keeper(_harbour(), folder, replay=_replay())
-    try:
-        frame = keeper.tick(1.7e9 + 40)
-    finally:
-        keeper.close()
+    with _advanced(path):
+        try:
+            frame = keeper.tick(_NEXT_S)
+        finally:
+            keeper.close()
     return frame
 
 
