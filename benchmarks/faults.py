@@ -57,6 +57,11 @@ class Work:
     #: Whether it starts processes, so that it is begun anew each time: forked, it would share those of the first.
     starts_others: bool = False
 
+    @property
+    def kind(self) -> str:
+        """Its row in the table: those that differ in the format of their output share one."""
+        return self.name.removesuffix(f" {self.output.suffix}")
+
     def command(self, earlier: bool = False) -> list[str]:
         return [*COMMAND, *(self.earlier if earlier else self.arguments), "-o", str(self.output), "--quiet"]
 
@@ -351,6 +356,12 @@ class Count:
 
     def row(self, name: str) -> list[object]:
         return [name, self.runs, self.old, self.new, self.mixed, round(self.slowest_s, 2), len(self.faults)]
+
+    def include(self, more: Count) -> None:
+        """Add other runs."""
+        self.runs, self.old, self.new = self.runs + more.runs, self.old + more.old, self.new + more.new
+        self.mixed, self.slowest_s = self.mixed + more.mixed, max(self.slowest_s, more.slowest_s)
+        self.faults += more.faults
 
 
 def catalogues(folder: Path, count: int = 3, n: int = 400) -> list[Path]:
@@ -725,27 +736,36 @@ def main() -> None:
     given = parser.parse_args()
     rng = random.Random(given.seed)
     os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that runs at different times write the same bytes
-    rows, faults = [], []
-    if given.only == "loads":
-        made = list(tables(given.load, rng))
-        report("loads", made)
-        sys.exit(any(table.notes for table in made))
-    with tempfile.TemporaryDirectory() as folder:
-        for work in (work for work in works(Path(folder)) if work.name.startswith(given.only)):
-            server = Begun(work) if work.starts_others else Server(work)
-            every = [(number.name, partial(hit, work, server, number, given.moments, rng)) for number in CODES]
-            every += [] if given.signals_only else [("disks, two runs", partial(places, work))]
-            for name, runs in every:
-                found = runs()
-                rows.append(found.row(f"{work.name}: {name}"))
-                faults += found.faults
-                print(*rows[-1], *found.faults, sep="\n    ", flush=True)
-            server.close()
-    columns = ("what", "runs", "old one", "new one", "files of both", "slowest answer, s", "faults")
-    made = [Table("Outputs of processes that were hit", columns, rows, faults)]
-    made += [] if given.only else tables(given.load, rng)
+    made = [] if given.only == "loads" else _of_outputs(given.only, given.moments, not given.signals_only, rng)
+    made += tables(given.load, rng) if given.only in ("", "loads") else ()
     report("faults", made)
     sys.exit(any(table.notes for table in made))
+
+
+def _of_outputs(only: str, moments: int, disks: bool, rng: random.Random) -> list[Table]:
+    """The commands whose names begin so, hit by signals, and in places where they cannot write, or only just."""
+    hits, placed, names = dict[str, Count](), dict[str, Count](), dict[str, list[str]]()
+    with tempfile.TemporaryDirectory() as folder:
+        for work in (work for work in works(Path(folder)) if work.name.startswith(only)):
+            names.setdefault(work.kind, []).append(work.output.suffix)
+            server = Begun(work) if work.starts_others else Server(work)
+            every = [(number.name, hits, partial(hit, work, server, number, moments, rng)) for number in CODES]
+            every += [("disks, two runs", placed, partial(places, work))] if disks else []
+            for name, counts, runs in every:
+                found = runs()
+                print(*found.row(f"{work.name}: {name}"), *found.faults, sep="\n    ", flush=True)
+                counts.setdefault(work.kind, Count()).include(found)
+            server.close()
+    titles = {kind: kind if len(its) == 1 else f"{kind}, {len(its)} formats" for kind, its in names.items()}
+    made = []
+    for title, counts in (("Outputs of processes that were hit", hits), ("Outputs in places that refuse them", placed)):
+        sums = Count()
+        for count in counts.values():
+            sums.include(replace(count, faults=list(count.faults)))
+        rows = [*(count.row(titles[kind]) for kind, count in counts.items()), sums.row("together")]
+        columns = ("what", "runs", "old one", "new one", "files of both", "slowest answer, s", "faults")
+        made.append(Table(title, columns, rows, sums.faults))
+    return made if disks else made[:1]
 
 
 if __name__ == "__main__":

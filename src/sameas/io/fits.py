@@ -261,9 +261,11 @@ def _text(values: NDArray[Any]) -> tuple[NDArray[Any], BoolArray]:
 
 def _meta(header: Any) -> dict[str, Any]:
     meta: dict[str, Any] = {}
-    for key, value, _ in header.cards:
+    for card in header.cards:
+        key = card.keyword
         if not key or _STRUCTURE.match(key):
-            continue
+            continue  # astropy parses a value when it is asked for
+        value = card.value
         if key in ("COMMENT", "HISTORY"):
             if not str(value).startswith("sameas: "):
                 meta.setdefault("comments" if key == "COMMENT" else key, []).append(str(value))
