@@ -331,6 +331,13 @@ class Code:
             found, digest.hexdigest()[:16],
         )  # fmt: skip
 
+    def stands(self, later: Code) -> bool:
+        """Whether it is the same later, when more modules may have been loaded."""
+        return (
+            self.modules.items() <= later.modules.items()
+            and (self.libraries, self.inputs) == (later.libraries, later.inputs)
+        )  # fmt: skip
+
 
 def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:16]
@@ -510,7 +517,11 @@ def main() -> int:
             at = end
             if kept:
                 loaded = {*fuzzer.modules(), *(kept.code.modules if kept.code else ())}
-                kept.upto, kept.code = at, Code.of(sorted(loaded), name, given.seed, corpus)
+                code = Code.of(sorted(loaded), name, given.seed, corpus)
+                if kept.code is not None and not kept.code.stands(code):
+                    fuzzer.close()
+                    parser.error(f"sameas changed while {name} was read; begin again")
+                kept.upto, kept.code = at, code
                 kept.save()
         shown, by = kept.printed(given.older) if kept else (found, "")
         together.include(shown)

@@ -330,7 +330,7 @@ def _next() -> Any:
 
 @contextlib.contextmanager
 def _advanced(path: Path) -> Iterator[None]:
-    """Within it a watch whose journal was changed is told its next picture, which it has from the state, not changed."""
+    """Within it a watch whose journal was changed is told its next picture, which comes from the state."""
     from sameas.live.keeper import Keeper
     from sameas.picture.live import LivePicture
 
