@@ -3,9 +3,11 @@
 import errno
 import importlib
 import inspect
+import json
 import os
 import pty
 import resource
+import shlex
 import signal
 import subprocess
 import sys
@@ -19,6 +21,7 @@ import typer
 from pyarrow import parquet
 
 from sameas.cli.app import COMMANDS
+from sameas.io import read_table, write_table
 
 COMMAND = [str(Path(sys.executable).with_name("sameas"))]
 
@@ -28,31 +31,46 @@ def run(*arguments, **settings):
 
 
 @pytest.mark.slow
-def test_ctrl_c_says_so_in_one_line_and_leaves_nothing(tmp_path, field_files):
-    pipe = tmp_path / "never.csv"
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
+def test_a_process_that_is_asked_to_end_says_so_in_one_line_and_leaves_no_draft(number, code, tmp_path):
+    pipe, folder = tmp_path / "never.csv", tmp_path / "out"
     os.mkfifo(pipe)
-    arguments = [*COMMAND, "match", field_files[0], str(pipe), "-o", str(tmp_path / "o.fits")]
-    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-                               preexec_fn=_interruptible)  # fmt: skip
-    assert process.stdout.readline().startswith("First catalogue")  # it now waits for the second one
-    process.send_signal(signal.SIGINT)
+    process = subprocess.Popen([*COMMAND, "picture", f"radar={pipe}", "-o", str(folder)], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible)  # fmt: skip
+    _until(lambda: folder.exists() and list(folder.glob(".sameas-*")))  # it now waits for the sensor
+    process.send_signal(number)
     _, said = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert said == "sameas: stopped; nothing was written\n"
+    assert (process.returncode, said) == (code, "sameas: stopped; nothing was written\n")
     assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
+
+
+def test_a_table_is_not_read_from_a_pipe(tmp_path, field_files):
+    os.mkfifo(tmp_path / "pipe.csv")
+    done = run("match", field_files[0], tmp_path / "pipe.csv", "-o", tmp_path / "o.fits", "-q")
+    assert done.returncode == 1 and "pipe.csv: is a pipe, and a table is read more than once" in done.stderr
 
 
 @pytest.mark.slow
-def test_a_process_that_is_asked_to_end_leaves_no_draft(tmp_path):
-    pipe, folder = tmp_path / "never.csv", tmp_path / "out"
-    os.mkfifo(pipe)
-    process = subprocess.Popen([*COMMAND, "picture", f"radar={pipe}", "-o", str(folder)],
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)  # fmt: skip
-    _until(lambda: folder.exists() and list(folder.glob(".sameas-*")))  # it now waits for the sensor
-    process.terminate()
-    _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (143, "sameas: stopped; nothing was written\n")
-    assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes")
+def test_a_name_that_is_no_text_names_a_file_as_well(tmp_path, field_files):
+    paths = [tmp_path / f"{k}\udcff.csv" for k in (0, 1)]
+    for path, table in zip(paths, field_files, strict=True):
+        write_table(read_table(table), path, provenance={})
+    for ending in (".csv", ".fits"):
+        done = run("match", *paths, "-o", tmp_path / f"o\udcfe{ending}")
+        assert (done.returncode, done.stderr) == (0, "") and "0\\udcff.csv" in done.stdout
+        assert (tmp_path / f"o\udcfe{ending}").exists()
+    beside = json.loads((tmp_path / "o\udcfe.csv.provenance.json").read_text("utf-8"))
+    assert str(paths[0]) in beside.values()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("closed", ["0", "1", "2"])
+def test_a_stream_that_is_closed_stops_nothing(closed, tmp_path, field_files):
+    out = tmp_path / "o.fits"
+    command = shlex.join([*COMMAND, "match", *map(str, field_files), "-o", str(out)])
+    done = subprocess.run(["sh", "-c", f"{command} {closed}>&-"], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stderr) == (0, "") and out.exists()
 
 
 @pytest.mark.slow

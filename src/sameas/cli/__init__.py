@@ -17,6 +17,7 @@ def main() -> None:
         from sameas.cli.outcome import end_cleanly_when_asked
 
         end_cleanly_when_asked()
+        _open_what_is_closed()
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # σ where the terminal has none
         if "--debug" not in sys.argv:
@@ -45,6 +46,19 @@ def main() -> None:
             # Libraries may still have threads at work, which C++ does not let end with the process.
             end_now(error.code)
         raise
+
+
+def _open_what_is_closed() -> None:
+    """Puts the null device where a stream is closed; the next file opened would have its number, and its words."""
+    import os
+
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is None:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 (it stays open)
 
 
 __all__ = ["main"]

@@ -122,8 +122,8 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
         reason = refused_by_disk(error)
         if reason is None:
             _end(f"{fault(error)} with what --debug shows", INPUT_ERROR, debug)
-        _end(f"{error.filename or 'a temporary file'}: {reason}; make room, there too where TMPDIR says",
-             INPUT_ERROR, debug)  # fmt: skip
+        place = error.filename or "a temporary file, or where stdout goes"
+        _end(f"{place}: {reason}; make room, there too where TMPDIR says", INPUT_ERROR, debug)
     except MemoryError:
         _end("not enough memory for these catalogues; nothing was written", INPUT_ERROR, debug)
     except Exception as error:

@@ -24,6 +24,7 @@ from sameas.front.provenance import program
 from sameas.io import checksum, write_table
 from sameas.io.atomic import filling
 from sameas.io.catalogues import BRIGHT, GAIA, catalogue
+from sameas.io.format import json_text
 from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.calibration import MasterFrames
@@ -255,8 +256,7 @@ def write(
             named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
             outcome["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
         outcome["outputs"] = {what: path.name for what, path in request.outputs().items()}
-        text = json.dumps(outcome, indent=1, ensure_ascii=False) + "\n"
-        drafts.summary_path.write_text(text, encoding="utf-8")
+        drafts.summary_path.write_text(json_text(outcome), encoding="utf-8")
     return outcome
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,6 +22,7 @@ from sameas.front.provenance import made_by
 from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling
+from sameas.io.format import json_text
 from sameas.io.sensors.clock import DAY_S, instant
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
@@ -322,7 +322,7 @@ def write(
         written.append("objects.geojson")
         write_geojson(picture.objects, draft / written[-1])
     written.append("summary.json")
-    (draft / written[-1]).write_text(json.dumps(facts | made.as_json(), indent=1, ensure_ascii=False) + "\n", "utf-8")
+    (draft / written[-1]).write_text(json_text(facts | made.as_json()), "utf-8")
     if outputs.map or outputs.image:
         written += _drawn(made, draft, outputs, warn)
     return written

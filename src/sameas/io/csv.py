@@ -11,6 +11,7 @@ import csv
 import gzip
 import io
 import json
+import os
 import re
 from collections import Counter
 from collections.abc import Mapping
@@ -25,7 +26,7 @@ from sameas.bounds import unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing, together
-from sameas.io.format import TEXT_EXTENSIONS, Format
+from sameas.io.format import TEXT_EXTENSIONS, Format, json_text
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -104,7 +105,7 @@ def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], 
             beside.unlink()
         return
     with together() as arm, replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:
-        notes.write_text(json.dumps(provenance, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        notes.write_text(json_text(provenance), encoding="utf-8")
         write(table, draft, {})
         arm()
 
@@ -177,7 +178,7 @@ def content_of(path: Path) -> pa.Buffer:
     import pyarrow as pa
 
     if path.suffix.lower() != ".gz":
-        with pa.memory_map(str(path)) as file:
+        with pa.memory_map(os.fsencode(path)) as file:  # a name may have bytes that are no text
             return file.read_buffer()
     return pa.py_buffer(unpacked(path))
 

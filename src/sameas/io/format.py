@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from sameas.errors import InputError
 
+_SURROGATE = re.compile("[\ud800-\udfff]")
 _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
 #: Endings of the names of text files, which do not tell how the text is laid out.
 TEXT_EXTENSIONS: tuple[str, ...] = (*_PLAIN, *(f"{extension}.gz" for extension in _PLAIN))
@@ -94,6 +96,15 @@ def _plain_value(key: str, value: Any) -> Any:
 def to_json(provenance: Mapping[str, Any]) -> str:
     """One line of ASCII without quotes (') and ampersands, which FITS cards treat specially."""
     return json.dumps(provenance).replace("'", "\\u0027").replace("&", "\\u0026")
+
+
+def json_text(facts: Mapping[str, Any]) -> str:
+    """JSON for people, in lines, as a file in UTF-8 may hold it.
+
+    The name of a file may have bytes that are no UTF-8, which Python keeps as surrogates: all but ASCII is escaped.
+    """
+    text = json.dumps(facts, indent=1, ensure_ascii=False)
+    return (text if text.isascii() or not _SURROGATE.search(text) else json.dumps(facts, indent=1)) + "\n"
 
 
 def to_text(value: Any) -> str:

@@ -241,6 +241,8 @@ def _format_in(path: Path, name: str | None) -> Format:
         raise InputError(f"{path}: is a directory; give a file")
     if not path.exists():
         raise InputError(f"{path}: no such file{_similar_names(path)}")
+    if path.is_fifo():
+        raise InputError(f"{path}: is a pipe, and a table is read more than once; save it as a file first")
     first = first_bytes(path, _HEAD_BYTES)
     if not first:
         raise InputError(f"{path}: is empty")
