@@ -590,7 +590,7 @@ def ragged_ranges(first: list[int], size: list[int]) -> list[tuple[int, int, int
     return [(k, t, first[k] + t) for k in range(len(size)) for t in range(size[k])]
 
 
-# ---- frames added along motions ----
+# ---- frames stacked along motions ----
 
 
 def best_motion(

@@ -97,7 +97,7 @@ def test_errors_that_go_together_tell_one_factor_of_both():
         for size in (1.0, 1.2)
     ]
     found = error_model(match(*sides)[0])
-    assert found.factor_1 is found.factor_2 is None and "whose are too small cannot be told" in found.note
+    assert found.factor_1 is found.factor_2 is None and "which are too small cannot be determined" in found.note
     assert found.both.value == pytest.approx(1.4, abs=3.5 * found.both.standard_error)
     assert found.floor.value <= 3.0 * found.floor.standard_error
 

@@ -59,12 +59,12 @@ def test_names_of_files_stay_whole():
 
 def test_a_message_is_bounded_whatever_it_repeats():
     columns = ", ".join(f"column_{k}" for k in range(5000))
-    told = str(InputError(f"cat: no column ra among {columns}", naming("say {ra:NAME}")))
-    assert len(told) < LONGEST_MESSAGE + 40 and told.endswith(" …; say ra=NAME")
+    told = str(InputError(f"cat: no column ra among {columns}", naming("give {ra:NAME}")))
+    assert len(told) < LONGEST_MESSAGE + 40 and told.endswith(" …; give ra=NAME")
 
 
 def test_arguments_of_a_remedy_stay_arguments():
-    error = InputError("cat: \x1b", Message("say ", Argument("sigma", "ARCSEC"), " of \x1b"))
-    assert error.words.with_options(lambda argument: f"--{argument.name}") == "cat: \\x1b; say --sigma of \\x1b"
+    error = InputError("cat: \x1b", Message("give ", Argument("sigma", "ARCSEC"), " of \x1b"))
+    assert error.words.with_options(lambda argument: f"--{argument.name}") == "cat: \\x1b; give --sigma of \\x1b"
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) and again.words.arguments == error.words.arguments

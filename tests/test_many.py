@@ -468,7 +468,7 @@ def test_what_cannot_be_used_is_refused_in_words():
         (lambda: identify_many([plane, line], rule=rule), "radar: 2, sonar: 1"),
         (lambda: identify_many([plane, part], rule=rule), "sonar observes a part of the state; give region"),
         (lambda: identify_many([plane, part], rule=Field(0.1), region=Region((0, 0), (9, 9))), "compares whole"),
-        (lambda: identify_many([plane, plane], rule=PoissonField(0.1, 0.1, 0.1)), "PoissonField speaks of two sources"),
+        (lambda: identify_many([plane, plane], rule=PoissonField(0.1, 0.1, 0.1)), "PoissonField is for two sources"),
         (lambda: identify_many([plane, plane], rule=PoissonObjects(0.1, (0.1,) * 3)), "q has 3 numbers for 2 sources"),
         (lambda: identify_many([plane, plane], rule=rule, prior=counted), r"give MissedObjects\(q\)"),
         (lambda: PoissonObjects(0.0, 0.1), "density is 0"),

@@ -302,10 +302,10 @@ def test_mistakes_are_refused_in_words():
     sources = small_scene(rng, (2, 2, 2))
     objects, identity = PoissonObjects(0.1, 0.2), Identity({})
     refused: dict[str, Any] = {
-        "Identity says nothing of positions; add it to PoissonObjects": identity,
-        "both rules speak of position": objects + Field(1.0),
-        "Universal speaks of two sources": objects + Universal(Flat(1.0), Displacement(Flat(1.0))),
-        "both Near and the rule it is added to speak of position": objects + Near(),
+        "Identity does not use positions; add it to PoissonObjects": identity,
+        "both rules use positions": objects + Field(1.0),
+        "Universal is for two sources": objects + Universal(Flat(1.0), Displacement(Flat(1.0))),
+        "both Near and the rule it is added to use positions": objects + Near(),
     }
     for words, rule in refused.items():
         with pytest.raises(InputError, match=words):
@@ -313,7 +313,7 @@ def test_mistakes_are_refused_in_words():
     impossible = Told({frozenset({("s0", 1), ("s2", 0)}): -math.inf})
     with pytest.raises(InputError, match=r"told is -inf for s(0 row 1 and s2 row 0|2 row 0 and s0 row 1).*bound it"):
         identify_many(sources, rule=objects + impossible, gate=WIDE)
-    with pytest.raises(InputError, match="identify_sequentially compares positions, and Identity speaks of records"):
+    with pytest.raises(InputError, match="identify_sequentially compares positions, and Identity needs records"):
         identify_sequentially(sources, rule=objects + identity)
 
 

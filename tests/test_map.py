@@ -113,7 +113,7 @@ def test_a_sheet_says_what_is_wrong_with_its_columns() -> None:
         MapSheet.of("map", good | {"x_m": [0.0, 1.0]}, {})
     with pytest.raises(InputError, match="stage is 'sunk'; give one of tentative, confirmed"):
         MapSheet.of("map", good | {"stage": ["sunk"]}, {})
-    with pytest.raises(InputError, match="1 times are none of the instants"):
+    with pytest.raises(InputError, match="1 times are not among the instants"):
         MapSheet.of("map", good, {}, instants_s=[5.0])
     with pytest.raises(InputError, match="x_m is of type <U3; give numbers"):
         MapSheet.of("map", good | {"x_m": ["far"]}, {})
@@ -507,7 +507,7 @@ def test_a_chart_of_many_objects_has_no_more_to_draw_than_one_of_few() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("plane", [SOLENT, None, LocalPlane(89.6, 40.0), LocalPlane(-17.5, 179.9)])
 def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+    pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
     from sameas.plots import save
     from sameas.plots.map import chart
 

@@ -396,9 +396,7 @@ def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, 
     else:
         resource.setrlimit(resource.RLIMIT_FSIZE, (2048, limits[1]))
     try:
-        with pytest.raises(
-            InputError, match=f"cannot write {re.escape(str(out))}: the f.*; the parts that are done stay"
-        ):
+        with pytest.raises(InputError, match=f"cannot write {re.escape(str(out))}: the f.*; finished parts are kept"):
             found.write(out, workers=1)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
@@ -415,7 +413,7 @@ def test_a_full_disk_is_said_and_what_is_done_stays(tmp_path):
     if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={room}", "tmpfs", small], capture_output=True).returncode:
         pytest.skip("no right to mount")
     try:
-        with pytest.raises(InputError, match="the disk is full; the parts that are done stay"):
+        with pytest.raises(InputError, match="the disk is full; finished parts are kept"):
             found.write(small / "out", workers=1, piece_rows=200)
         subprocess.run(["mount", "-o", "remount,size=100m", small], check=True)
         again = found.write(small / "out", workers=1, piece_rows=200)
@@ -476,9 +474,9 @@ def test_a_hats_catalogue_and_a_table_are_refused_together(tmp_path):
 
 def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
     paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=15), (300, 300))
-    with pytest.raises(InputError, match="values for rows say nothing of partitions"):
+    with pytest.raises(InputError, match="values for rows cannot be used over partitions"):
         _ = sameas.match(*paths, sigma="pos_err", evidence=sameas.evidence.Column(2, np.zeros(300))).estimated
-    with pytest.raises(InputError, match="offset is not looked for over partitions"):
+    with pytest.raises(InputError, match="offsets are not fitted over partitions"):
         _ = sameas.match(*paths, sigma="pos_err", offset="find").estimated
 
 

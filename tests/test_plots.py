@@ -15,7 +15,7 @@ from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
 from sameas.sky.crossmatch import SkyMatch, match
 from sameas.space import sphere_offset
 
-pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
 
 from sameas import plots
 from sameas.plots.residuals import containment, rayleigh_mixture
@@ -79,7 +79,7 @@ def test_nothing_identified_is_a_picture_too(strangers: SkyMatch, tmp_path: Path
 
 def test_titles_say_the_finding(stars: SkyMatch) -> None:
     told = plots.residuals(stars).get_suptitle()
-    assert told.startswith("Motion brings the identified pairs together: median distance 1.")
+    assert told.startswith("Proper motion reduces the residuals: median distance 1.")
 
 
 def test_a_long_subtitle_goes_on_in_a_second_line() -> None:
@@ -139,11 +139,11 @@ def test_a_group_is_drawn_from_either_side(stars: SkyMatch) -> None:
 
 @pytest.mark.slow
 def test_what_cannot_be_drawn_is_refused(stars: SkyMatch, strangers: SkyMatch, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="nothing ambiguous to draw"):
+    with pytest.raises(InputError, match="nothing to plot is ambiguous"):
         plots.group(strangers)
-    with pytest.raises(InputError, match="0 has no candidates; there is nothing to draw"):
+    with pytest.raises(InputError, match="0 has no candidates; nothing to plot"):
         plots.group(strangers, record=0)
-    with pytest.raises(InputError, match=r"pictures are written as .*png"):
+    with pytest.raises(InputError, match=r"plots are written as .*png"):
         plots.save(plots.certainty(stars), tmp_path / "picture.fits")
     with pytest.raises(InputError, match="does not exist"):
         plots.save(plots.certainty(stars), tmp_path / "nowhere" / "picture.png")

@@ -284,7 +284,7 @@ def test_sources_that_share_nothing_are_told_so():
         first, second = (Records.of(rng.uniform(0, 60, (40, 2)), sigma=0.7, source=name) for name in ("radar", "ais"))
         found = register(first, second, Shift())
         wrongly_sure += found.established
-        assert found.established or "radar and ais may have nothing in common" in found.notes[0]
+        assert found.established or "radar and ais may have no object in common" in found.notes[0]
     assert wrongly_sure <= 1
 
 

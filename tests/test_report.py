@@ -148,7 +148,7 @@ def test_chance_pairs_alone_are_called_next_to_nothing():
     ]
     found = match(*pair)
     assert 0.5 < found.estimate.common < 10.0
-    assert "left and right have next to nothing in common" in report.report(found)
+    assert "left and right have hardly any objects in common" in report.report(found)
 
 
 def test_one_record_in_each_is_no_reason_to_look_for_an_offset():
@@ -158,5 +158,5 @@ def test_one_record_in_each_is_no_reason_to_look_for_an_offset():
 
 def test_errors_of_nought_are_refused_with_the_remedy():
     table = Table({"ra": [10.0, 10.1], "dec": [0.0, 0.1], "sigma_arcsec": [0.0, 0.0]})
-    with pytest.raises(InputError, match=r"no error \(2\); an error of 0 counts as none: say sigma=ARCSEC"):
+    with pytest.raises(InputError, match=r"no error \(2\); an error of 0 counts as none: give sigma=ARCSEC"):
         match(Catalogue.of(table, "left"), Catalogue.of(table, "right"))

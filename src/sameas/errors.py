@@ -67,11 +67,11 @@ class Argument:
 class Message(str):
     """A text for people that names arguments as Python has them; :meth:`with_options` names options instead.
 
-    >>> message = Message("catalogue: no errors; say ", Argument("sigma", "ARCSEC"))
+    >>> message = Message("catalogue: no errors; give ", Argument("sigma", "ARCSEC"))
     >>> message
-    'catalogue: no errors; say sigma=ARCSEC'
+    'catalogue: no errors; give sigma=ARCSEC'
     >>> message.with_options(lambda argument: f"--{argument.name}1 {argument.value}")
-    'catalogue: no errors; say --sigma1 ARCSEC'
+    'catalogue: no errors; give --sigma1 ARCSEC'
     """
 
     parts: tuple[str | Argument, ...]
@@ -97,8 +97,8 @@ class Message(str):
 def naming(template: str) -> Message:
     """The message of a template, in which braces hold arguments, with what to give them behind a colon.
 
-    >>> naming("say {sigma:ARCSEC} or {ellipse:'A,B,ANGLE'}")
-    "say sigma=ARCSEC or ellipse='A,B,ANGLE'"
+    >>> naming("give {sigma:ARCSEC} or {ellipse:'A,B,ANGLE'}")
+    "give sigma=ARCSEC or ellipse='A,B,ANGLE'"
     """
     parts: list[str | Argument] = []
     for text, name, value, _ in string.Formatter().parse(template):
@@ -118,9 +118,9 @@ class InputError(ValueError):
     message : what is wrong and where: the source, the first offending row or column.
     remedy : what to do, as an argument; the command line names its option. source : the source that it is about.
 
-    >>> raise InputError("cat: its epoch is not known", naming("say {epoch:YEAR}"))
+    >>> raise InputError("cat: its epoch is not known", naming("give {epoch:YEAR}"))
     Traceback (most recent call last):
-    sameas.errors.InputError: cat: its epoch is not known; say epoch=YEAR
+    sameas.errors.InputError: cat: its epoch is not known; give epoch=YEAR
     """
 
     def __init__(self, message: str, remedy: str = "", *, source: str = "") -> None:

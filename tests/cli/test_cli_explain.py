@@ -25,19 +25,19 @@ def test_a_record_is_explained_in_words_of_the_sky(sameas, matched):
 
 def test_unknown_records_and_changed_or_missing_inputs_are_refused(tmp_path, refusal, matched, field_files):
     assert "first has no record with the id x; its first ids are" in refusal("explain", matched, "x")
-    assert "does not say how it was made" in refusal("explain", field_files[0], "s1")
+    assert "has no provenance" in refusal("explain", field_files[0], "s1")
     save(field(99, 3), tmp_path / "second.fits")
     words = refusal("explain", matched, "s7", "--again")
     assert "second.fits, which has changed since" in words
     (tmp_path / "second.fits").unlink()
-    assert "second.fits, which is not there any more" in refusal("explain", matched, "s7", "--again")
+    assert "second.fits, which no longer exists" in refusal("explain", matched, "s7", "--again")
 
 
 def test_a_record_is_explained_when_the_inputs_have_moved(tmp_path, sameas, refusal, matched):
     for name in ("first.fits", "second.fits"):
         (tmp_path / name).unlink()
     text = sameas("explain", matched, "s7").stdout
-    assert text.startswith("first s7 is second s7, probability 1 − ") and "Told by the table alone" in text
+    assert text.startswith("first s7 is second s7, probability 1 − ") and "From the table alone" in text
     assert "no partner" in text and "mag_1" in text
     assert sameas("explain", matched, "7", "--row").stdout == text
     assert "first has no record with the id x in the output" in refusal("explain", matched, "x")
@@ -49,4 +49,4 @@ def test_an_id_of_the_other_catalogue_is_pointed_out(tmp_path, sameas, refusal, 
     table["name"] = [f"t{k}" for k in range(100)]
     second = save(table, tmp_path / "other.fits")
     sameas("match", field_files[0], second, "-o", tmp_path / "o.fits", "--id", "name", "-q")
-    assert refusal("explain", tmp_path / "o.fits", "t5") == "t5 is a record of other; say --source 2"
+    assert refusal("explain", tmp_path / "o.fits", "t5") == "t5 is a record of other; give --source 2"

@@ -31,7 +31,7 @@ from sameas.sky.frame.tangent import Pointing, unit_vectors
 from sameas.space import ARCSEC_PER_RADIAN
 
 pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")
-pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
 
 SIDE = 320
 WHERE = (150.0, 20.0)
@@ -112,7 +112,7 @@ def test_what_was_estimated_is_printed_with_its_standard_error(done):
     out, text = done
     told, words = json.loads((out / "night.json").read_text())["estimated"], " ".join(text.split())
     assert all(error > 0.0 for _, error in told.values())
-    assert re.search(r"of those in one only [\d.]+ ± [\d.]+ of the frame and [\d.]+ ± [\d.]+ of the catalogue", words)
+    assert re.search(r"only in one catalogue [\d.]+ ± [\d.]+ of the frame and [\d.]+ ± [\d.]+ of the catalogue", words)
     assert re.search(r"errors (as quoted|quoted) ", words) and {"error_scale"} <= set(told)
 
 
@@ -237,8 +237,8 @@ BARE = {"solved": False}
 @pytest.mark.parametrize(
     ("cards", "options", "words"),
     [
-        (BARE, (), r"bare\.fits: no plate solution and no aim in the header; say --aim RA,DEC and --scale LO,HI"),
-        (BARE, ("--aim", "150,20"), r"bare\.fits: the aim is known, but not the scale; say --scale LO,HI"),
+        (BARE, (), r"bare\.fits: no plate solution and no aim in the header; give --aim RA,DEC and --scale LO,HI"),
+        (BARE, ("--aim", "150,20"), r"bare\.fits: the aim is known, but not the scale; give --scale LO,HI"),
         (BARE, ("--aim", "150,20", "--scale", "3,3.3", "--radius", "0.02"), "no solution: by the aim .* odds 1:"),
         (BARE, ("--aim", "15,20", "--scale", "1.6,2.4"), r"stars: 0 stars within .* cover the field\?"),
         ({}, ("--epoch", "none"), "epoch"),
@@ -263,7 +263,7 @@ def test_what_cannot_be_done_is_one_clear_line(files, refusal, tmp_path, cards, 
     [
         (np.full((64, 64), np.nan, np.float32), "no pixel is a finite number"),
         (np.full((64, 64), 65535, np.uint16), "all pixels have the value 65535"),
-        (np.random.default_rng(1).normal(100, 5, (96, 96)).astype(np.float32), "cannot be placed|no star above"),
+        (np.random.default_rng(1).normal(100, 5, (96, 96)).astype(np.float32), "A plate solution needs|no star above"),
     ],
     ids=["nan", "saturated", "no stars"],
 )  # fmt: skip
@@ -282,7 +282,7 @@ def test_a_catalogue_without_epoch_is_used_where_it_is_and_one_that_moves_is_dou
     write_table(table, tmp_path / "moves.ecsv", provenance={})
     more = ["-o", tmp_path / "out", "--no-page", "--no-picture", "--sigma", "0.05"]
     text = sameas("frame", files.frame, "-c", tmp_path / "moves.ecsv", *more).stdout
-    assert "its epoch is not said: 2016.0 was assumed; say --epoch YEAR" in text
+    assert "its epoch is not stated: 2016.0 was assumed; give --epoch YEAR" in text
     text = sameas("frame", files.frame, "-c", tmp_path / "moves.ecsv", *more, "--pm", "none").stdout
     assert "identified" in text
 
@@ -297,9 +297,9 @@ def test_errors_and_a_time_that_nobody_says_are_estimated_or_doubted_and_never_a
     frame = picture(tmp_path / "timeless.fits", sky(), **undated)
     more = ["-o", tmp_path / "out", "--no-page", "--no-picture"]
     text = re.sub(r"\s+", " ", sameas("frame", frame, "-c", tmp_path / "bare.ecsv", *more).stdout)
-    assert re.search(r"no position errors; 0\.0\d+ arcsec on each axis was taken, estimated from the residuals", text)
-    assert "say --sigma ARCSEC or --sigma COLUMN" in text
-    assert "left where they are at 2016.0; say --time DATE" in text
+    assert re.search(r"no position errors; 0\.0\d+ arcsec on each axis was assumed, estimated from the residuals", text)
+    assert "give --sigma ARCSEC or --sigma COLUMN" in text
+    assert "left at epoch 2016.0; give --time DATE" in text
 
 
 def test_a_folder_of_parquet_is_read_where_the_cone_is(files, tmp_path):
@@ -400,7 +400,7 @@ def test_a_silent_archive_is_one_line_that_names_what_works_offline(tmp_path):
         warnings.simplefilter("ignore")
         with pytest.raises(InputError, match=r"127\.0\.0\.1:9/tap: the archive does not answer .*catalogue='bright'"):
             catalogue("gaia", Cone(*WHERE, 0.1), archive=GaiaArchive("http://127.0.0.1:9/tap", folder=tmp_path))
-    with pytest.raises(InputError, match="asked a field at a time; give cone"):
+    with pytest.raises(InputError, match="queried one field at a time; give cone"):
         catalogue("gaia", None)
 
 

@@ -57,7 +57,7 @@ def test_the_printed_text_tells_what_was_understood_estimated_and_found(tmp_path
     out = tmp_path / "out.fits"
     text = sameas("match", *field_files, "-o", out, "--compare-nearest", "--certify").stdout
     for words in (
-        "First catalogue: first, 120 rows", "sigma [arcsec, unit of the column]", "area where both look",
+        "First catalogue: first, 120 rows", "sigma [arcsec, unit of the column]", "common area",
         "  identified                       100           100", "100 identified among", "expected wrong",
         "Certificate: optimal: least reduced cost",
         "probabilities         100 groups by closed form", "due if errors are true", "1.18",
@@ -112,7 +112,7 @@ def test_provenance_keeps_what_could_not_be_told_of_the_errors_and_why(tmp_path,
 
 @pytest.mark.slow
 def test_pictures_are_drawn_of_all_that_there_is(tmp_path, sameas, field_files):
-    pytest.importorskip("matplotlib", reason="pictures need the extra sameas[plots]")
+    pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
     text = sameas("match", *field_files, "-o", tmp_path / "out.fits", "--pictures", tmp_path / "drawn").stdout
     names = {path.name for path in (tmp_path / "drawn").iterdir()}
     assert {"residuals.png", "normalised.png", "scatter.png", "certainty.png"} <= names
@@ -130,7 +130,7 @@ def test_joins_by_the_names_of_stilts(tmp_path, sameas, field_files, join, rows)
 def test_quiet_prints_nothing_but_doubts(tmp_path, sameas, field_files):
     result = sameas("match", *field_files, "-o", tmp_path / "out.fits", "-q", "--density", "1e9,700")
     assert result.stdout == ""
-    assert result.stderr.startswith("sameas: doubt: density: 1e+09 per square degree was said of first")
+    assert result.stderr.startswith("sameas: doubt: density: 1e+09 per square degree was given for first")
 
 
 def test_a_dry_run_tells_what_it_understands_and_writes_nothing(tmp_path, sameas, field_files):
@@ -171,7 +171,7 @@ def test_one_row_and_the_same_file_twice_work(tmp_path, sameas, field_files):
     sameas("match", one, field_files[1], "-o", tmp_path / "o.fits")
     assert len(read_table(tmp_path / "o.fits")) == 1
     text = sameas("match", field_files[0], field_files[0], "-o", tmp_path / "o.fits").stdout
-    assert "is given twice: every record will be found to be itself" in " ".join(text.split())
+    assert "is given twice: every record would match itself" in " ".join(text.split())
     assert re.search(r"identified +120 +120\n", text)
 
 

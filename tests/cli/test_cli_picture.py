@@ -87,13 +87,13 @@ def test_files_become_objects_tables_a_map_and_a_summary(picture):
     ]  # fmt: skip
     text = " ".join(shown.stdout.split())
     for words in (
-        "Sources ais (ais.csv): 70 reports (table, geodetic positions), taken for ais: by its name",
-        "radar: plots under numbers or names, made tracks with velocities by a filter",
+        "Sources ais (ais.csv): 70 reports (table, geodetic positions), read as ais: by its name",
+        "radar: plots with ids, filtered to tracks with velocities",
         "Picture: 12 instants, 2024-05-01 23:10:00 to 23:11:50 UTC",
         "objects 8 confirmed; seen: 7 by 2 sources at once, 1 by 1 alone",
-        "are expected to be put together wrongly",
-        "offset ais: taken as it is, the reference for the others offset radar: range +",
-        "% of what others show within its coverage; described: 10 % at a look",
+        "are expected to be wrong",
+        "offset ais: not corrected, the reference for the others offset radar: range +",
+        "% of the others' objects within its coverage; described: 10 % per scan",
         "assumed radar (marine radar): coverage.range_m 44448",
     ):
         assert words in text, words
@@ -123,7 +123,7 @@ def test_the_summary_is_told_in_numbers_too(picture, coast):
     assert told["confirmed_objects_by_number_of_sources"] == [0, 1, 7] and told["unconfirmed_objects"] == 0
     assert 7.5 < told["objects_per_instant"] <= 8.0 and told["expected_wrong_per_instant"] < 0.1
     assert {"source": "ais", "kind": "ais", "name": "misses.q", "value": 0.2,
-            "why": "small craft carry none, and slots collide"} in told["assumed"]  # fmt: skip
+            "why": "small craft carry no transponder, and time slots collide"} in told["assumed"]  # fmt: skip
     assert told["files"] == [str(coast / "ais.csv"), str(coast / "radar.csv")] and len(told["sha256"]) == 2
 
 
@@ -152,7 +152,7 @@ def test_quiet_says_doubts_and_alarms_only(sameas, coast, tmp_path):
     shown = sameas("picture", tmp_path / "ais.csv", "-o", tmp_path / "out", "--every", "20s", "--quiet", *QUICK)
     assert shown.stdout == ""
     lines = [line for line in shown.stderr.splitlines() if "compiling" not in line]
-    assert lines[0].startswith("sameas: ALARM: MMSI 235000001 is shown at two places 3337 m apart (")
+    assert lines[0].startswith("sameas: ALARM: MMSI 235000001 is reported at two places 3337 m apart (")
     assert lines[0].endswith("from 2024-05-01 23:10:00 UTC") and " by ais line 2 and ais line 3: forged," in lines[0]
     assert all(line.startswith(("sameas: ALARM: ", "sameas: doubt: ")) for line in lines)
 
@@ -224,7 +224,7 @@ def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
     shown = sameas("picture", tmp_path / "radar.csv", tmp_path / "camera.csv", "-s", tmp_path / "s.toml",
                    "-o", tmp_path / "out", "--every", "6s", *QUICK)  # fmt: skip
     # A description without a kind is of the kind that its name tells.
-    assert "taken for marine radar: by its name" in shown.stdout and "0 to 18 s" in shown.stdout
+    assert "read as marine radar: by its name" in shown.stdout and "0 to 18 s" in shown.stdout
     assert sorted(os.listdir(tmp_path / "out")) == ["identities.parquet", "objects.parquet", "summary.json"]
     assert "3 confirmed; seen: 3 by 2 sources at once" in shown.stdout
 
@@ -232,12 +232,12 @@ def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; say columns={'time_s': NAME}; in a TOML "
+        ("lat,lon,mmsi\n1,2,3\n", "no column of time among: lat, lon, mmsi; give columns={'time_s': NAME}; in a TOML "
                                   "file given with --sensors: file = { columns = { … } } in the table of the source"),
         ("time,lat,lon\n2024-05-01T12:00:00Z,50,1\n", "what kind of sensor is it? Neither its name nor its columns"),
         ("time,lat,lon,mmsi\n23:10:00,50,1,235000001\n", "give start, the UTC date of the first row: --start, or"),
         ("time,track_id,range_m,bearing_deg\n0,1,2,3\n",
-         "nothing says where the sensor is; give site = { lat_deg = …, lon_deg = … } in its description, "
+         "the sensor's position is not known; give site = { lat_deg = …, lon_deg = … } in its description, "
          "its table in a TOML file given with --sensors"),
     ],
 )  # fmt: skip
@@ -270,7 +270,7 @@ def test_a_file_that_cannot_be_read_is_set_aside_and_said(content, words, sameas
     [
         (None, "s.toml: cannot be read as TOML (No such file or directory)"),
         ("[sources.radar", "s.toml: cannot be read as TOML (Expected ']'"),
-        (TOML.replace("radar]", "lidar]"), "lidar is described, but none of the files is of it; there are ais, radar"),
+        (TOML.replace("radar]", "lidar]"), "lidar is described, but no file belongs to it; there are ais, radar"),
         (TOML.replace("lon_deg", "long_deg"), "radar: 'long_deg' in site is not known; did you mean lon_deg?"),
         (TOML.replace("= 20", '= "20 m"'), "radar: errors.range_m is '20 m'; give a number"),
         (TOML + "file = 3\n", "sources.radar.file is 3; give a path, or { path = "),
@@ -288,7 +288,7 @@ def test_descriptions_that_cannot_be_used_are_refused_with_what_to_do(toml, word
 @pytest.mark.parametrize(
     ("when", "words"),
     [
-        (("--at", "12:00"), "no source says anything at 2024-05-01 12:00:00 UTC; they speak from 2024-05-01 23:"),
+        (("--at", "12:00"), "no source has a report at 2024-05-01 12:00:00 UTC; reports are of 2024-05-01 23:"),
         (("--at", "noon"), "--at noon: give a time such as 2024-05-01T13:00:00Z, 13:00, or seconds"),
         (("--from", "23:11", "--to", "23:10:30"), "from 2024-05-01 23:11:00 (--from 23:11) to 23:10:30 UTC (--to 23:"),
         (("--to", "2024-05-01T20:00:00Z"), "to 20:00:00 UTC (--to 2024-05-01T20:00:00Z): it ends before it begins"),
@@ -303,10 +303,10 @@ def test_times_that_make_no_picture_are_refused(when, words, refused, coast):
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--quiet",), "say what to read: the sensors' files, or --sensors"),
-        (("a.csv", "--every", "-3s"), "'-3s' is no duration; give 10s, 2min or 1h"),
-        (("a.csv", "--every", "0s"), "'0s' is no duration"),
-        (("a.csv", "--at", "12:00", "--every", "3s"), "say --at, or --every with --from and --to, not both"),
+        (("--quiet",), "give the sensors' files, or --sensors"),
+        (("a.csv", "--every", "-3s"), "'-3s' is not a duration; give 10s, 2min or 1h"),
+        (("a.csv", "--every", "0s"), "'0s' is not a duration"),
+        (("a.csv", "--at", "12:00", "--every", "3s"), "give --at, or --every with --from and --to, not both"),
         (("a.csv", "--format", "fits"), "'fits' is not known"),
     ],
 )

@@ -128,11 +128,11 @@ def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, qua
 def test_it_is_said_that_objects_are_followed_and_what_was_taken_for_how_long(made, sameas, quay, tmp_path):
     shown, _ = made
     text = " ".join(shown.split())
-    assert "no source names what it shows: objects are followed from look to look" in text
+    assert "no source identifies its objects: they are tracked from scan to scan" in text
     files = [quay / "lidar.csv", quay / "radar.csv"]
     alone = sameas("picture", *files, "-s", quay / "sensors.toml", "-o", tmp_path / "out", "--every", "20s",
                    "--no-memory", "--no-map", "--no-image")  # fmt: skip
-    assert "lidar: plots without names, every instant judged alone" in alone.stdout
+    assert "lidar: plots without ids, every instant by itself" in alone.stdout
     assumed = sameas("picture", files[0], "-o", tmp_path / "assumed", "--at", str(START + 20.0), "--no-map",
                      "--no-image").stdout  # fmt: skip
     assert "resolution.split 0.1" in " ".join(assumed.split())

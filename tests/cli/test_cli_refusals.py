@@ -33,16 +33,16 @@ def test_a_missing_file_and_what_is_no_table(tmp_path, refusal, field_files):
         "match", page, field_files[1], "-o", out
     )
     page.rename(tmp_path / "page.xyz")
-    assert "or say --format1 NAME" in refusal("match", tmp_path / "page.xyz", field_files[1], "-o", out)
+    assert "or give --format1 NAME" in refusal("match", tmp_path / "page.xyz", field_files[1], "-o", out)
 
 
 def test_no_position_or_two_name_the_option_of_that_catalogue(refused):
-    assert "say --ra1 NAME --dec1 NAME" in refused(lambda t: t.remove_column("ra"))
+    assert "give --ra1 NAME --dec1 NAME" in refused(lambda t: t.remove_column("ra"))
 
     def second_position(table):
         table["ALPHA_J2000"], table["DELTA_J2000"] = table["ra"], table["dec"]
 
-    assert "2 candidates for right ascension: 'ALPHA_J2000', 'ra'; say --ra1 NAME" in refused(second_position)
+    assert "2 candidates for right ascension: 'ALPHA_J2000', 'ra'; give --ra1 NAME" in refused(second_position)
 
 
 def test_a_column_that_is_not_there_names_the_option_that_was_typed(refused):
@@ -60,7 +60,7 @@ def test_unknown_units(refused):
 
 def test_absurd_errors_are_refused_before_they_take_a_day(refused):
     words = refused(lambda t: None, "--sigma1", "0.4", "--sigma-unit1", "deg")
-    assert "so large that about" in words and "say --sigma-unit1 UNIT" in words
+    assert "so large that about" in words and "give --sigma-unit1 UNIT" in words
 
 
 def test_correlations_beyond_one_name_the_row(refused):
@@ -96,8 +96,8 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(tmp_path, refusal, f
         (field_files[0], "is also an input; it would be overwritten"),
         (copy, "is also an input; it would be overwritten"),
         (tmp_path / "missing" / "o.fits", "missing does not exist; make it first"),
-        (tmp_path / "o.dat", "its extension does not tell a format; see `sameas formats`"),
-        (tmp_path, "its extension does not tell a format"),
+        (tmp_path / "o.dat", "its extension is not that of a format; see `sameas formats`"),
+        (tmp_path, "its extension is not that of a format"),
     ):
         assert words in refusal("match", *field_files, "-o", out)
     assert Path(field_files[0]).read_bytes() == before
@@ -129,7 +129,7 @@ def test_options_of_the_match_that_make_no_sense(tmp_path, refusal, field_files,
         (["-o", "o.fits", "--join", "al1"], "did you mean all1"),
         (["-o", "o.fits", "--jion", "all1"], "--join"),
         (["-o", "o.fits", "--out-format", "fist"], "did you mean fits"),
-        ([], "say -o OUT"),
+        ([], "give -o OUT"),
     ],
 )
 def test_wrong_usage_ends_with_2_and_tells_what_was_probably_meant(sameas, field_files, options, words):

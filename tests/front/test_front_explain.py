@@ -47,7 +47,7 @@ def test_a_record_of_the_second(match, tmp_path):
     match.write(path, "1or2")
     told = str(sameas.explain(path, "b3", source=2))
     assert told.startswith("second b3 ") and told == str(sameas.explain(path, "b3", source="second"))
-    with pytest.raises(InputError, match="b3 is a record of second; say source=2"):
+    with pytest.raises(InputError, match="b3 is a record of second; give source=2"):
         sameas.explain(path, "b3")
     with pytest.raises(InputError, match="it has no source 3; give one of first, second"):
         sameas.explain(path, "b3", source=3)
@@ -97,11 +97,11 @@ def test_refusals(crowded, match, tmp_path):
     write_table(Table({"a": [1]}), tmp_path / "other.fits", provenance={})
     match.write(tmp_path / "out.fits")
     for words, arguments in (
-        ("does not say how it was made", ("other.fits", 1)),
+        ("has no provenance", ("other.fits", 1)),
         ("give the id of a record, or row=", ("out.fits",)),
         ("first has no record with the id zz in the output; its first ids are a0, a1, a2", ("out.fits", "zz")),
     ):
         with pytest.raises(InputError, match=words):
             sameas.explain(tmp_path / arguments[0], *arguments[1:])
-    with pytest.raises(InputError, match=r"was made from .* in memory, which is not there any more"):
+    with pytest.raises(InputError, match=r"was made from .* in memory, which no longer exists"):
         sameas.explain(tmp_path / "out.fits", "a1", again=True)

@@ -92,15 +92,15 @@ def test_pictures_and_notebooks(found):
     pytest.importorskip("matplotlib")
     assert found.plot().axes and found.plot("quality").axes
     assert "data:image/png" in found._repr_html_() and len(repr(found).splitlines()) <= 10
-    with pytest.raises(InputError, match="there is no picture 'x'; give one of picture, quality"):
+    with pytest.raises(InputError, match="there is no plot 'x'; give one of picture, quality"):
         found.plot("x")
 
 
 def test_what_is_lacking_is_named_as_python_has_it(made):
     path, stars = made
     refused: dict[str, dict[str, Any]] = {
-        "no plate solution and no aim in the header; say aim=RA,DEC and scale=LO,HI": {},
-        "the aim is known, but not the scale; say scale=LO,HI": {"aim": WHERE},
+        "no plate solution and no aim in the header; give aim=RA,DEC and scale=LO,HI": {},
+        "the aim is known, but not the scale; give scale=LO,HI": {"aim": WHERE},
         "match_frame has no option 'aimm'; did you mean aim": {"aimm": WHERE},
         "scale=-1: give arcsec per pixel": {"scale": -1}, "aim='x': give": {"aim": "x"},
         "time=soon: give a date": {"time": "soon", "aim": WHERE, "scale": 2.0},

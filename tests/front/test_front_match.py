@@ -179,7 +179,7 @@ def test_an_output_that_is_an_input_is_refused(stars, tmp_path):
 def test_plots_by_name(in_memory):
     pytest.importorskip("matplotlib")
     assert in_memory.plot().axes and in_memory.plot("normalised").axes
-    with pytest.raises(InputError, match="there is no picture 'residual'; give one of residuals, "):
+    with pytest.raises(InputError, match="there is no plot 'residual'; give one of residuals, "):
         in_memory.plot("residual")
 
 
@@ -206,7 +206,7 @@ def test_what_holds_no_positions_is_refused(stars, in_memory):
         with pytest.raises(InputError, match=words):
             sameas.match(wrong, stars.second)
     catalogue = Catalogue.of(stars.first, "gaia", options=CatalogueOptions(sigma=0.1))
-    with pytest.raises(InputError, match="gaia: it is a Catalogue, understood already, so sigma1 changes nothing"):
+    with pytest.raises(InputError, match="gaia: a Catalogue's columns are chosen already, so sigma1 changes nothing"):
         sameas.match(catalogue, stars.second, sigma1=0.3)
     with pytest.raises(InputError, match="Records are matched with Records, not with a dict"):
         sameas.match(in_memory.identification.first, stars.second)
@@ -228,7 +228,7 @@ def test_doubts_name_the_argument_of_their_catalogue():
         "phot_g_mean_mag": [15.0, 16.0],
     }
     found = sameas.match(gaia, {"ra": [10.0, 10.1], "dec": [0.0, 0.0]}, sigma2=0.1, epoch2=2000.0)
-    for words in ("say epoch1=YEAR", "say pm_sigma1=MAS_PER_YR"):
+    for words in ("give epoch1=YEAR", "say pm_sigma1=MAS_PER_YR"):
         assert any(words in doubt for doubt in found.doubts) and words in repr(found)
     assert (
         "pm_sigma1=MAS_PER_YR" in " ".join(found.report().split()) and max(map(len, found.report().splitlines())) <= 100

@@ -100,7 +100,7 @@ def test_results_show_themselves_in_notebooks(in_memory):
 
 def test_without_matplotlib_a_notebook_shows_the_report(in_memory, monkeypatch):
     def refused(*_):
-        raise sameas.InputError("pictures need matplotlib")
+        raise sameas.InputError("plots need matplotlib")
 
     monkeypatch.setattr("sameas.front.match.draw", refused)
     html = in_memory._repr_html_()

@@ -95,7 +95,7 @@ def test_a_sensor_left_out_and_an_instant(toml) -> None:
         sameas.match_picture(sources, sensors=toml, at="noon")
     with pytest.raises(InputError, match="give at, or every with begin and end, not both"):
         sameas.match_picture(sources, sensors=toml, at=START, every=3.0)
-    with pytest.raises(InputError, match=r"say at, or begin and end, within that"):
+    with pytest.raises(InputError, match=r"give at, or begin and end, within that span"):
         sameas.match_picture(sources, sensors=toml, at=START + 1e6)
-    with pytest.raises(InputError, match="radar is described, but none of the files is of it"):
+    with pytest.raises(InputError, match="radar is described, but no file belongs to it"):
         sameas.match_picture({"ais": ais}, sensors=toml)

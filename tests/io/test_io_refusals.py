@@ -58,7 +58,7 @@ def test_text_that_is_no_table(ending, tmp_path):
 def test_another_format_is_named_with_the_remedy(tmp_path):
     write_table(Table({"x": [1]}), tmp_path / "t.fits", provenance={})
     (tmp_path / "t.fits").rename(tmp_path / "t.csv")
-    assert "is a FITS file, not CSV; rename it, or say format='fits'" in refusal(tmp_path / "t.csv")
+    assert "is a FITS file, not CSV; rename it, or give format='fits'" in refusal(tmp_path / "t.csv")
     assert read_table(tmp_path / "t.csv", format="fits")["x"][0] == 1
 
 

@@ -252,7 +252,7 @@ def test_the_first_of_several_fits_tables_is_taken_and_it_is_said(tmp_path):
     fits.HDUList([fits.PrimaryHDU(), *two]).writeto(path)
     table = read_table(path)
     assert table["x"][0] == 1
-    assert "holds 2 tables, extensions 1 (STARS), 2 (GALAXIES); took 1" in table.meta["sameas_notes"][0]
+    assert "holds 2 tables, extensions 1 (STARS), 2 (GALAXIES); used 1" in table.meta["sameas_notes"][0]
     assert read_table(path, hdu="GALAXIES")["x"][0] == 2
     assert read_table(path, hdu=2)["x"][0] == 2
     assert read_table(path, hdu="2")["x"][0] == 2

@@ -122,7 +122,7 @@ def test_of_several_tables_of_vizier_the_first_is_taken_and_that_is_said(tmp_pat
     table = read(tmp_path / "v.tsv", VIZIER + "#Name: II/999\n" + VIZIER.split("\n\n")[1])
     assert len(table) == 2
     assert table.meta["sameas_notes"] == [
-        f"{tmp_path / 'v.tsv'} holds several tables of VizieR; took the first (II/246/out)"
+        f"{tmp_path / 'v.tsv'} holds several tables of VizieR; used the first (II/246/out)"
     ]
 
 

@@ -266,7 +266,7 @@ def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_ro
     assert two._kept(lambda journal: journal.alarm(big, 0.0)) is None
     frame = two.tick(START_S + 22.0)
     assert [alarm.text for alarm in frame.alarms if alarm.key == "folder"] == [
-        f"{tmp_path / 'two'} cannot be written, what happens is not kept: database or disk is full"
+        f"{tmp_path / 'two'} cannot be written; events are not saved: database or disk is full"
     ]
     listed = {alarm["key"]: alarm["id"] for alarm in two.alarm_list()}
     assert "folder" in listed and not two.acknowledge(-1, "me")
@@ -306,7 +306,7 @@ def test_a_folder_that_disappears_ends_nothing_but_is_said_at_the_end(tmp_path):
     shutil.rmtree(tmp_path / "state")
     frame = ticked(keeper, 20.0, 10.0)
     assert any(alarm.key == "folder" for alarm in frame.alarms)
-    with pytest.raises(InputError, match=r"the end of the watch is not kept: .*make room, or give a folder"):
+    with pytest.raises(InputError, match=r"the last state of the watch is not saved: .*make room, or give a folder"):
         keeper.close()
 
 
@@ -331,7 +331,7 @@ def test_the_archive_waits_ten_minutes_at_most(tmp_path):
 @pytest.mark.parametrize(
     ("source", "change", "kind", "words"),
     [
-        ("ais", "dragged", "deception", "ais says 235002111 is at one place, radar sees it at another"),
+        ("ais", "dragged", "deception", "ais reports 235002111 at one place, radar sees it at another"),
         ("ais", None, "", ""),
         ("radar", "ended", "source", "radar: ends"),
         ("ais", "clock", "source", "ais: its clock jumps by"),

@@ -42,7 +42,7 @@ def test_ais_that_drags_a_ship_away_from_where_radars_see_it_is_an_alarm(drag, l
     (fault,) = faults(scene(drag_m_per_s=drag, leap_m=leap, radars=radars))
     assert (fault.kind, fault.source, fault.track) == ("dragged", "ais", MMSI[0])
     assert fault.probability > 0.95 and 150.0 < fault.first_s < 230.0
-    assert f"ais says {MMSI[0]} is at one place" in str(fault) and "probability" in str(fault)
+    assert f"ais reports {MMSI[0]} at one place" in str(fault) and "probability" in str(fault)
 
 
 @pytest.mark.slow

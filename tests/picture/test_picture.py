@@ -113,8 +113,7 @@ def test_one_source_is_a_picture_and_so_is_none():
     assert {len(column) for column in [*nothing.objects.values(), *nothing.records.values()]} == {0}
     assert nothing.summary.lines()[:2] == [
         "objects: 0 confirmed",
-        "how sure: of 0 objects at an instant none are expected to be put together wrongly; no groups of neighbours "
-        "are ambiguous",
+        "confidence: of 0 objects per instant none are expected to be wrong; no groups of neighbours are ambiguous",
     ]
 
 
@@ -128,7 +127,7 @@ def test_the_summary_tells_how_well_places_are_known():
     assert told.coasting == np.mean([np.sum(o["stage"][o["time_s"] == t] == "coasting") for t in picture.instants_s])
     line = next(line for line in picture.summary.lines() if line.startswith("places"))
     assert line.startswith(f"places: known to {told.shown_m:.2g} m (1σ, the median object)")
-    assert ("coast, unseen" in line) == (told.coasting > 0.0)
+    assert ("coast without" in line) == (told.coasting > 0.0)
     # Who coasts is known less well.
     assert told.coasting_m is None or told.coasting_m > told.shown_m
 
@@ -221,7 +220,7 @@ def test_the_summary_says_what_a_user_should_know():
     assert abs(misses["coast"] - 17 / 30) < 0.05 and misses["radar"] < 0.1
     assert summary.alarms[0].alarm.value == "235000001" and summary.alarms[0].instants == len(times)
     assert summary.alarms[0].alarm.second == ("elsewhere", 0) or summary.alarms[0].alarm.first == ("elsewhere", 0)
-    for words in ("radar: 2°", "elsewhere shares no object", "never says nothing", "coast misses ",
+    for words in ("radar: 2°", "elsewhere shares no object", "never has no report", "coast misses ",
                   "assumed for tracks"):  # fmt: skip
         assert words in told_lines, words
 

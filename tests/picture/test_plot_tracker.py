@@ -334,7 +334,7 @@ def test_weights_of_sets_are_those_of_the_formulas(seed):
 def test_it_is_no_rule_for_one_source_after_another():
     _, looks = three_sources(np.random.default_rng(1))
     rule = BernoulliObjects(1e-4, ("lidar", "radar"), {}, {}, np.empty(0), np.empty((0, 2)))
-    with pytest.raises(InputError, match="BernoulliObjects weighs whole sets of records; give it to identify_many"):
+    with pytest.raises(InputError, match="BernoulliObjects needs whole sets of records; use it in identify_many"):
         identify_sequentially(looks, rule=rule)
 
 

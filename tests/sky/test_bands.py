@@ -91,7 +91,7 @@ def test_the_report_says_what_brightness_did(found):
     lines = report.estimate_lines(found)
     text = " ".join(" ".join(lines).split())
     for words in (
-        "brightness mag − Vmag is 0.", "scatter 0.", "of the pairs follow no relation",
+        "brightness mag − Vmag is 0.", "scatter 0.", "of the pairs are off the relation",
         "of catalogue frame shows", "at Vmag 1", "half as many at 1", "what decides", "answers", "by catalogue", "± ",
     ):  # fmt: skip
         assert words in text, words

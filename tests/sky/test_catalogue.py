@@ -112,20 +112,24 @@ def test_motion_without_an_epoch_is_of_the_usual_one_and_doubted() -> None:
     table = gaia()
     table.remove_column("ref_epoch")
     assert catalogue(table).epoch_jyr == 2016.0
-    assert "its epoch is not said: 2016.0 was assumed; say epoch=YEAR (Gaia DR1 2015.0, " in catalogue(table).doubts[0]
+    assert (
+        "its epoch is not stated: 2016.0 was assumed; give epoch=YEAR (Gaia DR1 2015.0, " in catalogue(table).doubts[0]
+    )
     plain = Table({"ra": [1.0], "dec": [2.0], "pmra": [3.0], "pmdec": [4.0]})
     assert catalogue(plain, sigma=0.1).epoch_jyr == 2000.0
-    assert catalogue(plain, sigma=0.1).doubts[0].startswith("its epoch is not said: 2000.0 was assumed; say epoch=YEAR")
+    assert (
+        catalogue(plain, sigma=0.1).doubts[0].startswith("its epoch is not stated: 2000.0 was assumed; give epoch=YEAR")
+    )
     assert catalogue(table, epoch="2016").epoch_jyr == 2016.0
     assert not catalogue(table, pm="none").has_motion
 
 
 def test_without_motion_and_epoch_a_catalogue_is_used_where_it_is() -> None:
     source = catalogue({"ra": [1.0, 359.0], "dec": [50.0, 60.0]}, sigma=0.5)
-    assert "without epoch and motion: used where it is, and cannot be moved" in source.interpretation
+    assert "without epoch and motion: used as it is; it cannot be moved" in source.interpretation
     assert len(source.records()) == 2
     assert source.epoch_jyr is None
-    with pytest.raises(InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; say epoch="):
+    with pytest.raises(InputError, match=r"cat: its epoch is not known, so it cannot be moved to 2016; give epoch="):
         source.records(2016.0)
 
 
@@ -273,7 +277,7 @@ def test_epochs_are_read_in_every_notation(values: object) -> None:
 
 def test_an_epoch_that_is_none_is_refused() -> None:
     table = {"ra": [1.0], "dec": [50.0], "when": [7.0], "word": ["soon"]}
-    with pytest.raises(InputError, match=r"column 'when' \(about 7\) is no epoch; give a column of Julian years"):
+    with pytest.raises(InputError, match=r"column 'when' \(about 7\) is not an epoch; give a column of Julian years"):
         catalogue(table, sigma=1, epoch="when")
     with pytest.raises(InputError, match="column 'word', row 0: 'soon' is not a number"):
         catalogue(table, sigma=1, epoch="word")
@@ -305,9 +309,9 @@ def test_rows_without_an_epoch_are_not_moved() -> None:
         (
             {"ra": [1.0, 6.0], "dec": [-1.5, 1.5]},
             {},
-            "ra, dec say no unit and stay below 2π and π/2: are they in radians?",
+            "ra, dec state no unit and stay below 2π and π/2: are they in radians?",
         ),
-        ({"ra": [1.0, 23.0], "dec": [-50, 50]}, {}, "ra says no unit and stays below 24: is it in hours?"),
+        ({"ra": [1.0, 23.0], "dec": [-50, 50]}, {}, "ra states no unit and stays below 24: is it in hours?"),
         ({}, {"epoch": 1066}, "the epoch 1066 (option) lies outside 1850 to 2100"),
         ({"pmra": [3e4, 0.0], "pmdec": [0.0, 0.0]}, {"epoch": 2000}, "1 proper motions exceed 20 arcsec/yr"),
         ({"pmra": [3.0, 0.0], "pmdec": [0.0, 0.0]}, {"epoch": 2000}, "pmra has no column of errors"),
@@ -416,7 +420,7 @@ def test_hip2_is_understood_as_it_is() -> None:
 def test_real_gaia_dr2_and_2mass_of_ngc188_meet_after_motion() -> None:
     table = real("ngc188_gaia_2mass", "gaia_results.fits")
     told = catalogue(table).doubts
-    assert "its epoch is not said: 2016.0 was assumed" in told[0] and "those of Gaia DR3" in told[1]
+    assert "its epoch is not stated: 2016.0 was assumed" in told[0] and "those of Gaia DR3" in told[1]
     assert catalogue(table, epoch=2015.5).choice.error.kind == "survey"
     stars = catalogue(table, sigma=0.0002, epoch=2015.5, pm_sigma_mas_per_yr=0.1)
     other = catalogue(real("ngc188_gaia_2mass", "2MASS_results.ecsv"), sigma=0.08)
@@ -445,12 +449,12 @@ def test_real_gaia_edr3_without_errors_has_those_of_its_release() -> None:
     table = real("m67_poss1951", "gaia_edr3_m67_r0.5deg.csv")
     source = catalogue(table)
     assert source.epoch_jyr == 2016.0
-    assert "say sigma=ARCSEC" in source.doubts[0] and "Gaia" in source.doubts[0]
+    assert "give sigma=ARCSEC" in source.doubts[0] and "Gaia" in source.doubts[0]
     sigma_mas = 1e3 * np.sqrt(source.records(2016.0).covariance[:, 0])
     assert 0.01 < sigma_mas.min() < sigma_mas.max() < 5.0
     # 64 years back: the motions' errors of the release, not those of an unknown motion (0.64 arcsec).
     moved_mas = 1e3 * np.sqrt(source.records(1951.91).covariance[:, 0])
-    assert 5 < np.median(moved_mas) < 50 and "those of Gaia DR3 are taken" in source.doubts[1]
+    assert 5 < np.median(moved_mas) < 50 and "those of Gaia DR3 are assumed" in source.doubts[1]
     source = catalogue(table, sigma=0.3, sigma_unit="mas", pm_sigma_mas_per_yr=0.2)
     assert source.epoch_jyr == 2016.0
     assert len(source.records(1951.91)) == len(source)

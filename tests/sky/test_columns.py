@@ -106,7 +106,7 @@ def test_edr3_is_known_by_the_velocities_of_dr2() -> None:
 
 
 def test_names_that_differ_in_case_only_are_two_candidates() -> None:
-    with pytest.raises(InputError, match="2 candidates for right ascension: 'RA', 'ra'; say ra=NAME"):
+    with pytest.raises(InputError, match="2 candidates for right ascension: 'RA', 'ra'; give ra=NAME"):
         chosen(made("ra", "dec", "RA", "DEC"), sigma=1)
     assert names_of(chosen(made("ra", "dec", "RA", "DEC"), ra="RA", dec="DEC", sigma=1)) == ["RA", "DEC"]
 
@@ -217,7 +217,7 @@ def test_an_error_without_a_unit_has_one_by_its_size(size: float, more: tuple[st
 
 def test_two_kinds_of_errors_are_refused() -> None:
     table = made("ra", "dec", "pos_err", "sigma", units={"pos_err": "arcsec", "sigma": "arcsec"})
-    with pytest.raises(InputError, match=r"2 candidates for the position error: sigma or pos_err; say sigma=NAME"):
+    with pytest.raises(InputError, match=r"2 candidates for the position error: sigma or pos_err; give sigma=NAME"):
         chosen(table)
     assert names_of(chosen(table, sigma="pos_err")) == ["ra", "dec", "pos_err"]
 
@@ -228,7 +228,7 @@ def test_errors_of_two_catalogues_of_one_position_are_refused() -> None:
 
 
 def test_two_positions_are_refused() -> None:
-    with pytest.raises(InputError, match=r"2 candidates for right ascension: 'RAJ2000', 'ra'; say ra=NAME"):
+    with pytest.raises(InputError, match=r"2 candidates for right ascension: 'RAJ2000', 'ra'; give ra=NAME"):
         chosen(made("ra", "dec", "RAJ2000", "DEJ2000"), sigma=1)
 
 
@@ -266,7 +266,7 @@ def test_an_option_for_ra_alone_finds_its_partner() -> None:
     assert names_of(chosen(table, ra="RAJ2000", sigma=1)) == ["RAJ2000", "DEJ2000"]
     assert names_of(chosen(table, dec="dec", sigma=1)) == ["ra", "dec"]
     assert names_of(chosen(table, ra="x", dec="y", sigma=1)) == ["x", "y"]
-    with pytest.raises(InputError, match=r"'x' has no known partner; say ra=NAME and dec=NAME"):
+    with pytest.raises(InputError, match=r"'x' has no known partner; give ra=NAME and dec=NAME"):
         chosen(table, ra="x", sigma=1)
 
 
@@ -275,7 +275,8 @@ def test_motion_without_a_known_convention_is_not_taken() -> None:
     choice = chosen(table, sigma=1)
     assert choice.motion == (None,) * 4
     assert (
-        "pm_ra, pm_dec not used: with or without cos(dec) is not said; if with, say pm='pm_ra,pm_dec'" in choice.notes
+        "pm_ra, pm_dec not used: with or without cos(dec) is not stated; if with, give pm='pm_ra,pm_dec'"
+        in choice.notes
     )
     assert chosen(table, sigma=1, pm="pm_ra,pm_dec").motion[1] is not None
 

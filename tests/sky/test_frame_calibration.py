@@ -80,5 +80,5 @@ def test_masters_that_do_not_fit_are_refused():
         MasterFrames.of(biases=BIASES)(small)
     with pytest.raises(InputError, match=r"small: its shape \(20, 20\) is not that of"):
         MasterFrames.of(biases=[BIASES[0], small])
-    with pytest.raises(InputError, match="the flat has no light"):
+    with pytest.raises(InputError, match="the flat has no signal"):
         MasterFrames.of(biases=BIASES, flats=[exposed(0.0, -50.0)])

@@ -127,7 +127,7 @@ def test_the_error_of_a_catalogue_without_one_is_estimated_from_the_residuals(si
     assert bare.error_is_unknown
     found = solve(seen.measured, bare, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
     assert np.sqrt(found.stars.covariance_arcsec[:, 0]) == pytest.approx(sigma_arcsec, rel=0.2)
-    assert "no position errors" in found.notes[-1] and found.notes[-1].endswith("say sigma=ARCSEC or sigma=COLUMN")
+    assert "no position errors" in found.notes[-1] and found.notes[-1].endswith("give sigma=ARCSEC or sigma=COLUMN")
     real = int((seen.truth >= 0).sum())
     assert len(found.pairs[0]) - wrong(found, seen.truth) >= 0.96 * real
 
@@ -299,7 +299,7 @@ def test_a_catalogue_that_does_not_cover_the_field_is_refused(seen: Scene) -> No
 
 def test_a_moving_catalogue_needs_the_time_of_the_frame(seen: Scene) -> None:
     with pytest.raises(
-        InputError, match="old: its stars move, but the time of the frame is not known; say epoch_jyr=YEAR"
+        InputError, match="old: its stars move, but the time of the frame is not known; give epoch_jyr=YEAR"
     ):
         solve(seen.measured, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=None)
 

@@ -72,10 +72,10 @@ def test_a_date_alone_is_taken_for_noon_and_disagreeing_clocks_are_told():
 @pytest.mark.parametrize(
     ("cards", "comments", "how"),
     [
-        ({"SITELONG": "+71 29 06", "LST": "00:02:10.1"}, {}, "west positive as LST tells"),
-        ({"SITELONG": "-71 29 06", "LST": "00:02:10.1"}, {}, "east positive as LST tells"),
+        ({"SITELONG": "+71 29 06", "LST": "00:02:10.1"}, {}, "west positive by LST"),
+        ({"SITELONG": "-71 29 06", "LST": "00:02:10.1"}, {}, "east positive by LST"),
         ({"LONGITUD": "71:29:06 W"}, {}, "its letter"),
-        ({"LONGITUD": 71.485}, {"LONGITUD": "[deg] longitude, west positive"}, "west positive as its comment says"),
+        ({"LONGITUD": 71.485}, {"LONGITUD": "[deg] longitude, west positive"}, "west positive by its comment"),
         ({"GEOLON": -71.485}, {}, "assumed: east positive"),
         ({"SITELONG": "+71 29 06", "SWCREATE": "TheSkyX Version 10.5.0"}, {}, "west positive as TheSkyX"),
         ({"GEOLON": 288.515}, {}, "east positive"),

@@ -283,7 +283,7 @@ def test_too_little_to_go_by_is_refused() -> None:
     stars = sky(rng, 150, 1.0)
     seen, _ = picture(rng, stars, pointing(120.0, 35.0, 1.2, 0.0))
     three = Seen(seen.x_px[:3], seen.y_px[:3], seen.covariance[:3], seen.flux[:3])
-    with pytest.raises(InputError, match="frame 7: a frame cannot be placed with 3 usable measurements"):
+    with pytest.raises(InputError, match="frame 7: 3 usable measurements"):
         place(three, stars, AllSky((1.0, 2.0)))
     with pytest.raises(InputError, match=r"the catalogue has 0 stars within 0\.\d+° of the aim"):
         place(seen, stars, Aim(300.0, 35.0, 0.1, (1.0, 1.4)))

@@ -343,7 +343,7 @@ def test_the_command_writes_one_row_per_object(files: list[str], found: ManyMatc
     [
         (["--sigma4", "1", "-o", "x.fits"], "--sigma4: there is no catalogue 4; 3 files are given"),
         (["--least", "4", "-o", "x.fits"], "--least 4: there are 3 catalogues"),
-        (["-o", "x.unknown"], "its extension does not tell a format"),
+        (["-o", "x.unknown"], "its extension is not that of a format"),
         (["--ra2", "nowhere", "-o", "x.fits"], "no column 'nowhere' for --ra2"),
     ],
 )

@@ -226,7 +226,7 @@ def test_fast_tracklets_score_as_near_earth_objects():
     [
         ({"sigma_arcsec": None}, "error of the positions is not known"),
         ({"sigma_arcsec": 0.0}, "3 position errors are not positive"),
-        ({"mjd_utc": [2460000.5] * 3}, "no MJD between 1850 and 2150"),
+        ({"mjd_utc": [2460000.5] * 3}, "not an MJD between 1850 and 2150"),
         ({"mjd_utc": [60000.0] * 3}, "all of one exposure"),
         ({"dec_deg": [1.0, 2.0]}, "2 values of dec for 3 rows"),
         ({"ra_deg": ["a", "b", "c"]}, "ra is not a column of numbers"),
@@ -239,7 +239,7 @@ def test_what_cannot_be_searched_is_refused(change, words):
 
 
 def test_least_is_two_or_more():
-    with pytest.raises(InputError, match="two detections or more; say least=N"):
+    with pytest.raises(InputError, match="two detections or more; give least=N"):
         find_movers(night(1)[0], least=1)
 
 

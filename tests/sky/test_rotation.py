@@ -87,7 +87,7 @@ def test_nothing_in_common_is_said():
 def test_an_offset_that_is_no_better_than_chance_is_not_taken_away(n):
     one, two = scene(Cap(10.0, 0.0, 0.3), n, 1), scene(Cap(10.0, 0.0, 0.3), n, 2)
     found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
-    assert found.rotation is None and "no offset was taken away" in found.doubts
+    assert found.rotation is None and "no offset was removed" in found.doubts
     assert not any("unit" in doubt or "offset=" in doubt for doubt in found.doubts)
 
 

@@ -225,7 +225,7 @@ def test_ephemerides_are_continuous_and_near_two_body_ones(elements):
     ra, dec = float(there.ra_deg[0, 0]), float(there.dec_deg[0, 0])
     assert near(elements, 59900.0, ra, dec, 0.0).tolist() == [0]
     assert near(elements, 59900.0, ra + 40.0, dec, 1.0).tolist() == []
-    with pytest.raises(InputError, match="the planets are known from"):
+    with pytest.raises(InputError, match="the planetary ephemeris covers"):
         ephemeris(elements, np.array([100000.0]))
 
 

@@ -118,7 +118,7 @@ def test_a_date_with_a_time_zone_is_that_instant(text: str, same: str) -> None:
 def test_a_column_of_epochs_counts_whatever_the_position_is_called(name: str, value: float) -> None:
     table = {"ALPHA_J2000": [1.0], "DELTA_J2000": [2.0], name: [value]}
     assert catalogue(table, sigma=0.1).epoch_jyr == pytest.approx(2016.0, abs=2e-3)
-    assert catalogue(table | {name: [3.0]}, sigma=0.1).epoch_jyr is None  # the third visit is no epoch
+    assert catalogue(table | {name: [3.0]}, sigma=0.1).epoch_jyr is None  # the third visit is not an epoch
 
 
 def test_where_only_the_other_moves_the_epoch_is_assumed() -> None:
@@ -126,7 +126,7 @@ def test_where_only_the_other_moves_the_epoch_is_assumed() -> None:
     still = catalogue({"ra": [1.0], "dec": [2.0]}, "still", sigma=0.1)
     (first, second), doubts = completed((moving, still))
     assert (first.epoch_jyr, second.epoch_jyr) == (2016.0, 2016.0)
-    assert doubts[0].startswith("still: its epoch is not known; 2016 was assumed") and "say epoch2=YEAR" in doubts[0]
+    assert doubts[0].startswith("still: its epoch is not known; 2016 was assumed") and "give epoch2=YEAR" in doubts[0]
     assert completed((still, still))[1] == ()
     assert completed((still, still), 2010.0)[0][0].epoch_jyr == 2010.0
 
@@ -147,9 +147,9 @@ def test_a_table_of_gaia_without_errors_has_those_of_its_release() -> None:
         source = catalogue(table | {"ref_epoch": [epoch] * 2})
         np.testing.assert_allclose(source.records().covariance[:, 0], [(1e-3 * faint) ** 2, (1e-3 * typical) ** 2])
     assert source.doubts[0].startswith(
-        "no column of position errors: those of Gaia DR2 at its phot_g_mean_mag are taken"
+        "no column of position errors: those of Gaia DR2 at its phot_g_mean_mag are assumed"
     )
-    assert "say sigma=ARCSEC" in source.doubts[0]
+    assert "give sigma=ARCSEC" in source.doubts[0]
 
 
 def test_the_motions_of_a_survey_without_errors_have_those_of_its_release() -> None:
@@ -227,15 +227,15 @@ def test_a_common_error_is_said_with_its_value() -> None:
     here, there = scattered(300, 0.3, seed=5)
     one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.01)
     two = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "two")
-    with pytest.raises(InputError, match=r"two: no column of position errors \(plain names\); say sigma=ARCSEC"):
+    with pytest.raises(InputError, match=r"two: no column of position errors \(plain names\); give sigma=ARCSEC"):
         two.records()
     (_, second), (doubt,) = completed((one, two))
     sigma = second.choice.error.sigma_arcsec
     assert sigma == pytest.approx(0.3, rel=0.2) and second.records().covariance[0, 0] == pytest.approx(sigma**2)
     assert doubt.startswith(
-        f"two: it has no position errors; {sigma:.2g} arcsec on each axis was taken, estimated from "
+        f"two: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, estimated from "
     )
-    assert doubt.endswith("the distances to one; say sigma2=ARCSEC or sigma2=COLUMN")
+    assert doubt.endswith("the distances to one; give sigma2=ARCSEC or sigma2=COLUMN")
 
 
 def test_catalogues_of_other_parts_of_the_sky_get_a_usual_error() -> None:

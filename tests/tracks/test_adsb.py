@@ -40,7 +40,7 @@ def test_a_position_told_again_is_no_new_report():
     )
     made = aircraft.read(lines, "roof")
     # The last one is at the first place again, but it was fixed there anew.
-    assert made.lat_deg.tolist() == [41.3, 41.31, 41.3] and made.passed_over == {"position told before": 1}
+    assert made.lat_deg.tolist() == [41.3, 41.31, 41.3] and made.passed_over == {"position repeated": 1}
 
 
 def test_accuracy_that_is_not_stated_is_absent_and_containment_stands_in():

@@ -47,7 +47,7 @@ def test_a_bearing_from_the_bow_without_a_heading_is_no_bearing():
     made = reports(ZDA, ttm(flag="R"), ttm(number="02", course_flag="R"))
     assert made.track_id.tolist() == ["02"] and made.course_deg is None
     assert made.damaged.sentences() == [
-        "1 line damaged: direction from the bow, but no heading (OSD, HDT, THS) heard yet (line 2)"
+        "1 line damaged: direction from the bow before the first heading (OSD, HDT, THS) (line 2)"
     ]
 
 
@@ -75,7 +75,7 @@ def test_positions_that_the_radar_worked_out_are_read_where_there_is_nothing_els
     assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((56 + 3.370 / 60, 18 + 59.976 / 60))
     assert made.time_s[0] == pytest.approx(DAY + 3600 + 52 * 60 + 0.36)
     both = reports(ZDA, tll, ttm())
-    assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM tells too": 1}
+    assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM reports too": 1}
 
 
 def test_own_ship_is_where_her_own_ais_says_too():
@@ -100,12 +100,12 @@ def test_times_of_day_cross_midnight_with_the_date_nearest_to_the_clock():
 
 def test_without_a_date_a_start_is_asked_for():
     with pytest.raises(
-        InputError, match="bridge: no time: the sentences tell the time of day, but no date; give start"
+        InputError, match="bridge: no time: the sentences have the time of day, but no date; give start"
     ):
         reports(ttm())
     made = reports(ttm(time="235959.00"), ttm(time="000001.00"), start_s=DAY)
     assert (made.time_s - DAY).tolist() == [86399.0, 86401.0]
-    with pytest.raises(InputError, match="no line tells a time, no ZDA and no RMC"):
+    with pytest.raises(InputError, match="no line has a time, no ZDA and no RMC"):
         reports(ttm(time=""), start_s=DAY)
 
 
@@ -115,7 +115,7 @@ def test_the_clock_of_the_log_stands_in_for_targets_without_their_own():
 
 def test_where_own_ship_was_is_not_made_up():
     made = reports(ZDA, ttm())
-    assert made.station_lat_deg is None and "does not tell where own ship was" in made.notes[-1]
+    assert made.station_lat_deg is None and "lacks own ship's position" in made.notes[-1]
     made = reports(
         ZDA, "GPGGA,130211,5046.380,N,00105.576,W,0,00,,,M,,M,,", ttm(), "GPGLL,5000.000,S,00000.000,E,130213,A", ttm()
     )

@@ -119,7 +119,7 @@ def test_times_of_day_cross_midnight_and_come_late():
     # A start that is an instant, not a date, finds the nearest day.
     [made] = read(data, "radar", DATE - 2.0)
     assert (made.time_s - DATE).tolist() == [-1.0, 1.0, -1.5, 3.0]
-    with pytest.raises(InputError, match="radar: no date: the records tell the time of day only; give start"):
+    with pytest.raises(InputError, match="radar: no date: the records have the time of day only; give start"):
         read(data, "radar")
 
 
@@ -174,7 +174,7 @@ def test_simulated_and_empty_records_are_passed_over():
     }
     assert made.damaged.sentences() == ["1 record damaged: a plot without a time (record 3)"]
     with pytest.raises(
-        InputError, match="site: no target of category 021, 048 or 062; 1 passed over: block of category 034"
+        InputError, match="site: no target of category 021, 048 or 062; 1 skipped: block of category 034"
     ):
         read(block(34, b"\x80\x01\x02"), "site", DATE)
 

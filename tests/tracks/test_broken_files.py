@@ -46,7 +46,7 @@ def test_static_data_cut_short_is_one_damaged_line(tmp_path):
 def test_a_date_beyond_every_calendar_is_no_clock(tmp_path):
     zda = sentence("$GPZDA,120000,01,05,99999999999999999999,00,00")
     ttm = sentence("$RATTM,01,2.5,13.6,T,7.0,20.0,T,,,N,,T,,120000,A")
-    with pytest.raises(InputError, match=r"no time: the sentences tell the time of day, but no date"):
+    with pytest.raises(InputError, match=r"no time: the sentences have the time of day, but no date"):
         read(tmp_path, "a.nmea", f"{zda}\n{ttm}\n")
 
 

@@ -38,7 +38,7 @@ def test_one_name_at_two_places_becomes_two_tracks() -> None:
     assert {name: set(found.track[owner == name]) for name in ("near", "far", "other")} == {
         "near": {"7"}, "far": {"7 (2)"}, "other": {"8"},
     }  # fmt: skip
-    assert notes == ("7 is shown at 2 places too far apart for one object: a track for each",)
+    assert notes == ("7 is reported at 2 places too far apart for one object: split into one track each",)
     assert found.usable.all()
 
 
@@ -48,7 +48,7 @@ def test_a_lone_report_far_away_is_not_used() -> None:
     assert (
         set(found.track) == {"7"} and (~found.usable).sum() == 1 and not found.usable[reports.state[:, 0] > 4e4].any()
     )
-    assert notes == ("1 report of 7 set aside: nothing goes there so fast",)
+    assert notes == ("1 report of 7 set aside: no object moves that fast",)
 
 
 def test_a_number_given_away_again_is_not_two_objects_at_once() -> None:
@@ -70,7 +70,7 @@ def test_an_identity_at_two_places_of_one_source_raises_the_alarm() -> None:
     scene = Scene.of([(Description("ais", "ais"), Reports.of("ais", "ais", columns))])
     [alarm] = scene.at(95.0).alarms()
     assert alarm.value == "235070762" and alarm.distance == pytest.approx(9000.0, abs=50.0)
-    assert any("a track for each" in note for note in scene.notes)
+    assert any("one track each" in note for note in scene.notes)
 
 
 def test_a_track_ends_after_a_silence_longer_than_its_sources_gaps() -> None:

@@ -123,14 +123,14 @@ def test_places_without_errors_are_as_good_as_the_radar_measures():
     told = placed(radar, said, PLANE)
     np.testing.assert_allclose(told.covariance[:, :2, :2], measured.covariance[:, :2, :2], rtol=0.02, atol=10.0)
     assert PlacedReports(radar, said).errors_note == (
-        "radar: 6 positions state no errors; they are taken to be as good as a range ± 15 m ± 0.5 % and a bearing "
-        "± 0.5°; errors.position_m says better",
+        "radar: 6 positions state no errors; assumed as good as a range ± 15 m ± 0.5 % and a bearing "
+        "± 0.5°; errors.position_m overrides it",
     )
     # From nowhere they are as good as at a quarter of the range, the same in all directions.
     bare = Description("radar", "marine radar")
     sigma = np.hypot(0.25 * 44_448.0 * np.radians(0.5), 15.0)
     np.testing.assert_allclose(placed(bare, said, PLANE).covariance[:, 0, 0], sigma**2, rtol=0.02)
-    assert "a bearing ± 0.5° at 11.1 km, since nothing says where it stands" in PlacedReports(bare, said).errors_note[0]
+    assert "a bearing ± 0.5° at 11.1 km, since its position is not known" in PlacedReports(bare, said).errors_note[0]
     # In metres of the user's own, and where errors are described or stated.
     flat = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))
     here = {"time_s": [0.0], "x_m": [0.0], "y_m": [10e3]}
@@ -155,7 +155,7 @@ def test_heights_are_assumed_only_where_nothing_tells_them():
         ("other", {"x_m": [0.0], "y_m": [0.0]}, None, r"one: errors.position_m is not known and 'other' assumes none"),
         ("ais", {"lat_deg": [1.0], "lon_deg": [1.0]}, None, "give the plane of the picture"),
         ("ais", {"x_m": [0.0], "y_m": [0.0]}, PLANE, "give the origin of that plane, site = "),
-        ("marine radar", {"range_m": [1.0], "bearing_deg": [1.0]}, PLANE, "nothing says where the sensor is"),
+        ("marine radar", {"range_m": [1.0], "bearing_deg": [1.0]}, PLANE, "the sensor's position is not known"),
         (
             "marine radar",
             {"range_m": [1.0], "bearing_deg": [1.0]},
@@ -163,7 +163,7 @@ def test_heights_are_assumed_only_where_nothing_tells_them():
             r"give site = \{ east_m = …, north_m = … \} in its d",
         ),
         ("marine radar", {"range_m": [1.0]}, None, "ranges without bearings"),
-        ("camera", {"bearing_deg": [1.0]}, PLANE, "nothing says where the sensor is"),
+        ("camera", {"bearing_deg": [1.0]}, PLANE, "the sensor's position is not known"),
     ],
 )
 def test_what_is_missing_is_named_with_the_place_to_give_it(kind, said, plane, words):

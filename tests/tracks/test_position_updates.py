@@ -25,8 +25,8 @@ def test_a_position_is_set_aside_where_it_is_repeated_while_the_object_moves():
     both = said([*place, *np.add(place, 9e3)], np.vstack([v, v]), ["a"] * 5 + ["b"] * 5, np.tile(np.arange(5.0), 2))
     now, notes = position_updates(both.take(order))
     assert sorted(order[~now.usable]) == [2, 3, 7, 8]
-    assert notes == ("4 reports repeat the positions of before though the object moves: set aside, no position was "
-                     "measured",)  # fmt: skip
+    assert notes == ("4 reports repeat the positions of an earlier report though the object moves; set aside: no "
+                     "position was measured",)  # fmt: skip
     # Coming back to a place is no repetition.
     assert position_updates(said([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
 
@@ -51,4 +51,4 @@ def test_a_feed_says_what_it_set_aside():
 
     feed = Feed.of(Description("adsb", "ads-b"), Reports.of("adsb", "table", columns), LocalPlane(48.0, 2.0))
     assert list(feed.reports.usable) == [True, False, True]
-    assert feed.notes[0].startswith("adsb: 1 report repeats the position of before")
+    assert feed.notes[0].startswith("adsb: 1 report repeats the position of an earlier report")

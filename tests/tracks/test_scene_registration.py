@@ -111,13 +111,15 @@ def test_a_reference_can_be_chosen_and_a_known_bias_be_fixed():
     scene = Scene.of([(fixed, said), ais])
     registered, found = scene.registered()
     assert [str(one) for one in found] == [
-        f"{n}: taken as it is, the reference for the others" for n in ("radar 1", "ais")
+        f"{n}: not corrected, the reference for the others" for n in ("radar 1", "ais")
     ]
     assert pair_f1(made, registered, 190.0) > 0.9
     shifted = Scene.of([(about, said), (replace(ais[0], bias=BiasPrior(shift_m=100.0)), ais[1])])
     _, found = shifted.registered(references=["radar 1"])
     assert set(found[1].parameters) == {"east_m", "north_m"} and not found[0].parameters
-    with pytest.raises(InputError, match=r"'radar' is no source of positions; give some of radar 1, ais as references"):
+    with pytest.raises(
+        InputError, match=r"'radar' is not a source of positions; give some of radar 1, ais as references"
+    ):
         scene.registered(["radar"])
 
 
@@ -207,7 +209,7 @@ def test_what_has_nothing_in_common_is_left_where_it_is():
     assert registered.feeds[0] is scene.feeds[0] and "NOT ESTABLISHED" in str(found)
     later = Scene.of([radar, (about, replace(said, time_s=said.time_s + 1e5))])
     registered, (found, _) = later.registered()
-    assert found.notes == ("radar 1: shows nothing at the times at which ais does; its biases were not looked for",)
+    assert found.notes == ("radar 1: has no report at the times of ais; its biases were not fitted",)
     assert registered.feeds[0] is later.feeds[0]
 
 
@@ -224,7 +226,7 @@ def test_plots_without_a_site_and_without_velocities_show_no_bias(kinds):
     scene = Scene.of(sources)
     registered, found = scene.registered()
     assert registered.feeds == scene.feeds and not any(source.parameters for source in found)
-    assert any("late stamps alone may bias it" in note for source in found for note in source.notes)
+    assert any("only its latency may be biased" in note for source in found for note in source.notes)
 
 
 def test_few_tracks_are_told():

@@ -54,7 +54,7 @@ def test_the_start_is_a_date_or_an_instant(tmp_path):
     for start in ("2024-05-01", "2024-05-01T23:59:58Z", 1714521600.0):
         [made] = read_reports(tmp_path / "radar.ast", ReadOptions(start=start, source="radar"))
         assert (made.source, made.time_s[0]) == ("radar", 1714521600.0 + 86399.5)
-    with pytest.raises(InputError, match="start='yesterday' is no instant; give a date"):
+    with pytest.raises(InputError, match="start='yesterday' is not an instant; give a date"):
         read_reports(tmp_path / "radar.ast", ReadOptions(start="yesterday"))
 
 
@@ -90,7 +90,7 @@ def test_a_summary_says_what_was_read_damaged_and_assumed():
     [made] = read_reports(DATA / "ais_sample.nmea", ReadOptions(source="coast"))
     said = made.summary()
     assert said[0] == "coast: 11 reports (ais, geodetic positions)"
-    assert "1 line damaged: wrong checksum (line 19)" in said and "1 passed over: AIS message of type 4" in said
+    assert "1 line damaged: wrong checksum (line 19)" in said and "1 skipped: AIS message of type 4" in said
     assert any("assumed 5 m per axis" in line for line in said)
 
 

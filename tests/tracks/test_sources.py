@@ -21,7 +21,7 @@ def test_kinds_are_told_by_name_and_columns(folder):
     (folder / "unknown.csv").write_text("time,lat,lon\n2024-05-01T12:00:00Z,50.1,-1.2\n")
     radar, coast, plots = read_sources([folder / name for name in ("harbour radar.csv", "coast.csv", "plots.csv")])
     assert [s.description.kind for s in (radar, coast, plots)] == ["marine radar", "ais", "marine radar"]
-    assert "taken for ais: it has a column of mmsi" in coast.lines()[0]
+    assert "read as ais: it has a column of mmsi" in coast.lines()[0]
     with pytest.raises(InputError, match=r"unknown: what kind of sensor is it\?.*\[sources.unknown\]"):
         read_sources([folder / "unknown.csv"])
 
@@ -54,7 +54,7 @@ def test_names_are_given_with_the_file(folder):
     toml.write_text('[sources.west]\nkind = "marine radar"\n')
     [west] = read_sources([f"west={folder / 'plots.csv'}"], read_source_options(toml))
     assert west.description.name == "west" and not any(a.source != "west" for a in west.description.assumed)
-    with pytest.raises(InputError, match="west is described, but none of the files is of it; there are plots: give"):
+    with pytest.raises(InputError, match="west is described, but no file belongs to it; there are plots: give"):
         read_sources([folder / "plots.csv"], read_source_options(toml))
     with pytest.raises(InputError, match="two sources are called west; name them"):
         read_sources([f"west={folder / 'plots.csv'}", f"west={folder / 'coast.csv'}"])

@@ -73,7 +73,7 @@ def test_aircraft_told_again_are_no_new_reports_in_later_pieces():
         stream.feed(json.dumps(snapshot | {"now": 1e9 + 0.1 * k}).encode() + b"\n", 0.0)
         reports = stream.reports()
         assert len(reports) == (k == 0)
-    assert stream.passed_over["position told before"] == 2
+    assert stream.passed_over["position repeated"] == 2
 
 
 def test_sbs_positions_take_the_last_words_of_earlier_pieces():
@@ -136,6 +136,6 @@ def test_the_first_bytes_tell_the_format():
     assert format_of(b"!AIVDM,1,1") == format_of(b"\\s:x*00\\!AIVDM") == "nmea"
     assert format_of(b"MSG,3,") == "sbs" and format_of(b'{"now": 1, "aircraft": [') == "aircraft"
     assert format_of(b"") is None and format_of(b'{"lat": 1') is None
-    with pytest.raises(InputError, match="no format of a stream"):
+    with pytest.raises(InputError, match="not a stream format"):
         ReportStream("x", "csv")
     assert nmea.log_of(["$GPHDT,1,T"], received_s=[7.0]).clock_s.tolist() == [7.0]

@@ -59,14 +59,14 @@ def test_units_at_the_end_of_a_name_count_and_habits_stand_in():
     made = table("time,icao24,lat,lon,altitude,groundspeed,vertical_rate\n0,4ca7a8,50,1,36000,450,-600\n")
     assert made.alt_m[0] == pytest.approx(36000 * 0.3048) and made.speed_m_per_s[0] == pytest.approx(450 * KNOT)
     assert made.climb_m_per_s[0] == pytest.approx(-600 * 0.3048 / 60)
-    assert "radar.csv: altitude is taken in ft: altitudes are feet" in made.notes
+    assert "radar.csv: altitude is read in ft: altitudes are feet" in made.notes
     made = table("time,lat,lon,speed_kmh\n0,50,1,36\n")
     assert made.speed_m_per_s[0] == pytest.approx(10.0)
 
 
 def test_a_unit_that_nobody_wrote_is_said():
     made = table("time,range,bearing\n0,1500,45\n")
-    assert "radar.csv: range is taken in m: its name says no unit" in made.notes
+    assert "radar.csv: range is read in m: its name states no unit" in made.notes
     made = table("time,range,bearing\n0,1.5,45\n", units={"range": "km"})
     assert made.range_m[0] == 1500.0 and "radar.csv: range is in km, as said" in made.notes
 
@@ -81,10 +81,10 @@ def test_what_the_user_says_wins():
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("lat,lon\n1,2", r"no column of time among: lat, lon; say columns=\{'time_s': NAME\}"),
-        ("time,lat\n1,2", r"no column of lon_deg among: time, lat; say columns=\{'lon_deg': NAME\}"),
+        ("lat,lon\n1,2", r"no column of time among: lat, lon; give columns=\{'time_s': NAME\}"),
+        ("time,lat\n1,2", r"no column of lon_deg among: time, lat; give columns=\{'lon_deg': NAME\}"),
         ("time,speed\n1,2", "no columns of a position among: time, speed"),
-        ("time,lat,Lat,lon\n1,2,3,4", r"2 columns may be lat_deg: 'lat', 'Lat'; say columns=\{'lat_deg': NAME\}"),
+        ("time,lat,Lat,lon\n1,2,3,4", r"2 columns may be lat_deg: 'lat', 'Lat'; give columns=\{'lat_deg': NAME\}"),
         ("time,lat,lat,lon\n1,2,3,4", "two columns are called lat; rename one"),
         ("time,lat,lon\n0,-118.2,33.9\n1,-118.3,33.8", "2 latitudes lie beyond ±90°.*swapped"),
         ("time,lat,lon\nx,1,2", "no time can be read in column 'time' .first: 'x'.; write ISO 8601"),
@@ -100,7 +100,7 @@ def test_refusals_say_what_to_do(text, words):
 
 def test_a_wrong_option_is_refused_with_what_there_is():
     text = "time,lat,lon\n0,1,2"
-    with pytest.raises(InputError, match="'latt' is no quantity; did you mean lat_deg"):
+    with pytest.raises(InputError, match="'latt' is not a quantity; did you mean lat_deg"):
         table(text, columns={"latt": "lat"})
     with pytest.raises(InputError, match="no column 'Y' among: time, lat, lon"):
         table(text, columns={"lat_deg": "Y"})
@@ -154,14 +154,14 @@ def test_days_and_months_are_told_apart_by_the_numbers():
 def test_time_in_two_columns_and_time_of_day():
     made = table("date,time,lat,lon\n2016-01-12,13:02:11,1,2")
     assert made.time_s[0] == 1452603731.0
-    with pytest.raises(InputError, match="tells the time of day only; give start"):
+    with pytest.raises(InputError, match="has the time of day only; give start"):
         table("time,lat,lon\n23:59:59,1,2")
     made = table("time,lat,lon\n23:59:59,1,2\n00:00:01.5,1,2", start_s=1452556800.0)
     assert (made.time_s - 1452556800.0).tolist() == [86399.0, 86401.5]
 
 
 def test_seconds_from_an_own_start_are_said():
-    assert "seconds from a start of its own" in table("t,x,y\n0.0,1,2\n1.0,2,3").notes[0]
+    assert "seconds from an origin of its own" in table("t,x,y\n0.0,1,2\n1.0,2,3").notes[0]
 
 
 def test_errors_come_as_covariances_however_written():
@@ -191,7 +191,7 @@ def test_identities_are_texts_as_people_write_them():
 
 def test_rows_told_again_are_passed_over():
     made = table("time,lat,lon,mmsi\n0,1,2,9\n0,1,2,9\n0,1,2,8\n1,1,2,9")
-    assert made.line.tolist() == [2, 4, 5] and made.passed_over == {"position told before": 1}
+    assert made.line.tolist() == [2, 4, 5] and made.passed_over == {"position repeated": 1}
 
 
 @pytest.mark.slow
@@ -226,7 +226,7 @@ def test_the_solent_is_read():
 @pytest.mark.skipif(not DATA.exists(), reason="the shared data sets are not here")
 def test_states_of_opensky_are_read_at_the_time_of_their_positions():
     [made] = read_reports(DATA / "OpenSky_Plane_States.csv", ReadOptions(source="opensky"))
-    assert len(set(made.icao)) == 84 and made.passed_over["position told before"] > 0
+    assert len(set(made.icao)) == 84 and made.passed_over["position repeated"] > 0
     assert made.time_s[0] == 1626098398.996 and made.heading_deg is None
     velocity = made.velocity_m_per_s()
     speed = made.speed_m_per_s

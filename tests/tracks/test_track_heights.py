@@ -56,7 +56,7 @@ def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str,
     assert np.all(np.minimum(abs(heights - 3000.0), abs(heights - 10_000.0)) < 100.0)
     assert np.ma.compressed(picture.objects["sigma_height_m"]).max() < 100.0
     if shift_m:
-        assert any("taken away" in note for heights in scene.heights for note in heights.notes)
+        assert any("subtracted" in note for heights in scene.heights for note in heights.notes)
 
 
 @pytest.mark.slow

@@ -110,7 +110,7 @@ def _arrow(frame: Any, columns: list[str]) -> pa.Table:
 def _only_outer(how: str) -> InputError:
     return InputError(
         f"how={how!r}: LSDB brings what competes beyond a border for how='outer' alone",
-        "say how='outer', and drop the rows that are not wanted",
+        "give how='outer', and drop the rows that are not wanted",
     )
 
 

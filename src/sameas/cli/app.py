@@ -68,8 +68,8 @@ app = typer.Typer(
 #: The commands, each the function of its name in the module of its name, and the first sentence of its docstring.
 COMMANDS = {
     "match": "Identify the records of two catalogues and join their tables.",
-    "explain": "Why a record was identified as it was: its competitors, and what other answers would cost.",
-    "compare": "Which identities two outputs give differently: a what-if, another gate, a sensor left out.",
+    "explain": "Explain a record's identification: its candidates, and what other answers would cost.",
+    "compare": "Compare two outputs: which records were identified differently.",
     "many": "Identify the records of several catalogues at once and join their tables, one row per object.",
     "frame": "Identify the stars on frames with a catalogue: table, plate solution, regions, pictures and a page each.",
     "movers": "Find what moves: tracklets of detections, how sure each is, and each of its detections.",

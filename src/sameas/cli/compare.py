@@ -18,7 +18,7 @@ def compare(
     other: Annotated[Path, typer.Argument(metavar="B", help="Another, of the same records.", show_default=False)],
     debug: Debug = False,
 ) -> None:
-    """Which identities two outputs give differently: a what-if, another gate, a sensor left out.
+    """Compare two outputs: which records were identified differently.
 
     Records that one of the two does not have are counted; a sensor left out is no difference by itself.
     """

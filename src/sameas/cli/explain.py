@@ -24,7 +24,7 @@ def explain(
         str,
         typer.Argument(
             metavar="ID",
-            help="Identifier of the record, or its row where the catalogue has none; of a picture the number or label "
+            help="Id of the record, or its row if the catalogue has no ids; in a picture, the number or label "
             "of an object.",
             show_default=False,
         ),
@@ -33,7 +33,7 @@ def explain(
         str,
         option(
             "--source", metavar="1|2|NAME", show_default=True,
-            help="Whose record it is: a number or name; of a frame measurement or star.",
+            help="Source of the record: its number or name; in a frame, measurement or star.",
         ),
     ] = "1",
     row: Annotated[bool, option("--row", show_default=True, help="ID is a row, counted from 0.")] = False,
@@ -49,12 +49,12 @@ def explain(
         str | None,
         option(
             "--format", metavar="NAME", callback=known_format,
-            help="Format of OUT where its extension does not tell it.",
+            help="Format of OUT; by default by its extension.",
         ),
     ] = None,
     debug: Debug = False,
 ) -> None:  # fmt: skip
-    """Why a record was identified as it was: its competitors, and what other answers would cost.
+    """Explain a record's identification: its candidates, and what other answers would cost.
 
     What OUT holds is enough; where the catalogues of a small match are still there it is repeated, which tells more.
     """
@@ -73,5 +73,5 @@ def explain(
 
 def _row(text: str) -> int:
     if not text.isdigit():
-        raise typer.BadParameter(f"{text!r} is no row; give a whole number from 0", param_hint="ID")
+        raise typer.BadParameter(f"{text!r} is not a row; give a whole number from 0", param_hint="ID")
     return int(text)

@@ -48,13 +48,13 @@ def frame(
         option("--aim", panel=_PLACE, metavar="RA,DEC", help="Middle of the frame, degrees or 04:10:09,+22:50:22."),
     ] = None,
     radius: Annotated[
-        float | None, option("--radius", panel=_PLACE, metavar="DEG", help="How far off the aim may be.")
+        float | None, option("--radius", panel=_PLACE, metavar="DEG", help="Error of the aim, at most.")
     ] = None,
     scale: Annotated[
-        str | None, option("--scale", panel=_PLACE, metavar="LO,HI", help="Arcsec per pixel, least and largest.")
+        str | None, option("--scale", panel=_PLACE, metavar="LO,HI", help="Arcsec per pixel, smallest and largest.")
     ] = None,
     ignore_header: Annotated[
-        bool, option("--ignore-header", panel=_PLACE, help="Do not believe the header's plate solution.")
+        bool, option("--ignore-header", panel=_PLACE, help="Ignore the header's plate solution.")
     ] = False,
     time: Annotated[
         str | None, option("--time", panel=_IMAGE, metavar="DATE|YEAR", help="Middle of the exposure (UTC), or a year.")
@@ -69,7 +69,8 @@ def frame(
         list[Path] | None, option("--bias", panel=_IMAGE, metavar="FILE", help="Biases; repeat it.")
     ] = None,
     mask: Annotated[
-        Path | None, option("--mask", panel=_IMAGE, metavar="FILE", help="Image, not 0 where not usable.")
+        Path | None,
+        option("--mask", panel=_IMAGE, metavar="FILE", help="Mask image; pixels that are not 0 are not used."),
     ] = None,
     hdu: Annotated[
         str | None, option("--hdu", panel=_IMAGE, metavar="HDU", help="Number or name of the extension.")
@@ -80,11 +81,11 @@ def frame(
     gain: Annotated[float | None, option("--gain", panel=_IMAGE, metavar="E/ADU", help="Electrons per unit.")] = None,
     read_noise: Annotated[float | None, option("--read-noise", panel=_IMAGE, metavar="E", help="Electrons.")] = None,
     saturation: Annotated[
-        float | None, option("--saturation", panel=_IMAGE, metavar="ADU", help="Level of a full pixel.")
+        float | None, option("--saturation", panel=_IMAGE, metavar="ADU", help="Saturation level.")
     ] = None,
     order: Annotated[
         int | None,
-        option("--order", metavar="1…5", min=1, max=5, help="Of the plate model; else that of the least BIC."),
+        option("--order", metavar="1…5", min=1, max=5, help="Order of the plate model; by default by BIC."),
     ] = None,
     magnitudes: Annotated[
         str,
@@ -94,11 +95,9 @@ def frame(
     ] = "auto",
     faintest: Annotated[
         float | None,
-        option("--faintest", metavar="MAG", help="Use no fainter stars; else as faint as the frame shows."),
+        option("--faintest", metavar="MAG", help="Faintest star used; by default the frame's limit."),
     ] = None,
-    no_motion: Annotated[
-        bool, option("--no-motion", help="Leave the stars at their own epoch, to see what motion does.")
-    ] = False,
+    no_motion: Annotated[bool, option("--no-motion", help="Leave the stars at the catalogue's epoch.")] = False,
     brightest: Annotated[
         int | None,
         option("--brightest", panel=_FILES, metavar="N", min=0, help="Mark only the N brightest identified stars."),
@@ -115,7 +114,7 @@ def frame(
         int, option("--processes", "-j", metavar="N", min=1, show_default=True, help="Frames at a time.")
     ] = 2,
     again: Annotated[
-        bool, option("--again", help="Do also what has been done with the same files and options.")
+        bool, option("--again", help="Repeat frames that were done with the same files and options.")
     ] = False,
     quiet: Quiet = False,
     debug: Debug = False,
@@ -206,5 +205,5 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
 
 def _written(outcome: Any) -> list[str]:
     names = ", ".join(path.name for path in (*outcome.request.outputs().values(), outcome.request.summary_path))
-    state = "done before, not repeated (--again does)" if outcome.skipped else f"{outcome.seconds:.1f} s"
+    state = "done before, not repeated (use --again)" if outcome.skipped else f"{outcome.seconds:.1f} s"
     return [f"Output: {outcome.request.folder}/: {names}", f"Time: {state}"]

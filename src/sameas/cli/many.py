@@ -49,14 +49,14 @@ def many(
         int,
         option(
             "--least", metavar="N", min=1, max=MOST, show_default=True,
-            help="Rows: objects of at least so many catalogues.",
+            help="Write objects that at least this many catalogues show.",
         ),
     ] = 1,
     dry_run: DryRun = False,
     quiet: Quiet = False,
     debug: Debug = False,
     to_epoch: Annotated[
-        float | None, option("--to-epoch", metavar="YEAR", help="Epoch of the objects' places in the output.")
+        float | None, option("--to-epoch", metavar="YEAR", help="Epoch of the objects' positions in the output.")
     ] = None,
     gate_sigmas: GateSigmas = None,
     error_scale: ErrorScale = "auto",
@@ -64,7 +64,7 @@ def many(
         str,
         option(
             "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
-            help="Find the shift and turn of each catalogue against the most precise one, and take it away.",
+            help="Fit and remove each catalogue's shift and rotation relative to the most precise one.",
         ),
     ] = "none",
     out_format: Annotated[
@@ -80,7 +80,7 @@ def many(
     number of one: --epoch 2016 --sigma2 0.1.
     """
     if output is None and not dry_run:
-        raise typer.BadParameter("say -o OUT, the table to write (or --dry-run)", param_hint="-o")
+        raise typer.BadParameter("give -o OUT, the table to write, or --dry-run", param_hint="-o")
     with answering(debug):
         from sameas.cli.outputs import Outputs
         from sameas.front.request import Request

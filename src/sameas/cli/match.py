@@ -66,7 +66,7 @@ def match(
     compare_nearest: Annotated[
         bool,
         option(
-            "--compare-nearest", show_default=True, help="Print what the nearest neighbour would say beside it."
+            "--compare-nearest", show_default=True, help="Print a nearest-neighbour match for comparison."
         ),
     ] = False,
     certify: Annotated[
@@ -79,14 +79,14 @@ def match(
     pictures: Annotated[
         Path | None,
         option(
-            "--pictures", metavar="FOLDER", help="Draw residuals, errors, certainty and brightness into a folder."
+            "--pictures", metavar="FOLDER", help="Folder for plots of residuals, errors, probabilities and magnitudes."
         ),
     ] = None,
     blends: Annotated[
         float | None,
         option(
             "--blends", metavar="ARCSEC",
-            help="Resolution of A: tell which of its records are two of B, in OUT-blends.",
+            help="Resolution of A: write its blends of two records of B to OUT-blends.",
         ),
     ] = None,
     dry_run: DryRun = False,
@@ -113,14 +113,14 @@ def match(
         bool,
         option(
             "--precision/--no-precision", panel=THE_MATCH, show_default=True,
-            help="Whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.",
+            help="Use the sizes of the quoted errors as evidence if magnitudes decide too little.",
         ),
     ] = True,
     column1: Annotated[
         list[str] | None,
         option(
             "--column1", panel=THE_MATCH, metavar="NAME[=FILE]",
-            help="Column of A that is evidence; with a table of odds by its value, a prior of your own. Repeatable.",
+            help="Column of A to use as evidence; with a table of odds by value, a prior of your own. Repeatable.",
         ),
     ] = None,
     column2: Annotated[
@@ -130,14 +130,14 @@ def match(
         list[str] | None,
         option(
             "--relation", panel=THE_MATCH, metavar="A:B",
-            help="Column of A and column of B that may go together, such as two fluxes. Repeatable.",
+            help="Column of A and column of B that may be related, such as two fluxes. Repeatable.",
         ),
     ] = None,
     offset: Annotated[
         str,
         option(
             "--offset", panel=THE_MATCH, metavar="none|find", callback=one_of(("none", "find")), show_default=True,
-            help="Find the shift and turn of B against A, and take it away.",
+            help="Fit and remove the shift and rotation of B relative to A.",
         ),
     ] = "none",
     hdu1: Annotated[
@@ -148,7 +148,7 @@ def match(
         str | None,
         option(
             "--format1", panel=FILES, metavar="NAME", callback=known_format,
-            help="Format of A where its extension does not tell it.",
+            help="Format of A; by default by its extension.",
         ),
     ] = None,
     format2: Annotated[
@@ -171,7 +171,7 @@ def match(
     Columns, units, epochs and errors are recognised and printed; options say what cannot be known.
     """
     if output is None and not dry_run:
-        raise typer.BadParameter("say -o OUT, the table to write (or --dry-run)", param_hint="-o")
+        raise typer.BadParameter("give -o OUT, the table to write, or --dry-run", param_hint="-o")
     with answering(debug):
         from sameas.cli.outputs import Outputs
         from sameas.front.request import Request

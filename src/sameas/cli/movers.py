@@ -49,15 +49,17 @@ def movers(
         Path | None, option("--tracklets", metavar="OUT", help="Table of the tracklets, one row each.")
     ] = None,
     least: Annotated[
-        int, option("--least", metavar="N", min=2, show_default=True, help="Detections of a tracklet, at least.")
+        int, option("--least", metavar="N", min=2, show_default=True, help="Fewest detections of a tracklet.")
     ] = 2,
     probability: Annotated[
         float,
-        option("--probability", metavar="P", min=0, max=1, show_default=True, help="Of a tracklet, at least."),
+        option("--probability", metavar="P", min=0, max=1, show_default=True, help="Lowest probability of a tracklet."),
     ] = 0.5,
     learn: Annotated[
         list[Path] | None,
-        option("--learn", metavar="TABLE", help="Another night's detections to learn rates from; repeat it."),
+        option(
+            "--learn", metavar="TABLE", help="Detections of another night, to learn the rates of motion; repeatable."
+        ),
     ] = None,
     time: Annotated[
         str | None, option("--time", panel=_COLUMNS, metavar="NAME", help="Column: middle of the exposure, UTC.")
@@ -76,7 +78,7 @@ def movers(
     ] = None,
     aim: Annotated[
         str | None,
-        option("--aim", panel=_FRAMES, metavar="RA,DEC", help="Middle of the frames, if headers do not tell."),
+        option("--aim", panel=_FRAMES, metavar="RA,DEC", help="Centre of the frames, if their headers lack it."),
     ] = None,
     scale: Annotated[str | None, option("--scale", panel=_FRAMES, metavar="LO,HI", help="Arcsec per pixel.")] = None,
     dark: Annotated[
@@ -94,7 +96,11 @@ def movers(
     ] = None,
     report: Annotated[
         Path | None,
-        option("--report", metavar="TOML", help="Who observed, with what: writes ADES and 80 columns."),
+        option(
+            "--report",
+            metavar="TOML",
+            help="Observer and telescope (TOML): also writes the ADES and 80-column reports.",
+        ),
     ] = None,
     site: Annotated[
         str | None,
@@ -107,7 +113,7 @@ def movers(
             panel=_FRAMES,
             metavar="RATE",
             min=0.0,
-            help="Add the frames along all motions to so many arcsec/min: what none shows by itself.",
+            help="Stack the frames along all motions to this rate, arcsec/min: finds movers too faint for one frame.",
         ),
     ] = None,
     processes: Annotated[
@@ -128,7 +134,7 @@ def movers(
     stars taken away; all that moves over two exposures or more is linked one to one.
     """
     if output is None and tracklets is None and catalog is None:
-        raise typer.BadParameter("say -o OUT, the table to write", param_hint="-o")
+        raise typer.BadParameter("give -o OUT, the table to write", param_hint="-o")
     if catalog is not None:
         with answering(debug, frame_option):
             from sameas.cli import series
@@ -188,7 +194,7 @@ def _site(text: str | None) -> tuple[float, float, float] | None:
     except ValueError:
         raise typer.BadParameter(f"{text!r} is not LAT,LON,M, such as 42.61,-71.48,100", param_hint="--site") from None
     if not (abs(lat) <= 90 and abs(lon) <= 360 and abs(height) < 1e5):
-        raise typer.BadParameter(f"{text!r} is no place on the Earth", param_hint="--site")
+        raise typer.BadParameter(f"{text!r} is not a place on the Earth", param_hint="--site")
     return lat, lon, height
 
 

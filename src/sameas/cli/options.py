@@ -151,7 +151,7 @@ GateSigmas = Annotated[
         "--gate-sigmas",
         panel=THE_MATCH,
         metavar="K",
-        help="Radius of the gate in quoted σ, instead of one as wide as the errors need.",
+        help="Radius of the gate in quoted σ; by default from the estimated errors.",
     ),
 ]
 ErrorScale = Annotated[
@@ -161,7 +161,7 @@ ErrorScale = Annotated[
         panel=THE_MATCH,
         metavar="auto|FACTOR",
         show_default=True,
-        help="Factor on the quoted errors: estimated with its spread, or given; 1 believes them.",
+        help="Factor on the quoted errors: estimated, or given; 1 takes them as quoted.",
     ),
 ]
 Overwrite = Annotated[
@@ -170,10 +170,8 @@ Overwrite = Annotated[
 ]
 DryRun = Annotated[
     bool,
-    option(
-        "--dry-run", show_default=True, help="Print what is understood of the catalogues; identify and write nothing."
-    ),
+    option("--dry-run", show_default=True, help="Print how the catalogues were read; identify and write nothing."),
 ]
-Quiet = Annotated[bool, option("--quiet", "-q", show_default=True, help="Print doubts and errors only.")]
+Quiet = Annotated[bool, option("--quiet", "-q", show_default=True, help="Print only doubts and errors.")]
 Debug = Annotated[bool, option("--debug", show_default=True, help="Show the traceback of an error.")]
 Folder = Annotated[Path, option("-o", "--output", metavar="FOLDER", show_default=True, help="Where the outputs go.")]

@@ -60,7 +60,7 @@ class Outputs:
         known = tuple(extension for extensions in written_formats().values() for extension in extensions)
         if self.format is None and not self.path.name.lower().endswith(known):
             raise InputError(
-                f"{self.path}: its extension does not tell a format; see `sameas formats`, or say --out-format NAME"
+                f"{self.path}: its extension is not that of a format; see `sameas formats`, or give --out-format NAME"
             )
         if all(map(os.path.exists, inputs)):  # reading the others says so, which is more important
             # Opens the temporary file beside the output and throws it away: no directory, no permission.

@@ -22,7 +22,7 @@ def duration_s(text: str | None) -> float | None:
         return None
     found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z]*)\s*", text.lower())
     if found is None or found[2] not in _SECONDS or float(found[1]) <= 0.0:
-        raise typer.BadParameter(f"{text!r} is no duration; give 10s, 2min or 1h", param_hint="--every")
+        raise typer.BadParameter(f"{text!r} is not a duration; give 10s, 2min or 1h", param_hint="--every")
     return float(found[1]) * _SECONDS[found[2]]
 
 
@@ -33,7 +33,7 @@ def picture(
         typer.Argument(
             metavar="FILE...",
             show_default=False,
-            help="What the sensors wrote: CSV, Parquet, JSON lines, AIS and ARPA NMEA, aircraft.json, SBS, Mode S, "
+            help="Recordings of the sensors: CSV, Parquet, JSON lines, AIS and ARPA NMEA, aircraft.json, SBS, Mode S, "
             "ASTERIX. NAME=FILE names the source.",
         ),
     ] = None,
@@ -43,7 +43,7 @@ def picture(
             "--sensors",
             "-s",
             metavar="TOML",
-            help="What is known of the sensors: place, coverage, errors, misses, biases; and their files.",
+            help="Description of the sensors (TOML): place, coverage, errors, misses, biases; and their files.",
         ),
     ] = None,
     output: Folder = Path("picture"),
@@ -55,7 +55,7 @@ def picture(
     end: Annotated[str | None, option("--to", panel=_TIMES, metavar="TIME", help="The last instant.")] = None,
     start: Annotated[
         str | None,
-        option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line of files that tell no date."),
+        option("--start", panel=_TIMES, metavar="TIME", help="UTC of the first line, for files without a date."),
     ] = None,
     without: Annotated[
         list[str] | None,
@@ -65,11 +65,11 @@ def picture(
         bool, option("--no-registration", panel=_METHOD, help="Take the sensors' offsets as zero, or as described.")
     ] = False,
     no_identity: Annotated[
-        bool, option("--no-identity", panel=_METHOD, help="Leave MMSI, ICAO address, callsign … out of the evidence.")
+        bool, option("--no-identity", panel=_METHOD, help="Do not use MMSI, ICAO address, callsign … as evidence.")
     ] = False,
     no_memory: Annotated[
         bool,
-        option("--no-memory", panel=_METHOD, help="Judge every instant alone, without what the tracks did before."),
+        option("--no-memory", panel=_METHOD, help="Identify every instant by itself, without the tracks' history."),
     ] = False,
     format: Annotated[
         str, option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Of the tables.")
@@ -89,9 +89,9 @@ def picture(
     Everything assumed and estimated is printed.
     """
     if not files and sensors is None:
-        raise typer.BadParameter("say what to read: the sensors' files, or --sensors with a TOML that names them")
+        raise typer.BadParameter("give the sensors' files, or --sensors with a TOML file that names them")
     if at is not None and (every or begin or end):
-        raise typer.BadParameter("say --at, or --every with --from and --to, not both", param_hint="--at")
+        raise typer.BadParameter("give --at, or --every with --from and --to, not both", param_hint="--at")
     with answering(debug, sensor_option):
         from sameas.cli.picturing import run
         from sameas.front.picture import Instants, Method, PictureOutputs

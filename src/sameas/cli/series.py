@@ -82,7 +82,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     outcomes = run_all(requests, processes=request.processes, again=False, shown=not quiet, tell=tell)
     done = [Identified(one.request, one.summary) for one in outcomes if one.summary is not None]
     if len(done) < 2:
-        raise InputError(f"{len(done)} of {len(outcomes)} frames could be identified; what moves shows on two or more")
+        raise InputError(f"{len(done)} of {len(outcomes)} frames could be identified; movers need two or more")
     each, reasons = series_of(done, by_filter=False)
     printer([f"{DOUBT}{reason}" for reason in reasons])
     if len(each) != 1:
@@ -237,7 +237,7 @@ def _frame_request(request: SeriesRequest, path: str, name: str) -> FrameRequest
 def _link_words(found: Any, known: Any) -> str:
     names = [] if known is None else [known.name(k) for k in range(len(found)) if known.object[k] >= 0]
     shown = ", ".join(names[:3]) + (" …" if len(names) > 3 else "")
-    return f"What moves: {counted(len(found), 'candidate')}{f', {shown} among them' if names else ''}"
+    return f"Movers: {counted(len(found), 'candidate')}{f', {shown} among them' if names else ''}"
 
 
 def _drawn(folder: Path, found: Any, series: Any, pixels: Any, known: Any) -> list[str]:

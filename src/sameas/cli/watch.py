@@ -26,7 +26,7 @@ def watch(
         typer.Argument(
             metavar="[FILE]...",
             show_default=False,
-            help="Files to replay instead of what sensors send: as for sameas picture. NAME=FILE names the source.",
+            help="Files to replay instead of live inputs, as for sameas picture. NAME=FILE names the source.",
         ),
     ] = None,
     sensors: Annotated[
@@ -35,38 +35,45 @@ def watch(
             "--sensors",
             "-s",
             metavar="TOML",
-            help="The sensors: what is known of each, and its input: udp://, tcp://, tcp-listen://, http://, serial:, "
+            help="Descriptions of the sensors and their inputs: udp://, tcp://, tcp-listen://, http://, serial:, "
             "stdin:.",
         ),
     ] = None,
     output: Annotated[
         Path | None,
-        option("-o", "--output", metavar="FOLDER", help="State, journal and archive; a watch that was killed goes on."),
+        option(
+            "-o",
+            "--output",
+            metavar="FOLDER",
+            help="Folder of state, journal and archive; a watch that was stopped resumes from it.",
+        ),
     ] = None,
     pace: Annotated[
         float,
-        option("--pace", panel=_INPUTS, metavar="N", show_default=True, help="Files N times as fast as they were."),
+        option("--pace", panel=_INPUTS, metavar="N", show_default=True, help="Replay N times as fast as recorded."),
     ] = 1.0,
     every: Annotated[str | None, option("--every", panel=_INPUTS, metavar="1s", help="Time between instants.")] = None,
     start: Annotated[
         str | None,
-        option("--start", panel=_INPUTS, metavar="TIME", help="UTC of the first line of files that tell no date."),
+        option("--start", panel=_INPUTS, metavar="TIME", help="UTC of the first line, for files without a date."),
     ] = None,
     duration: Annotated[
         str | None, option("--for", panel=_INPUTS, metavar="10s", help="End after this long; otherwise with Ctrl-C.")
     ] = None,
     host: Annotated[
         str,
-        option("--host", panel=_MAP, show_default=True, help="Where the map is served; beyond this machine by token."),
+        option("--host", panel=_MAP, show_default=True, help="Address of the map; other machines need a token."),
     ] = "127.0.0.1",
-    port: Annotated[int, option("--port", panel=_MAP, show_default=True, help="0: any that is free.")] = 8642,
+    port: Annotated[
+        int, option("--port", panel=_MAP, show_default=True, help="Port of the map; 0: any free one.")
+    ] = 8642,
     token: Annotated[
-        str | None, option("--token", panel=_MAP, metavar="TEXT", help="Of who may acknowledge alarms.")
+        str | None, option("--token", panel=_MAP, metavar="TEXT", help="Token that may acknowledge alarms.")
     ] = None,
     viewer_token: Annotated[
-        str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Of who may look only.")
+        str | None, option("--viewer-token", panel=_MAP, metavar="TEXT", help="Token that may only view.")
     ] = None,
-    no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve nothing.")] = False,
+    no_map: Annotated[bool, option("--no-map", panel=_MAP, help="Serve no map.")] = False,
     quiet: Quiet = False,
     debug: Debug = False,
 ) -> None:
@@ -75,7 +82,7 @@ def watch(
     Reads what sensors send, or replays files; serves a map; keeps a journal of identities; sends to other programs.
     """
     if not files and sensors is None:
-        raise typer.BadParameter("say what to read: --sensors with a TOML that has inputs, or files to replay")
+        raise typer.BadParameter("give --sensors with a TOML file that has inputs, or files to replay")
     with answering(debug, sensor_option):
         from sameas.live.keeper import Keeper
 
@@ -134,7 +141,7 @@ def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | 
         import uvicorn
     except ImportError as error:
         raise InputError(
-            "the live map needs Starlette and uvicorn: pip install 'sameas[live]'; or say --no-map"
+            "the live map needs Starlette and uvicorn: pip install 'sameas[live]'; or give --no-map"
         ) from error
     from sameas.live.server import Access, application
 

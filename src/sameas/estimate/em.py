@@ -412,9 +412,8 @@ def settled(
         common = float(p_counted.sum())
         if not math.isfinite(common):
             raise InputError(
-                f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities are beyond computing, "
-                "the errors are far larger than the spacing of the records; are the errors in the unit that was "
-                "understood?"
+                f"{setting.pairs.first.source} and {setting.pairs.second.source}: probabilities cannot be computed: "
+                "the errors are far larger than the spacing of the records; are the errors in the assumed unit?"
             )
         known = known.learned(p_pair, log_ratio)
         done = known.settled(before) and known.evidence_settled(before)

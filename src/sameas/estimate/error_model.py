@@ -261,8 +261,10 @@ class _Judgement:
             return self._one_number()
         name, bare = self.names[source], self._fit((self.one, self.two))
         if bare.log_likelihood - fit.log_likelihood > BETTER and all(bare.tells(k) for k in (0, 1)):
-            return ErrorModel(bare.root(0), bare.root(1), note=f"a floor cannot be told from the errors of {name}")
-        note = f"those of {name} taken as quoted, for they vary too little, or are too small, to be told from a floor"
+            return ErrorModel(
+                bare.root(0), bare.root(1), note=f"a floor cannot be distinguished from the errors of {name}"
+            )
+        note = f"those of {name} taken as quoted: too small or too uniform to be distinguished from a floor"
         factor, floor = fit.root(0), self._floor(fit, 1)
         first, second = (None, factor) if source == 0 else (factor, None)
         return ErrorModel(first, second, floor=floor, note=note)
@@ -272,7 +274,7 @@ class _Judgement:
         fit = self._fit((self.one + self.two, self.level))
         if not fit.tells(0):
             return self._one_number()
-        note = "the quoted errors of the two go together from pair to pair: whose are too small cannot be told"
+        note = "the quoted errors of the two are correlated from pair to pair: which are too small cannot be determined"
         return ErrorModel(both=fit.root(0), floor=self._floor(fit, 1), note=note)
 
     def _one_number(self) -> ErrorModel:
@@ -280,12 +282,12 @@ class _Judgement:
         both = self._fit((self.one + self.two,))
         raised = self._fit((self.level,), self.one + self.two)
         gain = raised.log_likelihood - both.log_likelihood
-        alike = "the quoted errors vary too little from pair to pair to tell"
+        alike = "the quoted errors vary too little from pair to pair to determine"
         if gain > BETTER:
             return ErrorModel(floor=self._floor(raised, 0), note=f"{alike} whether their own sizes are right too")
         if gain < -BETTER:
-            return ErrorModel(both=both.root(0), note=f"{alike} whose are to blame, or whether there is a floor")
-        note = f"{alike} a factor from a floor, or whose errors are to blame"
+            return ErrorModel(both=both.root(0), note=f"{alike} which source's are wrong, or whether there is a floor")
+        note = f"{alike} a factor from a floor, or which source's errors are wrong"
         return ErrorModel(both=both.root(0), floor_instead=self._floor(raised, 0), note=note)
 
     def _fit(self, parts: Sequence[FloatArray], held: FloatArray | None = None) -> _VarianceFit:

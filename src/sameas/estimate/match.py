@@ -329,7 +329,7 @@ def _converged(
         search = replace(search, photometry=None, precision=False, columns=given, trends=())
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
-        remarks.append(f"close candidates do not exceed what chance gives; {believed} are believed")
+        remarks.append(f"close candidates do not exceed what chance gives; {believed} are used")
     return search, found, remarks
 
 
@@ -557,26 +557,26 @@ def _notes(found: _Converged, common: float) -> tuple[str, ...]:
     """What a user should know."""
     notes, known = [], found.known
     if not found.settled:
-        notes.append("the estimates had not settled when the rounds ran out")
+        notes.append("the estimates had not converged at the last iteration")
     if common < 0.5:
-        notes.append("no common object is expected: the sources seem to have nothing in common")
+        notes.append("no common object is expected: the sources seem to have no object in common")
     if known.learns_errors and common < found.tuning.em.fewest:
         believed = (
-            "probabilities are averaged over what they leave open" if known.average else "the quoted ones are believed"
+            "probabilities are averaged over what they leave open" if known.average else "the quoted errors are used"
         )
         notes.append(f"too few pairs ({common:.1f}) to judge the errors; {believed}")
     if known.photometry is not None and known.photometry.chains is None:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
-        notes.append(f"{few} to learn from the magnitudes; they are not used")
+        notes.append(f"{few} to fit the magnitudes; they are not used")
     relation = None if known.photometry is None else known.photometry.first_relation
     if known.photometry is not None and relation is not None and relation.unrelated > found.tuning.unrelated:
         error, spread_mag = known.photometry.quoted_and_spread(known.setting.pairs, found.p_counted)
         notes.append(
             f"the quoted errors of the magnitudes, {error:.2g} mag, are larger than the spread of those of the pairs, "
-            f"{spread_mag:.2g} mag: they weigh next to nothing"
+            f"{spread_mag:.2g} mag: they have hardly any weight"
             if error > spread_mag
-            else f"the magnitudes of {relation.unrelated:.0%} of the pairs have nothing to do with each other, and "
-            "weigh next to nothing: are they of these objects, and in the columns that were meant?"
+            else f"the magnitudes of {relation.unrelated:.0%} of the pairs are unrelated, and "
+            "have hardly any weight: are they of these objects, and in the right columns?"
         )
     return tuple(notes)
 

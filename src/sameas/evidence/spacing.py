@@ -61,8 +61,8 @@ class Spacing:
             return ""
         return (
             f"b is {given[feature]:.3g} in feature {feature}, but the sources' own neighbours lie "
-            f"{self.neighbour[feature]:.3g} ± {self.error[feature]:.2g} apart there: true pairs are mistaken for "
-            f"strangers and strangers for pairs; give b of {self.b[feature]:.3g} or more"
+            f"{self.neighbour[feature]:.3g} ± {self.error[feature]:.2g} apart there: true pairs and chance "
+            f"pairs are confused; give b of {self.b[feature]:.3g} or more"
         )
 
 

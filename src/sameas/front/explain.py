@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 #: Rows of both catalogues up to which the match is repeated without being asked for: under a second (chosen).
 REPEATED = 100_000
 #: What an explanation from the table of two catalogues lacks.
-ALONE = "Told by the table alone; matching again tells the terms of the odds and the cost of other answers."
+ALONE = "From the table alone; match again for the terms of the odds and the cost of other answers."
 #: Lines on an output that was edited, cut or put together, beside what its reader met.
 CHANGED = "is not as sameas wrote it"
 #: Tables of a picture's folder.
@@ -132,7 +132,7 @@ def _kind(facts: Mapping[str, Any], path: Path) -> str:
         return "match"
     if "digest" in facts and "frame" in facts:
         return "frame"
-    raise InputError(f"{path}: does not say how it was made; give a table that `sameas match` wrote")
+    raise InputError(f"{path}: has no provenance; give a table that `sameas match` wrote")
 
 
 def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:
@@ -208,7 +208,7 @@ def _either(
 def _of_other(record: str, name: str, other: int) -> InputError:
     from sameas.errors import naming
 
-    return InputError(f"{record} is a record of {name}", naming(f"say {{source:{other}}}"))
+    return InputError(f"{record} is a record of {name}", naming(f"give {{source:{other}}}"))
 
 
 def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None) -> list[str]:
@@ -314,9 +314,9 @@ def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[s
     joined = [{records for records in sets.values() if len(records) > 1} for _, sets in sides]
     same = joined[0] & joined[1]
     what = "objects at an instant" if pictures else "objects"
-    yield from entry("joined alike", f"{count(len(same))} {what} of two records or more")
+    yield from entry("identified alike", f"{count(len(same))} {what} of two records or more")
     for (one, _), own in zip(sides, joined, strict=True):
-        yield from entry("joined otherwise", f"{count(len(own - same))} in {one.title}")
+        yield from entry("identified otherwise", f"{count(len(own - same))} in {one.title}")
     changed = sorted(record for record in shared if sides[0][1][record] != sides[1][1][record])
     yield from entry("records moved", f"{count(len(changed))} of {count(len(shared))} are of another object")
     listed: set[frozenset[Record]] = set()
@@ -372,7 +372,7 @@ def _objects_of_table(path: Path) -> _Objects:
     facts, table = read_provenance(path), read_table(path)
     sources = source_numbers(facts)
     if len(sources) < 2:
-        raise InputError(f"{path}: does not say how it was made; give a table that `sameas match` or `many` wrote")
+        raise InputError(f"{path}: has no provenance; give a table that `sameas match` or `many` wrote")
     chosen = np.ones(len(table), bool)
     if "match_flag" in table.colnames:
         chosen = np.ma.filled(np.ma.asarray(table["match_flag"]), 1) == 1

@@ -116,7 +116,7 @@ class MatchFrame:
         from sameas.plots import frame
 
         if name not in PLOTS:
-            raise InputError(f"there is no picture {name!r}; give one of {', '.join(PLOTS)}")
+            raise InputError(f"there is no plot {name!r}; give one of {', '.join(PLOTS)}")
         if name == PLOTS[1]:
             return frame.quality(self.sky)
         return frame.picture(self.sky, self.frame, brightest=self.request.brightest)

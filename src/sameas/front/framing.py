@@ -87,7 +87,7 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
             return found
         where = "the aim is known, but not the scale" if aim else "no plate solution and no aim in the header"
         more = "{scale:LO,HI} (arcsec per pixel)"
-        raise InputError(f"{frame.name}: {where}", naming(f"say {more}" if aim else f"say {{aim:RA,DEC}} and {more}"))
+        raise InputError(f"{frame.name}: {where}", naming(f"give {more}" if aim else f"give {{aim:RA,DEC}} and {more}"))
     if aim is not None:
         half_deg = 0.5 * math.hypot(*frame.shape) * scale[1] / 3600.0
         radius = pointing.radius_deg if pointing.radius_deg is not None else max(OFF_DEG, OFF_FRAMES * half_deg)
@@ -96,7 +96,7 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
         if not whole_sky:
             raise InputError(
                 f"{frame.name}: no aim in the header",
-                naming("say {aim:RA,DEC}, or {catalogue:'bright'} for the whole sky"),
+                naming("give {aim:RA,DEC}, or {catalogue:'bright'} for the whole sky"),
             )
         found.append(AllSky(scale))
     return found
@@ -311,10 +311,10 @@ def found_on(
     )
     if moves and moment is None and request.motion:
         text = (
-            "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left where they "
-            f"are at {stars.epoch_jyr:.1f}; "
+            "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left at "
+            f"epoch {stars.epoch_jyr:.1f}; "
         )
-        found = replace(found, notes=(*found.notes, Message(text, naming("say {time:DATE}"))))
+        found = replace(found, notes=(*found.notes, Message(text, naming("give {time:DATE}"))))
     return found, stars
 
 

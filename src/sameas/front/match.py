@@ -218,10 +218,10 @@ class Match:
 
         Raises
         ------
-        InputError : an unknown name; records have no pictures; matplotlib is missing, or there is nothing to draw.
+        InputError : an unknown name; records have no pictures; matplotlib is missing, or nothing to plot.
         """
         if self.sky is None:
-            raise InputError("pictures are drawn of catalogues; these are records without columns")
+            raise InputError("plots need catalogues; these are records without columns")
         return draw(self.sky, name, record)
 
     def write(
@@ -289,7 +289,7 @@ def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
     from sameas import plots
 
     if name not in PLOTS:
-        raise InputError(f"there is no picture {name!r}; give one of {', '.join(PLOTS)}")
+        raise InputError(f"there is no plot {name!r}; give one of {', '.join(PLOTS)}")
     if name == PLOTS[-1]:
         return plots.group(found, record=record)
     figure: Figure = getattr(plots, name)(found)
@@ -404,7 +404,7 @@ def match(
             other = kind_of(second if given[0] else first)
             raise InputError(f"match: Records are matched with Records, not with a {other}", "make both of one kind")
         if stated:
-            raise InputError(f"match: Records have no columns, so {next(iter(stated))} says nothing of them")
+            raise InputError(f"match: Records have no columns, so {next(iter(stated))} has no meaning for them")
         if offset != "none" or to_epoch is not None:
             raise InputError("match: Records have no epochs or frames", "see register for offsets between them")
         found = _match_records(

@@ -50,19 +50,21 @@ COLUMN_OPTIONS = (
     ColumnOption("epoch", "epoch", "YEAR|DATE|NAME", "Epoch of the positions, or the column of it.", str, "yr"),
     ColumnOption("pm", "pm", "E,N|none", "Columns of proper motion, east with cos(dec)."),
     ColumnOption(
-        "pm-sigma", "pm_sigma_mas_per_yr", "MAS/YR", "Error of proper motions without one.", float, "mas / yr"
+        "pm-sigma", "pm_sigma_mas_per_yr", "MAS/YR", "Error of proper motions that state none.", float, "mas / yr"
     ),
     ColumnOption("parallax", "parallax", "NAME|none", "Column of parallax."),
     ColumnOption("radial-velocity", "radial_velocity", "NAME|none", "Column of radial velocity."),
     ColumnOption("magnitude", "magnitude", "NAME|none", "Column of a magnitude."),
     ColumnOption("sigma-floor", "sigma_floor_arcsec", "ARCSEC", "Quadratically added to the errors.", float, "arcsec"),
-    ColumnOption("fill-errors", "fill_errors", "", "Give rows without an error that of their magnitude.", bool),
+    ColumnOption(
+        "fill-errors", "fill_errors", "", "Give rows without an error the typical error of their magnitude.", bool
+    ),
     ColumnOption(
         "missing-pm", "missing_pm_mas_per_yr", "MAS/YR", "Spread of unknown proper motions, 1σ.", float, "mas / yr"
     ),
 )
 FILE_OPTIONS = (
-    ColumnOption("format", "format", "NAME", "Format of a file whose extension does not tell it."),
+    ColumnOption("format", "format", "NAME", "Format of the file; by default by its extension."),
     ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
 )
 SIDE_OPTIONS = (*COLUMN_OPTIONS, *FILE_OPTIONS)

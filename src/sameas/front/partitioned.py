@@ -46,7 +46,7 @@ class PartitionedMatch:
     def __post_init__(self) -> None:
         for name in (f"{one.parameter}{side}" for one in FILE_OPTIONS for side in ("", 1, 2)):
             if self.request.columns.get(name) is not None:
-                raise InputError(f"{name}: HATS catalogues are Parquet files, nothing is to be said of their format",
+                raise InputError(f"{name}: HATS catalogues are Parquet files; their format is not an option",
                                  "leave it out")  # fmt: skip
 
     @cached_property
@@ -120,7 +120,7 @@ class PartitionedMatch:
             begun = scratch.exists() or not target.exists() or not any(target.iterdir())
             if not begun:
                 raise InputError(
-                    f"{path}: exists already, and is no unfinished match", "give another name, or remove it"
+                    f"{path}: exists already, and is not an unfinished match", "give another name, or remove it"
                 )
             with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_there(target.parent)) as folder:
                 self.__dict__["estimated"] = self._estimated(Path(folder), workers, executor)
@@ -171,12 +171,12 @@ class PartitionedMatch:
         yield from entry("errors", f"{figures(learned.errors.typical_scale)} times what is quoted, typically")
         yield from entry("gate", f"{figures(learned.gate_sigmas)} σ")
         if learned.columns is not None:
-            nothing = entry("columns", "too few pairs to learn from them; they are not used")
+            nothing = entry("columns", "too few pairs to fit them; they are not used")
             yield from column_lines(learned.columns, (self.catalogues[0].name, self.catalogues[1].name)) or nothing
-        yield from entry("halo", f"{figures(work.halo_arcsec)} arcsec, wider where that is not certain")
+        yield from entry("halo", f"{figures(work.halo_arcsec)} arcsec, wider where that is not enough")
         far = [0 if side.far is None else len(side.far) for side in work.sides]
         if any(far):
-            yield from entry("far", f"{count(far[0])} and {count(far[1])} records reach farther than that")
+            yield from entry("far", f"{count(far[0])} and {count(far[1])} records need a wider one")
         yield from (DOUBT + words(doubt) for doubt in self.doubts)
 
     def __repr__(self) -> str:
@@ -218,7 +218,7 @@ def written_lines(written: Written) -> list[str]:
         *entry("rows", f"{count(written.rows)} in {count(written.partitions)} partitions"),
         *entry("halo", f"{figures(written.halo_arcsec)} arcsec at most"),
         *(
-            entry("not certain", f"{count(written.doubtful)} rows, whose groups reach farther")
+            entry("not certain", f"{count(written.doubtful)} rows whose groups reach beyond the halo")
             if written.doubtful
             else ()
         ),

@@ -437,8 +437,8 @@ def pictured(
     picture = Picture.of(scene, times, watch=method.watch(scene), biases=lines, progress=progress)
     if not len(picture.records["row"]):
         raise InputError(
-            f"no source says anything at {span(times[0], times[-1])}; they speak from {span(*scene.span_s)}",
-            naming("say {at}, or {begin} and {end}, within that"),
+            f"no source has a report at {span(times[0], times[-1])}; reports are of {span(*scene.span_s)}",
+            naming("give {at}, or {begin} and {end}, within that span"),
         )
     say([*found_lines(picture.summary), *estimated_lines(scene), *assumed_lines(scene)])
     return MatchPicture(picture, sources, scene, biases, (*unread, *doubts), call)
@@ -466,7 +466,7 @@ def match_picture(
     sources : path, paths, or by the names of the sources paths or tables (data frames, astropy and Arrow tables, dicts
         of columns) with a time and positions. sensors : TOML file that describes the sources.
     every : seconds between instants. at : one instant only; begin, end : the first and the last: seconds since 1970, or
-        dates. start : UTC of the first line of files that tell no date.
+        dates. start : UTC of the first line, for files without a date.
     without : sources to leave out. registration, identity, memory : whether the sensors' offsets are taken away, and
         whether identities and the past of tracks are evidence.
     progress : called with what is being done.
@@ -515,7 +515,7 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
         read.append(source_of(own, described.get(name), Path(name)))
     unused = [name for name in described if name not in sources and described[name].path is None]
     if unused and not files:
-        raise InputError(f"{unused[0]} is described, but none of the files is of it; there are {', '.join(sources)}")
+        raise InputError(f"{unused[0]} is described, but no file belongs to it; there are {', '.join(sources)}")
     order = {name: k for k, name in enumerate(sources)}
     return sorted(read, key=lambda one: order.get(one.description.name, len(order)))
 

@@ -110,8 +110,8 @@ class Request(Generic[Options]):
         stated = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
         if stated:
             raise InputError(
-                f"{name}: it is a Catalogue, understood already, so {stated[0]}{side} changes nothing",
-                "say it with CatalogueOptions, or give its table",
+                f"{name}: a Catalogue's columns are chosen already, so {stated[0]}{side} changes nothing",
+                "give it in CatalogueOptions, or give the table",
             )
 
     def naming_sides(self, work: Callable[[], Any]) -> Any:
@@ -140,9 +140,9 @@ class Request(Generic[Options]):
         first, second = self.sources[:2]
         if isinstance(first, str) and isinstance(second, str):
             if os.path.exists(first) and os.path.exists(second) and os.path.samefile(first, second):
-                return f"{first} is given twice: every record will be found to be itself"
+                return f"{first} is given twice: every record would match itself"
         elif first is second:
-            return f"one {kind_of(first)} is given twice: every record will be found to be itself"
+            return f"one {kind_of(first)} is given twice: every record would match itself"
         return ""
 
     def facts(self) -> dict[str, Any]:
@@ -184,12 +184,10 @@ class Request(Generic[Options]):
                 columns |= {f"{one.parameter}{k}": fields[one.field] for one in COLUMN_OPTIONS if one.field in fields}
             request = Request((facts["input_1"], facts["input_2"]), MatchOptions(**options), columns)
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
-            raise InputError(
-                f"{output}: does not say how it was made; give a table that `sameas match` wrote"
-            ) from None
+            raise InputError(f"{output}: has no provenance; give a table that `sameas match` wrote") from None
         for k, path in enumerate(request.paths, 1):
             if not Path(path).is_file():
-                raise InputError(f"{output}: was made from {path}, which is not there any more; put it back")
+                raise InputError(f"{output}: was made from {path}, which no longer exists; restore it")
             if checksum(path) != facts.get(f"sha256_{k}"):
                 raise InputError(
                     f"{output}: was made from {path}, which has changed since (another SHA-256); match again"

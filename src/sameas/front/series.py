@@ -183,4 +183,4 @@ def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping
 def doubts_of(summary: Mapping[str, Any]) -> list[str]:
     """What is doubtful about a frame."""
     notes = itertools.chain(summary["exposure"]["read"], summary["notes"])
-    return [note for note in notes if note.startswith("doubt") or "not settled" in note]
+    return [note for note in notes if note.startswith("doubt") or "not converged" in note]

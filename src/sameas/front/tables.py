@@ -91,7 +91,7 @@ def _odds_file(path: str | os.PathLike[str]) -> Table:
         try:
             values = np.loadtxt(path, ndmin=2)
         except (OSError, ValueError) as error:
-            raise InputError(f"{text}: is no table of odds ({error})") from None
+            raise InputError(f"{text}: is not a table of odds ({error})") from None
         return Table(values)
     return read_table(path)
 

@@ -1,9 +1,9 @@
 """Files: the tables that astronomers have, read and written; every output is whole or absent.
 
 ``read_table`` and ``write_table`` know FITS, VOTable, ECSV, CSV and Parquet by the name of the file;
-``read_table`` also reads catalogues of SExtractor, tables of VizieR, IPAC and the CDS, and text parted by blanks, known
-by what is in them. ``read_provenance`` tells how a file that we wrote was made. ``replacing`` makes any other output
-(a picture, a page of HTML) whole or absent too. Nothing heavy is imported before a file is touched.
+``read_table`` also reads catalogues of SExtractor, tables of VizieR, IPAC and the CDS, and text separated by blanks,
+recognized by their content. ``read_provenance`` tells how a file that we wrote was made. ``replacing`` makes any other
+output (a picture, a page of HTML) whole or absent too. Nothing heavy is imported before a file is touched.
 """
 
 from sameas.io.atomic import replacing

@@ -37,7 +37,7 @@ def is_parted_by_blanks(path: Path, first: bytes) -> bool:
 
 
 FORMAT = Format(
-    "ascii", "text parted by blanks", TEXT_EXTENSIONS, unmarked=True, read_only=True, recognised=is_parted_by_blanks
+    "ascii", "text separated by blanks", TEXT_EXTENSIONS, unmarked=True, read_only=True, recognised=is_parted_by_blanks
 )
 
 

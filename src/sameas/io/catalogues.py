@@ -101,7 +101,7 @@ class GaiaArchive:
             answer = pyvo.dal.TAPService(self.url).run_async(self.query(cone, faintest), timeout=self.timeout_s)
             stars = answer.to_table()
         except pyvo.dal.DALQueryError as error:
-            raise InputError(f"{self.url}: the archive refuses the question ({_short(error)})") from error
+            raise InputError(f"{self.url}: the archive refuses the query ({_short(error)})") from error
         except Exception as error:  # whatever the network, the server or its XML may do
             raise InputError(f"{self.url}: the archive does not answer ({_short(error)})", _offline()) from error
         if not len(stars):
@@ -185,7 +185,7 @@ def catalogue(
     if name.lower() == GAIA:
         if cone is None:
             raise InputError(
-                "gaia: the archive is asked a field at a time", naming("give {cone}, or {catalogue:'bright'}")
+                "gaia: the archive is queried one field at a time", naming("give {cone}, or {catalogue:'bright'}")
             )
         stars = (archive or GaiaArchive())(cone, faintest=21.0 if faintest is None else faintest, progress=progress)
         return Catalogue.of(stars, "Gaia DR3", options=options)
@@ -208,7 +208,7 @@ def bright(*, progress: Callable[[str], None] = lambda stage: None) -> Catalogue
         of = "none"
     path = cache_folder() / f"bright-1-{of}.parquet"
     if not path.exists():
-        progress("identifying Hipparcos with Gaia for the motions of bright stars, once")
+        progress("matching Hipparcos with Gaia for the proper motions of bright stars (once)")
         table = bright_table()
         path.parent.mkdir(parents=True, exist_ok=True)
         table.meta.clear()
@@ -255,7 +255,7 @@ def _column(names: list[str], named: str | None, usual: tuple[str, ...], folder:
         if name and name.lower() in known:
             return known[name.lower()]
     message = f"{folder}: no column {named or what!r} among {', '.join(names[:8])} …"
-    raise InputError(message, Message("say ", Argument(what, "NAME")))
+    raise InputError(message, Message("give ", Argument(what, "NAME")))
 
 
 def _box(cone: Cone, ra: str, dec: str):  # type: ignore[no-untyped-def]

@@ -157,7 +157,7 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
     if hdu is None:
         if len(tables) == 1:
             return hdus[tables[0]], []
-        return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; took {tables[0]}"]
+        return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; used {tables[0]}"]
     number = int(hdu) if isinstance(hdu, int) or hdu.lstrip("-").isdigit() else hdu
     try:
         chosen = hdus[number]

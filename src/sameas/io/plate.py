@@ -79,7 +79,7 @@ def write_copy(plate: PlateModel, frame: str | os.PathLike[str], path: str | os.
 
     frame, path = Path(frame), Path(path)
     if path.exists() and path.samefile(frame):
-        raise InputError(f"{path}: is the frame itself; give another name for the copy")
+        raise InputError(f"{path}: is the frame itself; give the copy another name")
     with replacing(path) as draft:
         if frame.name.lower().endswith(".gz") == path.name.lower().endswith(".gz"):
             shutil.copyfile(frame, draft)

@@ -273,7 +273,7 @@ def _recognised(path: Path, first: bytes) -> Format | None:
 def _unknown_extension(path: Path, formats: Mapping[str, tuple[str, ...]]) -> InputError:
     every = " ".join(dict.fromkeys(e for extensions in formats.values() for e in extensions if ".gz" not in e))
     suffix = f"the extension {path.suffix!r} is not known" if path.suffix else "the name has no extension"
-    return InputError(f"{path}: {suffix}", Message(f"known are {every}, or say ", Argument("format", "NAME")))
+    return InputError(f"{path}: {suffix}", Message(f"known are {every}, or give ", Argument("format", "NAME")))
 
 
 def _check_kind(path: Path, known: Format, kind: str | None) -> None:
@@ -282,7 +282,7 @@ def _check_kind(path: Path, known: Format, kind: str | None) -> None:
         return
     remedy: str = ""
     if kind in {other.label for other in FORMATS}:
-        remedy = Message("rename it, or say ", Argument("format", repr(str(kind).lower())))
+        remedy = Message("rename it, or give ", Argument("format", repr(str(kind).lower())))
         kind = f"a {kind} file"
     elif kind == "a web page (HTML)":
         remedy = "the download probably failed"

@@ -68,7 +68,7 @@ def read(path: Path, hdu: None) -> Table:
     table = _described(_without_blanks(table), cells[1], comments)
     if after and _HEAD.search(text, after.start()):
         title = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
-        table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; took the first{title}"]
+        table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; used the first{title}"]
     return table
 
 

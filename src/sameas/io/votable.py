@@ -180,7 +180,7 @@ def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:
                 table.meta.setdefault(f"coosys_{key}", str(getattr(system, key)))
     count = sum(1 for _ in document.iter_tables())
     if count > 1:
-        table.meta["sameas_notes"] = [f"{path} holds {count} tables; took the first"]
+        table.meta["sameas_notes"] = [f"{path} holds {count} tables; used the first"]
     return table
 
 

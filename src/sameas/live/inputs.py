@@ -90,7 +90,7 @@ class Wire:
         self.queue, self.state = BoundedQueue(most_bytes), WireState()
         parts = urlsplit(url)
         if parts.scheme not in _SCHEMES:
-            raise InputError(f"input {url!r}: is no wire that is known", f"give one of {', '.join(_SCHEMES)}")
+            raise InputError(f"input {url!r}: is not a known kind of input", f"give one of {', '.join(_SCHEMES)}")
         if parts.scheme in ("udp", "tcp", "tcp-listen") and not parts.port:
             raise InputError(f"input {url!r}: has no port", f"give {parts.scheme}://HOST:PORT")
 

@@ -308,15 +308,17 @@ class Keeper:
         watch, out, clock_s = self.settings.watch, [], self.clock()
         for name, state in self.sources.items() if self.replay is None else ():
             if math.isfinite(state.last_s) and clock_s - state.last_s > watch.silent_s:
-                out.append(Alarm(f"silent {name}", "source", f"{name} has said nothing for {watch.silent_s:.0f} s"))
+                out.append(Alarm(f"silent {name}", "source", f"{name} has sent no report for {watch.silent_s:.0f} s"))
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
-                text = f"{name}: its stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt"
+                text = f"{name}: its time stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt"
                 out.append(Alarm(f"clock {name}", "source", text))
         for url, wire in self.wires.items():
             if wire.queue.dropped > self.counters[f"dropped {url}"]:
                 out.append(
-                    Alarm(f"flood {url}", "source", f"{url} brings more than can be read; the oldest is dropped")
+                    Alarm(
+                        f"flood {url}", "source", f"{url} sends more than can be processed; the oldest data are dropped"
+                    )
                 )
                 self.counters[f"dropped {url}"] = wire.queue.dropped
         return out
@@ -324,7 +326,7 @@ class Keeper:
     def _folder_alarms(self) -> list[Alarm]:
         if not self._refusal:
             return []
-        return [Alarm("folder", "fault", f"{self.folder} cannot be written, what happens is not kept: {self._refusal}")]
+        return [Alarm("folder", "fault", f"{self.folder} cannot be written; events are not saved: {self._refusal}")]
 
     def _kept(self, write: Callable[[Journal], T]) -> T | None:
         """What writing into the folder gives; None where there is none, or the disk refuses.
@@ -436,7 +438,7 @@ class Keeper:
             self.journal = None
             if refusal or self._refusal:
                 raise InputError(
-                    f"{self.folder}: the end of the watch is not kept: {refusal or self._refusal}",
+                    f"{self.folder}: the last state of the watch is not saved: {refusal or self._refusal}",
                     "make room, or give a folder that can be written",
                 )
 
@@ -521,7 +523,7 @@ def _identity_alarms(state: PictureState[Any]) -> list[Alarm]:
         number = {(names[s], row): n for s, row, n in places}
     for alarm in state.alarms:
         text = (
-            f"{alarm.attribute.upper()} {alarm.value} is shown at two places {alarm.distance:.0f} m apart: "
+            f"{alarm.attribute.upper()} {alarm.value} is reported at two places {alarm.distance:.0f} m apart: "
             "forged, duplicate or wrong"
         )
         objects = tuple(sorted({number[where] for where in (alarm.first, alarm.second) if where in number}))

@@ -275,7 +275,8 @@ def _datagrams(parts: Iterator[bytes], *, joined: bool) -> Iterator[bytes]:
 def metrics(health: Mapping[str, Any], durations_s: Sequence[float]) -> str:
     """Prometheus text (format 0.0.4) of a keeper's health and the durations of its last ticks."""
     lines = [
-        "# HELP sameas_up Whether the picture ticks.", "# TYPE sameas_up gauge", f"sameas_up {int(health['ok'])}",
+        "# HELP sameas_up Whether the picture is advancing.", "# TYPE sameas_up gauge",
+            f"sameas_up {int(health['ok'])}",
         "# TYPE sameas_ticks_total counter", f"sameas_ticks_total {health['tick']}",
         "# TYPE sameas_faults_total counter", f"sameas_faults_total {health['faults']}",
         "# TYPE sameas_objects gauge", f"sameas_objects {health['objects']}",

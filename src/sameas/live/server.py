@@ -113,12 +113,12 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
     def guarded(handler: Any, *, operator: bool = False, changes: bool = False) -> Any:
         async def guard(request: Request) -> Response:
             if not access.means_us(request.headers.get("host", "")):
-                return answer({"error": "another host is meant"}, 421)
+                return answer({"error": "the request names another host"}, 421)
             role = role_of(request)
             if role is None:
                 return answer({"error": "give a token: ?token=…, or Authorization: Bearer …"}, 401)
             if operator and role != "operator":
-                return answer({"error": "viewers may look only"}, 403)
+                return answer({"error": "viewers may not acknowledge alarms"}, 403)
             if changes and request.headers.get("x-sameas") != "1":
                 return answer({"error": "give the header X-Sameas: 1"}, 403)
             result: Response = await handler(request, role)
@@ -137,7 +137,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 
     async def events(request: Request, role: str) -> Response:
         if clients.now >= clients.most:
-            return answer({"error": "too many listen"}, 503, **{"Retry-After": "10"})
+            return answer({"error": "too many connections"}, 503, **{"Retry-After": "10"})
         since = request.headers.get("last-event-id", "")
         stream = _events(keeper, clients, int(since) if since.isdigit() else None)
         return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})

@@ -120,7 +120,7 @@ def read_settings(path: str | Path) -> Settings:
     """
     tables = source_tables(path)
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    with reading(str(path), "is no description of a watch"):
+    with reading(str(path), "is not a description of a watch"):
         sources = {name: _source(name, table, f"{path}: sources.{name}") for name, table in tables.items()}
         return Settings(sources, _watch(content.get("watch", {}), f"{path}: watch", sources))
 

@@ -138,7 +138,7 @@ class Weights:
     def of(cls, objects: Identified) -> Weights:
         """Of the answer of ``identify_many``."""
         if objects.terms is None:
-            raise InputError("only the objects of identify_many are explained: the sets of others were not weighed")
+            raise InputError("only the objects of identify_many are explained: others have no candidate sets")
         kept = np.flatnonzero((objects.answer.probability >= LEAST) | objects.answer.chosen)
         members = objects.sets.members[kept]
         at, source = np.nonzero(members != NO_RECORD)

@@ -50,7 +50,7 @@ class ObjectsRule:
 
     def terms(self, pooled: PooledRecords) -> Terms:
         """The terms of the records and pairs of ``pooled``."""
-        raise TypeError(f"{type(self).__name__} is the interface of beliefs in objects; use one of them")
+        raise TypeError(f"{type(self).__name__} is the interface of set rules; use one of them")
 
     def __add__(self, other: Rule) -> SetRules:
         return SetRules(self, ()) + other
@@ -217,10 +217,10 @@ def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
             raise InputError(_two_sources(part))
     pairwise = [part for part in rules if isinstance(part, CloseObjects | Field)]
     if len(pairwise) + (objects is not None) > 1:
-        raise InputError("identify_many: both rules speak of position; give one of them")
+        raise InputError("identify_many: both rules use positions; give one of them")
     if objects is None and not pairwise:
         names = " + ".join(type(part).__name__ for part in rules)
-        raise InputError(f"identify_many: {names} says nothing of positions; add it to PoissonObjects(density, q)")
+        raise InputError(f"identify_many: {names} does not use positions; add it to PoissonObjects(density, q)")
     beside = tuple(part for part in rules if not isinstance(part, CloseObjects | Field))
     return objects or Pairwise(pairwise[0]), beside
 
@@ -229,7 +229,7 @@ def _attribute_terms(rule: Rule, pooled: PooledRecords) -> PairTerms:
     """The terms of a rule on attributes."""
     terms = PairTerms.of(rule, pooled, best_reference)
     if "position" in terms.terms:
-        raise InputError(f"identify_many: both {type(rule).__name__} and the rule it is added to speak of position")
+        raise InputError(f"identify_many: both {type(rule).__name__} and the rule it is added to use positions")
     return terms
 
 
@@ -248,7 +248,7 @@ def _prior_terms(prior: SetPrior, pooled: PooledRecords) -> Terms:
 
 def _two_sources(rule: Rule) -> str:
     return (
-        f"identify_many: {type(rule).__name__} speaks of two sources; give PoissonObjects(density, q), "
+        f"identify_many: {type(rule).__name__} is for two sources; give PoissonObjects(density, q), "
         "CloseObjects(a, b), or Field(density) with one number"
     )
 

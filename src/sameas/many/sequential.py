@@ -50,11 +50,11 @@ def identify_sequentially(
     positions, beside = parts_of(rule)
     if beside:
         raise InputError(
-            f"identify_sequentially compares positions, and {type(beside[0]).__name__} speaks of records, which the "
-            "fused picture is not; give it to identify_many"
+            f"identify_sequentially compares positions, and {type(beside[0]).__name__} needs records, which the "
+            "fused picture is not; use it in identify_many"
         )
     if not isinstance(positions, PoissonObjects | Pairwise):
-        raise InputError(f"{type(positions).__name__} weighs whole sets of records; give it to identify_many")
+        raise InputError(f"{type(positions).__name__} needs whole sets of records; use it in identify_many")
     together = pooled(sources, gate)
     if len(together.observers.whole) < len(sources):
         raise InputError("identify_sequentially needs sources of whole positions; give the parts to identify_many")

@@ -238,7 +238,7 @@ def read_coast(path: str | os.PathLike[str]) -> Coast:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is no GeoJSON: {error}") from error
+        raise InputError(f"{path}: is not GeoJSON: {error}") from error
     lines: list[FloatArray] = []
     roles: list[str] = []
     for number, geometry in _geometries(whole, path):
@@ -262,7 +262,7 @@ def _geometries(value: Any, path: str | os.PathLike[str]) -> Iterator[tuple[int,
     else:
         features = None
     if not isinstance(features, list):
-        raise InputError(f"{path}: is no GeoJSON", "give a FeatureCollection, a Feature or a geometry")
+        raise InputError(f"{path}: is not GeoJSON", "give a FeatureCollection, a Feature or a geometry")
     for number, feature in enumerate(features):
         geometry = feature.get("geometry") if isinstance(feature, dict) else None
         parts = [geometry] if isinstance(geometry, dict) else []
@@ -291,9 +291,9 @@ def _places(points: Any, where: str) -> FloatArray:
     try:
         places = np.array([point[:2] for point in points], dtype=np.float64).reshape(-1, 2)
     except (TypeError, ValueError, IndexError) as error:
-        raise InputError(f"{where}: coordinates that are no pairs of numbers") from error
+        raise InputError(f"{where}: coordinates that are not pairs of numbers") from error
     if len(places) < 2 or not np.isfinite(places).all() or np.abs(places[:, 1]).max() > 90.0:
-        raise InputError(f"{where}: coordinates that are no longitudes and latitudes in degrees")
+        raise InputError(f"{where}: coordinates that are not longitudes and latitudes in degrees")
     return places
 
 

@@ -174,7 +174,7 @@ class MapSheet:
             unknown_times = np.setdiff1d(times, given_times)
             if len(unknown_times):
                 raise InputError(
-                    f"map: {len(unknown_times)} times are none of the instants (first: {unknown_times[0]:g} s)"
+                    f"map: {len(unknown_times)} times are not among the instants (first: {unknown_times[0]:g} s)"
                 )
             times = given_times
         if not len(times):

@@ -242,7 +242,7 @@ function oddList() {
 function missing(box, k) {
   box.append(text("h2", s.id[k], "lost"), text("p", "Missing: " + s.why[k] + "."));
   const facts = document.createElement("table");
-  table(facts, [...starFacts(k).slice(1), ["pixel", `${fix(s.x[k], 2)}, ${fix(s.y[k], 2)}`], ["the frame shows", `${fix(100 * s.shown[k], 0)} % of stars so bright`]]);
+  table(facts, [...starFacts(k).slice(1), ["pixel", `${fix(s.x[k], 2)}, ${fix(s.y[k], 2)}`], ["completeness", `${fix(100 * s.shown[k], 0)} % of stars so bright`]]);
   box.append(facts);
   const rivals = m.rivals.flatMap((list, i) => list.filter(e => e[0] === k).map(e => [i, e]));
   if (!rivals.length) return;
@@ -310,7 +310,7 @@ function facts() {
   el("terms").replaceChildren(line(["term", "ξ east [″]", "σ", "η north [″]", "σ"], "th"), ...names.map((n, k) =>
     line([n, fix(plate.coefficients_arcsec[0][k], 4), fix(plate.coefficients_sigma_arcsec[0][k], 4), fix(plate.coefficients_arcsec[1][k], 4), fix(plate.coefficients_sigma_arcsec[1][k], 4)], "td")));
   table(el("counts"), [["measurements", grouped(f.measurements)], ["stars on the frame", grouped(f.stars_on_frame)], ["identified", grouped(f.identified)], ["expected wrong", fix(f.expected_wrong, 1)],
-    ["less sure than 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified)], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["typical error", `${fix(f.typical_error_scale, 2)} times the quoted`]]);
+    ["with probability below 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified)], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["typical error", `${fix(f.typical_error_scale, 2)} times the quoted`]]);
   el("notes").replaceChildren(...[...(told.exposure ? told.exposure.read : []), ...told.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
   const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest ?? found.length, found.length);
   const say = () => { el("n-many").textContent = grouped(+many.value); }; say(); many.addEventListener("input", () => { say(); draw(); });

@@ -152,7 +152,7 @@ function choices() {
   options(el("vector"), named(ahead), nearestPeriod(usualAhead(), ahead));
   options(el("trail"), named(back), nearestPeriod(Math.max(span / 4, 1), back));
   const sited = data.sensors.flatMap((s, k) => (s.site ? [[k, `about ${s.name}`]] : []));
-  options(el("ring"), [["", "none"], ["object", "about the picked object"], ...sited], sited.length ? sited[0][0] : "");
+  options(el("ring"), [["", "none"], ["object", "about the selected object"], ...sited], sited.length ? sited[0][0] : "");
   options(
     el("pace"),
     [1, 2, 5, 10, 20].map(n => [n, `${n}/s`]),

@@ -24,7 +24,7 @@ async function showObject() {
     instantShown = now.k,
     r = now.rowOf.get(number);
   const shut = text("button", "×", "close");
-  shut.setAttribute("aria-label", "let go of the object");
+  shut.setAttribute("aria-label", "deselect the object");
   shut.addEventListener("click", () => pick(null));
   if (r === undefined) {
     const [first, last] = rowsOf.get(number);
@@ -55,7 +55,7 @@ function tags(r) {
     tag(`object ${numberOf(r)}`),
     tag(`track ${data.stages[objects.stage[r]]}`, objects.stage[r] === STAGE.coasting ? "warn" : ""),
     isSeveral(r) || objects.sources[r] < 2
-      ? tag(objects.sources[r] ? plural(objects.sources[r], "source") : "no source now")
+      ? tag(objects.sources[r] ? plural(objects.sources[r], "source") : "no report now")
       : tag(`perhaps ${plural(objects.sources[r], "source")}`, "warn"),
   );
   if (objects.ambiguous[r]) line.append(tag("ambiguous", "warn"));
@@ -103,13 +103,13 @@ function state(r) {
 function membership(r) {
   const own = now.members.get(numberOf(r)),
     parts = [];
-  const one = own.length < 2 ? "This record is an object of its own" : isSeveral(r) ? "These records are one object" : "Perhaps these records are one object";
+  const one = own.length < 2 ? "This record is an object of its own" : isSeveral(r) ? "These records are one object" : "These records may be one object";
   parts.push(
     text(
       "h3",
       own.length
         ? `${one}: probability ${probability(objects.p[r])}`
-        : "No source shows it now; its place is predicted",
+        : "No current report; its position is predicted",
     ),
   );
   if (own.length) parts.push(memberTable(r, own));
@@ -154,7 +154,7 @@ function memberTable(r, rows, cls = "") {
     tr.className = cls;
     tr.title = [
       Number.isFinite(records.alone[m])
-        ? `probability that it is no part of another record's object: ${probability(records.alone[m])}`
+        ? `probability that no other record is of this object: ${probability(records.alone[m])}`
         : "",
       Number.isFinite(records.bearing[m]) ? `bearing ${fix(records.bearing[m], 2)}° ± ${fix(records.sb[m], 2)}°` : "",
     ]
@@ -206,9 +206,9 @@ function showHelp() {
     ["+ − 0", "zoom in, out, show everything"],
     ["arrows", "move the chart when it has the focus"],
     ["N P", "next, previous object"],
-    ["F", "keep the picked object in the middle"],
+    ["F", "centre on the selected object"],
     ["D", "day or night"],
-    ["Esc", "let go of the object"],
+    ["Esc", "deselect the object"],
   ];
   const t = document.createElement("table");
   t.append(
@@ -223,8 +223,8 @@ function showHelp() {
     "An orange ring and “?”: which records belong to it is not certain; dashed lines lead to the records it would have otherwise. A red triangle: an alarm.",
     "Times are UTC, courses and bearings true, 1 nm = 1852 m. " +
       (data.origin
-        ? "The coast is true to about a kilometre: not for navigation."
-        : "Places are metres in the plane of the user."),
+        ? "The coastline is accurate to about 1 km: not for navigation."
+        : "Positions are metres in the user's plane."),
   ];
   if (!data.utc) notes[2] = notes[2].replace("Times are UTC, c", "Times are seconds as given, c");
   el("help").replaceChildren(t, ...notes.map(n => text("p", n, "hint")));

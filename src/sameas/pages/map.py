@@ -63,7 +63,7 @@ def squeezed(data: bytes) -> str:
 def _column(name: str, values: FloatArray, step: float) -> tuple[dict[str, Any], bytes]:
     there = np.isfinite(values)
     if np.any(np.abs(values[there]) / step >= 2**31):
-        raise InputError(f"map: column {name} holds {np.abs(values[there]).max():g}, too large to be shown")
+        raise InputError(f"map: column {name} holds {np.abs(values[there]).max():g}, too large to show")
     counts = np.rint(np.where(there, values, 0.0) / step).astype(np.int64)
     # Where there is none, the number before stands: no difference to keep.
     last = np.maximum.accumulate(np.where(there, np.arange(len(values)), 0)) if len(values) else np.empty(0, np.int64)
@@ -89,7 +89,7 @@ def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
 
     Raises
     ------
-    InputError : the path cannot be written; a number is too large to be shown.
+    InputError : the path cannot be written; a number is too large to show.
     """
     page = map_page(sheet)
     with replacing(path) as draft:

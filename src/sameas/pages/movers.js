@@ -58,7 +58,7 @@ function diagrams() {
 function record() {
   const m = mover;
   el("name").textContent = named(m); el("name").className = m.known ? "found" : "alone";
-  table(el("numbers"), [["probability", probability(m.p)], ["like it by chance", few(m.chance)],
+  table(el("numbers"), [["probability", probability(m.p)], ["expected by chance", few(m.chance)],
     ["detected on", m.added ? `none of ${m.frames.length} frames by itself` : `${m.rows.length} of ${m.frames.length} frames`], ["motion", `${fix(m.rate, 3)} ″/min towards ${fix(m.angle, 1)}°`],
     ["place", `${hms(m.rows[0].ra)} ${dms(m.rows[0].dec)}`], ["at", `${date(m.rows[0].mjd)} ${clock(m.rows[0].mjd)} UTC`], [data.scale.startsWith("instrumental") ? "magnitude, instrumental" : "magnitude", fix(m.magnitude, 2)], ["scatter about the motion", `${fix(m.scatter, 3)}″`],
     ["stacked signal to noise", ratio(m.snr)],
@@ -79,7 +79,7 @@ function show(m) {
 }
 el("about").textContent = data.about;
 el("list").replaceChildren(...data.movers.map(m => { const b = text("button", named(m) + " "); b.dataset.name = m.name;
-  b.append(text("small", `p ${probability(m.p)} · ${m.added ? "frames added" : m.rows.length + " frames"} · ${fix(m.rate, 2)} ″/min`)); b.addEventListener("click", () => show(m)); return b; }));
+  b.append(text("small", `p ${probability(m.p)} · ${m.added ? "stacked" : m.rows.length + " frames"} · ${fix(m.rate, 2)} ″/min`)); b.addEventListener("click", () => show(m)); return b; }));
 el("play").addEventListener("click", () => play(!playing)); el("frame").addEventListener("input", () => { play(false); frame = +el("frame").value; paint(); });
 for (const id of ["fixed", "along", "marks"]) el(id).addEventListener("change", paint);
 el("blink").addEventListener("keydown", e => { if (e.key === " ") play(!playing); else if (e.key === "ArrowRight") { play(false); step(1); } else if (e.key === "ArrowLeft") { play(false); step(-1); } else return; e.preventDefault(); });

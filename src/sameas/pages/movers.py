@@ -50,10 +50,10 @@ def write_movers_page(
     if below is not None:
         faint, light, names = below
         movers += [_mover(faint, series, light, names, k) for k in range(min(len(light), MOST))]
-        about = about if len(found) else "No frame shows by itself what moves"
+        about = about if len(found) else "No single frame shows a mover"
         about += f"; {len(faint) or 'none'} below the limit of single frames"
     data = {
-        "about": about if movers or below else "Nothing was found to move.", "asked": known is not None,
+        "about": about if movers or below else "No movers were found.", "asked": known is not None,
         "scale": series.stars.scale,
         "width": rounded(float(np.median([e.psf_fwhm_px for e in series.exposures])), 2),
         "movers": movers,

@@ -36,14 +36,14 @@ function series() {
   s.mag.forEach((_, k) => one(k, s.p[k] !== null && s.p[k] < 0.001 ? colour.alone : colour.east));
   if (chosen >= 0 && marks[chosen]) { c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(...marks[chosen], 9, 0, 7); c.stroke(); }
   const odd = s.p.filter(p => p !== null && p < 0.001).length;
-  el("scatter-words").textContent = `${grouped(field.count)} stars${field.count > s.mag.length ? `, ${grouped(s.mag.length)} on this page, the brightest and the least constant` : ""}; yellow: ${odd} that scatter as constant ones do less than once in a thousand`;
+  el("scatter-words").textContent = `${grouped(field.count)} stars${field.count > s.mag.length ? `, ${grouped(s.mag.length)} on this page, the brightest and most variable` : ""}; yellow: ${odd} that scatter as constant ones do less than once in a thousand`;
   star();
 }
 function star() {
   if (chosen < 0) return;
   const s = field.stars, k = chosen, f = field.frames, t = f.map(x => minutes(x.mjd)), box = el("star"), facts = document.createElement("table");
   table(facts, [["position", `${hms(s.ra[k])} ${dms(s.dec[k])}`], ["", `${fix(s.ra[k], 6)}°, ${fix(s.dec[k], 6)}°`], ["on", `${s.curve[k].filter(v => v !== null).length} of ${f.length} frames with a magnitude`],
-    ["magnitude", fix(s.mag[k], 3)], ["scatter", `${fix(s.scatter[k], 4)} mag`], ["if it is constant, as much scatter", probability(s.p[k])]]);
+    ["magnitude", fix(s.mag[k], 3)], ["scatter", `${fix(s.scatter[k], 4)} mag`], ["probability of this scatter if constant", probability(s.p[k])]]);
   box.replaceChildren(text("h2", s.id[k] || `star ${s.number[k]}, not in the catalogue`, s.id[k] ? "found" : "alone"), facts);
   overTime("curve", [[s.curve[k].map((v, n) => [t[n], v, s.err[k][n]]).filter(p => p[1] !== null), colour.found]], "magnitude", true);
   el("curve-words").textContent = `Light curve of ${s.id[k] || `star ${s.number[k]}`}`;

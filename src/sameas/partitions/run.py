@@ -182,11 +182,13 @@ def estimate(
     InputError : columns that are not understood; no usable rows; a partition that cannot be read, by name.
     """
     if options.offset != "none":
-        raise InputError("offset: an offset is not looked for over partitions", "take it away before the import")
+        raise InputError("offset: offsets are not fitted over partitions", "remove it before the import")
     for one in options.evidence:
         for column in one.columns if isinstance(one, Related) else (one,):
             if not isinstance(column.values, str):
-                raise InputError("evidence: values for rows say nothing of partitions", "give the names of columns")
+                raise InputError(
+                    "evidence: values for rows cannot be used over partitions", "give the names of columns"
+                )
     for side in columns:
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
@@ -522,7 +524,7 @@ class Workers:
                 if failures >= self.tuning.failures:
                     at = ", ".join(str(_cell_of(task)) for task in left[: len(done) + self.number][:3])
                     raise InputError(
-                        f"workers died {failures} times, at one of the partitions {at} …; what is done stays",
+                        f"workers died {failures} times, at one of the partitions {at} …; finished parts are kept",
                         "give fewer workers if memory ran out, and call again",
                     ) from error
             gone = {id(task) for task in done}
@@ -633,13 +635,13 @@ def write(
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise InputError(
-                f"{path}: the disk is full; the parts that are done stay", "make room, and call again"
+                f"{path}: the disk is full; finished parts are kept", "make room, and call again"
             ) from error
-        gone = "the folder is not there any more" if isinstance(error, FileNotFoundError) else None
+        gone = "the folder no longer exists" if isinstance(error, FileNotFoundError) else None
         reason = refused_by_disk(error) or gone
         if reason is None:
             raise
-        raise InputError(f"cannot write {path}: {reason}; the parts that are done stay", "call again") from error
+        raise InputError(f"cannot write {path}: {reason}; finished parts are kept", "call again") from error
 
 
 def _written(
@@ -657,7 +659,7 @@ def _written(
         raise InputError(f"{path}: was begun with other catalogues or options", "give another name, or remove it")
     # One that was killed before it could say what it had begun has begun nothing.
     if path.exists() and not mark.exists() and any(one != scratch for one in path.iterdir()):
-        raise InputError(f"{path}: exists already, and is no unfinished match", "give another name, or remove it")
+        raise InputError(f"{path}: exists already, and is not an unfinished match", "give another name, or remove it")
     scratch.mkdir(parents=True, exist_ok=True)
     with together() as last:
         with ExitStack() as stack:

@@ -179,9 +179,9 @@ def _dragged(
     log_odds = math.log(tuning.dragged_odds) + empty - (len(sensors) - 1) * math.log(tuning.swap)
     name, first = feeds[own.source].description.name, float(instants[min(begins)])
     words = (
-        f"{name} says {own.track} is at one place, {' and '.join(sensors)} {'sees' if len(sensors) == 1 else 'see'} it "
-        f"at another, {max(away for _, away in stay):.0f} m off at last, and nothing where it says; its positions are "
-        "forged or faulty"
+        f"{name} reports {own.track} at one place, {' and '.join(sensors)} {'sees' if len(sensors) == 1 else 'see'} it "
+        f"at another, {max(away for _, away in stay):.0f} m away at the end, and nothing at the place reported; its "
+        "positions are forged or faulty"
     )
     yield Fault("dragged", name, first, float(instants[own.at[-1]]), log_odds, words, own.track)
 

@@ -34,7 +34,7 @@ from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs, keys, with
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.representation import in_short
 
-#: Default ε: one scan in ten thousand, which a radar of 20 turns a minute has every eight hours (chosen).
+#: Default ε: one scan in ten thousand, which a radar of 20 rotations a minute has every eight hours (chosen).
 REASSIGNED = 1e-4
 
 

@@ -26,7 +26,7 @@ from sameas.representation import in_short
 from sameas.tracks.scene import Instant
 
 #: The text on an object that is shown, though it is not in the most probable answer.
-STAYS = "it stays what it was until something else is much more probable"
+STAYS = "its identity is kept until another is much more probable"
 
 
 class Carried(Protocol):

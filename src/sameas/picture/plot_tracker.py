@@ -71,7 +71,7 @@ class PlotTracker:
                 raise InputError(f"PlotTracker: {name} is {getattr(self, name)}; give a number above 0")
         if not 0.0 <= self.correlation_s < math.inf:
             raise InputError(
-                f"PlotTracker: correlation_s is {self.correlation_s}; give seconds, 0 for looks that err anew"
+                f"PlotTracker: correlation_s is {self.correlation_s}; give seconds, 0 if scans err independently"
             )
         if not 0.0 < self.least_q < 0.5:
             raise InputError(f"PlotTracker: least_q is {self.least_q}; give a probability between 0 and 0.5")

@@ -99,10 +99,10 @@ class MissCount:
     described: float | None
 
     def __str__(self) -> str:
-        described = "" if self.described is None else f"; described: {100.0 * self.described:.0f} % at a look"
+        described = "" if self.described is None else f"; described: {100.0 * self.described:.0f} % per scan"
         error = "" if self.error is None else f" ± {100.0 * self.error:.1f}"
         share = f"{100.0 * self.share:.{1 if error else 0}f}{error} %"
-        return f"{self.source} misses {share} of what others show within its coverage{described}"
+        return f"{self.source} misses {share} of the others' objects within its coverage{described}"
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Places:
         words = [f"known to {_metres(self.shown_m)} (1σ, the median object)"] if self.shown_m is not None else []
         if self.coasting:
             uncertainty = f", known to {_metres(self.coasting_m)}" if self.coasting_m is not None else ""
-            words.append(f"{self.coasting:.2g} at an instant coast, unseen{uncertainty}")
+            words.append(f"{self.coasting:.2g} per instant coast without a report{uncertainty}")
         return "; ".join(words)
 
 
@@ -151,7 +151,7 @@ class Alarmed:
     def __str__(self) -> str:
         alarm = self.alarm
         return (
-            f"{alarm.attribute.upper()} {alarm.value} is shown at two places {alarm.distance:.0f} m apart "
+            f"{alarm.attribute.upper()} {alarm.value} is reported at two places {alarm.distance:.0f} m apart "
             f"({math.sqrt(alarm.chi_sq):.0f} σ) by {self.where[0]} and {self.where[1]}: forged, duplicate or wrong "
             f"(at {self.instants} instant{'s' * (self.instants > 1)})"
         )
@@ -217,9 +217,9 @@ class Summary:
         several = len(self.by_sources) > 2
         entries = [("objects", self._objects() if several else f"{sum(self.by_sources)} confirmed")]
         if self.unconfirmed:
-            entries.append(("not confirmed", f"{self.unconfirmed} more, seen too briefly, as false echoes are"))
+            entries.append(("not confirmed", f"{self.unconfirmed} more, seen too briefly to be told from false echoes"))
         if several:
-            entries.append(("how sure", self._sure()))
+            entries.append(("confidence", self._sure()))
             entries += [("places", str(self.places))] if str(self.places) else []
         labelled = {"doubt": self.notes, "offset": self.biases, "misses": self.misses}
         return entries + [(label, str(words)) for label, lines in labelled.items() for words in lines]
@@ -239,7 +239,7 @@ class Summary:
         wrong, groups = _few(self.expected_wrong, "none"), _few(self.ambiguous_groups, "no")
         detected = f"{self.detected:.4g}" if self.detected < 1e4 else f"{self.detected:.0f}"
         return (
-            f"of {detected} objects at an instant {wrong} are expected to be put together wrongly; "
+            f"of {detected} objects per instant {wrong} are expected to be wrong; "
             f"{groups} groups of neighbours are ambiguous"
         )
 
@@ -317,11 +317,11 @@ def _notes(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> Iterable[str]:
         old = np.unique(np.concatenate([tally.aged[s] for tally in tallies]))
         if len(old):
             reports = f"{len(old)} report{'s' * (len(old) > 1)}"
-            yield f"{name}: {reports} too uncertain to tell objects apart after a while, and left out from then on"
+            yield f"{name}: {reports} became too uncertain to separate objects, and were not used from then on"
         if not records[s]:
-            yield f"{name} says nothing at any instant; do its times lie within the picture's?"
+            yield f"{name} has no report at any instant; are its times within the picture's?"
         elif len(feeds) > 1 and not shared[s]:
             yield (
-                f"{name} shares no object with the others; check its times, its place, the sign of its longitudes, and "
-                "how large its errors and offsets may be"
+                f"{name} shares no object with the others; check its times, its position, the sign of its "
+                "longitudes, and how large its errors and offsets may be"
             )

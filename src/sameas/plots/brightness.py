@@ -77,7 +77,7 @@ def _cut(axes: Axes, match: SkyMatch) -> None:
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
     axes.set_ylim(bottom=0.0)
-    tidy(axes, "least p_match that is kept", "expected number of pairs", "what a cut would do")
+    tidy(axes, "lowest p_match kept", "expected number of pairs", "pairs kept and lost by a cut in p_match")
 
 
 def _reach(axes: Axes, match: SkyMatch) -> None:
@@ -99,7 +99,7 @@ def _reach(axes: Axes, match: SkyMatch) -> None:
     axes.set_ylim(0.0, 118.0)
     axes.set_yticks(range(0, 101, 20))
     brightness = f"{match.first.magnitude_name} of {match.first.name}  [mag]"
-    tidy(axes, brightness, "identified  [%]", "share identified (number of rows above each bar)")
+    tidy(axes, brightness, "identified  [%]", "share identified (rows above each bar)")
 
 
 #: Most dots.
@@ -118,7 +118,7 @@ def brightness(match: SkyMatch) -> Figure:
         raise InputError("no magnitudes were used in this match; give both catalogues one, and not magnitudes off")
     relation = e.photometry.first_relation
     names = e.photometry.names[0][0], e.photometry.names[1][0]
-    title = f"Brightness changes {e.changed_by_brightness} of the answers"
+    title = f"Magnitudes change {e.changed_by_brightness} of the answers"
     subtitle = "" if relation is None else f"Zero point {e.quantities['zero_point']}, scatter {e.quantities['scatter']}"
     figure = sheet(title, subtitle, 15.0)
     left, middle, right = figure.subplots(1, 3)
@@ -127,7 +127,7 @@ def brightness(match: SkyMatch) -> Figure:
         (e.detection_2, match.second.name, match.first.name, SECOND),
     ):
         if curve is not None:
-            _completeness(left, curve, f"{mine}, shown by {other}", colour)
+            _completeness(left, curve, f"{mine}, also in {other}", colour)
             _alone(middle, curve, f"{mine} alone", colour)
     left.set_ylim(0.0, 105.0)
     middle.set_yscale("log")
@@ -140,7 +140,7 @@ def brightness(match: SkyMatch) -> Figure:
         middle,
         "magnitude in the first band of each  [mag]",
         "per square degree and magnitude",
-        "those in one only, ± 1 σ",
+        "objects in one catalogue only, ± 1 σ",
     )
     _relation(right, match, names)
     return figure
@@ -182,7 +182,7 @@ def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
         low, high = relation.offset - relation.scatter, relation.offset + relation.scatter
         axes.fill_between(relation.knots, low, high, color=FOUND, alpha=0.2, lw=0)
         axes.annotate(
-            f"{percent(relation.unrelated)} of the pairs follow no relation", (0.98, 0.02), xycoords="axes fraction",
+            f"{percent(relation.unrelated)} of the pairs are off the relation", (0.98, 0.02), xycoords="axes fraction",
             ha="right", fontsize=9, color=INK,
         )  # fmt: skip
         reach = 6.0 * float(relation.scatter.max()) + 0.3

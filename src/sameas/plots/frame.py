@@ -37,7 +37,7 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None =
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError("pictures need matplotlib: pip install 'sameas[plots]'") from error
+        raise InputError("plots need matplotlib: pip install 'sameas[plots]'") from error
     rows, columns = found.measured.shape
     side = 11.0
     wide, high = (side, side * rows / columns) if columns >= rows else (side * columns / rows, side)

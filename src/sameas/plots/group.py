@@ -73,7 +73,7 @@ def most_ambiguous(match: SkyMatch) -> int:
     if not open_groups.any():
         raise InputError(
             f"{match.first.name} and {match.second.name}: no record has two candidates in a group of up to "
-            f"{READABLE} records; there is nothing ambiguous to draw"
+            f"{READABLE} records; nothing to plot is ambiguous"
         )
     return int(np.argmax(np.where(open_groups, total, -1.0)))
 
@@ -100,7 +100,7 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
     else:
         group_of_record = result.explain(record, source=source).group
         if group_of_record is None:
-            raise InputError(f"{record} has no candidates; there is nothing to draw")
+            raise InputError(f"{record} has no candidates; nothing to plot")
         number = group_of_record
     pairs = np.flatnonzero(result.groups.of_pairs() == number)
     own = None
@@ -313,7 +313,7 @@ def _key(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSid
     if containment(match.estimate.spread, INSIDE) > LEAST_CONTOUR:
         wider = _wider(sides)
         line = Line2D([], [], color=wider.colour, ls=DASHES, lw=1.2)
-        signs.append((line, f"{100 * INSIDE:.0f} % of true partners, by the spread that was estimated"))
+        signs.append((line, f"{100 * INSIDE:.0f} % of true partners, by the estimated errors"))
     signs.append((Line2D([], [], color=FOUND, lw=3.4), "identified, with its probability"))
     signs.append((Line2D([], [], color=FAINT, lw=1.2), "other candidates, with theirs"))
     handles, words = zip(*signs, strict=True)

@@ -115,10 +115,10 @@ def _finding(still: FloatArray, moved: FloatArray) -> str:
     before, after = (float(np.median(np.hypot(*offsets.T))) for offsets in (still, moved))
     change = f"median distance {_arcsec(before)} → {_arcsec(after)}"
     if after < 0.9 * before:
-        return f"Motion brings the identified pairs together: {change}"
+        return f"Proper motion reduces the residuals: {change}"
     if after > 1.1 * before:
-        return f"Motion drives the identified pairs apart: {change}"
-    return f"Motion changes little: the median distance of the identified pairs is {_arcsec(after)}"
+        return f"Proper motion increases the residuals: {change}"
+    return f"Proper motion changes little: the median distance of the identified pairs is {_arcsec(after)}"
 
 
 def _epochs(match: SkyMatch) -> str:
@@ -177,7 +177,7 @@ def _bulk(axes: Axes, distance: FloatArray, errors: Errors) -> None:
     height = np.histogram(distance, edges)[0] / (len(distance) * np.diff(edges))
     axes.stairs(height, edges, fill=True, color=FILL, label="identified pairs")
     axes.plot(x, rayleigh_mixture(x, Errors()), "--", color=SECOND, lw=2, label="quoted errors (Rayleigh)")
-    axes.plot(x, rayleigh_mixture(x, errors), color=FOUND, lw=2.2, label="estimated spread of the errors")
+    axes.plot(x, rayleigh_mixture(x, errors), color=FOUND, lw=2.2, label="estimated error distribution")
     top = 1.06 * max(height.max(), 0.607)
     for value, colour, text, level in (
         (np.sqrt(2.0 * np.log(2.0)), SECOND, "due", 0.97),
@@ -187,7 +187,7 @@ def _bulk(axes: Axes, distance: FloatArray, errors: Errors) -> None:
         axes.annotate(f" {text} {value:.2f}", (value, level * top), color=colour, fontsize=9.5, va="top", ha="left")
     axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, 1.06 * top)
-    tidy(axes, "separation / its quoted error  [σ]", "density of pairs  [1/σ]", "the bulk, linear")
+    tidy(axes, "separation / its quoted error  [σ]", "density of pairs  [1/σ]", "core, linear scale")
     axes.legend(frameon=False, fontsize=9.5, loc="center right")
 
 
@@ -211,9 +211,9 @@ def _tail(axes: Axes, distance: FloatArray, errors: Errors) -> None:
     if beyond:
         axes.axvline(5.0, color=FAINT, lw=0.8, ls=":")
         due = len(distance) * np.exp(-12.5)
-        words = f"beyond 5 σ: {count(beyond)} pairs;\nhonest errors would leave {due:.1g}"
+        words = f"beyond 5 σ: {count(beyond)} pairs;\n{due:.1g} expected of correct errors"
         axes.text(5.3, 1.6 * len(distance) * step, words, fontsize=9.5, color=INK, va="top")
-    tidy(axes, "separation / its quoted error  [σ]", "pairs per 0.05 dex", "the tail, logarithmic")
+    tidy(axes, "separation / its quoted error  [σ]", "pairs per 0.05 dex", "tail, logarithmic scale")
 
 
 def rayleigh_mixture(distance: FloatArray, errors: Errors) -> FloatArray:
@@ -241,7 +241,7 @@ def finding(match: SkyMatch) -> str:
         return f"The quoted errors are {scale:.2f} times too small for the typical pair"
     if scale < 0.9:
         return f"The quoted errors are too large: the typical pair scatters {scale:.2f} times as far"
-    return "The typical pair scatters as its quoted errors say"
+    return "The typical pair scatters as its quoted errors"
 
 
 def _detail(match: SkyMatch) -> str:
@@ -308,7 +308,7 @@ def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
 def _subtitle(match: SkyMatch) -> str:
     # The line is short: the reasons after the semicolon are in the report.
     words = by_source(match).partition(";")[0]
-    return words[:1].upper() + words[1:] if words else "The errors were taken as they were given, not estimated"
+    return words[:1].upper() + words[1:] if words else "The errors were used as given, not estimated"
 
 
 def _sigmas(match: SkyMatch) -> tuple[FloatArray, FloatArray]:

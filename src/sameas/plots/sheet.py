@@ -45,7 +45,7 @@ def required() -> type[Figure]:
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
-        raise InputError("pictures need matplotlib: pip install 'sameas[plots]'") from error
+        raise InputError("plots need matplotlib: pip install 'sameas[plots]'") from error
     return _shown(Figure)
 
 
@@ -104,7 +104,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
     kind = os.path.splitext(os.fspath(path))[1].lstrip(".").lower()
     known = figure.canvas.get_supported_filetypes()
     if kind not in known:
-        raise InputError(f"{os.fspath(path)}: pictures are written as {', '.join(sorted(known))}")
+        raise InputError(f"{os.fspath(path)}: plots are written as {', '.join(sorted(known))}")
     with replacing(path) as draft:
         figure.savefig(draft, format=kind)
 

@@ -191,7 +191,7 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
     notes = []
     if best.log_evidence < scene.tuning.decisive:
         notes.append(
-            f"{names[0]} and {names[1]} may have nothing in common: the offset is no better established than chance "
+            f"{names[0]} and {names[1]} may have no object in common: the offset is not significant "
             f"(log evidence {best.log_evidence:.1f})"
         )
     rivals = [one for one in solutions[1:] if _credible(one, best.log_evidence, scene.tuning)]
@@ -211,8 +211,8 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
     most = max(best.in_common[0] / len(scene.first), best.in_common[1] / len(scene.second))
     if most < scene.tuning.small_overlap:
         notes.append(
-            f"small overlap: only {100 * fewest:.0f} % to {100 * most:.0f} % of the records lie where both look"
+            f"small overlap: only {100 * fewest:.0f} % to {100 * most:.0f} % of the records lie in the common area"
         )
     if not best.settled:
-        notes.append(f"the offset had not settled after {best.rounds} rounds")
+        notes.append(f"the offset had not converged after {best.rounds} iterations")
     return tuple(notes)

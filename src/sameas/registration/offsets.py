@@ -124,7 +124,7 @@ class Shift(Offset):
     def __post_init__(self) -> None:
         require_widths(self, width=self.width)
         if self.width == 0.0:
-            raise InputError("Shift: width is 0, nothing is left to find; give a positive width")
+            raise InputError("Shift: width is 0, no parameter is left to fit; give a positive width")
 
     @property
     def names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -351,7 +351,7 @@ class SensorBias(Offset):
         if np.shape(self.position) != (2,) or not np.isfinite(self.position).all():
             raise InputError(f"SensorBias: position is {self.position}; give (east, north) of the sensor")
         if not self.which:
-            raise InputError("SensorBias: all widths are 0, nothing is left to find; give one a positive width")
+            raise InputError("SensorBias: all widths are 0, no parameter is left to fit; give one a positive width")
         if self.time_width > 0.0 and self.velocity is None:
             raise InputError("SensorBias: a time offset needs velocity, (n, 2) of the second source's records")
         for name, width in (("gain_width", self.gain_width), ("time_width", self.time_width)):

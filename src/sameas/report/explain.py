@@ -25,7 +25,7 @@ def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) ->
         *entry("brightness", _brightness(mine, explanation.row)),
     ]
     if explanation.group is None:
-        why = "passes the gate" if seen else "passes the gate: it does not look there"
+        why = "passes the gate" if seen else "passes the gate: it does not cover that place"
         return [f"{head} has no partner: no record of {other.name} {why}", *where]
     chosen = next(c for c in explanation.competitors if c.chosen)
     who = "has no partner" if chosen.id is None else f"is {other.name} {chosen.id}"
@@ -36,7 +36,7 @@ def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) ->
         *where,
         *entry("group", f"{explanation.group}: {sizes}; probabilities by {explanation.method}"),
         "",
-        f"Answers ({other.name}{when}), and how many times less probable the group is with each",
+        f"Answers ({other.name}{when}), and the factor each costs in the group's probability",
     ]
     lines += _answers(explanation.competitors, other)
     return lines + _next_best(explanation)
@@ -57,7 +57,7 @@ def _answers(competitors: Sequence[Competitor], other: Catalogue) -> list[str]:
     ids = ["no partner" if c.id is None else str(c.id) for c in competitors]
     wide = max(map(len, ids))
     lines = [
-        f"    {'answer':{wide}}{'probability':>13}{'times less':>12}{'arcsec':>9}{'east':>9}{'north':>9}"
+        f"    {'answer':{wide}}{'probability':>13}{'cost factor':>12}{'arcsec':>9}{'east':>9}{'north':>9}"
         f"{'σ':>8}{'mag':>8}{'ln odds':>9}  of which"
     ]
     row_of = {str(name): row for row, name in enumerate(other.ids)}

@@ -34,7 +34,7 @@ def findings(match: SkyMatch) -> list[str]:
         *_brightness(match),
         *_columns(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
-        *entry("rounds", f"{e.rounds}{_sampled(match)}, " + ("settled" if e.settled else "not settled")),
+        *entry("iterations", f"{e.rounds}{_sampled(match)}, " + ("converged" if e.settled else "not converged")),
     ]
 
 
@@ -43,7 +43,7 @@ def _sampled(match: SkyMatch) -> str:
     (one, two), result = match.estimate.learned_from, match.result
     if (one, two) == (len(result.first), len(result.second)):
         return ""
-    return f" of {count(one)} and {count(two)} records that stand for all"
+    return f" of a sample of {count(one)} and {count(two)} records"
 
 
 def _share(share: Quantity) -> str:
@@ -61,7 +61,7 @@ def _unmatched(match: SkyMatch) -> list[str]:
         for q in (found["density_only_1"], found["density_only_2"])
     ]
     words = f"{per_deg2[0]} of {match.first.name} and {per_deg2[1]} of {match.second.name} per square degree"
-    return entry("of those in one only", words)
+    return entry("only in one catalogue", words)
 
 
 def by_source(match: SkyMatch) -> str:
@@ -111,7 +111,7 @@ def _brightness(match: SkyMatch) -> list[str]:
         lines += entry(
             "brightness",
             f"{of_one} − {of_two} is {e.quantities['zero_point']} ({ends}){''.join(colours)}; scatter "
-            f"{e.quantities['scatter']}; {percent(relation.unrelated)} of the pairs follow no relation",
+            f"{e.quantities['scatter']}; {percent(relation.unrelated)} of the pairs are off the relation",
         )
     for curve, (mine, other) in zip(
         (e.detection_1, e.detection_2),
@@ -136,7 +136,7 @@ def _columns(match: SkyMatch) -> list[str]:
         return []
     lines = column_lines(columns, (match.first.name, match.second.name))
     if not lines:
-        return entry("columns", "too few pairs to learn from them; they are not used")
+        return entry("columns", "too few pairs to fit them; they are not used")
     return [*lines, *entry("  they change", f"{count(match.estimate.changed_by_columns)} answers")]
 
 
@@ -146,12 +146,12 @@ def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
     for one in columns.findings:
         what = f"{one.name} of {names[one.source - 1]}" if one.source else f"{one.name} of {names[0]} with {one.other}"
         if not one.tells:
-            words = "tells nothing, and is not used"
+            words = "is not informative, and is not used"
         elif one.other:
-            words = f"go together in pairs: they better ln likelihood by {one.gain:.1f}"
+            words = f"are related in pairs: they raise ln likelihood by {one.gain:.1f}"
         else:
             low, high = one.span
-            words = f"ln odds of a partner {low:+.1f} to {high:+.1f}; it betters ln likelihood by {one.gain:.1f}"
+            words = f"ln odds of a partner {low:+.1f} to {high:+.1f}; it raises ln likelihood by {one.gain:.1f}"
         lines += entry("column" if one.source else "related", f"{what}: {words}")
     for source, side in enumerate(columns.sides):
         for column in side:

@@ -37,7 +37,9 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
         *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
         *entry("not in the catalogue", _alone(found)),
         *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
-        *entry("expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} less sure than 0.9"),
+        *entry(
+            "expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} with probability below 0.9"
+        ),
         *entry("scatter", _scatter(summary)),
         *_estimated(summary),
     ]
@@ -96,7 +98,7 @@ def _estimated(summary: Mapping[str, Any]) -> list[str]:
     lines = []
     if "only_on_frame_per_arcmin2" in known:
         alone = f"{known['only_on_frame_per_arcmin2']} of the frame and {known['only_in_catalogue_per_arcmin2']}"
-        lines += entry("of those in one only", f"{alone} of the catalogue per square arcminute")
+        lines += entry("only in one catalogue", f"{alone} of the catalogue per square arcminute")
     words = [judged(known["error_scale"])] if "error_scale" in known else []
     if "error_tail_share" in known:
         share = known["error_tail_share"]

@@ -17,7 +17,7 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
     """What was estimated of the catalogues together. words : how a message that names arguments is put."""
     lines = ["Estimated"]
     if match.epoch_jyr is None:
-        lines += entry("epoch", "not all epochs are known: nothing is moved")
+        lines += entry("epoch", "not all epochs are known: no positions are moved")
     else:
         epochs = [f"{c.name} {in_years(c.epoch_jyr)}" for c in match.catalogues if c.epoch_jyr is not None]
         lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(epochs)})")
@@ -27,7 +27,9 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
         found = pair.estimate
         numbers = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ"
         lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {found.typical_scale:.2f} σ")
-    rounds = f"{match.iterations} round{'s' * (match.iterations > 1)}" + ("" if match.settled else ", not settled")
+    rounds = f"{match.iterations} iteration{'s' * (match.iterations > 1)}" + (
+        "" if match.settled else ", not converged"
+    )
     lines += entry("all together", f"estimated in {rounds}")
     return [*lines, *(DOUBT + words(doubt) for doubt in match.doubts)]
 
@@ -77,11 +79,11 @@ def _sure(match: ManyMatch) -> list[str]:
     p = match.objects.probability
     groups = match.objects.groups
     return [
-        "How sure",
+        "Confidence",
         *entry(
             "expected wrong", f"{figures(float(np.sum(1.0 - p[several])))} of {count(several.sum())} of several records"
         ),
         *entry("ambiguous", f"{count(np.count_nonzero(several & (p < AMBIGUOUS)))} less probable than {AMBIGUOUS:g}"),
-        *entry("two by two", f"{count(match.broken)} pairs of two catalogues are not kept by all together"),
+        *entry("two by two", f"{count(match.broken)} pairs of two catalogues are not in any object"),
         *entry("largest group", f"{count(groups.records.max(initial=0))} records"),
     ]

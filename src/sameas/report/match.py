@@ -147,7 +147,7 @@ def _area(coverage: Coverage) -> list[str]:
     area, density_1, density_2 = area_and_densities(coverage)
     names = coverage.first.source, coverage.second.source
     return [
-        *entry("area where both look", f"{figures(area)} square degrees"),
+        *entry("common area", f"{figures(area)} square degrees"),
         *entry(
             "mean density there",
             f"{figures(density_1)} of {names[0]} and {figures(density_2)} of {names[1]} per square degree",
@@ -156,7 +156,7 @@ def _area(coverage: Coverage) -> list[str]:
 
 
 def _rows(match: SkyMatch) -> list[str]:
-    """The table of what became of the rows of both catalogues."""
+    """The table of fate of the rows of both catalogues."""
     result = match.result
     reasons = sorted({reason for records in (result.first, result.second) for reason in records.set_aside.counts()})
     lines: list[tuple[str, list[str]]] = [("rows", [count(len(match.first)), count(len(match.second))])]

@@ -65,7 +65,7 @@ def mover_lines(found: Movers) -> list[str]:
         )
     if found.near_earth is not None:
         near = [f"{found.names[k]} {found.near_earth[k]:.0f}" for k in range(min(len(found), MOST))]
-        lines.append(f"  digest2, of 100 for a near-Earth object: {', '.join(near)}")
+        lines.append(f"  digest2 score for a near-Earth object, of 100: {', '.join(near)}")
     if len(found) > MOST:
         lines.append(f"  … and {count(len(found) - MOST)} more")
     return lines
@@ -89,7 +89,7 @@ def plan_lines(plan: Plan) -> list[str]:
     fastest = float(np.hypot(*plan.rates.T).max())
     return [
         f"Below the limit: {count(len(plan.rates))} rates to {fastest:.2f} ″/min on {count(len(plan.minutes))} frames "
-        f"of {plan.shape[1]} × {plan.shape[0]} px, once in line and once scrambled",
+        f"of {plan.shape[1]} × {plan.shape[0]} px, once in time order and once scrambled",
         f"  about {seconds:.0f} s of one core and {plan.peak_bytes / 1e6:.0f} MB",
     ]
 
@@ -98,7 +98,7 @@ def below_lines(below: BelowLimit) -> list[str]:
     """What the frames show together and none by itself."""
     found = below.movers
     if not len(found):
-        return ["  nothing more is found there"]
+        return ["  no more are found there"]
     lines = [
         f"  {count(len(found))} more, of which {float(found.p_tracklet.sum()):.1f} are expected to be real",
         "  name      S/N       p  expected by chance  rate ″/min   angle  frames",
@@ -118,10 +118,10 @@ def series_lines(series: Series) -> list[str]:
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
     lines = [
         f"Series: {len(series.exposures)} frames over {minutes:.1f} minutes, {count(n)} measurements",
-        f"  of stars of the catalogue {count(int(series.star.sum()))}, standing still {count(int(series.still.sum()))},"
-        f" fixed on the chip {count(int(series.fixed.sum()))}, spoilt {count(int(series.spoilt.sum()))}; "
-        f"left to move {count(int(series.left.sum()))}",
-        f"  tied together by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
+        f"  in the star catalogue {count(int(series.star.sum()))}, stationary {count(int(series.still.sum()))},"
+        f" fixed on the chip {count(int(series.fixed.sum()))}, on bad pixels {count(int(series.spoilt.sum()))}; "
+        f"candidates {count(int(series.left.sum()))}",
+        f"  registered by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
     ]
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]
 
@@ -135,13 +135,13 @@ def star_lines(series: Series, filter: str = "") -> list[str]:
         f"Series: {len(series.exposures)} frames{f' in {filter}' if filter else ''} over {minutes:.1f} minutes, "
         f"{count(len(stars))} stars, {count(int((stars.name != '').sum()))} of them in the catalogue, "
         f"{count(int((often == len(zero)).sum()))} on all frames",
-        f"  tied together by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
+        f"  registered by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
     ]
     if np.isfinite(zero).any():
         odd, width = int((stars.p_constant < UNLIKELY).sum()), np.nanmax(zero) - np.nanmin(zero)
         lines.append(
             f"  zero points within {width:.3f} mag, ± {np.nanmedian(stars.zero_error):.4f}; bright stars "
-            f"scatter by {stars.floor_mag:.4f} mag beside their errors; {count(odd)} stars are hardly constant"
+            f"scatter by {stars.floor_mag:.4f} mag beside their errors; {count(odd)} stars may be variable"
         )
     else:
         lines.append(f"{DOUBT}too few stars in common for zero points; no light curves")
@@ -152,7 +152,7 @@ def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]
     """The tracklets that are known objects, with O−C."""
     lines = [f"Known objects: {count(len(known.elements))} predicted near the field"]
     if not on_earth:
-        lines.append(f"{DOUBT}the header has no station; places are those seen from the middle of the Earth")
+        lines.append(f"{DOUBT}the header has no station; positions are geocentric")
     for k, owner in enumerate(known.object):
         if owner < 0:
             continue
@@ -162,7 +162,7 @@ def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]
             f"predicted V {known.magnitude[k]:.1f}"
         )
     unknown = int((known.object < 0).sum())
-    return [*lines, f"  {unknown} of {len(found)} tracklets are none of them"] if unknown else lines
+    return [*lines, f"  {unknown} of {len(found)} tracklets match none of them"] if unknown else lines
 
 
 def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
@@ -171,18 +171,18 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     frames = len(pixels.flux[k])
     if found.added:
         return [
-            ("no frame shows it by itself; it was found by adding the frames along its motion", False),
-            (f"chance makes {_small(found.expected_chance[k])} such peaks of as much light at such rates, as the same "
-             "frames in a scrambled order show", bool(found.expected_chance[k] > 0.1)),
-            ("its three places are those of the first, the middle and the last frames, added", False),
+            ("too faint for one frame; found by stacking the frames along its motion", False),
+            (f"by chance {_small(found.expected_chance[k])} peaks as bright are expected at such rates, by the same "
+             "frames in scrambled order", bool(found.expected_chance[k] > 0.1)),
+            ("its three positions are from stacks of the first, middle and last frames", False),
             _stacked(float(pixels.snr[k])),
         ]  # fmt: skip
-    out = [(f"chance makes {_small(found.expected_chance[k])} tracklets of as much evidence among what is left over",
+    out = [(f"by chance {_small(found.expected_chance[k])} tracklets with as much evidence are expected",
             bool(found.expected_chance[k] > 0.1))]  # fmt: skip
     scatter, quoted = found.scatter_arcsec[k], float(np.sqrt(seen.covariance[rows][:, [0, 2]].mean()))
     if np.isfinite(scatter):
         ratio = scatter / quoted
-        words = f"{len(rows)} detections lie {scatter:.2f}″ about straight motion, {ratio:.1f} times their quoted error"
+        words = f"{len(rows)} detections scatter by {scatter:.2f}″ about straight motion, {ratio:.1f} times quoted"
         out.append((words, bool(ratio > 2.5)))
     light = seen.magnitude[rows]
     if np.isfinite(light).sum() > 2:
@@ -194,23 +194,23 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
         ratio = pixels.log_ratio[k]
         times = f"{abs(ratio) / np.log(10):.1f} powers of ten {'more' if ratio >= 0 else 'less'} probable"
         out.append((
-            f"{int(missed.sum())} frames do not show it by themselves; the light at its place there makes it {times}",
+            f"{int(missed.sum())} frames do not show it; forced photometry there makes it {times}",
             bool(ratio < 0),
         ))  # fmt: skip
     if hidden.any():
-        out.append((f"on {int(hidden.sum())} frames a star hides it", False))
+        out.append((f"on {int(hidden.sum())} frames it lies on a star", False))
     off = frames - int(usable.sum())
     if off:
-        out.append((f"it is off {off} of {frames} frames, or where they are not usable", False))
+        out.append((f"on {off} of {frames} frames it is off the edge or on unusable pixels", False))
     if found.near_earth is not None and np.isfinite(found.near_earth[k]):
-        out.append((f"digest2 gives it {found.near_earth[k]:.0f} of 100 for a near-Earth object", False))
+        out.append((f"its digest2 score is {found.near_earth[k]:.0f} of 100 for a near-Earth object", False))
     out.append(_stacked(float(pixels.snr[k])))
     return out
 
 
 def _stacked(snr: float) -> tuple[str, bool]:
     """What the stack says, and whether it makes the tracklet doubtful."""
-    return f"the stack along its motion has a signal to noise of {snr:.{0 if snr >= 100.0 else 1}f}", snr < 4.0
+    return f"the stack along its motion has S/N {snr:.{0 if snr >= 100.0 else 1}f}", snr < 4.0
 
 
 def _small(value: float) -> str:

@@ -24,11 +24,11 @@ def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
     """What was done to the reports to make a scene of them, and what becomes of plots without names."""
     for feed in scene.feeds:
         if feed.filtered:
-            yield f"  {feed.description.name}: plots under numbers or names, made tracks with velocities by a filter"
+            yield f"  {feed.description.name}: plots with ids, filtered to tracks with velocities"
         elif feed.reports.track is None and not isinstance(watch, PlotPicture):
-            yield f"  {feed.description.name}: plots without names, every instant judged alone"
+            yield f"  {feed.description.name}: plots without ids, every instant by itself"
     if isinstance(watch, PlotPicture):
-        yield "  no source names what it shows: objects are followed from look to look"
+        yield "  no source identifies its objects: they are tracked from scan to scan"
 
 
 def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:

@@ -124,7 +124,7 @@ def in_html(headline: str, report: str, plot: Callable[[], Figure]) -> str:
     try:
         drawn = io.BytesIO()
         plot().savefig(drawn, format="png", dpi=SMALL_DPI)
-    except InputError:  # matplotlib is missing, or there is nothing to draw
+    except InputError:  # matplotlib is missing, or nothing to plot
         pass
     else:
         data = base64.b64encode(drawn.getvalue()).decode()

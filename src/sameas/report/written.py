@@ -45,7 +45,7 @@ def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
     lines = [f"{mine} {words} {who}, probability {probability_text(float(p))}", *_where(table, facts, best, source)]
     if partner is None and not _value(table, "n_within", best):
         covered = bool(_value(table, "covered", best))
-        return [*lines, *entry("candidates", "none" if covered else f"none: {other} does not look there")]
+        return [*lines, *entry("candidates", "none" if covered else f"none: {other} does not cover that place")]
     lines += entry("candidates", f"{count(_value(table, 'n_within', best))} within the gate")
     lines += ["", f"Answers ({other})"]
     lines += _answers(table, facts, rows, best, source)
@@ -138,7 +138,7 @@ def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
     if second is not None:
         lines += entry("next best", f"{second}, probability {probability_text(float(_value(table, 'p_second', row)))}")
     if (seen := _value(table, "p_detect", row)) is not None:
-        lines += entry("to be seen", f"the frame shows {100 * float(seen):.0f} % of stars so bright")
+        lines += entry("completeness", f"{100 * float(seen):.0f} % at its magnitude")
     return lines + (entry("remark", str(_value(table, "remark", row))) if _value(table, "remark", row) else [])
 
 
@@ -188,7 +188,7 @@ def _object(objects: Table, records: Table, number: int, when: float) -> list[st
     label = str(_value(objects, "label", row) or "")
     lines = [f"Object {number}{f' ({label})' * bool(label)} at {moment(when)}: {_value(objects, 'stage', row)}"]
     if _value(objects, "probability", row) is None:
-        return [*lines, *entry("records", "none now: its place is predicted from what was seen before")]
+        return [*lines, *entry("records", "none now: its position is predicted from earlier reports")]
     lines += entry("records", str(_value(objects, "members", row)))
     lines += entry("probability", probability_text(float(_value(objects, "probability", row))))
     if _value(objects, "p_runner_up", row) is not None and _value(objects, "runner_up", row):
@@ -200,7 +200,7 @@ def _object(objects: Table, records: Table, number: int, when: float) -> list[st
         age = f"{float(records['age_s'][at]):.0f} s old"
         details = f"row {_value(records, 'row', at)}{f', track {track}' * bool(track)}, {age}"
         alone = probability_text(float(records["p_alone"][at]))
-        lines += entry(f"  {_value(records, 'source', at)}", f"{details}; no partner anywhere {alone}")
+        lines += entry(f"  {_value(records, 'source', at)}", f"{details}; in no other source {alone}")
     return lines
 
 

@@ -68,14 +68,16 @@ def completed(
         epoch = _epoch_of_others(made, k, epoch_jyr)
         if epoch is not None:
             made[k] = catalogue.with_epoch(epoch, "assumed")
-            text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so that nothing of it moves; "
-            doubts.append(Message(text, naming(f"say {{epoch{k + 1}:YEAR}}")))
+            text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so its positions are not moved; "
+            doubts.append(Message(text, naming(f"give {{epoch{k + 1}:YEAR}}")))
     before = tuple(made)
     for k, catalogue in enumerate(before):
         if catalogue.error_is_unknown:
             sigma, source = _error_against_others(before, k, tuning)
-            text = f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, {source}; "
-            doubts.append(Message(text, naming(f"say {{sigma{k + 1}:ARCSEC}} or {{sigma{k + 1}:COLUMN}}")))
+            text = (
+                f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, {source}; "
+            )
+            doubts.append(Message(text, naming(f"give {{sigma{k + 1}:ARCSEC}} or {{sigma{k + 1}:COLUMN}}")))
             made[k] = catalogue.with_error(PositionError("number", sigma_arcsec=sigma, reason="assumed"))
     for k, catalogue in enumerate(made):
         if catalogue.choice.error.guessed_unit:
@@ -105,7 +107,7 @@ def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: Commo
             found.append((share, sigma, catalogue.name))
     share, sigma, name = max(found)
     if share <= 0.0:
-        return sigma, f"a usual one, for its records do not lie near those of {name}"
+        return sigma, f"a typical one, for its records do not lie near those of {name}"
     return sigma, f"estimated from the distances to {name}"
 
 
@@ -127,8 +129,10 @@ def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonE
         return catalogue, ""
     angles = tuple(replace(column, unit=best) if _is_guessed(column) else column for column in error.columns)
     names = ", ".join(column.name for column in angles if _is_guessed(column))
-    text = f"{catalogue.name}: the unit of {names} is not said; {best} fits the distances to the other catalogue best, "
-    doubt = Message(f"{text}so it was taken; ", naming(f"say {{sigma_unit{k + 1}:UNIT}}"))
+    text = (
+        f"{catalogue.name}: the unit of {names} is not stated; {best} fits the distances to the other catalogue best, "
+    )
+    doubt = Message(f"{text}so it was assumed; ", naming(f"give {{sigma_unit{k + 1}:UNIT}}"))
     return catalogue.with_error(replace(error, columns=angles, guessed_unit=False)), doubt
 
 

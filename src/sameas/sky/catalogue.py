@@ -50,7 +50,7 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
     known = sigma[np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)]
     if not len(known):
-        return "no row has both a position and a positive error: nothing can be matched"
+        return "no row has both a position and a positive error: no row can be matched"
     median = float(np.median(known))
     names = ", ".join(column.name for column in choice.error.columns) or "sigma"
     if median > _LARGEST_SIGMA_ARCSEC:
@@ -72,11 +72,11 @@ def _taken_errors(choice: ColumnChoice) -> str:
     error = choice.error
     if error.survey is not None:
         by = f" at its {choice.magnitude}" if choice.magnitude else ""
-        text = f"no column of position errors: those of {error.survey.title}{by} are taken ({error.survey.source}); "
-        return Message(text, naming("say {sigma:ARCSEC} or {sigma:COLUMN} if you know better"))
+        text = f"no column of position errors: those of {error.survey.title}{by} are assumed ({error.survey.source}); "
+        return Message(text, naming("give {sigma:ARCSEC} or {sigma:COLUMN} if you know better"))
     if error.guessed_unit:
         names, unit = ", ".join(column.name for column in error.columns), error.columns[0].unit
-        return Message(f"the unit of {names} is not said; by its size {unit}: ", naming("say {sigma_unit:UNIT}"))
+        return Message(f"the unit of {names} is not stated; by its size {unit}: ", naming("give {sigma_unit:UNIT}"))
     return ""
 
 
@@ -86,7 +86,7 @@ def _radians(astrometry: Astrometry, choice: ColumnChoice) -> str:
     ra, dec = astrometry.ra_deg, astrometry.dec_deg
     known = np.isfinite(ra) & np.isfinite(dec)
     if known.any() and (np.abs(dec[known]) <= np.pi / 2).all() and (ra[known] <= 2 * np.pi).all():
-        return f"{choice.ra.name}, {choice.dec.name} say no unit and stay below 2π and π/2: are they in radians?"
+        return f"{choice.ra.name}, {choice.dec.name} state no unit and stay below 2π and π/2: are they in radians?"
     return ""
 
 
@@ -97,7 +97,7 @@ def _hours(astrometry: Astrometry, choice: ColumnChoice) -> str:
     known = np.isfinite(ra) & np.isfinite(dec)
     # Right ascensions of a whole sky that end at 24
     if known.any() and ra[known].max() <= 24.0 and np.ptp(ra[known]) > 12.0 and np.ptp(dec[known]) > 60.0:
-        return f"{choice.ra.name} says no unit and stays below 24: is it in hours?"
+        return f"{choice.ra.name} states no unit and stays below 24: is it in hours?"
     return ""
 
 
@@ -133,12 +133,12 @@ def _motion_errors(choice: ColumnChoice, options: CatalogueOptions) -> str:
     survey = choice.error.survey
     if survey is not None and survey.typical_mas_per_yr is not None:
         return Message(
-            f"{choice.motion[1].name} has no column of errors: those of {survey.title} are taken ({survey.source}); ",
-            naming("say {pm_sigma_mas_per_yr:MAS_PER_YR}"),
+            f"{choice.motion[1].name} has no column of errors: those of {survey.title} are assumed ({survey.source}); ",
+            naming("give {pm_sigma_mas_per_yr:MAS_PER_YR}"),
         )
     return Message(
-        f"{choice.motion[1].name} has no column of errors, so its error is taken to be that of an unknown motion; ",
-        naming("say {pm_sigma_mas_per_yr:MAS_PER_YR}"),
+        f"{choice.motion[1].name} has no column of errors, so the spread of unknown motions is assumed; ",
+        naming("give {pm_sigma_mas_per_yr:MAS_PER_YR}"),
     )
 
 
@@ -229,7 +229,7 @@ class Catalogue:
         ids, id_note = _ids(rows, choice, options, name)
         interpretation = choice.describe(_epochs_in_words(astrometry.epoch_jyr))
         if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
-            interpretation = (*interpretation, "without epoch and motion: used where it is, and cannot be moved")
+            interpretation = (*interpretation, "without epoch and motion: used as it is; it cannot be moved")
         doubts = (assumed, _filled_in_words(filled, choice), *doubts_of(astrometry, choice, options))
         doubts += (_not_measured(rows, choice), _given_twice(rows, astrometry))
         return cls(
@@ -284,7 +284,7 @@ class Catalogue:
         if self.error_is_unknown:
             raise InputError(
                 f"{self.name}: no column of position errors ({self.choice.convention})",
-                naming("say {sigma:ARCSEC}, {sigma:COLUMN} or {ellipse:'A,B,ANGLE'}"),
+                naming("give {sigma:ARCSEC}, {sigma:COLUMN} or {ellipse:'A,B,ANGLE'}"),
                 source=self.name,
             )
         a = self.astrometry
@@ -293,7 +293,7 @@ class Catalogue:
         if self.epoch_jyr is None:
             raise InputError(
                 f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}",
-                naming("say {epoch:YEAR}"),
+                naming("give {epoch:YEAR}"),
                 source=self.name,
             )
         known = np.isfinite(a.epoch_jyr)
@@ -399,7 +399,8 @@ def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
     year = 2016.0 if gaia else 2000.0
     hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if gaia else ""
     doubt = Message(
-        f"its epoch is not said: {in_years(year)} was assumed; ", naming(f"say {{epoch:YEAR}}{hint}, or {{pm:'none'}}")
+        f"its epoch is not stated: {in_years(year)} was assumed; ",
+        naming(f"give {{epoch:YEAR}}{hint}, or {{pm:'none'}}"),
     )
     return replace(choice, epoch=Epoch(jyr=year, reason="assumed")), doubt
 
@@ -440,7 +441,7 @@ def _given_twice(table: Table, astrometry: Astrometry) -> str:
     k = int(np.flatnonzero(whole)[0]) if whole.any() else 0
     return (
         f"{times} of {len(table)} rows {what} (first: rows {one[k]} and {other[k]}); "
-        "each is taken for an object of its own: remove those that are not"
+        "each counts as an object of its own: remove duplicates"
     )
 
 

@@ -150,7 +150,7 @@ def years(table: Table, name: str, source: str) -> FloatArray:
     if 2.3e6 < middle < 2.6e6:
         return np.asarray(mjd_to_jyr(values - 2400000.5))
     raise InputError(
-        f"{source}: column {name!r} (about {middle:g}) is no epoch",
+        f"{source}: column {name!r} (about {middle:g}) is not an epoch",
         naming("give a column of Julian years, MJD, JD or dates, or {epoch:YEAR}"),
     )
 

@@ -280,14 +280,14 @@ def _refuse_equals(search: ColumnSearch, chosen: list[Convention]) -> None:
     if len(positions) > 1:
         raise InputError(
             f"{search.source}: {len(positions)} candidates for right ascension: {', '.join(map(repr, positions))}",
-            naming("say {ra:NAME}"),
+            naming("give {ra:NAME}"),
         )
     errors = {names for c in chosen if (e := _own_error(search, c)) and (names := search.find_all(e.names))}
     if len(errors) > 1 and search.options.sigma is None and search.options.ellipse is None:
         raise InputError(
             f"{search.source}: {len(errors)} candidates for the position errors: "
             f"{' or '.join(','.join(names) for names in sorted(errors))}",
-            naming("say {sigma:'EAST,NORTH'} or {ellipse:'A,B,ANGLE'}"),
+            naming("give {sigma:'EAST,NORTH'} or {ellipse:'A,B,ANGLE'}"),
         )
     # Of one position the convention that brings errors knows it best.
     chosen.sort(key=lambda c: _own_error(search, c) is None)
@@ -309,7 +309,7 @@ def _position_of_options(search: ColumnSearch) -> Convention:
     if known:
         return min(known, key=lambda c: _own_error(search, c) is None)
     if other is None:
-        raise InputError(f"{search.source}: {stated!r} has no known partner", naming("say {ra:NAME} and {dec:NAME}"))
+        raise InputError(f"{search.source}: {stated!r} has no known partner", naming("give {ra:NAME} and {dec:NAME}"))
     return conventions.plain((stated, other), title="options")
 
 
@@ -331,7 +331,7 @@ def _position_by_ucd(search: ColumnSearch) -> Convention | None:
 def _no_position(search: ColumnSearch) -> Convention:
     raise InputError(
         f"{search.source}: no columns of right ascension and declination found among: {search.listing()}",
-        naming("say {ra:NAME} {dec:NAME}"),
+        naming("give {ra:NAME} {dec:NAME}"),
     )
 
 
@@ -373,7 +373,7 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
         raise InputError(
             f"{search.source}: {len(found)} candidates for the position error: "
             f"{' or '.join(','.join(names) for names in found)}",
-            naming("say {sigma:NAME}"),
+            naming("give {sigma:NAME}"),
         )
     for way in found.values():
         return _error_columns(search, way, convention)
@@ -459,7 +459,7 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
             errors[k] = _error_of(search, names[k])
     notes = []
     if names[1] is None and not options.pm and (other := search.find_all(("pm_ra", "pm_dec"))):
-        not_used = f"{', '.join(other)} not used: with or without cos(dec) is not said; if with, say "
+        not_used = f"{', '.join(other)} not used: with or without cos(dec) is not stated; if with, give "
         notes.append(Message(not_used, Argument("pm", repr(",".join(other)))))
     return (
         tuple(search.motion_column(n, unit) if n else None for n, unit in zip(names, units, strict=True)),
@@ -510,7 +510,7 @@ def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | Non
     """The epoch of the data release that the table's words or columns tell, if they tell one."""
     texts = _texts(search)
     found = {
-        epoch: f"the table says {match[0]}"
+        epoch: f"the table states {match[0]}"
         for pattern, epoch in convention.releases
         for text in texts
         if (match := re.search(pattern, text, re.IGNORECASE))

@@ -70,7 +70,7 @@ class CrossmatchTuning:
     most_records_per_error : more records of either catalogue within one typical error are refused: positions cannot
         tell them apart, and the unit of the errors is probably wrong.
     sampled_from_rows, sampled_rings : from this number of rows on that is judged by one ring of cells in this number.
-    least_common_share, least_common_sigmas : catalogues have next to nothing in common where the expected number of
+    least_common_share, least_common_sigmas : catalogues have hardly any objects in common where the expected number of
         common objects is at most this share of the smaller catalogue and at most this many of its standard errors.
     most_spacing_share : a quarter of the records nearer to another catalogue's than this share of what chance gives,
         without common objects, makes the errors doubtful.
@@ -258,7 +258,7 @@ def brought_together(
         if not len(records):
             counts = records.set_aside.counts()
             reasons = ", ".join(f"{reason} ({n})" for reason, n in counts.items())
-            remedy = naming("an error of 0 counts as none: say {sigma:ARCSEC}") if "no error" in counts else ""
+            remedy = naming("an error of 0 counts as none: give {sigma:ARCSEC}") if "no error" in counts else ""
             message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
             raise InputError(message, remedy, source=catalogue.name)
     return epoch, words, one, two
@@ -276,7 +276,7 @@ def _refuse_blur(one: Records, two: Records, tuning: CrossmatchTuning) -> None:
         raise InputError(
             f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
             "within it in either catalogue",
-            naming("are the errors in another unit? say {sigma_unit:UNIT}"),
+            naming("are the errors in another unit? give {sigma_unit:UNIT}"),
             source=worst,
         )
 
@@ -311,11 +311,11 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
     epoch_1, epoch_2 = first.epoch_jyr, second.epoch_jyr
     if epoch_1 is None or epoch_2 is None:
         if not first.has_motion and not second.has_motion:
-            return None, "neither catalogue has proper motions, and not both epochs are known: nothing is moved"
+            return None, "neither catalogue has proper motions, and not both epochs are known: no positions are moved"
         still = first if epoch_1 is None else second
         raise InputError(
             f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it",
-            naming("say {epoch:YEAR}"),
+            naming("give {epoch:YEAR}"),
             source=still.name,
         )
     mover, target = (second, first) if second.has_motion and not first.has_motion else (first, second)
@@ -352,8 +352,8 @@ def density_doubts(coverage: Coverage, options: MatchOptions, tuning: Crossmatch
     ):
         if per_deg2 and not least < option / per_deg2 < largest:
             lines.append(
-                f"density: {option:g} per square degree was said of {records.source}, but where both look it has "
-                f"{per_deg2:.3g}: is the density per square degree?"
+                f"density: {option:g} per square degree was given for {records.source}, but in the common area "
+                f"it has {per_deg2:.3g}: is the density per square degree?"
             )
     return tuple(lines)
 
@@ -369,7 +369,7 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
         name = (result.first, result.second)[widest].source
         doubts.append(
             f"{name}: its typical error, {sigma[widest]:.3g} arcsec, is larger than half the spacing of the records, "
-            f"{spacing:.3g} arcsec: are the errors in the unit that was understood?"
+            f"{spacing:.3g} arcsec: are the errors in the assumed unit?"
         )
     scale = estimate.typical_scale
     least, largest = tuning.usual_scale
@@ -378,7 +378,7 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
         doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: {asked}")
     if result.approximate_pairs:
         count = result.approximate_pairs
-        doubts.append(f"{count} candidates lie in entangled groups; their probabilities are approximate")
+        doubts.append(f"{count} candidates lie in large groups; their probabilities are approximate")
     return tuple(doubts)
 
 
@@ -394,7 +394,7 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
             doubts.append(
                 f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {number} of its pairs "
                 f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
-                f"`blends`{first} tells them, with the resolution of {one}"
+                f"`blends`{first} lists them, given the resolution of {one}"
             )
     return tuple(doubts)
 
@@ -403,25 +403,24 @@ def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
     """Doubts of a rotation that was looked for."""
     if not search.by_chance:
         return search.notes
-    return (*search.notes, "no offset was taken away" if warp is None else "no shift or turn was taken away")
+    return (*search.notes, "no offset was removed" if warp is None else "no shift or rotation was removed")
 
 
 def _offset_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
     """A doubt of the frames where the pairs are offset on the average, or there are no pairs."""
     if _next_to_nothing(result, estimate, tuning):
         few = (
-            f"{result.first.source} and {result.second.source} have next to nothing in common "
-            f"({estimate.quantities['common']} objects); one may stand off the other by more than their errors: "
+            f"{result.first.source} and {result.second.source} have hardly any objects in common "
+            f"({estimate.quantities['common']} objects); one may be offset from the other by more than their errors: "
         )
-        return (Message(few, naming("{offset:'find'} looks for that")),)
+        return (Message(few, naming("{offset:'find'} searches for it")),)
     offset = residual_rotation(result, estimate.typical_scale)
     if offset is None:
         return ()
     rotation, share = offset
-    off = (
-        f"{result.second.source} stands off {result.first.source} by up to {share:.1g} of a pair's error ({rotation}): "
-    )
-    return (Message(off, naming("say {offset:'find'} to take it away")),)
+    one, other = result.first.source, result.second.source
+    off = f"{other} is offset from {one} by up to {share:.1g} of a pair's error ({rotation}): "
+    return (Message(off, naming("give {offset:'find'} to remove it")),)
 
 
 def _next_to_nothing(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> bool:
@@ -443,7 +442,7 @@ def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: Crossm
         return ()
     missed = (
         f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "
-        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the unit that was understood? "
+        f"be {by_chance:.2g}, but hardly any within its errors: are the errors in the assumed unit? "
     )
     return (Message(missed, naming("Or is one shifted ({offset:'find'})?")),)
 

@@ -10,7 +10,7 @@ mahalanobis : separation over its quoted error. log_odds : natural logarithm of 
 p_match : probability of the pair. p_none : probability that the row has no partner. p_second, id_second : the most
 probable other candidate. match_flag : 1 the identified pair, 2 a candidate at least half as probable as the row's
 best, 0 others. group_id, group_size : the group of competing records. n_within : candidates of the row.
-covered : whether the other catalogue looks there.
+covered : whether the other catalogue covers the place.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ _WORDS = {
     "group_id": "group of competing records",
     "group_size": "records in the group",
     "n_within": "candidates of the row",
-    "covered": "whether the other catalogue looks there",
+    "covered": "whether the other catalogue covers the place",
     "p_any": "NWAY: probability that the row has a partner",
     "p_i": "NWAY: probability of the pair if there is a partner",
     "dist_bayesfactor": "log10 of the odds of the pair",

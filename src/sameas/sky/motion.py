@@ -463,7 +463,7 @@ def _floats(values: ArrayLike | None, shape: tuple[int, ...], what: str) -> Floa
 def _epochs(epoch_jyr: ArrayLike, n: int, source: str) -> FloatArray:
     epochs = _floats(epoch_jyr, (n,), f"{source}: epoch")
     remedy = "give e.g. 2016.0, of an MJD 2000 + (MJD - 51544.5) / 365.25"
-    _refuse(~(np.abs(epochs) < _FARTHEST_JYR), f"{source}: epochs that are no Julian year", remedy)
+    _refuse(~(np.abs(epochs) < _FARTHEST_JYR), f"{source}: epochs that are not Julian years", remedy)
     return epochs
 
 

@@ -82,7 +82,7 @@ class Rotation:
         """What is added to the second catalogue, at the centre."""
         east, north, about = (f"{v:+.4g} ± {e:.2g}" for v, e in zip(self.vector, self.standard_errors, strict=True))
         lon, lat = self.centre_deg
-        return f"{east} arcsec east, {north} north, turned by {about} arcsec about RA {lon:.3f}°, Dec {lat:+.3f}°"
+        return f"{east} arcsec east, {north} north, rotated by {about} arcsec about RA {lon:.3f}°, Dec {lat:+.3f}°"
 
     def of(self, records: Records) -> Records:
         """The records rotated; their covariances include that of the rotation."""
@@ -164,7 +164,7 @@ def find_rotation(
     if not (len(patch_1) and len(patch_2)):
         apart = (
             f"{first.source} and {second.source} lie more than {tuning.patch_deg:g}° apart; "
-            "so far no offset is looked for"
+            "offsets are searched for in small fields only"
         )
         return Rotation(centre, np.zeros(3), np.zeros((3, 3)), False, 0, (apart,), True)
     rotation = _initial(centre, register(patch_1, patch_2, Shift()))

@@ -64,8 +64,8 @@ def place_guesses(reports: Reports) -> Iterator[UnitGuess]:
                       "turn the sign of its latitudes (south is negative)", _with_signs(-1.0, 1.0))  # fmt: skip
         yield UnitGuess("latitudes and longitudes look exchanged", "them exchanged",
                       "exchange the two columns, or name them", _with_exchange)  # fmt: skip
-        yield UnitGuess("latitudes and longitudes look like radians", "them taken so",
-                      "say that their unit is rad", _with_radians)  # fmt: skip
+        yield UnitGuess("latitudes and longitudes look like radians", "them read so",
+                      "give their unit as rad", _with_radians)  # fmt: skip
         return
     yield UnitGuess("site's longitude looks like it has the wrong sign", "the sign turned",
                   "turn the sign of lon_deg in its site (west is negative)",
@@ -84,9 +84,9 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
     if reports.position == "polar":
         yield from (_in_length("ranges", unit, m, _with_ranges(m)) for unit, m in LENGTHS)
     if reports.bearing_deg is not None:
-        yield UnitGuess("bearings look like radians", "them taken so", "say that their unit is rad",
+        yield UnitGuess("bearings look like radians", "them read so", "give their unit as rad",
                       _with_bearings(lambda bearing: bearing * DEGREE, 2.0 * math.pi + 0.01))  # fmt: skip
-        yield UnitGuess("bearings look like angles from the east, anticlockwise", "them taken so",
+        yield UnitGuess("bearings look like angles from the east, anticlockwise", "them read so",
                       "give 90° less the angle: bearings run clockwise from north",
                       _with_bearings(lambda angle: 90.0 - angle, 360.0))  # fmt: skip
 
@@ -132,7 +132,7 @@ def _with_site(changed: Callable[[float, float], tuple[float, float]]) -> Read:
 
 def _in_length(what: str, unit: str, metres: float, read: Read) -> UnitGuess:
     return UnitGuess(
-        f"{what} look like {unit}", "them taken so", f"say that their unit is {unit}, or give metres", read
+        f"{what} look like {unit}", "them read so", f"give their unit as {unit}, or convert them to metres", read
     )
 
 
@@ -228,8 +228,9 @@ def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFi
 
 def _undecided(fit: BiasFit, names: tuple[str, ...]) -> str:
     return (
-        f"{names[0]}: its plots do not tell whether it shows what {' or '.join(names[1:])} shows (log evidence "
-        f"{fit.log_evidence:.1f}, by {fit.instants} scans); more scans would, or a known offset in its calibration"
+        f"{names[0]}: its plots do not establish whether it shows the objects of {' or '.join(names[1:])} (log "
+        f"evidence {fit.log_evidence:.1f}, by {fit.instants} scans); give more scans, or "
+        "its calibration"
     )
 
 
@@ -360,7 +361,7 @@ def _best_guess(
             either = f", unless it is {shared.other} that is wrong" if len(others) == 1 else ""
             sentence = (
                 f"{feed.description.name}: its {suspicion}: with {changed}, {shared.pairs:.0f} of {shared.records:.0f} "
-                f"records of an instant are those of {shared.other}, as it stands {unchanged.pairs:.0f}; "
+                f"records of an instant match {shared.other}, as given {unchanged.pairs:.0f}; "
                 f"{remedy}{either}"
             )
             best = BestGuess(sentence, shared.other, shared.gain)
@@ -383,20 +384,20 @@ def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, 
     for suspicion, remedy, ahead_s in clock_guesses():
         biases = np.zeros(6)
         biases[TIME] = ahead_s
-        yield suspicion, "that taken off", remedy, unbiased(tolerant, biases, np.zeros((6, 6)))
+        yield suspicion, "that removed", remedy, unbiased(tolerant, biases, np.zeros((6, 6)))
 
 
 def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) -> str:
     name = feed.description.name
     if best is not None:
         return (
-            f"{name}: has no more in common with the others than chance: {best.pairs:.0f} of {best.records:.0f} "
-            f"records of an instant can be those of {best.other}; check its position, clock and errors, or leave it out"
+            f"{name}: matches the others no better than by chance: {best.pairs:.0f} of {best.records:.0f} "
+            f"records of an instant match {best.other}; check its position, clock and errors, or leave it out"
         )
     own, theirs = _span(feed.reports.time_s), _span(np.concatenate([other.reports.time_s for other in others]))
     return (
-        f"{name}: says nothing while others do: it speaks from {own[0]} to {own[1]}, they from {theirs[0]} to "
-        f"{theirs[1]}; check its clock and its date, or leave it out"
+        f"{name}: has no reports while others do: its reports are of {own[0]} to {own[1]}, theirs of "
+        f"{theirs[0]} to {theirs[1]}; check its clock and its date, or leave it out"
     )
 
 

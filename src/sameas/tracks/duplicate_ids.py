@@ -89,10 +89,10 @@ def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float)
 def _notes(name: str, objects: int, strays: int) -> list[str]:
     notes = []
     if objects > 1:
-        notes.append(f"{name} is shown at {objects} places too far apart for one object: a track for each")
+        notes.append(f"{name} is reported at {objects} places too far apart for one object: split into one track each")
     if strays and objects:
         reports = "1 report" if strays == 1 else f"{strays} reports"
-        notes.append(f"{reports} of {name} set aside: nothing goes there so fast")
+        notes.append(f"{reports} of {name} set aside: no object moves that fast")
     return notes
 
 

@@ -164,7 +164,7 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
         name = feed.description.name
         words = (
             f"{name}: is frozen: {still} of {active} moving tracks repeat their last positions while their stamps go "
-            "on; what it shows from then on is old"
+            "on; its positions are stale from then on"
         )
         yield Fault("frozen", name, float(np.median(begins)), end, log_odds, words)
 
@@ -189,7 +189,7 @@ def _floods(feed: Feed) -> Iterator[Fault]:
         log_odds += math.log(tuning.fault_prior / len(count))
         name, begin = feed.description.name, float(time_s.min()) + float(low) * width
         words = (
-            f"{name}: floods: {reports:.0f} reports in {width * (high - low):.0f} s, {due:.0f} are usual; look for "
-            "reports that are repeated or made up"
+            f"{name}: flood of reports: {reports:.0f} reports in {width * (high - low):.0f} s, {due:.0f} are usual; "
+            "look for repeated or fabricated reports"
         )
         yield Fault("flood", name, begin, begin + float(high - low) * width, log_odds, words)

@@ -126,7 +126,7 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
     repeated_positions = (
         "1 report repeats the position" if len(repeated) == 1 else f"{len(repeated)} reports repeat the positions"
     )
-    note = f"{repeated_positions} of before though the object moves: set aside, no position was measured"
+    note = f"{repeated_positions} of an earlier report though the object moves; set aside: no position was measured"
     return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
 
 
@@ -331,7 +331,7 @@ def _bearings(there: States | Directions, sensor_m: FloatArray | None) -> FloatA
 
 
 def _counted_note(name: str, minutes: int) -> str:
-    mended = f"{minutes} minute{'s' * (minutes != 1)} that the motion of tracks shows to be missing were put in"
+    mended = f"{minutes} minute{'s' * (minutes != 1)} missing by the motion of the tracks were inserted"
     return f"{name}: its clock is counted on from the seconds in messages; {mended}, others may be missing"
 
 

@@ -295,7 +295,7 @@ def _offset(
         return None
     note = (
         f"{feed.description.name}: heights {offset:+.0f} ± {error:.0f} m{f' {100.0 * gain:+.1f} %' if gain else ''} "
-        f"against {reference.description.name}, taken away; by {near.sum()} pairs"
+        f"against {reference.description.name}, subtracted; by {near.sum()} pairs"
     )
     return HeightOffset(offset, gain, max(scatter, tuning.least_m) + error, note)
 

@@ -147,7 +147,7 @@ class PlacedReports:
         unit = reports.damaged.unit if len(lines) == 1 else f"{reports.damaged.unit}s"
         listed = ", ".join(str(line) for line in lines[:5]) + (", …" if len(lines) > 5 else "")
         return (
-            f"{reports.source}: {len(lines)} of {len(reports)} positions lie absurdly far from the rest and were set "
+            f"{reports.source}: {len(lines)} of {len(reports)} positions lie far outside the rest and were set "
             f"aside ({unit} {listed})",
         )
 
@@ -162,10 +162,10 @@ class PlacedReports:
         good = f"as good as a range ± {errors.range_m:g} m ± {100.0 * (errors.range_share or 0.0):g} % and a bearing "
         good += f"± {errors.bearing_deg:g}°"
         if self.description.site is None and reports.station_lat_deg is None and reports.station_x_m is None:
-            good += f" at {self._usual_range_m / 1000.0:.3g} km, since nothing says where it stands"
+            good += f" at {self._usual_range_m / 1000.0:.3g} km, since its position is not known"
         return (
-            f"{self.description.name}: {silent} positions state no errors; they are taken to be {good}; "
-            "errors.position_m says better",
+            f"{self.description.name}: {silent} positions state no errors; assumed {good}; "
+            "errors.position_m overrides it",
         )
 
     @property
@@ -266,7 +266,7 @@ class PlacedReports:
             return reports.station_lat_deg, reports.station_lon_deg, height
         if site is None or site.lat_deg is None or site.lon_deg is None:
             raise InputError(
-                f"{self.description.name}: nothing says where the sensor is",
+                f"{self.description.name}: the sensor's position is not known",
                 naming("give site = {{ lat_deg = …, lon_deg = … }} in its {description}"),
             )
         return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
@@ -281,7 +281,7 @@ class PlacedReports:
             return np.column_stack([reports.station_x_m, reports.station_y_m])
         if site is None:
             raise InputError(
-                f"{self.description.name}: nothing says where the sensor is",
+                f"{self.description.name}: the sensor's position is not known",
                 naming("give site = {{ east_m = …, north_m = … }} in its {description}"),
             )
         return np.broadcast_to(site.in_plane(None), (len(reports), 2)).copy()

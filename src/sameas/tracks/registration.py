@@ -64,7 +64,7 @@ class SourceBiases:
 
     def __str__(self) -> str:
         if not self.parameters:
-            return f"{self.source}: taken as it is" + (", the reference for the others" if not self.notes else "")
+            return f"{self.source}: not corrected" + (", the reference for the others" if not self.notes else "")
         values = ", ".join(_TEXTS[name].format(it.value, it.standard_error) for name, it in self.parameters.items())
         others = " and ".join(self.against)
         by = f"{self.pairs:.0f} pairs of {self.tracks:.0f} tracks at {self.instants} instants with {others}"
@@ -90,7 +90,7 @@ def registered(
 
     Raises
     ------
-    InputError : a reference that is no source of positions.
+    InputError : a reference that is not a source of positions.
     """
     fixed, free, directions = _parts(feeds, references)
     fits = fits or PlotFits()
@@ -118,7 +118,7 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
     for name in references or ():
         if name not in [names[k] for k in placed]:
             known = ", ".join(names[k] for k in placed)
-            raise InputError(f"registered: {name!r} is no source of positions; give some of {known} as references")
+            raise InputError(f"registered: {name!r} is not a source of positions; give some of {known} as references")
     if references is None:
         fixed = [k for k in placed if not bias_widths(feeds[k]).any()]
     else:
@@ -141,7 +141,7 @@ def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Settled:
     """One source against others that are taken as they are."""
     name = feed.description.name
     if not bias_widths(feed).any():
-        return feed, SourceBiases(name, notes=(f"{name}: may have no bias that could be looked for",))
+        return feed, SourceBiases(name, notes=(f"{name}: its description allows no bias to fit",))
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
     named = [other for other in partners if shows_tracks(other)]
@@ -171,7 +171,7 @@ def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
         return (one, unseen[0]), (other, unseen[1])
     fit = fit_biases(scans, one.tuning)
     gauge = (
-        f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is taken "
+        f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is assumed "
         "to be as small as their descriptions allow"
     )
     first, second = (_settled(feed, 6 * k, fit, (names[1 - k],)) for k, feed in enumerate((one, other)))
@@ -187,12 +187,12 @@ def _sought(scans: Sequence[CommonScan]) -> bool:
 
 def _unseen(name: str, partners: Sequence[Feed]) -> str:
     others = " nor ".join(other.description.name for other in partners)
-    return f"{name}: late stamps alone may bias it, and were not looked for: neither it nor {others} tells velocities"
+    return f"{name}: only its latency may be biased, and was not fitted: neither it nor {others} has velocities"
 
 
 def _unmet(name: str, partners: Sequence[Feed]) -> str:
     others = " or ".join(other.description.name for other in partners)
-    return f"{name}: shows nothing at the times at which {others} does; its biases were not looked for"
+    return f"{name}: has no report at the times of {others}; its biases were not fitted"
 
 
 def _settled(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -> Settled:
@@ -231,18 +231,18 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
     notes = []
     if fit.log_evidence < fit.tuning.registration.decisive:
         notes.append(
-            f"{name}: may have nothing in common with {others}: its biases are no better established than chance "
+            f"{name}: may have no object in common with {others}: its biases are not significant "
             f"(log evidence {fit.log_evidence:.1f})"
         )
     if fit.near_rivals:
         theta, evidence = fit.near_rivals[0]
         values = ", ".join(f"{BIASES[k]} {value:.4g}" for k, value in zip(which, theta[own], strict=True))
         notes.append(
-            f"{name}: other biases explain its records nearly as well, with log evidence lower by "
+            f"{name}: other biases fit its records nearly as well, with log evidence lower by "
             f"{fit.log_evidence - evidence:.1f}: {values}"
         )
     if not fit.established:
-        notes.append(f"{name}: is left as it is, as if it had no bias")
+        notes.append(f"{name}: is not corrected")
     needed = len(which) / 2.0 + 2.0
     if fit.tracks < needed:
         notes.append(
@@ -250,13 +250,11 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
             "lean on what its description says of them"
         )
     if bias_widths(feed)[TIME] > 0.0 and TIME not in which:
-        notes.append(f"{name}: late stamps were not looked for: neither it nor {others} tells velocities")
+        notes.append(f"{name}: latency was not fitted: neither it nor {others} has velocities")
     if not fit.settled:
-        notes.append(f"{name}: its biases had not settled")
+        notes.append(f"{name}: its biases had not converged")
     far = np.abs(fit.theta[own]) > 3.0 * bias_widths(feed)[which]
     wide = [BIASES[k] for k in which[far]]
     if wide:
-        notes.append(
-            f"{name}: {' and '.join(wide)} came out more than three times as large as its description lets expect"
-        )
+        notes.append(f"{name}: {' and '.join(wide)} came out more than three times as large as its description allows")
     return tuple(notes)

@@ -258,7 +258,7 @@ class Reports:
         """Printable lines: the reports, damaged and passed over lines, assumptions."""
         lines = [f"{self.source}: {len(self)} report{'s' * (len(self) != 1)} ({self.kind}, {self.position} positions)"]
         lines += self.damaged.sentences()
-        lines += [f"{count} passed over: {what}" for what, count in self.passed_over.items()]
+        lines += [f"{count} skipped: {what}" for what, count in self.passed_over.items()]
         return lines + list(self.notes)
 
 

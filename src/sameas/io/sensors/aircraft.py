@@ -72,7 +72,7 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
                 else:
                     damaged.append((number, row))
             elif _is_same(last.get(row["track_id"]), row):
-                passed_over["position told before"] += 1
+                passed_over["position repeated"] += 1
             else:
                 last[row["track_id"]] = row
                 rows.append(row)
@@ -105,7 +105,7 @@ def notes(source: str) -> tuple[str, ...]:
     """The assumptions on the accuracy that transponders state."""
     return (
         f"{source}: errors are the transponder's NACp (radius of 95 % over 2.45); without it, half of the containment "
-        "radius is taken for the radius of 95 %; positions that state neither have no error of their own",
+        "radius is used as the radius of 95 %; positions that state neither have no error of their own",
     )
 
 
@@ -146,7 +146,7 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
 def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
     """One report, or why there is none."""
     if not isinstance(aircraft, dict) or not isinstance(aircraft.get("hex"), str):
-        return "an aircraft without an address"
+        return "aircraft without an address"
     if "lat" not in aircraft or "lon" not in aircraft:
         return _NO_POSITION
     try:
@@ -159,7 +159,7 @@ def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
         pressure = None if on_ground or "alt_baro" not in aircraft else FOOT_M * float(aircraft["alt_baro"])
         climb = next((float(aircraft[name]) for name in ("geom_rate", "baro_rate") if name in aircraft), None)
     except (TypeError, ValueError, OverflowError):
-        return "a position or another number is none"
+        return "a position or another value is not a number"
     if not (abs(lat) <= 90.0 and abs(lon) <= 180.0):
         return "position outside the earth"
     return {

@@ -416,15 +416,15 @@ def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
 
 
 def _what_else(damaged: Sequence[tuple[int, str]], passed_over: Mapping[str, int]) -> str:
-    lines = Damaged.of(damaged).sentences() + [f"{count} passed over: {what}" for what, count in passed_over.items()]
+    lines = Damaged.of(damaged).sentences() + [f"{count} skipped: {what}" for what, count in passed_over.items()]
     return "; ".join(lines) or "is it AIS?"
 
 
 def _notes(source: str, clock: str) -> tuple[str, ...]:
     return (
-        f"{source}: times from {clock}, and the second within the message where it tells one",
+        f"{source}: times from {clock}, and the second within the message where it has one",
         f"{source}: assumed {AIS_SIGMA_M[True]:g} m per axis where the accuracy flag is set, {AIS_SIGMA_M[False]:g} m "
-        f"where not, {AIS_RECKONED_SIGMA_M:g} m for positions that are reckoned or put in by hand",
-        f"{source}: positions are those of the hull's middle; echoes are taken to come evenly from the whole hull; "
-        f"the course stands for the heading where that is not told and the ship makes {_STEERING_M_PER_S:g} m/s",
+        f"where not, {AIS_RECKONED_SIGMA_M:g} m for dead-reckoned or manually entered positions",
+        f"{source}: positions are those of the middle of the hull; echoes are assumed to be uniform over the hull; "
+        f"the course is used as heading where none is sent and the speed is {_STEERING_M_PER_S:g} m/s or more",
     )

@@ -64,7 +64,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
     for place, sentence in enumerate(log.sentences):
         if sentence.kind != kind:
             if sentence.kind in SENTENCES:
-                passed_over["TLL of targets that TTM tells too"] += 1
+                passed_over["TLL of targets that TTM reports too"] += 1
             continue
         try:
             row = _target(sentence, {name: values[place] for name, values in own.items()})
@@ -212,7 +212,7 @@ def _true(angle: float, flag: str, heading: float) -> float:
     if flag != "R":
         raise ValueError(f"flag of a direction is {flag!r}, neither T nor R")
     if not np.isfinite(heading):
-        raise ValueError("direction from the bow, but no heading (OSD, HDT, THS) heard yet")
+        raise ValueError("direction from the bow before the first heading (OSD, HDT, THS)")
     return angle + heading
 
 
@@ -222,7 +222,7 @@ def _times(log: Log, day_s: FloatArray, places: np.ndarray, source: str, start_s
     own_time = dated(day_s, clock_s, start_s)
     times = np.where(np.isfinite(own_time), own_time, clock_s)
     if not np.isfinite(times).all():
-        some = "the sentences tell the time of day, but no date" if np.isfinite(day_s).any() else "no line tells a time"
+        some = "the sentences have the time of day, but no date" if np.isfinite(day_s).any() else "no line has a time"
         if np.isfinite(day_s).all():
             raise InputError(f"{source}: no time: {some}", naming("give {start}, the UTC date of the first line"))
         raise InputError(f"{source}: no time: {some}, no ZDA and no RMC")
@@ -231,14 +231,14 @@ def _times(log: Log, day_s: FloatArray, places: np.ndarray, source: str, start_s
 
 def _notes(source: str, log: Log, columns: Mapping[str, Any]) -> tuple[str, ...]:
     notes = [
-        f"{source}: times from {log.clock or 'the start that was given'}, and from the targets where they tell theirs"
+        f"{source}: times from {log.clock or 'the start that was given'}, and from the targets where they have one"
     ]
     own_reports = sum(sentence.kind == "VDO" for sentence in log.sentences)
     if own_reports:
         notes.append(f"{source}: own ship's place from {own_reports} AIS sentences of her own (VDO) too")
     if "range_m" not in columns:
         return tuple(notes)
-    notes.append(f"{source}: directions marked R are counted from the bow, at the heading heard last")
+    notes.append(f"{source}: directions marked R are relative to the bow, at the last heading received")
     if not np.isfinite(columns["station_lat_deg"]).any():
-        notes.append(f"{source}: the log does not tell where own ship was; the description of the source must")
+        notes.append(f"{source}: the log lacks own ship's position; give it in the description of the source")
     return tuple(notes)

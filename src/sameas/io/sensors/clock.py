@@ -60,7 +60,9 @@ def started(start: str | float | None, source: str) -> float | None:
         return start if start is None else float(start)
     start_s = instant(start)
     if start_s is None:
-        raise InputError(f"{source}: start={start!r} is no instant; give a date or a time like 2024-05-01T13:00:00Z")
+        raise InputError(
+            f"{source}: start={start!r} is not an instant; give a date or a time like 2024-05-01T13:00:00Z"
+        )
     return start_s
 
 

@@ -161,7 +161,7 @@ def choose(
 def naming_columns(*quantities: str) -> Message:
     """The remedy that names the columns of quantities."""
     pairs = ", ".join(f"{quantity!r}: NAME" for quantity in quantities)
-    return Message("say ", Argument("columns", f"{{{pairs}}}"))
+    return Message("give ", Argument("columns", f"{{{pairs}}}"))
 
 
 def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], units: Mapping[str, str]) -> None:
@@ -169,7 +169,7 @@ def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], un
     for column in named:
         if column not in quantities:
             near = difflib.get_close_matches(column, sorted(quantities), n=3)
-            raise InputError(f"{source}: {column!r} is no quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
+            raise InputError(f"{source}: {column!r} is not a quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
     for name in [*(name for name in named.values() if name), *units]:
         if name not in names:
             raise InputError(f"{source}: no column {name!r} among: {', '.join(names)}")
@@ -210,10 +210,10 @@ def _choice(
         return Choice(name, quantity, factors[unit], "")
     for why, marks, applies, unit in _HABITS:
         if stem in applies and unit in factors and any(stems[other][0] in marks for other in stems):
-            return Choice(name, quantity, factors[unit], f"{name} is taken in {unit}: {why}")
+            return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
     # Angles without a unit are degrees everywhere.
     our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
-    return Choice(name, quantity, 1.0, f"{name} is taken in {our_unit}: its name says no unit" if our_unit else "")
+    return Choice(name, quantity, 1.0, f"{name} is read in {our_unit}: its name states no unit" if our_unit else "")
 
 
 def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]]) -> dict[str, Choice]:
@@ -226,12 +226,12 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
     opensky = any(stems[name][0] == "lastposupdate" for name in stems)
     if heading and course is None and opensky:
         quantity = next(q for q in QUANTITIES if q.column == "course_deg")
-        why = f"{heading.name} is taken for the course, as in OpenSky's states"
+        why = f"{heading.name} is read as the course, as in OpenSky's states"
         chosen["course_deg"] = Choice(chosen.pop("heading_deg").name, quantity, heading.factor, why)
         return chosen
     if course and "".join(stems[course.name]) == "track" and "speed_m_per_s" not in chosen:
         del chosen["course_deg"]
         if "track_id" not in chosen:
             quantity = next(q for q in QUANTITIES if q.column == "track_id")
-            chosen["track_id"] = Choice(course.name, quantity, 1.0, f"{course.name} is taken for the number of a track")
+            chosen["track_id"] = Choice(course.name, quantity, 1.0, f"{course.name} is read as a track number")
     return chosen

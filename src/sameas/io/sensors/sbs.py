@@ -77,7 +77,7 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
             f"{source}: no position: {'; '.join(about.sentences()) or 'no MSG,2 or MSG,3'}",
             damaged=about, passed_over=passed_over,
         )  # fmt: skip
-    notes = (f"{source}: times are taken as UTC; SBS lines do not tell their zone", f"{source}: SBS states no errors")
+    notes = (f"{source}: times are read as UTC; SBS lines state no time zone", f"{source}: SBS states no errors")
     return Reports.of(source, "adsb", of_rows(rows), damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)
 
 

@@ -146,7 +146,7 @@ class SensorSource:
         first = first.replace(self.reports.source, f"{self.reports.source} ({self.path.name})", 1)
         if self.why_kind is None:
             return [f"{first}, {self.description.kind}", *rest]
-        return [f"{first}, taken for {self.description.kind}: {self.why_kind}", *rest]
+        return [f"{first}, read as {self.description.kind}: {self.why_kind}", *rest]
 
 
 def read_source_options(path: str | Path) -> dict[str, SourceOptions]:
@@ -265,9 +265,9 @@ def _kind(reports: Reports) -> tuple[str, str]:
         if getattr(reports, column) is not None:
             return kind, f"it has a column of {column}"
     if reports.position == "bearing":
-        return "camera", "it tells directions only"
+        return "camera", "it has directions only"
     raise InputError(
-        f"{reports.source}: what kind of sensor is it? Neither its name nor its columns tell",
+        f"{reports.source}: what kind of sensor is it? Neither its name nor its columns show it",
         Message(
             "describe it in a file for ",
             Argument("read_source_options"),
@@ -290,6 +290,6 @@ def _all_used(sources: Sequence[SensorSource], options: Mapping[str, SourceOptio
     for name in options:
         if name not in names:
             raise InputError(
-                f"{name} is described, but none of the files is of it; there are {', '.join(names)}: give {name}=FILE, "
+                f"{name} is described, but no file belongs to it; there are {', '.join(names)}: give {name}=FILE, "
                 f"or describe {toml_table(names[-1])}"
             )

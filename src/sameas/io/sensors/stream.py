@@ -79,7 +79,7 @@ class ReportStream:
     def __post_init__(self) -> None:
         if self.format is not None and self.format not in STREAM_FORMATS:
             raise InputError(
-                f"{self.source}: {self.format!r} is no format of a stream", f"give one of {', '.join(STREAM_FORMATS)}"
+                f"{self.source}: {self.format!r} is not a stream format", f"give one of {', '.join(STREAM_FORMATS)}"
             )
         self._rest = b""
         self._lines: list[tuple[float, str]] = []

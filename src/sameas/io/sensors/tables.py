@@ -165,7 +165,7 @@ def read(
         raise InputError(f"{source}: no row can be used: {'; '.join(Damaged.of(damaged.items()).sentences())}")
     values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
     values, repeated = _without_repeats(_with_track_id(values))
-    passed_over = {"position told before": repeated} if repeated else {}
+    passed_over = {"position repeated": repeated} if repeated else {}
     cut = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
     notes = [note, *cut, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
     return Reports.of(
@@ -263,7 +263,7 @@ def _times(
             _mark(np.isnan(times), cells.lines, damaged, "no time")
             low = float(np.nanmax(np.abs(times))) < 1e8
             return times, f"{source}: {choice.name} is read as " + (
-                "seconds from a start of its own: all sources must count from the same" if low else "UTC"
+                "seconds from an origin of its own: all sources must use the same origin" if low else "UTC"
             )
     times = np.array([_of_day(cell) for cell in column])
     _mark(np.isnan(times), cells.lines, damaged, "no time")
@@ -273,7 +273,7 @@ def _times(
         )
     if start_s is None:
         raise InputError(
-            f"{source}: {choice.name!r} tells the time of day only",
+            f"{source}: {choice.name!r} has the time of day only",
             naming("give {start}, the UTC date of the first row"),
         )
     return unwrapped(
@@ -399,7 +399,7 @@ def _cells_of(file: SensorFile) -> TableText:
 
 FORMAT = SensorFormat(
     "table",
-    "CSV, Parquet or JSON lines with columns that are understood by their names",
+    "CSV, Parquet or JSON lines with columns recognized by their names",
     lambda file: [read(_cells_of(file), file.source, file.start_s, file.options.columns, file.options.units)],
     # A zero among sentences is a line that was damaged; no table has one.
     lambda file: b"\0" not in file.head,

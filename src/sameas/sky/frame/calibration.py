@@ -85,7 +85,7 @@ class MasterFrames:
         offset, lines = self._offset(frame)
         image = frame.image.astype(float) - offset
         if self.flat is not None:
-            image, lines = image / np.maximum(self.flat, _DARKEST_FLAT), (*lines, "flat divided out")
+            image, lines = image / np.maximum(self.flat, _DARKEST_FLAT), (*lines, "divided by the flat")
         sigma = frame.sigma
         if sigma is not None and self.flat is not None:
             sigma = (sigma / np.maximum(self.flat, _DARKEST_FLAT)).astype(np.float32)
@@ -102,16 +102,16 @@ class MasterFrames:
         offset: FloatArray = np.zeros(frame.shape)
         lines: tuple[str, ...] = ()
         if self.bias is not None:
-            offset, lines = offset + self.bias, ("bias taken away",)
+            offset, lines = offset + self.bias, ("bias subtracted",)
         if self.dark is None:
             if self.bias is None and frame.facts.pedestal_adu:
-                return offset + frame.facts.pedestal_adu, ("pedestal taken away",)
+                return offset + frame.facts.pedestal_adu, ("pedestal subtracted",)
             return offset, lines
         ratio = frame.facts.exposure_s / self.dark_exposure_s
         if self.bias is not None and math.isfinite(ratio):
-            done = (*lines, f"dark of {self.dark_exposure_s:g} s times {ratio:.3g} taken away")
+            done = (*lines, f"dark of {self.dark_exposure_s:g} s times {ratio:.3g} subtracted")
             return offset + self.dark * ratio, done
-        lines += (f"dark of {self.dark_exposure_s:g} s taken away",)
+        lines += (f"dark of {self.dark_exposure_s:g} s subtracted",)
         if not abs(ratio - 1) < _SAME_EXPOSURE:
             lines += (f"doubt: the frame has {frame.facts.exposure_s:g} s; without a bias its dark is not scaled",)
         return offset + self.dark, lines
@@ -154,7 +154,7 @@ def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | No
         image = frame.image - offset
         middle = float(np.median(image))
         if not middle > 0:
-            raise InputError(f"{frame.name}: the flat has no light above bias and dark; leave it out")
+            raise InputError(f"{frame.name}: the flat has no signal above bias and dark; leave it out")
         normal.append(image / middle)
     return np.asarray(np.median(normal, axis=0), float)
 

@@ -484,7 +484,9 @@ def _notes(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuni
         notes.append(f"doubt: the stars are trailed, {axes[1] / axes[0]:.1f} times longer than wide")
     shared = float(background.factor(np.array([psf.sigma_px]))[1][0])
     if shared > 1.2:
-        notes.append(f"neighbouring pixels share their noise: variances of positions are {shared:.1f} times larger")
+        notes.append(
+            f"noise of neighbouring pixels is correlated: variances of positions are {shared:.1f} times larger"
+        )
     if not background.inverse_gain and frame.sigma is None:
         notes.append("assumed: no photon noise of the stars (gain not known); bright stars' errors are too small")
     return tuple(notes)

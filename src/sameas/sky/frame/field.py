@@ -131,7 +131,7 @@ class StarField:
         if epoch_jyr is None and known and motion and catalogue.has_motion:
             raise InputError(
                 f"{catalogue.name}: its stars move, but the time of the frame is not known",
-                naming("say {epoch_jyr:YEAR}, or {pm:'none'} to leave them where they are"),
+                naming("give {epoch_jyr:YEAR}, or {pm:'none'} to leave them where they are"),
             )
         used = np.arange(len(catalogue))
         if near is not None:

@@ -354,9 +354,9 @@ def _completeness(
 def _notes(result: Identification, estimate: Estimate, plate: PlateModel, settled: bool) -> tuple[str, ...]:
     notes = list(estimate.notes)
     if not settled:
-        notes.append("identification and plate had not settled when the rounds ran out")
+        notes.append("identification and plate had not converged at the last iteration")
     if plate.error_scale > 3.0:
-        notes.append(f"the stars lie {plate.error_scale:.1f} times farther from the plate model than their errors say")
+        notes.append(f"residuals from the plate model are {plate.error_scale:.1f} times the quoted errors")
     if result.approximate_pairs:
-        notes.append(f"{result.approximate_pairs} candidates lie in entangled groups; their probabilities are near")
+        notes.append(f"{result.approximate_pairs} candidates lie in large groups; their probabilities are approximate")
     return tuple(notes)

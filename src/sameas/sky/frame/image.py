@@ -230,7 +230,7 @@ def _opened(path: Path) -> Iterator[Any]:
             done = subprocess.run(command, capture_output=True, text=True, timeout=_DECODED_S)
         except subprocess.TimeoutExpired:
             raise InputError(
-                f"{path.name}: its compressed image is not decoded in {_DECODED_S} s; copy it again"
+                f"{path.name}: its compressed image could not be decoded in {_DECODED_S} s; copy it again"
             ) from None
         if done.returncode:
             words = done.stderr.strip().splitlines()[-1:] or ["no words"]
@@ -290,7 +290,7 @@ def _quality(data: NDArray[Any], header: Header) -> PixelFlags:
     flags = np.zeros(data.shape, np.uint16)
     for key, flag in named.items():
         if str(header[key]) not in map(str, range(64)):
-            raise ValueError(f"{key} = {header[key]} is no number of a bit")
+            raise ValueError(f"{key} = {header[key]} is not the number of a bit")
         flags |= np.where(data & (1 << int(header[key])), flag, 0).astype(np.uint16)
     return flags
 

@@ -148,7 +148,7 @@ class Facts:
         """The facts with a level of saturation read off the pixels, where none was known."""
         if math.isfinite(self.saturation_adu):
             return self
-        level, line = plateau(values), "saturation at {:g}: the brightest pixels pile up there"
+        level, line = plateau(values), "saturation at {:g}: many of the brightest pixels have this value"
         if not math.isfinite(level) and kind.kind in "ui" and kind.itemsize <= 2:
             # A converter of fewer bits than the file has makes a plateau; without one the whole range is used.
             level, line = float(np.iinfo(kind).max), "assumed: saturation at {:g}, the largest number of the file"
@@ -183,9 +183,9 @@ def _exposure(cards: Cards) -> tuple[float, tuple[str, ...]]:
         return math.nan, ("doubt: the header has no exposure (EXPTIME, EXPOSURE)",)
     value, unit = card.number(), "s"
     if card.says(r"\bmin(ute)?s?\b"):
-        value, unit = value * 60, "minutes as its comment says"
+        value, unit = value * 60, "minutes by its comment"
     elif card.says(r"\bmillisec|\bms\b"):
-        value, unit = value / 1000, "milliseconds as its comment says"
+        value, unit = value / 1000, "milliseconds by its comment"
     return value, (f"exposure {value:g} s ({card.name} in {unit})",)
 
 
@@ -202,7 +202,7 @@ def _electronics(cards: Cards, given: Given) -> tuple[dict[str, float], tuple[st
     if pedestal is not None and pedestal.number():
         # The keyword is defined as "add this to each pixel for a zero-based level": minus what was added.
         facts["pedestal_adu"] = -pedestal.number()
-        lines += (f"pedestal {-pedestal.number():g} ADU, taken away in calibration (PEDESTAL)",)
+        lines += (f"pedestal {-pedestal.number():g} ADU, subtracted in calibration (PEDESTAL)",)
     for key in ("gain_e_per_adu", "read_noise_e", "saturation_adu"):
         value = getattr(given, key)
         if value is not None:

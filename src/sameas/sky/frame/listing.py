@@ -83,7 +83,7 @@ def _what(identification: FrameIdentification, lost: IntArray) -> dict[str, _Col
     ids = _taken(stars.ids, partner)
     expected = identification.p_detect[lost] >= EXPECTED
     return {
-        "fate": (fate, np.where(expected, "missing", "too faint"), "", "what became of the row"),
+        "fate": (fate, np.where(expected, "missing", "too faint"), "", "fate of the row"),
         "measurement": (np.arange(len(m)), None, "", "number of the measurement, brightest first"),
         "star": (ids, stars.ids[lost], "", f"identifier in {stars.name}"),
         "star_row": (_taken(stars.rows, partner), stars.rows[lost], "", f"row in {stars.name}"),
@@ -138,8 +138,8 @@ def _where(identification: FrameIdentification, lost: IntArray) -> dict[str, _Co
         "cov_ee_arcsec2": (sky[:, 0], stars.covariance_arcsec[lost, 0], "arcsec2", "variance east"),
         "cov_en_arcsec2": (sky[:, 1], stars.covariance_arcsec[lost, 1], "arcsec2", "covariance of east and north"),
         "cov_nn_arcsec2": (sky[:, 2], stars.covariance_arcsec[lost, 2], "arcsec2", "variance north"),
-        "star_x_px": (_taken(px[:, 0], partner), star_px[:, 0], "pix", "where the plate model sees the star"),
-        "star_y_px": (_taken(px[:, 1], partner), star_px[:, 1], "pix", "where the plate model sees the star"),
+        "star_x_px": (_taken(px[:, 0], partner), star_px[:, 0], "pix", "predicted by the plate model"),
+        "star_y_px": (_taken(px[:, 1], partner), star_px[:, 1], "pix", "predicted by the plate model"),
         "star_ra_deg": (_taken(stars.ra_deg, partner), stars.ra_deg[lost], "deg", predicted),
         "star_dec_deg": (_taken(stars.dec_deg, partner), stars.dec_deg[lost], "deg", predicted),
         "moved_east_arcsec": (
@@ -177,9 +177,9 @@ def _how_sure(identification: FrameIdentification, lost: IntArray) -> dict[str, 
             "the next best candidate of a measurement",
         ),
         "second_measurement": (None, other, "", "the best candidate of a missing star"),
-        "candidates": (one.candidates, two.candidates[lost], "", "how many were within the gate"),
+        "candidates": (one.candidates, two.candidates[lost], "", "candidates within the gate"),
         "distance_sigma": (distance, None, "", "residual over its quoted error"),
-        "p_detect": (None, identification.p_detect[lost], "", "probability that the frame shows a star so bright"),
+        "p_detect": (None, identification.p_detect[lost], "", "completeness of the frame at the star's magnitude"),
     }
 
 
@@ -192,7 +192,7 @@ def _how_bright(identification: FrameIdentification, lost: IntArray) -> dict[str
     zero_point = identification.zero_point
     magnitude = None if zero_point is None else zero_point(m.flux, colour.filled(np.nan))
     return {
-        "flux": (m.flux, None, "", "light above the sky, in the unit of the frame"),
+        "flux": (m.flux, None, "", "flux above the sky, in the unit of the frame"),
         "flux_err": (m.flux_err, None, "", "its standard deviation"),
         "magnitude": (magnitude, None, "mag", f"from the flux, in the band of {stars.name}"),
         "magnitude_err": (error, None, "mag", "from the error of the flux alone"),
@@ -225,9 +225,9 @@ def why_missing(identification: FrameIdentification, lost: IntArray) -> list[str
         elif edge[k] < width:
             words.append("on the edge of the frame")
         elif identification.p_detect[row] < EXPECTED:
-            words.append(f"the frame shows {100 * identification.p_detect[row]:.0f} % of stars so faint")
+            words.append(f"completeness at its magnitude {100 * identification.p_detect[row]:.0f} %")
         elif hidden:
-            words.append(f"in the light of measurement {hidden[0]}, which is saturated")
+            words.append(f"in the wings of measurement {hidden[0]}, which is saturated")
         else:
             words.append("nothing was measured there")
     return words

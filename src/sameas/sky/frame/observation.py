@@ -147,7 +147,9 @@ def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str,
         return None, ()
     lat_deg, lon_deg = lat.angle()[0], lon.angle()[0]
     if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
-        return None, (f"doubt: {lat.name} = {lat.text()}, {lon.name} = {lon.text()} are not a place; not used",)
+        return None, (
+            f"doubt: {lat.name} = {lat.text()}, {lon.name} = {lon.text()} are not a place on the Earth; not used",
+        )
     east_deg, how = _east(cards, lon, lon_deg, time)
     height = cards.number(_HEIGHT)
     place = Station(
@@ -170,14 +172,14 @@ def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[
         off = {sign: abs((sidereal_time_h(time) + sign * lon_deg / 15 - hours + 12) % 24 - 12) for sign in (1, -1)}
         best = 1 if off[1] < off[-1] else -1
         if off[best] < _SIDEREAL_TOLERANCE_H and off[-best] > 3 * _SIDEREAL_TOLERANCE_H:
-            return best * lon_deg, f"{'east' if best > 0 else 'west'} positive as {sidereal.name} tells"
+            return best * lon_deg, f"{'east' if best > 0 else 'west'} positive by {sidereal.name}"
     if card.says(r"\bwest\b|\(\+?w\)|\+\s*w\b") and not card.says(r"\beast\b|west(ern)?\s*(is\s*)?(neg|-)"):
-        return -lon_deg, "west positive as its comment says"
+        return -lon_deg, "west positive by its comment"
     if card.says(r"\beast\b|\(\+?e\)|\+\s*e\b"):
-        return lon_deg, "east positive as its comment says"
+        return lon_deg, "east positive by its comment"
     writer = cards.first(("SWCREATE", "OBSERVAT", "ORIGIN"))
     if writer is not None and re.search(r"TheSky|KPNO|NOAO|CTIO", writer.text()):
-        return -lon_deg, f"west positive as {writer.text()} writes"
+        return -lon_deg, f"west positive as {writer.text()} does"
     return lon_deg, "assumed: east positive"
 
 
@@ -272,7 +274,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
         return None, ()
     card, day, remark = start
     if card.says(r"\bmid"):
-        return _time_of(day, scale, f"middle of the exposure ({card.name}, as its comment says)", lines)
+        return _time_of(day, scale, f"middle of the exposure ({card.name}, by its comment)", lines)
     lines += remark + _disagreement(cards, card, day, exposure_s)
     for end in cards.all(_END):
         last = _day(end, cards)
@@ -280,7 +282,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
             return _time_of((day + last) / 2, scale, f"midway between {card.name} and {end.name}", lines)
     if not math.isfinite(exposure_s):
         return _time_of(
-            day, scale, f"start ({card.name})", (*lines, "assumed: exposure unknown, its start is taken for its middle")
+            day, scale, f"start ({card.name})", (*lines, "assumed: exposure unknown, its start is used as its middle")
         )
     return _time_of(day + exposure_s / 2 / _S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
 

@@ -235,8 +235,8 @@ class Completeness:
     def describe(self) -> str:
         """One line to print."""
         if self.faintest(0.5 * self.top) >= float(self.edges[-1]):
-            return f"{100 * self.top:.0f} % of the stars are shown, to the faintest of the catalogue"
-        return f"{100 * self.top:.0f} % of the bright stars are shown, half as many at magnitude {self.limit:.2f}"
+            return f"{100 * self.top:.0f} % of the stars detected, to the faintest of the catalogue"
+        return f"{100 * self.top:.0f} % of the bright stars detected, half as many at magnitude {self.limit:.2f}"
 
 
 def _falling(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[float, float, float]:

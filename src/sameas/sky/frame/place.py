@@ -167,7 +167,7 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
         (len(order_2), stars.name, "stars; does the catalogue cover the field"),
     ):
         if n < 4:
-            raise InputError(f"{name}: a frame cannot be placed with {n} {what}? Give at least four")
+            raise InputError(f"{name}: {n} {what}? A plate solution needs at least four")
     sigma = np.broadcast_to(np.asarray(stars.sigma_arcsec, dtype=np.float64), len(order_2))[order_2]
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order_2], np.asarray(stars.dec_deg)[order_2])
     covariance = unpack(np.asarray(measured.covariance, dtype=np.float64)[order_1], 2)
@@ -276,7 +276,7 @@ def odds_in_words(log_odds: float) -> str:
 
 def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
     if best is None:
-        return f"by {hint.words} nothing fits"
+        return f"no fit by {hint.words}"
     words = f"by {hint.words} the best has odds {odds_in_words(best.log_odds)} ({len(best.stars)} stars)"
     return words + (f", another {odds_in_words(second)}" if second > 0 else "")
 

@@ -112,10 +112,10 @@ def _with_own_error(found: FrameIdentification, refinement: Refinement | None) -
     sigma = common_star_error(found)
     again = identify_frame(found.measured, found.stars.with_error(sigma), found.placement, refinement)
     words = (
-        f"doubt: {found.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was taken, estimated "
+        f"doubt: {found.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, estimated "
         "from the residuals; "
     )
-    return replace(again, notes=(*again.notes, Message(words, naming("say {sigma:ARCSEC} or {sigma:COLUMN}"))))
+    return replace(again, notes=(*again.notes, Message(words, naming("give {sigma:ARCSEC} or {sigma:COLUMN}"))))
 
 
 def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:

@@ -34,7 +34,7 @@ LEAST_RUNNER_UP = 1e-3
 #: The number of the object of rows that could not be used.
 NO_OBJECT = -1
 _WORDS = {
-    "n_catalogues": ("", "how many catalogues show the object"),
+    "n_catalogues": ("", "number of catalogues that show the object"),
     "p_object": ("", "probability that exactly these records are one object"),
     "p_runner_up": ("", "probability of the most probable other answer"),
     "runner_up": ("", "the most probable other answer for one of the records"),
@@ -47,7 +47,7 @@ _WORDS = {
     "pmdec_object": ("mas / yr", "proper motion north, from all records"),
     "pmra_object_error": ("mas / yr", "its standard error"),
     "pmdec_object_error": ("mas / yr", "its standard error"),
-    "epoch_object": ("yr", "Julian year of the place"),
+    "epoch_object": ("yr", "Julian year of the position"),
     "chi_sq": ("", "chi squared of the records about the object, by the quoted errors"),
     "group_id": ("", "group of competing records"),
     "group_size": ("", "records in the group"),

@@ -364,7 +364,7 @@ def _search_doubts(searches: Mapping[str, Rotation]) -> tuple[str, ...]:
     for name, search in searches.items():
         lines += [f"{name}: {note}" for note in search.notes]
         if search.by_chance:
-            lines.append(f"{name}: no offset was taken away")
+            lines.append(f"{name}: no offset was removed")
     return tuple(lines)
 
 
@@ -511,7 +511,7 @@ def _at_one_time(catalogues: list[Catalogue], given: float | None) -> tuple[floa
     if given is not None or any(catalogue.has_motion for catalogue in catalogues):
         raise InputError(
             f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it",
-            naming("say {epoch:YEAR}"),
+            naming("give {epoch:YEAR}"),
         )
     still = [replace(c, astrometry=replace(c.astrometry, epoch_jyr=np.full(len(c), np.nan))) for c in catalogues]
     return None, still
@@ -520,12 +520,12 @@ def _at_one_time(catalogues: list[Catalogue], given: float | None) -> tuple[floa
 def _doubts(pairs: dict[tuple[str, str], SkyMatch], objects: Objects, settled: bool) -> tuple[str, ...]:
     doubts: list[str] = [Message(f"{a} and {b}: ", words) for (a, b), match in pairs.items() for words in match.doubts]
     if not settled:
-        doubts.append("the estimates of all catalogues had not settled when the rounds ran out")
+        doubts.append("the estimates of all catalogues had not converged at the last iteration")
     groups = objects.groups
     rough = int(np.count_nonzero(~groups.exact))
     if rough:
-        doubts.append(f"{rough} groups are entangled; their probabilities are approximate")
+        doubts.append(f"{rough} groups are large; their probabilities are approximate")
     open_ = int(np.count_nonzero(groups.gap > 0))
     if open_:
-        doubts.append(f"in {open_} groups a better partition could exist, at most e^{groups.gap.max():.2g} as probable")
+        doubts.append(f"in {open_} groups a better partition is possible, at most e^{groups.gap.max():.2g} as probable")
     return tuple(doubts)

@@ -128,7 +128,7 @@ class Plan:
         """
         if len(series.exposures) < tuning.fewest_frames:
             raise InputError(
-                f"{len(series.exposures)} frames: below the limit of single ones nothing is found on fewer than "
+                f"{len(series.exposures)} frames: stacking needs at least "
                 f"{tuning.fewest_frames}", naming("leave {below_limit} out")
             )  # fmt: skip
         scale = series.scale_arcsec_per_px
@@ -139,8 +139,8 @@ class Plan:
         slowest = tuning.least_widths * width * scale / (2.0 * half)
         if not fastest > slowest:
             raise InputError(
-                f"{fastest:g}″/min: over {2 * half:.0f} minutes what is slower than {slowest:.2f}″/min does not move "
-                "by enough widths of a star", naming("say {below_limit:RATE}, a higher one"),
+                f"{fastest:g}″/min: over {2 * half:.0f} minutes motion slower than {slowest:.2f}″/min is less "
+                "than the PSF width needed", naming("give {below_limit:RATE}, a higher one"),
             )  # fmt: skip
         step = tuning.step_widths * width * scale / half
         count = math.ceil(fastest / step)
@@ -650,7 +650,7 @@ def _movers(
 ) -> Movers:  # fmt: skip
     """The candidates as tracklets of three places, of the first, middle and last frames."""
     groups, k = _thirds(len(plan.minutes)), len(p)
-    names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} added" for g in groups)
+    names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} stacked" for g in groups)
     if not k:
         return replace(found, prefix=ADDED).only(np.empty(0, np.int64))
     mjd0 = 0.5 * (series.exposures[0].mjd_utc + series.exposures[-1].mjd_utc)
@@ -671,7 +671,7 @@ def _movers(
     seen = Detections.of(
         ra, dec, (mjd0 + when / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
         frame=np.tile([0, 1, 2], k), magnitude=np.repeat(bright, 3),
-        magnitude_error=np.repeat(1.0857 / np.maximum(peaks.snr, 1.0), 3), name="frames added along motions",
+        magnitude_error=np.repeat(1.0857 / np.maximum(peaks.snr, 1.0), 3), name="frames stacked along motions",
     )  # fmt: skip
     seen = replace(seen, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)

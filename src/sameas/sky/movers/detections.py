@@ -141,8 +141,8 @@ class Detections:
         aside = np.flatnonzero(reasons != "")
         if len(np.unique(number)) < 2:
             raise InputError(
-                f"{name}: {len(keep)} usable rows are all of one exposure; what moves shows on two exposures or more",
-                naming("say {time:NAME} or {frame:NAME}"),
+                f"{name}: {len(keep)} usable rows are all of one exposure; movers need two exposures or more",
+                naming("give {time:NAME} or {frame:NAME}"),
             )
         bands, band_of = np.unique(colours, return_inverse=True)
         return cls(
@@ -171,7 +171,7 @@ def _numbers(values: ArrayLike, name: str, what: str) -> FloatArray:
 
 def _error(sigma: ArrayLike | None, covariance: ArrayLike | None, n: int, name: str) -> FloatArray:
     if (sigma is None) == (covariance is None):
-        raise InputError(f"{name}: the error of the positions is not known", naming("say {sigma:ARCSEC}"))
+        raise InputError(f"{name}: the error of the positions is not known", naming("give {sigma:ARCSEC}"))
     if covariance is not None:
         out = np.asarray(covariance, dtype=np.float64)
         if out.shape != (n, 3):
@@ -184,7 +184,7 @@ def _error(sigma: ArrayLike | None, covariance: ArrayLike | None, n: int, name: 
     if len(wrong):
         raise InputError(
             f"{name}: {len(wrong)} position errors are not positive (first: row {wrong[0]})",
-            naming("give positive errors, or say {sigma:ARCSEC}"),
+            naming("give positive errors, or give {sigma:ARCSEC}"),
         )
     return out
 
@@ -201,7 +201,7 @@ def _reasons(ra: FloatArray, dec: FloatArray, mjd: FloatArray, error: FloatArray
 def _check_times(mjd: FloatArray, name: str) -> None:
     wrong = mjd[(mjd < _FIRST_MJD) | (mjd > _LAST_MJD)]
     if len(wrong):
-        raise InputError(f"{name}: {wrong[0]:g} is no MJD between 1850 and 2150", naming("say {time:NAME}"))
+        raise InputError(f"{name}: {wrong[0]:g} is not an MJD between 1850 and 2150", naming("give {time:NAME}"))
 
 
 def _frames(mjd: FloatArray, labels: NDArray[Any] | None) -> tuple[IntArray, tuple[str, ...]]:
@@ -307,7 +307,7 @@ def _one(catalogue: Catalogue, wanted: DetectionColumns) -> tuple[dict[str, Any]
     if time is None:
         raise InputError(
             f"{catalogue.name}: no column of times (known names: {', '.join(TIMES[:6])}, …)",
-            naming("say {time:NAME}"),
+            naming("give {time:NAME}"),
         )
     exposure = None if wanted.exposure == "none" else _chosen(catalogue, wanted.exposure, EXPOSURES, "exposure")
     band = None if wanted.band == "none" else _chosen(catalogue, wanted.band, BANDS, "band")
@@ -338,7 +338,7 @@ def _chosen(catalogue: Catalogue, option: str | None, known: Sequence[str], what
         if option in catalogue.table.colnames:
             return option
         there = ", ".join(catalogue.table.colnames[:12])
-        raise InputError(f"{catalogue.name}: no column {option!r} (there are {there})", naming(f"say {{{what}:NAME}}"))
+        raise InputError(f"{catalogue.name}: no column {option!r} (there are {there})", naming(f"give {{{what}:NAME}}"))
     return next((names[name] for name in known if name in names), None)
 
 
@@ -358,7 +358,7 @@ def _mjd(column: Any, name: str, label: str) -> tuple[FloatArray, str]:
     except ValueError:
         raise InputError(
             f"{name}: column {label} holds neither MJD, JD nor dates such as 2018-10-18T03:01:20",
-            naming("say {time:NAME}"),
+            naming("give {time:NAME}"),
         ) from None
     return out, "dates"
 

@@ -467,7 +467,7 @@ def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Pl
         t_eval=steps if ascending else steps[::-1],
     )  # fmt: skip
     if not done.success:
-        raise InputError(f"the orbits could not be followed from MJD {begin:g} to {times[-1]:g} ({done.message})")
+        raise InputError(f"the orbits could not be integrated from MJD {begin:g} to {times[-1]:g} ({done.message})")
     values = done.y if ascending else done.y[:, ::-1]
     return np.asarray(values[:, at].reshape(2, 3, n, len(times)))
 
@@ -489,7 +489,7 @@ def _followed(
 
     done = solve_ivp(derivative, (0.0, 1.0), state.ravel(), method="DOP853", rtol=_TOLERANCE, atol=1e-13, t_eval=[1.0])
     if not done.success:
-        raise InputError(f"the orbits could not be followed to MJD {end:g} ({done.message})")
+        raise InputError(f"the orbits could not be integrated to MJD {end:g} ({done.message})")
     return np.asarray(done.y[:, 0].reshape(2, 3, n))
 
 
@@ -536,7 +536,7 @@ class _Planets:
         """Refuses times that the file does not have."""
         if np.min(mjd) < self.first or np.max(mjd) > self.last:
             raise InputError(
-                f"the planets are known from MJD {self.first:.0f} to {self.last:.0f} only, not at {np.max(mjd):.1f}"
+                f"the planetary ephemeris covers MJD {self.first:.0f} to {self.last:.0f} only, not at {np.max(mjd):.1f}"
             )
 
     def perturbers(self, mjd: FloatArray) -> FloatArray:

@@ -206,7 +206,7 @@ def find_movers(
     (array([[0, 1, 2, 3, 4]]), array([[-0.49,  0.2 ]]))
     """
     if least < 2:
-        raise InputError(f"least={least}: a tracklet has two detections or more", naming("say {least:N}"))
+        raise InputError(f"least={least}: a tracklet has two detections or more", naming("give {least:N}"))
     if not 0.0 <= least_probability <= 1.0:
         raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
     around = Surroundings.of(detections, tuning)

@@ -150,7 +150,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
             one, x_px=x, y_px=y, covariance_px=cov, covariance=sky, flux=flux, flux_err=flux_err, flags=marks,
             magnitude=bright,
         )  # fmt: skip
-    note = f"{long} trails longer than {2 * tuning.most_px:.0f} px, as satellites make them, are taken away"
+    note = f"{long} trails longer than {2 * tuning.most_px:.0f} px, as of satellites, are removed"
     return replace(
         series, place=place, sigma_arcsec=sigma, spoilt=spoilt, magnitude=magnitude, exposures=tuple(exposures),
         trails=Trails(vector, error, tuning.least_widths), notes=(*series.notes, *([note] if long else [])),

@@ -324,7 +324,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
 def _checked(exposures: tuple[Exposure, ...], tuning: SeriesTuning) -> tuple[float, float]:
     """The middle of the field, degrees."""
     if len(exposures) < 2:
-        raise InputError(f"{len(exposures)} frame could be used; what moves shows on two frames or more, take three")
+        raise InputError(f"{len(exposures)} frame could be used; movers need two frames, better three")
     for one, other in itertools.pairwise(exposures):
         if abs(one.mjd_utc - other.mjd_utc) * 86400.0 < 1.0:
             raise InputError(f"{other.name}: its time is that of {one.name}; check DATE-OBS, or give each frame once")
@@ -509,5 +509,6 @@ def _moved_px(place: FloatArray, chip: FloatArray, frame: IntArray, still: BoolA
 def _notes(exposures: tuple[Exposure, ...], ties: IntArray, tuning: SeriesTuning) -> tuple[str, ...]:
     loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < tuning.least_ties]
     return tuple(
-        f"{name}: fewer than {tuning.least_ties} sources tie it to the others; its own plate is used" for name in loose
+        f"{name}: fewer than {tuning.least_ties} sources link it to the others; its own plate solution is used"
+        for name in loose
     )

@@ -83,7 +83,7 @@ def read(
     if not rows:
         problems = [
             *Damaged.of(damaged, "record").sentences(),
-            *(f"{n} passed over: {what}" for what, n in passed_over.items()),
+            *(f"{n} skipped: {what}" for what, n in passed_over.items()),
         ]
         raise NoReports(
             f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
@@ -159,7 +159,7 @@ def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float 
         return np.asarray(day_s + DAY_S * np.round((received_s - day_s) / DAY_S))
     if start_s is None:
         raise InputError(
-            f"{name}: no date: the records tell the time of day only", naming("give {start}, the UTC date of the first")
+            f"{name}: no date: the records have the time of day only", naming("give {start}, the UTC date of the first")
         )
     return unwrapped(day_s, DAY_S, start_s)
 

@@ -85,6 +85,6 @@ def _quality(item: bytes | None) -> dict[str, float]:
 def notes(source: str) -> tuple[str, ...]:
     """The assumptions on these records."""
     return (
-        f"{source}: ranges are slant ranges; the description of the radar must tell its place and height",
-        f"{source}: bearings are taken from true north; errors are the radar's to describe, save where item 210 does",
+        f"{source}: ranges are slant ranges; the description of the radar must state its position and height",
+        f"{source}: bearings are taken from true north; errors are those of the radar's description, or of item 210",
     )

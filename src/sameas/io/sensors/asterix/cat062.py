@@ -125,6 +125,6 @@ def _metres_per_degree(lat_deg: Any) -> tuple[Any, Any]:
 def notes(source: str) -> tuple[str, ...]:
     """The assumptions on these records."""
     return (
-        f"{source}: accuracies are those of item 500; its x and y are taken for east and north of the track",
-        f"{source}: tracks are the output of a tracker: their errors go together from one to the next",
+        f"{source}: accuracies are those of item 500; its x and y are read as east and north of the track",
+        f"{source}: tracks are the output of a tracker: their errors are correlated in time",
     )
