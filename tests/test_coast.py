@@ -79,7 +79,7 @@ def test_what_lies_outside_the_map_is_cut(tmp_path):
         ("{", "is not GeoJSON"),
         ("[1, 2]", "is not GeoJSON"),
         ({"type": "FeatureCollection", "features": []}, "no polygon and no line"),
-        ({"type": "LineString", "coordinates": [[1, "x"], [2, 3]]}, "feature 0: coordinates that are no pairs"),
+        ({"type": "LineString", "coordinates": [[1, "x"], [2, 3]]}, "feature 0: coordinates that are not pairs"),
         ({"type": "LineString", "coordinates": [[1, 200], [2, 300]]}, "feature 0: .* longitudes and latitudes"),
     ],
 )

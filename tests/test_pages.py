@@ -93,7 +93,7 @@ def pages_in(folder, name, cards, ship):
     from sameas.io import write_table
     from sameas.simulate import Camera, frame_of_sky
     from sameas.sky import Pointing
-    from sameas.sky.frame.tangent import unit_vectors
+    from sameas.space import unit_vectors
 
     rng, side = np.random.default_rng(5), 260
     (folder / "night").mkdir()

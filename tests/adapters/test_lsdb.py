@@ -1,19 +1,24 @@
 """LSDB's crossmatch decided one to one: the pairs of our own run, and joins that cannot be right are refused."""
 
-import warnings
+import importlib.util
 
 import numpy as np
 import pytest
 
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore")
-    lsdb = pytest.importorskip("lsdb", reason="LSDB is not installed: pip install 'sameas[lsdb]'")
+if importlib.util.find_spec("lsdb") is None:
+    pytest.skip("LSDB is not installed: pip install 'sameas[lsdb]'", allow_module_level=True)
 
 from tests.test_partitions import sky, stored, table_of
 
 import sameas
 from sameas import InputError
-from sameas.adapters.lsdb import OneToOne
+
+
+def one_to_one(found):
+    from sameas.adapters.lsdb import OneToOne  # LSDB takes seconds to import, so not where tests are collected
+
+    return OneToOne(found)
+
 
 # Dask's and pandas' own.
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]
@@ -34,6 +39,8 @@ def both(tmp_path_factory):
 
 
 def opened(frame, margin, order):
+    import lsdb
+
     return lsdb.from_dataframe(
         frame, ra_column="ra", dec_column="dec", lowest_order=order, highest_order=order, margin_threshold=margin
     )
@@ -41,7 +48,7 @@ def opened(frame, margin, order):
 
 def test_lsdb_gives_the_pairs_and_probabilities_of_our_own_run(both):
     found, (a, b), told = both
-    algorithm = OneToOne(found)
+    algorithm = one_to_one(found)
     margin = np.ceil(algorithm.halo_arcsec)
     left, right = opened(a, margin, 9), opened(b, margin, 8)
     joined = left.crossmatch(right, algorithm=algorithm, how="outer", suffixes=("_1", "_2")).compute()
@@ -54,7 +61,7 @@ def test_lsdb_gives_the_pairs_and_probabilities_of_our_own_run(both):
 
 def test_joins_and_margins_that_cannot_be_right_are_refused(both):
     found, (a, b), _ = both
-    algorithm = OneToOne(found)
+    algorithm = one_to_one(found)
     wide = np.ceil(algorithm.halo_arcsec)
     with pytest.raises(InputError, match=r"has a margin of 1 arcsec; .*margin_threshold="):
         opened(a, 1.0, 9).crossmatch(opened(b, wide, 8), algorithm=algorithm, how="outer")

@@ -27,8 +27,8 @@ from sameas.report.frame import frame_lines
 from sameas.simulate.frames import Camera, Gaussian, Lens, frame_of_sky
 from sameas.sky.catalogue import CatalogueOptions
 from sameas.sky.frame.field import Cone
-from sameas.sky.frame.tangent import Pointing, unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.sky.frame.tangent import Pointing
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")
 pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")

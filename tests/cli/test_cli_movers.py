@@ -91,7 +91,7 @@ def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     out, tracklets = tmp_path / "movers.csv", tmp_path / "tracklets.ecsv"
     told = run(luxembourg, *options, "-o", out, "--tracklets", tracklets)
     assert told.exit_code == 0, told.output
-    assert "is 2713 Luxembourg" in told.output and "middle of the Earth" not in told.output
+    assert "is 2713 Luxembourg" in told.output and "positions are geocentric" not in told.output
     each = read_table(tracklets)
     named = [str(name).startswith("2713") for name in each["object"].filled("")]
     assert sum(named) == 1 and abs(each["o_c_east_arcsec"][named.index(True)]) < 0.3
@@ -101,7 +101,7 @@ def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     again = run(luxembourg, *options, "-o", tmp_path / "movers.fits", "--no-overwrite")
     assert again.exit_code == 1 and "movers.psv: is there already" in again.output
     told = run(luxembourg, "--sigma", 0.15, "--elements", "demo", "-o", out)
-    assert "middle of the Earth" in " ".join(told.output.split())
+    assert "positions are geocentric" in " ".join(told.output.split())
     assert run(luxembourg, "--site", "north", "-o", out).exit_code == 2
 
 

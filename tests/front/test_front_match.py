@@ -228,7 +228,7 @@ def test_doubts_name_the_argument_of_their_catalogue():
         "phot_g_mean_mag": [15.0, 16.0],
     }
     found = sameas.match(gaia, {"ra": [10.0, 10.1], "dec": [0.0, 0.0]}, sigma2=0.1, epoch2=2000.0)
-    for words in ("give epoch1=YEAR", "say pm_sigma1=MAS_PER_YR"):
+    for words in ("give epoch1=YEAR", "give pm_sigma1=MAS_PER_YR"):
         assert any(words in doubt for doubt in found.doubts) and words in repr(found)
     assert (
         "pm_sigma1=MAS_PER_YR" in " ".join(found.report().split()) and max(map(len, found.report().splitlines())) <= 100

@@ -24,8 +24,8 @@ from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
 from sameas.sky.frame.solve import footprint, searched, solve
 from sameas.sky.frame.summary import ERROR_NAMES, summary
-from sameas.sky.frame.tangent import Pointing, directions_deg, unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.sky.frame.tangent import Pointing, directions_deg
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
 SIDE = 1000

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from sameas.sky.frame.pattern import PatternIndex, brightest_per_cell, codes, mirrored, patterns
-from sameas.sky.frame.tangent import from_plane, similarities, to_plane, unit_vectors
+from sameas.sky.frame.tangent import from_plane, similarities, to_plane
+from sameas.space import unit_vectors
 
 
 def points(n: int = 11, seed: int = 0) -> np.ndarray:
