@@ -80,6 +80,43 @@ def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: A
     return 2.0 * ARCSEC_PER_RADIAN * np.stack([u * arc, v * arc], axis=-1)
 
 
+def unit_vectors(lon_deg: ArrayLike, lat_deg: ArrayLike) -> FloatArray:
+    """(..., 3) unit vectors of directions in degrees."""
+    lon, lat = np.radians(lon_deg), np.radians(lat_deg)
+    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+
+
+def local_axes(lon: FloatArray, lat: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The unit vectors to the east and to the north, (..., 3) each, of directions in radians."""
+    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)], axis=-1)
+    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=-1)
+    return east, north
+
+
+def half_convergence(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> FloatArray:
+    """θ/2 of :class:`Sphere` in radians: half of what position angles grow by from direction 2 to direction 1."""
+    turn = np.subtract(lon_1, lon_2)
+    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    half_lat, middle = np.radians(np.subtract(lat_1, lat_2)) / 2.0, np.radians(np.add(lat_1, lat_2)) / 2.0
+    return np.asarray(np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat)), np.float64)
+
+
+def rotations(angle: FloatArray) -> FloatArray:
+    """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
+
+
+def on_axes_of(at_deg: FloatArray, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Offsets (k, 2) in arcsec of directions from ``at_deg``, on the axes of ``at_deg``, and the rotation to these.
+
+    The rotation (k, 2, 2) is that of vectors on the axes of ``position_deg``, such as motions and errors.
+    """
+    ends = position_deg[:, 0], position_deg[:, 1], at_deg[:, 0], at_deg[:, 1]
+    half = half_convergence(*ends)
+    return np.einsum("kvw,kw->kv", rotations(-half), sphere_offset(*ends)), rotations(-2.0 * half)
+
+
 def displaced(position_deg: FloatArray, offset_arcsec: FloatArray) -> FloatArray:
     """(n, 2) directions reached from ``position_deg`` (n, 2) along great circles, offset (n, 2) east, north.
 

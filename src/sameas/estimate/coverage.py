@@ -22,7 +22,7 @@ from sameas.estimate.cells import GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN, Sphere
+from sameas.space import ARCSEC_PER_RADIAN, Sphere, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.kernels.coverage import Buckets
@@ -73,10 +73,7 @@ class Points:
     def of(cls, records: Records) -> Points:
         """That of the records of one source."""
         if isinstance(records.space, Sphere):
-            lon, lat = np.radians(records.features.T)
-            flat = np.cos(lat)
-            chords = np.stack([flat * np.cos(lon), flat * np.sin(lon), np.sin(lat)], axis=1)
-            return cls(ARCSEC_PER_RADIAN * chords, np.full(3, np.inf), 2)
+            return cls(ARCSEC_PER_RADIAN * unit_vectors(*records.features.T), np.full(3, np.inf), 2)
         period = np.array(records.space.period_list(records.d))
         wraps = np.isfinite(period)
         if not wraps.any():

@@ -17,7 +17,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Sphere, sphere_offset
+from sameas.space import Sphere, sphere_offset, unit_vectors
 
 #: The inner box in standard deviations of a residual's feature, as in the papers [T].
 INNER_SIGMAS = 1.1
@@ -129,8 +129,7 @@ def _nearest(source: Records) -> IntArray:
     from scipy.spatial import cKDTree
 
     if isinstance(source.space, Sphere):
-        lon, lat = np.radians(source.features.T)
-        points = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
+        points = unit_vectors(*source.features.T)
         tree = cKDTree(points)
     else:
         scale = np.sqrt(_typical_variance(source))

@@ -28,7 +28,7 @@ from sameas.gaussian import InformationSum, inverse, log_density, propagated
 from sameas.many.observations import LinearPart, Observations, Region, Source, records_of
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import Plane, Sphere, displaced, sphere_offset
+from sameas.space import Plane, Sphere, displaced, on_axes_of
 
 #: Steps of Gauss and Newton where a source's part is not linear (chosen).
 STEPS = 4
@@ -146,7 +146,8 @@ class Observers:
             )
         if isinstance(records.space, Plane):
             return _wrapped(records.features[rows] - at, records.space), precision, None
-        return (*_on_axes_of(at, records.features[rows], precision), None)
+        offset, rotation = on_axes_of(at, records.features[rows])
+        return offset, propagated(rotation, precision), None
 
     def _moved(self, at: FloatArray, step: FloatArray) -> FloatArray:
         """The states ``at`` moved by ``step``; periodic features come back within their period."""
@@ -174,21 +175,3 @@ def _wrapped(delta: FloatArray, space: Plane | Sphere) -> FloatArray:
         if period is not None:
             delta[:, v] -= period * np.ceil(delta[:, v] / period - 0.5)
     return delta
-
-
-def _on_axes_of(at: FloatArray, direction: FloatArray, precision: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Offsets of directions from ``at`` (k, 2) in arcsec, and their precisions, on the axes of ``at``."""
-    offset = sphere_offset(direction[:, 0], direction[:, 1], at[:, 0], at[:, 1])
-    step = direction[:, 0] - at[:, 0]
-    half_lon = np.radians(step - 360.0 * np.round(step / 360.0)) / 2.0
-    half_lat, middle = np.radians(direction[:, 1] - at[:, 1]) / 2.0, np.radians(direction[:, 1] + at[:, 1]) / 2.0
-    # θ/2 of :class:`Sphere`: the offset lies on axes halfway, the precision on those of the record.
-    half = np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
-    full = _rotations(-2.0 * half)
-    return np.einsum("kvw,kw->kv", _rotations(-half), offset), propagated(full, precision)
-
-
-def _rotations(angle: FloatArray) -> FloatArray:
-    """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)

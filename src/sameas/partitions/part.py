@@ -29,7 +29,7 @@ from sameas.sky.bands import ERROR_NAMES, OFF, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.joins import joined, joined_rows
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -136,8 +136,7 @@ class Rows:
     @cached_property
     def place(self) -> FloatArray:
         """(n, 3) directions of the records."""
-        lon, lat = np.radians(self.records.features.T)
-        return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        return unit_vectors(*self.records.features.T)
 
     @cached_property
     def moved_arcsec(self) -> FloatArray:
@@ -145,8 +144,7 @@ class Rows:
         if self.still:
             return np.zeros(len(self.records))
         at = self.catalogue.astrometry
-        lon, lat = np.radians(at.ra_deg[self.records.rows]), np.radians(at.dec_deg[self.records.rows])
-        stored = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+        stored = unit_vectors(at.ra_deg[self.records.rows], at.dec_deg[self.records.rows])
         return np.asarray(np.linalg.norm(self.place - stored, axis=1) * ARCSEC_PER_RADIAN)
 
     def moved_limit(self, far_arcsec: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io import replacing
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, local_axes, unit_vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -138,12 +138,8 @@ class TangentAxes:
 
 def _axes(position_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, 3) unit vectors towards each direction, to its east and to its north."""
-    lon, lat = np.radians(np.asarray(position_deg, dtype=np.float64)).T
-    zero = np.zeros_like(lon)
-    direction = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=1)
-    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=1)
-    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=1)
-    return direction, east, north
+    position_deg = np.asarray(position_deg, dtype=np.float64)
+    return unit_vectors(*position_deg.T), *local_axes(*np.radians(position_deg).T)
 
 
 def ellipse(place: FloatArray, covariance: FloatArray, sigmas: float, points: int = 121) -> FloatArray:

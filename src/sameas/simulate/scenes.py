@@ -17,7 +17,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN, Plane, Sphere, displaced
+from sameas.space import ARCSEC_PER_RADIAN, Plane, Sphere, displaced, half_convergence, rotations
 
 # Areas of the sphere to scatter directions over, and directions moved along it.
 
@@ -380,30 +380,13 @@ def _circular_sky(rng: np.random.Generator, position_deg: FloatArray, spread: Fl
 def _elliptical_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
     """Directions displaced by their stated errors, in covariances along their own east and north."""
     stretch = rng.uniform(0, 0.8, len(spread))
-    axes = _turn(rng.uniform(0, np.pi, len(spread)))
+    axes = rotations(rng.uniform(0, np.pi, len(spread)))
     axes *= (spread[:, None] * np.sqrt(np.stack([1 + stretch, 1 - stretch], axis=1)))[:, None, :]
     offset = np.einsum("nvw,nw->nv", axes, rng.standard_normal(position_deg.shape))
     features = displaced(position_deg, offset)
-    axes = _turn(_turned_along(position_deg, features)) @ axes
+    axes = rotations(2.0 * half_convergence(*features.T, *position_deg.T)) @ axes
     covariance = axes @ axes.transpose(0, 2, 1)
     return Records.of(features, covariance=covariance, space=Sphere(), source=name)
-
-
-def _turned_along(from_deg: FloatArray, to_deg: FloatArray) -> FloatArray:
-    """(n,) radians by which position angles grow along the great circle: the θ of ``Sphere``."""
-    half_lon = np.radians((to_deg[:, 0] - from_deg[:, 0] + 180) % 360 - 180) / 2
-    half_lat, middle = (
-        np.radians(to_deg[:, 1] - from_deg[:, 1]) / 2,
-        np.radians(to_deg[:, 1] + from_deg[:, 1]) / 2,
-    )
-    angle = 2 * np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
-    return np.asarray(angle, np.float64)
-
-
-def _turn(angle: FloatArray) -> FloatArray:
-    """(n, 2, 2) matrices that add ``angle`` (n,) to the position angle, east of north, of (east, north)."""
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
 
 
 # ---- of both ----

@@ -21,7 +21,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import Message, naming
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, Column, PositionError
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 
 @dataclass(frozen=True)
@@ -208,12 +208,7 @@ def _positions(
     epoch = None if None in epochs else epochs[0] if placed[1].has_motion else epochs[1]
     one, two = (c.records(epoch) for c in placed)
     known = [0.5 * (records.covariance[:, 0] + records.covariance[:, -1]) for records in (one, two)]
-    return (_directions(one.features), _directions(two.features)), (known[0], known[1])
-
-
-def _directions(position_deg: FloatArray) -> FloatArray:
-    lon, lat = np.radians(position_deg).T
-    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return (unit_vectors(*one.features.T), unit_vectors(*two.features.T)), (known[0], known[1])
 
 
 def _neighbours(

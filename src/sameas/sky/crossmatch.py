@@ -30,7 +30,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
 from sameas.sky.warp import TUNING as WARP_TUNING
 from sameas.sky.warp import Warp, find_warp
-from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
+from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
 
 @in_short
@@ -49,13 +49,8 @@ def nearest(first: Records, second: Records) -> Nearest:
     """The nearest record of ``second`` to each record of ``first``, on the sphere, whatever their errors."""
     from scipy.spatial import cKDTree
 
-    distance, at = cKDTree(_directions(second.features)).query(_directions(first.features), workers=-1)
+    distance, at = cKDTree(unit_vectors(*second.features.T)).query(unit_vectors(*first.features.T), workers=-1)
     return Nearest(second.rows[at], 2.0 * np.arcsin(np.minimum(distance / 2.0, 1.0)) * ARCSEC_PER_RADIAN)
-
-
-def _directions(position_deg: FloatArray) -> FloatArray:
-    lon, lat = np.radians(position_deg).T
-    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 ARCSEC2_PER_DEG2 = 3600.0**2

@@ -20,7 +20,7 @@ from sameas.estimate.match import match
 from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
 from sameas.result import Identification
-from sameas.space import ARCSEC_PER_RADIAN, sphere_offset
+from sameas.space import ARCSEC_PER_RADIAN, local_axes, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.registration import Registration
@@ -101,12 +101,12 @@ class Rotation:
         angle = float(np.linalg.norm(omega))
         if angle == 0.0:
             return position_deg
-        at = _vectors(position_deg)
+        at = unit_vectors(*position_deg.T)
         k = omega / angle
         # The step is computed apart, which keeps its digits; the new longitude is relative to the old meridian.
         cross = np.cross(k, at)
         step = math.sin(angle) * cross + 2.0 * math.sin(angle / 2.0) ** 2 * np.cross(k, cross)
-        east, north = _local(position_deg)
+        east, north = local_axes(*np.radians(position_deg).T)
         lat = np.radians(position_deg[:, 1])
         up, right, above = (np.einsum("nv,nv->n", step, axis) for axis in (at, east, north))
         outward = np.cos(lat) * (1.0 + up) - np.sin(lat) * above
@@ -117,7 +117,7 @@ class Rotation:
     def _slope(self, position_deg: FloatArray) -> FloatArray:
         """(n, 2, 3) derivatives of a record's east and north by each component."""
         axes = _axes(self.centre_deg)
-        at, local = _vectors(position_deg), _local(position_deg)
+        at, local = unit_vectors(*position_deg.T), local_axes(*np.radians(position_deg).T)
         moves = [np.cross(omega, at) for omega in (axes[1], -axes[0], axes[2])]
         return np.stack([np.stack([np.einsum("nv,nv->n", m, a) for m in moves], axis=1) for a in local], axis=1)
 
@@ -190,7 +190,7 @@ def residual_rotation(
     if not len(answer.p_pair):
         return None
     at = answer.second.features[:: -(-len(answer.second) // tuning.most_pairs)]
-    x, y, z = _vectors(at).mean(axis=0)
+    x, y, z = unit_vectors(*at.T).mean(axis=0)
     centre = (float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))))
     rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale, tuning)
     sigmas = float(np.sqrt(mahalanobis_sq(rotation.vector, rotation.covariance)))
@@ -219,7 +219,7 @@ def _patch(first: Records, second: Records, tuning: RotationTuning) -> tuple[tup
     best: tuple[int, float, FloatArray] | None = None
     for radius_deg in tuning.patch_deg / 2.0 ** np.arange(9.0, -1.0, -1.0):
         chord = 2.0 * math.sin(math.radians(radius_deg) / 2.0)
-        counts = [tree.query_ball_point(_vectors(places), chord, return_length=True) for tree in trees]
+        counts = [tree.query_ball_point(unit_vectors(*places.T), chord, return_length=True) for tree in trees]
         poorer = np.minimum(*counts)
         at = int(np.argmax(poorer))
         if best is None or poorer[at] > best[0]:
@@ -239,7 +239,7 @@ def _within(records: Records, place: FloatArray, radius_deg: float) -> Records:
     """
     offset = sphere_offset(records.features[:, 0], records.features[:, 1], place[0], place[1])
     near = np.flatnonzero(np.hypot(*offset.T) <= radius_deg * 3600.0)
-    x, y, z = (_vectors(records.features[near]) @ _axes((place[0], place[1])).T).T
+    x, y, z = (unit_vectors(*records.features[near].T) @ _axes((place[0], place[1])).T).T
     rotated = np.degrees(np.column_stack([np.arctan2(x, z), np.arctan2(y, np.hypot(x, z))]))
     variance = np.einsum("nvv->n", records.full_covariance()[near]) / 2.0
     return Records.of(rotated, variance=variance[:, None], space=records.space, source=records.source)
@@ -248,24 +248,11 @@ def _within(records: Records, place: FloatArray, radius_deg: float) -> Records:
 def _tree(records: Records) -> Any:
     from scipy.spatial import cKDTree
 
-    return cKDTree(_vectors(records.features))
-
-
-def _vectors(position_deg: FloatArray) -> FloatArray:
-    lon, lat = np.radians(position_deg).T
-    return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-
-
-def _local(position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) unit vectors to the east and to the north of each direction."""
-    lon, lat = np.radians(position_deg).T
-    east = np.column_stack([-np.sin(lon), np.cos(lon), np.zeros(len(lon))])
-    north = np.column_stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)])
-    return east, north
+    return cKDTree(unit_vectors(*records.features.T))
 
 
 def _axes(centre_deg: tuple[float, float]) -> FloatArray:
     """(3, 3) east, north and outward at the centre."""
     at = np.array([centre_deg])
-    east, north = _local(at)
-    return np.stack([east[0], north[0], _vectors(at)[0]])
+    east, north = local_axes(*np.radians(at).T)
+    return np.stack([east[0], north[0], unit_vectors(*at.T)[0]])

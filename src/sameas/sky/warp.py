@@ -20,8 +20,8 @@ from sameas.arrays import FloatArray
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky.frame.tangent import to_plane, unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN, displaced
+from sameas.sky.frame.tangent import to_plane
+from sameas.space import ARCSEC_PER_RADIAN, displaced, unit_vectors
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import propagated
+from sameas.space import unit_vectors
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
 FARTHEST_M = 900e3
@@ -87,8 +88,7 @@ class LocalPlane:
         if not known.any():
             raise InputError("LocalPlane: no position is known; give the origin of the plane")
         few = np.unique(np.linspace(0, known.sum() - 1, min(int(known.sum()), MEDIAN_SAMPLE)).astype(np.int64))
-        phi, lam = np.radians(lat[known][few]), np.radians(lon[known][few])
-        places = np.column_stack([np.cos(phi) * np.cos(lam), np.cos(phi) * np.sin(lam), np.sin(phi)])
+        places = unit_vectors(lon[known][few], lat[known][few])
         middle = places.mean(axis=0)
         for _ in range(MEDIAN_STEPS):
             weight = 1.0 / np.maximum(np.linalg.norm(places - middle, axis=1), 1e-7)

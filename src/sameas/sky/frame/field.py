@@ -17,8 +17,7 @@ from sameas.sky.assumed import TUNING
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.column_values import numbers
-from sameas.sky.frame.tangent import unit_vectors
-from sameas.space import sphere_offset
+from sameas.space import sphere_offset, unit_vectors
 
 # Stars: the catalogue's directions and magnitudes that a frame is placed by.
 

@@ -35,8 +35,8 @@ from sameas.sky.frame.pointing_hints import (
     SkyIndex,
     candidates,
 )
-from sameas.sky.frame.tangent import Pointing, sky_of, unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.sky.frame.tangent import Pointing, sky_of
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 #: Least odds of a placement that is accepted (chosen).
 DEFAULT_ODDS = 1e6

@@ -24,8 +24,8 @@ from sameas.errors import InputError
 from sameas.gaussian import inverse, propagated, symmetric
 from sameas.records import unpack
 from sameas.representation import in_short
-from sameas.sky.frame.tangent import Pointing, axes, directions_deg, from_plane, to_plane, unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.sky.frame.tangent import Pointing, axes, directions_deg, from_plane, to_plane
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS

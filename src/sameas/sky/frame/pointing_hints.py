@@ -18,8 +18,8 @@ from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.sky.frame.odds import OddsTuning, PlateProblem, SearchVolume
 from sameas.sky.frame.pattern import PatternIndex, Patterns, brightest_per_cell, patterns
-from sameas.sky.frame.tangent import Pointing, from_plane, similarities, unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.sky.frame.tangent import Pointing, from_plane, similarities
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.sky.frame.field import Stars

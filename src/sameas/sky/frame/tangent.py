@@ -12,20 +12,13 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, local_axes, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
-
-
-def unit_vectors(ra_deg: ArrayLike, dec_deg: ArrayLike) -> FloatArray:
-    """(..., 3) unit vectors of directions."""
-    lon, lat = np.radians(ra_deg), np.radians(dec_deg)
-    return np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def directions_deg(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -37,10 +30,7 @@ def directions_deg(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def axes(centre: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The unit vectors east and north, (..., 3) each, of the plane that touches the sphere at ``centre`` (..., 3)."""
     lon = np.arctan2(centre[..., 1], centre[..., 0])
-    zero, lat = np.zeros_like(lon), np.arctan2(centre[..., 2], np.hypot(centre[..., 0], centre[..., 1]))
-    east = np.stack([-np.sin(lon), np.cos(lon), zero], axis=-1)
-    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=-1)
-    return east, north
+    return local_axes(lon, np.arctan2(centre[..., 2], np.hypot(centre[..., 0], centre[..., 1])))
 
 
 def to_plane(vectors: FloatArray, centre: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ from sameas.representation import in_short
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.motion import propagate
-from sameas.space import displaced, sphere_offset
+from sameas.space import displaced, on_axes_of
 
 #: Sets worked on at a time, which bounds the memory.
 CHUNK = 100_000
@@ -134,7 +134,7 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
     for s, catalogue in enumerate(astrometric):
         k = np.flatnonzero(sets[:, s] != NO_RECORD)
         members = catalogue.at(sets[k, s])
-        offset, rotation = _on_axes_of(anchor[k], members.direction)
+        offset, rotation = on_axes_of(anchor[k], members.direction)
         velocity = np.einsum("kvw,kw->kv", rotation, members.motion)
         axes = np.zeros((len(k), 4, 4))
         axes[:, :2, :2] = axes[:, 2:, 2:] = rotation
@@ -171,23 +171,6 @@ def _anchors(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integ
         here = sets[:, s] != NO_RECORD
         at[here] = astrometric[s].direction[sets[here, s]]
     return at
-
-
-def _on_axes_of(at: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Offsets (k, 2) of directions from ``at``, arcsec, on the axes of ``at``, and the rotation (k, 2, 2) to these."""
-    offset = sphere_offset(direction[:, 0], direction[:, 1], at[:, 0], at[:, 1])
-    step = direction[:, 0] - at[:, 0]
-    half_lon = np.radians(step - 360.0 * np.round(step / 360.0)) / 2.0
-    half_lat, middle = np.radians(direction[:, 1] - at[:, 1]) / 2.0, np.radians(direction[:, 1] + at[:, 1]) / 2.0
-    # θ/2 of :class:`sameas.space.Sphere`: offsets are on axes halfway, motions and errors on those of the record.
-    half = np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat))
-    return np.einsum("kvw,kw->kv", _rotations(-half), offset), _rotations(-2.0 * half)
-
-
-def _rotations(angle: FloatArray) -> FloatArray:
-    """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
-    sine, cosine = np.sin(angle), np.cos(angle)
-    return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
 
 
 def _log_norm(covariance: FloatArray) -> FloatArray:

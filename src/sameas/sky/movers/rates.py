@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 #: Angular speed of the Earth about the Sun, arcsec per minute (Gauss's constant).
 _EARTH_ARCSEC_PER_MIN = 0.01720209895 * ARCSEC_PER_RADIAN / 1440.0
@@ -59,8 +59,8 @@ class EclipticAxes:
     @classmethod
     def of(cls, ra_deg: FloatArray, dec_deg: FloatArray) -> EclipticAxes:
         """Of ICRS directions, (n,) each."""
-        ra, dec = np.radians(ra_deg), np.radians(dec_deg)
-        unit = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+        ra = np.radians(ra_deg)
+        unit = unit_vectors(ra_deg, dec_deg)
         east = np.cross(ECLIPTIC_POLE, unit)
         east /= np.maximum(np.linalg.norm(east, axis=1, keepdims=True), 1e-12)
         north = np.cross(unit, east)

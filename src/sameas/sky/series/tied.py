@@ -24,7 +24,7 @@ from sameas.errors import InputError
 from sameas.representation import in_short
 from sameas.sky.frame.measurements import PIXEL_FLAGS, Flag
 from sameas.sky.series.stars import Stars, gather
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -357,8 +357,7 @@ def _basis(ra_deg: float, dec_deg: float) -> tuple[FloatArray, FloatArray, Float
 def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, float]) -> FloatArray:
     """(n, 2) arcsec on the tangent plane at the middle."""
     east, north, unit = _basis(*middle)
-    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
-    to = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
+    to = unit_vectors(ra_deg, dec_deg)
     return np.asarray(ARCSEC_PER_RADIAN * np.column_stack([to @ east, to @ north]) / (to @ unit)[:, None])
 
 
