@@ -17,7 +17,7 @@ from sameas.cli.app import app
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
-from sameas.simulate.scenes import Cap
+from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import brought_together, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
@@ -262,6 +262,22 @@ def test_nothing_moves_where_epochs_are_not_known() -> None:
     assert found.epoch_jyr is None
     assert len(objects(found) & scene.truth()) / len(found.objects) > 0.95
     assert "pmra_object" not in joined_many(found).colnames
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.3])
+def test_a_catalogue_that_took_its_positions_from_another_does_not_tear_it_from_the_third(apart: float) -> None:
+    drawn = crowded_sky(np.random.default_rng(3), 300, 0.2)
+    rng, tables = np.random.default_rng(9), []
+    for k, records in enumerate((drawn.first, drawn.second, drawn.first)):
+        sigma = np.sqrt(records.covariance[:, 0])
+        noise = rng.normal(0.0, apart * sigma if k == 2 else 0.0 * sigma, (2, len(sigma))).T
+        ra, dec = displaced(records.features, noise).T
+        tables.append(Table({"ra": ra, "dec": dec, "sigma": sigma}, units={"sigma": "arcsec"}))
+    catalogues = [Catalogue.of(table, name) for table, name in zip(tables, ("one", "two", "copy"), strict=True)]
+    expected = match(*catalogues[:2]).result.p_pair.sum()
+    rows = np.ma.filled(match_many(catalogues).objects.members, -1)
+    assert np.count_nonzero((rows >= 0).all(axis=1)) > 0.97 * expected
+    assert np.mean(rows[(rows >= 0).all(axis=1), 0] == rows[(rows >= 0).all(axis=1), 2]) > 0.99
 
 
 def test_patterns_of_sets() -> None:

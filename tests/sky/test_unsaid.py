@@ -255,10 +255,25 @@ def test_the_unit_of_errors_is_the_one_that_fits_the_distances() -> None:
     assert completed((one, two))[1] == ()
     mas = catalogue({"ra": there[:, 0], "dec": there[:, 1], "err": np.full(300, 4.0)}, "two")
     tiny = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.0001)
-    near = catalogue({"ra": here[:, 0], "dec": here[:, 1], "err": np.full(300, 2.0)}, "two")
+    near = catalogue({"ra": here[:, 0] + 5e-7, "dec": here[:, 1], "err": np.full(300, 2.0)}, "two")
     (_, second), (doubt,) = completed((tiny, near))
     assert second.choice.error.columns[0].unit == "mas" and "mas fits the distances" in doubt
     assert mas.choice.error.guessed_unit
+
+
+def test_a_copy_of_a_catalogue_tells_no_unit_and_no_error() -> None:
+    rng = np.random.default_rng(3)
+    lon, lat = rng.uniform(10.0, 10.2, 400), rng.uniform(20.0, 20.2, 400)
+    one = {"ra": lon, "dec": lat, "sigma": np.full(400, 0.2)}
+    two = {"ra": lon + rng.normal(0.0, 8e-5, 400), "dec": lat + rng.normal(0.0, 8e-5, 400), "sigma": np.full(400, 0.2)}
+    tables = [Catalogue.of(table, name) for table, name in ((one, "one"), (two, "two"), (one, "again"))]
+    for some in (tables, tables[::2]):
+        made, doubts = completed(some)
+        assert [each.choice.error.columns[0].unit for each in made] == ["arcsec"] * len(some)
+        assert not any("fits the distances" in doubt for doubt in doubts)
+    bare = [Catalogue.of({"ra": table["ra"], "dec": table["dec"]}, str(k)) for k, table in enumerate((one, two, one))]
+    found = [each.choice.error.sigma_arcsec for each in completed(bare)[0]]
+    assert all(0.1 < sigma < 0.5 for sigma in found)
 
 
 def test_empty_errors_are_filled_where_that_is_allowed() -> None:

@@ -33,6 +33,7 @@ class CommonErrorTuning:
     usual_arcsec, spread_log : median and standard deviation of the logarithm of the prior of s.
     least_arcsec, largest_arcsec : of the grid. steps, share_steps : of the grid of s and of f.
     neighbours : the distance to this one, the nearest apart, tells the local density.
+    copied_arcsec : records are copies where most lie no farther than this from the nearest.
     most_records : so many are looked at, drawn evenly.
     most_rows, strips : of larger catalogues about so many are looked at, in so many strips of declination.
     most_products : up to so many distances are all computed; a tree answers for more, which takes 0.15 s to import.
@@ -45,6 +46,7 @@ class CommonErrorTuning:
     steps: int = 80
     share_steps: int = 16
     neighbours: int = 6
+    copied_arcsec: float = 1e-6
     most_records: int = 4000
     most_rows: int = 40_000
     strips: int = 2
@@ -107,7 +109,7 @@ def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: Commo
             found.append((share, sigma, catalogue.name))
     share, sigma, name = max(found)
     if share <= 0.0:
-        return sigma, f"a typical one, for its records do not lie near those of {name}"
+        return sigma, f"a typical one, for its records do not lie near those of {name}, or are a copy of them"
     return sigma, f"estimated from the distances to {name}"
 
 
@@ -151,6 +153,8 @@ def common_error(
 ) -> tuple[float, float]:
     """One position error an axis, arcsec, that explains the distances to another catalogue, and the share of partners.
 
+    A copy of the same records tells nothing, so its share is 0.
+
     shared : the other catalogue's errors are not known either, and taken to be the same.
     """
     position, variances = _positions(*_in_strips(catalogue, other, tuning), shared)
@@ -161,6 +165,8 @@ def common_error(
         distance, density, rows, partner = _neighbours(position[1], position[0], tuning)
     else:
         distance, density, partner, rows = _neighbours(*position, tuning)
+    if np.median(distance) <= tuning.copied_arcsec:
+        return tuning.usual_arcsec, 0.0
     known = variances[0][rows] + variances[1][partner]
     s = np.geomspace(tuning.least_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
     variance = s**2 * (2.0 if shared else 1.0) + known
@@ -222,7 +228,7 @@ def _neighbours(
     apart = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
     # The nearest may be the partner; of those beyond it the density follows. A lone record's is that of its distance.
     density = max(count - 1, 1) / (np.pi * np.maximum(apart[:, -1], 1e-3) ** 2)
-    return np.maximum(apart[:, 0], 1e-6), density, which[:, 0], own
+    return np.maximum(apart[:, 0], tuning.copied_arcsec), density, which[:, 0], own
 
 
 def _nearest(some: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning) -> tuple[FloatArray, IntArray]:

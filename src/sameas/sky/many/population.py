@@ -129,7 +129,7 @@ class Population:
             # Not wider than of the catalogues two by two: chance pairs prevail beyond.
             widest = max(DEFAULT_EM.widest_scale, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
             spread[pattern] = fit_errors(chi_sq[here], log_odds, d, errors, widest=widest).errors
-        return spread
+        return _beside_others(spread)
 
 
 def first_guess(
@@ -150,11 +150,28 @@ def first_guess(
                 parts = (partnered[s, t] if pattern >> t & 1 else 1.0 - partnered[s, t] for t in others)
                 share[:, pattern] = np.prod(list(parts), axis=0)
         shares.append(share)
-    spreads = dict(spread)
+    spreads = _beside_others(spread)
     for pattern in range(1, 1 << n_sources):
         if pattern.bit_count() > 2:
             spreads[pattern] = max((spread[pair] for pair in pairs_within(pattern)), key=lambda e: e.typical_scale)
     return Population(log_densities(coverages, shares), spreads, learns)
+
+
+def _beside_others(spread: Mapping[int, Errors]) -> dict[int, Errors]:
+    """The errors by pattern, those of two catalogues no smaller than quoted where both have larger ones with others.
+
+    Such catalogues have errors in common: one took its positions from the other. One spread tells all residuals of a
+    set of more, so that the density of two that nearly coincide would tear them from the rest.
+    """
+    pairs = {pattern: errors.typical_scale for pattern, errors in spread.items() if pattern.bit_count() == 2}
+    out = dict(spread)
+    for pattern, scale in pairs.items():
+        least = min((each for other, each in pairs.items() if (other & pattern).bit_count() == 1), default=scale)
+        least = min(least, 1.0)
+        if scale < least:
+            errors = spread[pattern]
+            out[pattern] = replace(errors, scales=tuple(max(each, least) for each in errors.scales))
+    return out
 
 
 def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
