@@ -35,10 +35,12 @@ def wandering(rng, n, looks, every_s, tau_s, sigma_m):
     return error
 
 
-def told(rng, description, times_s, position, velocity, tau_s, names=None, extra=None):
-    """Reports of objects (n, k, 2) at times (k,) with the errors of a description; ``names`` (n,) of their tracks."""
+def told(rng, description, times_s, position, velocity, tau_s, names=None, extra=None, sigma_m=None):
+    """Reports of objects (n, k, 2) at times (k,) with the errors of a description; ``names`` (n,) of their tracks.
+    sigma_m : 1σ of the positions' errors where it is another than described."""
     n, looks = position.shape[:2]
-    sigma, every = description.errors.position_m, times_s[1] - times_s[0] if len(times_s) > 1 else 1.0
+    sigma = description.errors.position_m if sigma_m is None else sigma_m
+    every = times_s[1] - times_s[0] if len(times_s) > 1 else 1.0
     x = position + wandering(rng, n, looks, every, tau_s, sigma)
     v = velocity + description.errors.speed_m_per_s * rng.standard_normal(velocity.shape)
     columns = {"time_s": np.tile(times_s, n), "x_m": x[..., 0].ravel(), "y_m": x[..., 1].ravel()}
@@ -74,3 +76,23 @@ def two_meet(seed, gap_m, side_by_side=False, swap_s=None, tau_s=60.0):
         told(rng, ais, times[::3], x[:, ::3], v[:, ::3], 600.0, ["a0", "a1"], {"mmsi": ["235000000", "235000001"]}),
     ]
     return Scene.of(sources), times
+
+
+def beside(seed, gap_m, sigma_m=(30.0, 8.0), stated_m=(30.0, 8.0), radar_sees_it=False, others=5, minutes=18.0):
+    """A ship "a0" that AIS names; the radar sees another, silent one beside it ("r1"), or the ship itself. Both sources
+    see ``others``, far off. sigma_m, stated_m : 1σ of the radar's errors, which last 20 s, and of AIS, 300 s."""
+    rng = np.random.default_rng(seed)
+    times, n = np.arange(0.0, 60.0 * minutes, 3.0), others + 2
+    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    start, course = rng.uniform(-4e3, 4e3, (n, 2)), 4.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    start[0], course[:2] = [-2000.0, 3000.0], [4.0, 0.0]
+    start[1] = start[0] if radar_sees_it else start[0] + [0.0, gap_m]
+    x, v = straight(start, course, times)
+    radar, ais = describe("radar", "tracks", stated_m[0], 3.0), describe("ais", "ais", stated_m[1], 10.0)
+    by_radar, by_ais = np.arange(1, n), np.delete(np.arange(n), 1)
+    names, mmsi = [[f"{letter}{k}" for k in by] for letter, by in (("r", by_radar), ("a", by_ais))], by_ais + 235000000
+    return Scene.of([
+        told(rng, radar, times, x[by_radar], v[by_radar], 20.0, names[0], sigma_m=sigma_m[0]),
+        told(rng, ais, times[::3], x[by_ais, ::3], v[by_ais, ::3], 300.0, names[1], {"mmsi": mmsi.astype(str)},
+             sigma_m=sigma_m[1]),
+    ])  # fmt: skip

@@ -4,16 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told, two_meet
+from modelled_scenes import beside, describe, straight, told, two_meet
 
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.many.identify import identify_many
 from sameas.picture import Past
 from sameas.picture.memory import Memory
+from sameas.picture.picture import picture_states
 from sameas.picture.scan import Scan
 from sameas.picture.track_pairs import TrackPairs
 from sameas.picture.tuning import Tuning
+from sameas.picture.watch import Watch
 from sameas.records import Records
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -221,3 +223,32 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
     due = brute_force(x, sigma, rho, True) - brute_force(x, sigma, rho, False) - np.log(2.0 * np.pi * 1e10)
     pairs = past.track_pairs
     assert pairs.log_ratio[0] + pairs.at_scan[0] == pytest.approx(due, abs=1e-3)
+
+
+def p_one(scene, every_s=30.0):
+    """(n,) the probability that "a0" and "r1" are one object at instants of the scene's second half."""
+    out = []
+    for state in picture_states(scene, np.arange(30.0, scene.span_s[1], every_s), Watch()):
+        names = np.append(state.scan.track, "")[state.members]
+        first = (names == "a0").any(axis=1)
+        together = first & (names == "r1").any(axis=1)
+        # Apart, the rest of the ship's probability is what they have at most.
+        out.append(float(state.probability[together][0] if together.any() else 1.0 - state.probability[first][0]))
+    return np.array(out[len(out) // 2 :])
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_what_is_always_apart_by_more_than_errors_last_is_two_objects(seed):
+    # A single look cannot tell 75 m from 0 with errors of 31 m; minutes of them can, if these do not last.
+    assert np.mean(p_one(beside(seed, 75.0))) < 0.25
+
+
+def test_what_others_show_of_errors_limits_what_stated_ones_may_excuse():
+    # Errors of 30 m are stated for both, and others show 8 m: 100 m apart are two objects.
+    p = p_one(beside(2, 100.0, sigma_m=(8.0, 8.0), stated_m=(30.0, 30.0), others=12))
+    assert p[-5:].mean() < 0.5
+
+
+def test_a_ship_that_both_see_stays_one_object_whatever_is_stated():
+    for stated_m in ((30.0, 8.0), (45.0, 15.0)):
+        assert p_one(beside(2, 0.0, stated_m=stated_m, radar_sees_it=True)).min() > 0.999

@@ -107,6 +107,18 @@ class ErrorCorrelation:
         fixed_s = self._fixed_s[source]
         return np.where(np.isfinite(fixed_s), _rho(elapsed_s, np.nan_to_num(fixed_s)[:, None])[:, 0], mean)
 
+    def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(n,) the share of the variance of a report that is left in the mean of ``count`` (n,), ``every_s`` apart."""
+        steps = np.arange(1, int(count.max(initial=1)))
+        correlation = self.correlation(
+            np.repeat(np.arange(len(self.names)), len(steps)), np.tile(every_s * steps, len(self.names)), tuning
+        ).reshape(len(self.names), len(steps))
+        # The mean over all couples of n reports, of which 2 (n − k) are k steps apart.
+        sums = [np.cumsum(np.pad(part, ((0, 0), (1, 0))), axis=1) for part in (correlation, steps * correlation)]
+        n = np.maximum(count, 1)
+        each, stepped = (part[source, n - 1] for part in sums)
+        return np.asarray((n + 2.0 * (n * each - stepped)) / n**2)
+
     @property
     def _weights(self) -> FloatArray:
         """(S, s, τ) probabilities."""
@@ -176,8 +188,14 @@ class ErrorCorrelation:
     ) -> ErrorCorrelation:
         """After n independent values of which ln p is given for each of :data:`CORRELATIONS`, (n, k)."""
         log_probable = self.log_probable.copy()
-        rho = _rho(elapsed_s, np.array(tuning.correlation_s))
-        add_evidence(source, rho, log_p, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
+        # Most sources have few different Δt: their values are added up first.
+        elapsed_ms = np.rint(1e3 * elapsed_s).astype(np.int64)
+        key, group = np.unique(source * (elapsed_ms.max(initial=0) + 1) + elapsed_ms, return_inverse=True)
+        source_of, elapsed_ms = np.divmod(key, elapsed_ms.max(initial=0) + 1)
+        sums = np.zeros((len(key), len(CORRELATIONS)))
+        np.add.at(sums, group, log_p)
+        rho = _rho(1e-3 * elapsed_ms, np.array(tuning.correlation_s))
+        add_evidence(source_of, rho, sums, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
         return replace(self, log_probable=log_probable)
 
 

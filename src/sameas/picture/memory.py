@@ -9,9 +9,10 @@ antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule
     past = past.with_pairs(found.pooled)
 
 Its logarithm is that of all reports (:mod:`sameas.picture.track_pairs`) less that of the two positions of the instant,
-so the sum of both counts every report once. It stays within ±ln((1−ε)/ε), with ε the probability that a report is of
+so the sum of both counts every report once. It stays below ln((1−ε)/ε), and above −2 of these, with ε the probability that a report is of
 another object than its id says: ids are reused, and swapped where two targets cross. So a wrong picture corrects
-itself. Records without an id have no past, and tracks that are not reported any more are forgotten.
+itself. What sensors state of errors that last is judged by the mean offsets of pairs that are surely one object
+(:meth:`sameas.picture.track_pairs.TrackPairs.log_offsets`). Records without an id have no past, and tracks that are not reported any more are forgotten.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
 from sameas.picture.named import NamedTracks, places_in
-from sameas.picture.scan import Scan
+from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
 from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING
@@ -122,7 +123,9 @@ class Past:
         swaps = self.swaps.of_sources(
             ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)], scan.tuning
         )
-        track_pairs, swaps = self.track_pairs.stepped(step, self.reassigned, swaps, scan.tuning)
+        track_pairs, swaps = self.track_pairs.stepped(
+            step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning
+        )
         existence = self.existence.on(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
@@ -141,9 +144,23 @@ class Past:
         track_pairs, tracks = self.track_pairs, self.tracks
         first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
-        past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now
+        past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now + self._log_offsets(first, second)
         chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
         return rivals.bounded(past, track_pairs.chi_sq <= chi_sq, self.reassigned)
+
+    def _log_offsets(self, first: IntArray, second: IntArray) -> FloatArray:
+        """(k,) what the mean offsets of pairs tell beyond their reports, by those of other pairs; first, second : (k,)
+        places among the tracks."""
+        tracks, scan = self.tracks, self.tracks.scan
+        if scan is None:
+            return np.zeros(len(first))
+        covariance = np.zeros((len(first), 2, 2))
+        for track in (first, second):
+            share = tracks.error_correlation.of_mean(
+                tracks.source[track], scan.tuning.lasting_s, self.track_pairs.offsets, scan.tuning
+            )
+            covariance += share[:, None, None] * scan.reported_covariance[tracks.place[track], :2, :2]
+        return self.track_pairs.log_offsets(covariance, (tracks.source[first], tracks.source[second]), scan.tuning)
 
     def with_real(self, track: IntArray) -> Past:
         """The same, with tracks (any shape, −1 for none) that other sources show to be real."""
@@ -194,16 +211,14 @@ class Past:
         elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
         due = (elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1)
-        a, b = places[due].T
         correlation = tracks.error_correlation
         number_of = correlation.numbers(scan)[scan.source]
+        begin = due | np.isnan(elapsed)
+        track_pairs = self.track_pairs.anchored(at, begin, scan.now.instant_s, delta)
+        a, b = places[due].T
         correlation = correlation.with_sure_pairs(
             (number_of[a], number_of[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
             (scan.reported_covariance[a, :2, :2], scan.reported_covariance[b, :2, :2]),
             scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2], scan.tuning,
         )  # fmt: skip
-        begin = due | np.isnan(elapsed)
-        return replace(
-            self, tracks=replace(tracks, error_correlation=correlation),
-            track_pairs=self.track_pairs.anchored(at[begin], scan.now.instant_s, delta[begin]),
-        )  # fmt: skip
+        return replace(self, tracks=replace(tracks, error_correlation=correlation), track_pairs=track_pairs)

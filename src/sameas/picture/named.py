@@ -50,8 +50,10 @@ class Step(ColumnTable):
     elapsed_s : seconds between the track's last two reports.
     log_own : ln p of that report by the track's own reports before it, 0 without one.
     error_mean, error_covariance : of (e, z) after it, by the track's own reports.
+    instant_s : this instant.
     """
 
+    WHOLE = frozenset({"instant_s"})
     number: IntArray
     source: IntArray
     last: FloatArray
@@ -69,10 +71,18 @@ class Step(ColumnTable):
     log_own: FloatArray
     error_mean: FloatArray
     error_covariance: FloatArray
+    instant_s: float
 
     def find(self, number: IntArray) -> IntArray:
         """(k,) where tracks stand in the step, −1 for those that are not in it."""
         return places_in(self.number, number)
+
+    def log_elsewhere(self, tracks: tuple[IntArray, IntArray], log_density_anywhere: float) -> FloatArray:
+        """(k,) ln of how probable the new report of either track is of an object anywhere, by its own 1; 0 at most, and
+        without a new report."""
+        own = [np.where(self.new_report[track], self.log_own[track], np.inf) for track in tracks]
+        lower = np.minimum(*own)
+        return np.where(np.isfinite(lower), np.minimum(log_density_anywhere - lower, 0.0), 0.0)
 
 
 @dataclass(frozen=True)
@@ -212,7 +222,7 @@ class NamedTracks:
             lasting, other, np.where(repeated, 0.0, slope), np.where(repeated, 0.0, noise),
             np.where(new_report[:, None], shift, 0.0), new_report,
             elapsed, np.where(new_report, log_own, 0.0), np.where(new_report[:, None], updated_mean, error_mean),
-            np.where(repeated, error_covariance, updated_covariance),
+            np.where(repeated, error_covariance, updated_covariance), scan.now.instant_s,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
         return step.take(np.flatnonzero(consistent)[np.argsort(number[consistent])]), correlation

@@ -58,7 +58,9 @@ class TrackPairs(ColumnTable):
     log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`.
     at_scan : ln N(δ; 0, P_a + P_b) at the last report of either. now : the same at the instant. chi_sq : its χ².
     anchor_s, anchor : (k,), (k, 2) when they were surely one object, and δ then; NaN before. anchor_new : (k, 2)
-        whether each track has a new report since.
+        whether each track has a new report since. sure : whether they surely are one object.
+    offset, offsets : (k, 2), (k,) mean of δ at times ``lasting_s`` apart, and how many; offset_s : the last of them.
+    offset_new : (k, 2) whether each track has a new report since.
     """
 
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -73,6 +75,11 @@ class TrackPairs(ColumnTable):
     anchor_s: FloatArray = field(default_factory=lambda: np.empty(0))
     anchor: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     anchor_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
+    sure: BoolArray = field(default_factory=lambda: np.empty(0, bool))
+    offset: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    offsets: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    offset_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    offset_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
 
     def __len__(self) -> int:
         return len(self.first)
@@ -92,7 +99,9 @@ class TrackPairs(ColumnTable):
         never, none = np.full(len(first), np.nan), np.zeros(len(first))
         return cls(
             first, second, error.mean, error.covariance, none, none, density, density, chi_sq,
-            never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool),
+            never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(len(first), bool),
+            np.zeros_like(delta), np.zeros(len(first), np.int64), np.full(len(first), -np.inf),
+            np.ones(delta.shape, bool),
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -115,13 +124,14 @@ class TrackPairs(ColumnTable):
         return replace(self, **columns)
 
     def stepped(
-        self, step: Step, reassigned: float, swaps: SwapRates, tuning: Tuning = DEFAULT_TUNING
+        self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
     ) -> tuple[TrackPairs, SwapRates]:
         """The pairs whose tracks are both in the step, after it, and what it shows of swaps.
 
         ``now`` is subtracted from the evidence of all reports, so that both can be added. A report may be of another
         object than its id says, with probability ε = ``reassigned``: x ← ln[(1−ε) eˣ + ε e^(best)], best that of the
-        best rival or 0.
+        best rival, or of an id that goes to any other object: ln of how probable an object anywhere (``per_m2``) makes
+        the report, by the track's own reports 1. Two tracks that keep apart are not one again for that reason.
         """
         a, b = step.find(self.first), step.find(self.second)
         rows = np.flatnonzero((a >= 0) & (b >= 0))
@@ -133,7 +143,8 @@ class TrackPairs(ColumnTable):
         for side, track in ((0, b), (1, a)):
             weights = updated.log_ratio + updated.now, log_before[:, side] + updated.now
             swaps = swaps.updated(rivals.sides[side], step.source[track], *weights, near[:, side], tuning)
-        return updated._leaked(step, (a, b), rivals, reassigned, (log_before, rate * near), tuning), swaps
+        swapped = log_before, rate * near
+        return updated._leaked(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
 
     def _updated(self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning) -> TrackPairs:
         """The pairs ``rows`` after the motion of their tracks, places a and b in the step, and after its new reports:
@@ -158,17 +169,19 @@ class TrackPairs(ColumnTable):
             np.clip(log_convoy + log_together - log_apart, -bound, bound),
             np.where(new_report, before + at_scan + gain - now, before), np.where(new_report, now, at_scan), now,
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new,
+            *self._offsets_on(step, rows, (a, b), is_new, tuning),
         )  # fmt: skip
 
     def _leaked(
         self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
-        swapped: tuple[FloatArray, FloatArray], tuning: Tuning,
+        swapped: tuple[FloatArray, FloatArray], log_density_anywhere: float, tuning: Tuning,
     ) -> TrackPairs:  # fmt: skip
         """After reports that may be of another object than their ids say; swapped : ln r before and the probability of
         a swap, (k, 2) each. The states are changed in place."""
         new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
         agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
-        best = np.maximum(rivals.most(np.where(agrees, self.log_ratio, -np.inf)), 0.0)
+        best_rival = rivals.most_other(np.where(agrees, self.log_ratio, -np.inf))
+        best = np.maximum(best_rival, step.log_elsewhere(tracks, log_density_anywhere))
         log_stays = np.log1p(-reassigned - swapped[1].sum(axis=1)) + self.log_ratio
         # ln r is bounded, and so are its exponentials.
         log_changes = np.log(reassigned * np.exp(best) + (np.exp(swapped[0]) * swapped[1]).sum(axis=1))
@@ -184,11 +197,58 @@ class TrackPairs(ColumnTable):
         self.log_convoy[at] *= 1.0 - anew[at]
         return replace(self, log_ratio=np.where(new_report, leaked, self.log_ratio))
 
-    def anchored(self, at: IntArray, instant_s: float, delta: FloatArray) -> TrackPairs:
-        """With pairs (places ``at``) that are surely one object at the instant, δ (m, 2) apart."""
+    def _offsets_on(
+        self, step: Step, rows: IntArray, tracks: tuple[IntArray, IntArray], is_new: BoolArray, tuning: Tuning
+    ) -> tuple[BoolArray, FloatArray, IntArray, FloatArray, BoolArray]:
+        """``sure`` … ``offset_new`` of the pairs ``rows`` after the step."""
+        offset, offsets, offset_s = self.offset[rows], self.offsets[rows], self.offset_s[rows]
+        offset_new = self.offset_new[rows] | is_new
+        due = np.flatnonzero((step.instant_s - offset_s >= tuning.lasting_s) & offset_new.all(axis=1))
+        offsets[due] += 1
+        delta = step.here[tracks[0][due]] - step.here[tracks[1][due]]
+        offset[due] += (delta - offset[due]) / offsets[due, None]
+        offset_s[due], offset_new[due] = step.instant_s, False
+        return self.sure[rows], offset, offsets, offset_s, offset_new
+
+    def log_offsets(
+        self, covariance: FloatArray, sources: tuple[IntArray, IntArray], tuning: Tuning = DEFAULT_TUNING
+    ) -> FloatArray:
+        """(k,) ln of how much more probable mean offsets are by those of sure pairs than by what sensors state.
+
+        Errors that are stated, or assumed for a kind of sensor, are often too large: then any object that keeps beside
+        another is one with it. By the stated errors the offset δ̄ of one object is N(0, V). By those of the other n sure
+        pairs of its two sources V is κ times as large, κ unknown: δ̄ has Student's t, of ν = ν₀ + 2n degrees of freedom
+        and a scale matrix κ̂ V, κ̂ = (ν₀ + Σ δ̄ᵀ V⁻¹ δ̄) / ν; ν₀ stands for κ = 1. Only what makes δ̄ less probable counts:
+        that stated errors may be too small is no reason to join what they part.
+
+        covariance : (k, 2, 2) V. sources : (k,) of both tracks.
+        Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
+        """
+        if not len(self):
+            return np.zeros(0)
+        chi_sq = mahalanobis_sq(self.offset, covariance + LEAST_M2 * np.eye(2))
+        n_sources = 1 + int(max(sources[0].max(), sources[1].max()))
+        couple = np.minimum(*sources) * n_sources + np.maximum(*sources)
+        known = self.offsets >= tuning.known_offsets
+        votes = known & self.sure
+        # One that is no pair in truth does not speak for many.
+        value = np.where(votes, np.minimum(chi_sq, tuning.manoeuvre_chi_sq), 0.0)
+        n = np.bincount(couple, votes, n_sources**2)[couple] - votes
+        total = np.bincount(couple, value, n_sources**2)[couple] - value
+        freedom = tuning.offset_freedom + np.minimum(2.0 * n, tuning.most_offset_freedom)
+        counted = np.minimum(1.0, tuning.most_offset_freedom / np.maximum(2.0 * n, 1.0))
+        kappa = (tuning.offset_freedom + counted * total) / freedom
+        student = -np.log(kappa) - 0.5 * (freedom + 2.0) * np.log1p(chi_sq / (freedom * kappa))
+        return np.asarray(np.where(known & (n > 0), np.minimum(student + 0.5 * chi_sq, 0.0), 0.0))
+
+    def anchored(self, sure: IntArray, begin: BoolArray, instant_s: float, delta: FloatArray) -> TrackPairs:
+        """With pairs (places ``sure``) that are surely one object at the instant, δ (m, 2) apart; ``begin`` : (m,)
+        whether they are compared with what they are now."""
         anchor_s, anchor, anchor_new = self.anchor_s.copy(), self.anchor.copy(), self.anchor_new.copy()
-        anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta, False
-        return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new)
+        at, is_sure = sure[begin], np.zeros(len(self), bool)
+        anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta[begin], False
+        is_sure[sure] = True
+        return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new, sure=is_sure)
 
 
 def _swapped(
@@ -244,6 +304,11 @@ class Rivals:
         best_others(self.sides[side], values, best)
         return best
 
+    def most_other(self, values: FloatArray) -> FloatArray:
+        """(k,) the highest value of any rival of each pair, itself not among them; −∞ without one."""
+        padded = np.append(values, -np.inf)
+        return np.maximum(*(padded[self.best_other(values, side)] for side in range(2)))
+
     def most(self, values: FloatArray) -> FloatArray:
         """(k,) the highest value of any rival of each pair, itself among them."""
         out = values
@@ -252,14 +317,14 @@ class Rivals:
         return out
 
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
-        """ln r within ±ln((1−ε)/ε), less the excess of the best rival, so that differences between rivals stay.
+        """ln r below b = ln((1−ε)/ε) and above −2b, less the excess of the best rival, so that differences between rivals stay.
 
         agrees : (k,) whether the positions of the instant agree. Where they contradict the past, ln r of the past is
             large for that reason alone, and rivals do not pay for it.
         """
         bound = math.log((1.0 - reassigned) / reassigned)
         excess = np.maximum(self.most(np.where(agrees, log_ratio, -np.inf)) - bound, 0.0)
-        return np.clip(log_ratio - excess, -bound, bound)
+        return np.clip(log_ratio - excess, -2.0 * bound, bound)
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,15 @@ class Tuning:
 
     manoeuvre_chi_sq : a report farther than this χ² from its prediction is of a manoeuvre and does not measure errors;
         the limit of 1 in 1000 for two degrees of freedom.
-    correlation_s : error correlation times τ that are weighed, in seconds.
+    correlation_s : error correlation times τ that are weighed, in seconds; near enough to each other that what a time
+        between two of them leaves is not taken for a share that lasts.
     correlation_sigma : 1σ of ln(τ + 1 s) about that of the source's kind, before its reports say more.
     lasting_shares : shares of the variance of a source's errors that may last, each as probable before pairs show more.
     lasting_s : time between two looks at a sure pair of tracks that show what of its errors lasts. sure_pair : a pair
         is sure from this probability on.
+    known_offsets : a mean offset of two tracks is known from this many differences ``lasting_s`` apart on.
+    offset_freedom : degrees of freedom for which the stated errors count beside the offsets of sure pairs, and
+        most_offset_freedom : for which these count at most, since hulls differ.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
     swap_rates : probabilities h that a tracker has swapped two objects at one place, per report, that are weighed.
     swap_rate, swap_sigma : median and 1σ of ln h before reports say more. swap_chi_sq : h falls with e^(−χ²/this).
@@ -80,11 +84,16 @@ class Tuning:
     crossing_share: float = 0.2
 
     manoeuvre_chi_sq: float = 13.8
-    correlation_s: tuple[float, ...] = (0.0, 2.0, 5.0, 12.0, 30.0, 75.0, 180.0, 450.0, 1100.0)
+    correlation_s: tuple[float, ...] = (
+        0.0, 2.0, 3.0, 5.0, 8.0, 12.0, 18.0, 27.0, 40.0, 60.0, 90.0, 135.0, 200.0, 300.0, 450.0, 700.0, 1100.0
+    )  # fmt: skip
     correlation_sigma: float = 3.0
     lasting_shares: tuple[float, ...] = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
     lasting_s: float = 60.0
     sure_pair: float = 0.999
+    known_offsets: int = 3
+    offset_freedom: float = 4.0
+    most_offset_freedom: float = 30.0
     convoy_log_odds: float = 5.0
     swap_rates: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
     swap_rate: float = 1e-3
