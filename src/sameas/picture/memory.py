@@ -9,10 +9,11 @@ antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule
     past = past.with_pairs(found.pooled)
 
 Its logarithm is that of all reports (:mod:`sameas.picture.track_pairs`) less that of the two positions of the instant,
-so the sum of both counts every report once. It stays below ln((1−ε)/ε), and above −2 of these, with ε the probability that a report is of
-another object than its id says: ids are reused, and swapped where two targets cross. So a wrong picture corrects
-itself. What sensors state of errors that last is judged by the mean offsets of pairs that are surely one object
-(:meth:`sameas.picture.track_pairs.TrackPairs.log_offsets`). Records without an id have no past, and tracks that are not reported any more are forgotten.
+so the sum of both counts every report once. It stays between −2b and b = ln((1−ε)/ε), with ε the probability that a
+report is of another object than its id says: ids are reused, and swapped where two targets cross. So a wrong picture
+corrects itself. What sensors state of errors that last is judged by the mean offsets of pairs that are surely one
+object (:meth:`sameas.picture.track_pairs.TrackPairs.with_offsets`). Records without an id have no past, and tracks that
+are not reported any more are forgotten.
 """
 
 from __future__ import annotations
@@ -126,6 +127,7 @@ class Past:
         track_pairs, swaps = self.track_pairs.stepped(
             step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning
         )
+        track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
         existence = self.existence.on(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
@@ -144,23 +146,13 @@ class Past:
         track_pairs, tracks = self.track_pairs, self.tracks
         first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
-        past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now + self._log_offsets(first, second)
+        past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now
         chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
-        return rivals.bounded(past, track_pairs.chi_sq <= chi_sq, self.reassigned)
-
-    def _log_offsets(self, first: IntArray, second: IntArray) -> FloatArray:
-        """(k,) what the mean offsets of pairs tell beyond their reports, by those of other pairs; first, second : (k,)
-        places among the tracks."""
-        tracks, scan = self.tracks, self.tracks.scan
-        if scan is None:
-            return np.zeros(len(first))
-        covariance = np.zeros((len(first), 2, 2))
-        for track in (first, second):
-            share = tracks.error_correlation.of_mean(
-                tracks.source[track], scan.tuning.lasting_s, self.track_pairs.offsets, scan.tuning
-            )
-            covariance += share[:, None, None] * scan.reported_covariance[tracks.place[track], :2, :2]
-        return self.track_pairs.log_offsets(covariance, (tracks.source[first], tracks.source[second]), scan.tuning)
+        agrees = track_pairs.chi_sq <= chi_sq
+        # Among rivals tracks may have been swapped since, and offsets are those of several objects.
+        alone = rivals.most_other(np.where(agrees, 0.0, -np.inf)) < 0.0
+        past += np.where(alone, track_pairs.log_offset, 0.0)
+        return rivals.bounded(past, agrees, self.reassigned)
 
     def with_real(self, track: IntArray) -> Past:
         """The same, with tracks (any shape, −1 for none) that other sources show to be real."""

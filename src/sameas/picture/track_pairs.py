@@ -32,7 +32,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.kernels.kalman import best_others, mix, pairs_anew, pairs_stepped, swap_evidence
 from sameas.many.observations import Source
-from sameas.picture.error_correlation import LEAST_M2
+from sameas.picture.error_correlation import LEAST_M2, ErrorCorrelation
 from sameas.picture.named import NamedTracks, Step, places_in
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
@@ -60,7 +60,8 @@ class TrackPairs(ColumnTable):
     anchor_s, anchor : (k,), (k, 2) when they were surely one object, and δ then; NaN before. anchor_new : (k, 2)
         whether each track has a new report since. sure : whether they surely are one object.
     offset, offsets : (k, 2), (k,) mean of δ at times ``lasting_s`` apart, and how many; offset_s : the last of them.
-    offset_new : (k, 2) whether each track has a new report since.
+    offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : (k,) its χ² by stated
+        errors, and what it adds to ln r; see :meth:`with_offsets`.
     """
 
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -80,6 +81,8 @@ class TrackPairs(ColumnTable):
     offsets: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     offset_s: FloatArray = field(default_factory=lambda: np.empty(0))
     offset_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
+    offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
+    log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.first)
@@ -101,7 +104,7 @@ class TrackPairs(ColumnTable):
             first, second, error.mean, error.covariance, none, none, density, density, chi_sq,
             never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(len(first), bool),
             np.zeros_like(delta), np.zeros(len(first), np.int64), np.full(len(first), -np.inf),
-            np.ones(delta.shape, bool),
+            np.ones(delta.shape, bool), none, none,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -168,8 +171,9 @@ class TrackPairs(ColumnTable):
             self.first[rows], self.second[rows], mean, covariance,
             np.clip(log_convoy + log_together - log_apart, -bound, bound),
             np.where(new_report, before + at_scan + gain - now, before), np.where(new_report, now, at_scan), now,
-            chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new,
-            *self._offsets_on(step, rows, (a, b), is_new, tuning),
+            chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
+            self.offset[rows], self.offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
+            self.offset_chi_sq[rows], self.log_offset[rows],
         )  # fmt: skip
 
     def _leaked(
@@ -195,25 +199,13 @@ class TrackPairs(ColumnTable):
         )
         mix(self.mean, self.covariance, at, anew[at], fresh.mean, fresh.covariance)
         self.log_convoy[at] *= 1.0 - anew[at]
+        # Offsets of another object are no longer theirs.
+        other = anew > tuning.offset_anew
+        self.offsets[other], self.offset[other], self.log_offset[other] = 0, 0.0, 0.0
         return replace(self, log_ratio=np.where(new_report, leaked, self.log_ratio))
 
-    def _offsets_on(
-        self, step: Step, rows: IntArray, tracks: tuple[IntArray, IntArray], is_new: BoolArray, tuning: Tuning
-    ) -> tuple[BoolArray, FloatArray, IntArray, FloatArray, BoolArray]:
-        """``sure`` … ``offset_new`` of the pairs ``rows`` after the step."""
-        offset, offsets, offset_s = self.offset[rows], self.offsets[rows], self.offset_s[rows]
-        offset_new = self.offset_new[rows] | is_new
-        due = np.flatnonzero((step.instant_s - offset_s >= tuning.lasting_s) & offset_new.all(axis=1))
-        offsets[due] += 1
-        delta = step.here[tracks[0][due]] - step.here[tracks[1][due]]
-        offset[due] += (delta - offset[due]) / offsets[due, None]
-        offset_s[due], offset_new[due] = step.instant_s, False
-        return self.sure[rows], offset, offsets, offset_s, offset_new
-
-    def log_offsets(
-        self, covariance: FloatArray, sources: tuple[IntArray, IntArray], tuning: Tuning = DEFAULT_TUNING
-    ) -> FloatArray:
-        """(k,) ln of how much more probable mean offsets are by those of sure pairs than by what sensors state.
+    def with_offsets(self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING) -> TrackPairs:
+        """After the step, with the mean offsets δ̄ of the pairs that are due, and what these tell beyond the reports.
 
         Errors that are stated, or assumed for a kind of sensor, are often too large: then any object that keeps beside
         another is one with it. By the stated errors the offset δ̄ of one object is N(0, V). By those of the other n sure
@@ -221,25 +213,37 @@ class TrackPairs(ColumnTable):
         and a scale matrix κ̂ V, κ̂ = (ν₀ + Σ δ̄ᵀ V⁻¹ δ̄) / ν; ν₀ stands for κ = 1. Only what makes δ̄ less probable counts:
         that stated errors may be too small is no reason to join what they part.
 
-        covariance : (k, 2, 2) V. sources : (k,) of both tracks.
         Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
         """
-        if not len(self):
-            return np.zeros(0)
-        chi_sq = mahalanobis_sq(self.offset, covariance + LEAST_M2 * np.eye(2))
-        n_sources = 1 + int(max(sources[0].max(), sources[1].max()))
-        couple = np.minimum(*sources) * n_sources + np.maximum(*sources)
-        known = self.offsets >= tuning.known_offsets
-        votes = known & self.sure
+        due = np.flatnonzero((step.instant_s - self.offset_s >= tuning.lasting_s) & self.offset_new.all(axis=1))
+        if not len(due):
+            return self
+        out = replace(self, **{name: getattr(self, name).copy() for name in _OFFSETS})
+        a, b = step.find(self.first), step.find(self.second)
+        out.offsets[due] += 1
+        out.offset[due] += (step.here[a[due]] - step.here[b[due]] - out.offset[due]) / out.offsets[due, None]
+        out.offset_s[due], out.offset_new[due] = step.instant_s, False
+        spread = LEAST_M2 * np.eye(2) + sum(
+            correlation.of_mean(step.source[track], tuning.lasting_s, out.offsets[due], tuning)[:, None, None]
+            * step.reported[track]
+            for track in (a[due], b[due])
+        )
+        out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], spread)
         # One that is no pair in truth does not speak for many.
-        value = np.where(votes, np.minimum(chi_sq, tuning.manoeuvre_chi_sq), 0.0)
-        n = np.bincount(couple, votes, n_sources**2)[couple] - votes
-        total = np.bincount(couple, value, n_sources**2)[couple] - value
-        freedom = tuning.offset_freedom + np.minimum(2.0 * n, tuning.most_offset_freedom)
+        votes = self.sure & (out.offsets >= tuning.known_offsets)
+        value = np.where(votes, np.minimum(out.offset_chi_sq, tuning.manoeuvre_chi_sq), 0.0)
+        sources = len(correlation.names)
+        couple = np.minimum(step.source[a], step.source[b]) * sources + np.maximum(step.source[a], step.source[b])
+        n = np.bincount(couple, votes, sources**2)[couple[due]] - votes[due]
+        total = np.bincount(couple, value, sources**2)[couple[due]] - value[due]
         counted = np.minimum(1.0, tuning.most_offset_freedom / np.maximum(2.0 * n, 1.0))
+        freedom = tuning.offset_freedom + counted * 2.0 * n
         kappa = (tuning.offset_freedom + counted * total) / freedom
+        chi_sq = out.offset_chi_sq[due]
         student = -np.log(kappa) - 0.5 * (freedom + 2.0) * np.log1p(chi_sq / (freedom * kappa))
-        return np.asarray(np.where(known & (n > 0), np.minimum(student + 0.5 * chi_sq, 0.0), 0.0))
+        known = (out.offsets[due] >= tuning.known_offsets) & (n > 0)
+        out.log_offset[due] = np.where(known, np.minimum(student + 0.5 * chi_sq, 0.0), 0.0)
+        return out
 
     def anchored(self, sure: IntArray, begin: BoolArray, instant_s: float, delta: FloatArray) -> TrackPairs:
         """With pairs (places ``sure``) that are surely one object at the instant, δ (m, 2) apart; ``begin`` : (m,)
@@ -249,6 +253,10 @@ class TrackPairs(ColumnTable):
         anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta[begin], False
         is_sure[sure] = True
         return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new, sure=is_sure)
+
+
+#: Columns that :meth:`TrackPairs.with_offsets` changes.
+_OFFSETS = ("offset", "offsets", "offset_s", "offset_new", "offset_chi_sq", "log_offset")
 
 
 def _swapped(
@@ -317,7 +325,7 @@ class Rivals:
         return out
 
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
-        """ln r below b = ln((1−ε)/ε) and above −2b, less the excess of the best rival, so that differences between rivals stay.
+        """ln r between −2b and b = ln((1−ε)/ε), less the excess of the best rival, so that differences stay.
 
         agrees : (k,) whether the positions of the instant agree. Where they contradict the past, ln r of the past is
             large for that reason alone, and rivals do not pay for it.

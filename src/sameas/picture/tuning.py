@@ -28,7 +28,8 @@ class Tuning:
         is sure from this probability on.
     known_offsets : a mean offset of two tracks is known from this many differences ``lasting_s`` apart on.
     offset_freedom : degrees of freedom for which the stated errors count beside the offsets of sure pairs, and
-        most_offset_freedom : for which these count at most, since hulls differ.
+        most_offset_freedom : for which these count at most, since hulls differ. offset_anew : a mean offset begins
+        anew where the pair does with at least this probability.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
     swap_rates : probabilities h that a tracker has swapped two objects at one place, per report, that are weighed.
     swap_rate, swap_sigma : median and 1σ of ln h before reports say more. swap_chi_sq : h falls with e^(−χ²/this).
@@ -94,6 +95,7 @@ class Tuning:
     known_offsets: int = 3
     offset_freedom: float = 4.0
     most_offset_freedom: float = 30.0
+    offset_anew: float = 0.1
     convoy_log_odds: float = 5.0
     swap_rates: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
     swap_rate: float = 1e-3
