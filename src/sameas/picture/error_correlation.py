@@ -194,7 +194,7 @@ class ErrorCorrelation:
         source_of, elapsed_ms = np.divmod(key, elapsed_ms.max(initial=0) + 1)
         sums = np.zeros((len(key), len(CORRELATIONS)))
         np.add.at(sums, group, log_p)
-        rho = _rho(1e-3 * elapsed_ms, np.array(tuning.correlation_s))
+        rho = _rho(np.asarray(1e-3 * elapsed_ms, np.float64), np.array(tuning.correlation_s))
         add_evidence(source_of, rho, sums, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
         return replace(self, log_probable=log_probable)
 

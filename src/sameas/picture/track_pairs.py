@@ -315,7 +315,8 @@ class Rivals:
     def most_other(self, values: FloatArray) -> FloatArray:
         """(k,) the highest value of any rival of each pair, itself not among them; −∞ without one."""
         padded = np.append(values, -np.inf)
-        return np.maximum(*(padded[self.best_other(values, side)] for side in range(2)))
+        best = [padded[self.best_other(values, side)] for side in range(2)]
+        return np.asarray(np.maximum(*best))
 
     def most(self, values: FloatArray) -> FloatArray:
         """(k,) the highest value of any rival of each pair, itself among them."""
