@@ -111,6 +111,44 @@ def _first_number(path: Path) -> int | None:
 
 
 @dataclass(frozen=True)
+class Tables:
+    """What a table may ask for; a file of 400 kB can name a hundred thousand columns.
+
+    columns : the widest catalogues that are known have a thousand.
+    facts : values of the metadata, each as often as it is named: what YAML writes once it may repeat a thousand million
+    times.
+    """
+
+    columns: int = 5000
+    facts: int = 1_000_000
+
+
+def check_columns(count: int, path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
+    """Refuses a table of more columns than any has."""
+    most = (bounds or Tables()).columns
+    if count > most:
+        raise InputError(f"{path}: has {count} columns; tables of up to {most} are read; leave out what is not needed")
+
+
+def check_facts(facts: Mapping[Any, Any], path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
+    """Refuses metadata that unfold to more values than any table has, or that hold themselves."""
+    most = (bounds or Tables()).facts
+    if _unfolded(facts, most + 1, {}) > most:
+        raise InputError(f"{path}: its metadata unfold to more than {most} values; leave them out")
+
+
+def _unfolded(value: Any, endless: int, known: dict[int, int]) -> int:
+    """The number of values in a value. endless : of one that holds itself. known : those that were counted."""
+    if not isinstance(value, Mapping | list | tuple):
+        return 1
+    if id(value) not in known:
+        known[id(value)] = endless
+        inner = value.values() if isinstance(value, Mapping) else value
+        known[id(value)] = 1 + sum(_unfolded(one, endless, known) for one in inner)
+    return known[id(value)]
+
+
+@dataclass(frozen=True)
 class Headers:
     """What headers may ask for. astropy believes them: it would look for a thousand million columns.
 

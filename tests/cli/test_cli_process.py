@@ -64,6 +64,18 @@ def test_a_name_that_is_no_text_names_a_file_as_well(tmp_path, field_files):
     assert str(paths[0]) in beside.values()
 
 
+@pytest.mark.parametrize("command", ["match", "compare", "picture", "explain"])
+def test_a_name_that_is_too_long_for_a_file_is_no_fault_of_sameas(command, tmp_path, field_files, sameas):
+    name, out = tmp_path / f"{'n' * 300}.fits", tmp_path / "out.fits"
+    given = {"match": [name, field_files[0], "-o", out], "compare": [name, name],
+             "picture": [name, name, "-o", out], "explain": [name, "1"]}[command]  # fmt: skip
+    said = sameas(command, *given, exit_code=1).stderr
+    assert "fault of sameas" not in said and ("too long" in said or "no such file" in said)
+    if command == "match":
+        said = sameas(command, *field_files, "-o", name, exit_code=1).stderr
+        assert "the name is too long for a file; give a shorter one" in said
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", ["0", "1", "2"])
 def test_a_stream_that_is_closed_stops_nothing(closed, tmp_path, field_files):
@@ -318,6 +330,22 @@ def _answer(path):
 
     table = read_table(path)
     return {name: table[name].tolist() for name in table.colnames}
+
+
+def test_a_process_that_is_asked_to_end_while_an_object_is_deleted_prints_no_traceback():
+    program = """
+import os, signal, time
+from sameas.cli.outcome import end_cleanly_when_asked
+class Deleted:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(0.01)
+end_cleanly_when_asked()
+Deleted()
+time.sleep(30)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (143, "sameas: stopped; nothing was written\n")
 
 
 def test_an_interruption_in_compiled_code_is_one(capsys):

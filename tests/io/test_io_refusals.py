@@ -1,15 +1,19 @@
 """What cannot be read or written is refused in one sentence that names the file."""
 
 import gzip
+import urllib.request
+from itertools import pairwise
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import Table
+from pyarrow import parquet
 
 from sameas.errors import InputError
-from sameas.io import read_table, write_table
+from sameas.io import csv, read_table, write_table
 
 
 def refusal(path, content=None, **how):
@@ -154,3 +158,77 @@ def test_a_text_whose_last_line_was_cut_off_says_so(tmp_path):
             path.write_bytes(head + rows)
             table = read_table(path)
             assert len(table) == 2 and len(table.meta.get("sameas_notes", ())) == notes
+
+
+VOTABLE = """<?xml version="1.0"?>{doctype}<VOTABLE version="1.3" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE>
+<TABLE><FIELD name="ra" datatype="double" unit="deg"/><DATA><FITS>{stream}</FITS></DATA></TABLE></RESOURCE></VOTABLE>"""
+
+
+@pytest.mark.parametrize(
+    ("doctype", "stream", "encoding"),
+    [
+        ("", '<STREAM href="{}"/>', "utf-8"),
+        ("", '<STREAM type="a>b" href = "{}"/>', "utf-16"),
+        ("<!DOCTYPE VOTABLE [<!ENTITY s \"&#60;STR&#69;AM hr&#101;f='{}'/>\">]>", "&s;", "utf-8"),
+    ],
+)
+@pytest.mark.parametrize("packed", ["", "votable", "parquet"])
+def test_a_votable_whose_rows_lie_elsewhere_is_refused_and_nothing_is_loaded(
+    doctype, stream, encoding, packed, tmp_path, monkeypatch
+):
+    loaded = []
+    monkeypatch.setattr(urllib.request, "urlopen", loaded.append)
+    place = (tmp_path / "secret").as_uri()
+    content = VOTABLE.format(doctype=doctype.format(place), stream=stream.format(place)).encode(encoding)
+    if packed == "parquet":
+        path = tmp_path / "t.parquet"
+        kept = pa.schema([pa.field("ra", pa.float64())], metadata={"IVOA.VOTable-Parquet.content": content})
+        parquet.write_table(pa.table([[1.0]], schema=kept), path)
+        with pytest.raises(InputError, match="rows lie elsewhere"):
+            read_table(path)
+    else:
+        name = "t.vot.gz" if packed else "t.vot"
+        said = refusal(tmp_path / name, gzip.compress(content) if packed else content)
+        assert "rows lie elsewhere" in said or (encoding == "utf-16" and "is a binary file" in said)
+    assert not loaded
+
+
+def test_metadata_that_unfold_without_an_end_are_refused(tmp_path):
+    names = "abcdefghij"
+    lines = [f"#   {b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in pairwise(names)]
+    for meta in (["#   a: &a [x, x]", *lines], ["#   a: &a [x, *a]"]):
+        head = ["# %ECSV 1.0", "# ---", "# datatype:", "# - {name: ra, datatype: float64}", "# meta:", *meta]
+        text = "\n".join([*head, "# schema: astropy-2.0", "ra", "1.0", ""]).encode()
+        assert "its metadata unfold to more than 1000000 values" in refusal(tmp_path / "t.ecsv", text)
+
+
+def test_tables_of_more_columns_than_any_has_are_refused(tmp_path):
+    names = [f"c{k}" for k in range(6000)]
+    said = "has 6000 columns; tables of up to 5000 are read"
+    row = "1," * 5999 + "1\n"
+    assert said in refusal(tmp_path / "t.csv", (",".join(names) + "\n" + row).encode())
+    fields = "".join(f'<FIELD name="{name}" datatype="double"/>' for name in names)
+    assert said in refusal(tmp_path / "t.vot", f"<VOTABLE><TABLE>{fields}</TABLE></VOTABLE>".encode())
+    columns = "".join(f"# - {{name: {name}, datatype: float64}}\n" for name in names)
+    text = f"# %ECSV 1.0\n# ---\n# datatype:\n{columns}# schema: astropy-2.0\n{','.join(names)}\n{row}"
+    assert said in refusal(tmp_path / "t.ecsv", text.encode())
+    parquet.write_table(pa.table({name: [1.0] for name in names}), tmp_path / "t.parquet")
+    with pytest.raises(InputError, match=said):
+        read_table(tmp_path / "t.parquet")
+
+
+def test_numbers_beyond_63_bits_in_many_columns_are_read_at_once(tmp_path, monkeypatch):
+    calls, arrow = [], csv._arrow
+    monkeypatch.setattr(csv, "_arrow", lambda *given: (calls.append(1), arrow(*given))[1])
+    names = [f"c{k}" for k in range(40)]
+    values = [str(2**63 + 2**11 + 1), "9.3e18"] * 20
+    (tmp_path / "t.csv").write_text(",".join(names) + "\n" + ",".join(values) + "\n")
+    table = read_table(tmp_path / "t.csv")
+    assert table["c0"][0] == 2**63 + 2**11 + 1 and table["c1"][0] == 9.3e18 and len(calls) == 3
+
+
+@pytest.mark.slow
+def test_a_packed_votable_unpacks_to_no_more_than_its_bound(tmp_path):
+    assert "unpacks to more than 256 MB" in refusal(
+        tmp_path / "t.vot.gz", gzip.compress(b"<VOTABLE>" + bytes(300 << 20))
+    )

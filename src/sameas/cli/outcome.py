@@ -6,6 +6,7 @@ end (SIGTERM).
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -24,6 +25,15 @@ INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 130, 143
 #: Seconds in which the main thread may end by itself: an answer within a second is promised. Those of a worker, so that
 #: it has ended before the one who started it; those in which it may end when it is asked to.
 PATIENCE_S, PATIENCE_OF_WORKERS_S, ENDING_S = 0.7, 0.2, 0.4
+#: What the system refuses, which is no fault of ours.
+_OF_THE_SYSTEM = {
+    errno.ENAMETOOLONG: "the name is too long for a file; give a shorter one",
+    errno.ELOOP: "a link that leads to itself",
+    errno.ENOTDIR: "a part of this path is a file, not a folder",
+    errno.EMFILE: "too many open files; raise the limit (ulimit -n)",
+    errno.ENFILE: "too many open files in this system",
+    errno.EAGAIN: "no more threads or processes are allowed; raise the limit (ulimit -u)",
+}
 
 
 class Terminated(KeyboardInterrupt):
@@ -38,6 +48,9 @@ def end_cleanly_when_asked(worker: bool = False) -> None:
     faster, and a second SIGTERM is nothing to it.
     """
     signal.signal(signal.SIGTERM, _terminate_worker if worker else _terminate)
+    before = sys.unraisablehook
+    # What is raised within a __del__ Python prints, and goes on; the other thread ends the process then.
+    sys.unraisablehook = lambda told: None if isinstance(told.exc_value, KeyboardInterrupt) else before(told)
     read_end, write_end = os.pipe()
     os.set_blocking(write_end, False)
     signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
@@ -120,6 +133,8 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
         from sameas.io.atomic import refused_by_disk
 
         reason = refused_by_disk(error)
+        if error.errno in _OF_THE_SYSTEM:
+            _end(f"{error.filename or 'this process'}: {_OF_THE_SYSTEM[error.errno]}", INPUT_ERROR, debug)
         if reason is None:
             _end(f"{fault(error)} with what --debug shows", INPUT_ERROR, debug)
         place = error.filename or "a temporary file, or where stdout goes"

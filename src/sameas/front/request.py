@@ -186,7 +186,7 @@ class Request(Generic[Options]):
         except (KeyError, TypeError, ValueError, AttributeError, RecursionError):
             raise InputError(f"{output}: has no provenance; give a table that `sameas match` wrote") from None
         for k, path in enumerate(request.paths, 1):
-            if not Path(path).is_file():
+            if not os.path.isfile(path):  # a name may be too long for one
                 raise InputError(f"{output}: was made from {path}, which no longer exists; restore it")
             if checksum(path) != facts.get(f"sha256_{k}"):
                 raise InputError(

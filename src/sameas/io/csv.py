@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.bounds import unpacked
+from sameas.bounds import check_columns, unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing, together
@@ -213,7 +213,8 @@ def _header(text: pa.Buffer, path: Path) -> TableHead:
 
 
 def distinct(names: list[str], path: Path) -> list[str]:
-    """The names of columns, none of them empty; refused where one stands twice."""
+    """The names of columns, none of them empty; refused where one stands twice, or where they are too many."""
+    check_columns(len(names), path)
     names = [name or f"column_{number}" for number, name in enumerate(names, start=1)]
     counts = Counter(names)
     if len(counts) < len(names):
@@ -249,7 +250,7 @@ def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
     import pyarrow as pa
 
     content = _arrow(text, header, path, {})
-    again = {}
+    again, large = {}, []
     for name, column in zip(content.column_names, content.columns, strict=True):
         if pa.types.is_temporal(column.type):
             again[name] = pa.string()
@@ -257,15 +258,18 @@ def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
             largest = max(np.fmax.reduce(numbers_in(chunk), initial=-np.inf) for chunk in column.chunks)
             # A whole number beyond 63 bits was read as a float and lost its last digits.
             if 2.0**63 <= largest < 2.0**65:
-                again[name] = pa.uint64() if _all_whole(text, header, path, name) else pa.float64()
+                large.append(name)
+    if large:
+        spelled = _arrow(text, header, path, dict.fromkeys(large, pa.string()))
+        again |= {name: pa.uint64() if _all_whole(spelled.column(name)) else pa.float64() for name in large}
     return _arrow(text, header, path, again) if again else content
 
 
-def _all_whole(text: pa.Buffer, header: TableHead, path: Path, name: str) -> bool:
+def _all_whole(column: pa.ChunkedArray) -> bool:
+    """Whether the cells of a column of texts are whole numbers without a sign."""
     import pyarrow as pa
     from pyarrow import compute
 
-    column = _arrow(text, header, path, {name: pa.string()}).column(name)
     try:
         compute.cast(compute.utf8_trim_whitespace(column), pa.uint64())
     except pa.ArrowInvalid:

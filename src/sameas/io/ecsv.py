@@ -6,12 +6,14 @@ A masked cell is empty; an empty text is read back as a missing one. The provena
 from __future__ import annotations
 
 import gzip
+import re
 from collections.abc import Mapping
 from functools import cache
 from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sameas.bounds import check_columns
 from sameas.io.arrow import array_of
 from sameas.io.csv import content_of, may_be_cut, opened, unended, write_rows
 from sameas.io.format import Format
@@ -23,17 +25,22 @@ if TYPE_CHECKING:
 FORMAT = Format("ecsv", "ECSV", (".ecsv", ".ecsv.gz"), signatures=(b"# %ECSV",))
 
 _KEY = "sameas"
+#: Names of columns are looked for in so many bytes.
+_HEAD_BYTES = 1 << 22
 
 
 def read(path: Path, hdu: None) -> Table:
     """The table of an ECSV file."""
     from astropy.table import Table
 
+    content = content_of(path)
+    head = bytes(memoryview(content)[:_HEAD_BYTES]).partition(b"\n# meta:")[0]
+    check_columns(len(re.findall(rb"^# - ", head, re.MULTILINE)), path)
     table = _bulk_read(path)
     if table is None:
         table = Table.read(path, format="ascii.ecsv")
     table.meta.pop(_KEY, None)
-    if unended(content_of(path)):
+    if unended(content):
         table.meta["sameas_notes"] = [may_be_cut(path)]
     return table
 

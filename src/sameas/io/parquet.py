@@ -9,13 +9,14 @@ import json
 import warnings
 from collections import OrderedDict
 from collections.abc import Mapping
-from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sameas.bounds import check_columns
 from sameas.errors import InputError
 from sameas.io.arrow import array_of, column_of
 from sameas.io.format import Format
+from sameas.io.votable import parsed
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -34,6 +35,7 @@ def read(path: Path, hdu: None) -> Table:
     from pyarrow import parquet
 
     with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
+        check_columns(len(file.schema_arrow), path)
         content = file.read()
     columns, left_out = [], []
     for name in content.column_names:
@@ -47,7 +49,7 @@ def read(path: Path, hdu: None) -> Table:
             continue
         described(column, decoded(content.schema.field(name).metadata))
         columns.append(column)
-    table = _with_file_metadata(Table(columns, copy=False), content.schema.metadata or {})
+    table = _with_file_metadata(Table(columns, copy=False), content.schema.metadata or {}, path)
     # What was read is NumPy's now; Arrow would keep as much again for what it might read next.
     del content
     pa.default_memory_pool().release_unused()
@@ -101,15 +103,13 @@ def described(column: Column, facts: Mapping[str, Any]) -> None:
         column.meta["ucd"] = str(facts["ucd"])
 
 
-def _with_file_metadata(table: Table, metadata: Mapping[bytes, bytes]) -> Table:
+def _with_file_metadata(table: Table, metadata: Mapping[bytes, bytes], path: Path) -> Table:
     if _ASTROPY in metadata:
         return _with_astropys(table, metadata[_ASTROPY].decode("utf-8"))
     if _VOPARQUET in metadata:
-        from astropy.io import votable
-
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fields = votable.parse(BytesIO(metadata[_VOPARQUET])).get_first_table().fields
+            fields = parsed(metadata[_VOPARQUET], path).get_first_table().fields
         for field in fields:
             if field.name in table.colnames:
                 described(table[field.name], {k: getattr(field, k) for k in ("unit", "description", "ucd")})

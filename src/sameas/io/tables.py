@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from sameas.bounds import check_facts
 from sameas.errors import Argument, InputError, Message, first_line, printable, reading
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
@@ -157,6 +158,7 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
         raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
     with reading(str(path), f"cannot be read as {known.label}"):
         table: Table = known.module().read(path, hdu)
+        check_facts({"": table.meta} | {name: column.meta for name, column in table.columns.items()}, path)
     return table
 
 
@@ -211,7 +213,9 @@ def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) 
     path = Path(path)
     known = _format_in(path, format)
     with reading(str(path), "its provenance cannot be read"):
-        return dict(known.module().provenance(path))
+        facts = dict(known.module().provenance(path))
+        check_facts(facts, path)
+        return facts
 
 
 def _named(name: str, path: Path) -> Format:
@@ -237,9 +241,9 @@ def _format_for(path: Path, name: str | None) -> Format:
 
 def _format_in(path: Path, name: str | None) -> Format:
     """The format of a file to be read; what is not of that format is refused before a library meets it."""
-    if path.is_dir():
+    if os.path.isdir(path):  # Path's own raises where a name is too long for a file
         raise InputError(f"{path}: is a directory; give a file")
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file{_similar_names(path)}")
     if path.is_fifo():
         raise InputError(f"{path}: is a pipe, and a table is read more than once; save it as a file first")

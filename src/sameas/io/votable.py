@@ -13,16 +13,18 @@ import io
 import re
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
+from sameas.bounds import check_columns, unpacked
 from sameas.errors import InputError, printable
 from sameas.io.format import Format, ascii_of, from_text, to_text, unicode_of
 
@@ -139,10 +141,38 @@ def _quiet() -> Iterator[None]:
 def _content(path: Path) -> bytes:
     if path.suffix.lower() != ".gz":
         return path.read_bytes()
-    try:
-        return gzip.decompress(path.read_bytes())
-    except EOFError as error:
-        raise InputError(f"{path}: is cut off in the middle; copy it again") from error
+    return unpacked(path)
+
+
+def parsed(content: bytes, path: Path) -> Any:
+    """The document, whose data are all in it: astropy would load those that lie elsewhere, from any address.
+
+    Raises
+    ------
+    InputError : its data lie elsewhere; too many columns.
+    """
+    from astropy.io.votable import parse
+
+    check_columns(len(re.findall(rb"<(?:\w+:)?FIELD[\s/>]", content)), path)
+    _check_streams(content, path)
+    with _quiet():
+        return parse(io.BytesIO(content))
+
+
+def _check_streams(content: bytes, path: Path) -> None:
+    """Refuses a STREAM with an address, by the XML: entities and encodings spell it in many ways."""
+    plain = b"\0" not in content[:4] and b"<!DOCTYPE" not in content
+    if plain and not (b"STREAM" in content and b"href" in content):
+        return
+
+    def begun(name: str, attributes: Mapping[str, str]) -> None:
+        if name.rpartition(":")[2] == "STREAM" and "href" in attributes:
+            raise InputError(f"{path}: its rows lie elsewhere, at {attributes['href'][:80]}; save all in one file")
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = begun
+    with suppress(expat.ExpatError):  # which astropy says
+        parser.Parse(content, True)
 
 
 def _stream(content: bytes) -> tuple[int, int] | None:
@@ -157,10 +187,7 @@ def _stream(content: bytes) -> tuple[int, int] | None:
 
 
 def _parsed(content: bytes, path: Path) -> tuple[Any, Any]:
-    from astropy.io.votable import parse
-
-    with _quiet():
-        document = parse(io.BytesIO(content))
+    document = parsed(content, path)
     for element in document.iter_tables():
         return document, element
     messages = [info.content or info.value for info in document.iter_info() if info.value == "ERROR"]
