@@ -318,11 +318,16 @@ def _next() -> Any:
     from sameas.picture.live import LivePicture
 
     told, advance = [], LivePicture.advance
+
+    def noted(*given: Any) -> Any:
+        told.append(advance(*given))
+        return told[-1]
+
     with _folder() as folder:
         for name, own in kept().items():
             (folder / name).write_bytes(own)
         keeper = Keeper(_harbour(), folder, replay=_replay())
-        with mock.patch.object(LivePicture, "advance", lambda *given: told.append(advance(*given)) or told[0]):
+        with mock.patch.object(LivePicture, "advance", noted):
             keeper.tick(_NEXT_S)
         keeper.close()
     return told[0]

@@ -219,7 +219,12 @@ def test_tables_of_more_columns_than_any_has_are_refused(tmp_path):
 
 def test_numbers_beyond_63_bits_in_many_columns_are_read_at_once(tmp_path, monkeypatch):
     calls, arrow = [], csv._arrow
-    monkeypatch.setattr(csv, "_arrow", lambda *given: (calls.append(1), arrow(*given))[1])
+
+    def counted(*given):
+        calls.append(given)
+        return arrow(*given)
+
+    monkeypatch.setattr(csv, "_arrow", counted)
     names = [f"c{k}" for k in range(40)]
     values = [str(2**63 + 2**11 + 1), "9.3e18"] * 20
     (tmp_path / "t.csv").write_text(",".join(names) + "\n" + ",".join(values) + "\n")
