@@ -237,7 +237,8 @@ def _child() -> None:
             path = Path(folder) / f"input{TARGETS[name].ending}"
             if name not in warm:
                 warm.add(name)
-                resource.setrlimit(resource.RLIMIT_AS, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+                for limit in (resource.RLIMIT_AS, resource.RLIMIT_CPU):  # that of the last format is for its inputs
+                    resource.setrlimit(limit, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
                 for content in corpus.seeds(name):
                     path.write_bytes(TARGETS[name].outside(content))
                     outcome(TARGETS[name].read, path)  # of some tables only some questions are answered
