@@ -93,14 +93,21 @@ def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criter
     if criterion not in CRITERIA:
         raise InputError(f'fusion: criterion is {criterion!r}; give "determinant" or "trace"')
     x, p = _estimates(states, covariances)
-    information = inverse(p)
-    weights = np.full(x.shape[:2], 1.0 / x.shape[1])
-    open_ = np.arange(len(x))
+    weights = intersection_weights(inverse(p), criterion=criterion)
+    fused = Gaussian(x, p).product(weights)
+    return Fused(fused.mean, fused.covariance, weights)
+
+
+def intersection_weights(information: FloatArray, *, criterion: str = "determinant") -> FloatArray:
+    """(n, k) the weights of :func:`covariance_intersection` for n objects with k estimates each, by their information
+    Pᵢ⁻¹ (n, k, L, L)."""
+    n, k, size, _ = information.shape
+    weights, open_ = np.full((n, k), 1.0 / k), np.arange(n)
     for _ in range(STEPS):
         ours, w = information[open_], weights[open_]
         covariance = inverse(np.einsum("nk,nkvw->nvw", w, ours))
         if criterion == "determinant":
-            slope = np.einsum("nkvw,nwv->nk", ours, covariance) / x.shape[2]
+            slope = np.einsum("nkvw,nwv->nk", ours, covariance) / size
         else:
             slope = np.einsum("nuv,nkvw,nwu->nk", covariance, ours, covariance)
             slope /= np.einsum("nvv->n", covariance)[:, None]
@@ -110,8 +117,7 @@ def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criter
         open_, ours, w, slope, covariance = open_[far], ours[far], w[far], slope[far], covariance[far]
         moved = _exchanged(ours, w, slope, covariance) if criterion == "determinant" else w * np.sqrt(slope)
         weights[open_] = moved / moved.sum(axis=1, keepdims=True)
-    fused = Gaussian(x, p).product(weights)
-    return Fused(fused.mean, fused.covariance, weights)
+    return weights
 
 
 def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, covariance: FloatArray) -> FloatArray:

@@ -197,7 +197,9 @@ class NamedTracks:
         old = (stamped_late(covariance, state, before.late_s[was]) + left)[:, :2, :2]
         shift = scan.state[place, :2] - state[:, :2]
         one, other = before.reported_covariance[was, :2, :2], scan.reported_covariance[place, :2, :2]
-        shared, k = _shared_covariance(one, other), np.flatnonzero(new_report)
+        roots = np.linalg.cholesky(one), np.linalg.cholesky(other)
+        # L L′ᵀ: the covariance of the errors of the two reports if they are the same.
+        shared, k = np.asarray(roots[0] @ roots[1].transpose(0, 2, 1)), np.flatnonzero(new_report)
         motion = growth(old + new - one - other)
         correlation = correlation.updated(
             source[k], elapsed[k], shift[k], ((one + other)[k], shared[k]), motion[k], scan.tuning
@@ -205,7 +207,7 @@ class NamedTracks:
         share = correlation.lasting(source, scan.tuning)[:, None, None]
         common = correlation.forgotten(source, elapsed, scan.tuning)[:, None, None] * shared
         forgetting = common.transpose(0, 2, 1) @ inverse(old - share * one)
-        lasting_before, lasting = (np.sqrt(share) * np.linalg.cholesky(r) for r in (one, other))
+        lasting_before, lasting = (np.sqrt(share) * root for root in roots)
         slope = np.concatenate([forgetting - np.eye(2), lasting - forgetting @ lasting_before], axis=2)
         noise = new - share * other - forgetting @ common
         drift = growth(old - before.covariance[was, :2, :2])
@@ -250,8 +252,3 @@ def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
         return np.full(np.shape(numbers), -1)
     at = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
     return np.where(ascending[at] == numbers, at, -1)
-
-
-def _shared_covariance(before: FloatArray, after: FloatArray) -> FloatArray:
-    """(n, 2, 2) L L′ᵀ: covariance of the errors of two reports of one track, if they are the same."""
-    return np.asarray(np.linalg.cholesky(before) @ np.linalg.cholesky(after).transpose(0, 2, 1))

@@ -13,7 +13,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import inverse
-from sameas.many.fusion import covariance_intersection
+from sameas.many.fusion import intersection_weights
 from sameas.many.objects import Objects
 from sameas.picture.scan import Scan
 
@@ -71,7 +71,7 @@ def _summed(scan: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, Bool
     precision, pull = _precision(scan, record, scan.state[record] - _wide(origin[at]))
     placed, moving = np.zeros(n, bool), np.zeros(n, bool)
     placed[at], moving[at[scan.moving[record]]] = True, True
-    _intersect(scan, at, record, precision, pull, origin)
+    _intersect(scan, at, record, precision, pull)
     information, vector = np.zeros((n, 4, 4)), np.zeros((n, 4))
     np.add.at(information, at, precision)
     np.add.at(vector, at, pull)
@@ -94,19 +94,15 @@ def _precision(scan: Scan, record: IntArray, offset: FloatArray) -> tuple[FloatA
     return out, np.einsum("mvw,mw->mv", out, offset)
 
 
-def _intersect(
-    scan: Scan, at: IntArray, record: IntArray, precision: FloatArray, pull: FloatArray, origin: FloatArray
-) -> None:
+def _intersect(scan: Scan, at: IntArray, record: IntArray, precision: FloatArray, pull: FloatArray) -> None:
     """Weigh the precisions of smoothed tracks of one object by covariance intersection, in place."""
     kinds = np.array([description.kind in SMOOTHED for description in scan.now.descriptions], dtype=bool)
     smoothed = kinds[scan.source[record]] & (scan.track[record] != "") & scan.moving[record]
-    count = np.bincount(at[smoothed], minlength=len(origin))
+    count = np.bincount(at[smoothed], minlength=int(at.max(initial=-1)) + 1)
     for k in np.unique(count[count > 1]).tolist():
         several = np.flatnonzero(smoothed & (count[at] == k))
         records = several[np.argsort(at[several], kind="stable")].reshape(-1, k)
-        states = scan.state[record[records]] - _wide(origin[at[records]])
-        weights = covariance_intersection(states, scan.covariance[record[records]]).weights
-        assert weights is not None
+        weights = intersection_weights(precision[records])
         precision[records] *= weights[..., None, None]
         pull[records] *= weights[..., None]
 

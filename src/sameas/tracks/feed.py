@@ -113,7 +113,8 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
     if reports.track is None or len(reports) < 2:
         return reports, ()
     usable = np.flatnonzero(reports.usable)
-    _, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
+    track = reports.track[usable]
+    _, number = np.unique(track if track.dtype.kind in "iu" else track.astype(str), return_inverse=True)
     rows = usable[np.lexsort([reports.time_s[usable], number])]
     number = np.sort(number)
     again = (number[1:] == number[:-1]) & (reports.state[rows[1:], :2] == reports.state[rows[:-1], :2]).all(axis=1)

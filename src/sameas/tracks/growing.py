@@ -411,8 +411,9 @@ class GrowingFeed:
             gone = live[rows.time_s[live] < horizon_s - kept_s]
         if not len(gone):
             return
-        lost = np.setdiff1d(rows.number[gone], rows.number[np.setdiff1d(live, gone)])
-        names = {rows.name[k] for k in gone[np.isin(rows.number[gone], lost)].tolist()}
+        stays = np.zeros(len(rows), bool)
+        stays[live], stays[gone] = True, False
+        names = {rows.name[k] for k in gone[~np.isin(rows.number[gone], rows.number[stays])].tolist()}
         rows.clear(gone)
         self._freed = np.concatenate([self._freed, gone])
         for name in names:
