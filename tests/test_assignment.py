@@ -72,6 +72,7 @@ def test_the_hypothesis_is_the_best_of_all(name, draw):
         assert ours_score == pytest.approx(score, rel=1e-9, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("draw", DRAWS)
 def test_the_best_of_every_size_is_found(draw):
     rng = np.random.default_rng(len(draw))
@@ -285,5 +286,6 @@ def test_who_chooses_among_pairs_refuses_a_crowd_before_beginning(name):
         CHOOSERS[name](crowd(1800), crowd(1800, "b", 2))
 
 
+@pytest.mark.slow
 def test_who_only_weighs_pairs_refuses_no_crowd():
     assert len(Radius(6.0)(crowd(1800), crowd(1800, "b", 2))) == 1800**2

@@ -45,6 +45,7 @@ def test_nearest_may_name_one_record_twice():
     assert nearest(pairs).sum() == 2 and mutual_nearest(pairs).sum() == 1
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_most_pairs_is_the_largest_set_of_least_sum(seed):
     pairs, grouped = scene(seed, n1=7 + seed % 3, n2=6)

@@ -146,6 +146,7 @@ def test_a_match_says_which_of_its_records_are_blends():
         found.blends(6.0, flux=[1.0])
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_residuals_that_point_to_a_neighbour_suggest_blends(seed):
     made = blended_field(np.random.default_rng([13, seed]), objects=1_500)

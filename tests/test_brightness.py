@@ -96,6 +96,7 @@ def test_completeness_is_found_at_every_magnitude(frame, found):
     assert density == pytest.approx(len(frame.scene.first) - len(frame.scene.true_pairs()[0]), rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change", [lambda rng, s: misquoted(s, 1.7), lambda rng, s: with_outliers(rng, s, 0.02)], ids=["1.7", "outliers"]
 )
@@ -108,6 +109,7 @@ def test_errors_not_as_quoted_do_not_spoil_the_probabilities(frame, change):
 # ---- it never hurts ----
 
 
+@pytest.mark.slow
 def test_useless_magnitudes_change_next_to_nothing(frame, alone):
     rng = np.random.default_rng(3)
     first, second = frame.scene.first, frame.scene.second
@@ -129,6 +131,7 @@ def test_a_bent_relation_does_not_hurt(frame, alone):
     assert calibration(answer, frame.scene).expected_calibration_error < 0.006
 
 
+@pytest.mark.slow
 def test_missing_magnitudes_say_nothing_and_the_others_still_help():
     made = exposure(np.random.default_rng(4), Sky(stars_per_deg2=400_000.0), side_deg=0.12, missing=0.3)
     scene = made.scene
@@ -150,6 +153,7 @@ def test_swapping_the_sources_swaps_the_answer(frame, found):
     assert sum(forth[i] == j for i, j in turned.items() if i in forth) > 0.998 * len(forth)
 
 
+@pytest.mark.slow
 def test_few_pairs_teach_nothing_of_magnitudes_and_it_is_said():
     rng = np.random.default_rng(5)
     place = rng.uniform(0.0, 100.0, (30, 2))
@@ -193,6 +197,7 @@ def test_magnitudes_without_a_message_are_harmless(values):
 # ---- the rule ----
 
 
+@pytest.mark.slow
 def test_the_rule_adds_to_the_rule_of_positions(frame, found):
     answer, estimate = found
     shares = tuple(np.full(len(r), 0.5) for r in (frame.scene.first, frame.scene.second))
@@ -296,6 +301,7 @@ def test_masked_cells_are_missing_and_unknown_errors_are_left_to_the_scatter():
     assert np.isnan(measured.values[1, 0]) and measured.variance[:, 0].tolist() == pytest.approx([0.0, 0.01])
 
 
+@pytest.mark.slow
 def test_rows_that_are_set_aside_keep_the_others_magnitudes():
     records = Records.of([[0.0], [np.nan], [2.0]], sigma=1.0)
     assert Magnitudes([10.0, 11.0, 12.0]).of(records).values[:, 0].tolist() == [10.0, 12.0]

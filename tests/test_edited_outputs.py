@@ -39,6 +39,7 @@ EDITS = {
 }
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("edit", EDITS)
 def test_an_edited_table_is_told_of_or_refused(edit, output, tmp_path):
     table, facts = output[0].copy(), dict(output[1])

@@ -48,6 +48,7 @@ def faint() -> tuple[Field, Found]:
     return field, by_magnitudes(field)
 
 
+@pytest.mark.slow
 def test_errors_that_grow_with_magnitude_are_found(faint: tuple[Field, Found]) -> None:
     _, (_, estimate) = faint
     (trend,) = estimate.trends
@@ -67,6 +68,7 @@ def test_they_find_what_true_errors_find(faint: tuple[Field, Found]) -> None:
     assert abs(wrong - (1.0 - p).sum()) < 3.0 * np.sqrt((p * (1.0 - p)).sum())
 
 
+@pytest.mark.slow
 def test_errors_that_grow_toward_the_rim_are_found() -> None:
     _, estimate = by_magnitudes(growing_field(np.random.default_rng([7, 2]), 3000, rim_is_worse))
     (trend,) = estimate.trends
@@ -88,6 +90,7 @@ def test_honest_errors_do_not_grow(number: int) -> None:
     assert not estimate.trends and not estimate.errors.as_modelled
 
 
+@pytest.mark.slow
 def test_records_that_have_no_magnitude_take_the_typical_error() -> None:
     scene, (one, two), errors = growing_field(np.random.default_rng([7, 3]), 2000, faint_are_worse)
     two = np.where(np.random.default_rng(1).uniform(size=len(two)) < 0.1, np.nan, two)

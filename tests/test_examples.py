@@ -39,6 +39,7 @@ def test_the_packages_hold_what_we_think(tables: tuple[Table, Table]) -> None:
     assert np.sum(gaia["source_id"] < 0) == 70
 
 
+@pytest.mark.slow
 def test_stars_put_in_from_hipparcos_are_moved_to_2016_but_for_polaris(tables: tuple[Table, Table]) -> None:
     hipparcos, gaia = tables
     bright = gaia[gaia["source_id"] < 0]

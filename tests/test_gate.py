@@ -367,6 +367,7 @@ def listed_alike(rng, first, second, gate=GATES["box"][0], times=4):
             assert by_id(search(shuffled(rng, first), shuffled(rng, second))) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_listing_does_not_depend_on_the_row_order(d):
     rng = np.random.default_rng(d)

@@ -36,6 +36,7 @@ def found(frames):
 # ---- what they are for ----
 
 
+@pytest.mark.slow
 def test_quoted_errors_take_away_a_third_of_the_wrong_identifications(frames, found):
     without = [match(made.scene.first, made.scene.second, precision=False)[0] for made in frames]
     with_grades = sum(wrong(answer, made.scene) for (answer, _), made in zip(found, frames, strict=True))

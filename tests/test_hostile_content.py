@@ -59,6 +59,7 @@ def test_names_of_columns_are_one_line_and_their_tables_are_read_again(ending, t
     ]  # fmt: skip
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
 @pytest.mark.parametrize("text", CONTROLS)
 def test_what_is_said_of_columns_does_not_make_a_table_unreadable(text, ending, tmp_path):

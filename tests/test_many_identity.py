@@ -213,6 +213,7 @@ def test_two_sources_are_identify_with_the_same_rules():
         same_as_identify(many, identify(*sources, rule=CloseObjects(1.0, 6.0) + identity, prior=prior))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", [None, 3.0])
 def test_the_order_of_sources_and_rows_changes_nothing(grid):
     rng = np.random.default_rng(21)

@@ -278,6 +278,7 @@ def test_the_page_holds_the_columns_of_the_sheet(shown: tuple[Browser, MapSheet]
     )
 
 
+@pytest.mark.slow
 @in_a_browser
 def test_the_page_and_the_plane_agree_on_the_earth(shown: tuple[Browser, MapSheet]) -> None:
     browser, _ = shown

@@ -380,6 +380,7 @@ def test_no_name_of_a_folder_adds_a_property(tmp_path):
     assert len(HatsCatalogue.open(tmp_path / name).cells) == len(HatsCatalogue.open(tmp_path / "plain").cells)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["files no larger than 2 kB", "a folder that disappears"])
 def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, monkeypatch):
     resource = pytest.importorskip("resource")
@@ -524,6 +525,7 @@ def test_formats_are_refused_over_partitions(tmp_path, option):
         sameas.match(*paths, sigma="pos_err", **{option: "fits"})
 
 
+@pytest.mark.slow
 def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatch):
     """The collection was called whole, and the folder of the run stayed beside it."""
     import signal

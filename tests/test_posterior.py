@@ -351,6 +351,7 @@ def test_thin_groups_around_an_entangled_one_stay_exact(monkeypatch):
     assert ours[n1 + 1, n2 + 1] == pytest.approx(math.exp(2.0) / (1 + math.exp(2.0) + math.exp(0.5)), abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [200, 300])
 def test_a_crowd_of_hundreds_has_probabilities(n):
     """Each of n records may be each of n others, all alike: products of hundreds of numbers made NaN of all of them."""

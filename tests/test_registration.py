@@ -153,6 +153,7 @@ def test_a_shift_of_any_size_costs_nothing(shift):
     assert np.mean(lost) < 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "make, theta",
     [
@@ -177,6 +178,7 @@ def test_other_offsets_are_found_within_their_errors(make, theta):
         assert f1(made, found.identification) > unshifted - 0.1
 
 
+@pytest.mark.slow
 def test_standard_errors_are_true():
     z = []
     for seed in range(45):
@@ -249,6 +251,7 @@ def test_a_small_field_on_the_sphere_is_shifted_east_and_north(lat_deg):
     assert f1(made, found.identification) > 0.95
 
 
+@pytest.mark.slow
 def test_many_records_are_searched_by_their_pictures_and_by_patches():
     made = field(10, n=700, density=0.01, q=0.1)
     model = Similarity().placed(made.first, made.second)
@@ -288,6 +291,7 @@ def test_sources_that_share_nothing_are_told_so():
     assert wrongly_sure <= 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("q", [0.05, 0.3])
 def test_a_lattice_fits_in_several_ways(q):
     for seed in range(3):

@@ -22,6 +22,7 @@ print(round(Time(57000.0, format="mjd", scale="utc").tai.mjd % 1 * 86400), len(a
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("room", "fetches"), [("sameas.times", False), ("astropy.time", True)])
 def test_old_leap_seconds_are_not_replaced_over_the_network(room, fetches):
     run = subprocess.run([sys.executable, "-W", "ignore", "-c", _OLD.format(room=room)], capture_output=True, text=True)

@@ -23,6 +23,7 @@ def test_a_record_is_explained_in_words_of_the_sky(sameas, matched):
     assert "first s110 (row 110) has no partner" in sameas("explain", matched, "s110").stdout
 
 
+@pytest.mark.slow
 def test_unknown_records_and_changed_or_missing_inputs_are_refused(tmp_path, refusal, matched, field_files):
     assert "first has no record with the id x; its first ids are" in refusal("explain", matched, "x")
     assert "has no provenance" in refusal("explain", field_files[0], "s1")
@@ -44,6 +45,7 @@ def test_a_record_is_explained_when_the_inputs_have_moved(tmp_path, sameas, refu
     assert "first s110 has no partner, probability" in sameas("explain", matched, "s110").stdout
 
 
+@pytest.mark.slow
 def test_an_id_of_the_other_catalogue_is_pointed_out(tmp_path, sameas, refusal, field_files):
     table = field(100, 3)
     table["name"] = [f"t{k}" for k in range(100)]

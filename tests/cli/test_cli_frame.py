@@ -108,6 +108,7 @@ def test_what_is_printed_tells_place_counts_and_assumptions(done):
         assert " ".join(words.split()).lower() in " ".join(text.split()).lower(), words
 
 
+@pytest.mark.slow
 def test_what_was_estimated_is_printed_with_its_standard_error(done):
     out, text = done
     told, words = json.loads((out / "night.json").read_text())["estimated"], " ".join(text.split())

@@ -21,6 +21,7 @@ def pairs(path):
     )
 
 
+@pytest.mark.slow
 def test_blends_are_written_beside_the_joined_table(tmp_path, sameas, refusal):
     made = blended_field(np.random.default_rng(6), objects=300)
     files = [tmp_path / "coarse.csv", tmp_path / "fine.csv"]
@@ -37,7 +38,7 @@ def test_blends_are_written_beside_the_joined_table(tmp_path, sameas, refusal):
     assert "give the resolution of the first catalogue" in refusal("match", *files, "-o", out, "--blends", "-1")
 
 
-@pytest.mark.slow_after(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fits", "vot", "ecsv", "csv", "parquet"])
 def test_every_format_in_and_out_gives_the_same_pairs_and_keeps_its_provenance(tmp_path, sameas, kind):
     unit = ["--sigma-unit", "arcsec"] if kind == "csv" else []
@@ -67,6 +68,7 @@ def test_the_printed_text_tells_what_was_understood_estimated_and_found(tmp_path
     assert "\x1b" not in text
 
 
+@pytest.mark.slow
 def test_provenance_is_the_same_but_for_the_date_and_the_paths(tmp_path, sameas, field_files):
     told = []
     for name in ("one.fits", "two.fits"):
@@ -119,7 +121,7 @@ def test_pictures_are_drawn_of_all_that_there_is(tmp_path, sameas, field_files):
     assert all(name in text for name in names)
 
 
-@pytest.mark.slow_after(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(("join", "rows"), [("1and2", 100), ("1not2", 20), ("1or2", 120), ("2not1", 0)])
 def test_joins_by_the_names_of_stilts(tmp_path, sameas, field_files, join, rows):
     sameas("match", *field_files, "-o", tmp_path / "out.ecsv", "--join", join, "-q", "--nway-columns")

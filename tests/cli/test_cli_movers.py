@@ -81,6 +81,7 @@ def luxembourg(tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     header = tmp_path / "who.toml"
     header.write_text(

@@ -21,6 +21,7 @@ def tables():
     return first, second, swapped
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("ending", ["fits", "csv", "parquet"])
 def test_what_changed_is_told_and_nothing_else(tables, tmp_path, ending: str) -> None:
     first, second, swapped = tables

@@ -42,6 +42,7 @@ def test_a_match_in_memory_is_explained_from_its_file(match, tmp_path, ending):
     assert str(sameas.explain(path, row=5)) == str(sameas.explain(path, "a5"))
 
 
+@pytest.mark.slow
 def test_a_record_of_the_second(match, tmp_path):
     path = tmp_path / "out.fits"
     match.write(path, "1or2")

@@ -54,6 +54,7 @@ def found(made):
     return sameas.match_frame(path, stars, aim=WHERE, scale=(1.9, 2.1))
 
 
+@pytest.mark.slow
 def test_a_frame_is_matched_with_a_table(made, found):
     assert len(found) > 50 and len(found.pairs) == len(found)
     assert found.pairs["id_2"].min() >= 1000 and (found.table["fate"] == "identified").sum() == len(found)
@@ -96,6 +97,7 @@ def test_pictures_and_notebooks(found):
         found.plot("x")
 
 
+@pytest.mark.slow
 def test_what_is_lacking_is_named_as_python_has_it(made):
     path, stars = made
     refused: dict[str, dict[str, Any]] = {

@@ -54,11 +54,13 @@ def test_an_offset_of_one_catalogue_is_found_and_taken_away(three, found):
     assert any("offset='find'" in doubt for doubt in without.doubts)
 
 
+@pytest.mark.slow
 def test_the_order_of_the_catalogues_changes_nothing(three, found):
     again = sameas.match_many(three[::-1], sigma1=0.2, sigma2=0.1, sigma3=0.05, id="name", offset="find")
     assert len(again) == len(found) and names(again) == names(found)
 
 
+@pytest.mark.slow
 def test_it_takes_what_match_takes(three):
     columns = [{name: values for name, values in one.items() if name != "name"} for one in three[:2]]
     plain = sameas.match_many(*columns, sigma=0.1)

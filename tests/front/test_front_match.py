@@ -18,6 +18,7 @@ from sameas.io import read_provenance, read_table
 from sameas.sky import Catalogue, CatalogueOptions
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("guise", GUISES)
 def test_whatever_holds_positions_is_matched_alike(stars, in_memory, guise):
     first, second = GUISES[guise](stars.first), GUISES[guise](stars.second)

@@ -49,6 +49,7 @@ def found(toml):
     return sameas.match_picture({"ais": ais, "radar": radar}, sensors=toml, every=15.0)
 
 
+@pytest.mark.slow
 def test_tables_in_memory_make_the_picture_that_their_files_make(found, toml, tmp_path) -> None:
     pd = pytest.importorskip("pandas")
     ais, radar = harbour()

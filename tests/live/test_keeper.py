@@ -38,6 +38,7 @@ def ticked(keeper, until_s, since_s=0.0, every_s=2.0):
     return frame
 
 
+@pytest.mark.slow
 def test_ships_and_their_targets_are_one_and_the_journal_says_so(keeper, tmp_path):
     frame = ticked(keeper, 60.0)
     assert len(numbers(frame)) == 5
@@ -55,6 +56,7 @@ def test_ships_and_their_targets_are_one_and_the_journal_says_so(keeper, tmp_pat
     assert set(archive["object"]) == set(frame.objects["object"].tolist()) and len(set(archive["time_s"])) >= 5
 
 
+@pytest.mark.slow
 def test_a_watch_that_ended_goes_on_with_the_same_numbers(tmp_path):
     first = Keeper(settings(), tmp_path, replay=replay())
     before = numbers(ticked(first, 60.0))
@@ -92,6 +94,7 @@ def test_killed_without_warning_it_keeps_who_is_who(tmp_path):
     again.close()
 
 
+@pytest.mark.slow
 def test_deltas_joined_are_the_frame(keeper):
     objects, records = {}, {}
     for k in range(1, 20):
@@ -327,7 +330,7 @@ def test_the_archive_waits_ten_minutes_at_most(tmp_path):
     keeper.close()
 
 
-@pytest.mark.slow_after(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "change", "kind", "words"),
     [

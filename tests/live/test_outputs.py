@@ -36,6 +36,7 @@ def placed(frame):
     return {one["object"]: one for one in frame.listed()}
 
 
+@pytest.mark.slow
 def test_asterix_062_is_what_the_reader_reads(frame):
     [reports] = read_back(frame, "asterix", "asterix")
     truth = placed(frame)

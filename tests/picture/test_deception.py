@@ -79,7 +79,7 @@ def test_a_live_picture_finds_them_too(changes, kind):
     assert pickle.loads(pickle.dumps(live)).faults() == ()
 
 
-@pytest.mark.slow_after(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_sound_picture_raises_none(seed):
     assert faults(scene(seed, radars=("radar", "other"))) == ()

@@ -32,6 +32,7 @@ def test_it_is_found_whatever_the_kind_is_believed_to_do(kind, tau_s):
     assert abs(learned(tau_s, kind) - true) < 0.12
 
 
+@pytest.mark.slow
 def test_what_the_user_says_is_not_learned():
     assert learned(180.0, given={"one": 0.0}) == 0.0
     assert learned(0.0, given={"one": 30.0}) == pytest.approx(np.exp(-1.0 / 3.0))

@@ -238,6 +238,7 @@ def test_stale_reports_are_said_to_be_left_out():
     assert stages[0] == "confirmed" and stages[-1] == "ended"
 
 
+@pytest.mark.slow
 def test_a_ghost_of_real_traffic_never_appears():
     if not SOLENT.exists():
         pytest.skip("needs the Solent AIS log of Stone Soup's demos")

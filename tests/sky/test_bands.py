@@ -53,6 +53,7 @@ def test_magnitudes_are_used_unless_switched_off(sides, found, made):
     assert found.estimate.photometry is not None and wrong(found, made) < 0.5 * wrong(off, made)
 
 
+@pytest.mark.slow
 def test_bands_can_be_named(sides, made):
     first, second = sides
     found = match(first, second, MatchOptions(magnitudes="mag:vmag, Imag"))

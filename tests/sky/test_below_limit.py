@@ -89,7 +89,7 @@ def test_the_best_motion_of_every_pixel(compiled):
     np.testing.assert_array_equal(which[best > 0], rate[best > 0])
 
 
-@pytest.mark.slow_after(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_mover_that_no_frame_shows_is_found_and_measured(seed):
     tied, frames, track = series(seed, 0.6)
@@ -118,6 +118,7 @@ def test_what_is_linked_is_not_found_again():
     assert len(again) == 1
 
 
+@pytest.mark.slow
 def test_noise_and_stars_alone_make_no_candidate_that_is_believed():
     tied, frames, _ = series(5)
     _, _, below = searched(tied, frames, least_probability=0.0)

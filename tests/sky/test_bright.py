@@ -35,6 +35,7 @@ def test_the_fastest_star_has_its_motion(table):
     assert star["pmra_error"] < 0.2
 
 
+@pytest.mark.slow
 def test_most_stars_of_hipparcos_are_found_and_the_others_have_an_unknown_motion(table):
     with_motion = np.isfinite(table["pmra"])
     assert 200 < with_motion.sum() < len(table)

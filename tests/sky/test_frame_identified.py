@@ -159,6 +159,7 @@ def test_the_loop_rests_and_finds_the_cubic_that_bends_the_frame(found: FrameIde
     assert np.median(np.abs(found.residual_px)) < 0.1
 
 
+@pytest.mark.slow
 def test_normalised_residuals_have_unit_spread(found: FrameIdentification) -> None:
     i, j, _ = found.pairs
     variance = found.measured.covariance[i][:, [0, 2]] + found.predicted_covariance[j][:, [0, 2]]
@@ -245,6 +246,7 @@ def test_a_star_close_to_another_is_missing_because_of_it() -> None:
     assert f"is {10**6 + row}; one mark for both" in companion["remark"][0]
 
 
+@pytest.mark.slow
 def test_what_a_shallow_catalogue_does_not_reach_is_said(seen: Scene, found: FrameIdentification) -> None:
     from sameas.report.frame import frame_lines
 

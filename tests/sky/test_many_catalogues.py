@@ -104,6 +104,7 @@ def test_stars_are_found_as_surely_as_is_said(scene: Sky, found: ManyMatch) -> N
     assert found.settled and not found.doubts
 
 
+@pytest.mark.slow
 def test_expected_numbers_of_objects_are_those_of_the_truth(scene: Sky, found: ManyMatch) -> None:
     names = [catalogue.name for catalogue in found.catalogues]
     shown = np.array([np.array(one) >= 0 for one in scene.truth()])
@@ -158,6 +159,7 @@ def test_the_order_of_the_catalogues_changes_nothing(scene: Sky, found: ManyMatc
         assert expected == pytest.approx({tuple(sorted(names)): number for names, number in found.expected.items()})
 
 
+@pytest.mark.slow
 def test_the_order_of_the_rows_changes_nothing(scene: Sky, found: ManyMatch) -> None:
     rng = np.random.default_rng(3)
     orders = [rng.permutation(len(catalogue)) for catalogue in scene.catalogues]
@@ -170,6 +172,7 @@ def test_the_order_of_the_rows_changes_nothing(scene: Sky, found: ManyMatch) -> 
     assert set(map(tuple, np.column_stack(back).tolist())) == objects(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "where", [Cap(0.0, 90.0, 1.0), Cap(10.0, -89.5, 1.0), Cap(0.0, 0.0, 1.0), Cap(359.9, 60.0, 1.0)]
 )

@@ -34,6 +34,7 @@ def test_movers_of_a_crowded_night_are_found_whole():
     assert pure.mean() > 0.97 and whole.sum() >= 0.93 * there
 
 
+@pytest.mark.slow
 def test_stated_probabilities_are_frequencies():
     p, right = [], []
     for seed in range(30, 44):

@@ -109,6 +109,7 @@ def catalogue(records, name):
     return Catalogue.of(Table({"ra": ra, "dec": dec, "sigma_arcsec": np.sqrt(records.covariance[:, 0])}), name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vector", [(0.15, -0.1, 0.0), (8.0, -5.0, 0.0)], ids=["part of an error", "many errors"])
 def test_catalogues_off_each_other_are_doubted_and_brought_together(vector):
     made = scene(Cap(40.0, 60.0, 0.4), 1500)

@@ -76,6 +76,7 @@ def test_a_trail_has_the_ends_and_the_errors_that_it_was_drawn_with():
     assert 0.6 < np.sqrt((pull**2).mean()) < 1.6 and np.abs(np.array(off)).max() < 1.0
 
 
+@pytest.mark.slow
 def test_stars_are_no_trails():
     made, exposures, _ = frames(3, count=2)
     one = exposures[0]
@@ -86,7 +87,8 @@ def test_stars_are_no_trails():
     assert alone.sum() > 20 and not any(trail is not None for trail in found)
 
 
-@pytest.mark.parametrize("rate", [(2.5, -1.8), pytest.param((5.0, -4.0), marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [(2.5, -1.8), (5.0, -4.0)])
 def test_a_mover_that_trails_is_found_by_its_trails(rate):
     made, exposures, middle = frames(5, rate=rate, flux=1.5e4)
     series = with_trails(tie(exposures), made)

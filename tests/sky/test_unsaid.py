@@ -167,6 +167,7 @@ def test_the_motions_of_a_survey_without_errors_have_those_of_its_release() -> N
     np.testing.assert_allclose(1e3 * np.sqrt(said.covariance[0, 0]), np.hypot(0.4, 70.0), rtol=0.02)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("sigma", [0.02, 0.3, 2.0])
 @pytest.mark.parametrize("unrelated", [0, 300])
 def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int) -> None:
@@ -192,6 +193,7 @@ def test_two_catalogues_without_errors_get_the_same_one_whichever_moves() -> Non
     assert 2.0 * found[0] ** 2 + 0.16**2 == pytest.approx(0.3**2, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("covered", [1.0, 0.4])
 def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) -> None:
     rng = np.random.default_rng(7)

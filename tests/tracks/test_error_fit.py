@@ -65,6 +65,7 @@ def fitted():
     return scene(1).with_fitted_errors()
 
 
+@pytest.mark.slow
 def test_errors_clutter_and_lateness_are_those_of_the_scene(fitted):
     after, fit = fitted
     assert fit.fitted == tuple(TRUTH)
@@ -107,6 +108,7 @@ def test_numbers_that_a_user_gave_stay():
     assert kept.errors.bearing_deg != radar.errors.bearing_deg
 
 
+@pytest.mark.slow
 def test_too_few_looks_a_single_source_and_stated_errors_are_left_alone():
     whole = scene(3)
     assert fit_errors(whole.feeds[:1]).feeds == whole.feeds[:1]
@@ -118,6 +120,7 @@ def test_too_few_looks_a_single_source_and_stated_errors_are_left_alone():
     assert fit_errors((stated, *whole.feeds[1:])).feeds[0] is stated
 
 
+@pytest.mark.slow
 def test_what_all_have_in_common_is_in_the_fused_covariance_and_in_no_record():
     after, fit = scene(4).with_fitted_errors()
     assert fit.shared_m > 0.0

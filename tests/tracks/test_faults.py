@@ -27,11 +27,13 @@ def with_jump(reports, seconds):
     return replace(reports, time_s=time_s)
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_sound_sources_raise_no_alarm(seed):
     assert found(*sources(seed)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [30.0, -30.0])
 def test_a_clock_that_jumps_is_told_with_its_jump_and_when(seconds):
     radar, (described, ais) = sources()

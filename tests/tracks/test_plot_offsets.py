@@ -84,6 +84,7 @@ def test_a_scene_is_what_it_is_said_to_be():
         boat_radar(np.random.default_rng(1), common=-1)
 
 
+@pytest.mark.slow
 def test_two_peaks_of_the_search_that_are_one_solution_are_no_rivals():
     rng = np.random.default_rng(2035)
     azimuth_deg = rng.uniform(0.5, 8.0) * rng.choice([-1, 1])

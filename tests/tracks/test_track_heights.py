@@ -44,6 +44,7 @@ def judged(picture: Picture) -> tuple[int, int]:
     return right, wrong
 
 
+@pytest.mark.slow_after(1)
 @pytest.mark.parametrize(("other", "shift_m"), [("pressure_alt_m", 0.0), ("alt_m", 250.0), ("pressure_alt_m", 150.0)])
 def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str, shift_m: float) -> None:
     rng = np.random.default_rng(1)
