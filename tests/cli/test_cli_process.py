@@ -76,6 +76,15 @@ def test_a_name_that_is_too_long_for_a_file_is_no_fault_of_sameas(command, tmp_p
         assert "the name is too long for a file; give a shorter one" in said
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="such a folder cannot be removed there")
+def test_a_folder_that_is_gone_under_the_command_is_no_fault_of_sameas(tmp_path, field_files, monkeypatch, refusal):
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    said = refusal("match", *field_files, "-o", "out.fits")
+    assert said == "the folder that this was started in no longer exists; change to another"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", ["0", "1", "2"])
 def test_a_stream_that_is_closed_stops_nothing(closed, tmp_path, field_files):

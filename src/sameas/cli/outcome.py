@@ -133,6 +133,8 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
         from sameas.io.atomic import refused_by_disk
 
         reason = refused_by_disk(error)
+        if error.errno == errno.ENOENT and error.filename is None:
+            _end("the folder that this was started in no longer exists; change to another", INPUT_ERROR, debug)
         if error.errno in _OF_THE_SYSTEM:
             _end(f"{error.filename or 'this process'}: {_OF_THE_SYSTEM[error.errno]}", INPUT_ERROR, debug)
         if reason is None:
