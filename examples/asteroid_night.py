@@ -25,9 +25,8 @@ from astropy.time import Time
 from sameas.io import read_table, replacing, write_table
 from sameas.simulate import Camera, Moffat, frame_of_sky
 from sameas.sky import Pointing
-from sameas.sky.frame.tangent import unit_vectors
 from sameas.sky.movers.orbits import DEMO, Elements, ephemeris, geocentric_km
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 SEED = 2713
 #: Starts of the exposures, and how long they are; latitude, longitude and height of the station.

@@ -27,8 +27,7 @@ from sameas.io import read_table, replacing, write_table
 from sameas.io.catalogues import bright
 from sameas.simulate import Camera, Gaussian, Lens, SimulatedFrame, frame_of_sky
 from sameas.sky import Cone, Pointing, StarField
-from sameas.sky.frame.tangent import unit_vectors
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 SEED = 20260614
 SIDE_PX, SCALE_ARCSEC = 1200, 30.0
