@@ -145,7 +145,7 @@ def chain(members, weight):
     parent = np.array([members.index(m[:-1]) if len(m) > 2 else -1 for m in members])
     first, last = np.array([m[0] for m in members]), np.array([m[-1] for m in members])
     size = np.array([len(m) for m in members])
-    return Tracks(first, last, parent, size, weight, weight, np.zeros((n, 6)), np.zeros((n, 6, 6)))
+    return Tracks(first, last, parent, size, weight, weight, size, np.zeros(n), np.zeros((n, 6)), np.zeros((n, 6, 6)))
 
 
 def test_long_tracks_stay_one():

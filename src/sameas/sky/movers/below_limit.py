@@ -676,4 +676,5 @@ def _movers(
     seen = replace(seen, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)
     even = np.repeat(p[:, None], 3, axis=1)
-    return Movers(seen, found.model, members, p, p, even, log_weight, chance, 0.0, np.zeros((k, 6)), prefix=ADDED)
+    return Movers(seen, found.model, members, p, p, even, log_weight, chance, 0.0, np.zeros((k, 6)),
+                  np.full(k, 3), np.zeros(k), prefix=ADDED)  # fmt: skip

@@ -12,6 +12,7 @@ of brightness m_i has and n that of any detection.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -40,7 +41,8 @@ class Links:
     """Links of detections i to later ones j, (m,) each.
 
     minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : the
-    part of it that magnitudes, and the trail of j, say. misses : exposures between that saw the place.
+    part of it that magnitudes, and the trail of j, say. misses : exposures between that saw the place. far : so fast
+    that chance alone makes more links than are tried; a third exposure supports them.
     """
 
     i: IntArray
@@ -50,6 +52,7 @@ class Links:
     log_ratio: FloatArray
     log_brightness: FloatArray
     misses: IntArray
+    far: BoolArray
 
     def __len__(self) -> int:
         return len(self.i)
@@ -60,14 +63,41 @@ class Links:
 
 
 def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
-    """The links that could belong to a mover, by ascending exposure of j."""
+    """The links that could belong to a mover and are near enough to be tried by themselves, by exposure of j."""
     reach = Reach.of(around, model, tuning)
-    pairs = _pairs(around, reach, tuning)
+    return _best_links(around, _links_of(around, model, tuning, reach, _pairs(around, reach, tuning)), tuning)
+
+
+def with_far_links(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
+    """The links, and those of fast movers among so many detections that chance makes more than are tried.
+
+    Such a link is tried where three exposures that follow each other, one of them passed over at most, show detections
+    in a straight line: of a hundred pairs by chance few have a third.
+    """
+    reach = Reach.of(around, model, tuning)
+    every = replace(reach, arcsec=reach.uncapped)
+    pairs = _supported(around, reach, every, tuning)
+    if not len(pairs):
+        return links
+    far = _links_of(around, model, tuning, every, pairs)
+    far = far.only(np.hypot(*far.offset.T) >= reach(far.minutes))
+    far = _best_links(around, far, tuning)
+    far = replace(far, far=np.ones(len(far), bool))
+    both = Links(*(np.concatenate([getattr(p, name) for p in (links, far)]) for name in Links.__dataclass_fields__))
+    return both.only(np.lexsort([both.i, around.detections.frame[both.j]]))
+
+
+def _links_of(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
+    """The links among some pairs, weighed a part at a time."""
     parts = [
         _weighed(around, model, tuning, reach, pairs[first : first + AT_ONCE])
         for first in range(0, max(len(pairs), 1), AT_ONCE)
     ]
-    links = Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
+    return Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
+
+
+def _best_links(around: Surroundings, links: Links, tuning: Tuning) -> Links:
+    """The best links of every detection to later ones, by ascending exposure of the later one."""
     order = np.lexsort([-links.log_ratio, links.i])
     place = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
     links = links.only(order[place < tuning.links])
@@ -93,7 +123,8 @@ def _frames_apart(around: Surroundings, misses: int) -> int:
     With more between them than this, one place in a hundred was seen so rarely that the link passes over no more than
     ``misses`` of those that saw it.
     """
-    some = around.seen[:: max(1, len(around.seen) // 500)]
+    before = around.coverage.before
+    some = before[:: max(1, len(before) // 500)]
     spans = [
         np.searchsorted(saw, saw[1:][np.diff(saw) > 0] + misses, side="right") - np.flatnonzero(np.diff(saw)) - 1
         for saw in some
@@ -130,7 +161,56 @@ def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Re
         model.log_odds + model.rates.log_density(rate, error) - 2.0 * np.log(minutes) - around.log_density[j]
         + bright + trail_i + misses * math.log(1.0 - model.p_detect)
     )  # fmt: skip
-    return Links(i, j, minutes, offset, log_ratio, bright, misses).only(log_ratio > tuning.least_log_ratio)
+    links = Links(i, j, minutes, offset, log_ratio, bright, misses, np.zeros(len(i), bool))
+    return links.only(log_ratio > tuning.least_log_ratio)
+
+
+def _supported(around: Surroundings, near: Reach, far: Reach, tuning: Tuning) -> IntArray:
+    """(m, 2) pairs farther apart than those tried by themselves, that a third detection lies in line with.
+
+    far : how far a mover may go.
+    """
+    seen, unit = around.detections, around.axes.unit
+    order = np.argsort(seen.frame, kind="stable")
+    bounds = np.searchsorted(seen.frame[order], np.arange(len(seen.frame_names) + 1))
+    rows = [order[a:b] for a, b in itertools.pairwise(bounds.tolist())]
+    tree = [cKDTree(unit[mine]) if len(mine) else None for mine in rows]
+    when = seen.frame_mjd * 1440.0
+    sigma = np.sqrt(0.5 * np.trace(around.covariance, axis1=1, axis2=2))
+    out = [np.empty((0, 2), np.int64)]
+    for a, b in _following(len(rows)):
+        first, second, minutes = tree[a], tree[b], when[b] - when[a]
+        if first is None or second is None or not minutes > 0:
+            continue
+        least, most = float(near(np.array([minutes]))[0]), float(far(np.array([minutes]))[0])
+        # So many pairs are tried that the cost stays bounded; among more detections, less fast movers.
+        density = len(rows[a]) * len(rows[b]) * math.exp(float(np.median(around.log_density[rows[b]]))) / len(rows[b])
+        most = min(most, math.sqrt(least**2 + tuning.far_pairs / (math.pi * max(density, 1e-300))))
+        if most <= least:
+            continue
+        pairs = first.sparse_distance_matrix(second, most / ARCSEC_PER_RADIAN, output_type="ndarray")
+        pairs = pairs[pairs["v"] > least / ARCSEC_PER_RADIAN]
+        i, j = rows[a][pairs["i"]], rows[b][pairs["j"]]
+        for c in (b + 1, b + 2):
+            third = tree[c] if c < len(rows) else None
+            if third is None or not when[c] > when[b]:
+                continue
+            q = (when[c] - when[b]) / minutes
+            at = unit[j] + q * (unit[j] - unit[i])
+            at /= np.linalg.norm(at, axis=1, keepdims=True)
+            speed = pairs["v"] * (ARCSEC_PER_RADIAN / minutes)
+            bend = tuning.bend_arcsec_per_min2 * speed / tuning.bend_rate * minutes**2 * q
+            spread = sigma[i] ** 2 * q**2 + sigma[j] ** 2 * (1.0 + q) ** 2 + bend**2
+            reach = tuning.far_sigmas * np.sqrt(spread + float(np.percentile(sigma[rows[c]], 90.0)) ** 2)
+            far_off, k = third.query(at, distance_upper_bound=float(reach.max(initial=0.0)) / ARCSEC_PER_RADIAN)
+            hit = far_off * ARCSEC_PER_RADIAN < reach
+            out += [np.column_stack([i[hit], j[hit]]), np.column_stack([j[hit], rows[c][k[hit]]])]
+    return np.unique(np.concatenate(out), axis=0)
+
+
+def _following(frames: int) -> list[tuple[int, int]]:
+    """Exposures and those that follow them, one passed over at most."""
+    return [(a, b) for a in range(frames) for b in (a + 1, a + 2) if b < frames]
 
 
 def rates_of(
@@ -146,11 +226,13 @@ def rates_of(
 class Reach:
     """How far the next detection of a mover may be before its ln λ falls below the least.
 
-    minutes, arcsec : (200,) ascending times between the two, and how far.
+    minutes, arcsec : (200,) ascending times between the two, and how far. uncapped : the same, however many other
+    detections lie there.
     """
 
     minutes: FloatArray
     arcsec: FloatArray
+    uncapped: FloatArray
 
     def __call__(self, minutes: FloatArray) -> FloatArray:
         """(m,) arcsec after some minutes."""
@@ -179,7 +261,7 @@ class Reach:
             height = room + math.log(share) - np.log(2 * np.pi * sigma**2)
             far = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
             best = np.maximum(best, np.minimum(far, tuning.fastest_arcsec_per_min * minutes + 1.0))
-        return cls(minutes, np.minimum(best, max(crowded, 3.0 * error)))
+        return cls(minutes, np.minimum(best, max(crowded, 3.0 * error)), best)
 
 
 def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i: IntArray, j: IntArray) -> FloatArray:

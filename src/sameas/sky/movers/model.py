@@ -8,8 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import betaln
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import (
@@ -17,6 +18,7 @@ from sameas.sky.movers.rates import (
     SOLAR_SYSTEM,
     EclipticAxes,
     RateDensity,
+    ecliptic_longitude_deg,
     reference_rate,
     sun_longitude_deg,
 )
@@ -32,7 +34,10 @@ class Tuning:
     fastest_arcsec_per_min : nothing faster is searched.
     least_log_ratio : two detections of less ln λ begin no track; links of more may join one.
     links : most links that a detection has to later ones, the best of them.
-    tracks : most tracks that end at one detection and are grown further, the best of them.
+    tracks : most tracks that end at one detection and are grown further, the best of them; of two detections, of two
+        far apart, and of more, so many each.
+    far_pairs : among so many detections that chance makes more than ``links``, pairs of two exposures are tried that a
+        third detection lies in line with, so many at most. far_sigmas : in line, to so many standard deviations.
     misses : a track may pass over so many exposures in a row that saw its place, but not it.
     neighbours : the density around a detection is that of so many others of its exposure.
     bend_arcsec_per_min2, bend_rate : 1σ of the acceleration of a mover as slow as the second, arcsec/min; of faster,
@@ -42,6 +47,10 @@ class Tuning:
     odd_brightness : share of detections whose brightness says nothing (blends, wrong bands).
     no_trail : share of the detections of fast movers whose trail is not measured.
     trail_range : trails of no common rate differ in length by so many e-folds, evenly in ln length.
+    evenness : how alike movers are in how many exposures show them: the share of each is drawn from a Beta distribution
+        of so many counts, for bright ones are shown nearly always, faint ones seldom.
+    around : so many exposures before and after a track are asked whether they saw where it then was. least_ended : of
+        tracks of more ln w.
     sure : tracks of another by one detection less, whose last one adds more than this to ln w, do not compete.
     """
 
@@ -49,6 +58,8 @@ class Tuning:
     least_log_ratio: float = -6.0
     links: int = 12
     tracks: int = 8
+    far_pairs: float = 3e5
+    far_sigmas: float = 4.0
     misses: int = 4
     neighbours: int = 8
     bend_arcsec_per_min2: float = 1.7e-4
@@ -59,6 +70,9 @@ class Tuning:
     odd_brightness: float = 0.05
     no_trail: float = 0.15
     trail_range: float = 3.0
+    evenness: float = 1.0
+    around: int = 8
+    least_ended: float = -4.0
     sure: float = 12.0
 
 
@@ -71,12 +85,14 @@ class MotionModel:
     """What is believed of movers.
 
     rates : their density. log_odds : ln of the odds with which a detection has a next one, before the evidence.
+    log_begin : ln of the odds with which a detection begins a mover's track.
     p_detect : probability that an exposure that saw the place of a mover shows it.
     colour : (b, b) mean change of magnitude from a band to another; colour_sigma : (b, b) its spread beside the errors.
     """
 
     rates: RateDensity = SOLAR_SYSTEM
     log_odds: float = -4.0
+    log_begin: float = -4.0
     p_detect: float = 0.7
     bands: tuple[str, ...] = ()
     colour: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -97,6 +113,15 @@ class MotionModel:
                     sigma[a, b] = tuning.variability_mag
         return replace(self, bands=bands, colour=colour, colour_sigma=sigma)
 
+    def log_pattern(self, shown: IntArray, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(k,) ln of the probability that those exposures show a mover that do, after the first.
+
+        shown : so many show it. saw : so many saw its place. The share that shows it differs from mover to mover as a
+        Beta distribution does (beta-binomial), so that a mover that was missed often is missed again.
+        """
+        a, b = tuning.evenness * self.p_detect, tuning.evenness * (1.0 - self.p_detect)
+        return np.asarray(betaln(shown + a, np.maximum(saw - shown, 0) + b) - betaln(1.0 + a, b))
+
 
 @dataclass(frozen=True)
 class Surroundings:
@@ -106,7 +131,7 @@ class Surroundings:
     log_density : (n,) ln of the detections per arcsec² of the same exposure around each.
     reference : (n,) rate in longitude of a circular orbit there, arcsec/min.
     log_brightness : (n,) ln of the density per magnitude of detections as bright in its band, NaN where not measured.
-    cell : (n,) of the sky. seen : (cells, frames+1) number of the exposures before each that saw the cell.
+    coverage : which exposures saw which cell of the sky. cell : (n,) that of each detection.
     trail : (n, 2) rate that the trail shows, arcsec/min on these axes, either way; NaN without one.
     """
 
@@ -117,8 +142,8 @@ class Surroundings:
     log_density: FloatArray
     reference: FloatArray
     log_brightness: FloatArray
+    coverage: Coverage
     cell: IntArray
-    seen: IntArray
     trail: FloatArray
 
     @classmethod
@@ -128,16 +153,17 @@ class Surroundings:
         minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
         elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
         density = _density(detections, axes, tuning.neighbours)
-        cell, seen = _coverage(detections, axes, density)
+        coverage = Coverage.of(detections, axes, density)
         return cls(
             detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
-            reference_rate(elongation), _brightness(detections), cell, seen, _trail(detections, axes),
+            reference_rate(elongation), _brightness(detections), coverage, coverage.cell(axes.unit),
+            _trail(detections, axes),
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:
         """(m,) how many exposures between those of i and j saw the place of i."""
-        frame = self.detections.frame
-        return np.maximum(self.seen[self.cell[i], frame[j]] - self.seen[self.cell[i], frame[i] + 1], 0)
+        frame, before = self.detections.frame, self.coverage.before
+        return np.maximum(before[self.cell[i], frame[j]] - before[self.cell[i], frame[i] + 1], 0)
 
 
 def _trail(detections: Detections, axes: EclipticAxes) -> FloatArray:
@@ -187,29 +213,58 @@ def _brightness(detections: Detections) -> FloatArray:
     return out
 
 
-def _coverage(detections: Detections, axes: EclipticAxes, density: FloatArray) -> tuple[IntArray, IntArray]:
-    """(n,) cell of each detection, and (cells, frames+1) running number of the exposures that saw each cell.
+@dataclass(frozen=True)
+class Coverage:
+    """Which exposures saw which cell of the sky.
 
     An exposure saw a cell if it has a detection there or in one of the eight cells around. The cells are so large that
     three times three hold five detections of a typical exposure.
+
+    side_deg : of a cell. key : (c,) ascending, of the cells with a detection. before : (c, frames+1) number of the
+    exposures before each that saw the cell.
     """
-    frames = len(detections.frame_names)
-    side_deg = math.sqrt(5.0 / 9.0 / float(np.median(density))) / 3600.0
-    latitude = np.degrees(np.arcsin(np.clip(axes.unit @ ECLIPTIC_POLE, -1, 1)))
-    row = np.floor((latitude + 90.0) / side_deg).astype(np.int64)
-    across = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * side_deg - 90.0)) / side_deg)).astype(int)
-    column = np.floor(axes.longitude_deg / 360.0 * across).astype(np.int64)
-    stride = int(across.max(initial=1)) + 3
-    cells, cell = np.unique((row + 1) * stride + column + 1, return_inverse=True)
-    frame_saw = np.zeros((len(cells), frames + 1), np.int64)
-    for drow in (-1, 0, 1):
-        # Rows of another latitude have another number of cells.
-        other = row + drow
-        wide = np.maximum(1, np.floor(360.0 * np.cos(np.radians((other + 0.5) * side_deg - 90.0)) / side_deg))
-        near = np.floor(axes.longitude_deg / 360.0 * wide).astype(np.int64)
-        for dcolumn in (-1, 0, 1):
-            key = (other + 1) * stride + near + dcolumn + 1
-            at = np.minimum(np.searchsorted(cells, key), len(cells) - 1)
-            same = cells[at] == key
-            frame_saw[at[same], detections.frame[same] + 1] = 1
-    return cell, np.cumsum(frame_saw, axis=1)
+
+    side_deg: float
+    key: IntArray
+    before: IntArray
+
+    @classmethod
+    def of(cls, detections: Detections, axes: EclipticAxes, density: FloatArray) -> Coverage:
+        """That of some detections; density : (n,) per arcsec² of their exposures."""
+        side = math.sqrt(5.0 / 9.0 / float(np.median(density))) / 3600.0
+        row, longitude = _rows(axes.unit, side)
+        key = np.unique(_keys(row, longitude, side))
+        saw = np.zeros((len(key), len(detections.frame_names) + 1), np.int64)
+        for drow in (-1, 0, 1):
+            # Rows of another latitude have another number of cells.
+            for dcolumn in (-1, 0, 1):
+                near = _keys(row + drow, longitude, side, dcolumn)
+                at = np.minimum(np.searchsorted(key, near), len(key) - 1)
+                same = key[at] == near
+                saw[at[same], detections.frame[same] + 1] = 1
+        return cls(side, key, np.cumsum(saw, axis=1))
+
+    def cell(self, unit: FloatArray) -> IntArray:
+        """(n,) the cell of each direction (n, 3), −1 where none has a detection."""
+        key = _keys(*_rows(unit, self.side_deg), self.side_deg)
+        at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
+        return np.where(self.key[at] == key, at, -1)
+
+    def saw(self, unit: FloatArray, frame: IntArray) -> BoolArray:
+        """(n,) whether an exposure saw each direction (n, 3)."""
+        cell = self.cell(unit)
+        return np.asarray((cell >= 0) & (self.before[cell, frame + 1] > self.before[cell, frame]))
+
+
+def _rows(unit: FloatArray, side_deg: float) -> tuple[IntArray, FloatArray]:
+    """(n,) the row of cells in ecliptic latitude, and the longitude in degrees, of directions (n, 3)."""
+    row = np.floor((np.degrees(np.arcsin(np.clip(unit @ ECLIPTIC_POLE, -1, 1))) + 90.0) / side_deg).astype(np.int64)
+    return row, ecliptic_longitude_deg(unit)
+
+
+def _keys(row: IntArray, longitude_deg: FloatArray, side_deg: float, beside: int = 0) -> IntArray:
+    """(n,) numbers of cells of rows at some longitudes, or of those so many columns beside them."""
+    across = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * side_deg - 90.0)) / side_deg))
+    column = np.floor(longitude_deg / 360.0 * across).astype(np.int64) + beside
+    stride = math.ceil(360.0 / side_deg) + 3
+    return np.asarray((row + 1) * stride + column + 1)

@@ -42,6 +42,12 @@ def reference_rate(elongation_deg: FloatArray, au: float = 2.7) -> FloatArray:
     return np.asarray(_EARTH_ARCSEC_PER_MIN * (vy * cos - vx * sin) / distance)
 
 
+def ecliptic_longitude_deg(unit: FloatArray) -> FloatArray:
+    """(n,) of directions (n, 3)."""
+    y = unit[:, 1] * math.cos(_TILT) + unit[:, 2] * math.sin(_TILT)
+    return np.asarray(np.degrees(np.arctan2(y, unit[:, 0])) % 360.0)
+
+
 @dataclass(frozen=True)
 class EclipticAxes:
     """Directions and the axes of ecliptic longitude and latitude at them.
@@ -67,8 +73,7 @@ class EclipticAxes:
         east_equator = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)])
         north_equator = np.cross(unit, east_equator)
         turn = np.column_stack([(east * east_equator).sum(1), (east * north_equator).sum(1)])
-        y = unit[:, 1] * math.cos(_TILT) + unit[:, 2] * math.sin(_TILT)
-        return cls(unit, east, north, turn, np.degrees(np.arctan2(y, unit[:, 0])) % 360.0)
+        return cls(unit, east, north, turn, ecliptic_longitude_deg(unit))
 
     def offsets(self, origin: np.ndarray, other: np.ndarray) -> FloatArray:
         """(m, 2) places on the tangent plane at some directions of others, arcsec along longitude and latitude."""
@@ -76,6 +81,12 @@ class EclipticAxes:
         depth = (self.unit[origin] * to).sum(1)
         along = (self.east[origin] * to).sum(1), (self.north[origin] * to).sum(1)
         return ARCSEC_PER_RADIAN * np.column_stack(along) / depth[:, None]
+
+    def directions(self, origin: np.ndarray, offsets: FloatArray) -> FloatArray:
+        """(m, 3) unit vectors of places (m, 2), arcsec along longitude and latitude, about some directions."""
+        x, y = offsets.T[..., None] / ARCSEC_PER_RADIAN
+        out = self.unit[origin] + x * self.east[origin] + y * self.north[origin]
+        return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
     def rotated(self, covariance: FloatArray) -> FloatArray:
         """(n, 2, 2) covariances (ee, en, nn) of the equator's axes, (n, 3), on these axes."""
@@ -134,8 +145,17 @@ class RateDensity:
         spread = np.einsum("mc,cij->mij", weight, self.covariance) + np.einsum("mc,mci,mcj->mij", weight, off, off)
         return mean, spread
 
-    def refined(self, rate: FloatArray, error: FloatArray, weight: FloatArray, *, counts: float) -> RateDensity:
-        """One round of expectation and maximisation; the present mixture counts as ``counts`` rates."""
+    def refined(
+        self,
+        rate: FloatArray,
+        error: FloatArray,
+        weight: FloatArray,
+        *,
+        counts: float,
+        prior: RateDensity | None = None,
+    ) -> RateDensity:
+        """One round of expectation and maximisation; prior, or else the present mixture, counts as ``counts`` rates."""
+        before = prior or self
         parts = self._parts(rate, error)
         share = np.exp(parts - parts.max(axis=1, keepdims=True))
         share *= (weight / share.sum(axis=1))[:, None]
@@ -145,13 +165,13 @@ class RateDensity:
             gain = own @ np.linalg.inv(own + error)
             value = self.mean[c] + np.einsum("mij,mj->mi", gain, rate - self.mean[c])
             left = own - gain @ own
-            kept = counts * self.share[c]
+            kept = counts * before.share[c]
             total = r.sum() + kept
-            means[c] = (r @ value + kept * self.mean[c]) / total
+            means[c] = (r @ value + kept * before.mean[c]) / total
             off = value - means[c]
             spread = np.einsum("m,mi,mj->ij", r, off, off) + np.einsum("m,mij->ij", r, left)
-            drift = self.mean[c] - means[c]
-            spreads[c] = (spread + kept * (own + np.outer(drift, drift))) / total
+            drift = before.mean[c] - means[c]
+            spreads[c] = (spread + kept * (before.covariance[c] + np.outer(drift, drift))) / total
             shares[c] = total
         return RateDensity(shares / shares.sum(), means, spreads)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,9 +14,9 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
-from sameas.sky.movers.links import candidate_links, learn
+from sameas.sky.movers.links import PRIOR_SHARE, Links, candidate_links, learn, rates_of, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
-from sameas.sky.movers.rates import EclipticAxes
+from sameas.sky.movers.rates import EclipticAxes, RateDensity
 from sameas.sky.movers.tracks import Competition, compete, grow
 from sameas.sky.series.tied import Series
 
@@ -42,6 +43,8 @@ class Movers:
     expected_chance : how many tracklets of as much evidence chance makes of all detections, at most (n e^−ln w: what
         is e^x times more probable as a mover than by chance happens by chance e^−x times as often as movers do).
     gap : ln of how much more probable another choice of tracklets could be at most.
+    saw : (k,) exposures that saw its place, as far as they were asked. log_missed : what those that did not show it
+        weigh of ``log_weight``.
     near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
     prefix : of their names, :data:`DETECTED` or :data:`ADDED`.
     """
@@ -56,6 +59,8 @@ class Movers:
     expected_chance: FloatArray
     gap: float
     state: FloatArray = field(repr=False)
+    saw: IntArray
+    log_missed: FloatArray
     near_earth: FloatArray | None = None
     prefix: str = DETECTED
 
@@ -106,7 +111,8 @@ class Movers:
 
     def only(self, keep: BoolArray | IntArray) -> Movers:
         """Some of the tracklets."""
-        names = ("members", "p_tracklet", "p_exact", "p_member", "log_weight", "expected_chance", "state")
+        names = ("members", "p_tracklet", "p_exact", "p_member", "log_weight", "expected_chance", "state", "saw",
+                 "log_missed")  # fmt: skip
         near_earth = None if self.near_earth is None else self.near_earth[keep]
         return replace(self, **{name: getattr(self, name)[keep] for name in names}, near_earth=near_earth)
 
@@ -213,8 +219,7 @@ def find_movers(
     if model is None:
         model = learn_motion(*(others or (detections,)), tuning=tuning)
     model = model.for_bands(detections.bands, tuning)
-    links = candidate_links(around, model, tuning)
-    tracks = grow(around, links, model, tuning)
+    tracks = grow(around, _links(around, model, tuning), model, tuning)
     competition = compete(tracks, len(detections), tuning)
     return _movers(detections, model, competition, least, least_probability)
 
@@ -230,8 +235,61 @@ def learn_motion(*nights: Detections, counts: float = 30.0, tuning: Tuning = DEF
     """
     model = MotionModel()
     for night in nights:
-        model = learn(Surroundings.of(night, tuning), model.for_bands(night.bands, tuning), tuning, counts=counts)
+        around, before = Surroundings.of(night, tuning), model
+        # Links that no main-belt object makes are too many, and say too little one by one.
+        likely = replace(tuning, least_log_ratio=max(tuning.least_log_ratio, DEFAULT_TUNING.least_log_ratio))
+        model = learn(around, model.for_bands(night.bands, tuning), likely, counts=counts)
+        model = _taught_by_tracks(around, model, before.rates, tuning, counts * TRACK_COUNTS)
     return model
+
+
+def _links(around: Surroundings, model: MotionModel, tuning: Tuning) -> Links:
+    return with_far_links(around, candidate_links(around, model, tuning), model, tuning)
+
+
+#: What is believed beforehand weighs so many tracks, for each link that it weighs: a link is one of several of a track,
+#: and chance makes far fewer tracks.
+TRACK_COUNTS = 0.1
+
+
+def _taught_by_tracks(
+    around: Surroundings, model: MotionModel, rates: RateDensity, tuning: Tuning, counts: float, rounds: int = 1
+) -> MotionModel:
+    """The model with the rates, and how often a mover begins and is shown again, that whole tracks teach.
+
+    rates : as believed beforehand. Among many false detections links alone do not show what is fast: that there are
+    such movers, tracks tell that are straight over three exposures and more.
+    """
+    n = len(around.detections)
+    for _ in range(rounds):
+        tracks = grow(around, _links(around, model, tuning), model, tuning)
+        found = compete(tracks, n, tuning)
+        telling = found.p_track > 0.01
+        p, tracks = found.p_track[telling], found.tracks.only(telling)
+        begins = min((float(p.sum()) + counts * PRIOR_SHARE) / (n + counts), 0.95)
+        i, j = tracks.first, tracks.last
+        minutes = around.minutes[j] - around.minutes[i]
+        rate, error = rates_of(around, i, j, minutes, around.axes.offsets(i, j))
+        sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
+        model = replace(
+            model,
+            rates=model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts, prior=rates),
+            log_begin=math.log(begins) - math.log1p(-begins),
+            p_detect=min(max(_shown(p, tracks.size, tracks.saw, model.p_detect), 0.3), 0.97),
+        )
+    return model
+
+
+def _shown(weight: FloatArray, shown: IntArray, saw: IntArray, p: float) -> float:
+    """The probability with which an exposure shows a mover, of tracks (k,) that ``shown`` of ``saw`` exposures show.
+
+    Those that less than two show make no track: truncated binomials, by expectation and maximisation.
+    """
+    for _ in range(30):
+        one = saw * p * (1.0 - p) ** (saw - 1)
+        there = np.maximum(1.0 - (1.0 - p) ** saw - one, 1e-6)
+        p = (float(weight @ (shown + one / there)) + 2.0) / (float(weight @ (saw / there)) + 3.0)
+    return p
 
 
 def _movers(detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float) -> Movers:
@@ -245,6 +303,7 @@ def _movers(detections: Detections, model: MotionModel, found: Competition, leas
     return Movers(
         detections, model, found.members[keep][:, :width], p_tracklet[keep], found.p_track[keep],
         p_member[keep][:, :width], weight, chance, found.gap, found.tracks.state[keep],
+        found.tracks.saw[keep], found.tracks.log_missed[keep],
     )  # fmt: skip
 
 
@@ -371,7 +430,7 @@ def search(
         if len(np.unique(series.frame[series.left])) < 2:
             return _nothing(series), series
         detections = left_over(series)
-        model = learn_motion(detections, counts=tuning.counts)
+        model = learn_motion(detections, counts=tuning.counts, tuning=motion)
         found = find_movers(detections, model=model, least=2, least_probability=0.0, tuning=motion)
         slow, stuck = _standing(found, series, tuning)
         if not (slow | stuck).any():
@@ -418,7 +477,7 @@ def _nothing(series: Series) -> Movers:
     seen = Detections(no, no, np.empty((0, 3)), no, none, no, no, none, ("",), none, none, names, name="series")
     wide = np.empty((0, 2))
     return Movers(
-        seen, MotionModel(), wide.astype(np.int64), no, no, wide, no, no, 0.0, np.empty((0, 6))
+        seen, MotionModel(), wide.astype(np.int64), no, no, wide, no, no, 0.0, np.empty((0, 6)), none, no
     )  # fmt: skip
 
 

@@ -304,10 +304,8 @@ def _evidence(
         each = np.logaddexp(there, math.log(tuning.absent) + none) - none
     # Where a star that no frame lists stands, the track has much light and is none: no frame says more than this.
     gain = np.where(blank, np.minimum(each, 3.0), 0.0).sum(axis=1)
-    between = np.cumsum(detected, axis=1) > 0
-    between &= np.cumsum(detected[:, ::-1], axis=1)[:, ::-1] > 0
-    missed = (blank & between).sum(axis=1)
-    return np.asarray(gain - missed * math.log(1.0 - found.model.p_detect))
+    # What the search made of exposures that did not list it the pixels now say, or a star that hides it does.
+    return np.asarray(gain - found.log_missed[: len(flux)])
 
 
 def _stacked(

@@ -5,13 +5,17 @@ A track's motion is a place, a rate and a small acceleration on the tangent plan
 prior that is small for slow movers, so that over a short time motion is linear, over a long one quadratic. The third
 detection and each later one weighs
 
-    ln odds + ln N(x; predicted) − ln β + ln g/n + (exposures passed over) · ln(1 − P_d).
+    ln N(x; predicted) − ln β + ln g/n + ln P(shown again, after the exposures passed over),
+
+that probability being the one of a mover that so many exposures have shown of so many that saw its place
+(``MotionModel.log_pattern``). Exposures before the first and after the last detection that saw where it then was count
+in the same way.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -32,8 +36,9 @@ class Tracks:
 
     last : the last detection. parent : the track without it, −1 where that is one detection alone. first : the first
     detection. size : of how many detections. log_weight : ln w against all of them being of no mover, or each of
-    another. gain : what the last detection adds to it. state, covariance : (k, 6), (k, 6, 6) place, rate and
-    acceleration at the time of the first detection, in arcsec and minutes on its ecliptic axes.
+    another. gain : what the last detection adds to it. saw : exposures that saw its place, from its first detection on.
+    log_missed : what those of them that do not show it weigh of ln w. state, covariance : (k, 6), (k, 6, 6) place, rate
+    and acceleration at the time of the first detection, in arcsec and minutes on its ecliptic axes.
     """
 
     first: IntArray
@@ -42,6 +47,8 @@ class Tracks:
     size: IntArray
     log_weight: FloatArray
     gain: FloatArray
+    saw: IntArray
+    log_missed: FloatArray
     state: FloatArray
     covariance: FloatArray
 
@@ -88,7 +95,8 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
         row, parent = ranges(start[here.i], count[here.i])
         if len(row):
             grown.append(_extended(around, here.only(row), pool.only(parent), parent, model, tuning))
-        level = _best(Tracks.together(grown), tuning.tracks)
+        kind = np.concatenate([here.far.astype(np.int64), np.full(len(row) and len(grown[-1]), 2)])
+        level = _best(Tracks.together(grown), kind, tuning.tracks)
         size = np.bincount(level.last, minlength=len(seen))
         ended = np.flatnonzero(size)
         count[ended] = size[ended]
@@ -96,19 +104,43 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
         kept.append(level)
         made += len(level)
         pool = Tracks.together([pool, level])
-    return pool
+    return _ended(around, pool, model, tuning)
 
 
 def _none() -> Tracks:
     no = np.empty(0, np.int64)
-    return Tracks(no, no, no, no, np.empty(0), np.empty(0), np.empty((0, 6)), np.empty((0, 6, 6)))
+    none = np.empty(0)
+    return Tracks(no, no, no, no, none, none, no, none, np.empty((0, 6)), np.empty((0, 6, 6)))
 
 
-def _best(tracks: Tracks, most: int) -> Tracks:
-    """The best tracks at every last detection, by detection."""
-    order = np.lexsort([-tracks.log_weight, tracks.last])
-    place = np.arange(len(order)) - np.searchsorted(tracks.last[order], tracks.last[order])
-    return tracks.only(order[place < most])
+def _ended(around: Surroundings, tracks: Tracks, model: MotionModel, tuning: Tuning) -> Tracks:
+    """The tracks, with what the exposures before and after them say that saw where they then were."""
+    seen, when = around.detections, around.detections.frame_mjd * 1440.0
+    frames, first_minutes = len(when), seen.mjd_utc * 1440.0
+    # What is improbable without them they make no more probable.
+    told = np.flatnonzero(tracks.log_weight > tuning.least_ended)
+    steps = np.arange(1, tuning.around + 1)
+    frame = np.concatenate(
+        [seen.frame[tracks.first[told]][:, None] - steps, seen.frame[tracks.last[told]][:, None] + steps], axis=1
+    )
+    k, column = np.nonzero((frame >= 0) & (frame < frames))
+    at, number = told[k], frame[k, column]
+    t = (when[number] - first_minutes[tracks.first[at]])[:, None]
+    state = tracks.state[at]
+    there = state[:, :2] + t * state[:, 2:4] + 0.5 * t * t * state[:, 4:]
+    saw = tracks.saw.copy()
+    np.add.at(saw, at, around.coverage.saw(around.axes.directions(tracks.first[at], there), number))
+    before = model.log_pattern(tracks.size, tracks.saw, tuning)
+    pattern = model.log_pattern(tracks.size, saw, tuning)
+    missed = pattern - model.log_pattern(tracks.size, tracks.size, tuning)
+    return replace(tracks, log_weight=tracks.log_weight + pattern - before, saw=saw, log_missed=missed)
+
+
+def _best(tracks: Tracks, kind: IntArray, most: int) -> Tracks:
+    """The best tracks of every kind (k,) at every last detection, by detection."""
+    order = np.lexsort([-tracks.log_weight, kind, tracks.last])
+    code = 3 * tracks.last[order] + kind[order]
+    return tracks.only(order[np.arange(len(order)) - np.searchsorted(code, code) < most])
 
 
 def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning) -> Tracks:
@@ -125,8 +157,15 @@ def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tunin
     speed = np.hypot(*(links.offset / links.minutes[:, None]).T)
     bend = tuning.bend_arcsec_per_min2 * np.maximum(1.0, speed / tuning.bend_rate)
     covariance[:, [4, 5], [4, 5]] = (bend**2)[:, None]
-    state, covariance, _, _ = _updated(state, covariance, links.minutes, links.offset, around.covariance[links.j])
-    return Tracks(links.i, links.j, np.full(m, -1), np.full(m, 2), links.log_ratio, links.log_ratio, state, covariance)
+    state, covariance = _updated(state, covariance, links.minutes, links.offset, around.covariance[links.j])
+    # A link counts how seldom a detection has a next one; a track, how seldom it begins a mover's.
+    two, saw = np.full(m, 2), 2 + links.misses
+    pattern = model.log_pattern(two, saw, tuning)
+    weight = (
+        links.log_ratio - model.log_odds - links.misses * math.log(1.0 - model.p_detect) + model.log_begin + pattern
+    )
+    missed = pattern - model.log_pattern(two, two, tuning)
+    return Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, saw, missed, state, covariance)
 
 
 def _extended(
@@ -136,33 +175,48 @@ def _extended(
     minutes = around.minutes[links.j] - around.minutes[before.first]
     place = around.axes.offsets(before.first, links.j)
     noise = around.covariance[links.j]
-    state, covariance, off, spread = _updated(before.state, before.covariance, minutes, place, noise)
+    off, spread = _predicted(before.state, before.covariance, minutes, place, noise)
     wide = spread + (tuning.outlier_scale**2 - 1.0) * noise
     fit = np.logaddexp(
         math.log1p(-tuning.outlier) + log_normal(off, spread), math.log(tuning.outlier) + log_normal(off, wide)
     )
-    gain = (
-        model.log_odds + fit - around.log_density[links.j] + links.log_brightness
-        + links.misses * math.log(1.0 - model.p_detect)
+    size, saw = before.size + 1, before.saw + links.misses + 1
+    pattern = model.log_pattern(size, saw, tuning)
+    again = pattern - model.log_pattern(before.size, before.saw, tuning)
+    gain = again + fit - around.log_density[links.j] + links.log_brightness
+    missed = pattern - model.log_pattern(size, size, tuning)
+    # Few of those that a link may continue lie in line with it.
+    kept = np.flatnonzero(gain > tuning.least_log_ratio)
+    before = before.only(kept)
+    state, covariance = _updated(before.state, before.covariance, minutes[kept], place[kept], noise[kept])
+    return Tracks(
+        before.first, links.j[kept], parent[kept], size[kept], before.log_weight + gain[kept], gain[kept], saw[kept],
+        missed[kept], state, covariance,
     )  # fmt: skip
-    tracks = Tracks(before.first, links.j, parent, before.size + 1, before.log_weight + gain, gain, state, covariance)
-    return tracks.only(gain > tuning.least_log_ratio)
+
+
+def _predicted(
+    state: FloatArray, covariance: FloatArray, minutes: FloatArray, place: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """(m, 2) residual of a detection from what was predicted, and (m, 2, 2) the covariance of that."""
+    t = minutes[:, None]
+    off = place - (state[:, :2] + t * state[:, 2:4] + 0.5 * t * t * state[:, 4:])
+    factor = np.stack([np.ones(len(minutes)), minutes, 0.5 * minutes**2], axis=1)
+    blocks = covariance.reshape(-1, 3, 2, 3, 2)
+    return off, np.einsum("ma,maibj,mb->mij", factor, blocks, factor, optimize=True) + noise
 
 
 def _updated(
     state: FloatArray, covariance: FloatArray, minutes: FloatArray, place: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """State and covariance after a detection, its residual from what was predicted, and the covariance of that."""
-    t = minutes[:, None, None]
-    one = np.eye(2)[None]
-    design = np.concatenate([np.broadcast_to(one, (len(minutes), 2, 2)), t * one, 0.5 * t * t * one], axis=2)
-    off = place - np.einsum("mij,mj->mi", design, state)
-    across = covariance @ design.transpose(0, 2, 1)
-    spread = design @ across + noise
+) -> tuple[FloatArray, FloatArray]:
+    """State and covariance after a detection."""
+    off, spread = _predicted(state, covariance, minutes, place, noise)
+    factor = np.stack([np.ones(len(minutes)), minutes, 0.5 * minutes**2], axis=1)
+    across = np.einsum("maibj,mb->maij", covariance.reshape(-1, 3, 2, 3, 2), factor).reshape(-1, 6, 2)
     gain = across @ np.linalg.inv(spread)
     updated = covariance - gain @ across.transpose(0, 2, 1)
     updated = 0.5 * (updated + updated.transpose(0, 2, 1))
-    return state + np.einsum("mij,mj->mi", gain, off), updated, off, spread
+    return state + np.einsum("mij,mj->mi", gain, off), updated
 
 
 @dataclass(frozen=True)
