@@ -59,6 +59,12 @@ def test_the_remedy_names_the_options(table, tmp_path):
     assert not out.exists()
 
 
+WHO = (
+    '[observatory]\nmpcCode = "810"\n[submitter]\nname = "J. Doe"\n[telescope]\ndesign = "Reflector"\n'
+    'aperture = "0.36"\ndetector = "CCD"\n[report]\nastCat = "Gaia3"\nband = "G"\n'
+)
+
+
 @pytest.fixture
 def luxembourg(tmp_path):
     """A table of four exposures of (2713) and of another mover, seen from Westfield (observatory 810)."""
@@ -84,10 +90,7 @@ def luxembourg(tmp_path):
 @pytest.mark.slow
 def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     header = tmp_path / "who.toml"
-    header.write_text(
-        '[observatory]\nmpcCode = "810"\n[submitter]\nname = "J. Doe"\n[telescope]\ndesign = "Reflector"\n'
-        'aperture = "0.36"\ndetector = "CCD"\n[report]\nastCat = "Gaia3"\nband = "G"\n'
-    )
+    header.write_text(WHO)
     options = ["--sigma", 0.15, "--least", 3, "--elements", "demo", "--site", "42.6,-71.5,100", "--report", header]
     out, tracklets = tmp_path / "movers.csv", tmp_path / "tracklets.ecsv"
     told = run(luxembourg, *options, "-o", out, "--tracklets", tracklets)
@@ -99,11 +102,35 @@ def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     report = (tmp_path / "movers.psv").read_text()
     assert report.count("|2018-10-18T") == len(read_table(out)) and "2713" in report
     assert all((tmp_path / f"movers.{end}").exists() for end in ("xml", "txt"))
+    assert "it holds 2 tracklets" in told.output and each["in_report"].all()
     again = run(luxembourg, *options, "-o", tmp_path / "movers.fits", "--no-overwrite")
     assert again.exit_code == 1 and "movers.psv: is there already" in again.output
     told = run(luxembourg, "--sigma", 0.15, "--elements", "demo", "-o", out)
     assert "positions are geocentric" in " ".join(told.output.split())
     assert run(luxembourg, "--site", "north", "-o", out).exit_code == 2
+
+
+def test_a_report_leaves_out_what_is_not_probable_enough_and_says_so(luxembourg, tmp_path):
+    header = tmp_path / "who.toml"
+    header.write_text(WHO)
+    # Of the second mover two detections are left, of brightnesses that hardly go together.
+    night = read_table(luxembourg)
+    night["mag"][5] = 18.6
+    night[:6].write(tmp_path / "pair.csv")
+    options = ["--sigma", 0.15, "--probability", 0.0, "--report", header, "--tracklets", tmp_path / "t.csv"]
+    told = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv")
+    assert told.exit_code == 0, told.output
+    each, report = read_table(tmp_path / "t.csv"), (tmp_path / "movers.psv").read_text()
+    sure = [str(p) for p in each["tracklet"][each["p_tracklet"] >= 0.9]]
+    unsure = [str(p) for p in each["tracklet"][each["p_tracklet"] < 0.9]]
+    assert len(sure) == len(unsure) == 1 and sure[0] in report and unsure[0] not in report
+    words = " ".join(told.output.split())
+    assert "it holds 1 tracklet; 1 is left out, less probable than 0.9" in words and unsure[0] in words
+    assert list(each["in_report"]) == [str(name) in sure for name in each["tracklet"]]
+    told = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv", "--report-probability", 0)
+    assert "it holds 2 tracklets" in told.output and unsure[0] in (tmp_path / "movers.psv").read_text()
+    alone = run(luxembourg, "--sigma", 0.15, "-o", tmp_path / "m.csv", "--report-probability", 0.5)
+    assert alone.exit_code == 2 and "there is no report" in " ".join(alone.output.split())
 
 
 def test_without_an_output_it_is_wrong_usage(table):

@@ -25,6 +25,8 @@ from sameas.front.options import SIDE_OPTIONS
 
 _COLUMNS = "Columns of the tables"
 _FRAMES = "A series of frames"
+#: A report holds tracklets of at least this probability: of ten that are as probable as this nine are real.
+REPORTED = 0.9
 
 
 @with_columns({"": _COLUMNS}, SIDE_OPTIONS)
@@ -102,6 +104,16 @@ def movers(
             help="Observer and telescope (TOML): also writes the ADES and 80-column reports.",
         ),
     ] = None,
+    report_probability: Annotated[
+        float | None,
+        option(
+            "--report-probability",
+            metavar="P",
+            min=0,
+            max=1,
+            help="Of a tracklet in the report, at least; the tables have those of less. [0.9]",
+        ),
+    ] = None,
     site: Annotated[
         str | None,
         option("--site", metavar="LAT,LON,M", help="Of the observer: degrees, east positive, metres. [header's]"),
@@ -135,6 +147,9 @@ def movers(
     """
     if output is None and tracklets is None and catalog is None:
         raise typer.BadParameter("give -o OUT, the table to write", param_hint="-o")
+    if report_probability is not None and report is None:
+        raise typer.BadParameter("there is no report; give --report TOML", param_hint="--report-probability")
+    reported = REPORTED if report_probability is None else report_probability
     if catalog is not None:
         with answering(debug, frame_option):
             from sameas.cli import series
@@ -149,6 +164,7 @@ def movers(
                 darks=darks, flats=flats, biases=biases, least=max(least, 3), probability=probability,
                 elements=None if elements is None else str(elements), header=None if report is None else str(report),
                 processes=processes, below_limit=below_limit, site=_site(site),
+                reported=reported,
             )  # fmt: skip
             series.run(request, quiet)
         return
@@ -164,7 +180,7 @@ def movers(
         }
         known = KnownRequest(
             None if elements is None else str(elements), None if report is None else str(report), _site(site),
-            overwrite,
+            overwrite, reported,
         )  # fmt: skip
         run(
             tuple(map(str, files)), tuple(map(str, learn or ())), wanted, columns, outputs, least, probability, known,
@@ -177,13 +193,14 @@ class KnownRequest:
     """What tracklets of tables are named by, and reported as.
 
     elements : file of known objects, or None. header : TOML of the report, or None. site : latitude, longitude, height
-    of the observer, or None. overwrite : reports that are there.
+    of the observer, or None. overwrite : reports that are there. reported : least probability of a tracklet in them.
     """
 
     elements: str | None
     header: str | None
     site: tuple[float, float, float] | None
     overwrite: bool
+    reported: float
 
 
 def _site(text: str | None) -> tuple[float, float, float] | None:
@@ -210,9 +227,11 @@ def run(
     quiet: bool,
 ) -> None:
     """Read, understand, search, name, say, write."""
+    import numpy as np
+
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.io.ades import REPORTS, Observer
-    from sameas.report.movers import known_lines, model_lines, mover_lines, searched_lines
+    from sameas.report.movers import known_lines, model_lines, mover_lines, report_lines, searched_lines
     from sameas.sky.movers import find_movers
     from sameas.sky.movers.detections import detections_of
     from sameas.sky.movers.known import name_movers
@@ -248,15 +267,19 @@ def run(
             pace.pause()
             printer([*known_lines(found, known, site is not None), ""])
         facts = _facts(every, found)
+        told = found.p_tracklet >= wanted_known.reported
         tables = {"detections": found.detection_table(), "tracklets": found.table()}
         if known is not None:
             known.into(tables["tracklets"], found)
+        if observer is not None:
+            tables["tracklets"]["in_report"] = told
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
         if observer is not None:
-            rows = observations(found, known)
+            rows = observations(found, known, np.flatnonzero(told))
             for place, write in zip(reports, REPORTS.values(), strict=True):
                 write(rows, observer, place, software=f"sameas {facts['version']}")
                 written.append(f"Report: {place}")
+            written += report_lines(found, wanted_known.reported)
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
 
 
@@ -275,13 +298,13 @@ def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Pat
     return paths
 
 
-def observations(found: Any, known: Any) -> list[Any]:
-    """The rows of a report of tracklets of tables, tracklet by tracklet."""
+def observations(found: Any, known: Any, which: Any) -> list[Any]:
+    """The rows of a report of those tracklets of tables, tracklet by tracklet."""
     from sameas.io.ades import Observation
 
     seen, out = found.detections, []
-    for k, members in enumerate(found.members):
-        for row in members[members >= 0].tolist():
+    for k in which.tolist():
+        for row in found.members[k][found.members[k] >= 0].tolist():
             error = float(seen.magnitude_error[row])
             out.append(
                 Observation.of(

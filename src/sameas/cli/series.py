@@ -27,6 +27,7 @@ class SeriesRequest:
     darks, flats, biases : calibration frames. least, probability : of a tracklet. elements : file of known objects, or
     None. header : TOML of the report, or None. processes : frames at a time. below_limit : fastest rate, ″/min, of what
     no frame shows by itself, or None. site : latitude, longitude, height of the observer; None for the header's.
+    reported : least probability of a tracklet in the report.
     """
 
     paths: tuple[str, ...]
@@ -44,10 +45,13 @@ class SeriesRequest:
     processes: int
     below_limit: float | None = None
     site: tuple[float, float, float] | None = None
+    reported: float = 0.9
 
 
 def run(request: SeriesRequest, quiet: bool) -> None:
     """Identify the frames, tie them together, search, name, report, say."""
+    import numpy as np
+
     from sameas.cli.frames import expanded, names_of, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation
     from sameas.front.series import Identified, series_of
@@ -56,7 +60,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.io.atomic import filling
     from sameas.pages.movers import write_movers_page
     from sameas.report.frame import one_line
-    from sameas.report.movers import known_lines, model_lines, mover_lines, series_lines
+    from sameas.report.movers import known_lines, model_lines, mover_lines, report_lines, series_lines
     from sameas.report.prose import DOUBT
     from sameas.sky.movers.known import name_movers, near_earth_scores
     from sameas.sky.movers.orbits import Elements
@@ -110,12 +114,15 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     tracklets = found.table()
     if known is not None:
         known.into(tracklets, found)
+    told = None if observer is None else found.p_tracklet >= request.reported
+    if told is not None:
+        tracklets["in_report"] = told
     # All files of the series come at once: a page beside the tables of another run would contradict them.
     with filling(request.folder) as draft:
         write_table(found.detection_table(), draft / written[0], provenance=facts)
         write_table(tracklets, draft / written[1], provenance=facts)
-        if observer is not None:
-            rows, software = observations(found, series, known), f"sameas {sameas.__version__}"
+        if observer is not None and told is not None:
+            rows, software = observations(found, series, known, np.flatnonzero(told)), f"sameas {sameas.__version__}"
             for end, write in REPORTS.items():
                 written.append(f"report.{end}")
                 write(rows, observer, draft / written[-1], software=software)
@@ -123,13 +130,15 @@ def run(request: SeriesRequest, quiet: bool) -> None:
             written.append("below-limit.fits")
             write_table(_below_table(below[0], below[2]), draft / written[-1], provenance=facts)
         shown = None if below is None else (below[0].movers, *below[1:])
-        write_movers_page(draft / "movers.html", title, found, series, pixels, known, shown)
+        write_movers_page(draft / "movers.html", title, found, series, pixels, known, shown, told)
         link = "movers.html", _link_words(found, known)
         written += [
             "movers.html",
             *_drawn(draft, found, series, pixels, known),
             *_product(each, draft, title, {"catalogue": request.catalogue}, failed, reasons, link),
         ]
+    if observer is not None:
+        printer(["", *report_lines(found, request.reported)])
     printer(["", f"Output: {request.folder}/: {', '.join(written)}", f"Time: {time.perf_counter() - began:.1f} s"])
 
 
@@ -259,13 +268,13 @@ def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:
     return None if place is None else (place.lat_deg, place.lon_deg, place.height_m)
 
 
-def observations(found: Any, series: Any, known: Any) -> list[Any]:
-    """The rows of a report, tracklet by tracklet."""
+def observations(found: Any, series: Any, known: Any, which: Any) -> list[Any]:
+    """The rows of a report of those tracklets, tracklet by tracklet."""
     from sameas.io.ades import Observation
 
     seen, out = found.detections, []
-    for k, members in enumerate(found.members):
-        for row in members[members >= 0].tolist():
+    for k in which.tolist():
+        for row in found.members[k][found.members[k] >= 0].tolist():
             at = int(seen.rows[row])
             exposure = series.exposures[series.frame[at]]
             flux, error = exposure.flux[series.row[at]], exposure.flux_err[series.row[at]]

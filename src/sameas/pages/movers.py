@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import IntArray
+from sameas.arrays import BoolArray, IntArray
 from sameas.io.atomic import replacing
 from sameas.pages.template import asset, column, page_of, png, rounded, script_safe
 from sameas.report.movers import reasons
@@ -29,11 +29,13 @@ _BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
 def write_movers_page(
     path: str | os.PathLike[str], title: str, found: Movers, series: Series, pixels: Stack,
     known: KnownObjects | None = None, below: tuple[Movers, Stack, KnownObjects | None] | None = None,
+    told: BoolArray | None = None,
 ) -> None:  # fmt: skip
     """Writes the page of what moves on a series: one file, complete in itself.
 
     found : the tracklets. pixels : of the first of them. known : which objects they are, where elements were given.
-    below : the same of those that only the frames added together show, where these were searched.
+    below : the same of those that only the frames added together show, where these were searched. told : (k,) which
+    tracklets the report holds, where there is one.
 
     Raises
     ------
@@ -47,6 +49,8 @@ def write_movers_page(
         f"{found.p_tracklet.sum():.1f} expected to be real"
     )
     movers = [_mover(found, series, pixels, known, k) for k in range(count)]
+    for k, one in enumerate(movers):
+        one["report"] = None if told is None else bool(told[k])
     if below is not None:
         faint, light, names = below
         movers += [_mover(faint, series, light, names, k) for k in range(min(len(light), MOST))]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.report.prose import DOUBT, count
+from sameas.report.prose import DOUBT, count, counted
 
 if TYPE_CHECKING:
     from sameas.sky.movers import Detections, Movers
@@ -80,6 +80,21 @@ def model_lines(found: Movers) -> list[str]:
         f"Model: an exposure shows {100 * m.p_detect:.0f} % of the movers in its field; rates within "
         f"{sigma[0]:.2f} and {sigma[1]:.2f} ″/min (ecliptic longitude, latitude)",
         "  of a main-belt orbit's",
+    ]
+
+
+def report_lines(found: Movers, least: float) -> list[str]:
+    """How many tracklets the report holds, and why it leaves out the others."""
+    told = found.p_tracklet >= least
+    if told.all():
+        return [f"  it holds {counted(len(found), 'tracklet')}"]
+    left = np.flatnonzero(~told)
+    shown = ", ".join(f"{found.names[k]} ({found.p_tracklet[k]:.2f})" for k in left[:5])
+    are, them = ("is", "it") if len(left) == 1 else ("are", "them")
+    return [
+        f"  it holds {counted(int(told.sum()), 'tracklet')}; {count(len(left))} {are} left out, less probable than "
+        f"{least:g}: {shown}{' …' if len(left) > 5 else ''}",
+        f"  look at {them}; --report-probability changes what is reported",
     ]
 
 

@@ -70,7 +70,7 @@ class Tuning:
     odd_brightness: float = 0.05
     no_trail: float = 0.15
     trail_range: float = 3.0
-    evenness: float = 1.0
+    evenness: float = 2.0
     around: int = 8
     least_ended: float = -4.0
     sure: float = 12.0
@@ -85,7 +85,7 @@ class MotionModel:
     """What is believed of movers.
 
     rates : their density. log_odds : ln of the odds with which a detection has a next one, before the evidence.
-    log_begin : ln of the odds with which a detection begins a mover's track.
+    log_begin : ln of the number of movers in the field for each detection of an exposure.
     p_detect : probability that an exposure that saw the place of a mover shows it.
     colour : (b, b) mean change of magnitude from a band to another; colour_sigma : (b, b) its spread beside the errors.
     """
@@ -114,13 +114,18 @@ class MotionModel:
         return replace(self, bands=bands, colour=colour, colour_sigma=sigma)
 
     def log_pattern(self, shown: IntArray, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(k,) ln of the probability that those exposures show a mover that do, after the first.
+        """(k,) ln of the probability that of the exposures that saw a mover's place those show it that do.
 
         shown : so many show it. saw : so many saw its place. The share that shows it differs from mover to mover as a
         Beta distribution does (beta-binomial), so that a mover that was missed often is missed again.
         """
         a, b = tuning.evenness * self.p_detect, tuning.evenness * (1.0 - self.p_detect)
-        return np.asarray(betaln(shown + a, np.maximum(saw - shown, 0) + b) - betaln(1.0 + a, b))
+        return np.asarray(betaln(shown + a, np.maximum(saw - shown, 0) + b) - betaln(a, b))
+
+    def tracked(self, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(k,) share of the movers, whose place so many exposures saw, that two of them show or more."""
+        none, one = (np.exp(self.log_pattern(np.full_like(saw, k), saw, tuning)) for k in (0, 1))
+        return np.asarray(1.0 - none - saw * one)
 
 
 @dataclass(frozen=True)

@@ -266,7 +266,10 @@ def _taught_by_tracks(
         found = compete(tracks, n, tuning)
         telling = found.p_track > 0.01
         p, tracks = found.p_track[telling], found.tracks.only(telling)
-        begins = min((float(p.sum()) + counts * PRIOR_SHARE) / (n + counts), 0.95)
+        # Movers that one exposure shows, or none, make no track; detections are those of an exposure.
+        movers = float((p / model.tracked(tracks.saw, tuning)).sum())
+        exposures = float(around.coverage.before[around.cell, -1].mean())
+        share = (movers + counts * PRIOR_SHARE) / (n / exposures + counts)
         i, j = tracks.first, tracks.last
         minutes = around.minutes[j] - around.minutes[i]
         rate, error = rates_of(around, i, j, minutes, around.axes.offsets(i, j))
@@ -274,7 +277,7 @@ def _taught_by_tracks(
         model = replace(
             model,
             rates=model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts, prior=rates),
-            log_begin=math.log(begins) - math.log1p(-begins),
+            log_begin=math.log(share),
             p_detect=min(max(_shown(p, tracks.size, tracks.saw, model.p_detect), 0.3), 0.97),
         )
     return model
