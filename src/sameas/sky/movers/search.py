@@ -365,6 +365,8 @@ class SearchTuning:
     ----------
     least_move_px : what moves less between its first and last frame stands still: over the sky a faint or blended star,
         over the chip a defect.
+    creep_px : what is seen five times and more moves, though it is less than that, if it is this far
+    creep_sigmas : and so many times its error, by its own scatter about straight motion.
     drift : what moves over the chip by less than this part of its motion over the sky may be a defect.
     turns : the search is repeated without what it has shown to stand still, so many times at most.
     counts : what is believed of movers weighs as many links: what is left of frames is mostly noise, which teaches
@@ -372,6 +374,8 @@ class SearchTuning:
     """
 
     least_move_px: float = 2.0
+    creep_px: float = 0.8
+    creep_sigmas: float = 12.0
     drift: float = 0.5
     turns: int = 3
     counts: float = 300.0
@@ -456,7 +460,9 @@ def _standing(found: Movers, series: Series, tuning: SearchTuning) -> tuple[Bool
     over_chip = np.hypot(*(last - first).T)
     error = np.hypot(*(series.sigma_arcsec[these] for these in rows)) / series.scale_arcsec_per_px
     stuck = (over_chip < tuning.least_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
-    return over_sky < tuning.least_move_px, stuck
+    # Blends and faint stars wander with the seeing; what creeps along a straight line, many times its scatter, does not.
+    sure = (found.size >= 5) & (over_sky > tuning.creep_px) & (_moved_sigmas(found) > tuning.creep_sigmas)
+    return (over_sky < tuning.least_move_px) & ~sure, stuck
 
 
 def _chip(series: Series, rows: IntArray) -> FloatArray:
@@ -488,3 +494,15 @@ def _moved_arcsec(found: Movers) -> FloatArray:
     """(k,) how far each tracklet moves between its first and last detection."""
     minutes = (found.detections.mjd_utc[_last(found)] - found.detections.mjd_utc[found.members[:, 0]]) * 1440.0
     return np.asarray(np.hypot(*found.rate_arcsec_per_min.T) * minutes)
+
+
+def _moved_sigmas(found: Movers) -> FloatArray:
+    """(k,) how far each tracklet moves in units of its error, by the larger of its scatter and the quoted errors."""
+    there = found.members >= 0
+    count = found.size
+    seen, rows = found.detections, np.maximum(found.members, 0)
+    quoted = np.where(there, 0.5 * (seen.covariance[rows][..., 0] + seen.covariance[rows][..., 2]), 0.0)
+    sigma = np.maximum(np.nan_to_num(found.scatter_arcsec), np.sqrt(quoted.sum(axis=1) / count))
+    t = np.where(there, 1440.0 * (seen.mjd_utc[rows] - seen.mjd_utc[rows[:, :1]]), 0.0)
+    around = np.where(there, t - (t.sum(axis=1) / count)[:, None], 0.0)
+    return np.asarray(np.hypot(*found.rate_arcsec_per_min.T) * np.sqrt((around**2).sum(axis=1)) / sigma)
