@@ -1,7 +1,7 @@
 """Movers: tracklets are right, whole, as sure as they say, and the same whatever the order of the rows."""
 
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
+from sameas.sky.movers.search import _shown
 from sameas.sky.movers.tracks import Tracks, compete, grow
 
 
@@ -252,3 +253,32 @@ def test_doubtful_rows_are_set_aside_with_the_reason():
     assert seen.set_aside.counts() == {
         "no position": 1, "no time": 1, "the same place in the same exposure as another row": 1
     }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_fast_movers_among_many_false_detections_are_found():
+    """Chance makes more links of such rates than are tried; a third exposure in line supports the right ones."""
+    rate = np.array([[9.0, -4.0], [-10.0, 2.0], [1.2, 0.9]])
+    detections, truth = night(
+        12, movers=3, false=400, times_min=(0, 12, 24, 36, 48), side_deg=0.3, rate=rate, p_detect=1.0
+    )
+    tuning = Tuning(least_log_ratio=-14.0)
+    found = find_movers(detections, model=learn_motion(detections, counts=300, tuning=tuning), least=3, tuning=tuning)
+    pure, whole = named(found, truth)
+    assert pure.all() and whole.sum() == 3
+
+
+def test_patterns_of_exposures_are_a_distribution():
+    model = MotionModel(p_detect=0.8)
+    p = [np.exp(model.log_pattern(np.array([sum(one)]), np.array([4])))[0] for one in product((0, 1), repeat=4)]
+    assert abs(sum(p) - 1.0) < 1e-12
+    two = sum(v for v, one in zip(p, product((0, 1), repeat=4), strict=True) if sum(one) >= 2)
+    assert abs(model.tracked(np.array([4]))[0] - two) < 1e-12
+
+
+@pytest.mark.parametrize("p", [0.5, 0.9])
+def test_how_often_movers_are_shown_is_learned_from_those_shown_twice(p):
+    rng = np.random.default_rng(5)
+    shown = rng.binomial(5, p, 4_000)
+    shown = shown[shown >= 2]
+    assert abs(_shown(np.ones(len(shown)), shown, np.full(len(shown), 5), 0.7) - p) < 0.02

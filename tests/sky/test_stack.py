@@ -95,12 +95,22 @@ def test_frames_without_its_light_refute_a_tracklet():
     assert told.p[0] < 0.5 and len(kept) == len(left) == 0
 
 
+def test_a_bright_mover_that_creeps_by_a_pixel_and_a_half_is_no_blend():
+    tied, _, track = series(7, 20000.0, rate=(0.06, 0.0))
+    assert np.hypot(*(track[-1] - track[0])) < 2.0
+    found, _ = search(tied)
+    assert len(found) == 1 and found.size[0] == 6 and abs(np.hypot(*found.rate_arcsec_per_min[0]) - 0.06) < 0.01
+    still, _, _ = series(7, 20000.0, rate=(0.0, 0.0))
+    assert len(search(still)[0]) == 0
+
+
 def test_a_star_over_the_track_says_nothing():
     tied, frames, _ = series(5, seen=(0, 1, 2, 4, 5), hidden_frame=3)
     found, tied = search(tied, least_probability=0.0)
     told = stack(found, tied, frames)
     assert told.hidden[0, 3] and not told.hidden[0, [0, 5]].any() and told.detected[0, [0, 1, 2, 4, 5]].all()
-    assert abs(told.log_ratio[0]) < 1e-9
+    # What the search made of an exposure that does not list it is undone.
+    assert abs(told.log_ratio[0] + found.log_missed[0]) < 1e-9
 
 
 def test_motion_that_leaves_the_frame_is_measured_where_it_is_on():

@@ -460,7 +460,7 @@ def _standing(found: Movers, series: Series, tuning: SearchTuning) -> tuple[Bool
     over_chip = np.hypot(*(last - first).T)
     error = np.hypot(*(series.sigma_arcsec[these] for these in rows)) / series.scale_arcsec_per_px
     stuck = (over_chip < tuning.least_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
-    # Blends and faint stars wander with the seeing; what creeps along a straight line, many times its scatter, does not.
+    # Blends and faint stars wander with the seeing; what creeps straight on, many times its scatter, does not.
     sure = (found.size >= 5) & (over_sky > tuning.creep_px) & (_moved_sigmas(found) > tuning.creep_sigmas)
     return (over_sky < tuning.least_move_px) & ~sure, stuck
 
