@@ -83,10 +83,9 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
     links = links.only(order)
     bounds = np.searchsorted(seen.frame[links.j], np.arange(len(seen.frame_names) + 1))
     kept: list[Tracks] = [_none()]
-    made = 0
+    offsets = [0]
     # Where in ``kept`` the tracks that end at a detection are: those of one exposure follow each other by detection.
     start, count = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
-    pool = kept[0]
     for frame in range(len(seen.frame_names)):
         here = links.only(slice(bounds[frame], bounds[frame + 1]))  # type: ignore[arg-type]
         if not len(here):
@@ -94,17 +93,29 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
         grown = [_begun(around, here, model, tuning)]
         row, parent = ranges(start[here.i], count[here.i])
         if len(row):
-            grown.append(_extended(around, here.only(row), pool.only(parent), parent, model, tuning))
+            grown.append(_extended(around, here.only(row), _among(kept, offsets, parent), parent, model, tuning))
         kind = np.concatenate([here.far.astype(np.int64), np.full(len(row) and len(grown[-1]), 2)])
         level = _best(Tracks.together(grown), kind, tuning.tracks)
         size = np.bincount(level.last, minlength=len(seen))
         ended = np.flatnonzero(size)
         count[ended] = size[ended]
-        start[ended] = made + np.searchsorted(level.last, ended)
+        start[ended] = offsets[-1] + len(kept[-1]) + np.searchsorted(level.last, ended)
+        offsets.append(offsets[-1] + len(kept[-1]))
         kept.append(level)
-        made += len(level)
-        pool = Tracks.together([pool, level])
-    return _ended(around, pool, model, tuning)
+    return _ended(around, Tracks.together(kept), model, tuning)
+
+
+def _among(levels: list[Tracks], offsets: list[int], number: IntArray) -> Tracks:
+    """The tracks with some numbers, of levels whose first tracks have the numbers ``offsets``.
+
+    All levels in one list would be copied at every exposure: long series would cost as the square of their length.
+    """
+    level = np.searchsorted(offsets, number, side="right") - 1
+    order = np.argsort(level, kind="stable")
+    parts = [levels[n].only(number[level == n] - offsets[n]) for n in np.unique(level).tolist()]
+    back = np.empty_like(order)
+    back[order] = np.arange(len(order))
+    return Tracks.together(parts).only(back)
 
 
 def _none() -> Tracks:
