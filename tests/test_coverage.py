@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas import Plane, Records, Sphere
-from sameas.estimate.coverage import SMOOTH, Coverage, local_share
+from sameas.estimate.coverage import SMOOTHS, Coverage, local_share
 from sameas.simulate.scenes import Cap, LonLatBox, WholeSky
 from sameas.space import ARCSEC_PER_RADIAN
 
@@ -104,14 +104,20 @@ def test_a_crowd_at_one_place_among_others_is_cut_no_finer_than_it_pays(space):
     assert cover.covered[0].all()
 
 
-def defined(cover, weights, side, k):
-    """Density of source 1 at record k of a side: level after level drawn towards the count of its cell."""
-    density = (weights.sum() + 0.5) / cover.volume
+def defined(cover, weights, side):
+    """Density of source 1 at the records of a side: level after level drawn towards the counts of their cells, as
+    strongly as makes its own records likeliest, each left out of what predicts it."""
+    start = (weights.sum() + 0.5) / cover.volume
+    own, at = np.full(len(weights), start), np.full(len(getattr(cover.levels[0], side)), start)
     for level in cover.levels:
-        here = getattr(level, side)[k]
-        count = weights[level.of_first == here].sum() - (weights[k] if side == "of_first" else 0.0)
-        density = (count + SMOOTH) / (level.volume[here] + SMOOTH / density)
-    return density
+        volume, cell = level.volume[level.of_first], getattr(level, side)
+        others = np.array([weights[level.of_first == here].sum() for here in level.of_first]) - weights
+        fits = {k: np.sum(weights * np.log((others + k) / (volume + k / own))) for k in SMOOTHS}
+        smooth = max(fits, key=fits.get)
+        own = (others + smooth) / (volume + smooth / own)
+        count = np.array([weights[level.of_first == here].sum() for here in cell])
+        at = own if side == "of_first" else (count + smooth) / (level.volume[cell] + smooth / at)
+    return at
 
 
 @pytest.mark.parametrize("space", [Plane(), Sphere()])
@@ -129,10 +135,24 @@ def test_cells_and_densities_are_those_of_the_definition(space):
         assert sorted(set(cells.tolist())) == list(range(len(level.volume)))
     weights = rng.uniform(size=len(one))
     at_first, at_second = cover.density(1, weights)
-    for k in range(0, len(one), 17):
-        assert at_first[k] == pytest.approx(defined(cover, weights, "of_first", k))
-    for k in range(0, len(two), 17):
-        assert at_second[k] == pytest.approx(defined(cover, weights, "of_second", k))
+    np.testing.assert_allclose(at_first, defined(cover, weights, "of_first"), rtol=1e-9)
+    np.testing.assert_allclose(at_second, defined(cover, weights, "of_second"), rtol=1e-9)
+
+
+def test_the_density_of_a_cluster_is_followed_more_closely_than_that_of_an_even_field_is_blurred():
+    rng = np.random.default_rng(8)
+    even, other = uniform(rng, 600), uniform(rng, 600)
+    spread = {}
+    for name, middle in (("even", 0), ("cluster", 300)):
+        drawn = [np.concatenate([r.features[middle:], rng.normal(5.0, 0.15, (middle, 2))]) for r in (even, other)]
+        one, two = (Records.of(each, sigma=0.01) for each in drawn)
+        at, _ = Coverage.of(one, two).covered_densities[0]
+        truth = (600 - middle) / 100.0 + middle * np.exp(-0.5 * np.square((drawn[0] - 5.0) / 0.15).sum(axis=1)) / (
+            2.0 * np.pi * 0.15**2
+        )
+        spread[name] = np.abs(np.log(at / truth))
+    assert np.median(spread["even"]) < 0.05  # chance alone puts 12 ± 3 into a finest cell
+    assert np.median(spread["cluster"][300:]) < 0.5
 
 
 def test_a_sparse_source_has_its_density_at_the_borders_of_a_field_too():

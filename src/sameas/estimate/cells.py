@@ -18,7 +18,7 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere
 #: Cells get finer by this factor in volume, until most records of the richer source share theirs with hardly more than
 #: so many,
 REFINEMENT = 8.0
-FINEST = 12.0
+FINEST = 4.0
 #: and no further than to so many cells a record: records at one and the same place are never told apart.
 CELLS_PER_RECORD = 4096.0
 

@@ -24,7 +24,7 @@ from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.cells import FINEST, GridLevel
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
-from sameas.estimate.coverage import HOLE, IN_CELL, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, SMOOTH, Coverage
+from sameas.estimate.coverage import HOLE, IN_CELL, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, Coverage, smoothing
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
@@ -257,8 +257,10 @@ def _density(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume
         if not len(own):
             own = others = np.tile((numbers.sum(axis=0) + 0.5) / (volume * level.covered.sum()), (len(cells), 1))
         size, count = volume * level.covered[level.at, None], level.numbers[level.at]
-        own = (np.maximum(count - 1.0, 0.0) + SMOOTH) / (size + SMOOTH / own)
-        others = (count + SMOOTH) / (size + SMOOTH / others)
+        left = np.maximum(count - 1.0, 0.0)
+        smooth = np.array([smoothing(left[:, k], size[:, 0], own[:, k], numbers[:, k]) for k in (0, 1)])
+        own = (left + smooth) / (size + smooth / own)
+        others = (count + smooth) / (size + smooth / others)
     return np.stack([own, others], axis=2)
 
 
