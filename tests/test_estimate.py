@@ -133,7 +133,7 @@ def test_sources_far_apart_say_so():
     second = Records.of(np.random.default_rng(7).uniform(50, 51, (20, 2)), sigma=1e-3)
     answer, found = match(first, second)
     assert len(answer.matches) == 0 and found.common == 0
-    assert any("nothing in common" in note for note in found.notes)
+    assert any("no object in common" in note for note in found.notes)
 
 
 def test_what_a_few_pairs_leave_open_of_the_errors_is_averaged_over():
