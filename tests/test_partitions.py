@@ -507,7 +507,7 @@ def test_columns_are_evidence_learned_once_and_coded_alike_in_every_part(tmp_pat
     assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
     assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
     report = found.report()
-    assert "class of b: ln odds of a partner" in report and "code of a: tells nothing" in report
+    assert "class of b: ln odds of a partner" in report and "code of a: is not informative" in report
     # Of the records of the second, those that look like what both show have partners.
     of_class = dict(zip(tables[1]["id"], names, strict=True))
     without, _ = matched(tmp_path, paths, out="without")

@@ -205,7 +205,7 @@ def test_what_has_nothing_in_common_is_left_where_it_is():
     lost = replace(said, x_m=rng.uniform(-12e3, 12e3, len(said)), y_m=rng.uniform(-9e3, 9e3, len(said)))
     scene = Scene.of([radar, (about, lost)])
     registered, (found, _) = scene.registered()
-    assert not found.established and any("nothing in common with ais" in note for note in found.notes)
+    assert not found.established and any("no object in common with ais" in note for note in found.notes)
     assert registered.feeds[0] is scene.feeds[0] and "NOT ESTABLISHED" in str(found)
     later = Scene.of([radar, (about, replace(said, time_s=said.time_s + 1e5))])
     registered, (found, _) = later.registered()
