@@ -118,3 +118,41 @@ def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbabl
     at, record = found.sets.entries()
     np.add.at(total, record, found.answer.probability[at])
     np.testing.assert_allclose(total, 1.0, atol=1e-9)
+
+
+def by_messages(sets, n):
+    share = np.zeros(len(sets))
+    partitions.set_messages(np.arange(len(sets.start) - 1), sets.start, sets.members, sets.log_weight, n, share)
+    return share
+
+
+def test_messages_are_near_the_sum_and_exact_without_cycles():
+    apart, alone = [], []
+    for seed in range(12):
+        sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=10)
+        exact, chosen, cut = packed_groups(sets, n, np.ones(1, bool))
+        assert cut[0] >= EXACT
+        apart.append(by_messages(sets, n) - exact)
+        alone.append(chosen - exact)
+    assert np.abs(np.concatenate(apart)).max() < 0.35
+    assert np.std(np.concatenate(apart)) < 0.4 * np.std(np.concatenate(alone))
+    chain = np.array([[0, -1], [-1, 1], [2, -1], [-1, 3], [0, 1], [2, 1], [2, 3]])
+    weight = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.5, -0.3])
+    sets = Sets(chain, (chain >= 0).sum(axis=1), weight, np.zeros(7, np.int64), np.array([0, 7]), np.array([-np.inf]))
+    exact, _, _ = packed_groups(sets, 4, np.ones(1, bool))
+    np.testing.assert_allclose(by_messages(sets, 4), exact, atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [25, 60])
+def test_objects_that_nothing_tells_apart_are_not_called_certain(n):
+    """Too many for a sum: the best partition alone would call every one of its pairs certain."""
+    rng = np.random.default_rng(0)
+    sources = [Records.of(rng.normal(0.0, 5.0, (n, 2)), sigma=15.0, source=name) for name in ("radar", "ais")]
+    found = identify_many(sources, rule=PoissonObjects(n / 2000.0, 0.1))
+    total = np.zeros(len(found.pooled))
+    at, record = found.sets.entries()
+    np.add.at(total, record, found.answer.probability[at])
+    np.testing.assert_allclose(total, 1.0, atol=1e-5)
+    assert found.probability.max() < 0.2 and not found.groups.exact.any()
+    paired = found.n_members == 2
+    assert np.median(found.probability[paired]) == pytest.approx(1.0 / n, rel=0.3)

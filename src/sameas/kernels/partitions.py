@@ -23,6 +23,14 @@ TEMPERATURES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 ANNEALINGS = (8, 40)
 #: They end where a sweep gains less, in nats, and where less than this share of the sets is left out.
 LEAST_NATS, LEAST_SHARE = 0.01, 0.02
+#: Sums that leave out sets of a smaller reduced cost are no nearer to the truth than messages, and the best partition
+#: alone is far from it: rms of probabilities on random groups of 8 to 30 records, weak and strong sets, is 0.01 to 0.02
+#: with a cut of 2, 0.05 to 0.09 with a cut of 1, 0.01 to 0.17 by messages, 0.16 to 0.24 by the best alone.
+LEAST_CUT = 2.0
+#: Rounds of messages at most, how far a message goes towards its new value, and the change at which they end, in nats.
+ROUNDS, STEP, SETTLED = 400, 0.5, 1e-7
+#: Least odds of all other sets of a record, beside those of one: rounding leaves no more.
+LEAST_OTHERS = 1e-15
 
 
 @kernel
@@ -287,7 +295,8 @@ def packed(
     lowered coordinate by coordinate, and annealed where that is not enough. Sets that are left out split the group into
     blocks, and a block's duals are tighter than those of the whole. c is the first of ``cuts`` at which a block has at
     most ``most_records`` records and its sum at most ``cap`` steps from state to state; ``cut`` is the lowest c of a
-    group's blocks. It is −1 where a block has none: only the other blocks are filled in there.
+    group's blocks. It is −1 where a block has none: only the other blocks are filled in there. Blocks of a c below
+    :data:`LEAST_CUT` have their best partition from that, and their probabilities from messages between all their sets.
     """
     local = np.full(len(dual), NONE)
     for g in groups:
@@ -340,12 +349,95 @@ def _packed_group(
     for sweeps in ANNEALINGS:
         # Every go starts from the sets of the first cut.
         hint = _anneal(begin, entry, weight, sweeps, own_dual)
-        left = begin, entry, weight, place, hint
+        left, open_ = (begin, entry, weight, place, hint), np.zeros(n, np.bool_)
         for cut in cuts:
+            if cut < LEAST_CUT and not open_.any():
+                open_ = ~done
             left = _prune(*left, cut, block, done, own_dual)
             if _sum_blocks(*left[:4], block, done, most_records, cap, share, chosen):
+                if cut < LEAST_CUT:
+                    _by_messages(begin, entry, weight, place, hint, open_, share)
                 return cut
     return -1.0
+
+
+@part
+def _by_messages(
+    begin: IntArray,
+    entry: IntArray,
+    weight: FloatArray,
+    place: IntArray,
+    hint: BoolArray,
+    open_: BoolArray,
+    share: FloatArray,
+) -> None:
+    """Fill ``share`` for the sets of records (n,) that are ``open_`` alone."""
+    kept = np.ones(len(weight), np.bool_)
+    for s in range(len(weight)):
+        for e in range(begin[s], begin[s + 1]):
+            kept[s] = kept[s] and open_[entry[e]]
+    begin, entry, weight, place, _ = _taken(begin, entry, weight, place, hint, kept)
+    found = _messages(begin, entry, weight, len(open_))
+    for s in range(len(weight)):
+        share[place[s]] = found[s]
+
+
+@kernel
+def set_messages(groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, n: int, share: FloatArray
+                 ) -> None:  # fmt: skip
+    """Fill ``share`` with every set's probability by messages, of some ``groups``; members (k, S) of n records in all,
+    −1 for none. start : (g+1,) sets of each group."""
+    local = np.full(n, NONE)
+    for g in groups:
+        a, b = start[g], start[g + 1]
+        begin, entry, at, number = np.zeros(b - a + 1, np.int64), np.empty(members[a:b].size, np.int64), 0, 0
+        for s in range(a, b):
+            for record in members[s]:
+                if record != NONE:
+                    if local[record] == NONE:
+                        local[record] = number
+                        number += 1
+                    entry[at] = local[record]
+                    at += 1
+            begin[s - a + 1] = at
+        share[a:b] = _messages(begin, entry[:at], weight[a:b], number)
+
+
+@part
+def _messages(begin: IntArray, entry: IntArray, weight: FloatArray, n: int) -> FloatArray:
+    """(k,) probabilities of sets of which every one of n records is in one, by sums and products along their graph.
+
+    ν(r → s) = 1 / Σ over the other sets s' of r of μ(s' → r) ,   μ(s → r) = w(s) Π over the other records of s of ν ,
+    in logarithms; the odds of a set are w Π ν. Exact where the graph has no cycle.
+
+    Source: Pearl 1988, Probabilistic Reasoning in Intelligent Systems, chapter 4.
+    """
+    free, out, top, total = np.zeros(len(entry)), np.empty(len(entry)), np.empty(n), np.empty(n)
+    share = np.empty(len(weight))
+    for _ in range(ROUNDS):
+        top[:], total[:], change = -np.inf, 0.0, 0.0
+        for s in range(len(weight)):
+            whole = weight[s]
+            for e in range(begin[s], begin[s + 1]):
+                whole += free[e]
+            for e in range(begin[s], begin[s + 1]):
+                out[e] = whole - free[e]
+                top[entry[e]] = max(top[entry[e]], out[e])
+        for e in range(len(entry)):
+            out[e] = math.exp(out[e] - top[entry[e]])
+            total[entry[e]] += out[e]
+        for e in range(len(entry)):
+            new = -math.log(max(total[entry[e]] - out[e], LEAST_OTHERS)) - top[entry[e]]
+            change = max(change, abs(new - free[e]))
+            free[e] += STEP * (new - free[e])
+        if change < SETTLED:
+            break
+    for s in range(len(weight)):
+        odds = weight[s]
+        for e in range(begin[s], begin[s + 1]):
+            odds += free[e]
+        share[s] = 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
+    return share
 
 
 @part

@@ -3,8 +3,8 @@
 A group's records are eliminated one after another; the state is which later records are taken and, under a count prior,
 the number of merges. Sets that the duals of the best partition prove improbable are left out first: a partition with a
 set of reduced cost c is at least eᶜ times less probable than the best. Without sets of c > 30 the sum counts as exact;
-groups too entangled for it are summed without sets of c > 20, 14, …, until the sum is short enough, and the result
-states that.
+groups too entangled for it are summed without sets of c > 20, 14, …, until the sum is short enough. Where that would
+have to go below 2, messages between sets and records stand for the sum. The result states either.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Answer:
 
     chosen : (k,) the sets that are objects. probability : (k,) of every set.
     gap : (g,) ln of how much more probable a better partition could be at most.
-    cut : (g,) reduced cost above which sets were left out of the sum; :data:`EXACT` or more where that is exact,
-        0 where no sum was possible and the best partition stands for all.
+    cut : (g,) reduced cost above which sets were left out of the sum; :data:`EXACT` or more where that is exact, below
+        2 where such a sum would leave too much out and probabilities are by messages.
     """
 
     chosen: BoolArray
@@ -72,7 +72,7 @@ def answer(
         tilted = Sets(sets.members, sets.size, weight, sets.group, sets.start, sets.floor)
         best = best_partition(tilted, len(pooled), time_limit_s=time_limit_s)
         cost = _reduced_cost(sets, best.dual, best.slack, weight)
-        part, _, cut = sums.all(cost, chosen, cut)
+        part, _, cut = sums.all(cost, chosen, cut, weight)
         share = np.where(solved[sets.group], share, part)
     return Answer(chosen, share, gap, cut)
 
@@ -86,7 +86,7 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
         return Answer(chosen, share, np.zeros(len(sizes)), cut)
     best = best_partition(sets, n, rest, time_limit_s=time_limit_s)
     cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
-    part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut)
+    part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut, sets.log_weight)
     open_ = rest[sets.group]
     return Answer(
         np.where(open_, best.chosen, chosen), np.where(open_, part, share), np.where(rest, best.gap, 0.0), cut
@@ -182,20 +182,29 @@ class _Sums:
         table = np.concatenate([tables[int(n)] for n in pooled.sizes] or [np.zeros(1)])
         return cls(sets, len(pooled), Ragged.of_sizes(pooled.sizes).start, table, True, tuning)
 
-    def all(self, cost: FloatArray, chosen: BoolArray, cut: FloatArray) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done."""
+    def all(
+        self, cost: FloatArray, chosen: BoolArray, cut: FloatArray, weight: FloatArray
+    ) -> tuple[FloatArray, BoolArray, FloatArray]:
+        """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done.
+
+        weight : (k,) ln w, under a count prior tilted by its slope at the best partition; messages go by these.
+        """
+        from sameas.kernels.partitions import LEAST_CUT, set_messages
+
         share, cut = np.zeros(len(self.sets)), cut.copy()
         for value in self.tuning.cuts:
             unsolved = cut < 0
-            if not unsolved.any():
+            if value < LEAST_CUT or not unsolved.any():
                 break
             part, _, solved = self.without(np.where(chosen, 0.0, cost), value, unsolved)
             share += part
             cut[solved] = value
         rest = cut < 0
+        if rest.any():
+            sets = self.sets
+            set_messages(np.flatnonzero(rest), sets.start, sets.members, weight, self.n_records, share)
         cut[rest] = 0.0
-        at = rest[self.sets.group]
-        return np.where(at, chosen, share), chosen, cut
+        return share, chosen, cut
 
     def without(self, cost: FloatArray, cut: float, groups: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
         """Probabilities, best partition and whether solved, for some groups (g,) and their sets of cost ≤ cut."""

@@ -238,14 +238,17 @@ class Summary:
     def _sure(self) -> str:
         wrong, groups = _few(self.expected_wrong, "none"), _few(self.ambiguous_groups, "no")
         detected = f"{self.detected:.4g}" if self.detected < 1e4 else f"{self.detected:.0f}"
+        one = self.ambiguous_groups == 1.0
         return (
             f"of {detected} objects per instant {wrong} are expected to be wrong; "
-            f"{groups} groups of neighbours are ambiguous"
+            f"{groups} group{'' if one else 's'} of neighbours {'is' if one else 'are'} ambiguous"
         )
 
 
 def _few(mean: float, none: str) -> str:
-    """A mean count with two digits."""
+    """A mean count with two digits, or whole where it has more."""
+    if mean >= 99.5:
+        return f"{mean:.0f}"
     return f"{mean:.2g}" if mean >= 1e-3 else "fewer than 0.001" if mean else none
 
 
