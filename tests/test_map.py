@@ -458,7 +458,7 @@ def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) ->
     browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
     try:
         browser.js(f"mapPage.show(3); mapPage.pick({number})")
-        browser.until("document.getElementById('object').innerText.includes('Perhaps these records')")
+        browser.until("document.getElementById('object').innerText.includes('These records may be one object')")
         told = words(browser, "object")
         assert f"perhaps {sources} sources" in told and "probability < 0.0001" in told
         assert f"\n{sources} sources" not in told and "These records are one object" not in told

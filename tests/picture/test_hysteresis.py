@@ -110,7 +110,7 @@ def test_who_is_kept_says_why_and_how_probable_it_is():
             watch = state.watch
             for number in state.number[state.detections.by_hysteresis].tolist():
                 kept += 1
-                assert "it stays what it was" in str(state.explain(number))
+                assert "its identity is kept" in " ".join(str(state.explain(number)).split())
         assert not state.detections.by_hysteresis.all()
     assert kept > 0
 

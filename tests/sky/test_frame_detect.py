@@ -183,7 +183,7 @@ def test_noise_that_pixels_share_makes_positions_less_certain():
     found = detect(Frame.of(seen), Detection(defects=False))
     rows, _, error = paired(clean, found)
     assert robust(error / found.sigma_px()[rows]) == pytest.approx(1.0, abs=0.2)
-    assert any("share their noise" in note for note in found.notes)
+    assert any("noise of neighbouring pixels" in note for note in found.notes)
 
 
 @pytest.mark.slow

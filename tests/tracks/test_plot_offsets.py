@@ -54,7 +54,7 @@ def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
     scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3, minutes=5.0).sources)
     registered, (found, _) = scene.registered()
     assert not found.established and registered.feeds[0] is scene.feeds[0]
-    assert "is left as it is" in " ".join(found.notes)
+    assert "is not corrected" in " ".join(found.notes)
     assert len(scene.doubts()) == 1 and scene.doubts()[0].startswith("radar: ")
 
 
