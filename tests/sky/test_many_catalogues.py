@@ -277,7 +277,7 @@ def test_a_catalogue_that_took_its_positions_from_another_does_not_tear_it_from_
         ra, dec = displaced(records.features, noise).T
         tables.append(Table({"ra": ra, "dec": dec, "sigma": sigma}, units={"sigma": "arcsec"}))
     catalogues = [Catalogue.of(table, name) for table, name in zip(tables, ("one", "two", "copy"), strict=True)]
-    expected = match(*catalogues[:2]).result.p_pair.sum()
+    expected = match(catalogues[0], catalogues[1]).result.p_pair.sum()
     rows = np.ma.filled(match_many(catalogues).objects.members, -1)
     assert np.count_nonzero((rows >= 0).all(axis=1)) > 0.97 * expected
     assert np.mean(rows[(rows >= 0).all(axis=1), 0] == rows[(rows >= 0).all(axis=1), 2]) > 0.99

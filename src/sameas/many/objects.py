@@ -50,7 +50,7 @@ class GroupTable:
 
     records, sets : their numbers. gap : upper bound of ln of the odds of a better partition against the answer, 0 where
     the answer is the best. cut : the sum left out sets at least e^cut times less probable than the best; exact : cut is
-    large enough to change no probability; floor : ln w below which sets were not considered.
+    large enough to change no probability, and no set was left out before; floor : ln w below which sets were.
     """
 
     records: IntArray
@@ -156,7 +156,8 @@ class Objects:
         """How every group was solved."""
         counts = np.diff(self.sets.start)
         a = self.answer
-        return GroupTable(self.pooled.sizes, counts, a.gap, a.cut >= EXACT, a.cut, self.sets.floor)
+        exact = (a.cut >= EXACT) & (self.sets.floor == -np.inf)
+        return GroupTable(self.pooled.sizes, counts, a.gap, exact, a.cut, self.sets.floor)
 
     def of(self, source: int | str) -> Memberships:
         """The result for every row of one source, given by its position in the list of sources or by its name."""
