@@ -156,3 +156,12 @@ def test_objects_that_nothing_tells_apart_are_not_called_certain(n):
     assert found.probability.max() < 0.2 and not found.groups.exact.any()
     paired = found.n_members == 2
     assert np.median(found.probability[paired]) == pytest.approx(1.0 / n, rel=0.3)
+
+
+@pytest.mark.slow
+def test_a_crowd_of_three_sources_beyond_all_sets_is_not_called_alone():
+    """A floor that leaves few enough sets leaves none: every record would be certain to be an object of its own."""
+    rng = np.random.default_rng(0)
+    sources = [Records.of(rng.normal(0.0, 5.0, (90, 2)), sigma=15.0, source=name) for name in ("one", "two", "three")]
+    found = identify_many(sources, rule=PoissonObjects(90 / 2000.0, 0.1))
+    assert not found.groups.exact.any() and found.probability.max() < 0.3

@@ -432,13 +432,21 @@ class Fuzzer:
                 at += 1
         return found
 
-    def modules(self) -> list[str]:
-        """What the child has loaded of sameas."""
-        process = self._child()
-        assert process.stdin is not None
-        process.stdin.write(b"modules\n")
-        process.stdin.flush()
-        return next(self._lines(process)).split("\t")
+    def modules(self, name: str) -> list[str]:
+        """What a child that has read a format has loaded of sameas; a new one reads its first input, where it ended."""
+        for _ in range(3):
+            process = self._child()
+            assert process.stdin is not None
+            try:
+                process.stdin.write(b"modules\n")
+                process.stdin.flush()
+                return next(self._lines(process)).split("\t")
+            except (StopIteration, BrokenPipeError):
+                process.kill()
+                process.wait()
+                self.process = None
+                self.run(name, 0, 1)
+        raise RuntimeError(f"{name}: children end when they are asked what they have loaded")
 
     def _child(self) -> subprocess.Popen[bytes]:
         if self.process is not None and self.read >= INPUTS_OF_A_CHILD:
@@ -517,7 +525,7 @@ def main() -> int:
             found.include(fuzzer.run(name, at, end))
             at = end
             if kept:
-                loaded = {*fuzzer.modules(), *(kept.code.modules if kept.code else ())}
+                loaded = {*fuzzer.modules(name), *(kept.code.modules if kept.code else ())}
                 code = Code.of(sorted(loaded), name, given.seed, corpus)
                 if kept.code is not None and not kept.code.stands(code):
                     fuzzer.close()

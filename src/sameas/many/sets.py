@@ -31,7 +31,7 @@ class ManyTuning:
     Attributes
     ----------
     floors : ln w below which sets are left out of a group, tried in this order until it has few enough sets.
-    most_sets : of one group.
+    most_sets : of one group. most_pairs : of one group of which a floor leaves nothing but records alone.
     cuts : reduced costs above which sets are left out of a group's sum, tried in this order until it is short enough.
     most_steps : from state to state in the sum of one group.
     small : groups of at most this many records are summed with all their sets.
@@ -40,6 +40,7 @@ class ManyTuning:
 
     floors: tuple[float, ...] = (-np.inf, 0.0, 6.0, 15.0, 30.0, 80.0, np.inf)
     most_sets: int = 400_000
+    most_pairs: int = 100_000
     cuts: tuple[float, ...] = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
     most_steps: int = 300_000
     small: int = 8
@@ -99,6 +100,13 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUN
         open_ &= too_many
         if not open_.any():
             break
+    # No set at all is left of many objects at one place, none of which stands out: sets of two stand for the others.
+    none = floor > 0.0
+    for level in levels:
+        none[pooled.group[level.records[:, 0]]] = False
+    if none.any():
+        two, too_many = growth.all(none, -np.inf, tuning.most_pairs, largest=2)
+        levels += [level.of_groups(pooled, ~too_many) for level in two]
     return _gathered(pooled, levels, floor)
 
 
@@ -151,15 +159,19 @@ class _Growth:
         most = np.cumsum(best[:, ::-1], axis=1)[:, ::-1] - best
         return cls(pooled, terms, Ragged.of_sorted(pooled.i, n).start, most, highest)
 
-    def all(self, groups: BoolArray, floor: float, limit: int) -> tuple[list[_SetsOfSize], BoolArray]:
-        """Sets of two records and more of some groups (g,), by size, and which groups have more than ``limit`` sets."""
+    def all(
+        self, groups: BoolArray, floor: float, limit: int, largest: int = 1 << 30
+    ) -> tuple[list[_SetsOfSize], BoolArray]:
+        """Sets of two records up to the ``largest`` of some groups (g,), by size, and which groups have more than
+        ``limit`` sets."""
         pooled = self.pooled
         lone = np.flatnonzero(groups[pooled.group])
         level = _SetsOfSize.alone(lone)
-        levels, count, too_many = [], np.zeros(len(pooled.sizes), np.int64), np.zeros(len(pooled.sizes), bool)
+        levels: list[_SetsOfSize] = []
+        count, too_many = np.zeros(len(pooled.sizes), np.int64), np.zeros(len(pooled.sizes), bool)
         if floor == np.inf:
             return [], too_many
-        while len(level.records):
+        while len(level.records) and len(levels) < largest - 1:
             level = self._grown(level, floor, limit, count, too_many)
             levels.append(level.only(level.log_weight > floor))
         return levels, too_many
