@@ -29,11 +29,19 @@ def output(tmp_path_factory):
     return read_table(folder / "out.csv"), facts
 
 
+def _two_a_row(table):
+    table.remove_columns([name for name in table.colnames if name.startswith("p_")])
+    table["p_match"] = np.full((len(table), 2), 0.5)
+    for name in [name for name in table.colnames if name.endswith("_2")]:
+        table[name] = table[name][::-1]
+
+
 EDITS = {
     "no declination": lambda table, facts: facts.pop("dec_column_1"),
     "a column that is not there": lambda table, facts: table.remove_column("ra_2"),
     "a number of rows that is none": lambda table, facts: facts.update(rows_1="nan"),
     "a text for a probability": lambda table, facts: table.replace_column("p_match", ["x"] * len(table)),
+    "two probabilities a row, other partners": lambda table, facts: _two_a_row(table),
     "names that are lists": lambda table, facts: facts.update(name_1=["a"], name_2=["b"]),
     "nothing": lambda table, facts: None,
 }

@@ -411,4 +411,7 @@ def _names(table: Table, facts: Mapping[str, Any], k: int) -> tuple[NDArray[Any]
 
 
 def _numbers(column: Any) -> FloatArray:
-    return np.asarray(np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan))
+    values = np.asarray(np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan))
+    if values.ndim > 1:
+        raise InputError(f"{column.name}: {values[0].size} values in every row, where one belongs")
+    return values
