@@ -26,7 +26,7 @@ from sameas.evidence import Errors
 from sameas.gate import Pairs
 from sameas.records import Records, unpack
 from sameas.representation import in_short
-from sameas.space import Plane
+from sameas.space import Plane, unit_vectors
 
 
 @dataclass(frozen=True)
@@ -135,9 +135,7 @@ def _from_centre(records: Records, widest_deg: float) -> FloatArray | None:
     """(n,) distance from the middle of a field on the sky, degrees; None where it is too wide to be one field."""
     if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * widest_deg:
         return None
-    lon, lat = np.radians(records.features).T
-    across = np.cos(lat)
-    place = across * np.cos(lon), across * np.sin(lon), np.sin(lat)
+    place = unit_vectors(*records.features.T).T
     middle = np.array([0.5 * (x.min() + x.max()) for x in place])
     length = max(float(np.linalg.norm(middle)), 1e-9)
     chord_sq = sum((x - m) ** 2 for x, m in zip(place, middle / length, strict=True))

@@ -56,7 +56,7 @@ class Outline:
         if records < FEWEST or not (extent > 0.0).all():
             return None
         place = (points - low) / extent
-        some = place[:: max(1, len(place) // SOME)]
+        some = _some_of(place)
         in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - CORNER).all(axis=1))
         if in_corners > CORNERS * (2.0 * CORNER) ** 2 * len(some):
             return None
@@ -105,13 +105,13 @@ class Outline:
 
 def _outermost(points: FloatArray) -> FloatArray:
     """The points that lie outside the polygon of those outermost in some directions, and these."""
-    corners = _farthest(points[:: max(1, len(points) // SOME)])
+    corners = _farthest(_some_of(points))
     # What lies within the circle inscribed in the polygon of some is no vertex: of many points nearly all.
     centre = corners.mean(axis=0)
     from_centre = corners - centre, np.roll(corners, -1, axis=0) - centre
     side = np.linalg.norm(from_centre[1] - from_centre[0], axis=1)
     area = from_centre[0][:, 0] * from_centre[1][:, 1] - from_centre[0][:, 1] * from_centre[1][:, 0]
-    inscribed = float((area[side > 0.0] / side[side > 0.0]).min())
+    inscribed = float((area[side > 0.0] / side[side > 0.0]).min()) if side.any() else 0.0
     x, y = points[:, 0] - centre[0], points[:, 1] - centre[1]
     points = points[x * x + y * y >= max(0.0, inscribed) ** 2]
     corners = _farthest(points)
@@ -120,6 +120,11 @@ def _outermost(points: FloatArray) -> FloatArray:
         along = two - one
         outside |= along[0] * (points[:, 1] - one[1]) - along[1] * (points[:, 0] - one[0]) < 0.0
     return np.concatenate([points[outside], corners])
+
+
+def _some_of(points: FloatArray) -> FloatArray:
+    """About :data:`SOME` of the points at most, evenly by row."""
+    return points[:: max(1, len(points) // SOME)]
 
 
 def _farthest(points: FloatArray) -> FloatArray:

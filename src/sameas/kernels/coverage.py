@@ -178,11 +178,8 @@ def refine(
     """Draw densities, in place, towards the counts of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
     own, weight : (n,) cells of the records that are counted, and as how many each; it is left out at itself. other :
-    (n',) cells of the other records. volume : of the cells. count : room for their counts.
+    (n',) cells of the other records. volume, count : of the cells, and how many are counted there.
     """
-    count[:] = 0.0
-    for k in range(len(own)):
-        count[own[k]] += weight[k]
     for k in range(len(own)):
         c = own[k]
         others = max(count[c] - weight[k], 0.0)

@@ -307,6 +307,24 @@ def packed(
 
 
 @part
+def _by_local_number(members: IntArray, local: IntArray) -> tuple[IntArray, IntArray, int]:
+    """The sets of a group as ragged ranges, begin (k + 1,) and entry, of its records numbered as they occur, and how
+    many these are. members : (k, S) sets, −1 for none. local : of all records −1; filled with the numbers."""
+    begin, entry = np.zeros(len(members) + 1, np.int64), np.empty(members.size, np.int64)
+    at, n = 0, 0
+    for s in range(len(members)):
+        for record in members[s]:
+            if record != NONE:
+                if local[record] == NONE:
+                    local[record] = n
+                    n += 1
+                entry[at] = local[record]
+                at += 1
+        begin[s + 1] = at
+    return begin, entry[:at], n
+
+
+@part
 def _packed_group(
     members: IntArray,
     weight: FloatArray,
@@ -319,19 +337,8 @@ def _packed_group(
     share: FloatArray,
     chosen: BoolArray,
 ) -> float:
-    k, n = len(members), 0
-    begin = np.zeros(k + 1, np.int64)
-    entry = np.empty(members.size, np.int64)
-    at = 0
-    for s in range(k):
-        for record in members[s]:
-            if record != NONE:
-                if local[record] == NONE:
-                    local[record] = n
-                    n += 1
-                entry[at] = local[record]
-                at += 1
-        begin[s + 1] = at
+    k = len(members)
+    begin, entry, n = _by_local_number(members, local)
     own_dual = np.empty(n)
     for s in range(k):
         for record in members[s]:
@@ -390,17 +397,8 @@ def set_messages(groups: IntArray, start: IntArray, members: IntArray, weight: F
     local = np.full(n, NONE)
     for g in groups:
         a, b = start[g], start[g + 1]
-        begin, entry, at, number = np.zeros(b - a + 1, np.int64), np.empty(members[a:b].size, np.int64), 0, 0
-        for s in range(a, b):
-            for record in members[s]:
-                if record != NONE:
-                    if local[record] == NONE:
-                        local[record] = number
-                        number += 1
-                    entry[at] = local[record]
-                    at += 1
-            begin[s - a + 1] = at
-        share[a:b] = _messages(begin, entry[:at], weight[a:b], number)
+        begin, entry, number = _by_local_number(members[a:b], local)
+        share[a:b] = _messages(begin, entry, weight[a:b], number)
 
 
 @part

@@ -17,7 +17,7 @@ from scipy.sparse import csr_array
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.joint import NO_RECORD
-from sameas.many.marginals import EXACT, Answer
+from sameas.many.marginals import Answer
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.sets import Sets
@@ -159,7 +159,7 @@ class Weights:
         p, other = objects.answer.probability[self.kept[near]], self.kept[near] != own
         rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
         group = int(objects.sets.group[own])
-        exact = bool(objects.answer.cut[group] >= EXACT and objects.sets.floor[group] == -np.inf)
+        exact = bool(objects.answer.exact(objects.sets.floor)[group])
         return ObjectExplanation(number, group, int(objects.pooled.sizes[group]), exact, rivals)
 
     def _rival(self, at: int, number: int) -> Rival:

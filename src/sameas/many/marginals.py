@@ -48,6 +48,10 @@ class Answer:
     gap: FloatArray
     cut: FloatArray
 
+    def exact(self, floor: FloatArray) -> BoolArray:
+        """(g,) whether probabilities are exact; floor : (g,) of :class:`Sets`, −∞ where no set was left out before."""
+        return np.asarray((self.cut >= EXACT) & (floor == -np.inf))
+
 
 def answer(
     sets: Sets,

@@ -18,7 +18,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.explanation import ObjectExplanation, Weights
 from sameas.many.joint import NO_RECORD, Joint
-from sameas.many.marginals import EXACT, Answer
+from sameas.many.marginals import Answer
 from sameas.many.observations import Source, records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.sets import Sets
@@ -156,8 +156,7 @@ class Objects:
         """How every group was solved."""
         counts = np.diff(self.sets.start)
         a = self.answer
-        exact = (a.cut >= EXACT) & (self.sets.floor == -np.inf)
-        return GroupTable(self.pooled.sizes, counts, a.gap, exact, a.cut, self.sets.floor)
+        return GroupTable(self.pooled.sizes, counts, a.gap, a.exact(self.sets.floor), a.cut, self.sets.floor)
 
     def of(self, source: int | str) -> Memberships:
         """The result for every row of one source, given by its position in the list of sources or by its name."""
