@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -34,6 +35,33 @@ class Process:
 def process(command: list[str], before: str | None = None, environment: dict[str, str] | None = None) -> Callable:
     """The command as work for the worker."""
     return Process(command, before, environment)
+
+
+def stages_of_match(first: str, second: str, out: str) -> Callable[[], dict[str, float]]:
+    """`sameas.match` of two files, everything estimated, and its table written, from before the import on: seconds of
+    every stage, as its ``progress`` names them. In a process that has imported nothing yet."""
+
+    def work() -> dict[str, float]:
+        seconds: dict[str, float] = {}
+        last, stage = time.perf_counter(), "import"
+
+        def begins(next_stage: str) -> None:
+            nonlocal last, stage
+            now = time.perf_counter()
+            seconds[stage] = seconds.get(stage, 0.0) + now - last
+            last, stage = now, next_stage
+
+        import sameas
+
+        begins("reading")
+        found = sameas.match(first, second, progress=begins)
+        begins("joining and writing")
+        found.write(out)
+        begins("")
+        return seconds
+
+    work.warm = False  # type: ignore[attr-defined]
+    return work
 
 
 def first_ever(command: list[str], cache: str) -> Callable:

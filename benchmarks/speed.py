@@ -328,6 +328,7 @@ def tables(b: Bench, options: argparse.Namespace) -> Iterator[Table]:
             yield timetable(title, SECTIONS[name](b))
     if options.only in (None, "stages"):
         yield stage_table(b)
+        yield command_stages(b)
     if options.only in (None, "growth"):
         yield growth(b)
     if options.only in (None, "verdicts"):
@@ -345,6 +346,31 @@ def stage_table(b: Bench) -> Table:
             continue
         lines.append([lam, *(1e3 * s for s in stage_medians(one).values())])
     return Table(f"Stages, ms, {b.rows} rows, 3σ, circular", ("λ", *STAGES, "all"), lines)
+
+
+def command_stages(b: Bench) -> Table:
+    """Every stage of a whole match of two files, everything estimated, each run in a new process; STILTS beside it."""
+    folder = Path(b.sky(0.5))
+    first, second = _parquet(folder)
+    options = {"first": str(first), "second": str(second), "out": str(folder / "stages.parquet")}
+    runs = [measure(Work("benchmarks.processes:stages_of_match", options, 1, b.slow_s)) for _ in range(3)]
+    failed = [one.missing for one in runs if one.missing]
+    if failed:
+        return Table("Stages of a match of two files", ("failed",), [[failed[0]]])
+    each = [one.returned[0] for one in runs]
+    whole = statistics.median(sum(stages.values()) for stages in each)
+    lines: list[list[object]] = []
+    for stage in each[0]:
+        seconds = statistics.median(stages[stage] for stages in each)
+        lines.append([stage, seconds, 100.0 * seconds / whole, None])
+    lines.append(["all", whole, 100.0, statistics.median(one.peak_mb for one in runs)])
+    for name, work in b.beside(str(folder), "stilts", runs=3):
+        peer = Measurement(missing=work) if isinstance(work, str) else measure(work)
+        lines.append([name, peer.missing or peer.median, None if peer.missing else 100.0 * peer.median / whole,
+                      None if peer.missing else peer.peak_mb])  # fmt: skip
+    title = f"A match of two Parquet tables of {b.rows} rows, everything estimated, table written: medians of 3"
+    note = "STILTS: errors and radius told, greedy best pairs, FITS in and out"
+    return Table(title, ("stage", "s", "% of all", "peak MB"), lines, (note,))
 
 
 def main() -> None:
