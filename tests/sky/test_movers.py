@@ -124,7 +124,7 @@ def test_competing_tracks_are_summed_over_all_choices():
     members = [(0, 1), (1, 2), (0, 2), (0, 1, 2), (2, 3), (4, 5)]
     weight = rng.normal(1.0, 2.0, len(members))
     made = chain(members, weight)
-    found = compete(made, 6, Tuning(sure=np.inf, least_log_ratio=-np.inf))
+    found = compete(made, 6, Tuning(sure=np.inf, least_competing=-np.inf))
     total, share, best = 0.0, np.zeros(len(members)), (-np.inf, ())
     for size in range(len(members) + 1):
         for choice in combinations(range(len(members)), size):
@@ -164,7 +164,7 @@ def test_a_track_is_the_least_squares_fit_of_its_detections():
     around, model = Surroundings.of(detections), MotionModel().for_bands(detections.bands)
     tracks = grow(around, candidate_links(around, model), model)
     whole = int(np.argmax(tracks.size))
-    rows = tracks.members()[whole]
+    rows = tracks.members(np.array([whole]))[0]
     t = (detections.mjd_utc[rows] - detections.mjd_utc[rows[0]]) * 1440.0
     place = around.axes.offsets(np.full(len(rows), rows[0]), rows)
     line = np.polyfit(t, place, 1)

@@ -25,7 +25,7 @@ from sameas.front.options import SIDE_OPTIONS
 
 _COLUMNS = "Columns of the tables"
 _FRAMES = "A series of frames"
-#: A report holds tracklets of at least this probability: of ten that are as probable as this nine are real.
+#: A report holds tracklets of at least this probability: of ten that are as probable as this, nine are real.
 REPORTED = 0.9
 
 
@@ -163,8 +163,7 @@ def movers(
                 folder=output or Path("movers"), pointing=PointingOptions(aim_of(aim), None, scale_of(scale)),
                 darks=darks, flats=flats, biases=biases, least=max(least, 3), probability=probability,
                 elements=None if elements is None else str(elements), header=None if report is None else str(report),
-                processes=processes, below_limit=below_limit, site=_site(site),
-                reported=reported,
+                reported=reported, processes=processes, below_limit=below_limit, site=_site(site),
             )  # fmt: skip
             series.run(request, quiet)
         return
@@ -230,7 +229,7 @@ def run(
     import numpy as np
 
     from sameas.cli.terminal import Pace, Printer, share_compilation
-    from sameas.io.ades import REPORTS, Observer
+    from sameas.io.ades import REPORTS, Observer, observations
     from sameas.report.movers import known_lines, model_lines, mover_lines, report_lines, searched_lines
     from sameas.sky.movers import find_movers
     from sameas.sky.movers.detections import detections_of
@@ -296,25 +295,6 @@ def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Pat
         if path.exists() and not overwrite:
             raise InputError(f"{path}: is there already; give -o another name, or leave --no-overwrite out")
     return paths
-
-
-def observations(found: Any, known: Any, which: Any) -> list[Any]:
-    """The rows of a report of those tracklets of tables, tracklet by tracklet."""
-    from sameas.io.ades import Observation
-
-    seen, out = found.detections, []
-    for k in which.tolist():
-        for row in found.members[k][found.members[k] >= 0].tolist():
-            error = float(seen.magnitude_error[row])
-            out.append(
-                Observation.of(
-                    found.names[k], seen.mjd_utc[row], (seen.ra_deg[row], seen.dec_deg[row]), seen.covariance[row],
-                    magnitude=float(seen.magnitude[row]), magnitude_error=error,
-                    snr=1.0857 / error if error > 0 else float("nan"),
-                    permanent="" if known is None else known.number(k),
-                )
-            )  # fmt: skip
-    return out
 
 
 def _catalogue(path: str, columns: dict[str, Any]) -> Any:

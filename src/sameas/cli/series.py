@@ -25,9 +25,9 @@ class SeriesRequest:
 
     paths : of the frames. catalogue, columns : of the stars. folder : of the outputs. pointing : where frames point.
     darks, flats, biases : calibration frames. least, probability : of a tracklet. elements : file of known objects, or
-    None. header : TOML of the report, or None. processes : frames at a time. below_limit : fastest rate, ″/min, of what
-    no frame shows by itself, or None. site : latitude, longitude, height of the observer; None for the header's.
-    reported : least probability of a tracklet in the report.
+    None. header : TOML of the report, or None. reported : least probability of a tracklet in it. processes : frames at
+    a time. below_limit : fastest rate, ″/min, of what no frame shows by itself, or None. site : latitude, longitude,
+    height of the observer; None for the header's.
     """
 
     paths: tuple[str, ...]
@@ -42,10 +42,10 @@ class SeriesRequest:
     probability: float
     elements: str | None
     header: str | None
+    reported: float
     processes: int
     below_limit: float | None = None
     site: tuple[float, float, float] | None = None
-    reported: float = 0.9
 
 
 def run(request: SeriesRequest, quiet: bool) -> None:
@@ -56,7 +56,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.cli.terminal import Printer, notice, share_compilation
     from sameas.front.series import Identified, series_of
     from sameas.io import write_table
-    from sameas.io.ades import REPORTS, Observer
+    from sameas.io.ades import REPORTS, Observer, observations
     from sameas.io.atomic import filling
     from sameas.pages.movers import write_movers_page
     from sameas.report.frame import one_line
@@ -122,7 +122,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
         write_table(found.detection_table(), draft / written[0], provenance=facts)
         write_table(tracklets, draft / written[1], provenance=facts)
         if observer is not None and told is not None:
-            rows, software = observations(found, series, known, np.flatnonzero(told)), f"sameas {sameas.__version__}"
+            rows, software = observations(found, known, np.flatnonzero(told), series), f"sameas {sameas.__version__}"
             for end, write in REPORTS.items():
                 written.append(f"report.{end}")
                 write(rows, observer, draft / written[-1], software=software)
@@ -266,24 +266,3 @@ def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:
 
     place = read(done[0].request.path).facts.station
     return None if place is None else (place.lat_deg, place.lon_deg, place.height_m)
-
-
-def observations(found: Any, series: Any, known: Any, which: Any) -> list[Any]:
-    """The rows of a report of those tracklets, tracklet by tracklet."""
-    from sameas.io.ades import Observation
-
-    seen, out = found.detections, []
-    for k in which.tolist():
-        for row in found.members[k][found.members[k] >= 0].tolist():
-            at = int(seen.rows[row])
-            exposure = series.exposures[series.frame[at]]
-            flux, error = exposure.flux[series.row[at]], exposure.flux_err[series.row[at]]
-            out.append(
-                Observation.of(
-                    found.names[k], seen.mjd_utc[row], (seen.ra_deg[row], seen.dec_deg[row]),
-                    exposure.covariance[series.row[at]], magnitude=float(exposure.magnitude[series.row[at]]),
-                    magnitude_error=float(1.0857 * error / flux) if flux > 0 else float("nan"),
-                    snr=float(exposure.snr[series.row[at]]), permanent="" if known is None else known.number(k),
-                )
-            )  # fmt: skip
-    return out

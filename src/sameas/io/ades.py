@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
+
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
 
@@ -171,6 +173,32 @@ class Observation:
             out["logSNR"] = f"{math.log10(self.snr):.2f}"
         out["remarks"] = self.remarks
         return {key: _plain(out[key]).replace("|", "/") for key in COLUMNS if out.get(key)}
+
+
+def observations(found: Any, known: Any, which: Any, series: Any = None) -> list[Observation]:
+    """The rows of a report of those tracklets, tracklet by tracklet.
+
+    series : that the detections are of; magnitudes are then those of its frames, errors have those of their plates.
+    """
+    seen, out = found.detections, []
+    if series is None:
+        error = np.where(seen.magnitude_error > 0, seen.magnitude_error, np.nan)
+        covariance, magnitude, snr = seen.covariance, seen.magnitude, 1.0857 / error
+    else:
+        covariance, magnitude, snr = (
+            np.concatenate([getattr(exposure, name) for exposure in series.exposures])[seen.rows]
+            for name in ("covariance", "magnitude", "snr")
+        )
+    for k in which.tolist():
+        for row in found.members[k][found.members[k] >= 0].tolist():
+            out.append(
+                Observation.of(
+                    found.names[k], seen.mjd_utc[row], (seen.ra_deg[row], seen.dec_deg[row]), covariance[row],
+                    magnitude=float(magnitude[row]), magnitude_error=float(seen.magnitude_error[row]),
+                    snr=float(snr[row]), permanent="" if known is None else known.number(k),
+                )
+            )  # fmt: skip
+    return out
 
 
 def _header(observer: Observer, software: str) -> list[tuple[str, list[tuple[str, str]]]]:

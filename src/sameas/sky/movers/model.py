@@ -51,6 +51,8 @@ class Tuning:
         of so many counts, for bright ones are shown nearly always, faint ones seldom.
     around : so many exposures before and after a track are asked whether they saw where it then was. least_ended : of
         tracks of more ln w.
+    least_competing : tracks of less ln w do not compete for detections. Among many false detections chance makes ten
+        to thirty of them for each of more, which change no probability by a hundredth.
     sure : tracks of another by one detection less, whose last one adds more than this to ln w, do not compete.
     """
 
@@ -73,6 +75,7 @@ class Tuning:
     evenness: float = 2.0
     around: int = 8
     least_ended: float = -4.0
+    least_competing: float = -6.0
     sure: float = 12.0
 
 

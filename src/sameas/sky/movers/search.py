@@ -253,7 +253,7 @@ TRACK_COUNTS = 0.1
 
 
 def _taught_by_tracks(
-    around: Surroundings, model: MotionModel, rates: RateDensity, tuning: Tuning, counts: float, rounds: int = 1
+    around: Surroundings, model: MotionModel, rates: RateDensity, tuning: Tuning, counts: float
 ) -> MotionModel:
     """The model with the rates, and how often a mover begins and is shown again, that whole tracks teach.
 
@@ -261,26 +261,23 @@ def _taught_by_tracks(
     such movers, tracks tell that are straight over three exposures and more.
     """
     n = len(around.detections)
-    for _ in range(rounds):
-        tracks = grow(around, _links(around, model, tuning), model, tuning)
-        found = compete(tracks, n, tuning)
-        telling = found.p_track > 0.01
-        p, tracks = found.p_track[telling], found.tracks.only(telling)
-        # Movers that one exposure shows, or none, make no track; detections are those of an exposure.
-        movers = float((p / model.tracked(tracks.saw, tuning)).sum())
-        exposures = float(around.coverage.before[around.cell, -1].mean())
-        share = (movers + counts * PRIOR_SHARE) / (n / exposures + counts)
-        i, j = tracks.first, tracks.last
-        minutes = around.minutes[j] - around.minutes[i]
-        rate, error = rates_of(around, i, j, minutes, around.axes.offsets(i, j))
-        sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
-        model = replace(
-            model,
-            rates=model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts, prior=rates),
-            log_begin=math.log(share),
-            p_detect=min(max(_shown(p, tracks.size, tracks.saw, model.p_detect), 0.3), 0.97),
-        )
-    return model
+    found = compete(grow(around, _links(around, model, tuning), model, tuning), n, tuning)
+    telling = found.p_track > 0.01
+    p, tracks = found.p_track[telling], found.tracks.only(telling)
+    # Movers that one exposure shows, or none, make no track; detections are those of an exposure.
+    movers = float((p / model.tracked(tracks.saw, tuning)).sum())
+    exposures = float(around.coverage.before[around.cell, -1].mean())
+    share = (movers + counts * PRIOR_SHARE) / (n / exposures + counts)
+    i, j = tracks.first, tracks.last
+    minutes = around.minutes[j] - around.minutes[i]
+    rate, error = rates_of(around, i, j, minutes, around.axes.offsets(i, j))
+    sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
+    return replace(
+        model,
+        rates=model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts, prior=rates),
+        log_begin=math.log(share),
+        p_detect=min(max(_shown(p, tracks.size, tracks.saw, model.p_detect), 0.3), 0.97),
+    )
 
 
 def _shown(weight: FloatArray, shown: IntArray, saw: IntArray, p: float) -> float:

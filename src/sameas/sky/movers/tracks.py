@@ -64,10 +64,10 @@ class Tracks:
         """All of several lists of tracks."""
         return Tracks(*(np.concatenate([getattr(p, name) for p in parts]) for name in Tracks.__dataclass_fields__))
 
-    def members(self) -> IntArray:
-        """(k, longest) detections of each track in the order of time, −1 behind its last one."""
-        out = np.full((len(self), int(self.size.max(initial=1))), -1)
-        at, rows = np.arange(len(self)), np.arange(len(self))
+    def members(self, of: IntArray) -> IntArray:
+        """(k, longest) detections of some tracks in the order of time, −1 behind the last one of each."""
+        out = np.full((len(of), int(self.size[of].max(initial=1))), -1)
+        at, rows = of, np.arange(len(of))
         while len(rows):
             out[rows, self.size[at] - 1] = self.last[at]
             above = self.parent[at] >= 0
@@ -254,8 +254,8 @@ def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_lim
     surpassed = np.zeros(len(tracks), bool)
     sure = (tracks.parent >= 0) & (tracks.gain > tuning.sure)
     surpassed[tracks.parent[sure]] = True
-    at = np.flatnonzero(~surpassed & (tracks.log_weight > tuning.least_log_ratio))
-    members = tracks.members()[at]
+    at = np.flatnonzero(~surpassed & (tracks.log_weight > tuning.least_competing))
+    members = tracks.members(at)
     weight = tracks.log_weight[at]
     use = np.bincount(members[members >= 0], minlength=n)
     alone = np.where(members >= 0, use[members], 1).max(axis=1, initial=1) == 1
