@@ -123,6 +123,30 @@ print(identified(200), identified(20_000))
 
 
 @pytest.mark.slow
+def test_what_is_cached_is_read_without_the_compiler(tmp_path):
+    """And gives the same; numba is left as it was for others."""
+    program = """
+import sys
+import numpy as np
+from sameas.kernels.summary import greatest_pair, per_record
+
+position, value = np.array([1, 0, 1, 1], np.int32), np.array([0.25, 0.5, 0.75, 0.75])
+print(*greatest_pair.compiled(position, 3, value), *per_record.compiled(position, 3, value > 0.6, value)[3])
+print("numba.cpython.unicode" in sys.modules)
+import numba
+print(numba.njit(lambda words: words.upper())("us"))
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    said = [
+        subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+        for _ in range(2)
+    ]
+    first, second = (run.stdout.splitlines() for run in said)
+    assert first[0] == second[0] == "1 2 -1 0.5 1.75 0.0"
+    assert (first[1:], second[1:]) == (["True", "US"], ["False", "US"])
+
+
+@pytest.mark.slow
 def test_everything_is_compiled_where_that_is_wanted():
     program = """
 import sys

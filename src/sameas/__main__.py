@@ -1,6 +1,6 @@
 """``python -m sameas``: the command."""
 
-from sameas.cli import main
+from sameas.cli import process
 
 if __name__ == "__main__":
-    main()
+    process()

@@ -201,6 +201,32 @@ def _read(terminal):
         return b""
 
 
+@pytest.mark.parametrize(
+    ("end", "code", "said"),
+    [
+        ("raise SystemExit(3)", 3, "done\nended\n"),
+        ("pass", 0, "done\nended\n"),
+        ("threading.Thread(target=lambda: (time.sleep(0.3), print('waited'))).start()", 0, "done\nwaited\nended\n"),
+        ("raise SystemExit('words')", 1, "done\nended\n"),
+    ],
+)
+def test_a_process_ends_at_once_but_not_before_all_is_said(end, code, said):
+    """What is registered for its end runs, and threads at work are waited for, as Python does."""
+    probe = f"""
+import atexit, sys, threading, time
+import sameas.cli
+def main():
+    print("done")
+    {end}
+    raise SystemExit
+sameas.cli.main = main
+atexit.register(print, "ended")
+sameas.cli.process()
+"""
+    done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stdout) == (code, said)
+
+
 def test_help_imports_nothing_heavy_of_ours():
     probe = """
 import sys

@@ -48,6 +48,42 @@ def main() -> None:
         raise
 
 
+def process() -> None:
+    """:func:`main` as all that its process does, which ends with it at once: to take five hundred modules apart, object
+    by object, lasts a fifth of a second."""
+    try:
+        main()
+    except SystemExit as error:
+        if error.code is None or isinstance(error.code, int):
+            _end_at_once(error.code or 0)
+        raise
+
+
+def _end_at_once(code: int) -> None:
+    """Ends the process without taking apart what it holds; returns where something else has to be waited for.
+
+    A profiler or debugger speaks when all has ended; others' threads and processes may be at work; and what cannot be
+    written Python says itself.
+    """
+    import atexit
+    import os
+    import threading
+
+    tools = getattr(sys, "monitoring", None)
+    watched = sys.gettrace() or sys.getprofile() or (tools and any(map(tools.get_tool, range(6))))
+    at_work = [thread for thread in threading.enumerate() if not thread.daemon]
+    processes = sys.modules.get("multiprocessing.process")
+    if watched or sys.flags.interactive or len(at_work) > 1 or (processes and processes.active_children()):
+        return
+    try:
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (OSError, ValueError):
+        return
+    os._exit(code)
+
+
 def _open_what_is_closed() -> None:
     """Puts the null device where a stream is closed; the next file opened would have its number, and its words."""
     import os
@@ -61,4 +97,4 @@ def _open_what_is_closed() -> None:
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 (it stays open)
 
 
-__all__ = ["main"]
+__all__ = ["main", "process"]

@@ -32,6 +32,9 @@ FEW_BESIDE = 2_000
 #: When so many seconds of the processor have gone into interpreting, the compiler would have been loaded, or would have
 #: compiled for the first time on this machine: all is compiled from then on.
 PATIENCE_S, PATIENCE_AT_FIRST_S = 2.0, 15.0
+#: The newest numba whose cache is known to be read by what :func:`_read_without_the_compiler` calls; the oldest is that
+#: of our requirements.
+NEWEST_KNOWN = (0, 68)
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _PART: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True}
 _INLINED: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
@@ -192,7 +195,7 @@ def _plain(function: FunctionType) -> FunctionType:
 
 
 def _without_linear_algebra() -> None:
-    """Imports what numba needs to read a kernel, but not ``scipy.linalg`` with it: a fifth of the time of loading it.
+    """Imports what numba compiles with, but not ``scipy.linalg`` with it.
 
     numba imports that only to see whether it is there (it is: SciPy is one of our dependencies); what is compiled with
     linear algebra still looks for it then.
@@ -212,15 +215,44 @@ def _without_linear_algebra() -> None:
 
 def _dispatcher(function: FunctionType) -> Any:
     """The function as numba has it, with those it calls."""
-    if "numba" not in sys.modules:
-        _without_linear_algebra()
     from numba import njit
 
     if function not in _dispatchers:
         instead = {name: _dispatcher(value) for name, value in _called(function).items()}
         options = _parts.get(function, _OPTIONS)
         _dispatchers[function] = njit(**options)(_with(function, instead) if instead else function)
+        if "cache" in options:
+            _read_without_the_compiler(_dispatchers[function])
     return _dispatchers[function]
+
+
+def _read_without_the_compiler(dispatcher: Any) -> None:
+    """Lets the dispatcher look into the cache before numba has loaded all that it compiles with, which takes longer
+    than to read every kernel of a match; what is not in the cache is compiled as ever.
+
+    A kernel that is read needs numba's memory manager, and nothing else: none of ours hashes, which would.
+    """
+    import numba
+
+    if not hasattr(numba, "version_info") or numba.version_info.full[:2] > NEWEST_KNOWN:
+        return
+    from numba.core.runtime import rtsys
+
+    cache = dispatcher._cache
+    compiled_or_read = cache.load_overload
+
+    def read(signature: Any, context: Any) -> Any:
+        rtsys.initialize(context)
+        with cache._guard_against_spurious_io_errors():
+            found = cache._load_overload(signature, context)
+        if found is None:
+            _without_linear_algebra()
+            found = compiled_or_read(signature, context)
+        return found
+
+    cache.load_overload = read
+    # Other packages' additions to the compiler, which it looks for when it is loaded.
+    dispatcher._compilation_chain_init_hook = lambda: None
 
 
 def _tell(dispatcher: Any) -> None:
