@@ -132,7 +132,7 @@ from sameas.kernels.summary import greatest_pair, per_record
 
 position, value = np.array([1, 0, 1, 1], np.int32), np.array([0.25, 0.5, 0.75, 0.75])
 print(*greatest_pair.compiled(position, 3, value), *per_record.compiled(position, 3, value > 0.6, value)[3])
-print("numba.cpython.unicode" in sys.modules)
+print("numba.np.npyimpl" in sys.modules)
 import numba
 print(numba.njit(lambda words: words.upper())("us"))
 """
