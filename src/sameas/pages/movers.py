@@ -164,7 +164,7 @@ def series_field(
             "missing": one["found"]["missing"], "zero": rounded(stars.zero_point[k], 4),
             "zero_err": rounded(stars.zero_error[k], 4), "ensemble": int(stars.ensemble[k]),
             "scatter": rounded(series.floor_arcsec[k], 3), "width": rounded(one.get("psf_fwhm_px") or np.nan, 2),
-            "shift": column(series.shift_arcsec[k], 3), "doubts": list(doubts[k]),
+            "shift": column(series.shift_arcsec[k], 5), "doubts": list(doubts[k]),
         }
         for k, (one, exposure) in enumerate(zip(summary, series.exposures, strict=True))
     ]  # fmt: skip
