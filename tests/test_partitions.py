@@ -526,7 +526,7 @@ def test_formats_are_refused_over_partitions(tmp_path, option):
 
 
 @pytest.mark.slow
-def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatch):
+def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatch, request):
     """The collection was called whole, and the folder of the run stayed beside it."""
     import signal
 
@@ -537,6 +537,8 @@ def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatc
         signal.raise_signal(signal.SIGINT)
 
     monkeypatch.setattr("sameas.partitions.run.write_collection", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs in the background ignore it
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
     paths = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=12), (300, 300))
     with pytest.raises(KeyboardInterrupt):
         matched(tmp_path, paths)

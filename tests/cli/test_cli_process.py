@@ -334,6 +334,43 @@ def test_a_compiled_loop_does_not_keep_a_process_that_is_to_stop(number, code, t
     assert not list(tmp_path.iterdir())
 
 
+_CAUGHT = """
+import os, sys
+from importlib.abc import MetaPathFinder
+import sameas.cli, sameas.cli.app
+
+number, where = int(sys.argv[1]), sys.argv[2]
+
+class Asked(MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == "astropy":
+            try:
+                os.kill(os.getpid(), number)
+            except BaseException:
+                pass
+            raise AttributeError("half imported")
+
+sys.meta_path.insert(0, Asked())
+sys.argv[1:] = ["match", "a.fits", "b.fits", "-o", "o.fits"]
+if where == "before":
+    sameas.cli.app.app = lambda: __import__("astropy")
+sameas.cli.main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("where", ["in", "before"])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_import_that_catches_the_signal_and_fails_is_no_fault(number, code, where, tmp_path, field_files):
+    """NumPy 2.0 does: a traceback, or a fault of sameas, was printed where the command was asked to end."""
+    for name, file in zip(("a.fits", "b.fits"), field_files, strict=True):
+        (tmp_path / name).symlink_to(file)
+    done = subprocess.run([sys.executable, "-c", _CAUGHT, str(int(number)), where], cwd=tmp_path, capture_output=True,
+                          text=True, timeout=60, preexec_fn=_interruptible)  # fmt: skip
+    assert (done.returncode, done.stderr) == (code, "sameas: stopped; nothing was written\n")
+    assert not (tmp_path / "o.fits").exists()
+
+
 _TWICE = """
 import os, signal, sys, time
 from pathlib import Path

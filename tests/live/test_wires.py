@@ -124,6 +124,6 @@ def test_the_command_serves_a_replay_and_ends_on_a_signal(tmp_path):
             except OSError:
                 continue
         run.send_signal(signal.SIGTERM)
-        out, err = run.communicate(timeout=20.0)
+        out, err = run.communicate(timeout=60.0)
     assert run.returncode == 0 and "Watched:" in out and "radar: " in out and "Traceback" not in err
     assert (tmp_path / "state" / "state.pickle").exists()

@@ -46,6 +46,13 @@ def main() -> None:
             # Libraries may still have threads at work, which C++ does not let end with the process.
             end_now(error.code)
         raise
+    except Exception as error:
+        from sameas.cli.outcome import end_now, exit_code, interruption, stopped
+
+        raised = interruption(error)
+        if raised is None:
+            raise
+        end_now(exit_code(raised), stopped())
 
 
 def process() -> None:

@@ -48,6 +48,8 @@ def end_cleanly_when_asked(worker: bool = False) -> None:
     faster, and a second SIGTERM is nothing to it.
     """
     signal.signal(signal.SIGTERM, _terminate_worker if worker else _terminate)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     before = sys.unraisablehook
     # What is raised within a __del__ Python prints, and goes on; the other thread ends the process then.
     sys.unraisablehook = lambda told: None if isinstance(told.exc_value, KeyboardInterrupt) else before(told)
@@ -94,8 +96,18 @@ def stopped() -> str:
     return f"stopped; {', '.join(written) or 'nothing'} was written"
 
 
+#: What was raised in the main thread when it was asked to end. A library may catch it, and fail for what it then lacks.
+_raised: list[type[KeyboardInterrupt]] = []
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    _raised[:] = [KeyboardInterrupt]
+    raise KeyboardInterrupt
+
+
 def _terminate(number: int, frame: Any) -> None:
     signal.signal(number, signal.SIG_DFL)
+    _raised[:] = [Terminated]
     raise Terminated
 
 
@@ -151,7 +163,10 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
 
 
 def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
-    """The interruption that made the error, if one did: of one on its way out, compiled code makes a SystemError."""
+    """The interruption that made the error, if one did: of one on its way out, compiled code makes a SystemError, and
+    an import that catches it (NumPy's does) fails in the next line."""
+    if _raised:
+        return _raised[0]()
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return error
@@ -172,6 +187,8 @@ def fault(error: Exception) -> str:
 
 
 def _end(message: str, code: int, debug: bool) -> None:
+    if _raised:
+        message, code = stopped(), exit_code(_raised[0]())
     if debug:
         import traceback
 
