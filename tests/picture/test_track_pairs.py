@@ -122,3 +122,13 @@ def test_what_a_set_says_of_swaps_is_affine_in_their_rate(rng, way):
             p, here = rate * near[label == one], label == one
             log_p = np.log((1.0 - p) * np.exp(stayed[here]) + p * np.exp(swapped[here]))
             assert most + np.log(without + rate * change) == pytest.approx(np.logaddexp.reduce(log_p), abs=1e-10)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_tracks_that_have_gone_far_apart_leave_the_rates_of_swaps_finite(way):
+    # A pair that was near once, kilometres apart now: neither with a swap nor without is its weight above 0.
+    stayed, swapped, near = np.array([-2478.0]), np.array([-1428.0]), np.array([5.5e-322])
+    sums, some = np.empty((3, 1)), np.empty(1, bool)
+    getattr(swap_evidence, way)(np.zeros(1, np.int64), stayed, swapped, near, *sums, some)
+    most, without, change = sums[:, 0]
+    assert most + np.log(without + 1e-3 * change) == pytest.approx(-1428.0 + np.log(5.5e-322) + np.log(1e-3), abs=1e-6)

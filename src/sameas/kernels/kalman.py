@@ -268,7 +268,8 @@ def swap_evidence(
     some[:] = False
     for k in range(len(label)):
         one = label[k]
-        most[one] = max(most[one], log_stayed[k], log_swapped[k] if near[k] > 0.0 else -np.inf)
+        # A swap may be as improbable as what it explains: near counts with its weight, or both sums come to 0.
+        most[one] = max(most[one], log_stayed[k], log_swapped[k] + math.log(near[k]) if near[k] > 0.0 else -np.inf)
         some[one] = some[one] or near[k] > 0.0
     for k in range(len(label)):
         one = label[k]
@@ -276,7 +277,7 @@ def swap_evidence(
             without = math.exp(log_stayed[k] - most[one])
             stayed[one] += without
             if near[k] > 0.0:
-                change[one] += near[k] * (math.exp(log_swapped[k] - most[one]) - without)
+                change[one] += math.exp(log_swapped[k] + math.log(near[k]) - most[one]) - near[k] * without
 
 
 @small
