@@ -61,9 +61,7 @@ class Fleet:
         """The same, in pairs abreast."""
         lead = np.arange(len(self.turn)) // 2 * 2
         aside = apart_m * (np.arange(len(self.turn)) % 2)
-        return Fleet(
-            self.centre[lead], self.radius[lead] + aside, self.phase[lead], self.turn[lead], self.height[lead]
-        )
+        return Fleet(self.centre[lead], self.radius[lead] + aside, self.phase[lead], self.turn[lead], self.height[lead])
 
     def crossing(self, rng: np.random.Generator) -> Fleet:
         """The same; every second object passes the one before it within 20 m in mid-run, at an angle."""
@@ -75,6 +73,9 @@ class Fleet:
         centre = self.centre.copy()
         centre[follows] += (meet - own + rng.normal(0.0, 10.0, own.shape))[follows]
         return replace(self, centre=centre)
+
+
+SHIPS, AIRCRAFT = Motion(0.01, 8.0), Motion(4.0, 150.0)
 
 
 @dataclass(frozen=True)
@@ -107,7 +108,7 @@ class Sees:
     heights: float = 0.0
     false: float = 0.0
     stated_false_per_km2: float = 0.0
-    motion: Motion = Motion(0.01, 8.0)
+    motion: Motion = SHIPS
     speed_error: float = 0.5
 
 
@@ -223,7 +224,6 @@ def _all(**trouble: object) -> tuple[Sees, ...]:
     return tuple(replace(one, **trouble) for one in (AIS, Sees("west"), Sees("east")))  # type: ignore[arg-type]
 
 
-AIRCRAFT = Motion(4.0, 150.0)
 KINDS = (
     Kind("as stated", _trackers()),
     Kind("errors stated twice too large", _all(stated=2.0)),

@@ -288,7 +288,7 @@ class MatchPicture:
             "doubts": [*self.source_doubts, *summary.notes],
             "offsets": [_offset(found) for found in self.biases],
             "misses": [asdict(misses) for misses in summary.misses],
-            "estimated": list(self.scene.estimated),
+            "estimated": [*self.scene.estimated, *summary.errors],
             "assumed": [asdict(line) for feed in self.scene.feeds for line in feed.description.assumed],
         }  # fmt: skip
 

@@ -249,7 +249,7 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     instant_s = keeper.now_s() if frame is None else frame.time_s
     sheet = MapSheet.of(
         "Live picture", _filled(objects), {}, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
-        summary=[str(one) for one in keeper.picture.biases.values()],
+        summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],
         ground=None if watch.chart is None or plane is None else _chart(watch.chart).in_plane(plane),
     )  # fmt: skip
     live = {

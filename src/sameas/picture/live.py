@@ -24,7 +24,7 @@ import numpy as np
 
 from sameas.errors import InputError
 from sameas.picture.deception import faults_and_deceptions, sightings_of
-from sameas.picture.picture import Columns, gathered
+from sameas.picture.picture import Columns, error_lines, gathered
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.watch import Watch
@@ -132,6 +132,11 @@ class LivePicture:
     def biases(self) -> Mapping[str, SourceBiases]:
         """By source the biases that are taken off."""
         return dict(self._biases)
+
+    @property
+    def errors(self) -> tuple[str, ...]:
+        """Printable lines on sources whose errors are not as stated, by what the picture has seen."""
+        return tuple(error_lines(self._carried)) if self._carried is not None else ()
 
     def add(self, source: str, reports: Reports) -> None:
         """Takes in reports of a source; they may be of any time within the lag.

@@ -29,6 +29,7 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
+from sameas.picture.error_factors import ErrorFactors
 from sameas.picture.named import NamedTracks, places_in
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
@@ -91,7 +92,7 @@ class Past:
     ----------
     reassigned : ε of the module. correlation_s : by name of source the correlation time of its errors, where it is not
         to be estimated (:mod:`sameas.picture.error_correlation`); 0 where the errors of all reports are independent.
-    tracks, existence, track_pairs, swaps : filled in from instant to instant.
+    tracks, existence, track_pairs, swaps, error_factors : filled in from instant to instant.
     """
 
     reassigned: float = REASSIGNED
@@ -100,6 +101,7 @@ class Past:
     existence: TrackExistence = field(default_factory=TrackExistence)
     track_pairs: TrackPairs = field(default_factory=TrackPairs)
     swaps: SwapRates = field(default_factory=SwapRates)
+    error_factors: ErrorFactors = field(default_factory=ErrorFactors)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
@@ -129,7 +131,10 @@ class Past:
         )
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
         existence = self.existence.on(tracks)
-        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+        factors = self.error_factors.of_sources(tracks.error_correlation.names, scan.tuning)
+        return replace(
+            self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence, error_factors=factors
+        )
 
     def rule(self) -> Memory:
         """The rule of the past at the instant."""
@@ -208,9 +213,28 @@ class Past:
         begin = due | np.isnan(elapsed)
         track_pairs = self.track_pairs.anchored(at, begin, scan.now.instant_s, delta)
         a, b = places[due].T
+        reported, total = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]
+        # Shares of a difference's variance that the last one of its pair has shown.
+        shown = sum(
+            (correlation.correlation(number_of[record], elapsed[due], scan.tuning) * _trace(reported[record])
+             for record in (a, b)), np.zeros(len(a)),
+        ) / _trace(total[a] + total[b])  # fmt: skip
+        factors = self.error_factors.with_sure_pairs(
+            (number_of[a], number_of[b]), delta[due],
+            tuple(reported[record] / scan.error_factor[record, None, None] ** 2 for record in (a, b)),
+            total[a] + total[b] - reported[a] - reported[b], 1.0 - shown**2, scan.tuning,
+        )  # fmt: skip
         correlation = correlation.with_sure_pairs(
             (number_of[a], number_of[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
-            (scan.reported_covariance[a, :2, :2], scan.reported_covariance[b, :2, :2]),
-            scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2], scan.tuning,
+            (reported[a], reported[b]), total[a] + total[b], scan.tuning,
         )  # fmt: skip
-        return replace(self, tracks=replace(tracks, error_correlation=correlation), track_pairs=track_pairs)
+        return replace(
+            self,
+            tracks=replace(tracks, error_correlation=correlation),
+            track_pairs=track_pairs,
+            error_factors=factors,
+        )
+
+
+def _trace(covariance: FloatArray) -> FloatArray:
+    return np.asarray(np.trace(covariance, axis1=1, axis2=2))

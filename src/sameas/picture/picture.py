@@ -160,9 +160,15 @@ class Picture:
         table, records_table = (with_degrees(gathered(columns), scene.plane) for columns in (objects, records))
         faults = faults_and_deceptions(scene.feeds, records_table)
         return cls(
-            times, table, records_table, Summary.of(scene, table, tallies, biases, state.scan.tuning, faults), texts,
+            times, table, records_table,
+            Summary.of(scene, table, tallies, biases, state.scan.tuning, faults, error_lines(state.watch)), texts,
             scene.plane, state.watch,
         )  # fmt: skip
+
+
+def error_lines(watch: Watch | PlotPicture) -> list[str]:
+    """Printable lines on the sources whose errors, by what a picture has seen, are not as stated."""
+    return watch.past.error_factors.lines() if isinstance(watch, Watch) else []
 
 
 def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:

@@ -40,6 +40,7 @@ class Scan:
     manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
         (:mod:`sameas.picture.track_pairs`).
     heights : (n, 3) height and its 1σ, metres, and vertical speed, m/s; NaN where a record has none.
+    error_factor : (n,) by which the stated 1σ of positions is multiplied (:mod:`sameas.picture.error_factors`).
     tuning : of the picture.
     """
 
@@ -61,6 +62,7 @@ class Scan:
     moving: BoolArray
     manoeuvre_covariance: FloatArray
     heights: FloatArray
+    error_factor: FloatArray
     tuning: Tuning = DEFAULT_TUNING
 
     def __len__(self) -> int:
@@ -85,6 +87,7 @@ class Scan:
             placed=placed,
             moving=moving,
             manoeuvre_covariance=manoeuvre_covariance,
+            error_factor=np.ones(len(rows.row)),
             tuning=tuning,
             **columns,
         )

@@ -171,7 +171,7 @@ class Summary:
     faults : alarms on sources and tracks: clocks, ends, floods, deception, each with its probability.
     places : uncertainty of positions. misses : per source. biases : printable lines, as given. alarms. assumed : every
         assumed number.
-    notes : other doubts.
+    notes : other doubts. errors : printable lines on sources whose errors are not as stated.
     """
 
     instants: int
@@ -189,6 +189,7 @@ class Summary:
     assumed: tuple[str, ...]
     notes: tuple[str, ...]
     faults: tuple[Fault, ...] = ()
+    errors: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -199,8 +200,9 @@ class Summary:
         biases: Sequence[str] = (),
         tuning: Tuning = DEFAULT_TUNING,
         faults: Sequence[Fault] = (),
+        errors: Sequence[str] = (),
     ) -> Summary:
-        """Of the columns of a picture's objects, the tallies of its instants, and the faults that were found."""
+        """Of the columns of a picture's objects, the tallies of its instants, the faults and errors that were found."""
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
         return cls(
@@ -209,7 +211,7 @@ class Summary:
             float(np.mean([tally.expected_wrong for tally in tallies])),
             float(np.mean([tally.ambiguous_groups for tally in tallies])), Places.of(objects, len(tallies)),
             tuple(_misses(scene.feeds, tallies, tuning)), tuple(biases), tuple(_alarms(scene.feeds, tallies)), assumed,
-            tuple(_notes(scene.feeds, tallies)), tuple(faults),
+            tuple(_notes(scene.feeds, tallies)), tuple(faults), tuple(errors),
         )  # fmt: skip
 
     def entries(self) -> list[tuple[str, str]]:
@@ -221,7 +223,7 @@ class Summary:
         if several:
             entries.append(("confidence", self._sure()))
             entries += [("places", str(self.places))] if str(self.places) else []
-        labelled = {"doubt": self.notes, "offset": self.biases, "misses": self.misses}
+        labelled = {"doubt": self.notes, "offset": self.biases, "errors": self.errors, "misses": self.misses}
         return entries + [(label, str(words)) for label, lines in labelled.items() for words in lines]
 
     def lines(self) -> list[str]:

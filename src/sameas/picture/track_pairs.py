@@ -424,7 +424,10 @@ def with_manoeuvres(
     manoeuvred = np.zeros(len(scan), bool)
     # No rival explains the other without a manoeuvre, and its partners in all sources together say that there was one.
     manoeuvred[own[(log_moved > best[k]) & (log_manoeuvre[own] > 0.0)]] = True
-    return _grown_scan(scan, np.where(manoeuvred[:, None, None], extra, 0.0)) if manoeuvred.any() else scan
+    if not manoeuvred.any():
+        return scan
+    extra = np.where(manoeuvred[:, None, None], extra, 0.0)
+    return replace(with_covariance(scan, extra), manoeuvre_covariance=extra)
 
 
 def manoeuvre_covariance(scan: Scan) -> FloatArray:
@@ -449,14 +452,13 @@ def _places(scan: Scan, tracks: NamedTracks, number: IntArray) -> IntArray:
     return np.where(at >= 0, np.append(order, -1)[at], -1)
 
 
-def _grown_scan(scan: Scan, extra: FloatArray) -> Scan:
+def with_covariance(scan: Scan, extra: FloatArray) -> Scan:
     """The scan with covariances that are larger by ``extra`` (n, 4, 4)."""
     sources = list(scan.now.sources)
     for s, source in enumerate(sources):
         here = slice(scan.start[s], scan.start[s + 1])
         sources[s] = _grown_source(source, scan.table[here], extra[here])
-    now = replace(scan.now, sources=tuple(sources))
-    return replace(scan, now=now, covariance=scan.covariance + extra, manoeuvre_covariance=extra)
+    return replace(scan, now=replace(scan.now, sources=tuple(sources)), covariance=scan.covariance + extra)
 
 
 def _grown_source(source: Source, table: IntArray, extra: FloatArray) -> Source:

@@ -193,7 +193,8 @@ class Watch:
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
         with_records = now.with_records()
-        scan = self.past.with_manoeuvres(Scan.of(with_records, self.tuning), objects_per_m2(now))
+        scan = self.past.error_factors.on(Scan.of(with_records, self.tuning))
+        scan = self.past.with_manoeuvres(scan, objects_per_m2(now))
         with_records, past = scan.now, self.past.on(scan)
         identification = self._identify(with_records, past)
         by_hysteresis = np.zeros(0, bool)

@@ -1,0 +1,163 @@
+"""Error factors: by how much the errors that a source states, or that are assumed for its kind, are too small.
+
+The positions of two tracks that are surely one object differ by δ ~ N(0, f_a² R_a + f_b² R_b + D), with R as stated,
+f the factors of their sources, and D the motion since the reports. So pairs of every two sources weigh every pair of
+factors, and all sources have
+
+    p(f_1 … f_S) ∝ Π_a p(f_a) exp Σ_{a<b} L_ab(f_a, f_b),
+
+L_ab the log-likelihood of all differences of the two sources, p(f) log-normal about 1. More sources than ``BLOCK`` are
+taken in blocks, each in the mean field of the others. A difference that is correlated with the last one of its pair by
+ρ counts as 1 − ρ² of one. One in a hundred may be of anything within ``factor_outlier``
+times the errors: a stamp, a mast, a pair that was none.
+
+What several reports of one source have in common, its offset, is not in it; see :mod:`sameas.tracks.registration`.
+
+Source: mean-field approximation as in Bishop, Pattern Recognition and Machine Learning, section 10.1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import log_softmax
+
+from sameas.arrays import FloatArray, IntArray
+from sameas.picture.error_correlation import LEAST_M2
+from sameas.picture.scan import Scan
+from sameas.picture.track_pairs import with_covariance
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.tracks.alignment import moved
+
+#: Sources whose factors are weighed together, and steps of the mean field of blocks of them.
+BLOCK, STEPS = 3, 5
+#: Pairs of an instant that are looked at; more show nothing new.
+MOST_PAIRS = 256
+
+
+@dataclass(frozen=True)
+class ErrorFactors:
+    """The factors of the errors of sources.
+
+    names : of the sources so far. log_likely : (S, S, K, K) L of two sources a < b, by the factors of both.
+    factor : (S,) mean of each source, geometric. sigma : (S,) 1σ of its logarithm.
+    """
+
+    names: tuple[str, ...] = ()
+    log_likely: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0, 0)))
+    factor: FloatArray = field(default_factory=lambda: np.empty(0))
+    sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def of_sources(self, names: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> ErrorFactors:
+        """The same with all of these sources, in their order; the first ones are here already."""
+        if names == self.names:
+            return self
+        k, known = len(tuning.error_factors), len(self.names)
+        log_likely = np.zeros((len(names), len(names), k, k))
+        log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
+        return replace(self, names=names, log_likely=log_likely)._averaged(tuning)
+
+    def with_sure_pairs(
+        self,
+        sources: tuple[IntArray, IntArray],
+        delta: FloatArray,
+        stated: tuple[FloatArray, FloatArray],
+        motion: FloatArray,
+        weight: FloatArray,
+        tuning: Tuning = DEFAULT_TUNING,
+    ) -> ErrorFactors:
+        """After pairs of tracks that are surely one object.
+
+        Parameters
+        ----------
+        sources : places in ``names`` of both, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
+        motion : (n, 2, 2) D. weight : (n,) 1 − ρ².
+        """
+        if not len(delta):
+            return self
+        if len(delta) > MOST_PAIRS:
+            some = np.linspace(0, len(delta) - 1, MOST_PAIRS).astype(np.int64)
+            return self.with_sure_pairs(
+                (sources[0][some], sources[1][some]), delta[some], (stated[0][some], stated[1][some]), motion[some],
+                weight[some], tuning,
+            )  # fmt: skip
+        swap = sources[0] > sources[1]
+        first, second = np.minimum(*sources), np.maximum(*sources)
+        one, other = (np.where(swap[:, None, None], *both) for both in (stated[::-1], stated))
+        log_p, log_likely = (
+            weight[:, None, None] * _log_density(delta, one, other, motion, tuning),
+            self.log_likely.copy(),
+        )
+        np.add.at(log_likely, (first, second), log_p)
+        return replace(self, log_likely=log_likely)._averaged(tuning)
+
+    def on(self, scan: Scan) -> Scan:
+        """The scan with the errors of its records multiplied; velocities have their own, and keep them."""
+        names = {name: k for k, name in enumerate(self.names)}
+        factor = np.array([self.factor[names[d.name]] if d.name in names else 1.0 for d in scan.now.descriptions])
+        each = np.where(scan.placed, factor[scan.source], 1.0) if len(scan) else np.empty(0)
+        if np.all(np.abs(each - 1.0) < 1e-9):
+            return scan
+        size = np.ones((len(scan), 4))
+        size[:, :2] = each[:, None]
+        reported = size[:, :, None] * scan.reported_covariance * size[:, None, :]
+        change = np.nan_to_num(reported - scan.reported_covariance)
+        _, extra = moved(np.zeros((len(scan), 4)), change, scan.now.instant_s - scan.time_s, np.zeros(len(scan)))
+        grown = with_covariance(scan, extra)
+        return replace(grown, reported_covariance=reported, error_factor=each)
+
+    def lines(self) -> list[str]:
+        """Printable lines on the sources whose errors surely are not as stated."""
+        return [
+            f"{name}: positions err by {factor:.2g} times what is stated or assumed (ln ± {sigma:.2g}); counted so"
+            for name, factor, sigma in zip(self.names, self.factor.tolist(), self.sigma.tolist(), strict=True)
+            if abs(np.log(factor)) > max(3.0 * sigma, np.log(1.25))
+        ]
+
+    def _averaged(self, tuning: Tuning) -> ErrorFactors:
+        """With the mean factors by all that was seen."""
+        logs, n = np.log(np.array(tuning.error_factors)), len(self.names)
+        prior = -0.5 * (logs / tuning.error_factor_sigma) ** 2
+        # L of every source with every other, by its own factor first.
+        both = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
+        weight = np.exp(log_softmax(np.broadcast_to(prior, (n, len(logs))), axis=1))
+        blocks = [np.arange(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
+        for _ in range(STEPS if len(blocks) > 1 else 1):
+            for block in blocks:
+                beside = np.setdiff1d(np.arange(n), block)
+                alone = prior + np.einsum("stfg,tg->sf", both[np.ix_(block, beside)], weight[beside])
+                weight[block] = _marginals(alone, both[np.ix_(block, block)])
+        mean = weight @ logs
+        return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))
+
+
+def _marginals(alone: FloatArray, both: FloatArray) -> FloatArray:
+    """(m, K) probabilities of the factors of m sources: ln of those of each alone (m, K), of each two (m, m, K, K)."""
+    m, k = alone.shape
+    total = np.zeros((k,) * m)
+    for s in range(m):
+        total += alone[s].reshape([k if axis == s else 1 for axis in range(m)])
+        for t in range(s + 1, m):
+            total += both[s, t].reshape([k if axis in (s, t) else 1 for axis in range(m)])
+    p = np.exp(total - total.max(initial=-np.inf))
+    out = np.array([p.sum(axis=tuple(axis for axis in range(m) if axis != s)) for s in range(m)]).reshape(m, k)
+    return np.asarray(out / out.sum(axis=1, keepdims=True))
+
+
+def _log_density(
+    delta: FloatArray, one: FloatArray, other: FloatArray, motion: FloatArray, tuning: Tuning
+) -> FloatArray:
+    """(n, K, K) ln p(δ) for every pair of factors."""
+    sq = np.array(tuning.error_factors) ** 2
+    xx, xy, yy = (
+        sq[:, None] * one[:, v, w, None, None] + sq * other[:, v, w, None, None] + motion[:, v, w, None, None]
+        for v, w in ((0, 0), (0, 1), (1, 1))
+    )
+    xx, yy = xx + LEAST_M2, yy + LEAST_M2
+    det = np.maximum(xx * yy - xy**2, LEAST_M2**2)
+    x, y = delta[:, 0, None, None], delta[:, 1, None, None]
+    chi_sq = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / det
+    far = tuning.factor_outlier**2
+    usual, outlier = -0.5 * chi_sq, -0.5 * chi_sq / far - np.log(far * (1.0 / tuning.factor_outliers - 1.0))
+    return np.asarray(np.logaddexp(usual, outlier) - 0.5 * np.log(det))

@@ -1,0 +1,120 @@
+"""Error factors: errors that are stated too large or too small are counted as large as sure pairs show them."""
+
+import numpy as np
+import pytest
+from modelled_scenes import describe, straight, told
+from scipy.stats import multivariate_normal
+
+from sameas.many.observations import records_of
+from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density
+from sameas.picture.picture import Picture, picture_states
+from sameas.picture.scan import Scan
+from sameas.picture.tuning import DEFAULT_TUNING
+from sameas.picture.watch import Watch
+from sameas.tracks.scene import Scene
+
+FACTORS = np.array(DEFAULT_TUNING.error_factors)
+
+
+def spd(rng, n, size):
+    root = size * rng.standard_normal((n, 2, 2))
+    return root @ root.transpose(0, 2, 1) + 0.3 * size**2 * np.eye(2)
+
+
+def test_the_density_of_a_difference_is_normal_with_a_few_outliers():
+    rng = np.random.default_rng(1)
+    one, other, motion, delta = spd(rng, 3, 5.0), spd(rng, 3, 2.0), spd(rng, 3, 1.0), 9.0 * rng.standard_normal((3, 2))
+    found = _log_density(delta, one, other, motion, DEFAULT_TUNING) - np.log(2.0 * np.pi)
+    for n, f, g in ((0, 4, 4), (1, 0, 16), (2, 9, 3)):
+        total = FACTORS[f] ** 2 * one[n] + FACTORS[g] ** 2 * other[n] + motion[n]
+        usual, wide = (multivariate_normal([0.0, 0.0], size * total).pdf(delta[n]) for size in (1.0, 100.0))
+        # The odds of an outlier are 1 to 99.
+        assert found[n, f, g] == pytest.approx(np.log(usual + wide / 99.0), abs=1e-5)
+
+
+def after_pairs(rng, true, n, stated_m, weight=1.0):
+    """The factors after n differences of every two sources, of errors that are ``true`` times as stated."""
+    names = tuple(f"source {k}" for k in range(len(true)))
+    factors = ErrorFactors().of_sources(names)
+    for s in range(len(true)):
+        for t in range(s + 1, len(true)):
+            later, first = (np.broadcast_to(stated_m[k] ** 2 * np.eye(2), (n, 2, 2)) for k in (t, s))
+            spread = np.hypot(true[s] * stated_m[s], true[t] * stated_m[t])
+            # The sources stand in either order.
+            factors = factors.with_sure_pairs(
+                (np.full(n, t), np.full(n, s)), spread * rng.standard_normal((n, 2)), (later, first),
+                np.zeros((n, 2, 2)), np.full(n, weight),
+            )  # fmt: skip
+    return factors
+
+
+@pytest.mark.parametrize("true", [(1.0, 1.0, 1.0), (2.0, 0.5, 1.0), (0.5, 0.5, 0.5)])
+def test_three_sources_show_whose_errors_are_not_as_stated(true):
+    factors = after_pairs(np.random.default_rng(2), true, 120, (10.0, 20.0, 15.0))
+    away = np.log(factors.factor / np.array(true))
+    assert np.all(np.abs(away) < 4.0 * np.maximum(factors.sigma, 0.05))
+    told_of = {line.partition(":")[0] for line in factors.lines()}
+    assert told_of == {f"source {k}" for k in range(3) if true[k] != 1.0}
+
+
+def test_more_sources_than_are_weighed_together_are_found_in_blocks():
+    true = np.array([1.0, 2.0, 0.5, 1.0, 2.0])
+    assert len(true) > BLOCK
+    factors = after_pairs(np.random.default_rng(3), true, 120, np.full(5, 10.0))
+    assert np.all(np.abs(np.log(factors.factor / true)) < 0.35)
+
+
+def test_without_sure_pairs_errors_are_as_stated_and_differences_seen_before_tell_nothing():
+    assert ErrorFactors().of_sources(("a", "b")).factor == pytest.approx(np.ones(2))
+    again = after_pairs(np.random.default_rng(4), (3.0, 3.0), 500, (10.0, 10.0), weight=0.0)
+    assert again.factor == pytest.approx(np.ones(2)) and not again.lines()
+
+
+def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs():
+    rng = np.random.default_rng(5)
+    times = np.arange(0.0, 31.0, 10.0)
+    x, v = straight([[0.0, 0.0], [900.0, 0.0]], [[4.0, 0.0], [0.0, 3.0]], times)
+    scene = Scene.of([told(rng, describe("radar", "tracks", 20.0), times, x, v, 0.0, ["1", "2"])])
+    before = Scan.of(scene.at(35.0))
+    after = ErrorFactors(("radar",), factor=np.array([2.0]), sigma=np.array([0.1])).on(before)
+    assert after.reported_covariance[:, :2, :2] == pytest.approx(4.0 * before.reported_covariance[:, :2, :2])
+    assert after.reported_covariance[:, 2:, 2:] == pytest.approx(before.reported_covariance[:, 2:, 2:])
+    grown = after.covariance - before.covariance
+    assert grown[:, :2, :2] == pytest.approx(3.0 * before.reported_covariance[:, :2, :2])
+    assert records_of(after.now.sources[0]).full_covariance() == pytest.approx(after.covariance[:, :2, :2])
+    assert after.error_factor.tolist() == [2.0, 2.0]
+
+
+def crowd(seed, stated):
+    """Eight ships in 600 m before three trackers whose errors of 20 m are stated ``stated`` times as large."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 601.0, 10.0)
+    x, v = straight(rng.uniform(0.0, 600.0, (8, 2)), 0.3 * rng.standard_normal((8, 2)), times)
+    names = [str(k) for k in range(8)]
+    sources = [
+        told(rng, describe(f"tracker {k}", "tracks", 20.0 * stated), times, x, v, 0.0, names, sigma_m=20.0)
+        for k in range(3)
+    ]
+    return Scene.of(sources), times
+
+
+@pytest.mark.slow
+def test_errors_stated_half_as_large_do_not_make_a_picture_sure_of_what_is_wrong():
+    expected = wrong = right = total = 0
+    for seed in range(4):
+        scene, times = crowd(seed, 0.5)
+        for state in picture_states(scene, times[20::4], Watch()):
+            names = np.append(state.scan.track, "")[state.members]
+            good = (names == names[:, :1]).all(axis=1)
+            sure = state.probability > 0.99
+            expected, wrong = expected + float((1.0 - state.probability[sure]).sum()), wrong + int((~good & sure).sum())
+            right, total = right + int(good.sum()), total + 8
+    assert wrong <= 2.0 * expected + 3.0
+    assert right > 0.93 * total
+
+
+def test_a_picture_says_whose_errors_are_not_as_stated():
+    for stated, due in ((1.0, []), (2.0, ["tracker 0", "tracker 1", "tracker 2"])):
+        scene, times = crowd(1, stated)
+        errors = Picture.of(scene, times).summary.errors
+        assert [line.partition(":")[0] for line in errors] == due
