@@ -43,7 +43,7 @@ class Records:
     features : (n, d) positions in ``space``.
     covariance : (n, p) packed error covariances in the space's residual unit, squared: p = 1 one variance for
         all axes, p = d one variance per axis, p = d(d+1)/2 the upper triangle row by row (xx, xy, …, yy, …).
-    rows : (n,) row of each record in the source's own table.
+    rows : (n,) row of each record in the source's own table, in any order.
     ids : (n_table,) the source's own identifiers, unique, indexed by table row.
     space : how residuals are formed.
     source : the name of the source, used in messages.
@@ -73,6 +73,11 @@ class Records:
         column = np.ones(self.n_table, np.bool_)
         column[self.rows] = values
         return column
+
+    def at_row(self, row: int) -> int | None:
+        """Position of the record of a row of the table, None where that cannot be used."""
+        at = np.flatnonzero(self.rows == row)
+        return int(at[0]) if len(at) else None
 
     @property
     def n_table(self) -> int:
@@ -147,7 +152,10 @@ class Records:
 
     def part(self, some: IntArray) -> Records:
         """The records at these positions (k,); the table and its rows stay the same."""
-        return replace(self, features=self.features[some], covariance=self.covariance[some], rows=self.rows[some])
+        features, covariance = (
+            np.take(of, some, axis=0) for of in (self.features, self.covariance)
+        )  # NumPy's faster way
+        return replace(self, features=features, covariance=covariance, rows=self.rows[some])
 
     def with_errors(self, factor: float, variance: ArrayLike) -> Records:
         """The same with errors ``factor`` times as large, and ``variance`` more along the axes.

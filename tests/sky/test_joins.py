@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
+from sameas.front.match import Match
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, match
+from sameas.sky.crossmatch import CrossmatchTuning, MatchOptions, match
 from sameas.sky.joins import joined
 from sameas.sky.output_columns import JOINS
 
@@ -88,3 +89,35 @@ def test_names_of_nway_on_request(matched):
 def test_an_unknown_join_names_the_known_ones(matched):
     with pytest.raises(InputError, match="join '1in2' is not known; choose one of all1, 1and2"):
         joined(matched, "1in2")
+
+
+@pytest.mark.parametrize("seam", [10.0, 359.99])
+def test_the_order_in_which_records_are_kept_says_nothing(seam):
+    """In the order of their places or of the tables: the same joined table, blends and explanations."""
+    rng = np.random.default_rng(8)
+    place = np.column_stack([seam + rng.uniform(0.0, 0.03, 150), 20.0 + rng.uniform(0.0, 0.02, 150)])
+    tables = []
+    for some in (rng.permutation(150)[:120], rng.permutation(150)[:130]):
+        at = place[some] + rng.normal(0.0, 0.5, (len(some), 2)) * ARCSEC
+        at[5, 0] = np.nan
+        tables.append({"id": [f"n{k}" for k in some], "ra": at[:, 0] % 360.0, "dec": at[:, 1]})
+    options = CatalogueOptions(sigma=0.5, epoch=2000.0)
+    one, two = (Catalogue.of(table, name, options=options) for table, name in zip(tables, ("one", "two"), strict=True))
+    by_row, by_place = (match(one, two, tuning=CrossmatchTuning(by_place_from=least)) for least in (10**9, 0))
+    assert (np.diff(by_place.result.first.rows) < 0).any() and (np.diff(by_row.result.first.rows) > 0).all()
+    for join in ("all1", "1or2", "pairs"):
+        expected, found = (joined(each, join) for each in (by_row, by_place))
+        assert found.colnames == expected.colnames
+        for name in set(found.colnames) - {"group_id"}:  # groups are numbered as they occur
+            values, due = (np.ma.asarray(table[name]) for table in (found, expected))
+            assert np.array_equal(np.ma.getmaskarray(values), np.ma.getmaskarray(due)), name
+            if due.dtype.kind == "f":
+                np.testing.assert_allclose(values.filled(0.0), due.filled(0.0), rtol=1e-9, atol=1e-12, err_msg=name)
+            else:
+                assert (values == due).all(), name
+    for record in (tables[0]["id"][0], tables[0]["id"][5]):
+        lines, due = (str(each.result.explain(record)) for each in (by_place, by_row))
+        assert lines == due
+    doubled, due = (Match(each.result, each.estimate, each).blends(1.0) for each in (by_place, by_row))
+    assert list(doubled["row_1"]) == sorted(doubled["row_1"]) and (doubled["id_1"] == due["id_1"]).all()
+    np.testing.assert_allclose(doubled["p_blend"], due["p_blend"], rtol=1e-3, atol=1e-6)

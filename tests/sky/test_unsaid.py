@@ -7,6 +7,7 @@ import pytest
 from astropy import units as u
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, Table
+from scipy.spatial import cKDTree
 
 from sameas.errors import InputError
 from sameas.sky.assumed import CommonErrorTuning, _in_strips, _nearest, common_error, completed
@@ -215,14 +216,21 @@ def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) 
     assert len(_in_strips(flat, flat, tuning)[0]) == len(flat)
 
 
-def test_few_neighbours_are_found_as_a_tree_finds_them() -> None:
-    rng = np.random.default_rng(6)
-    one, two = (rng.normal((0.0, 0.0, 1.0), 1e-4, (n, 3)) for n in (200, 300))
-    one, two = (x / np.linalg.norm(x, axis=1, keepdims=True) for x in (one, two))
-    two[:50] = one[:50]  # the same place
-    by_all, by_tree = (_nearest(one, two, 6, CommonErrorTuning(most_products=most)) for most in (10**6, 0))
-    np.testing.assert_allclose(by_all[0], by_tree[0], rtol=0, atol=1e-16)
-    np.testing.assert_array_equal(by_all[1], by_tree[1])
+@pytest.mark.parametrize(
+    ("field", "window", "most"), [(1.0, 128, 1000), (1.0, 6, 10**6), (0.01, 16, 20_000), (0.0, 8, 500)]
+)
+def test_neighbours_are_found_as_a_tree_finds_them(field: float, window: int, most: int) -> None:
+    """Over the whole sky, a small field, and where many lie in one place; in windows however small."""
+    rng = np.random.default_rng(4)
+    middle = np.array([0.6, -0.64, 0.48])
+    one, two = (middle * (field < 1.0) + field * rng.normal(0.0, 1.0, (n, 3)) for n in (300, 2_000))
+    two[:400] = two[0]
+    one, two = (x / np.linalg.norm(x, axis=1)[:, None] for x in (one, two))
+    chord, which = _nearest(one, two, 6, CommonErrorTuning(most_products=most, window=window))
+    due, _ = cKDTree(two).query(one, k=6)
+    np.testing.assert_allclose(chord, due, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(one[:, None] - two[which], axis=2), due, rtol=1e-12, atol=1e-15)
+    assert all(len(set(row)) == 6 for row in which)
 
 
 def test_a_common_error_is_said_with_its_value() -> None:

@@ -106,7 +106,7 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
     own = None
     if record is not None:
         records = (result.first, result.second)[source - 1]
-        own = int(np.searchsorted(records.rows, result.explain(record, source=source).row))
+        own = records.at_row(result.explain(record, source=source).row)
     pairs = _competing(result, pairs, own, source)
     sides = _sides(match, pairs)
     count = sum(len(side.position) for side in sides)

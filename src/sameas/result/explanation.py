@@ -104,8 +104,8 @@ def explain(result: Identified, record: Any, source: int) -> Explanation:
     """See :meth:`sameas.result.Identification.explain`."""
     mine, other = (result.first, result.second) if source == 1 else (result.second, result.first)
     row = row_of(mine.ids, record, mine.source)
-    at = np.searchsorted(mine.rows, row)
-    if at == len(mine.rows) or mine.rows[at] != row:
+    at = mine.at_row(row)
+    if at is None:
         reason = str(mine.set_aside.reasons[mine.set_aside.rows == row][0])
         return Explanation(
             mine.ids[row], mine.source, other.source, row, reason, None, (0, 0), "", (), "", None, ([], [])

@@ -71,6 +71,9 @@ class CrossmatchTuning:
         without common objects, makes the errors doubtful.
     usual_scale : (least, largest) residuals over quoted errors that raise no doubt.
     usual_density : (least, largest) density that the user gave over the one that the data show that raise no doubt.
+    by_place_from : from so many records on, of both catalogues together, records are put in the order of their places:
+        what lies together in the sky is then asked for together, and fetched once; a million rows in the order of a
+        table take a third longer.
     """
 
     most_records_per_error: float = 20.0
@@ -81,6 +84,7 @@ class CrossmatchTuning:
     most_spacing_share: float = 0.2
     usual_scale: tuple[float, float] = (0.3, 5.0)
     usual_density: tuple[float, float] = (0.01, 100.0)
+    by_place_from: int = 100_000
 
 
 TUNING = CrossmatchTuning()
@@ -211,6 +215,8 @@ def match(
     progress("motion")
     (first, second), assumed = completed((first, second), options.epoch_jyr)
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
+    if len(one) + len(two) >= tuning.by_place_from:
+        one, two = threads.each([partial(_by_place, records) for records in (one, two)], len(one) + len(two))
     _refuse_blur(one, two, tuning)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
     rotation = None if search is None or search.by_chance else search
@@ -257,6 +263,27 @@ def brought_together(
             message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
             raise InputError(message, remedy, source=catalogue.name)
     return epoch, words, one, two
+
+
+#: Mean number of records to a ring of equal height for each of the rings: a ring is so high that some ten records lie
+#: in a square of it. Bits of the number of a ring.
+_IN_SQUARE, _RING_BITS = 10.0, 12
+
+
+def _by_place(records: Records) -> Records:
+    """The records ring of declination by ring, along each ring from west to east."""
+    lon, lat = (np.ascontiguousarray(of) for of in records.features.T)
+    n, south, north = len(records), float(lat.min()), float(lat.max())
+    rings = min(math.ceil(math.sqrt(n / _IN_SQUARE)), 2**_RING_BITS)
+    row_bits = n.bit_length()
+    along_bits = 64 - _RING_BITS - row_bits
+    ring = np.minimum((lat - south) * (rings / max(north - south, 1e-300)), rings - 1).astype(np.uint64)
+    if lon.min() < 0.0 or lon.max() > 360.0:
+        lon = np.mod(lon, 360.0)
+    along = (lon * ((2.0**along_bits - 1.0) / 360.0)).astype(np.uint64)
+    key = ring << np.uint64(along_bits + row_bits) | along << np.uint64(row_bits) | np.arange(n, dtype=np.uint64)
+    key.sort()  # of numbers NumPy sorts many at a time; their order it finds one by one
+    return records.part((key & np.uint64(2**row_bits - 1)).astype(np.intp))
 
 
 def _refuse_blur(one: Records, two: Records, tuning: CrossmatchTuning) -> None:

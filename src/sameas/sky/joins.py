@@ -154,19 +154,20 @@ def pair_table(result: Identification) -> Table:
 
 
 def blend_table(first: Records, second: Records, found: Blends) -> Table:
-    """One row for each record of the coarse source: what it is, and how probable that is."""
-    table = Table()
+    """One row for each record of the coarse source, by its rows: what it is, and how probable that is."""
+    table, order = Table(), np.argsort(first.rows)
     columns: dict[str, tuple[NDArray[Any], str]] = {
-        "row_1": (first.rows, "row in the first source"),
-        "id_1": (first.ids[first.rows], "id in the first source"),
+        "row_1": (first.rows[order], "row in the first source"),
+        "id_1": (first.ids[first.rows[order]], "id in the first source"),
     }
-    for mark, partner, which in (("", found.partner, "object"), ("b", found.other, "other object of a blend")):
+    partners = found.partner[order], found.other[order]
+    for mark, partner, which in zip(("", "b"), partners, ("object", "other object of a blend"), strict=True):
         rows = np.ma.array(second.rows[partner.filled(0)], mask=np.ma.getmaskarray(partner))
         columns[f"row_2{mark}"] = rows, f"row of the {which} in the second source"
         ids = np.ma.array(second.ids[rows.filled(0)], mask=np.ma.getmaskarray(partner))
         columns[f"id_2{mark}"] = ids, f"id of the {which} in the second source"
-    columns["p_match"] = found.p_match, "probability of this answer"
-    columns["p_blend"] = found.p_blend, "probability that the record is two objects, whichever"
+    columns["p_match"] = found.p_match[order], "probability of this answer"
+    columns["p_blend"] = found.p_blend[order], "probability that the record is two objects, whichever"
     for name, (values, words) in columns.items():
         made = MaskedColumn if isinstance(values, np.ma.MaskedArray) else Column
         table.add_column(made(values, description=words), name=name)
