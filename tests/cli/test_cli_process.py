@@ -339,13 +339,15 @@ import os, sys
 from importlib.abc import MetaPathFinder
 import sameas.cli, sameas.cli.app
 
-number, where = int(sys.argv[1]), sys.argv[2]
+number, where, asked = int(sys.argv[1]), sys.argv[2], []
 
 class Asked(MetaPathFinder):
     def find_spec(self, name, path, target=None):
-        if name == "astropy":
+        if name == "numpy":
             try:
-                os.kill(os.getpid(), number)
+                if not asked:
+                    asked.append(number)
+                    os.kill(os.getpid(), number)
             except BaseException:
                 pass
             raise AttributeError("half imported")
@@ -353,7 +355,7 @@ class Asked(MetaPathFinder):
 sys.meta_path.insert(0, Asked())
 sys.argv[1:] = ["match", "a.fits", "b.fits", "-o", "o.fits"]
 if where == "before":
-    sameas.cli.app.app = lambda: __import__("astropy")
+    sameas.cli.app.app = lambda: __import__("numpy")
 sameas.cli.main()
 """
 

@@ -70,10 +70,10 @@ def _watch(read_end: int, worker: bool) -> None:
 
 def end_now(code: int, words: str = "") -> None:
     """Ends the process at once, and those it has started: drafts are removed, threads of libraries not waited for."""
-    from sameas.io.atomic import discard_drafts, placing
-
-    placing.acquire(timeout=ENDING_S)
-    discard_drafts()
+    atomic = sys.modules.get("sameas.io.atomic")  # where it was not imported nothing is drafted, nor anything written
+    if atomic is not None:
+        atomic.placing.acquire(timeout=ENDING_S)
+        atomic.discard_drafts()
     if "multiprocessing.process" in sys.modules:
         children = sys.modules["multiprocessing.process"].active_children()
         for child in children:
