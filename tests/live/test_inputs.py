@@ -19,7 +19,7 @@ def free_port(kind=socket.SOCK_STREAM):
         return made.getsockname()[1]
 
 
-async def until(true, seconds=5.0):
+async def until(true, seconds=60.0):
     for _ in range(int(seconds / 0.01)):
         if true():
             return
