@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -96,7 +98,7 @@ def test_the_order_in_which_records_are_kept_says_nothing(seam):
     """In the order of their places or of the tables: the same joined table, blends and explanations."""
     rng = np.random.default_rng(8)
     place = np.column_stack([seam + rng.uniform(0.0, 0.03, 150), 20.0 + rng.uniform(0.0, 0.02, 150)])
-    tables = []
+    tables: list[dict[str, Any]] = []
     for some in (rng.permutation(150)[:120], rng.permutation(150)[:130]):
         at = place[some] + rng.normal(0.0, 0.5, (len(some), 2)) * ARCSEC
         at[5, 0] = np.nan

@@ -236,7 +236,7 @@ def _read_without_the_compiler(dispatcher: Any) -> None:
 
     if not hasattr(numba, "version_info") or numba.version_info.full[:2] > NEWEST_KNOWN:
         return
-    from numba.core.runtime import rtsys
+    from numba.core.runtime.nrt import rtsys
 
     cache = dispatcher._cache
     compiled_or_read = cache.load_overload
