@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
     from sameas.cli.terminal import Pace, Printer
     from sameas.evidence import Column, Related
+    from sameas.front.match import Match
     from sameas.front.request import Request
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
@@ -260,9 +261,11 @@ def column_evidence(of_first: list[str], of_second: list[str], related: list[str
 
 def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:
     """Match, print, write."""
+    from concurrent.futures import ThreadPoolExecutor
+
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.match import identified
-    from sameas.report.match import blends_lines, nearest_lines
+    from sameas.report.match import blends_lines
 
     if joining.pictures is not None:
         from sameas.plots.sheet import required
@@ -283,29 +286,44 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         share_compilation(quiet)
         match = identified(request, catalogues, progress=pace, join=joining.join, nway_columns=joining.nway_columns)
         assert match.sky is not None
-        pace("report")
-        lines = match.result_lines(in_options)
-        if joining.compare_nearest:
-            lines += ["", *nearest_lines(match.sky)]
-        if joining.certify:
-            best, groups = match.identification.best, match.identification.groups
-            best.certify(groups)
-            lines += ["", f"Certificate: {best.certificate(groups)}"]
-        pace.pause()
-        printer(lines)
         pace("joining the tables")
-        table = match.table
-        pace(f"writing {outputs.path}")
-        facts = match.facts(outputs.command, in_options)
-        written = [outputs.write(table, facts, joining.join)]
-        if joining.blends is not None:
-            pace("blends")
-            blended = match.blends(joining.blends)
-            written = [*blends_lines(blended, joining.blends), "", *written, beside.write(blended, facts, "blends")]
+        # What report and table both need.
+        _ = match.identification.answers_1, match.identification.matches
+        with ThreadPoolExecutor(1) as side:
+            report = side.submit(_report, match, joining)
+            try:
+                table = match.table
+                pace(f"writing {outputs.path}")
+                facts = match.facts(outputs.command, in_options)
+                written = [outputs.write(table, facts, joining.join)]
+                if joining.blends is not None:
+                    pace("blends")
+                    blended, output = match.blends(joining.blends), written
+                    written = [*blends_lines(blended, joining.blends), "", *output]
+                    written.append(beside.write(blended, facts, "blends"))
+            finally:
+                lines = report.result()
+                pace.pause()
+                printer(lines)
     printer(["", *written])
     if joining.pictures is not None:
         printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match.sky, joining.pictures))}"])
     printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
+
+
+def _report(match: Match, joining: Joining) -> list[str]:
+    """What was found, with what was asked for beside it."""
+    from sameas.report.match import nearest_lines
+
+    lines = match.result_lines(in_options)
+    if joining.compare_nearest:
+        assert match.sky is not None
+        lines += ["", *nearest_lines(match.sky)]
+    if joining.certify:
+        best, groups = match.identification.best, match.identification.groups
+        best.certify(groups)
+        lines += ["", f"Certificate: {best.certificate(groups)}"]
+    return lines
 
 
 def over_partitions(

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.estimate.outline import Outline
+from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
@@ -43,6 +45,16 @@ class GridLevel:
         """The cells of the records of ``source`` (1 or 2), and of the other's."""
         return (self.of_first, self.of_second) if source == 1 else (self.of_second, self.of_first)
 
+    def count(self, source: int) -> FloatArray:
+        """(c,) how many records of ``source`` (1 or 2) lie in each cell."""
+        return self._counts[source - 1]
+
+    @cached_property
+    def _counts(self) -> tuple[FloatArray, FloatArray]:
+        n = len(self.volume)
+        one, two = (np.bincount(of, minlength=n).astype(np.float64) for of in (self.of_first, self.of_second))
+        return one, two
+
     def part(self, rows_1: IntArray, rows_2: IntArray) -> GridLevel:
         """The same cells, for some of the records."""
         return GridLevel(self.of_first[rows_1], self.of_second[rows_2], self.volume)
@@ -55,8 +67,7 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, 
     levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
     richer, size = max(len(first), len(second)), space.volume
     while size * CELLS_PER_RECORD * richer > space.volume:
-        richest = levels[-1].of_first if len(first) >= len(second) else levels[-1].of_second
-        count = np.bincount(richest).astype(np.float64)
+        count = levels[-1].count(1 if len(first) >= len(second) else 2)
         if count @ count <= FINEST * richer:
             break
         size /= REFINEMENT
@@ -69,10 +80,12 @@ def _level(one: IntArray, two: IntArray, total: int, volumes: Callable[[IntArray
 
     of_first, of_second = np.empty(len(one), np.int32), np.empty(len(two), np.int32)
     if total <= 4 * (len(one) + len(two)) + 1024:
-        return GridLevel(of_first, of_second, volumes(renumber(one, two, total, of_first, of_second)))
-    known, index = np.unique(np.concatenate([one, two]), return_inverse=True)
-    of_first[:], of_second[:] = index[: len(one)], index[len(one) :]
-    return GridLevel(of_first, of_second, volumes(known))
+        known = renumber(one, two, total, of_first, of_second)
+    else:
+        known, index = np.unique(np.concatenate([one, two]), return_inverse=True)
+        of_first[:], of_second[:] = index[: len(one)], index[len(one) :]
+    parts = threads.over(lambda a, b: volumes(known[a:b]), threads.even(len(known)))
+    return GridLevel(of_first, of_second, np.concatenate(parts))
 
 
 @dataclass(frozen=True)
@@ -124,8 +137,9 @@ class _SphereCells:
 
         begin, volume = rings(self.low, self.high, self.arc, size)
         one, two = np.empty(len(first), np.int64), np.empty(len(second), np.int64)
-        for features, cell in ((first, one), (second, two)):
-            sphere_cells(features, self.low, self.high, self.west, self.arc, begin, cell)
+        ring = self.low, self.high, self.west, self.arc, begin
+        works = [partial(sphere_cells, of, *ring, cell) for of, cell in ((first, one), (second, two))]
+        threads.each(works, len(first))
 
         def volumes(known: IntArray) -> FloatArray:
             whole: FloatArray = sizes(known, begin, volume)

@@ -312,10 +312,10 @@ class Coverage:
         start = (float(weights.sum()) + 0.5) / float(volumes[0].sum())
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         at = (at_first, at_second) if source == 1 else (at_second, at_first)
-        some = _some_of(self.first if source == 1 else self.second)
+        some, every = _some_of(self.first if source == 1 else self.second), bool((weights == 1.0).all())
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
-            count = np.bincount(cell, weights, len(volume))
+            count = level.count(source) if every else np.bincount(cell, weights, len(volume))
             others = np.maximum(count[cell[some]] - weights[some], 0.0)
             smooth = smoothing(others, volume[cell[some]], at[0][some], weights[some])
             refine(*level.facing(source), weights, volume, count, smooth, *at)
@@ -369,15 +369,15 @@ class Coverage:
     @cached_property
     def covered(self) -> tuple[BoolArray, BoolArray]:
         """Whether source 2 looks where each record of source 1 lies, (n₁,), and the reverse, (n₂,)."""
-        rough = self._by_cells((0.0, 0.0))
-        n_seen = [max(int(np.count_nonzero(seen)), 1) for seen, _, _ in rough]
-        if n_seen != [len(self.first), len(self.second)]:
-            # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
-            rough = self._by_cells((IN_CELL * n_seen[0] / n_seen[1], IN_CELL * n_seen[1] / n_seen[0]))
-        if all(seen.all() for seen, _, _ in rough) and max(excess for _, _, excess in rough) < UNEVEN:
-            return rough[0][0], rough[1][0]
-        (seen_1, highest_2, _), (seen_2, highest_1, _) = rough
-        seen, mean = (seen_1, seen_2), self._mean(seen_1, seen_2)
+        works = [partial(self._looked, 1, 2), partial(self._looked, 2, 1)]
+        (company_1, highest_2, excess_2), (company_2, highest_1, excess_1) = threads.each(works, len(self.first))
+        n_seen = [max(int(np.count_nonzero(company == 0.0)), 1) for company in (company_1, company_2)]
+        # By the other records of its own source too, so that a place poor in objects is not taken for a hole.
+        least = IN_CELL * n_seen[0] / n_seen[1], IN_CELL * n_seen[1] / n_seen[0]
+        seen = company_1 < max(least[0], 1.0), company_2 < max(least[1], 1.0)
+        if all(where.all() for where in seen) and max(excess_1, excess_2) < UNEVEN:
+            return seen
+        mean = self._mean(*seen)
         for _ in range(ROUNDS):
             seen = self._opened(seen, (highest_1, highest_2), mean)
             before, mean = mean, self._mean(*seen)
@@ -415,26 +415,22 @@ class Coverage:
         )
         return ~one, ~two
 
-    def _by_cells(self, least: tuple[float, float]) -> list[tuple[BoolArray, FloatArray, float]]:
-        return threads.each([partial(self._seen, 1, 2, least[0]), partial(self._seen, 2, 1, least[1])], len(self.first))
-
-    def _seen(self, query: int, source: int, least: float) -> tuple[BoolArray, FloatArray, float]:
-        """Whether ``source`` looks at the records of ``query`` as far as cells tell, how dense it is if it does, and by
-        how many standard deviations more records than chance puts there lie in empty cells.
-
-        least : of the records of ``query`` in an empty cell that is a hole.
+    def _looked(self, query: int, source: int) -> tuple[FloatArray, FloatArray, float]:
+        """As far as cells tell, of the records of ``query``: how many lie in the cell of each where ``source`` has none
+        although it should, 0 where that is not so; how dense ``source`` is there if it looks; and by how many standard
+        deviations more records than chance puts there lie in empty cells.
         """
         from sameas.kernels.coverage import look
 
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
-        seen, highest, excess = np.ones(n, np.bool_), np.zeros(n), 0.0
+        company, highest, excess = np.zeros(n), np.zeros(n), 0.0
         for level in self.levels:
-            own, other = level.facing(source)
-            room = np.empty(len(level.volume)), np.empty(len(level.volume))
-            more = look(own, other, level.volume, *room, least, PSEUDO_COUNT, HOLE, seen, density, highest)
+            cells, _ = level.facing(query)
+            counts = level.count(source), level.count(query)
+            more = look(cells, level.volume, *counts, PSEUDO_COUNT, HOLE, company, density, highest)
             excess = max(excess, more)
-        return seen, highest, excess
+        return company, highest, excess
 
     @cached_property
     def common_volume(self) -> float:

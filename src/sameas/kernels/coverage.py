@@ -97,34 +97,26 @@ def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
 
 @small
 def look(
-    of_source: Int32Array,
     cell: Int32Array,
     volume: FloatArray,
     count: FloatArray,
     own_count: FloatArray,
-    least: float,
     pseudo_count: float,
     hole: float,
-    seen: BoolArray,
+    company: FloatArray,
     density: FloatArray,
     highest: FloatArray,
 ) -> float:
-    """Clear ``seen`` (n,) where a record's cell is empty although more than ``hole`` were to be expected, and ``least``
-    of those that are asked for lie in it; refine the ``density`` (n,) by its count, in place.
+    """Raise ``company`` (n,), in place, to the number of those that are asked for in a record's cell, itself included,
+    where that is empty although more than ``hole`` were to be expected; refine the ``density`` (n,) by its count.
 
-    of_source : (n',) cells of the records that are counted. cell : (n,) of those that are asked for. volume : of the
-    cells. count, own_count : room for the counts of either. highest : (n,) of the densities so far, which is what is
-    expected at least half of: just outside a border coarse cells are empty for the most part, and their own density
-    says too little.
+    cell : (n,) of those that are asked for. volume : of the cells. count, own_count : how many records lie in each, of
+    the source that is looked for, and of those that are asked for. highest : (n,) of the densities so far, which is
+    what is expected at least half of: just outside a border coarse cells are empty for the most part, and their own
+    density says too little.
 
     Returns by how many standard deviations more records lie in empty cells than chance puts there.
     """
-    count[:] = 0.0
-    for c in of_source:
-        count[c] += 1.0
-    own_count[:] = 0.0
-    for c in cell:
-        own_count[c] += 1.0
     empty, due, variance, never = 0.0, 0.0, 1.0, 20.0
     for k in range(len(cell)):
         c = cell[k]
@@ -133,8 +125,8 @@ def look(
         empty += count[c] == 0.0
         due += chance
         variance += chance * (1.0 - chance) * own_count[c]  # all of a cell together
-        if count[c] == 0.0 and own_count[c] >= least and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
-            seen[k] = False
+        if count[c] == 0.0 and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
+            company[k] = max(company[k], own_count[c])
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
     return (empty - due) / np.sqrt(variance)
