@@ -87,7 +87,7 @@ function labels(c, w, h, drawn) {
     const name = nameOf(d.r).slice(0, 24);
     const full = Number.isFinite(objects.speed[d.r]) && (named.length < 60 || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
-    const moving = `${knots(objects.speed[d.r])} ${course(objects.course[d.r])}${high}`;
+    const moving = `${knots(objects.speed[d.r])} ${course(courseOf(d.r))}${high}`;
     if (spread && !matters(d.n) && !room.free([d.u - 2 * spread, d.v - spread, d.u + 2 * spread, d.v + spread])) continue;
     if (!full || !placed(c, room, d, [name, moving], w)) placed(c, room, d, [name], w);
   }

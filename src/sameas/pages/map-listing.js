@@ -3,7 +3,7 @@ const COLUMNS = [
   { key: "number", words: "no.", number: true, of: r => numberOf(r), say: r => String(numberOf(r)) },
   { key: "label", words: "object", of: r => nameOf(r).toLowerCase(), say: r => nameOf(r) },
   { key: "speed", words: "kn", number: true, of: r => objects.speed[r], say: r => fix(objects.speed[r] / KNOT, 1) },
-  { key: "course", words: "course", number: true, of: r => objects.course[r], say: r => course(objects.course[r]) },
+  { key: "course", words: "course", number: true, of: r => courseOf(r), say: r => course(courseOf(r)) },
   { key: "sources", words: "seen by", of: r => (isSeveral(r) ? -objects.sources[r] : objects.sources[r] ? -1 : 0), say: null },
   {
     key: "p",

@@ -82,7 +82,7 @@ function state(r) {
       Number.isFinite(objects.major[r]) ? `${metres(2 * objects.major[r])} × ${metres(2 * objects.minor[r])}` : "",
     ],
     ["Speed", Number.isFinite(speed) ? `${knots(speed)}  (${fix(speed, 1)} m/s)` : ""],
-    ["Course", Number.isFinite(objects.course[r]) ? course(objects.course[r]) : ""],
+    ["Course", Number.isFinite(courseOf(r)) ? course(courseOf(r)) : ""],
     ["Height", heightWords(r)],
     [
       from && !own ? `From ${data.sensors[+el("ring").value].name}` : "",

@@ -24,6 +24,8 @@ const metres = m =>
         : `${fix(m, 1)} m`;
 const distance = m => (nautical && m >= 0.1 * MILE ? `${fix(m / MILE, m < 10 * MILE ? 2 : 1)} nm` : metres(m));
 const knots = speed => (Number.isFinite(speed) ? `${fix(speed / KNOT, 1)} kn` : "–");
+// What shows no speed has no course to be steered by.
+const courseOf = r => (objects.speed[r] < 0.05 * KNOT ? NaN : objects.course[r]);
 // Flight levels are hundreds of feet.
 const flightLevel = m => `FL${String(Math.max(Math.round(m / 30.48), 0)).padStart(3, "0")}`;
 const plural = (n, word) => `${grouped(n)} ${word}${n === 1 ? "" : "s"}`;
