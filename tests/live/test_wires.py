@@ -70,13 +70,15 @@ def test_sensors_that_send_become_one_picture_and_one_that_dies_is_an_alarm(tmp_
         task = asyncio.create_task(keeper.run(until=over.is_set))
         out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         await until(lambda: writers and all(wire.state.connected for wire in keeper.wires.values()))
-        for k in range(20):
+        for k in range(3000):  # kernels may have to be compiled first: minutes where much else runs
+            if k >= 20 and keeper.frame is not None and len(keeper.frame.members) >= 5:
+                break
             now = time.time()
             for line in lines(at(made["ais"], min(k // 3, 9)), now):
                 out.sendto(line, ("127.0.0.1", ports["udp"]))
-            writers[-1].write(b"no line of any format\n" + b"".join(lines(at(made["radar"], k), now)))
+            writers[-1].write(b"no line of any format\n" + b"".join(lines(at(made["radar"], min(k, 19)), now)))
             await asyncio.sleep(0.1)
-        await until(lambda: keeper.frame is not None and len(keeper.frame.members) >= 5)
+        assert keeper.frame is not None and len(keeper.frame.members) >= 5
         frame, health = keeper.frame, keeper.health()
         writers[-1].close()
         server.close()
