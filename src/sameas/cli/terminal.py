@@ -6,6 +6,7 @@ import os
 import sys
 import threading
 from collections.abc import Iterable
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING
@@ -14,10 +15,13 @@ from sameas.errors import printable
 from sameas.report.prose import ALARM, DOUBT, wrapped
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
 
 #: Seconds before progress is shown.
 PATIENCE = 2.0
+#: Variables of the environment that ask for colours where there is no terminal, as rich has them.
+_COLOURED = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 #: What is printed even when quiet, and how it looks.
 _STYLES = {DOUBT: "yellow", ALARM: "bold red"}
 
@@ -26,10 +30,7 @@ class Printer:
     """Prints lines of a report; a heading starts at the margin, everything else is indented."""
 
     def __init__(self, quiet: bool) -> None:
-        from rich.console import Console
-
         self.quiet = quiet
-        self.console = Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
 
     def __call__(self, lines: Iterable[str]) -> None:
         """Print lines; when quiet only the doubts and alarms among them, on stderr."""
@@ -43,9 +44,22 @@ class Printer:
             for part in wrapped(line) if label else [line]:
                 self._print(part, style)
 
+    @cached_property
+    def _console(self) -> Console | None:
+        """What knows colours; None where nothing shows them: it takes longer to import than all else to print."""
+        if not (sys.stdout.isatty() or any(map(os.environ.get, _COLOURED))):
+            return None
+        from rich.console import Console
+
+        return Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
+
     def _print(self, line: str, style: str | None) -> None:
         try:
-            self.console.print(line, style=style)
+            if self._console is None:
+                sys.stdout.write(f"{line}\n")
+                sys.stdout.flush()
+            else:
+                self._console.print(line, style=style)
         except (BrokenPipeError, SystemExit):  # rich ends the process where a reader has gone
             # Whoever read stdout has seen enough; the output is still to be written.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
