@@ -309,6 +309,20 @@ def test_errors_of_other_kinds_are_passed_over() -> None:
     assert chosen(made("ra", "dec", "err", "sigma", units={"err": "mag", "sigma": "arcsec"})).error.kind == "circle"
 
 
+@pytest.mark.parametrize(("names", "units", "expected"), [
+    (("VT", "e_VT"), ("mag", "mag"), ("VT", "e_VT")),
+    (("i", "B", "B_err"), ("mag", "mag", "mag"), ("i", None)),
+    (("V", "R"), ("km/s", "pc"), (None, None)),
+    (("V", "B_V"), (None, "mag"), (None, None)),
+])  # fmt: skip
+def test_bands_by_their_letters_are_magnitudes_where_they_say_so(names, units, expected) -> None:
+    table = Table({"ra": [10.0], "dec": [20.0], **{name: [12.5] for name in names}})
+    for name, unit in zip(names, units, strict=True):
+        table[name].unit = unit
+    choice = chosen(table)
+    assert (choice.magnitude, choice.magnitude_error) == expected
+
+
 def test_magnitudes_that_are_vectors_are_passed_over() -> None:
     table = made(*SEXTRACTOR[:-1])
     table["MAG_AUTO"] = np.zeros((3, 2))

@@ -569,4 +569,11 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
         if name and getattr(search.table[name], "ndim", 1) == 1 and not column_values.is_text(search.table, name):
             same = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
             return name, search.find(error) or search.first(same)
-    return next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None), None
+    by_ucd = next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None)
+    if by_ucd:
+        return by_ucd, None
+    units = {
+        name: column_values.unit_of(search.table, name) for name in conventions.BANDS if name in search.table.colnames
+    }
+    band = next((name for name, unit in units.items() if unit is not None and unit.to_string() == "mag"), None)
+    return band, _error_of(search, band)

@@ -161,6 +161,10 @@ PLAIN_MAGNITUDES = (
     ("mag", "e_mag"),
     ("magnitude", "magnitude_error"),
 )
+#: Bands by which columns are named that say their unit to be mag; without it the letters may be anything.
+BANDS = (
+    "G", "V", "VT", "Hp", "R", "Rc", "r", "I", "Ic", "i", "g", "B", "BT", "z", "y", "u", "U", "J", "H", "K", "Ks", "W1",
+)  # fmt: skip
 PLAIN_IDS = (
     "id",
     "source_id",
