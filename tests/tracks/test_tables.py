@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from astropy.table import Table
 from pyarrow import parquet
 
 from sameas.errors import InputError
@@ -50,6 +51,18 @@ def understood(*names):
 )  # fmt: skip
 def test_names_as_people_write_them_are_understood(names, expected):
     assert understood(*names) == expected
+
+
+@pytest.mark.parametrize("delimiter", [" ", ","])
+def test_what_astropy_writes_as_ecsv_is_what_it_was_as_csv(delimiter, tmp_path):
+    written = Table({"time": ["2020-06-30T00:00:00Z"] * 2, "mmsi": [211000000, 212000000], "lat": [40.5, 40.6],
+                     "lon": [-74.0, -74.1], "name": ["GENESIS VIGILANT", ""], "sog_kn": [np.nan, 3.5]})  # fmt: skip
+    written.write(tmp_path / "ais.csv")
+    written.write(tmp_path / "ais.ecsv", delimiter=delimiter)
+    (one,), (two,) = (read_reports(tmp_path / f"ais.{ending}") for ending in ("csv", "ecsv"))
+    for name, column in one.columns().items():
+        if name not in ("line", "source"):
+            np.testing.assert_array_equal(two.columns()[name], column, err_msg=name)
 
 
 def test_units_at_the_end_of_a_name_count_and_habits_stand_in():

@@ -46,11 +46,20 @@ class TableText:
 
 
 def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
-    """The cells of lines with commas, semicolons, tabs or bars between them; lines that begin with # are comments."""
+    """The cells of lines with commas, semicolons, tabs or bars between them, in ECSV with blanks. Lines that begin with
+    # are comments."""
+    ecsv = bool(lines) and lines[0].startswith(ECSV)
     # A comment with the delimiter of the rows may be the line of names, as in Danish AIS.
-    number = next((k for k, line in enumerate(lines, start=1) if line.strip() and (line[0] != "#" or _splits(line))), 1)
+    number = next(
+        (
+            k
+            for k, line in enumerate(lines, start=1)
+            if line.strip() and (line[0] != "#" or (_splits(line) and not ecsv))
+        ),
+        1,
+    )
     named = lines[number - 1].lstrip("# ")
-    delimiter = _splits(named)
+    delimiter = _splits(named) or (" " if ecsv else "")
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
     names = [name.strip() for name in next(csv.reader([named], delimiter=delimiter))]
@@ -384,7 +393,7 @@ def _matrix(values: dict[str, Any], covariances: Sequence[str], sigmas: Sequence
     return None
 
 
-PARQUET = b"PAR1"
+PARQUET, ECSV = b"PAR1", "# %ECSV"
 
 
 def _cells_of(file: SensorFile) -> TableText:
