@@ -252,3 +252,35 @@ def test_what_others_show_of_errors_limits_what_stated_ones_may_excuse():
 def test_a_ship_that_both_see_stays_one_object_whatever_is_stated():
     for stated_m in ((30.0, 8.0), (45.0, 15.0)):
         assert p_one(beside(2, 0.0, stated_m=stated_m, radar_sees_it=True)).min() > 0.999
+
+
+def abreast(seed, gap_m=40.0):
+    """Five pairs of ships ``gap_m`` abreast before two trackers of 25 m and AIS of 8 m; nobody swaps any."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, 401.0, 10.0)
+    lead = rng.uniform(0.0, 3000.0, (5, 2))
+    v = np.repeat(rng.normal(0.0, 2.0, (5, 2)), 2, axis=0)
+    aside = np.column_stack([-v[:, 1], v[:, 0]]) / np.hypot(*v.T)[:, None]
+    x, velocity = straight(np.repeat(lead, 2, axis=0) + gap_m * (np.arange(10) % 2)[:, None] * aside, v, times)
+    names = [str(k) for k in range(10)]
+    mmsi = {"mmsi": [f"23500000{name}" for name in names]}
+    sources = [
+        told(rng, describe("west", "tracks", 25.0), times, x, velocity, 0.0, names),
+        told(rng, describe("east", "tracks", 25.0), times, x, velocity, 0.0, names),
+        told(rng, describe("ais", "ais", 8.0), times, x, velocity, 0.0, names, mmsi),
+    ]
+    return Scene.of(sources), times
+
+
+def test_trackers_that_swap_nothing_are_not_taken_to_swap_ships_abreast():
+    right, rates = [], []
+    for seed in range(3):
+        scene, times = abreast(seed)
+        for state in picture_states(scene, times, Watch()):
+            names = np.append(state.scan.track, "")[state.members]
+            if state.now.instant_s >= 300.0:
+                right += ((names == names[:, :1]).all(axis=1) * state.probability).tolist()
+        rates.append(state.watch.past.swaps.rate(np.arange(2), state.scan.tuning))
+    # The estimated rates grew to 0.3, the largest that is weighed, and nothing was remembered.
+    assert np.max(rates) < 0.02
+    assert np.mean(right) > 0.9

@@ -11,6 +11,11 @@ taken in blocks, each in the mean field of the others. A difference that is corr
 ρ counts as 1 − ρ² of one. One in a hundred may be of anything within ``factor_outlier``
 times the errors: a stamp, a mast, a pair that was none.
 
+Sure pairs are those that are near each other, so where none is sure but by chance factors come out small. The ways of
+tracks from one report to the next, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as in
+:mod:`sameas.picture.error_correlation`, know nothing of pairs: whatever the correlation ρ, errors are no smaller than ν
+shows. ρ is any, as probable, one for all of a source.
+
 What several reports of one source have in common, its offset, is not in it; see :mod:`sameas.tracks.registration`.
 
 Source: mean-field approximation as in Bishop, Pattern Recognition and Machine Learning, section 10.1.
@@ -21,19 +26,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import log_softmax
+from scipy.special import log_softmax, logsumexp
 
 from sameas.arrays import FloatArray, IntArray
-from sameas.picture.error_correlation import LEAST_M2
+from sameas.gaussian import log_density
+from sameas.kernels.kalman import correlated_shifts
+from sameas.picture.error_correlation import CORRELATIONS, LEAST_M2
 from sameas.picture.scan import Scan
-from sameas.picture.track_pairs import with_covariance
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import moved
 
 #: Sources whose factors are weighed together, and steps of the mean field of blocks of them.
 BLOCK, STEPS = 3, 5
-#: Pairs of an instant that are looked at; more show nothing new.
-MOST_PAIRS = 256
+#: Pairs, and reports, of an instant that are looked at, and reports of a source; more show nothing new.
+MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 256, 64, 2000
 
 
 @dataclass(frozen=True)
@@ -41,11 +47,14 @@ class ErrorFactors:
     """The factors of the errors of sources.
 
     names : of the sources so far. log_likely : (S, S, K, K) L of two sources a < b, by the factors of both.
+    log_shifts : (S, K, ρ) ln p of the ways of their tracks. reports : (S,) of how many reports.
     factor : (S,) mean of each source, geometric. sigma : (S,) 1σ of its logarithm.
     """
 
     names: tuple[str, ...] = ()
     log_likely: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0, 0)))
+    log_shifts: FloatArray = field(default_factory=lambda: np.empty((0, 0, 0)))
+    reports: FloatArray = field(default_factory=lambda: np.empty(0))
     factor: FloatArray = field(default_factory=lambda: np.empty(0))
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
 
@@ -56,7 +65,45 @@ class ErrorFactors:
         k, known = len(tuning.error_factors), len(self.names)
         log_likely = np.zeros((len(names), len(names), k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
-        return replace(self, names=names, log_likely=log_likely)._averaged(tuning)
+        log_shifts, reports = np.zeros((len(names), k, len(CORRELATIONS))), np.zeros(len(names))
+        log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, len(CORRELATIONS)), self.reports
+        whole = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
+        return whole._averaged(tuning)
+
+    def with_shifts(
+        self,
+        source: IntArray,
+        shift: FloatArray,
+        errors: tuple[FloatArray, FloatArray],
+        motion: FloatArray,
+        tuning: Tuning = DEFAULT_TUNING,
+    ) -> ErrorFactors:
+        """After new reports of tracks.
+
+        Parameters
+        ----------
+        source, shift : (n,), (n, 2) place in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated, motion : D,
+        (n, 2, 2) each.
+        """
+        # Where motion is larger than errors its description would be judged.
+        calm = np.trace(motion, axis1=1, axis2=2) < np.trace(errors[0], axis1=1, axis2=2)
+        which = np.flatnonzero(calm & (self.reports[source] < MOST_OF_SOURCE))
+        if not len(which):
+            return self
+        which = which[np.linspace(0, len(which) - 1, min(len(which), MOST_REPORTS)).astype(np.int64)]
+        source, shift, motion = source[which], shift[which], motion[which]
+        both, shared = errors[0][which], (errors[1] + errors[1].transpose(0, 2, 1))[which]
+        far = tuning.factor_outlier**2
+        log_out = log_density(shift, far * both) - np.log(1.0 / tuning.factor_outliers - 1.0)
+        log_shifts, log_p = self.log_shifts.copy(), np.empty((len(which), len(CORRELATIONS)))
+        for k, sq in enumerate(np.array(tuning.error_factors) ** 2):
+            correlated_shifts(
+                shift, sq * both, sq * shared, motion, CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p
+            )
+            # Of two ways in succession the report between is in both.
+            np.add.at(log_shifts[:, k], source, 0.5 * np.logaddexp(log_p, log_out[:, None]))
+        reports = self.reports + np.bincount(source, minlength=len(self.names))
+        return replace(self, log_shifts=log_shifts, reports=reports)
 
     def with_sure_pairs(
         self,
@@ -104,8 +151,7 @@ class ErrorFactors:
         reported = size[:, :, None] * scan.reported_covariance * size[:, None, :]
         change = np.nan_to_num(reported - scan.reported_covariance)
         _, extra = moved(np.zeros((len(scan), 4)), change, scan.now.instant_s - scan.time_s, np.zeros(len(scan)))
-        grown = with_covariance(scan, extra)
-        return replace(grown, reported_covariance=reported, error_factor=each)
+        return replace(scan.with_covariance(extra), reported_covariance=reported, error_factor=each)
 
     def lines(self) -> list[str]:
         """Printable lines on the sources whose errors surely are not as stated."""
@@ -119,14 +165,15 @@ class ErrorFactors:
         """With the mean factors by all that was seen."""
         logs, n = np.log(np.array(tuning.error_factors)), len(self.names)
         prior = -0.5 * (logs / tuning.error_factor_sigma) ** 2
+        own = prior + logsumexp(self.log_shifts, axis=2)
         # L of every source with every other, by its own factor first.
         both = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
-        weight = np.exp(log_softmax(np.broadcast_to(prior, (n, len(logs))), axis=1))
+        weight = np.exp(log_softmax(own, axis=1))
         blocks = [np.arange(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
         for _ in range(STEPS if len(blocks) > 1 else 1):
             for block in blocks:
                 beside = np.setdiff1d(np.arange(n), block)
-                alone = prior + np.einsum("stfg,tg->sf", both[np.ix_(block, beside)], weight[beside])
+                alone = own[block] + np.einsum("stfg,tg->sf", both[np.ix_(block, beside)], weight[beside])
                 weight[block] = _marginals(alone, both[np.ix_(block, block)])
         mean = weight @ logs
         return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))

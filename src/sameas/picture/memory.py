@@ -92,7 +92,7 @@ class Past:
     ----------
     reassigned : ε of the module. correlation_s : by name of source the correlation time of its errors, where it is not
         to be estimated (:mod:`sameas.picture.error_correlation`); 0 where the errors of all reports are independent.
-    tracks, existence, track_pairs, swaps, error_factors : filled in from instant to instant.
+    tracks, existence, track_pairs, swaps : filled in from instant to instant.
     """
 
     reassigned: float = REASSIGNED
@@ -101,11 +101,15 @@ class Past:
     existence: TrackExistence = field(default_factory=TrackExistence)
     track_pairs: TrackPairs = field(default_factory=TrackPairs)
     swaps: SwapRates = field(default_factory=SwapRates)
-    error_factors: ErrorFactors = field(default_factory=ErrorFactors)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.reassigned < 0.5:
             raise InputError(f"memory: reassigned is {self.reassigned}; give a probability between 0 and 0.5")
+
+    @property
+    def error_factors(self) -> ErrorFactors:
+        """By how much the errors that sources state are too small."""
+        return self.tracks.error_factors
 
     def on(self, scan: Scan) -> Past:
         """The past after the scan of a later instant.
@@ -131,10 +135,7 @@ class Past:
         )
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
         existence = self.existence.on(tracks)
-        factors = self.error_factors.of_sources(tracks.error_correlation.names, scan.tuning)
-        return replace(
-            self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence, error_factors=factors
-        )
+        return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
     def rule(self) -> Memory:
         """The rule of the past at the instant."""
@@ -228,12 +229,8 @@ class Past:
             (number_of[a], number_of[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
             (reported[a], reported[b]), total[a] + total[b], scan.tuning,
         )  # fmt: skip
-        return replace(
-            self,
-            tracks=replace(tracks, error_correlation=correlation),
-            track_pairs=track_pairs,
-            error_factors=factors,
-        )
+        tracks = replace(tracks, error_correlation=correlation, error_factors=factors)
+        return replace(self, tracks=tracks, track_pairs=track_pairs)
 
 
 def _trace(covariance: FloatArray) -> FloatArray:

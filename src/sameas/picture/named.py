@@ -32,6 +32,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.gaussian import inverse
 from sameas.picture.error_correlation import ErrorCorrelation, error_update, growth
+from sameas.picture.error_factors import ErrorFactors
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.tracks.alignment import moved, stamped_late
@@ -98,7 +99,7 @@ class NamedTracks:
     track_of_record : (n,) number of the track of every record of that scan, −1 for records without an id.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), by the track's own reports.
     lasting : (n, 2, 2) B of every record of the scan.
-    error_correlation : of all sources. source : (m,) place of the track's source among its names.
+    error_correlation, error_factors : of all sources. source : (m,) place of the track's source among its names.
     """
 
     instant_s: float = -np.inf
@@ -114,6 +115,7 @@ class NamedTracks:
     scan: Scan | None = None
     error_correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    error_factors: ErrorFactors = field(default_factory=ErrorFactors)
 
     def numbers_on(self, scan: Scan) -> IntArray:
         """(n,) the number of each record's track; −1 for records without an id, and for new ids."""
@@ -134,7 +136,9 @@ class NamedTracks:
         place = np.flatnonzero(scan.track != "")
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
-        step, correlation = self._step(scan, number[continuing], place[continuing], source[continuing], correlation)
+        step, correlation, factors = self._step(
+            scan, number[continuing], place[continuing], source[continuing], correlation
+        )
         is_new = number < 0
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
         track_of_record[place] = number
@@ -152,6 +156,7 @@ class NamedTracks:
         tracks = NamedTracks(
             now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number[order], place[order],
             track_of_record, error_mean[order], error_covariance[order], lasting, scan, correlation, source[order],
+            factors,
         )  # fmt: skip
         return tracks, step
 
@@ -181,8 +186,8 @@ class NamedTracks:
 
     def _step(
         self, scan: Scan, number: IntArray, place: IntArray, source: IntArray, correlation: ErrorCorrelation
-    ) -> tuple[Step, ErrorCorrelation]:
-        """The step of tracks that continue, without those that begin anew, and the updated error correlation."""
+    ) -> tuple[Step, ErrorCorrelation, ErrorFactors]:
+        """The step of tracks that continue, without those that begin anew, and what their reports show of errors."""
         before = self.scan if self.scan is not None else scan
         at = places_in(self.number, number)
         was = self.place[at]
@@ -204,6 +209,10 @@ class NamedTracks:
         correlation = correlation.updated(
             source[k], elapsed[k], shift[k], ((one + other)[k], shared[k]), motion[k], scan.tuning
         )
+        stated = 1.0 / scan.error_factor[place[k], None, None], 1.0 / before.error_factor[was[k], None, None]
+        as_stated = stated[1] ** 2 * one[k] + stated[0] ** 2 * other[k], stated[0] * stated[1] * shared[k]
+        factors = self.error_factors.of_sources(correlation.names, scan.tuning)
+        factors = factors.with_shifts(source[k], shift[k], as_stated, motion[k], scan.tuning)
         share = correlation.lasting(source, scan.tuning)[:, None, None]
         common = correlation.forgotten(source, elapsed, scan.tuning)[:, None, None] * shared
         forgetting = common.transpose(0, 2, 1) @ inverse(old - share * one)
@@ -227,7 +236,7 @@ class NamedTracks:
             np.where(repeated, error_covariance, updated_covariance), scan.now.instant_s,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
-        return step.take(np.flatnonzero(consistent)[np.argsort(number[consistent])]), correlation
+        return step.take(np.flatnonzero(consistent)[np.argsort(number[consistent])]), correlation, factors
 
 
 def with_lasting(covariance: FloatArray, lasting: FloatArray) -> FloatArray:

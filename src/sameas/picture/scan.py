@@ -7,16 +7,17 @@ track id, and the time of the report.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.many.observations import records_of
+from sameas.many.observations import Source, records_of
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import Ragged
+from sameas.records import Records
 from sameas.tracks.alignment import States, moved, stamped_late
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import POSITION, Instant
@@ -113,6 +114,15 @@ class Scan:
                 new[here] = ~np.isin(self.row[here], before.row[before.start[t] : before.start[t + 1]])
         return new
 
+    def with_covariance(self, extra: FloatArray) -> Scan:
+        """The same with covariances that are larger by ``extra`` (n, 4, 4), of its records too."""
+        sources = list(self.now.sources)
+        for s, source in enumerate(sources):
+            here = slice(self.start[s], self.start[s + 1])
+            sources[s] = _grown_source(source, self.table[here], extra[here])
+        now = replace(self.now, sources=tuple(sources))
+        return replace(self, now=now, covariance=self.covariance + extra)
+
     def places(self, members: np.ma.MaskedArray) -> IntArray:
         """(n, S) places in the scan of members given as rows of the sources' records, −1 for none."""
         rows, absent = np.ma.getdata(members), np.ma.getmaskarray(members)
@@ -167,6 +177,16 @@ def _part(
         "state": state, "covariance": covariance,
         "heights": np.full((n, 3), np.nan) if heights is None else heights[table],
     }  # fmt: skip
+
+
+def _grown_source(source: Source, table: IntArray, extra: FloatArray) -> Source:
+    """A source's records with larger covariances; ``table`` their rows, ascending."""
+    if not isinstance(source, Records) or not extra.any():
+        return source
+    d = source.d
+    covariance = source.full_covariance() + extra[np.searchsorted(table, source.rows), :d, :d]
+    upper = np.triu_indices(d)
+    return replace(source, covariance=covariance[:, upper[0], upper[1]])
 
 
 def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:

@@ -31,13 +31,11 @@ from scipy.special import expit
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.kernels.kalman import best_others, mix, pairs_anew, pairs_stepped, swap_evidence
-from sameas.many.observations import Source
 from sameas.picture.error_correlation import LEAST_M2, ErrorCorrelation
 from sameas.picture.named import NamedTracks, Step, places_in
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.records import Records
 from sameas.tracks.kinds import KINDS
 
 
@@ -139,9 +137,10 @@ class TrackPairs(ColumnTable):
         a, b = step.find(self.first), step.find(self.second)
         rows = np.flatnonzero((a >= 0) & (b >= 0))
         a, b = a[rows], b[rows]
-        updated = self._updated(step, rows, a, b, tuning)
+        updated, log_two = self._updated(step, rows, a, b, tuning)
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
-        log_before, near = _swapped(self.log_ratio[rows], self.at_scan[rows], step, (a, b), rivals, tuning)
+        weight = self.log_ratio[rows] + self.at_scan[rows]
+        log_before, near = _swapped(weight, log_two, step, (a, b), rivals, tuning)
         rate = np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)])
         for side, track in ((0, b), (1, a)):
             weights = updated.log_ratio + updated.now, log_before[:, side] + updated.now
@@ -149,9 +148,11 @@ class TrackPairs(ColumnTable):
         swapped = log_before, rate * near
         return updated._leaked(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
 
-    def _updated(self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning) -> TrackPairs:
+    def _updated(
+        self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning
+    ) -> tuple[TrackPairs, FloatArray]:
         """The pairs ``rows`` after the motion of their tracks, places a and b in the step, and after its new reports:
-        those of the first track, then of the second."""
+        those of the first track, then of the second; and (k,) ln p of these if they are two objects."""
         k = len(rows)
         mean, covariance = np.empty((k, 2, 8)), np.empty((k, 2, 8, 8))
         log_reports, now, chi_sq = np.empty((k, 2)), np.empty(k), np.empty(k)
@@ -174,7 +175,7 @@ class TrackPairs(ColumnTable):
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
             self.offset[rows], self.offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
-        )  # fmt: skip
+        ), log_two  # fmt: skip
 
     def _leaked(
         self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
@@ -260,25 +261,29 @@ _OFFSETS = ("offset", "offsets", "offset_s", "offset_new", "offset_chi_sq", "log
 
 
 def _swapped(
-    log_ratio: FloatArray, at_scan: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
+    weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
     tuning: Tuning,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """(k, 2) ln r of each pair's most probable rival before the step, 0 for none, and the probability of a swap with it
-    for h = 1: of rivals with the same first track, and with the same second. log_ratio, at_scan : before the step."""
-    log_before, near_both = np.zeros((len(log_ratio), 2)), np.zeros((len(log_ratio), 2))
-    weight = log_ratio + at_scan
+    """(k, 2) ln r of each pair if its ids were swapped with those of its most probable rival, 0 for none, and the
+    probability of that for h = 1: of rivals with the same first track, and with the same second.
+
+    After a swap the past is the rival's, ``weight`` (k,) by all reports before the step, and the new report is where
+    the other track is, instead of where its own reports predict it: ``log_two`` (k,), less that of the other's report.
+    Both count, or a rival whose last report was far off is excused from it, and rates of swaps grow without any.
+    """
+    log_before, near_both = np.zeros((len(weight), 2)), np.zeros((len(weight), 2))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
         best = rivals.best_other(weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
         one, other = track[at], track[best[at]]
         apart = mahalanobis_sq(step.here[one] - step.here[other], step.covariance[one] + step.covariance[other])
-        near = np.zeros(len(log_ratio))
+        near = np.zeros(len(weight))
         near[at] = np.exp(-apart / tuning.swap_chi_sq)
         # The most probable one of a set swaps with one of the others at most, and each of these with it.
         leads = (best >= 0) & (weight >= weight[best])
         total = np.bincount(rivals.sides[side], np.where(leads, 0.0, near))[rivals.sides[side]]
         near_both[at, side] = np.where(leads, np.minimum(total, 1.0), near / np.maximum(total, 1.0))[at]
-        log_before[at, side] = log_ratio[best[at]]
+        log_before[at, side] = weight[best[at]] - (log_two - step.log_own[tracks[side]])[at]
     return log_before, near_both
 
 
@@ -427,7 +432,7 @@ def with_manoeuvres(
     if not manoeuvred.any():
         return scan
     extra = np.where(manoeuvred[:, None, None], extra, 0.0)
-    return replace(with_covariance(scan, extra), manoeuvre_covariance=extra)
+    return replace(scan.with_covariance(extra), manoeuvre_covariance=extra)
 
 
 def manoeuvre_covariance(scan: Scan) -> FloatArray:
@@ -450,25 +455,6 @@ def _places(scan: Scan, tracks: NamedTracks, number: IntArray) -> IntArray:
     order = np.argsort(on, kind="stable")
     at = places_in(on[order], number)
     return np.where(at >= 0, np.append(order, -1)[at], -1)
-
-
-def with_covariance(scan: Scan, extra: FloatArray) -> Scan:
-    """The scan with covariances that are larger by ``extra`` (n, 4, 4)."""
-    sources = list(scan.now.sources)
-    for s, source in enumerate(sources):
-        here = slice(scan.start[s], scan.start[s + 1])
-        sources[s] = _grown_source(source, scan.table[here], extra[here])
-    return replace(scan, now=replace(scan.now, sources=tuple(sources)), covariance=scan.covariance + extra)
-
-
-def _grown_source(source: Source, table: IntArray, extra: FloatArray) -> Source:
-    """A source's records with larger covariances; ``table`` their rows, ascending."""
-    if not isinstance(source, Records) or not extra.any():
-        return source
-    d = source.d
-    covariance = source.full_covariance() + extra[np.searchsorted(table, source.rows), :d, :d]
-    upper = np.triu_indices(d)
-    return replace(source, covariance=covariance[:, upper[0], upper[1]])
 
 
 def _most(group: IntArray, values: FloatArray) -> FloatArray:
