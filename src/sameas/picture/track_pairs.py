@@ -140,12 +140,13 @@ class TrackPairs(ColumnTable):
         updated, log_two = self._updated(step, rows, a, b, tuning)
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         weight = self.log_ratio[rows] + self.at_scan[rows]
-        log_before, near = _swapped(weight, log_two, step, (a, b), rivals, tuning)
+        log_before, log_swapped, near = _swapped(self.log_ratio[rows], weight, log_two, step, (a, b), rivals, tuning)
         rate = np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)])
         for side, track in ((0, b), (1, a)):
-            weights = updated.log_ratio + updated.now, log_before[:, side] + updated.now
+            weights = updated.log_ratio + updated.now, log_swapped[:, side] + updated.now
             swaps = swaps.updated(rivals.sides[side], step.source[track], *weights, near[:, side], tuning)
-        swapped = log_before, rate * near
+        # More than one may pass between two instants, and among more than two tracks.
+        swapped = log_before, np.minimum(tuning.swap_caution * rate, max(tuning.swap_rates)) * near
         return updated._leaked(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
 
     def _updated(
@@ -261,17 +262,18 @@ _OFFSETS = ("offset", "offsets", "offset_s", "offset_new", "offset_chi_sq", "log
 
 
 def _swapped(
-    weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
-    tuning: Tuning,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """(k, 2) ln r of each pair if its ids were swapped with those of its most probable rival, 0 for none, and the
-    probability of that for h = 1: of rivals with the same first track, and with the same second.
+    log_ratio: FloatArray, weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray],
+    rivals: Rivals, tuning: Tuning,
+) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """(k, 2) ln r before the step of each pair's most probable rival, 0 for none, ln r of the pair itself if its ids
+    were swapped with the rival's, and the probability of that for h = 1: of rivals with the same first track, and with
+    the same second. log_ratio : (k,) before the step.
 
     After a swap the past is the rival's, ``weight`` (k,) by all reports before the step, and the new report is where
     the other track is, instead of where its own reports predict it: ``log_two`` (k,), less that of the other's report.
     Both count, or a rival whose last report was far off is excused from it, and rates of swaps grow without any.
     """
-    log_before, near_both = np.zeros((len(weight), 2)), np.zeros((len(weight), 2))
+    log_before, log_swapped, near_both = np.zeros((3, len(weight), 2))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
         best = rivals.best_other(weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
@@ -283,8 +285,9 @@ def _swapped(
         leads = (best >= 0) & (weight >= weight[best])
         total = np.bincount(rivals.sides[side], np.where(leads, 0.0, near))[rivals.sides[side]]
         near_both[at, side] = np.where(leads, np.minimum(total, 1.0), near / np.maximum(total, 1.0))[at]
-        log_before[at, side] = weight[best[at]] - (log_two - step.log_own[tracks[side]])[at]
-    return log_before, near_both
+        log_before[at, side] = log_ratio[best[at]]
+        log_swapped[at, side] = weight[best[at]] - (log_two - step.log_own[tracks[side]])[at]
+    return log_before, log_swapped, near_both
 
 
 def _without_past(

@@ -35,6 +35,7 @@ class Tuning:
         factor_outlier times their errors.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
     swap_rates : probabilities h that a tracker has swapped two objects at one place, per report, that are weighed.
+    swap_caution : a swap counts as so many times as probable as estimated.
     swap_rate, swap_sigma : median and 1σ of ln h before reports say more. swap_chi_sq : h falls with e^(−χ²/this).
     motion_shares : shares of the largest motion noise that are weighed, each as probable.
     new_track_probability : a track begins anew beyond the χ² limit that this share of correct reports exceeds.
@@ -105,6 +106,7 @@ class Tuning:
     factor_outlier: float = 10.0
     convoy_log_odds: float = 5.0
     swap_rates: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
+    swap_caution: float = 3.0
     swap_rate: float = 1e-3
     swap_sigma: float = 2.0
     swap_chi_sq: float = 8.0
