@@ -275,12 +275,14 @@ def abreast(seed, gap_m=40.0):
 def test_trackers_that_swap_nothing_are_not_taken_to_swap_ships_abreast():
     right, rates = [], []
     for seed in range(3):
-        scene, times = abreast(seed)
-        for state in picture_states(scene, times, Watch()):
+        (scene, times), watch = abreast(seed), Watch()
+        for time_s in times:
+            state = watch.advance(scene.at(time_s))
+            watch = state.watch
             names = np.append(state.scan.track, "")[state.members]
             if state.now.instant_s >= 300.0:
                 right += ((names == names[:, :1]).all(axis=1) * state.probability).tolist()
-        rates.append(state.watch.past.swaps.rate(np.arange(2), state.scan.tuning))
+        rates.append(watch.past.swaps.rate(np.arange(2), state.scan.tuning))
     # The estimated rates grew to 0.3, the largest that is weighed, and nothing was remembered.
     assert np.max(rates) < 0.02
     assert np.mean(right) > 0.85
