@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.estimate.cells import GridLevel, levels_of
+from sameas.estimate.cells import FINEST, GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -227,8 +227,14 @@ PSEUDO_COUNT = 2.0
 #: The same for densities is one of these, level by level what the records tell; few tell little, and that is least
 #: where it draws strongly.
 SMOOTHS = (500.0, 200.0, 80.0, 30.0, 12.0, 5.0, 2.0)
+#: ln of how much less probable each is beforehand than the one before: what few records show by chance is no cluster.
+LESS_PROBABLE = 0.7
 #: About so many records tell which.
 SOME = 10_000
+#: Part of a record that the density at its own place does not count in the finest cells. What chance pairs are weighed
+#: by is 1/√(ρ₁ρ₂), and of a count N with the mean μ it is (N + ¾)^−½ whose mean is μ^−½: where nobody else is counted
+#: chance is likelier than it looks, for a record shows that there are objects.
+LEFT_OUT = 0.25
 #: The same for shares of one half; for others as many as say as much of the logit of the share.
 SHARED_PSEUDO_COUNT = 200.0
 #: A source so many times as rich as the other tells which part of a cell both look at.
@@ -249,7 +255,7 @@ LEAST_VOLUME = 1e-3
 
 
 def smoothing(others: FloatArray, volume: FloatArray, density: FloatArray, weight: FloatArray) -> float:
-    """The pseudo-count of :data:`SMOOTHS` by which the records of a level are likeliest where they are.
+    """The pseudo-count of :data:`SMOOTHS` that the places of a level's records make most probable.
 
     others : (n,) the other records in the cell of each. volume : of that cell. density : (n,) as coarser cells have it,
     towards which it draws. weight : (n,) as how many each counts.
@@ -259,13 +265,8 @@ def smoothing(others: FloatArray, volume: FloatArray, density: FloatArray, weigh
 
     Source: Duin 1976, IEEE Transactions on Computers 25, 1175 (smoothing by the likelihood of what was left out).
     """
-    best, best_score = SMOOTHS[0], -math.inf
-    for smooth in SMOOTHS:
-        score = float(weight @ np.log((others + smooth) / (volume + smooth / density)))
-        if score <= best_score:
-            break  # the score has one maximum
-        best, best_score = smooth, score
-    return best
+    scores = [float(weight @ np.log((others + smooth) / (volume + smooth / density))) for smooth in SMOOTHS]
+    return SMOOTHS[int(np.argmax(scores - LESS_PROBABLE * np.arange(len(SMOOTHS))))]
 
 
 def _some_of(records: Records) -> IntArray:
@@ -302,7 +303,8 @@ class Coverage:
     ) -> tuple[FloatArray, FloatArray]:
         """Local density of the records of ``source`` (1 or 2) counted with ``weights``, at the records of both.
 
-        Unit 1 / (residual unit)^d. A record does not count where it stands itself.
+        Unit 1 / (residual unit)^d. Cells are as fine as these records tell. A record counts where it stands itself only
+        in the finest of them, and for 1 − :data:`LEFT_OUT`.
 
         volumes : of the cells of each level where the source looks; if not given, all of them.
         """
@@ -316,9 +318,12 @@ class Coverage:
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
             count = level.count(source) if every else np.bincount(cell, weights, len(volume))
+            finest = level is self.levels[-1] or count @ count <= FINEST * weights.sum()
             others = np.maximum(count[cell[some]] - weights[some], 0.0)
             smooth = smoothing(others, volume[cell[some]], at[0][some], weights[some])
-            refine(*level.facing(source), weights, volume, count, smooth, *at)
+            refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
+            if finest:
+                break
         return at_first, at_second
 
     @cached_property

@@ -24,7 +24,7 @@ from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.cells import FINEST, GridLevel
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
-from sameas.estimate.coverage import HOLE, IN_CELL, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, Coverage, smoothing
+from sameas.estimate.coverage import HOLE, IN_CELL, LEFT_OUT, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, Coverage, smoothing
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
@@ -92,8 +92,8 @@ class Places:
     """Densities, coverage and shares in cells. Make it with :meth:`of`.
 
     cells : (u,) the occupied cells, rising; each in ``steps`` steps from the cells that were counted.
-    density : (u, 2, 2) of the covered records of source k + 1 at those of its own, [:, k, 0], which do not count
-    themselves, and at those of the other source, [:, k, 1]. seen : (u, 2) whether the other source looks there.
+    density : (u, 2, 2) of the covered records of source k + 1 at those of its own, [:, k, 0], and at those of
+    the other source, [:, k, 1]. seen : (u, 2) whether the other source looks there.
     share : (u, 2) of the records of a source there that have a partner. levels : steps from these to coarser cells.
     volume : of a cell.
     """
@@ -252,15 +252,21 @@ def _seen(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume: f
 def _density(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume: float) -> FloatArray:
     """(u, 2, 2) densities of the counted records of either source at those of their own, and at others, as
     ``Coverage.density``. volume : of a cell."""
+    total = numbers.sum(axis=0)
     own = others = np.empty(0)
-    for level in (_Level.of(cells, numbers, steps) for steps in levels):
+    open_ = total > 0.0
+    for steps in levels:
+        level = _Level.of(cells, numbers, steps)
         if not len(own):
-            own = others = np.tile((numbers.sum(axis=0) + 0.5) / (volume * level.covered.sum()), (len(cells), 1))
+            own = others = np.tile((total + 0.5) / (volume * level.covered.sum()), (len(cells), 1))
+        finest = (np.square(level.numbers).sum(axis=0) <= FINEST * total) | (steps == 0)
         size, count = volume * level.covered[level.at, None], level.numbers[level.at]
         left = np.maximum(count - 1.0, 0.0)
         smooth = np.array([smoothing(left[:, k], size[:, 0], own[:, k], numbers[:, k]) for k in (0, 1)])
-        own = (left + smooth) / (size + smooth / own)
-        others = (count + smooth) / (size + smooth / others)
+        left = np.maximum(count - np.where(finest, LEFT_OUT, 1.0), 0.0)
+        own = np.where(open_, (left + smooth) / (size + smooth / own), own)
+        others = np.where(open_, (count + smooth) / (size + smooth / others), others)
+        open_ &= ~finest
     return np.stack([own, others], axis=2)
 
 

@@ -169,8 +169,8 @@ def refine(
 ) -> None:
     """Draw densities, in place, towards the counts of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
-    own, weight : (n,) cells of the records that are counted, and as how many each; it is left out at itself. other :
-    (n',) cells of the other records. volume, count : of the cells, and how many are counted there.
+    own, weight : (n,) cells of the records that are counted, and how much of each is left out at itself. other : (n',)
+    cells of the other records. volume, count : of the cells, and how many are counted there.
     """
     for k in range(len(own)):
         c = own[k]
