@@ -272,6 +272,7 @@ def abreast(seed, gap_m=40.0):
     return Scene.of(sources), times
 
 
+@pytest.mark.slow
 def test_trackers_that_swap_nothing_are_not_taken_to_swap_ships_abreast():
     right, rates = [], []
     for seed in range(3):

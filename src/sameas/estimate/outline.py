@@ -96,12 +96,6 @@ class Outline:
         part[cut] = np.clip(height, 0.0, None).mean(axis=0) / (north - south)
         return np.maximum(part, LEAST)
 
-    def _lower(self, x: FloatArray) -> FloatArray:
-        return np.interp(x, self.x, self.lower)
-
-    def _upper(self, x: FloatArray) -> FloatArray:
-        return np.interp(x, self.x, self.upper)
-
 
 def _outermost(points: FloatArray) -> FloatArray:
     """The points that lie outside the polygon of those outermost in some directions, and these."""
