@@ -328,7 +328,8 @@ def tables(b: Bench, options: argparse.Namespace) -> Iterator[Table]:
             yield timetable(title, SECTIONS[name](b))
     if options.only in (None, "stages"):
         yield stage_table(b)
-        yield command_stages(b)
+    if options.only in (None, "match"):
+        yield match_stages(b)
     if options.only in (None, "growth"):
         yield growth(b)
     if options.only in (None, "verdicts"):
@@ -348,7 +349,7 @@ def stage_table(b: Bench) -> Table:
     return Table(f"Stages, ms, {b.rows} rows, 3σ, circular", ("λ", *STAGES, "all"), lines)
 
 
-def command_stages(b: Bench) -> Table:
+def match_stages(b: Bench) -> Table:
     """Every stage of a whole match of two files, everything estimated, each run in a new process; STILTS beside it."""
     folder = Path(b.sky(0.5))
     first, second = _parquet(folder)
@@ -379,7 +380,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, help=f"rows of the large scenes (default {FULL}, quick 100000)")
     parser.add_argument("--quick", action="store_true", help="times of the stages only, under two minutes")
     parser.add_argument("--keep", action="store_true", help="with --quick: keep the ratios as the reference")
-    parser.add_argument("--only", choices=[*SECTIONS, "stages", "growth", "verdicts"], help="one section")
+    parser.add_argument("--only", choices=[*SECTIONS, "stages", "match", "growth", "verdicts"], help="one section")
     parser.add_argument("--peer-python", action="append", default=[], metavar="NAME=PYTHON")
     parser.add_argument("--slow", type=float, default=240.0, help="seconds after which a program runs no more")
     options = parser.parse_args()
