@@ -165,3 +165,25 @@ def test_a_crowd_of_three_sources_beyond_all_sets_is_not_called_alone():
     sources = [Records.of(rng.normal(0.0, 5.0, (90, 2)), sigma=15.0, source=name) for name in ("one", "two", "three")]
     found = identify_many(sources, rule=PoissonObjects(90 / 2000.0, 0.1))
     assert not found.groups.exact.any() and found.probability.max() < 0.3
+
+
+def test_states_by_their_bits_and_by_a_table_of_hashes_give_one_sum():
+    # More steps than there is room for at first; a count prior that prefers nothing asks for the table of hashes.
+    sets, n = entangled(np.random.default_rng(3), per_source=8, triples=120)
+    mask = np.where(sets.members >= 0, np.uint64(1) << np.maximum(sets.members, 0).astype(np.uint64), np.uint64(0))
+    mask = np.bitwise_or.reduce(mask, axis=1)
+    first = np.array([int(one & -one).bit_length() - 1 for one in mask.tolist()])
+    order = np.argsort(first, kind="stable")
+    sums = []
+    for counted in (False, True):
+        share, chosen, solved = np.zeros(len(order)), np.zeros(len(order), bool), np.zeros(1, bool)
+        partitions.eliminate(
+            np.array([0]), np.array([0, len(order)]), first[order], mask[order], sets.log_weight[order],
+            sets.size[order] - 1, np.array([0, n + 1]), np.zeros(n + 1), counted, 1_000_000, share, chosen, solved,
+        )  # fmt: skip
+        assert solved[0]
+        sums.append((share, chosen))
+    assert (sums[0][1] == sums[1][1]).all()
+    assert sums[0][0] == pytest.approx(sums[1][0], abs=1e-12)
+    records = np.bitwise_and.outer(mask[order], np.uint64(1) << np.arange(n, dtype=np.uint64)) > 0
+    assert sums[0][0] @ records == pytest.approx(np.ones(n), abs=1e-12)

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import AnyIntArray, BoolArray, FloatArray, Int32Array, IntArray
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.components import root
 
@@ -21,6 +21,12 @@ SWEEPS, PRUNINGS, EXCHANGES = 6, 8, 6
 #: Temperatures at which duals are annealed, in nats, and sweeps at each: in the first go, and where that is not enough.
 TEMPERATURES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 ANNEALINGS = (8, 40)
+#: Steps of a sum for which there is room at first.
+ROOM = 256
+#: Sets of a smaller exponent than this at a temperature are left out there.
+LEAST_POWER = -20.0
+#: Greatest reduced cost, in nats, of sets that compete for a place in a good partition.
+COMPETING = 10.0
 #: They end where a sweep gains less, in nats, and where less than this share of the sets is left out.
 LEAST_NATS, LEAST_SHARE = 0.01, 0.02
 #: Sums that leave out sets of a smaller reduced cost are no nearer to the truth than messages, and the best partition
@@ -185,44 +191,90 @@ def _steps(
     n: int, first: IntArray, mask: NDArray[np.uint64], merges: IntArray, counted: bool, cap: int
 ) -> tuple[Int32Array | IntArray | NDArray[np.uint64], ...]:
     """States (records taken, merges made), the layers' starts, and the steps between them; no layers beyond ``cap``."""
-    one = np.uint64(1)
-    key, made = np.zeros(64, np.uint64), np.zeros(64, np.int64)
-    origin, target, used = np.empty(256, np.int32), np.empty(256, np.int32), np.empty(256, np.int32)
-    layer = np.zeros(n + 2, np.int64)
-    layer[1] = 1
+    limit, layer = ROOM, np.zeros(n + 2, np.int64)
+    while limit < cap:
+        limit *= 2
+    width = 64 if counted else _width(first, mask)
+    room = ROOM
+    # An array that grows within the loops costs more than the loops: where room is too small they begin anew.
+    while True:
+        key, made = np.empty(room + 1, np.uint64), np.empty(room + 1, np.int64)
+        origin, target, used = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
+        steps = _filled(n, first, mask, merges, counted, width, key, made, layer, origin, target, used)
+        if steps >= 0:
+            return key[: layer[n + 1]], made[: layer[n + 1]], layer, origin[:steps], target[:steps], used[:steps]
+        if room == limit:
+            return key[:0], made[:0], layer[:0], origin[:0], target[:0], used[:0]
+        room = min(4 * room, limit)
+
+
+@part
+def _filled(
+    n: int,
+    first: IntArray,
+    mask: NDArray[np.uint64],
+    merges: IntArray,
+    counted: bool,
+    width: int,
+    key: NDArray[np.uint64],
+    made: IntArray,
+    layer: IntArray,
+    origin: Int32Array,
+    target: Int32Array,
+    used: Int32Array,
+) -> int:
+    """Fill in states and steps, and give the number of these; −1 where there are more than there is room for.
+
+    width : as of :func:`_width`; where it is small a state's records after r, as bits, are its place among the slots.
+    """
+    one, room = np.uint64(1), len(origin)
+    direct = width < 63 and (1 << width) <= 4 * room
+    slots, place_of = np.full(1 << width if direct else 2 * room, NONE, np.int32), np.empty(room + 1, np.int64)
+    fits = np.empty(len(first) + 1, np.int64)
+    key[0], made[0], layer[0], layer[1] = 0, 0, 0, 1
     size, steps, low = 1, 0, 0
-    slots = np.full(256, NONE, np.int32)
     for r in range(n):
         high = low
         while high < len(first) and first[high] == r:
             high += 1
-        bit = one << np.uint64(r)
-        slots[:] = NONE
+        bit, after = one << np.uint64(r), np.uint64(r + 1)
         for s in range(layer[r], layer[r + 1]):
-            taken = (key[s] & bit) != np.uint64(0)
-            for k in range(low - 1 if taken else low, low if taken else high):
-                if not taken and (mask[k] & key[s]) != np.uint64(0):
-                    continue
-                new = key[s] & ~bit if taken else (key[s] | mask[k]) & ~bit
+            state, free = key[s], 0
+            taken = (state & bit) != np.uint64(0)
+            if taken:
+                fits[0], free = NONE, 1
+            else:
+                # Without a branch, which would be guessed wrongly most of the time.
+                for k in range(low, high):
+                    fits[free] = k
+                    free += np.int64((mask[k] & state) == np.uint64(0))
+            if steps + free > room:
+                return -1
+            for at in range(free):
+                k = fits[at]
+                new = state & ~bit if taken else (state | mask[k]) & ~bit
                 count = made[s] if taken or not counted else made[s] + merges[k]
-                if size == len(key):
-                    key, made = _wider(key), _wider(made)
-                if 2 * (size - layer[r + 1]) >= len(slots):
-                    slots = _rehashed(slots, key, made, layer[r + 1], size)
-                place = _slot(slots, key, made, new, count)
+                place = np.int64(new >> after) if direct else _slot(slots, key, made, new, count)
                 if slots[place] == NONE:
-                    slots[place] = size
-                    key[size], made[size] = new, count
+                    slots[place], key[size], made[size], place_of[size] = size, new, count, place
                     size += 1
-                if steps == len(origin):
-                    if steps >= cap:
-                        return key[:0], made[:0], layer[:0], origin[:0], target[:0], used[:0]
-                    origin, target, used = _wider(origin), _wider(target), _wider(used)
-                origin[steps], target[steps], used[steps] = s, slots[place], NONE if taken else k
+                origin[steps], target[steps], used[steps] = s, slots[place], k
                 steps += 1
+        for s in range(layer[r + 1], size):
+            slots[place_of[s]] = NONE
         layer[r + 2] = size
         low = high
-    return key[:size], made[:size], layer, origin[:steps], target[:steps], used[:steps]
+    return steps
+
+
+@part
+def _width(first: IntArray, mask: NDArray[np.uint64]) -> int:
+    """Most records beyond the next one that a state can have taken."""
+    width = 0
+    for k in range(len(first)):
+        while mask[k] >> np.uint64(first[k] + 1) >> np.uint64(width) != np.uint64(0):
+            width += 1
+    return width
 
 
 @part
@@ -251,21 +303,6 @@ def _slot(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, new: int, 
     while slots[place] != NONE and (key[slots[place]] != new or made[slots[place]] != count):
         place = (place + 1) & np.int64(last)
     return place
-
-
-@part
-def _rehashed(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, low: int, high: int) -> Int32Array:
-    wider = np.full(4 * len(slots), NONE, np.int32)
-    for s in range(low, high):
-        wider[_slot(wider, key, made, key[s], made[s])] = s
-    return wider
-
-
-@part
-def _wider(values: AnyIntArray) -> AnyIntArray:
-    out = np.zeros(2 * len(values), values.dtype)
-    out[: len(values)] = values
-    return out
 
 
 # ---- groups whose sets are pruned by duals of their own, and summed block by block ----
@@ -447,11 +484,25 @@ def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, d
     the end they are raised until no set weighs more than its records.
     """
     k, n = len(weight), len(dual)
-    own, sets = _sets_of_records(begin, entry, n, 1)
-    x = np.empty(k)
+    x = np.zeros(k)
+    own, sets = np.zeros(n + 1, np.int64), np.empty(len(entry), np.int64)
     for temperature in TEMPERATURES:
+        # Sets of which a partition has nothing at this temperature stand aside until the next one.
+        own[:] = 0
         for s in range(k):
-            x[s] = math.exp(min(-_cost(s, begin, entry, weight, dual) / temperature, 50.0))
+            power = -_cost(s, begin, entry, weight, dual) / temperature
+            x[s] = math.exp(min(power, 50.0)) if power > LEAST_POWER or begin[s + 1] - begin[s] == 1 else 0.0
+            if x[s] > 0.0:
+                for e in range(begin[s], begin[s + 1]):
+                    own[entry[e] + 1] += 1
+        for r in range(n):
+            own[r + 1] += own[r]
+        fill = own[:-1].copy()
+        for s in range(k):
+            if x[s] > 0.0:
+                for e in range(begin[s], begin[s + 1]):
+                    sets[fill[entry[e]]] = s
+                    fill[entry[e]] += 1
         for sweep in range(sweeps):
             for turn in range(n):
                 r = turn if sweep % 2 == 0 else n - 1 - turn
@@ -459,8 +510,9 @@ def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, d
                 for at in range(own[r], own[r + 1]):
                     total += x[sets[at]]
                 if total > 0.0:
+                    share = 1.0 / total
                     for at in range(own[r], own[r + 1]):
-                        x[sets[at]] /= total
+                        x[sets[at]] *= share
                     dual[r] += temperature * math.log(total)
     lack = np.zeros(n)
     for s in range(k):
@@ -606,7 +658,8 @@ def _descend(own: IntArray, sets: IntArray, cost: FloatArray, dual: FloatArray) 
 def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArray, hint: BoolArray, n: int) -> None:
     """Turn the ``hint`` into sets of several records that share none of n: those that it has and those of least reduced
     cost first, then any that weighs more than those it takes records from."""
-    several = np.flatnonzero((begin[1:] - begin[:-1] > 1) & (weight > 0.0))
+    # No partition with a set of a larger reduced cost is near the best.
+    several = np.flatnonzero((begin[1:] - begin[:-1] > 1) & (weight > 0.0) & (hint | (cost <= COMPETING)))
     rank = np.empty(len(several))
     for at in range(len(several)):
         s = several[at]
