@@ -94,20 +94,28 @@ class Posterior:
     method : (g,) number into :data:`METHODS`.
     neglected : (g,) pairs of a lower probability, as first estimated, were not summed exactly; 0 where all were.
     unsettled : largest relative change of a message in the last sweep (0 where no messages were needed).
+    open : (m,) pairs that were summed exactly with a record of which pairs had been cut off: with these it may be too
+        much for an exact sum. In the order of the gate; None where nothing was cut off.
     """
 
     p_pair: FloatArray
     method: NDArray[np.int8]
     neglected: FloatArray
     unsettled: float
+    open: BoolArray | None = None
 
     def counts(self) -> dict[str, int]:
         """How many groups were solved by which method."""
         return {name: int(np.count_nonzero(self.method == k)) for k, name in enumerate(METHODS)}
 
 
-def posterior(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:
-    """Probabilities of all pairs, given the evidence and prior that made ``best``."""
+def posterior(
+    groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING, cut: tuple[BoolArray, BoolArray] | None = None
+) -> Posterior:
+    """Probabilities of all pairs, given the evidence and prior that made ``best``.
+
+    cut : records of either source, (n₁,) and (n₂,), of which pairs were left out though they are candidates.
+    """
     m = len(groups.order)
     share = np.zeros(m)
     method = np.zeros(len(groups), np.int8)
@@ -116,19 +124,53 @@ def posterior(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING)
     neglected = np.zeros(len(groups))
     unsettled = 0.0
     open_pairs = _NONE
+    edge = None if cut is None else _Edge.of(groups, cut, method)
     if (method == APPROXIMATE).any():
         if linear:
-            open_pairs = _without_improbable(groups, best, method, share, neglected, tuning.improbable)
+            open_pairs = _without_improbable(groups, best, method, share, neglected, tuning.improbable, edge)
         else:
             open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
-        unsettled = _local(groups, best, open_pairs, method, share, neglected, tuning)
+        unsettled = _local(groups, best, open_pairs, method, share, neglected, tuning, edge)
         share = _within_one(groups, share)
         if not math.isfinite(float(share.sum())):
             raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = np.empty(m)
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
-    return Posterior(p_pair, method, neglected, unsettled)
+    return Posterior(p_pair, method, neglected, unsettled, edge and edge.pairs(groups))
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """Where a problem was cut off. cut : records of the layout of which pairs were left out. open : (m,) pairs of the
+    layout that were summed exactly with one of these; filled as sums are made."""
+
+    cut: tuple[BoolArray, BoolArray]
+    open: BoolArray
+
+    @classmethod
+    def of(cls, groups: Groups, cut: tuple[BoolArray, BoolArray], method: NDArray[np.int8]) -> _Edge:
+        """Of groups of which some have been summed."""
+        edge = cls((cut[0][groups.rows_1], cut[1][groups.rows_2]), np.empty(0, np.bool_))
+        held = _held(groups.start_1, edge.cut[0]) | _held(groups.start_2, edge.cut[1])
+        return cls(edge.cut, np.repeat(held & (method != APPROXIMATE), groups.pair_counts))
+
+    def note(self, thin: _Thinned, pairs: IntArray, solved: BoolArray) -> None:
+        """That of these ``pairs`` of the layout, laid out as ``thin``, some are ``solved``."""
+        g = thin.groups
+        held = _held(g.start_1, self.cut[0][g.rows_1]) | _held(g.start_2, self.cut[1][g.rows_2])
+        self.open[pairs] = solved & thin._as_given(np.repeat(held, g.pair_counts))
+
+    def pairs(self, groups: Groups) -> BoolArray:
+        """(m,) ``open`` in the order of the gate."""
+        out = np.empty(len(self.open), np.bool_)
+        out[groups.order] = self.open
+        return out
+
+
+def _held(start: IntArray, records: BoolArray) -> BoolArray:
+    """(g,) whether groups hold one of these records."""
+    return np.asarray(np.logical_or.reduceat(records, start[:-1]) if len(records) else np.zeros(0, np.bool_))
 
 
 def _without_improbable(
@@ -138,13 +180,17 @@ def _without_improbable(
     share: FloatArray,
     neglected: FloatArray,
     improbable: float,
+    edge: _Edge | None,
 ) -> IntArray:
     """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
     large = method == APPROXIMATE
     _bounds(groups, best, large, share)
     probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (share >= improbable))
     neglected[large & (np.minimum.reduceat(share, groups.start[:-1]) < improbable)] = improbable
-    part, solved = _Thinned.of(groups, best, probable, best.weight[probable]).exact()
+    thin = _Thinned.of(groups, best, probable, best.weight[probable])
+    part, solved = thin.exact()
+    if edge is not None:
+        edge.note(thin, probable, solved)
     method[large] = ELIMINATED
     if solved.all():
         share[probable] = part
@@ -317,6 +363,7 @@ def _local(
     share: FloatArray,
     neglected: FloatArray,
     tuning: Tuning,
+    edge: _Edge | None,
 ) -> float:
     """Fill ``share`` of the pairs that elimination gave up; returns how far the messages were from settled.
 
@@ -332,7 +379,10 @@ def _local(
             share[open_pairs] = _neighbourhoods(groups, best, open_pairs, messages, tuning)
         neglected[group[open_pairs]] = threshold
         probable = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
-        part, solved = _Thinned.of(groups, best, probable, messages.weight[probable]).exact()
+        thin = _Thinned.of(groups, best, probable, messages.weight[probable])
+        part, solved = thin.exact()
+        if edge is not None:
+            edge.note(thin, probable, solved)
         share[probable[solved]] = part[solved]
         open_pairs = probable[~solved]
         if not len(open_pairs):
