@@ -34,7 +34,9 @@ def sweep_few(
         return -1
     n2, d = features2.shape
     variance1, variance2 = _along_axes(one.content, d), _along_axes(two.content, d)
-    widest = variance2[:, 0].max()
+    widest = 0.0
+    for k in range(n2):
+        widest = max(widest, variance2[k, 0])
     of1, of2 = np.empty(n2, np.int32), np.empty(n2, np.int32)
     enough = limit * (1.0 + 1e-6)
     count = np.int64(0)

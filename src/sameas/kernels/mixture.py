@@ -159,10 +159,17 @@ def _derivatives(
 def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: FloatArray) -> None:
     """Fill ``wanted`` with the y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y; ``free``: which are not zero, a guess
     that is bettered."""
-    size, steepest = len(slope), np.max(np.abs(slope))
+    # In loops: np.max, np.argmin and np.flatnonzero would import scipy.linalg whenever the compiled kernel is read.
+    size, steepest = len(slope), 0.0
+    at = np.empty(size, np.int64)
+    for k in range(size):
+        steepest = max(steepest, abs(slope[k]))
     for _ in range(6 * size):
-        at = np.flatnonzero(free)
-        n = len(at)
+        n = 0
+        for k in range(size):
+            if free[k]:
+                at[n] = k
+                n += 1
         system, right = np.ones((n + 1, n + 1)), np.ones((n + 1, 1))
         for a in range(n):
             right[a, 0] = slope[at[a]]
@@ -170,7 +177,10 @@ def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: Fl
                 system[a, b] = bend[at[a], at[b]]
         system[n, n] = 0.0
         solve(system, right)
-        lowest = np.argmin(right[:n, 0])
+        lowest = 0
+        for a in range(1, n):
+            if right[a, 0] < right[lowest, 0]:
+                lowest = a
         if n > 1 and right[lowest, 0] < 0.0:
             free[at[lowest]] = False
             continue
