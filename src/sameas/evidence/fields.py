@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,7 @@ from sameas.errors import InputError
 from sameas.evidence.residuals import AS_QUOTED, Errors
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.kernels import threads
 from sameas.representation import in_short
 
 
@@ -64,10 +66,9 @@ class PoissonField(Rule):
         common = self.common if isinstance(self.common, tuple) else (self.common, self.common)
         log_1 = _log_weight(common[0], self.only_1, len(pairs.first), ("common[0]" if both else "common", "only_1"))
         log_2 = _log_weight(common[1], self.only_2, len(pairs.second), ("common[1]" if both else "common", "only_2"))
-        densities = (log_1 if log_1.ndim == 0 else log_1[pairs.i]) + (log_2 if log_2.ndim == 0 else log_2[pairs.j])
-        if densities.ndim == 0:
-            densities = np.full(len(pairs), densities)
-        return Evidence({"position": self.errors.log_density(pairs), "densities": densities})
+        works = partial(self.errors.log_density, pairs), partial(_of_both, log_1, log_2, pairs)
+        position, densities = threads.both(*works, len(pairs))
+        return Evidence({"position": position, "densities": densities})
 
 
 @dataclass(frozen=True)
@@ -118,6 +119,12 @@ def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
     """A number, or the values (n,) at the pairs' records; positive and finite."""
     values = _positive(value, n, name)
     return values if values.ndim == 0 else values[rows]
+
+
+def _of_both(log_1: FloatArray, log_2: FloatArray, pairs: Pairs) -> FloatArray:
+    """(m,) the sum of what either record of a pair brings along: numbers, or (n₁,) and (n₂,)."""
+    total = (log_1 if log_1.ndim == 0 else log_1[pairs.i]) + (log_2 if log_2.ndim == 0 else log_2[pairs.j])
+    return total if total.ndim else np.full(len(pairs), total)
 
 
 def _log_weight(common: ArrayLike, only: ArrayLike, n: int, names: tuple[str, str]) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -92,27 +93,38 @@ class Errors:
 
     def log_density(self, pairs: Pairs) -> FloatArray:
         """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""
-        modelled = self.pairs(pairs)
-        if self.scales == (1.0,):
-            return modelled.log_peak - 0.5 * modelled.mahalanobis_sq
-        return modelled.log_peak + self.log_profile(modelled.mahalanobis_sq, pairs.d)
+        modelled, density = self.pairs(pairs), np.empty(len(pairs))
+        for some in _batches(len(pairs)):
+            density[some] = modelled.log_peaks(some) + self._profile(modelled.mahalanobis_sq[some], pairs.d)
+        return density
 
     def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
         """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal.
 
         mahalanobis_sq : (m,) m² by S.
         """
+        profile = np.empty(len(mahalanobis_sq))
+        for some in _batches(len(profile)):
+            profile[some] = self._profile(mahalanobis_sq[some], d)
+        return profile
+
+    def _profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
+        """:meth:`log_profile` of a batch."""
+        half = -0.5 * mahalanobis_sq
+        if self.scales == (1.0,):
+            return half
         parts = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
         widest = max(scale for scale, _ in parts)
-        profile = np.empty(len(mahalanobis_sq))
         # Relative to the widest normal no density overflows or underflows a double.
-        for begin in range(0, len(profile), BATCH):
-            half = -0.5 * mahalanobis_sq[begin : begin + BATCH]
-            total = np.zeros(len(half))
-            for scale, share in parts:
-                total += share * scale**-d * np.exp(half * (scale**-2 - widest**-2))
-            profile[begin : begin + BATCH] = np.log(total) + half * widest**-2
-        return profile
+        total = np.zeros(len(half))
+        for scale, share in parts:
+            total += share * scale**-d * np.exp(half * (scale**-2 - widest**-2))
+        return np.asarray(np.log(total) + half * widest**-2)
+
+
+def _batches(n: int) -> Iterator[slice]:
+    """All of n pairs in slices that fit into the cache."""
+    return (slice(begin, begin + BATCH) for begin in range(0, n, BATCH))
 
 
 #: The quoted errors as they are.

@@ -323,7 +323,11 @@ class Pairs:
     @cached_property
     def log_peak(self) -> FloatArray:
         """(m,) ln of the density of no residual at all, −½ ln |2πΣ|."""
-        return np.asarray(-0.5 * (np.log(self.determinant) + self.d * math.log(2.0 * math.pi)))
+        return self.log_peaks(slice(None))
+
+    def log_peaks(self, some: slice) -> FloatArray:
+        """(k,) the same of some pairs, not kept."""
+        return np.asarray(-0.5 * (np.log(self.determinant[some]) + self.d * math.log(2.0 * math.pi)))
 
     @cached_property
     def covariance(self) -> FloatArray:

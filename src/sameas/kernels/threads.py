@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import TypeVar
 
 T = TypeVar("T")
+U = TypeVar("U")
 
 
 def count() -> int:
@@ -34,6 +35,12 @@ def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
         return [work() for work in works]
     with ThreadPoolExecutor(min(len(works), count())) as pool:
         return [future.result() for future in [pool.submit(work) for work in works]]
+
+
+def both(one: Callable[[], T], other: Callable[[], U], size: int) -> tuple[T, U]:
+    """The same of two pieces of work of different kinds."""
+    made: list[T | U] = each([one, other], size)
+    return made[0], made[1]  # type: ignore[return-value]
 
 
 def even(n: int, least: int = 4096) -> list[int]:
