@@ -288,7 +288,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         assert match.sky is not None
         pace("joining the tables")
         # What report and table both need.
-        _ = match.identification.answers_1, match.identification.matches
+        _ = match.identification.chosen, match.identification.matches
         with ThreadPoolExecutor(1) as side:
             report = side.submit(_report, match, joining)
             try:

@@ -40,7 +40,7 @@ def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
 def both(one: Callable[[], T], other: Callable[[], U], size: int) -> tuple[T, U]:
     """The same of two pieces of work of different kinds."""
     made: list[T | U] = each([one, other], size)
-    return made[0], made[1]  # type: ignore[return-value]
+    return made[0], made[1]
 
 
 def even(n: int, least: int = 4096) -> list[int]:

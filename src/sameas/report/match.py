@@ -167,9 +167,10 @@ def _rows(match: SkyMatch) -> list[str]:
         ],
         len(result.pairs),
     )
+    covered_1, covered_2 = match.estimate.coverage.covered
     per_side = [
-        _fates(result.first, match.covered_1, result.answers_1, claims[0], reasons),
-        _fates(result.second, match.covered_2, result.answers_2, claims[1], reasons),
+        _fates(result.first, covered_1, result.pairs.i, result.chosen, claims[0], reasons),
+        _fates(result.second, covered_2, result.pairs.j, result.chosen, claims[1], reasons),
     ]
     lines += [(label, [side[label] for side in per_side]) for label in per_side[0]]
     wide = [max(len(name) + 3, 14) for name in (match.first.name, match.second.name)]
@@ -183,11 +184,18 @@ def _rows(match: SkyMatch) -> list[str]:
 
 
 def _fates(
-    records: Records, covered: BoolArray, answers: Answers, claims: int, reasons: Sequence[str]
+    records: Records,
+    covered: BoolArray,
+    at: NDArray[np.int32],
+    chosen: BoolArray,
+    claims: int,
+    reasons: Sequence[str],
 ) -> dict[str, str]:
-    """What became of the rows of one catalogue, in words and numbers."""
-    alone = np.ma.getmaskarray(answers.partner)[records.rows]
-    apart = int(np.count_nonzero(~covered[records.rows] & alone))
+    """What became of the rows of one catalogue, in words and numbers. covered : (n,) records that the other covers.
+    at, chosen : (m,) its record in each candidate, and whether that is an identified pair."""
+    alone = np.ones(len(records), np.bool_)
+    alone[at[chosen]] = False
+    apart = int(np.count_nonzero(~covered & alone))
     identified = len(records) - int(np.count_nonzero(alone))
     aside = records.set_aside.counts()
     return {
@@ -197,7 +205,7 @@ def _fates(
         "without a partner": count(len(records) - identified - apart),
         "identified": count(identified),
         "  of those covered": percent(identified / max(len(records) - apart, 1)),
-        "several candidates": count(np.count_nonzero(answers.candidates.filled(0) > 1)),
+        "several candidates": count(np.count_nonzero(np.bincount(at) > 1)),
         "claimed by several": count(claims),
     }
 

@@ -128,36 +128,33 @@ class Identification:
     @cached_property
     def matches(self) -> Matches:
         """The identified pairs."""
-        pair = np.flatnonzero(self.chosen)
+        pairs, groups = self.pairs, self.groups
+        place = np.flatnonzero(self.best.chosen)
         of_row = np.full(self.first.n_table, -1)
-        of_row[self.first.rows[self.pairs.i[pair]]] = pair
-        pair = of_row[of_row >= 0]
-        pairs = self.pairs
-        columns = (pairs.i, pairs.j, self.p_pair, self.log_odds, pairs.residual, pairs.mahalanobis_sq)
-        i, j, p_match, log_odds, residual, distance_sq = threads.each(
-            [partial(np.take, column, pair, axis=0) for column in columns], len(pair)
-        )
+        of_row[self.first.rows[pairs.i[groups.order[place]]]] = place
+        place = of_row[of_row >= 0]
+        pair = groups.order[place]
+        columns = (pairs.i, pairs.j, self.p_pair, pairs.residual, pairs.mahalanobis_sq)
+        works = [partial(np.take, self.best.weight, place), *(partial(np.take, of, pair, axis=0) for of in columns)]
+        log_odds, i, j, p_match, residual, distance_sq = threads.each(works, len(pair))
         rows = self.first.rows[i], self.second.rows[j]
         return Matches(*rows, pair, p_match, log_odds, residual, np.sqrt(distance_sq, out=distance_sq))
 
-    @property
+    @cached_property
     def answers_1(self) -> Answers:
         """The answer for every row of source 1."""
-        return self._both_answers[0]
-
-    @property
-    def answers_2(self) -> Answers:
-        """The answer for every row of source 2."""
-        return self._both_answers[1]
+        return self._answers(self.first, self.pairs.i, (self.pairs.j, self.second.rows))
 
     @cached_property
-    def _both_answers(self) -> tuple[Answers, Answers]:
-        i, j = self.pairs.i, self.pairs.j
-        sides = (self.first, i, (j, self.second.rows)), (self.second, j, (i, self.first.rows))
-        # What both need is there before they are made side by side.
-        shared = self.chosen, self._group_of, self.groups.sizes_1 + self.groups.sizes_2
-        one, two = threads.each([partial(self._answers, *side, *shared) for side in sides], len(self.pairs))
-        return one, two
+    def answers_2(self) -> Answers:
+        """The answer for every row of source 2."""
+        return self._answers(self.second, self.pairs.j, (self.pairs.i, self.first.rows))
+
+    @property
+    def both_answers(self) -> tuple[Answers, Answers]:
+        """The answers for every row of either source, made side by side."""
+        _ = self.chosen, self._group_of  # both need them
+        return threads.both(lambda: self.answers_1, lambda: self.answers_2, len(self.pairs))
 
     @property
     def leftovers_1(self) -> IntArray:
@@ -223,18 +220,18 @@ class Identification:
         return self.groups.of_pairs()
 
     def _answers(
-        self, records: Records, position: NDArray[np.int32], other: tuple[NDArray[np.int32], IntArray],
-        chosen: BoolArray, group_of: NDArray[np.int32], size: IntArray,
-    ) -> Answers:  # fmt: skip
+        self, records: Records, position: NDArray[np.int32], other: tuple[NDArray[np.int32], IntArray]
+    ) -> Answers:
         from sameas.kernels.summary import by_row, per_record
 
-        summary = per_record(position, len(records), chosen, self.p_pair)
+        summary = per_record(position, len(records), self.chosen, self.p_pair)
+        size = self.groups.sizes_1 + self.groups.sizes_2
         n = records.n_table
         rows = tuple(np.zeros(n, np.int64) for _ in range(3))
         shares = tuple(np.zeros(n) for _ in range(3))
         counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
         alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
-        by_row(records.rows, summary, (self.p_pair, *other, group_of, size), rows, shares, counts, absent)
+        by_row(records.rows, summary, (self.p_pair, *other, self._group_of, size), rows, shares, counts, absent)
         partner, pair, second = rows
         p_match, p_none, p_second = shares
         candidates, group, group_size = counts

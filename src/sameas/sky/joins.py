@@ -24,7 +24,7 @@ import numpy as np
 from astropy.table import Column, MaskedColumn, Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
@@ -191,9 +191,10 @@ def _words(name: str) -> str:
 
 @dataclass(frozen=True)
 class JoinedRows:
-    """The output's rows: row in the first and in the second table (−1 for none), and the candidate (−1 for none).
+    """The output's rows: row in the first and in the second table (−1 for none), and the pair (−1 for none).
 
-    answers : whether each is a possible answer for its row of the first table, "no partner" among them.
+    answers : whether each is a possible answer for its row of the first table, "no partner" among them. Pairs are
+        numbered among all candidates then, else among the identified ones.
     """
 
     one: IntArray
@@ -222,6 +223,11 @@ class JoinedRows:
     def absent(self) -> BoolArray:
         """Whether a row has no candidate."""
         return self.pair < 0
+
+    @cached_property
+    def in_order(self) -> bool:
+        """Whether they are the first rows of the first table, as it has them."""
+        return bool(np.array_equal(self.one, np.arange(len(self.one))))
 
     @cached_property
     def mine(self) -> BoolArray:
@@ -275,7 +281,7 @@ def joined_rows(match: Joinable, join: str) -> JoinedRows:
     if join == "pairs":
         return _every_answer(result)
     found = result.matches
-    both = JoinedRows(found.rows_1, found.rows_2, found.pair)
+    both = JoinedRows(found.rows_1, found.rows_2, np.arange(len(found)))
     alone_1 = _others(len(match.first), found.rows_1)
     alone_2 = _others(len(match.second), found.rows_2)
     only_1 = JoinedRows(alone_1, np.full(len(alone_1), NO_PARTNER), np.full(len(alone_1), NO_PARTNER))
@@ -358,11 +364,13 @@ class _JoinedColumns:
         """The added columns, by name."""
         result, n = self.match.result, len(self.rows.one)
         # Asked for here, so that they are there when several columns are made side by side.
-        _ = result.answers_1, result.log_odds, self.rows.absent, self.rows.mine
+        _ = result.answers_1 if self.rows.mine.all() else result.both_answers
+        _ = self.rows.absent, self.rows.in_order
+        residual, distance, log_odds, p_pair = self._of_pairs()
         works: dict[str, Callable[[], np.ma.MaskedArray]] = {
-            "mahalanobis": lambda: self._of_pair(result.pairs.mahalanobis_sq, np.sqrt),
-            "log_odds": lambda: self._of_pair(result.log_odds),
-            "p_match": lambda: self._of_pair(result.p_pair),
+            "mahalanobis": lambda: self._of_pair(distance),
+            "log_odds": lambda: self._of_pair(log_odds),
+            "p_match": lambda: self._of_pair(p_pair),
             "p_none": lambda: self._of_row("p_none"),
             "p_second": lambda: self._of_row("p_second"),
             "id_second": self._id_second,
@@ -372,7 +380,7 @@ class _JoinedColumns:
             "n_within": lambda: self._of_row("candidates"),
             "covered": self._covered,
         }
-        columns = self._separations() | dict(zip(works, threads.each(list(works.values()), n), strict=True))
+        columns = self._separations(residual) | dict(zip(works, threads.each(list(works.values()), n), strict=True))
         if nway_columns:
             columns["p_any"] = 1.0 - columns["p_none"]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -380,38 +388,47 @@ class _JoinedColumns:
             columns["dist_bayesfactor"] = columns["log_odds"] / np.log(10.0)
         return columns
 
-    def _of_pair(self, values: NDArray[Any], change: Callable[..., NDArray[Any]] | None = None) -> np.ma.MaskedArray:
+    def _of_pairs(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of the pairs that the rows number: residuals, distances over their errors, ln of the odds, probabilities."""
+        result = self.match.result
+        if self.rows.answers:
+            return result.pairs.residual, np.sqrt(result.pairs.mahalanobis_sq), result.log_odds, result.p_pair
+        found = result.matches
+        return found.residual, found.mahalanobis, found.log_odds, found.p_match
+
+    def _of_pair(self, values: NDArray[Any]) -> np.ma.MaskedArray:
         absent = self.rows.absent
         if not len(values):
             return np.ma.MaskedArray(np.zeros((len(absent), *values.shape[1:]), values.dtype), absent)
         taken = values[self.rows.pair]  # the last pair where there is none
         taken[absent] = 0
-        return np.ma.MaskedArray(taken if change is None else change(taken, out=taken), absent)
+        return np.ma.MaskedArray(taken, absent)
 
-    def _separations(self) -> dict[str, np.ma.MaskedArray]:
-        result, n = self.match.result, len(self.rows.one)
-        parts = [result.pairs.residual[:, axis] for axis in range(result.pairs.d)]
-        along = threads.each([partial(self._of_pair, part) for part in parts], n)
+    def _separations(self, residual: FloatArray) -> dict[str, np.ma.MaskedArray]:
+        n, d = len(self.rows.one), residual.shape[1]
+        along = threads.each([partial(self._of_pair, residual[:, axis]) for axis in range(d)], n)
         far = np.abs(along[0].data) if len(along) == 1 else np.hypot(along[0].data, along[1].data)
         for more in along[2:]:
             far = np.hypot(far, more.data)
         values = [np.ma.MaskedArray(far, self.rows.absent), *along]
-        return dict(zip(_separation_names(result), values, strict=True))
+        return dict(zip(_separation_names(self.match.result), values, strict=True))
 
     def _of_row(self, name: str) -> np.ma.MaskedArray:
-        one, two = self.match.result.answers_1, self.match.result.answers_2
-        return self._either(getattr(one, name), getattr(two, name))
+        return self._either(lambda side: getattr(self._answers(side), name))
 
     def _id_second(self) -> np.ma.MaskedArray:
-        one, two = self.match.result.answers_1, self.match.result.answers_2
-        return self._either(_second_ids(self.match, one, 2), _second_ids(self.match, two, 1))
+        return self._either(lambda side: _second_ids(self.match, self._answers(side), 3 - side))
 
-    def _either(self, one: np.ma.MaskedArray, two: np.ma.MaskedArray) -> np.ma.MaskedArray:
-        """What is said of the records that the rows speak for: ``one`` of the first catalogue's, ``two`` of the
-        second's."""
-        rows, mine = self.rows, self.rows.mine
+    def _answers(self, side: int) -> Answers:
+        return self.match.result.answers_1 if side == 1 else self.match.result.answers_2
+
+    def _either(self, of_side: Callable[[int], np.ma.MaskedArray]) -> np.ma.MaskedArray:
+        """What is said of the records that the rows speak for: ``of_side(1)`` of the first catalogue's, and, where
+        rows speak for them, ``of_side(2)`` of the second's."""
+        rows, mine, one = self.rows, self.rows.mine, of_side(1)
         if mine.all():
-            return one if _whole(rows.one, len(one)) else one[rows.one]
+            return one if rows.in_order and len(rows.one) == len(one) else one[rows.one]
+        two = of_side(2)
         if one.dtype.kind in "OSU" or one.dtype != two.dtype:
             one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
         values = np.zeros(len(mine), np.promote_types(one.dtype, two.dtype))

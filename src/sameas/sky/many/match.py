@@ -473,7 +473,7 @@ def _first_guess(
     """The start of EM: the population by the catalogues two by two."""
     partnered: dict[tuple[int, int], FloatArray] = {}
     for (a, b), match in matches.items():
-        for s, t, answers in ((a, b, match.result.answers_1), (b, a, match.result.answers_2)):
+        for (s, t), answers in zip(((a, b), (b, a)), match.result.both_answers, strict=True):
             partnered[s, t] = 1.0 - np.ma.filled(answers.p_none, 1.0)[records[s].rows]
     spread = {1 << a | 1 << b: match.estimate.spread for (a, b), match in matches.items()}
     return first_guess(coverages, partnered, spread, options.error_scale == "auto")
