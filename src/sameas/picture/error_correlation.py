@@ -53,9 +53,21 @@ def error_update(
 
 
 def growth(change: FloatArray) -> FloatArray:
-    """(n, 2, 2) the positive part of changes of covariances."""
-    values, axes = np.linalg.eigh(change)
-    return np.asarray((axes * np.maximum(values, 0.0)[:, None, :]) @ axes.transpose(0, 2, 1))
+    """(n, 2, 2) the positive part of changes of covariances.
+
+    >>> growth(np.array([[[0.0, 1.0], [1.0, 0.0]], [[-2.0, 0.0], [0.0, 3.0]]])).tolist()
+    [[[0.5, 0.5], [0.5, 0.5]], [[0.0, 0.0], [0.0, 3.0]]]
+    """
+    mean = 0.5 * (change[:, 0, 0] + change[:, 1, 1])
+    half, cross = 0.5 * (change[:, 0, 0] - change[:, 1, 1]), 0.5 * (change[:, 0, 1] + change[:, 1, 0])
+    radius = np.hypot(half, cross)
+    # Eigenvalues are m ± r; the part of m + r is ½ [1 + D / r] of it, D the change without its mean.
+    high, low = np.maximum(mean + radius, 0.0), np.maximum(mean - radius, 0.0)
+    level, slope = 0.5 * (high + low), 0.5 * (high - low) / np.where(radius > 0.0, radius, 1.0)
+    out = np.empty(change.shape)
+    out[:, 0, 0], out[:, 1, 1] = level + slope * half, level - slope * half
+    out[:, 0, 1] = out[:, 1, 0] = slope * cross
+    return out
 
 
 #: Correlations of two reports at which likelihoods are computed; between them they are interpolated.

@@ -102,12 +102,13 @@ class TrackHistory(ColumnTable):
     def _with(self, more: TrackHistory) -> TrackHistory:
         """Rows of both, those of one track and object as one."""
         both = self.stacked(more)
-        key = np.column_stack([both.track, both.number])
-        rows, back = np.unique(key, axis=0, return_inverse=True)
-        back, n = back.reshape(-1), len(rows)
+        # One number a row, ascending as its track and its object: np.unique of two columns takes four times as long.
+        radix = int(both.number.max(initial=0)) + 1
+        key, back = np.unique(both.track * radix + both.number, return_inverse=True)
+        (track, number), n = np.divmod(key, radix), len(key)
         share = np.asarray(np.bincount(back, both.share, n), np.float64)
         last, unique = (np.bincount(back, column, n) > 0 for column in (both.last, both.unique))
-        return TrackHistory(self.instant_s, rows[:, 0], rows[:, 1], share, last, unique)
+        return TrackHistory(self.instant_s, track, number, share, last, unique)
 
 
 @dataclass(frozen=True)
