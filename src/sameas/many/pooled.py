@@ -139,7 +139,10 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
     # Checked in the caller's order, in which messages name the sources.
     assert Observers(tuple(sources), region).dimension
     ordered = [_in_order(source) for source in sources]
-    given = sorted(range(len(sources)), key=lambda s: _content(ordered[s]))
+    contents = [_content(source) for source in ordered]
+    if len(set(contents)) < len(contents):
+        contents = [(*content, *_names(source)) for content, source in zip(contents, ordered, strict=True)]
+    given = sorted(range(len(sources)), key=contents.__getitem__)
     observers = Observers(tuple(ordered[s] for s in given), region)
     start = Ragged.of_sizes([len(records_of(s)) for s in observers.sources]).start
     i, j, parts, description = _pairs(observers, start, gate)
@@ -164,7 +167,13 @@ def _content(source: Source) -> tuple[object, ...]:
     records = records_of(source)
     part = repr(source.part) if isinstance(source, Observations) else ""
     content = records.features.tobytes(), records.covariance.tobytes()
-    return len(records), part, *content, records.source, [str(x) for x in records.ids[records.rows]]
+    return len(records), part, *content, records.source
+
+
+def _names(source: Source) -> list[str]:
+    """The ids of a source's records, which only sources of equal content are told apart by."""
+    records = records_of(source)
+    return [str(x) for x in records.ids[records.rows]]
 
 
 def _pairs(

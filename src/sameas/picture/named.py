@@ -37,7 +37,6 @@ from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.tracks.alignment import moved, stamped_late
 
-
 #: Numbers have no large gaps where they span at most so many times as many as there are.
 DENSE = 4
 

@@ -72,11 +72,13 @@ def _summed(scan: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, Bool
     placed, moving = np.zeros(n, bool), np.zeros(n, bool)
     placed[at], moving[at[scan.moving[record]]] = True, True
     _intersect(scan, at, record, precision, pull)
-    information, vector = np.zeros((n, 4, 4)), np.zeros((n, 4))
-    np.add.at(information, at, precision)
-    np.add.at(vector, at, pull)
-    slowest = np.zeros(n)
-    np.maximum.at(slowest, at, np.where(np.isfinite(scan.speed_m_per_s[record]), scan.speed_m_per_s[record], 1e3))
+    information, vector, slowest = np.zeros((n, 4, 4)), np.zeros((n, 4)), np.zeros(n)
+    # The members of an object follow each other.
+    some, first = np.unique(at, return_index=True)
+    if len(some):
+        speed = np.where(np.isfinite(scan.speed_m_per_s[record]), scan.speed_m_per_s[record], 1e3)
+        information[some], vector[some] = np.add.reduceat(precision, first), np.add.reduceat(pull, first)
+        slowest[some] = np.maximum.reduceat(speed, first)
     rest = np.where(moving, 0.0, 1.0 / np.maximum(slowest, 1.0) ** 2)
     information[:, 2, 2] += rest
     information[:, 3, 3] += rest
