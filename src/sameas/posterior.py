@@ -187,17 +187,24 @@ def _without_improbable(
     _bounds(groups, best, large, share)
     probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (share >= improbable))
     neglected[large & (np.minimum.reduceat(share, groups.start[:-1]) < improbable)] = improbable
-    thin = _Thinned.of(groups, best, probable, best.weight[probable])
-    part, solved = thin.exact()
-    if edge is not None:
-        edge.note(thin, probable, solved)
     method[large] = ELIMINATED
-    if solved.all():
-        share[probable] = part
-        return _NONE
-    share[probable[solved]] = part[solved]
-    method[groups.group[probable[~solved]]] = APPROXIMATE
-    return probable[~solved]
+
+    def summed(first: int, last: int) -> IntArray:
+        """Fills the shares of a range of groups; the pairs that are still entangled."""
+        some = probable[slice(*np.searchsorted(probable, groups.start[[first, last]]))]
+        if not len(some):
+            return some
+        thin = _Thinned.of(groups, best, some, best.weight[some])
+        part, solved = thin.exact()
+        if edge is not None:
+            edge.note(thin, some, solved)
+        share[some[solved]] = part[solved]
+        return some[~solved]
+
+    entangled = np.concatenate(threads.over(summed, groups.bounds(len(threads.even(len(groups.order))) - 1)))
+    if len(entangled):
+        method[groups.group[entangled]] = APPROXIMATE
+    return entangled
 
 
 def _bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: FloatArray) -> None:
@@ -433,8 +440,12 @@ class _Thinned:
     def of(
         cls, groups: Groups, best: Hypothesis, pairs: IntArray, weight: FloatArray, *, swapped: bool = False
     ) -> _Thinned:
-        """Some ``pairs``, listed by their record 1; ``swapped`` exchanges the sources, the list is by record 2."""
-        group = np.repeat(np.arange(len(groups), dtype=np.int32), groups.pair_counts)[pairs]
+        """Some ``pairs``, group by group, listed by their record 1; ``swapped`` exchanges the sources, the list is by
+        record 2."""
+        ends = pairs[[0, -1]] if len(pairs) else np.zeros(2, np.int64)
+        first, last = np.searchsorted(groups.start, ends, side="right") - (1, 0)
+        of_all = np.repeat(np.arange(first, last, dtype=np.int32), groups.pair_counts[first:last])
+        group = of_all[pairs - groups.start[first]]
         starts = groups.start_1.astype(np.int32), groups.start_2.astype(np.int32)
         places = starts[0][group] + groups.local_1[pairs], starts[1][group] + groups.local_2[pairs]
         duals = (best.dual_1, best.dual_2)
