@@ -198,10 +198,10 @@ def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):
     work = found.estimated.work
     cell = run.output_cells(work)[3]
     narrow = work.within(Patch(cell.order, np.array([cell.number])), 1.0)
-    first, *again = replace(work, halo_arcsec=1.0).decided(cell)
+    first, *again = replace(work, halo_arcsec=1.0).decided([cell])
     assert narrow.doubtful > 0 == first.doubtful == again[-1].doubtful and again[-1].halo_arcsec > first.halo_arcsec
     # Every row of the cell is of one of the parts.
-    enough = work.decided(cell)
+    enough = work.decided([cell])
     for parts in ([first, *again], enough):
         own = np.concatenate([part.first.ids[part.own[0]] for part in parts])
         assert sorted(own) == sorted(narrow.first.ids[narrow.own[0]])

@@ -137,7 +137,7 @@ def posterior(
             raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = np.empty(m)
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
-    return Posterior(p_pair, method, neglected, unsettled, edge and edge.pairs(groups))
+    return Posterior(p_pair, method, neglected, unsettled, None if edge is None else edge.pairs(groups))
 
 
 @dataclass(frozen=True)
@@ -421,6 +421,7 @@ def _neighbourhoods(
     """Probabilities of some pairs from the neighbourhoods of their records; the mean over both favours neither."""
     one = _Thinned.of(groups, best, pairs, messages.weight[pairs])
     around_1 = one.by_neighbourhoods(messages.claims_1[pairs], tuning)
+    del one
     order = np.lexsort([place[pairs] for place in groups.places])
     by_2 = pairs[order]
     two = _Thinned.of(groups, best, by_2, messages.weight[by_2], swapped=True)

@@ -59,7 +59,7 @@ class OneToOne(AbstractCrossmatchAlgorithm):
     @property
     def halo_arcsec(self) -> float:
         """The halo that the groups of the sample need, arcsec: build both margins no narrower."""
-        return self.work.halo_arcsec
+        return self.work.margin_arcsec
 
     def validate(self, left: Any, right: Any) -> None:
         """Refuses catalogues without margins as wide as the halo."""

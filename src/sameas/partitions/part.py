@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 
 from sameas._identify import identify
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.assignment import assign
+from sameas.assignment import Hypothesis, assign
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.places import Counts, Learned
 from sameas.evidence import Column, Magnitudes, Related, Rule
 from sameas.gate import Pairs
-from sameas.groups import groups, laid_out
+from sameas.groups import Groups, groups, laid_out
 from sameas.io.arrow import column_of
 from sameas.io.parquet import decoded, described
 from sameas.partitions import cells as healpix
@@ -51,6 +51,8 @@ class PartTuning:
     steps : probabilities are summed with the candidates of the records, with theirs, and so on, so many times, each
         with its group; twice as many where the way of summing may depend on what lies beyond. With 2, 3 and 6 steps
         they differ from those of a whole field by 6e-8, 7e-10 and 7e-10 at λ 2.
+    at_once : candidates of records whose probabilities are summed at once, about; each of them and of those around them
+        takes 250 bytes.
     most_of_all : where that would be more than this share of all records, it is all of them.
     finer : the halo's edge is followed by cells that are smaller than its own by so many orders.
     """
@@ -58,7 +60,8 @@ class PartTuning:
     competing: float = 0.0
     certain_arcsec: float = 1000.0
     steps: int = 3
-    most_of_all: float = 0.6
+    at_once: int = 450_000
+    most_of_all: float = 0.8
     finer: int = 3
 
 
@@ -68,7 +71,7 @@ Both = tuple[BoolArray, BoolArray]
 #: A cell's middle to its farthest corner, over its side.
 CORNER = 0.85
 #: A halo is made of rings of cells smaller by so many orders than one as wide as it: hardly wider than asked.
-THINNER = 2
+THINNER = 3
 
 
 @in_short
@@ -185,7 +188,8 @@ class Work:
 
     sides : both catalogues. learned : what is known; None as long as it is not. magnitudes, evidence, join,
     nway_columns : as of ``sameas.match``. far_arcsec : records that move or whose errors reach farther are looked for
-    everywhere. halo_arcsec : with which a part is decided first.
+    everywhere. halo_arcsec : with which a part is decided first; margin_arcsec : one that is wide enough for nearly
+    all parts.
     """
 
     sides: tuple[Side, Side]
@@ -195,6 +199,7 @@ class Work:
     nway_columns: bool
     far_arcsec: float
     halo_arcsec: float = 0.0
+    margin_arcsec: float = 0.0
     learned: Learned | None = None
     tuning: PartTuning = DEFAULT_PART
 
@@ -231,12 +236,12 @@ class Work:
                 )
         return one.rows(table)
 
-    def decided(self, cell: Cell) -> list[Part]:
-        """A piece of the sky: it, but for the small cells of those whose groups come near its halo's edge; these, with
-        a halo twice as wide, but for those of theirs …"""
-        patch = Patch(cell.order, np.array([cell.number]))
+    def decided(self, cells: Sequence[Cell]) -> list[Part]:
+        """A piece of the sky, some cells of one order: it, but for the small cells of those whose groups come near its
+        halo's edge; these, with a halo twice as wide, but for those of theirs …"""
+        patch = Patch(cells[0].order, np.array([cell.number for cell in cells]))
         parts = [self.within(patch, self.halo_arcsec)]
-        order = max(cell.order, self.sides[0].cell_order)
+        order = max(patch.order, self.sides[0].cell_order)
         while parts[-1].doubtful and parts[-1].halo_arcsec < self.tuning.certain_arcsec:
             last = parts.pop()
             again = Patch(order, last.doubtful_cells(order))
@@ -255,11 +260,15 @@ class Work:
         own = stored[0][one.records.rows], stored[1][two.records.rows]
         competing = Competing.of(pairs, log_ratio, self.tuning.competing)
         edge = self._edge(one, two, halo)
-        p_pair, left = self._posterior(pairs, log_ratio, competing, own, edge)
-        grouped = groups(pairs)
-        best = assign(grouped, log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
-        sure = Posterior(p_pair, np.full(len(grouped), APPROXIMATE, np.int8), np.zeros(len(grouped)), 0.0)
-        result = Identification(pairs, grouped, evidence, best, sure)
+        whole = groups(pairs)
+        best = assign(whole, log_ratio, EVIDENCE_ALONE(whole.sizes_1, whole.sizes_2))
+        p_pair = np.zeros(len(pairs))
+        left = np.zeros_like(own[0]), np.zeros_like(own[1])
+        for some in self._blocks(pairs, own, one, two):
+            more = self._sum(p_pair, pairs, log_ratio, (whole, best), competing, some, edge)
+            left = left[0] | more[0], left[1] | more[1]
+        sure = Posterior(p_pair, np.full(len(whole), APPROXIMATE, np.int8), np.zeros(len(whole)), 0.0)
+        result = Identification(pairs, whole, evidence, best, sure)
         touching = competing.of_groups(competing.held(*edge))
         doubtful = own[0] & (touching[0] | left[0]), own[1] & (touching[1] | left[1])
         return Part(halo.width_arcsec, one, two, result, stored, doubtful)
@@ -282,36 +291,51 @@ class Work:
             columns = ColumnEvidence.of(one.records, two.records, given)
         return pairs, learned.rule(pairs, (one.cells, two.cells), measured, columns)
 
-    def _posterior(
-        self, pairs: Pairs, log_ratio: FloatArray, competing: Competing, own: Both, edge: Both
-    ) -> tuple[FloatArray, Both]:
-        """(m,) probabilities of the pairs of the part's ``own`` records, 0 of others; and which of these records need
-        more than lies within the halo, at whose ``edge`` some records are.
+    def _blocks(self, pairs: Pairs, own: Both, one: Rows, two: Rows) -> Iterator[Both]:
+        """The part's own records in stretches of the sky with about so many candidates as are summed at once."""
+        stored = [rows.stored[rows.records.rows] for rows in (one, two)]
+        number = math.ceil(np.count_nonzero(own[0][pairs.i]) / self.tuning.at_once)
+        if number <= 1:
+            yield own
+            return
+        ends = np.quantile(stored[0][own[0]], np.arange(1, number) / number, method="nearest")
+        block = [np.searchsorted(ends, cells, side="right") for cells in stored]
+        for k in range(number):
+            yield own[0] & (block[0] == k), own[1] & (block[1] == k)
+
+    def _sum(
+        self, p_pair: FloatArray, pairs: Pairs, log_ratio: FloatArray, whole: tuple[Groups, Hypothesis],
+        competing: Competing, wanted: Both, edge: Both,
+    ) -> Both:  # fmt: skip
+        """Fill ``p_pair`` (m,) of the pairs of wanted records; returns which of these need more than lies within the
+        halo, at whose ``edge`` some records are. whole : all pairs.
 
         What is some gates away moves a probability by less than rounding, but for one thing: whether a part of a group
         is summed exactly depends on all of it. Where such a part goes on beyond, more is taken around its records.
         """
-        p_pair, steps, wanted = np.zeros(len(pairs)), self.tuning.steps, own
+        steps, every = self.tuning.steps, len(wanted[0]) + len(wanted[1])
         while True:
             near = competing.around(wanted, steps)
-            if sum(map(np.count_nonzero, near)) > self.tuning.most_of_all * (len(own[0]) + len(own[1])):
-                near = np.ones_like(own[0]), np.ones_like(own[1])
-            some = near[0][pairs.i] & near[1][pairs.j]
+            if sum(map(np.count_nonzero, near)) > self.tuning.most_of_all * every:
+                near = np.ones_like(near[0]), np.ones_like(near[1])
+            of_1, of_2 = near[0][pairs.i], near[1][pairs.j]
+            part, beyond = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)
             cut = edge[0].copy(), edge[1].copy()
-            cut[0][pairs.i[~some]] = cut[1][pairs.j[~some]] = True
-            part = np.flatnonzero(some)
+            cut[0][pairs.i[beyond]] = cut[1][pairs.j[beyond]] = True
             i, j = pairs.i[part], pairs.j[part]
-            grouped = laid_out(pairs.place_1[part], pairs.place_2[part], i, j, len(pairs.first), len(pairs.second))
-            best = assign(grouped, log_ratio[part], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
+            grouped, best = whole
+            if len(part) < len(pairs):
+                grouped = laid_out(pairs.place_1[part], pairs.place_2[part], i, j, len(cut[0]), len(cut[1]))
+                best = assign(grouped, log_ratio[part], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
             sure = posterior(grouped, best, cut=cut)
             asked = wanted[0][i] | wanted[1][j]
             p_pair[part[asked]] = sure.p_pair[asked]
             assert sure.open is not None
-            left = np.zeros_like(own[0]), np.zeros_like(own[1])
+            left = np.zeros_like(near[0]), np.zeros_like(near[1])
             left[0][i[sure.open]] = left[1][j[sure.open]] = True
             wanted = wanted[0] & left[0], wanted[1] & left[1]
-            if len(part) == len(pairs) or not (wanted[0].any() or wanted[1].any()):
-                return p_pair, wanted
+            if not len(beyond) or not (wanted[0].any() or wanted[1].any()):
+                return wanted
             steps *= 2
 
     def _edge(self, one: Rows, two: Rows, halo: Halo) -> Both:
@@ -562,7 +586,7 @@ def _by_cells(pairs: Pairs, one: Rows, two: Rows) -> Pairs:
     """The candidates by the stored cells of their records: in which order a group is summed, and with it where sums are
     approximated, does not depend on what else a part holds."""
     place_1, place_2 = (_places(rows)[k] for rows, k in ((one, pairs.i), (two, pairs.j)))
-    order = np.argsort(place_1.astype(np.int64) << 32 | place_2)
+    order = np.argsort(place_1.astype(np.int64) << 32 | place_2, kind="stable")  # of runs that rise
     return replace(pairs.part(order), place_1=place_1[order], place_2=place_2[order])
 
 

@@ -80,7 +80,8 @@ class RunTuning:
         its usual errors. Which these are does not depend on how it is cut.
     in_cell : records in the cell of a record of the finest counts, on average in the densest chunk.
     margin_gates : the margin of the sample, in gates that are as wide as the quoted errors let expect.
-    groups : the halo holds this share of the groups of the sample. least_halo_arcsec : at least.
+    groups, nearly_all : the halo with which parts are decided first, and one that hardly any has to widen, are as wide
+        as groups that hold this share of the pairs of the sample. least_halo_arcsec : at least.
     failures : a worker may die so often without anything being done meanwhile.
     few_rows : so many rows are counted without workers, which take a second of the processor to start.
     """
@@ -93,7 +94,8 @@ class RunTuning:
     in_chunk: int = 4_000
     in_cell: float = 8.0
     margin_gates: float = 8.0
-    groups: float = 0.9999
+    groups: float = 0.8
+    nearly_all: float = 0.9999
     least_halo_arcsec: float = 1.0
     failures: int = 3
     few_rows: int = 3_000_000
@@ -101,26 +103,26 @@ class RunTuning:
 
 
 DEFAULT_RUN = RunTuning()
-#: Records of both catalogues that are decided at once, and their candidates, of which each takes 0.4 kB: 0.6 GB of
-#: memory with what is loaded. Fewer make halos a larger part of the work.
-PIECE_ROWS, PIECE_PAIRS = 300_000, 660_000
+#: Records of both catalogues that are decided at once, and their candidates, of which each takes 0.15 kB: 0.6 GB of
+#: memory with what is loaded, and with what is summed. Fewer make halos a larger part of the work.
+PIECE_ROWS, PIECE_PAIRS = 300_000, 1_200_000
 
 
 @dataclass(frozen=True)
 class Task:
     """What a worker decides and writes at once.
 
-    cells : of the output. pieces : cells that are decided one after another: one that holds all of the output's, or
-    several that make up the one of the output.
+    cells : of the output. pieces : what is decided at once, one after another, cells of one order: one that holds all
+    of the output's, or several that make up the one of the output.
     """
 
     cells: tuple[Cell, ...]
-    pieces: tuple[Cell, ...]
+    pieces: tuple[tuple[Cell, ...], ...]
 
     @property
     def cell(self) -> Cell:
         """The one that holds all."""
-        return self.cells[0] if len(self.cells) == 1 else self.pieces[0]
+        return self.cells[0] if len(self.cells) == 1 else self.pieces[0][0]
 
 
 @in_short
@@ -218,7 +220,8 @@ def estimate(
     sampled, learned, assumed = _learned(work, usual, places, steps, cells, volume, options, progress, tuning)
     final = tuple(replace(s, understood=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
-    work = replace(work, halo_arcsec=_halo(work, tuning))
+    halo, margin = _halos(work, tuning)
+    work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
     return Estimated(work, counts, (sampled[0], sampled[1]), moved, (rows[0], rows[1]),
                      (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
@@ -357,9 +360,9 @@ def _motion(work: Work) -> float:
     )
 
 
-def _halo(work: Work, tuning: RunTuning) -> float:
-    """The halo with which parts are decided first: it holds nearly all groups of the sample, a gate around them, and
-    what may have moved into it."""
+def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
+    """The halo with which parts are decided first, and one that is wide enough for nearly all: it holds groups of the
+    sample, a gate around them, and what may have moved into it."""
     from sameas.groups import laid_out
 
     assert work.learned is not None and work.learned.estimate is not None
@@ -368,16 +371,19 @@ def _halo(work: Work, tuning: RunTuning) -> float:
     kept = np.flatnonzero(answer.evidence.log_ratio > work.tuning.competing)
     sigma = [np.sqrt(r.variances.max(axis=1)) for r in learned.start.records(pairs.first, pairs.second)]
     reach = learned.gate_sigmas * math.hypot(*(float(np.quantile(s, 0.999)) for s in sigma))
-    extent = 0.0
+    extents = np.zeros(1)
     if len(kept):
         i, j = pairs.i[kept], pairs.j[kept]
         grouped = laid_out(pairs.place_1[kept], pairs.place_2[kept], i, j, len(pairs.first), len(pairs.second))
         lat = pairs.first.features[i, 1]
         lon = pairs.first.features[i, 0]
         extents = _extents(grouped.of_pairs().astype(np.int64), len(grouped), lon, lat)
-        extent = float(np.quantile(extents, tuning.groups))
-    halo = max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.least_halo_arcsec) + _motion(work)
-    return halo
+
+    def wide(share: float) -> float:
+        extent = float(np.quantile(extents, share))
+        return max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.least_halo_arcsec) + _motion(work)
+
+    return wide(tuning.groups), wide(tuning.nearly_all)
 
 
 def _extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:
@@ -453,7 +459,7 @@ def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> di
     return summary | {"cpu_seconds": time.process_time() - cpu}
 
 
-def _decided(work: Work, piece: Cell, facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
+def _decided(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
     """The joined rows of a piece by their cells of order 29, as Arrow has them; ``summaries`` gets the summary."""
     import pyarrow as pa
 
@@ -782,22 +788,26 @@ def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Ite
     begins = counts.cells << 2 * (healpix.FINEST - order)
     total = np.concatenate([[0], np.cumsum(counts.numbers.sum(axis=1))])
 
-    def few(cell: Cell) -> bool:
-        begin, end = np.searchsorted(begins, cell.stretch[0])
-        return cell.order >= order or bool(total[end] - total[begin] <= most)
+    def few(*cells: Cell) -> bool:
+        begin, end = np.searchsorted(begins, [cells[0].stretch[0, 0], cells[-1].stretch[0, 1]])
+        return cells[0].order >= order or bool(total[end] - total[begin] <= most)
 
-    def pieces(cell: Cell) -> Iterator[Cell]:
-        if few(cell):
-            yield cell
+    def pieces(*cells: Cell) -> Iterator[tuple[Cell, ...]]:
+        """One cell, or two side by side, or what makes them up."""
+        if few(*cells):
+            yield cells
+        elif len(cells) == 2:
+            for cell in cells:
+                yield from pieces(cell)
         else:
-            for inner in cell.inner:
-                yield from pieces(inner)
+            yield from pieces(*cells[0].inner[:2])
+            yield from pieces(*cells[0].inner[2:])
 
     def tasks(cell: Cell, own: Sequence[Cell]) -> Iterator[Task]:
         if len(own) == 1 and (own[0].order <= cell.order or not few(own[0])):
             yield Task((own[0],), tuple(pieces(own[0])))
         elif few(cell):
-            yield Task(tuple(own), (common(own),))
+            yield Task(tuple(own), ((common(own),),))
         else:
             for inner in cell.inner:
                 held = [one for one in own if one.order > cell.order and one.at(inner.order) == inner]
