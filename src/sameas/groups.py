@@ -113,7 +113,9 @@ def laid_out(place_1: Places, place_2: Places, i: Places, j: Places, n_1: int, n
     starts = [np.empty(min(n_1, n_2, m) + 1, np.int64) for _ in range(3)]
     scratch = np.empty(n_1 + n_2, np.int32), np.empty(n_1, np.int32)
     count = label_pairs(place_1, place_2, *scratch, number_2, group, *starts)
-    start, start_1, start_2 = (column[: count + 1] for column in starts)
+    # There was room for as many groups as records; what stays is no larger than it has to be.
+    start, start_1, start_2 = (column[: count + 1].copy() for column in starts)
+    del starts
     order, edges_1 = np.empty(m, np.int64), np.empty(start_1[-1] + 1, np.int64)
     local_1, local_2 = np.empty(m, np.int32), np.empty(m, np.int32)
     rows_1, rows_2 = np.empty(start_1[-1], np.int32), np.empty(start_2[-1], np.int32)

@@ -229,7 +229,11 @@ def _gathered(
             for column in whole:
                 column[used : used + count] = column[start : start + count]
         used += count
-    return tuple(column[:used] for column in whole)
+    del ranges, chunk
+    for column in whole:
+        # Nothing else looks at the room any more: what was not needed goes back.
+        column.resize((used, *column.shape[1:]), refcheck=False)
+    return whole
 
 
 def _room(d: int, capacity: int) -> Columns:
