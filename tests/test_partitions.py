@@ -159,13 +159,42 @@ def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, plac
 
 @pytest.mark.slow
 def test_in_a_crowd_pairs_are_the_same_and_probabilities_nearly(tmp_path):
-    """Groups percolate there and are summed approximately, which depends on the cut by some 1e-5."""
+    """Groups percolate there and are summed approximately, in an order that does not depend on the cut."""
     tables = sky((0.0, 0.0), 6_000, 2.0, seed=6)
     found, _ = matched(tmp_path, stored(tmp_path, tables, (1_500, 900)))
     partner, p_none = at_once(found)
     told = table_of(tmp_path / "out")
     assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
-    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-3
+    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
+
+
+@pytest.mark.slow
+def test_where_groups_percolate_probabilities_do_not_depend_on_what_the_halo_cuts_off(tmp_path):
+    """Whether a part of a group is summed exactly depends on all of it: that of the halo alone was, others than all."""
+    tables = sky((0.0, 0.0), 12_000, 1.5, seed=2)
+    work = sameas.match(
+        *stored(tmp_path, tables, (50_000, 50_000)), sigma="pos_err", sigma_unit="arcsec"
+    ).estimated.work
+    one, two = (work.read(side, EVERYTHING, np.array([0.0, 0.0, 1.0, 1e9])) for side in (1, 2))
+    everything = work.identified(one, two)
+    truth = {(i, j): p for i, j, p in zip(*ids_of(one, two, everything), everything.p_pair, strict=True)}
+
+    def error(part, result):
+        own = part.own[0][result.rows_1] | part.own[1][result.rows_2]
+        ids_1, ids_2 = ids_of(part.one, part.two, result)
+        said = zip(ids_1[own], ids_2[own], result.p_pair[own], strict=True)
+        return max((abs(p - truth[i, j]) for i, j, p in said), default=0.0)
+
+    numbers, rows = np.unique(one.stored >> 2 * (29 - 13), return_counts=True)
+    cell = Cell(13, int(numbers[rows.argmax()]))
+    first = work.within(Patch(cell.order, np.array([cell.number])), work.halo_arcsec)
+    assert first.doubtful > 0 and error(first, work.identified(first.one, first.two)) > 1e-6
+    parts = work.decided([cell])
+    assert max(error(part, part.result) for part in parts) < 1e-9 and parts[-1].doubtful == 0
+
+
+def ids_of(one, two, result):
+    return one.catalogue.ids[result.rows_1], two.catalogue.ids[result.rows_2]
 
 
 @pytest.mark.slow
