@@ -85,6 +85,29 @@ def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs
     assert after.error_factor.tolist() == [2.0, 2.0]
 
 
+def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
+    """The factor of one source after n ways of its tracks, of errors ``true`` times as stated; the velocities' errors
+    carry positions away by ``carried_m``, and nothing moves."""
+    stated, carried = (np.broadcast_to(m**2 * np.eye(2), (n, 2, 2)) for m in (stated_m, carried_m))
+    spread = np.sqrt(2.0 * (1.0 - correlation) * (true * stated_m) ** 2 + carried_m**2)
+    shift, factors = spread * rng.standard_normal((n, 2)), ErrorFactors().of_sources(("ais",))
+    for k in np.array_split(np.arange(n), n // 20):
+        factors = factors.with_shifts(
+            np.zeros(len(k), np.int64), shift[k], (2.0 * stated[k], stated[k]), (carried[k], carried[k])
+        )
+    return float(factors._averaged(DEFAULT_TUNING).factor[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_ways_that_are_as_stated_leave_errors_as_stated(seed):
+    # Ways say what errors are at least; whether larger ones are correlated they do not say.
+    rng = np.random.default_rng(seed)
+    assert after_ways(rng, 1.0, 300) == pytest.approx(1.0, rel=0.12)
+    assert after_ways(rng, 1.0, 300, correlation=0.9) == pytest.approx(1.0, rel=0.12)
+    assert after_ways(rng, 1.0, 600, carried_m=8.0) == pytest.approx(1.0, rel=0.18)
+    assert after_ways(rng, 2.0, 300) == pytest.approx(2.2, rel=0.15)
+
+
 def crowd(seed, stated):
     """Eight ships in 600 m before three trackers whose errors of 20 m are stated ``stated`` times as large."""
     rng = np.random.default_rng(seed)

@@ -6,15 +6,18 @@ factors, and all sources have
 
     p(f_1 … f_S) ∝ Π_a p(f_a) exp Σ_{a<b} L_ab(f_a, f_b),
 
-L_ab the log-likelihood of all differences of the two sources, p(f) log-normal about 1. More sources than ``BLOCK`` are
-taken in blocks, each in the mean field of the others. A difference that is correlated with the last one of its pair by
-ρ counts as 1 − ρ² of one. One in a hundred may be of anything within ``factor_outlier``
-times the errors: a stamp, a mast, a pair that was none.
+L_ab the log-likelihood of all differences of the two sources; p(f) is log-normal about 1, but for a share of sources
+whose f is 1. More sources than ``BLOCK`` are taken in blocks, each in the mean field of the others. A difference that
+is correlated with the last one of its pair by ρ counts as 1 − ρ² of one. One in a hundred may be of anything within
+``factor_outlier`` times the errors: a stamp, a mast, a pair that was none.
 
 Sure pairs are those that are near each other, so where none is sure but by chance factors come out small. The ways of
 tracks from one report to the next, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as in
 :mod:`sameas.picture.error_correlation`, know nothing of pairs: whatever the correlation ρ, errors are no smaller than ν
-shows. ρ is any, as probable, one for all of a source.
+shows. ρ is any, as probable, one for all of a source; so is whether of D the errors of velocities are as stated, or a
+share κ of them as of the rest. So ways speak against small factors and not for them: by a log-normal prior alone the
+mean of what they leave over is 1.2 to 1.4 where 1 is true, and a source that is precise beside others has no other
+evidence.
 
 What several reports of one source have in common, its offset, is not in it; see :mod:`sameas.tracks.registration`.
 
@@ -31,7 +34,7 @@ from scipy.special import log_softmax, logsumexp
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import log_density
 from sameas.kernels.kalman import correlated_shifts
-from sameas.picture.error_correlation import CORRELATIONS, LEAST_M2
+from sameas.picture.error_correlation import CORRELATIONS, LEAST_M2, growth
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import moved
@@ -47,7 +50,8 @@ class ErrorFactors:
     """The factors of the errors of sources.
 
     names : of the sources so far. log_likely : (S, S, K, K) L of two sources a < b, by the factors of both.
-    log_shifts : (S, K, ρ) ln p of the ways of their tracks. reports : (S,) of how many reports.
+    log_shifts : (S, K, 2ρ) ln p of the ways of their tracks, with any share of the motion, and with all of what comes
+    of the errors of velocities. reports : (S,) of how many reports.
     factor : (S,) mean of each source, geometric. sigma : (S,) 1σ of its logarithm.
     """
 
@@ -65,8 +69,8 @@ class ErrorFactors:
         k, known = len(tuning.error_factors), len(self.names)
         log_likely = np.zeros((len(names), len(names), k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
-        log_shifts, reports = np.zeros((len(names), k, len(CORRELATIONS))), np.zeros(len(names))
-        log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, len(CORRELATIONS)), self.reports
+        log_shifts, reports = np.zeros((len(names), k, 2 * len(CORRELATIONS))), np.zeros(len(names))
+        log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, 2 * len(CORRELATIONS)), self.reports
         whole = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return whole._averaged(tuning)
 
@@ -75,33 +79,39 @@ class ErrorFactors:
         source: IntArray,
         shift: FloatArray,
         errors: tuple[FloatArray, FloatArray],
-        motion: FloatArray,
+        motion: tuple[FloatArray, FloatArray],
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
         """After new reports of tracks.
 
         Parameters
         ----------
-        source, shift : (n,), (n, 2) place in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated, motion : D,
-        (n, 2, 2) each.
+        source, shift : (n,), (n, 2) place in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated, motion : D and
+        what of it comes of the errors of measured velocities, (n, 2, 2) each.
         """
         # Where motion is larger than errors its description would be judged.
-        calm = np.trace(motion, axis1=1, axis2=2) < np.trace(errors[0], axis1=1, axis2=2)
+        calm = np.trace(motion[0], axis1=1, axis2=2) < np.trace(errors[0], axis1=1, axis2=2)
         which = np.flatnonzero(calm & (self.reports[source] < MOST_OF_SOURCE))
         if not len(which):
             return self
         which = which[np.linspace(0, len(which) - 1, min(len(which), MOST_REPORTS)).astype(np.int64)]
-        source, shift, motion = source[which], shift[which], motion[which]
+        source, shift, n = source[which], shift[which], len(which)
         both, shared = errors[0][which], (errors[1] + errors[1].transpose(0, 2, 1))[which]
-        far = tuning.factor_outlier**2
-        log_out = log_density(shift, far * both) - np.log(1.0 / tuning.factor_outliers - 1.0)
-        log_shifts, log_p = self.log_shifts.copy(), np.empty((len(which), len(CORRELATIONS)))
+        whole, carried = motion[0][which], motion[1][which]
+        log_out = log_density(shift, tuning.factor_outlier**2 * both) - np.log(1.0 / tuning.factor_outliers - 1.0)
+        # Once with any share of the motion, once with the errors of velocities as they are stated.
+        fixed, free = (
+            np.concatenate([np.zeros_like(carried), carried]),
+            np.concatenate([whole, growth(whole - carried)]),
+        )
+        log_shifts, log_p = self.log_shifts.copy(), np.empty((2 * n, len(CORRELATIONS)))
+        twice, shares = np.concatenate([shift, shift]), np.array(tuning.motion_shares)
         for k, sq in enumerate(np.array(tuning.error_factors) ** 2):
-            correlated_shifts(
-                shift, sq * both, sq * shared, motion, CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p
-            )
+            stated, common = (np.concatenate([sq * one, sq * one]) for one in (both, shared))
+            correlated_shifts(twice, stated + fixed, common, free, CORRELATIONS, shares, LEAST_M2, log_p)
             # Of two ways in succession the report between is in both.
-            np.add.at(log_shifts[:, k], source, 0.5 * np.logaddexp(log_p, log_out[:, None]))
+            seen = 0.5 * np.logaddexp(np.concatenate([log_p[:n], log_p[n:]], axis=1), log_out[:, None])
+            np.add.at(log_shifts[:, k], source, seen)
         reports = self.reports + np.bincount(source, minlength=len(self.names))
         return replace(self, log_shifts=log_shifts, reports=reports)
 
@@ -164,8 +174,7 @@ class ErrorFactors:
     def _averaged(self, tuning: Tuning) -> ErrorFactors:
         """With the mean factors by all that was seen."""
         logs, n = np.log(np.array(tuning.error_factors)), len(self.names)
-        prior = -0.5 * (logs / tuning.error_factor_sigma) ** 2
-        own = prior + logsumexp(self.log_shifts, axis=2)
+        own = _log_prior(logs, tuning) + logsumexp(self.log_shifts, axis=2)
         # L of every source with every other, by its own factor first.
         both = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
         weight = np.exp(log_softmax(own, axis=1))
@@ -177,6 +186,15 @@ class ErrorFactors:
                 weight[block] = _marginals(alone, both[np.ix_(block, block)])
         mean = weight @ logs
         return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))
+
+
+def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:
+    """(K,) ln of the prior probability of factors of these logarithms."""
+    broad = np.exp(-0.5 * (logs / tuning.error_factor_sigma) ** 2)
+    as_stated = np.abs(logs) == np.abs(logs).min()
+    return np.log(
+        (1.0 - tuning.errors_as_stated) * broad / broad.sum() + tuning.errors_as_stated * as_stated / as_stated.sum()
+    )
 
 
 def _marginals(alone: FloatArray, both: FloatArray) -> FloatArray:

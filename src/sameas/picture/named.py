@@ -215,7 +215,11 @@ class NamedTracks:
         stated = 1.0 / scan.error_factor[place[k], None, None], 1.0 / before.error_factor[was[k], None, None]
         as_stated = stated[1] ** 2 * one[k] + stated[0] ** 2 * other[k], stated[0] * stated[1] * shared[k]
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
-        factors = factors.with_shifts(source[k], shift[k], as_stated, motion[k], scan.tuning)
+        # Of the motion what comes of the errors of velocities that were measured.
+        step, moving = dt[k, None, None], before.moving[was[k], None, None]
+        cross, velocity = (before.reported_covariance[was[k], v, 2:] for v in (slice(2), slice(2, 4)))
+        carried = np.where(moving, step * (cross + cross.transpose(0, 2, 1) + step * velocity), 0.0)
+        factors = factors.with_shifts(source[k], shift[k], as_stated, (motion[k], growth(carried)), scan.tuning)
         share = correlation.lasting(source, scan.tuning)[:, None, None]
         common = correlation.forgotten(source, elapsed, scan.tuning)[:, None, None] * shared
         forgetting = common.transpose(0, 2, 1) @ inverse(old - share * one)

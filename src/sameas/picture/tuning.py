@@ -30,9 +30,9 @@ class Tuning:
     offset_freedom : degrees of freedom for which the stated errors count beside the offsets of sure pairs, and
         most_offset_freedom : for which these count at most, since hulls differ. offset_anew : a mean offset begins
         anew where the pair does with at least this probability.
-    error_factors : factors of stated errors that are weighed, about 1. error_factor_sigma : 1σ of ln f before sure
-        pairs show more. factor_outliers : share of differences of sure pairs that may be anything within
-        factor_outlier times their errors.
+    error_factors : factors of stated errors that are weighed, about 1. errors_as_stated : prior probability that errors
+        are as stated. error_factor_sigma : 1σ of ln f of others before sure pairs show more. factor_outliers : share of
+        differences of sure pairs that may be anything within factor_outlier times their errors.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
     swap_rates : probabilities h that a tracker has swapped two objects at one place, per report, that are weighed.
     swap_caution : a swap counts as so many times as probable as estimated.
@@ -101,6 +101,7 @@ class Tuning:
     most_offset_freedom: float = 30.0
     offset_anew: float = 0.1
     error_factors: tuple[float, ...] = tuple(2.0 ** (k / 4.0) for k in range(-8, 9))
+    errors_as_stated: float = 0.5
     error_factor_sigma: float = 0.5
     factor_outliers: float = 0.01
     factor_outlier: float = 10.0
