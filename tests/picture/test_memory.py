@@ -52,7 +52,7 @@ def _all_pairs(scan, number):
     b = n + np.argsort(scan.track[n:].astype(int))[scan.track[:n].astype(int)]
     delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
     none = np.zeros_like(spread[a])
-    return TrackPairs().with_(TrackPairs.of(number[a], number[b], delta, (spread[a], spread[b]), (none, none)))
+    return TrackPairs().with_(TrackPairs.of(number[a], number[b], delta, (spread[a], spread[b]), (none, none), 0.0))
 
 
 def log_loss(log_odds, same):
@@ -215,7 +215,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
             state, covariance, lasting = scan.state[:, :2], scan.covariance[:, :2, :2], past.tracks.lasting
             fresh = TrackPairs.of(
                 past.tracks.track_of_record[:1], past.tracks.track_of_record[1:], (state[:1] - state[1:]),
-                (covariance[:1], covariance[1:]), (lasting[:1], lasting[1:]),
+                (covariance[:1], covariance[1:]), (lasting[:1], lasting[1:]), time_s,
             )  # fmt: skip
             past = replace(past, track_pairs=replace(fresh, log_convoy=np.array([1e9])))
     rho = np.exp(-10.0 / tau_s) if tau_s else 0.0
@@ -223,6 +223,27 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
     due = brute_force(x, sigma, rho, True) - brute_force(x, sigma, rho, False) - np.log(2.0 * np.pi * 1e10)
     pairs = past.track_pairs
     assert pairs.log_ratio[0] + pairs.at_scan[0] == pytest.approx(due, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_pairs_that_passed_each_other_long_ago_are_not_compared_for_ever():
+    # Four ships on one straight, two each way: all meet within four minutes, and go on.
+    rng, times = np.random.default_rng(8), np.arange(0.0, 501.0, 20.0)
+    start = np.column_stack([[0.0, 2000.0, 400.0, 2400.0], np.zeros(4)])
+    x, v = straight(start, np.column_stack([[6.0, -6.0, 6.0, -6.0], np.zeros(4)]), times)
+    names = [str(k) for k in range(4)]
+    scene = Scene.of([told(rng, describe(name, "tracks", period_s=20.0), times, x, v, 0.0, names) for name in "ab"])
+    counts = []
+    for timeout_s in (150.0, 1e9):
+        watch = Watch(tuning=Tuning(pair_timeout_s=timeout_s))
+        for time_s in times:
+            state = watch.advance(scene.at(time_s))
+            watch = state.watch
+        counts.append(len(watch.past.track_pairs))
+        shown = np.append(state.scan.track, "")[state.members]
+        assert sorted(shown.tolist()) == [[k, k] for k in names[: len(shown)]]
+    # Each ship's own two tracks, and with all that met before.
+    assert counts[0] == 4 < counts[1]
 
 
 def p_one(scene, every_s=30.0):

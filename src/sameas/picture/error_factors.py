@@ -192,9 +192,8 @@ def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:
     """(K,) ln of the prior probability of factors of these logarithms."""
     broad = np.exp(-0.5 * (logs / tuning.error_factor_sigma) ** 2)
     as_stated = np.abs(logs) == np.abs(logs).min()
-    return np.log(
-        (1.0 - tuning.errors_as_stated) * broad / broad.sum() + tuning.errors_as_stated * as_stated / as_stated.sum()
-    )
+    share = tuning.errors_as_stated
+    return np.asarray(np.log((1.0 - share) * broad / broad.sum() + share * as_stated / as_stated.sum()))
 
 
 def _marginals(alone: FloatArray, both: FloatArray) -> FloatArray:

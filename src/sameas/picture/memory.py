@@ -188,7 +188,9 @@ class Past:
             return self
         delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
         lasting = self.tracks.lasting
-        fresh = TrackPairs.of(number[a], number[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]))
+        fresh = TrackPairs.of(
+            number[a], number[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]), scan.now.instant_s
+        )
         return replace(self, track_pairs=self.track_pairs.with_(fresh))
 
     def with_sure(self, members: IntArray, probability: FloatArray) -> Past:

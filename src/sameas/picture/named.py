@@ -216,9 +216,9 @@ class NamedTracks:
         as_stated = stated[1] ** 2 * one[k] + stated[0] ** 2 * other[k], stated[0] * stated[1] * shared[k]
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
         # Of the motion what comes of the errors of velocities that were measured.
-        step, moving = dt[k, None, None], before.moving[was[k], None, None]
+        later, moving = dt[k, None, None], before.moving[was[k], None, None]
         cross, velocity = (before.reported_covariance[was[k], v, 2:] for v in (slice(2), slice(2, 4)))
-        carried = np.where(moving, step * (cross + cross.transpose(0, 2, 1) + step * velocity), 0.0)
+        carried = np.where(moving, later * (cross + cross.transpose(0, 2, 1) + later * velocity), 0.0)
         factors = factors.with_shifts(source[k], shift[k], as_stated, (motion[k], growth(carried)), scan.tuning)
         share = correlation.lasting(source, scan.tuning)[:, None, None]
         common = correlation.forgotten(source, elapsed, scan.tuning)[:, None, None] * shared

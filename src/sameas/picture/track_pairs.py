@@ -60,6 +60,8 @@ class TrackPairs(ColumnTable):
     offset, offsets : (k, 2), (k,) mean of δ at times ``lasting_s`` apart, and how many; offset_s : the last of them.
     offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : (k,) its χ² by stated
         errors, and what it adds to ln r; see :meth:`with_offsets`.
+    near_s : when their positions agreed last. Pairs of which that is long ago are forgotten: whoever passes another
+        once would else be compared with it for ever.
     """
 
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -81,6 +83,7 @@ class TrackPairs(ColumnTable):
     offset_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
     offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
+    near_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.first)
@@ -93,6 +96,7 @@ class TrackPairs(ColumnTable):
         delta: FloatArray,
         covariances: tuple[FloatArray, FloatArray],
         lasting: tuple[FloatArray, FloatArray],
+        instant_s: float,
     ) -> TrackPairs:
         """Pairs that meet now: δ (k, 2), covariances P_a, P_b and roots B_a, B_b (k, 2, 2). They have no past."""
         error, total = _without_past(delta, covariances, lasting), covariances[0] + covariances[1]
@@ -102,7 +106,7 @@ class TrackPairs(ColumnTable):
             first, second, error.mean, error.covariance, none, none, density, density, chi_sq,
             never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(len(first), bool),
             np.zeros_like(delta), np.zeros(len(first), np.int64), np.full(len(first), -np.inf),
-            np.ones(delta.shape, bool), none, none,
+            np.ones(delta.shape, bool), none, none, np.full(len(first), instant_s),
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -135,7 +139,8 @@ class TrackPairs(ColumnTable):
         the report, by the track's own reports 1. Two tracks that keep apart are not one again for that reason.
         """
         a, b = step.find(self.first), step.find(self.second)
-        rows = np.flatnonzero((a >= 0) & (b >= 0))
+        recent = step.instant_s - self.near_s <= tuning.pair_timeout_s
+        rows = np.flatnonzero((a >= 0) & (b >= 0) & recent)
         a, b = a[rows], b[rows]
         updated, log_two = self._updated(step, rows, a, b, tuning)
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
@@ -176,6 +181,7 @@ class TrackPairs(ColumnTable):
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
             self.offset[rows], self.offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
+            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.near_s[rows]),
         ), log_two  # fmt: skip
 
     def _leaked(

@@ -41,6 +41,7 @@ class Tuning:
     new_track_probability : a track begins anew beyond the χ² limit that this share of correct reports exceeds.
     id_timeout_s : a track id that is not reported keeps its number for this long.
     manoeuvre_every_s : mean time between two manoeuvres of an object.
+    pair_timeout_s : two tracks are not compared any more when their positions have not agreed for this long.
     partner_odds : two tracks may be partners until strangers are this many times more probable by their positions.
     search_s : longest search for the best partition of one group, in seconds.
 
@@ -115,6 +116,7 @@ class Tuning:
     new_track_probability: float = 1e-9
     id_timeout_s: float = 3600.0
     manoeuvre_every_s: float = 600.0
+    pair_timeout_s: float = 900.0
     partner_odds: float = 20.0
     search_s: float = 10.0
 
