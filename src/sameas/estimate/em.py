@@ -19,6 +19,7 @@ from sameas.assignment import assign
 from sameas.errors import InputError
 from sameas.estimate.averaging import Average, but_positions
 from sameas.estimate.columns import ColumnEvidence
+from sameas.estimate.companions import Companions, clustering
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
@@ -120,6 +121,7 @@ class Estimates:
     grades: Grades | None = None
     average: Average | None = None
     columns: ColumnEvidence | None = None
+    companions: Companions | None = None
     tuning: EMTuning = DEFAULT_EM
 
     @classmethod
@@ -142,7 +144,7 @@ class Estimates:
             setting, partner, setting.counted, partner, errors or Errors(), errors is None, photometry, density,
             precision=precision, tuning=tuning, columns=columns and columns.in_folds(setting),
         )  # fmt: skip
-        return replace(known, common=float(partner[0][setting.counted[0]].sum()))
+        return replace(known, common=float(partner[0][setting.counted[0]].sum())).with_companions()
 
     def at(self, setting: Setting, photometry: Photometry | None, columns: ColumnEvidence | None = None) -> Estimates:
         """The same where other candidates and records take part, with the magnitudes and other columns of these."""
@@ -158,7 +160,11 @@ class Estimates:
         if columns is not None and self.columns is not None:
             columns = self.columns.at(setting, columns)
         known_there = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades, columns=columns)
-        return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1]))
+        return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1])).with_companions()
+
+    def with_companions(self) -> Estimates:
+        excess = clustering(self.setting) if self.density is None else None
+        return replace(self, companions=None if excess is None else Companions.of(excess, self.setting))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
         return replace(self, partner=partner, counted=counted, local=_local(self.setting, partner, counted))
@@ -190,7 +196,8 @@ class Estimates:
         """The rule with all that is known."""
         rule: Rule = self._positions()
         graded = None if self.grades is None else self.grades.rule
-        for more in (self.brightness(), graded, None if self.columns is None else self.columns.rule()):
+        companions = None if self.companions is None else self.companions.rule(self.setting.pairs, *self.means)
+        for more in (self.brightness(), graded, None if self.columns is None else self.columns.rule(), companions):
             rule = rule if more is None else rule + more
         return rule
 
