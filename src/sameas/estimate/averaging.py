@@ -59,19 +59,21 @@ class Average:
         return self.average.typical(self.weight)
 
     def posterior(
-        self, pairs: Pairs, others: FloatArray, expected: float, seen: tuple[int, int], *, exact: bool = False
+        self, pairs: Pairs, others: FloatArray, expected: float, seen: tuple[int, int], *, exact: bool = False,
+        beside: FloatArray | None = None,
     ) -> tuple[Average, Averaged]:
         """The weights, and the probabilities of the pairs, when all other evidence of these is ``others`` (m,).
 
         expected : number of common objects that ``others`` let expect. seen : N₁, N₂, records that may be common.
-        exact : whether groups are summed exactly; else by messages.
+        exact : whether groups are summed exactly; else by messages. beside : (m,) ln of the odds of pairs to be companions,
+        before one-to-one.
         """
         solver: Solver = posterior if exact else by_messages
         p_pairs, log_weight, numbers = [], [], []
         shift = _shift(expected, seen)
         for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.numbers, strict=True):
             here = _shift(number, seen)
-            p, log_z = _solved(pairs, others + log_density + (here.odds - shift.odds), solver)
+            p, log_z = _solved(pairs, others + log_density + (here.odds - shift.odds), solver, beside)
             p_pairs.append(p)
             log_weight.append(log_prior + log_z + here.log_records)
             # A share of which nothing is known before lies between none and all.
@@ -98,8 +100,14 @@ def _shift(number: float, seen: tuple[int, int]) -> _Shift:
     return _Shift(math.log(number) - sum(alone), records)
 
 
-def _solved(pairs: Pairs, log_ratio: FloatArray, solver: Solver) -> tuple[FloatArray, float]:
-    """(m,) probabilities of the pairs, and ln of the sum over all hypotheses."""
+def _solved(
+    pairs: Pairs, log_same: FloatArray, solver: Solver, beside: FloatArray | None = None
+) -> tuple[FloatArray, float]:
+    """(m,) probabilities of the pairs, and ln of the sum over all hypotheses.
+
+    Two records are one object, or companions missed each by the other source, or have nothing to do with each other.
+    """
+    log_ratio = log_same if beside is None else np.logaddexp(log_same, beside)
     kept = np.flatnonzero(log_ratio > IMPOSSIBLE)
     p_pair = np.zeros(len(pairs))
     if not len(kept):
@@ -108,7 +116,7 @@ def _solved(pairs: Pairs, log_ratio: FloatArray, solver: Solver) -> tuple[FloatA
     grouped = laid_out(*places, len(pairs.first), len(pairs.second))
     best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
     p = solver(grouped, best).p_pair
-    p_pair[kept] = p
+    p_pair[kept] = p if beside is None else p * np.exp(log_same[kept] - log_ratio[kept])
     return p_pair, float(log_evidence(grouped, best, p).sum())
 
 
@@ -122,6 +130,11 @@ class Averaged:
 
     p_pair: FloatArray
     log_ratio: FloatArray
+
+    @classmethod
+    def one(cls, pairs: Pairs, p_pair: FloatArray, log_ratio: FloatArray) -> Averaged:
+        """Of one point, (m,) each."""
+        return cls.of(pairs, p_pair[None], log_ratio[None], np.ones(1))
 
     @classmethod
     def of(cls, pairs: Pairs, p_pairs: FloatArray, log_ratios: FloatArray, weight: FloatArray) -> Averaged:
@@ -143,14 +156,25 @@ class Averaged:
         return cls(p, np.maximum(log_ratio, -1e4))
 
 
-def identified(average: Average, pairs: Pairs, rule: Rule, expected: float, seen: tuple[int, int]) -> Identification:
+def identified(
+    average: Average | None,
+    pairs: Pairs,
+    rule: Rule,
+    expected: float,
+    seen: tuple[int, int],
+    beside: FloatArray | None = None,
+) -> Identification:
     """The identification of these candidates, averaged; ``rule`` gives all evidence, its positions are replaced.
 
-    expected, seen : as in :meth:`Average.posterior`.
+    expected, seen, beside : as in :meth:`Average.posterior`. average : None where errors are known.
     """
     evidence = rule(pairs)
     others = but_positions(evidence)
-    _, averaged = average.posterior(pairs, others, expected, seen, exact=True)
+    if average is None:
+        log_ratio = evidence.log_ratio
+        averaged = Averaged.one(pairs, _solved(pairs, log_ratio, posterior, beside)[0], log_ratio)
+    else:
+        _, averaged = average.posterior(pairs, others, expected, seen, exact=True, beside=beside)
     terms = {**evidence.terms, "position": averaged.log_ratio - others}
     grouped = groups(pairs)
     best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))

@@ -50,6 +50,8 @@ class CompanionsTuning:
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
+#: Squares of normalised distances within which records compete for a couple.
+NEAR = 25.0
 
 
 def ring(distance: FloatArray, radius: float, variance: FloatArray, d: int) -> FloatArray:
@@ -125,8 +127,8 @@ def _unit(setting: Setting) -> FloatArray:
     one, two = setting.pairs.first, setting.pairs.second
     variance = np.median(one.variances, axis=0) + np.median(two.variances, axis=0)
     if isinstance(one.space, Sphere):
-        variance = np.full(2, variance.mean())
-    return np.sqrt(variance)
+        variance = variance.mean()
+    return np.broadcast_to(np.sqrt(variance), setting.pairs.d)
 
 
 def _points(records: Records, unit: FloatArray) -> FloatArray:
@@ -210,15 +212,16 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     gain = likelihood(volume, level) - none
     if not gain > tuning.gain:
         return None
-    squares, firsts, n = 0.0, 0.0, 0
-    for (i, k, count, size), (background, table), g in zip(found, parts, level, strict=True):
+    squares, firsts, noise = 0.0, 0.0, 1.0
+    for (i, _, count, size), (background, table), g in zip(found, parts, level, strict=True):
         excess = volume @ table
         p = excess / (g * background + excess)
-        mean_k = np.bincount(i, p, size)
-        squares += float((mean_k**2).sum() - (p**2).sum())
-        firsts += float(p.sum()) ** 2 / count
-        n += count
-    further = (squares + 1.0) / (firsts + 1.0)
+        several = float((np.bincount(i, p, size) ** 2).sum() - (p**2).sum())
+        ours, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
+        squares += several - (chance**2 + 3.0 * chance * ours) / count
+        firsts += ours**2 / count
+        noise += 2.0 * several
+    further = squares / firsts if squares > 2.5 * math.sqrt(noise) else 0.0
     return Clustering(unit, radii, volume, further, (mean[0], mean[1]), gain)
 
 
@@ -227,12 +230,10 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
 class CompanionsRule(Rule):
     """What companions say of pairs."""
 
-    pairs: Pairs
     at: IntArray
     term: FloatArray
 
     def __call__(self, pairs: Pairs) -> Evidence:
-        assert pairs is self.pairs
         out = np.zeros(len(pairs))
         out[self.at] = self.term
         return Evidence({"companions": out})
@@ -243,15 +244,15 @@ class CompanionsRule(Rule):
 class Companions:
     """What is known of companions, for one list of candidates.
 
-    at : (q,) pairs that it matters for. excess : (q,) w of their residuals, by the densities there. taken : (q,) how
-    probable it is that one of their records has a companion in its own source. swap : (q,) ln of what the separation of
+    at : (q,) pairs that it matters for. excess : (q,) w of their residuals, by the densities there. shown : (2, q) odds that
+    their record of either source has a companion there, if no more than a Poisson field's have. swap : (q,) ln of what the separation of
     couples says of which of two is which.
     """
 
     clustering: Clustering
     at: IntArray
     excess: FloatArray
-    taken: FloatArray
+    shown: FloatArray
     swap: FloatArray = field(repr=False)
 
     @classmethod
@@ -267,28 +268,45 @@ class Companions:
         for source, relative in zip(sources, local, strict=True):
             i, k, distance = source.couples(DEFAULT_COMPANIONS.reach, None)
             w = clustering.at(distance, source.variance[i] + source.variance[k]) * np.sqrt(relative[i] * relative[k])
-            p = w / (1.0 + w)
-            alone.append(np.exp(np.bincount(i, np.log1p(-p), len(source.points))))
-            nearest.append(_companion(i, k, p, len(source.points)))
-        taken = 1.0 - np.minimum(alone[0][pairs.i], alone[1][pairs.j])
+            number = np.bincount(i, w, len(source.points))
+            alone.append(number)
+            nearest.append(_companion(i, k, w / (1.0 + w), len(source.points)))
+        taken = np.stack([alone[0][pairs.i], alone[1][pairs.j]])
         swap = _swaps(clustering, setting, sources, residual, nearest) if swaps else np.zeros(len(pairs))
         at = np.flatnonzero((excess > 1e-3) | (swap != 0.0))
-        return cls(clustering, at, excess[at], taken[at], swap[at])
+        return cls(clustering, at, excess[at], taken[:, at], swap[at])
 
-    def rule(self, pairs: Pairs, share_1: float, share_2: float) -> CompanionsRule:
-        """share_1, share_2 : of the records of either source that have a partner."""
+    @property
+    def rule(self) -> CompanionsRule:
+        """What the separations of couples say of which is which."""
+        return CompanionsRule(self.at, self.swap)
+
+    def log_beside(self, n: int, share_1: float, share_2: float) -> FloatArray:
+        """(n,) ln of the odds of pairs, before one-to-one, to be an object and a companion of it, each missed by the
+        other source, against objects that have nothing to do with each other.
+
+        share_1, share_2 : of the records of either source that have a partner.
+        """
         c1, c2 = max(share_2, 1e-3), max(share_1, 1e-3)
         known = self.clustering
-        n = float(known.volume.sum()) * math.sqrt(known.mean[0] * known.mean[1] / (c1 * c2))
+        number = float(known.volume.sum()) * math.sqrt(known.mean[0] * known.mean[1] / (c1 * c2))
         x, t = 1.0 - (1.0 - c1) * (1.0 - c2), known.further
         if t < 1.0:
-            void = max(1.0 - n * (1.0 - t) * x, 0.02)
-            none, one = 1.0 / void, t / void
+            p = min(number * (1.0 - t), 1.0)
+            void = max(1.0 - p * x, 1e-6)
+            part = p / (number * (1.0 - t))
+            none, one = part / void, part * t / void
+            here = part / max(1.0 - p * c1, 1e-6), part / max(1.0 - p * c2, 1e-6)
         else:
-            unseen = math.exp(-n * t * x)
+            unseen = math.exp(-number * t * x)
             none, one = unseen / (1.0 - 1.0 / t + unseen / t), t
-        ratio = none + (one - none) * self.taken
-        return CompanionsRule(pairs, self.at, self.swap - np.log1p(ratio * self.excess))
+            here = none, none
+        alone = 1.0 / ((1.0 + here[0] * self.shown[0]) * (1.0 + here[1] * self.shown[1]))
+        ratio = one + (none - one) * alone
+        out = np.full(n, -np.inf)
+        with np.errstate(divide="ignore"):
+            out[self.at] = np.log(ratio * self.excess)
+        return out
 
 
 def _companion(i: IntArray, k: IntArray, p: FloatArray, n: int) -> IntArray:
@@ -311,52 +329,84 @@ def _swaps(
     residual: FloatArray,
     companion: list[IntArray],
 ) -> FloatArray:
+    """(m,) what the separations of couples say of pairs, where two records of a source compete for one or two of the
+    other, and for no more."""
     pairs = setting.pairs
     i, j = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
-    n2 = len(pairs.second)
-    key = i * n2 + j
-    order = np.argsort(key)
-    ordered = key[order]
-
-    def find(i: IntArray, j: IntArray) -> IntArray:
-        wanted = i * n2 + j
-        place = np.minimum(np.searchsorted(ordered, wanted), len(ordered) - 1)
-        return np.where(ordered[place] == wanted, order[place], -1)
-
+    near = pairs.mahalanobis_sq < NEAR
+    found = _Lookup.of(i, j, len(pairs.second))
     v1, v2 = sources[0].variance, sources[1].variance
-    i_, j_ = companion[0][i], companion[1][j]
     swap = np.zeros(len(pairs))
 
     def log_w(apart: FloatArray, variance: FloatArray) -> FloatArray:
         return np.log1p(clustering.at(np.sqrt((apart**2).sum(axis=1)), variance))
 
-    # Two of either source.
-    e = np.flatnonzero((i_ >= 0) & (j_ >= 0))
-    if len(e):
-        a, b, c = find(i_[e], j_[e]), find(i[e], j_[e]), find(i_[e], j[e])
-        whole = (a >= 0) & (b >= 0) & (c >= 0)
-        e, a, b, c = e[whole], a[whole], b[whole], c[whole]
+    def fused(of: IntArray) -> tuple[FloatArray, FloatArray]:
+        total = v1[i[of]] + v2[j[of]]
+        return (v1[i[of]] / total)[:, None] * residual[of], v1[i[of]] * v2[j[of]] / total
 
-        def fused(of: IntArray) -> tuple[FloatArray, FloatArray]:
-            total = v1[i[of]] + v2[j[of]]
-            return (v1[i[of]] / total)[:, None] * residual[of], v1[i[of]] * v2[j[of]] / total
+    for source, (mine, theirs) in enumerate(((i, j), (j, i))):
+        mate = companion[source]
+        one = np.flatnonzero((mate > np.arange(len(mate))))
+        two = mate[one]
+        number = np.full(len(mate), -1)
+        number[one] = number[two] = np.arange(len(one))
+        # Records of the other source that either could have.
+        e = np.flatnonzero(near & (number[mine] >= 0))
+        known = np.unique(np.column_stack([number[mine[e]], theirs[e]]), axis=0)
+        count = np.bincount(known[:, 0], minlength=len(one))
+        start = np.concatenate([[0], np.cumsum(count)])[:-1]
 
-        apart = residual[c] - residual[e]  # x_i' − x_i, by way of j
-        (at_e, v_e), (at_a, v_a), (at_b, v_b), (at_c, v_c) = map(fused, (e, a, b, c))
-        straight = log_w(apart - at_a + at_e, v_e + v_a)
-        crossed = log_w(apart - at_c + at_b, v_b + v_c)
-        swap[e] = 0.25 * (straight - crossed)
-    # Two of one source, one of the other.
-    for one, mate, v_one, v_other, sign in ((i_, j_, v1[i], v2[j], 1.0), (j_, i_, v2[j], v1[i], -1.0)):
-        e = np.flatnonzero((one >= 0) & (mate < 0))
-        if not len(e):
-            continue
-        a = find(one[e], j[e]) if sign > 0 else find(i[e], one[e])
-        e, a = e[a >= 0], a[a >= 0]
-        # From the record asked: x' − x = sign · (Δ' − Δ); the fused place of the pair is x − sign Δ v/(v + v_other).
-        apart = sign * (residual[a] - residual[e])
-        fuse_e, fuse_a = v_one[e] / (v_one[e] + v_other[e]), v_one[a] / (v_one[a] + v_other[a])
-        with_e = log_w(apart + sign * residual[e] * fuse_e[:, None], fuse_e * v_other[e] + v_one[a])
-        with_a = log_w(-apart + sign * residual[a] * fuse_a[:, None], fuse_a * v_other[a] + v_one[e])
-        swap[e] = 0.5 * (with_e - with_a)
+        def pair(a: IntArray, b: IntArray, source: int = source) -> IntArray:
+            return found(a, b) if source == 0 else found(b, a)
+
+        c = np.flatnonzero(count == 2)
+        r, q = known[start[c], 1], known[start[c] + 1, 1]
+        four = np.array([pair(one[c], r), pair(two[c], q), pair(one[c], q), pair(two[c], r)])
+        a, b, x, y = four[:, (four >= 0).all(axis=0)]
+        if len(a):
+            # From the first of source 1 to its second, by way of the record of source 2 that both pairs have.
+            (at_a, v_a), (at_b, v_b), (at_x, v_x), (at_y, v_y) = map(fused, (a, b, x, y))
+            if source == 0:
+                apart = residual[y] - residual[a]
+                straight, crossed = apart - at_b + at_a, apart - at_y + at_x
+            else:
+                apart = residual[x] - residual[a]
+                straight, crossed = apart - at_b + at_a, apart - at_x + at_y
+            says = 0.25 * (log_w(straight, v_a + v_b) - log_w(crossed, v_x + v_y))
+            swap[a], swap[b], swap[x], swap[y] = says, says, -says, -says
+        c = np.flatnonzero(count == 1)
+        r = known[start[c], 1]
+        both = np.array([pair(one[c], r), pair(two[c], r)])
+        a, b = both[:, (both >= 0).all(axis=0)]
+        if len(a):
+            own, other = (v1, v2) if source == 0 else (v2, v1)
+            sign = 1.0 if source == 0 else -1.0
+            apart = sign * (residual[b] - residual[a])
+            w_a, w_b = (own[mine[of]] / (own[mine[of]] + other[theirs[of]]) for of in (a, b))
+            with_a = log_w(apart + sign * residual[a] * w_a[:, None], w_a * other[theirs[a]] + own[mine[b]])
+            with_b = log_w(-apart + sign * residual[b] * w_b[:, None], w_b * other[theirs[b]] + own[mine[a]])
+            says = 0.5 * (with_a - with_b)
+            swap[a], swap[b] = says, -says
     return swap
+
+
+@dataclass(frozen=True)
+class _Lookup:
+    """Where a pair of two records stands."""
+
+    order: IntArray
+    key: IntArray
+    n2: int
+
+    @classmethod
+    def of(cls, i: IntArray, j: IntArray, n2: int) -> _Lookup:
+        key = i * n2 + j
+        order = np.argsort(key)
+        return cls(order, key[order], n2)
+
+    def __call__(self, i: IntArray, j: IntArray) -> IntArray:
+        """(k,) positions of pairs; −1 of those that are none."""
+        wanted = i * self.n2 + j
+        place = np.minimum(np.searchsorted(self.key, wanted), len(self.key) - 1)
+        return np.where(self.key[place] == wanted, self.order[place], -1)

@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray
 from sameas.assignment import assign
 from sameas.errors import InputError
-from sameas.estimate.averaging import Average, but_positions
+from sameas.estimate.averaging import Average, Averaged, but_positions
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import Companions, clustering
 from sameas.estimate.coverage import local_share
@@ -196,7 +196,7 @@ class Estimates:
         """The rule with all that is known."""
         rule: Rule = self._positions()
         graded = None if self.grades is None else self.grades.rule
-        companions = None if self.companions is None else self.companions.rule(self.setting.pairs, *self.means)
+        companions = None if self.companions is None else self.companions.rule
         for more in (self.brightness(), graded, None if self.columns is None else self.columns.rule(), companions):
             rule = rule if more is None else rule + more
         return rule
@@ -224,11 +224,20 @@ class Estimates:
         """The E-step: (m,) probabilities of the pairs and ln of their odds before one-to-one, and what was learned on
         the way of the errors that are left open."""
         pairs, evidence = self.setting.pairs, self.rule()(self.setting.pairs)
+        beside = self.log_beside()
         if self.average is None:
-            log_ratio = evidence.log_ratio
-            return self, _probabilities(pairs, log_ratio, self.tuning.least_log_ratio), log_ratio
-        average, averaged = self.average.posterior(pairs, but_positions(evidence), *self.numbers())
+            log_ratio, least = evidence.log_ratio, self.tuning.least_log_ratio
+            if beside is None:
+                return self, _probabilities(pairs, log_ratio, least), log_ratio
+            either = np.logaddexp(log_ratio, beside)
+            single = Averaged.one(pairs, _probabilities(pairs, either, least) * np.exp(log_ratio - either), log_ratio)
+            return self, single.p_pair, single.log_ratio
+        average, averaged = self.average.posterior(pairs, but_positions(evidence), *self.numbers(), beside=beside)
         return replace(self, average=average), averaged.p_pair, averaged.log_ratio
+
+    def log_beside(self) -> FloatArray | None:
+        """(m,) ln of the odds of pairs to be companions, before one-to-one; None where objects have none."""
+        return None if self.companions is None else self.companions.log_beside(len(self.setting.pairs), *self.means)
 
     def numbers(self) -> tuple[float, tuple[int, int]]:
         """Common objects that the shares let expect, and records of either source that may be."""

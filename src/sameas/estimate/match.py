@@ -500,7 +500,7 @@ class _GateSearch:
         known = known.with_evidence(p_counted, last=True)
         self.progress("identification")
         assert known.average is not None
-        answer = averaged(known.average, pairs, known.rule(), *known.numbers())
+        answer = averaged(known.average, pairs, known.rule(), *known.numbers(), known.log_beside())
         typical = known.average.typical
         limit = math.sqrt(left.limit)
         known = replace(known, errors=typical, learns_errors=True)
@@ -527,7 +527,9 @@ class _GateSearch:
 
     def _identified(self, known: Estimates) -> Identification:
         self.progress("identification")
-        pairs = known.setting.pairs
+        pairs, beside = known.setting.pairs, known.log_beside()
+        if beside is not None:
+            return averaged(None, pairs, known.rule(), *known.numbers(), beside)
         return identify(pairs.first, pairs.second, rule=known.rule(), gate=lambda first, second: pairs)
 
 
