@@ -43,15 +43,20 @@ class CompanionsTuning:
 
     radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
     reach: float = 7.0
-    gain: float = 6.0
+    gain: float = 8.0
     couples: int = 60_000
     most_dimensions: int = 3
     iterations: int = 100
+    mistaken: float = 0.5
+    significant: float = 2.5
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
 #: Squares of normalised distances within which records compete for a couple.
 NEAR = 25.0
+#: By how much of r/L fewer couples at a distance r a box of side L has than there would be without edges, in one, two and
+#: three dimensions.
+EDGES = (1.0, 4.0 / math.pi, 1.5)
 
 
 def ring(distance: FloatArray, radius: float, variance: FloatArray, d: int) -> FloatArray:
@@ -183,8 +188,11 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
         table = density * np.array([ring(distance, s, v, d) for s in radii])
         w = 2.0 * source.variance[centres]
         due += density * np.array([chndtr(reach**2 / w, d, s**2 / w).sum() for s in radii])
-        background = 0.5 * (source.density[i] + source.density[k])
-        own.append(float(source.density[centres].sum()) * _ball(d) * reach**d)
+        # Near its edge a field has fewer at a distance: of a box of side L, a share 1 − c r/L of all couples.
+        edge = EDGES[d - 1] * (density / len(source.points)) ** (1.0 / d)
+        background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
+        inside = max(1.0 - edge * reach * d / (d + 1.0), 0.1)
+        own.append(float(source.density[centres].sum()) * _ball(d) * reach**d * inside)
         parts.append((background, table))
         mean.append(density)
         found.append((i, k, len(centres), len(source.points)))
@@ -212,16 +220,20 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     gain = likelihood(volume, level) - none
     if not gain > tuning.gain:
         return None
-    squares, firsts, noise = 0.0, 0.0, 1.0
+    squares, firsts, noise, mistaken = 0.0, 0.0, 1.0, []
     for (i, _, count, size), (background, table), g in zip(found, parts, level, strict=True):
         excess = volume @ table
         p = excess / (g * background + excess)
         several = float((np.bincount(i, p, size) ** 2).sum() - (p**2).sum())
         ours, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
+        # What is there by chance may be a couple itself.
         squares += several - (chance**2 + 3.0 * chance * ours) / count
         firsts += ours**2 / count
         noise += 2.0 * several
-    further = squares / firsts if squares > 2.5 * math.sqrt(noise) else 0.0
+        mistaken.append(chance / max(chance + ours, 1e-300))
+    if max(mistaken) > tuning.mistaken:
+        return None
+    further = squares / firsts if squares > tuning.significant * math.sqrt(noise) else 0.0
     return Clustering(unit, radii, volume, further, (mean[0], mean[1]), gain)
 
 
