@@ -16,7 +16,7 @@ that a part of the objects have.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -47,7 +47,8 @@ class CompanionsTuning:
     couples: int = 60_000
     most_dimensions: int = 3
     iterations: int = 100
-    mistaken: float = 0.5
+    mistaken: float = 0.7
+    most: float = 1.2
     significant: float = 2.5
 
 
@@ -89,6 +90,7 @@ class Clustering:
     further: float
     mean: tuple[float, float]
     gain: float
+    shares: tuple[float, float] = (0.0, 0.0)
 
     @property
     def d(self) -> int:
@@ -162,6 +164,11 @@ def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
     return rows[bits < np.uint64(int(most / due * 2.0**64))]
 
 
+def _edge(source: _Source, d: int) -> float:
+    """By which share fewer couples there are at a distance of 1."""
+    return EDGES[d - 1] * float(source.density.mean() / len(source.points)) ** (1.0 / d)
+
+
 def _ball(d: int) -> float:
     return float(math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0))
 
@@ -189,7 +196,7 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
         w = 2.0 * source.variance[centres]
         due += density * np.array([chndtr(reach**2 / w, d, s**2 / w).sum() for s in radii])
         # Near its edge a field has fewer at a distance: of a box of side L, a share 1 − c r/L of all couples.
-        edge = EDGES[d - 1] * (density / len(source.points)) ** (1.0 / d)
+        edge = _edge(source, d)
         background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
         inside = max(1.0 - edge * reach * d / (d + 1.0), 0.1)
         own.append(float(source.density[centres].sum()) * _ball(d) * reach**d * inside)
@@ -233,8 +240,35 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
         mistaken.append(chance / max(chance + ours, 1e-300))
     if max(mistaken) > tuning.mistaken:
         return None
+    if float(volume.sum()) * max(mean) > tuning.most:
+        return None
     further = squares / firsts if squares > tuning.significant * math.sqrt(noise) else 0.0
-    return Clustering(unit, radii, volume, further, (mean[0], mean[1]), gain)
+    known = Clustering(unit, radii, volume, further, (mean[0], mean[1]), gain)
+    return replace(known, shares=_shares(known, sources, tuning))
+
+
+def _shares(known: Clustering, sources: tuple[_Source, _Source], tuning: CompanionsTuning) -> tuple[float, float]:
+    """Of the records of either source that have a partner, by how many of the other lie near beside companions of
+    theirs; too low where errors are larger than thought."""
+    from scipy.spatial import cKDTree
+
+    one, two = sources
+    centres = _some_centres(one, tuning.reach, known.d, tuning.couples)
+    found = cKDTree(one.points[centres]).sparse_distance_matrix(cKDTree(two.points), tuning.reach, output_type="ndarray")
+    if not len(found):
+        return 0.0, 0.0
+    i, k, distance = centres[found["i"]], found["j"], found["v"]
+    v = one.variance[i] + two.variance[k]
+    same = ring(distance, 0.0, v, known.d)
+    companions = known.at(distance, v) * known.mean[1]
+    background = two.density[k] * np.maximum(1.0 - _edge(one, known.d) * distance, 0.1)
+    due = float(_ball(known.d) * tuning.reach**known.d * len(centres)) * known.mean[1]
+    share, level = 0.5, 1.0
+    for _ in range(tuning.iterations):
+        total = share * same + companions + level * background
+        share = min(share * float((same / total).sum()) / len(centres), 1.0)
+        level *= float((background / total).sum()) / due
+    return share, min(share * known.mean[0] / known.mean[1], 1.0)
 
 
 @in_short
@@ -299,16 +333,16 @@ class Companions:
 
         share_1, share_2 : of the records of either source that have a partner.
         """
-        c1, c2 = max(share_2, 1e-3), max(share_1, 1e-3)
         known = self.clustering
+        c1, c2 = max(share_2, known.shares[1], 1e-3), max(share_1, known.shares[0], 1e-3)
         number = float(known.volume.sum()) * math.sqrt(known.mean[0] * known.mean[1] / (c1 * c2))
-        x, t = 1.0 - (1.0 - c1) * (1.0 - c2), known.further
+        # Of numbers with the mean n, the mean of n (n − 1) is no less than n (n − 1) of the mean.
+        x, t = 1.0 - (1.0 - c1) * (1.0 - c2), max(known.further, 1.0 - 1.0 / max(number, 1e-9))
         if t < 1.0:
-            p = min(number * (1.0 - t), 1.0)
+            p = number * (1.0 - t)
             void = max(1.0 - p * x, 1e-6)
-            part = p / (number * (1.0 - t))
-            none, one = part / void, part * t / void
-            here = part / max(1.0 - p * c1, 1e-6), part / max(1.0 - p * c2, 1e-6)
+            none, one = 1.0 / void, t / void
+            here = 1.0 / max(1.0 - p * c1, 1e-6), 1.0 / max(1.0 - p * c2, 1e-6)
         else:
             unseen = math.exp(-number * t * x)
             none, one = unseen / (1.0 - 1.0 / t + unseen / t), t
