@@ -22,7 +22,7 @@ from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
 from sameas.simulate.exposures import Exposure, Sky, exposure
-from sameas.simulate.formal import formal_field, growing_field
+from sameas.simulate.formal import couples_field, formal_field, growing_field
 from sameas.simulate.scenes import SimulatedScene
 from sameas.simulate.surveys import BlendedField, Counterparts, blended_field, counterparts
 from sameas.sky.crossmatch import nearest
@@ -250,6 +250,48 @@ def growing(options: argparse.Namespace) -> Iterator[Table]:
     yield Table(f"Errors that grow: {options.fields} fields of 3 000 objects each", columns, lines)
 
 
+#: Fields with couples: objects, share in couples, separation in errors of a record, share that either source misses.
+COUPLES = [
+    *((400, share, separation, missing) for share in (0.3, 1.0) for separation in (0.1, 0.5, 1.0, 2.0, 5.0, 20.0)
+      for missing in (0.0, 0.2, 0.4)),
+    (100, 0.3, 2.0, 0.3), (5000, 0.1, 2.0, 0.3), (400, 0.0, 0.0, 0.3),
+]  # fmt: skip
+
+
+def couples(options: argparse.Namespace) -> Iterator[Table]:
+    """Objects nearer to each other than a Poisson field has them: companions asked for, or not."""
+    lines: list[list[object]] = []
+    for objects, share, separation, missing in COUPLES:
+        ways = {
+            "sameas": DEFAULT_MATCH,
+            "no companions": replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None)),
+        }
+        judgements, sure = {way: Judged() for way in ways}, dict.fromkeys(ways, (0, 0))
+        beside = Nearest()
+        for number in range(max(1, 3 * options.objects // objects)):
+            seed = [163, objects, round(100 * share), round(10 * separation), round(100 * missing), number]
+            scene = couples_field(
+                np.random.default_rng(seed), objects, share=share, separation=separation, missing=missing
+            )
+            beside.add(scene)
+            for way, tuning in ways.items():
+                answer, _ = match(scene.first, scene.second, tuning=tuning)
+                judgements[way].add(answer, scene)
+                matches = answer.matches
+                right = is_true_pair((matches.rows_1, matches.rows_2), scene.true_pairs())
+                certain = matches.p_match > CERTAIN
+                sure[way] = sure[way][0] + int(certain.sum()), sure[way][1] + int((certain & ~right).sum())
+        _, found, wrong = beside.best()
+        line: list[object] = [objects, share, separation, missing, judgements["sameas"].true]
+        for way, it in judgements.items():
+            line += [it.found, it.wrong, it.expected, *sure[way]]
+        lines.append([*line, found, wrong])
+    own = ("right", "wrong", "expected wrong", "certain", "wrong of these")
+    columns = ("objects", "in couples", "separation, σ", "missed", "true pairs", *own,
+               *(f"no companions: {name}" for name in own), "mutual: right", "wrong")  # fmt: skip
+    yield Table("Couples of objects", columns, lines)
+
+
 def others(options: argparse.Namespace) -> Iterator[Table]:
     """STILTS and NWAY on some of the same fields, with the errors as they are quoted."""
     lines: list[list[object]] = []
@@ -451,6 +493,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         "scales": lambda: formal(SCALES, "Scales", options),
         "crowded": lambda: crowded(options),
         "growing": lambda: growing(options),
+        "couples": lambda: couples(options),
         "others": lambda: others(options),
         "columns": lambda: columns(options),
         "blends": lambda: blended(options),
@@ -470,7 +513,7 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=2, help="sets of counterparts (default 2)")
     parser.add_argument("--fields", type=int, default=4, help="fields with blends (default 4)")
     parser.add_argument("--blend-objects", type=int, default=4000, help="objects of each (default 4000)")
-    every = ["floors", "scales", "crowded", "growing", "others", "columns", "blends", "real"]
+    every = ["floors", "scales", "crowded", "growing", "couples", "others", "columns", "blends", "real"]
     parser.add_argument("--only", nargs="+", default=every, choices=every)
     options = parser.parse_args()
     options.interpreters = peers.Interpreters.of(options.peer_python)

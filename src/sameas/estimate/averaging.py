@@ -59,7 +59,13 @@ class Average:
         return self.average.typical(self.weight)
 
     def posterior(
-        self, pairs: Pairs, others: FloatArray, expected: float, seen: tuple[int, int], *, exact: bool = False,
+        self,
+        pairs: Pairs,
+        others: FloatArray,
+        expected: float,
+        seen: tuple[int, int],
+        *,
+        exact: bool = False,
         beside: FloatArray | None = None,
     ) -> tuple[Average, Averaged]:
         """The weights, and the probabilities of the pairs, when all other evidence of these is ``others`` (m,).
@@ -175,7 +181,8 @@ def identified(
         averaged = Averaged.one(pairs, _solved(pairs, log_ratio, posterior, beside)[0], log_ratio)
     else:
         _, averaged = average.posterior(pairs, others, expected, seen, exact=True, beside=beside)
-    terms = {**evidence.terms, "position": averaged.log_ratio - others}
+    changed, rest = ("position", others) if average is not None else ("companions", but(evidence, "companions"))
+    terms = {**evidence.terms, changed: averaged.log_ratio - rest}
     grouped = groups(pairs)
     best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))
     sure = posterior(grouped, best)
@@ -186,4 +193,9 @@ def identified(
 
 def but_positions(evidence: Evidence) -> FloatArray:
     """(m,) the sum of all terms but that of the positions."""
-    return np.asarray(sum(values for name, values in evidence.terms.items() if name != "position"))
+    return but(evidence, "position")
+
+
+def but(evidence: Evidence, left_out: str) -> FloatArray:
+    """(m,) the sum of all terms but one."""
+    return np.asarray(sum(values for name, values in evidence.terms.items() if name != left_out))

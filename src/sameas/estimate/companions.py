@@ -16,11 +16,13 @@ that a part of the objects have.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.estimate.cells import GridLevel
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
@@ -44,7 +46,10 @@ class CompanionsTuning:
     radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
     reach: float = 7.0
     gain: float = 8.0
-    couples: int = 60_000
+    couples: int = 30_000
+    records: int = 8_000
+    most_records: int = 200_000
+    score: float = 2.5
     most_dimensions: int = 3
     iterations: int = 100
     mistaken: float = 0.7
@@ -55,6 +60,10 @@ class CompanionsTuning:
 DEFAULT_COMPANIONS = CompanionsTuning()
 #: Squares of normalised distances within which records compete for a couple.
 NEAR = 25.0
+#: Records of both sources in a cell that is drawn, on average, and the seed of the draw.
+CELL, SEED = 1_000, 20_063
+#: Quantiles of the variances that stand for all.
+VARIANCES = np.linspace(0.01, 0.99, 50)
 #: By how much of r/L fewer couples at a distance r a box of side L has than there would be without edges, in one, two and
 #: three dimensions.
 EDGES = (1.0, 4.0 / math.pi, 1.5)
@@ -115,6 +124,10 @@ class _Source:
     density: FloatArray
     counted: BoolArray
 
+    def part(self, rows: IntArray) -> _Source:
+        """Some of its records."""
+        return _Source(self.points[rows], self.variance[rows], self.density[rows], self.counted[rows])
+
     def couples(self, reach: float, centres: IntArray | None) -> tuple[IntArray, IntArray, FloatArray]:
         from scipy.spatial import cKDTree
 
@@ -155,6 +168,21 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
     return one, two
 
 
+def _drawn(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, IntArray]:
+    """Records of either source in cells that hold enough of both; all, where these are hardly fewer."""
+    coarse = levels[0]
+    n = min(len(coarse.of_first), len(coarse.of_second))
+    if n > 2 * enough:
+        total = len(coarse.of_first) + len(coarse.of_second)
+        level = next((x for x in levels[::-1] if len(x.volume) * CELL <= total), coarse)
+        order = np.random.default_rng(SEED).permutation(len(level.volume))
+        sums = [np.cumsum(level.count(source)[order]) for source in (1, 2)]
+        drawn = np.zeros(len(order), np.bool_)
+        drawn[order[: max(int(np.searchsorted(sum_, enough)) for sum_ in sums) + 1]] = True
+        return np.flatnonzero(drawn[level.of_first]), np.flatnonzero(drawn[level.of_second])
+    return np.arange(len(coarse.of_first)), np.arange(len(coarse.of_second))
+
+
 def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
     rows = np.flatnonzero(source.counted)
     due = float(source.density[rows].sum()) * _ball(d) * reach**d + len(rows)
@@ -177,12 +205,14 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     """The excess of close couples in both sources; None where there is none to be seen."""
     from scipy.special import chndtr
 
-    d = setting.pairs.d
-    if d > tuning.most_dimensions:
+    d, records = setting.pairs.d, sum(setting.numbers)
+    if d > tuning.most_dimensions or not 0 < records <= tuning.most_records or records < sum(map(len, setting.counted)):
         return None
     unit = _unit(setting)
     radii, reach = np.array(tuning.radii), tuning.reach
-    sources = _sources(setting, unit)
+    one, two = _sources(setting, unit)
+    rows_1, rows_2 = _drawn(setting.levels, tuning.records)
+    sources = one.part(rows_1), two.part(rows_2)
     mean, parts, due, own = [], [], np.zeros(len(radii)), []
     found = []
     for source in sources:
@@ -190,11 +220,13 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
         if len(centres) < 2:
             return None
         i, k, distance = source.couples(reach, centres)
+        if not len(i):
+            return None
         density = float(source.density[centres].mean())
         v = source.variance[i] + source.variance[k]
         table = density * np.array([ring(distance, s, v, d) for s in radii])
-        w = 2.0 * source.variance[centres]
-        due += density * np.array([chndtr(reach**2 / w, d, s**2 / w).sum() for s in radii])
+        w = 2.0 * np.quantile(source.variance[centres], VARIANCES)
+        due += density * len(centres) * np.array([chndtr(reach**2 / w, d, s**2 / w).mean() for s in radii])
         # Near its edge a field has fewer at a distance: of a box of side L, a share 1 − c r/L of all couples.
         edge = _edge(source, d)
         background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
@@ -203,8 +235,13 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
         parts.append((background, table))
         mean.append(density)
         found.append((i, k, len(centres), len(source.points)))
-    volume = np.full(len(radii), 0.01 / max(due.sum(), 1e-300))
-    level = [1.0, 1.0]
+    level = [max(len(b), 1) / e for (b, _), e in zip(parts, own, strict=True)]
+    more, spread = -due, np.zeros(len(radii))
+    for (background, table), g in zip(parts, level, strict=True):
+        more = more + (table / (g * background)).sum(axis=1)
+        spread += ((table / (g * background)) ** 2).sum(axis=1)
+    if not (more > tuning.score * np.sqrt(spread)).any():
+        return None
 
     def likelihood(volume: FloatArray, level: list[float]) -> float:
         total = -float(volume @ due)
@@ -212,14 +249,11 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
             total += float(np.log(g * background + volume @ table).sum()) - g * expected
         return 0.5 * total
 
-    none = likelihood(0.0 * volume, [len(b) / e if len(b) else 1e-9 for (b, _), e in zip(parts, own, strict=True)])
+    none = likelihood(np.zeros(len(radii)), level)
     volume = np.full(len(radii), 0.1 * sum(len(b) for b, _ in parts) / max(due.sum(), 1e-300) / len(radii))
     for _ in range(tuning.iterations):
         summed = np.zeros(len(radii))
         for s, ((background, table), expected) in enumerate(zip(parts, own, strict=True)):
-            if not len(background):
-                level[s] = 1e-9
-                continue
             total = level[s] * background + volume @ table
             summed += (table / total).sum(axis=1)
             level[s] *= float((background / total).sum()) / expected
@@ -253,22 +287,24 @@ def _shares(known: Clustering, sources: tuple[_Source, _Source], tuning: Compani
     from scipy.spatial import cKDTree
 
     one, two = sources
-    centres = _some_centres(one, tuning.reach, known.d, tuning.couples)
-    found = cKDTree(one.points[centres]).sparse_distance_matrix(cKDTree(two.points), tuning.reach, output_type="ndarray")
+    found = cKDTree(one.points).sparse_distance_matrix(cKDTree(two.points), tuning.reach, output_type="ndarray")
+    n1, n2 = (int(np.count_nonzero(source.counted)) for source in sources)
     if not len(found):
         return 0.0, 0.0
-    i, k, distance = centres[found["i"]], found["j"], found["v"]
+    i, k, distance = found["i"], found["j"], found["v"]
     v = one.variance[i] + two.variance[k]
-    same = ring(distance, 0.0, v, known.d)
-    companions = known.at(distance, v) * known.mean[1]
-    background = two.density[k] * np.maximum(1.0 - _edge(one, known.d) * distance, 0.1)
-    due = float(_ball(known.d) * tuning.reach**known.d * len(centres)) * known.mean[1]
-    share, level = 0.5, 1.0
+    # Per unit of volume about all records: pairs there by chance, and of companions.
+    scale = math.sqrt(n1 * n2 * known.mean[0] * known.mean[1])
+    inside = np.maximum(1.0 - 0.5 * (_edge(one, known.d) + _edge(two, known.d)) * distance, 0.1)
+    background = scale * inside * np.sqrt(one.density[i] * two.density[k] / (known.mean[0] * known.mean[1]))
+    companions, same = scale * known.at(distance, v), ring(distance, 0.0, v, known.d)
+    due, most = scale * _ball(known.d) * tuning.reach**known.d, float(min(n1, n2))
+    common, level = 0.5 * most, 1.0
     for _ in range(tuning.iterations):
-        total = share * same + companions + level * background
-        share = min(share * float((same / total).sum()) / len(centres), 1.0)
+        total = common * same + companions + level * background
+        common = min(common * float((same / total).sum()), most)
         level *= float((background / total).sum()) / due
-    return share, min(share * known.mean[0] / known.mean[1], 1.0)
+    return common / n1, common / n2
 
 
 @in_short
@@ -321,6 +357,11 @@ class Companions:
         swap = _swaps(clustering, setting, sources, residual, nearest) if swaps else np.zeros(len(pairs))
         at = np.flatnonzero((excess > 1e-3) | (swap != 0.0))
         return cls(clustering, at, excess[at], taken[:, at], swap[at])
+
+    @property
+    def share(self) -> float:
+        """Of source 1's records that have a partner, as close pairs beyond chance and companions show."""
+        return self.clustering.shares[0]
 
     @property
     def rule(self) -> CompanionsRule:
@@ -382,7 +423,7 @@ def _swaps(
     near = pairs.mahalanobis_sq < NEAR
     found = _Lookup.of(i, j, len(pairs.second))
     v1, v2 = sources[0].variance, sources[1].variance
-    swap = np.zeros(len(pairs))
+    two_of_both, two_of_one = np.zeros((2, len(pairs))), np.zeros((2, len(pairs)))
 
     def log_w(apart: FloatArray, variance: FloatArray) -> FloatArray:
         return np.log1p(clustering.at(np.sqrt((apart**2).sum(axis=1)), variance))
@@ -393,7 +434,7 @@ def _swaps(
 
     for source, (mine, theirs) in enumerate(((i, j), (j, i))):
         mate = companion[source]
-        one = np.flatnonzero((mate > np.arange(len(mate))))
+        one = np.flatnonzero(mate > np.arange(len(mate)))
         two = mate[one]
         number = np.full(len(mate), -1)
         number[one] = number[two] = np.arange(len(one))
@@ -420,7 +461,8 @@ def _swaps(
                 apart = residual[x] - residual[a]
                 straight, crossed = apart - at_b + at_a, apart - at_x + at_y
             says = 0.25 * (log_w(straight, v_a + v_b) - log_w(crossed, v_x + v_y))
-            swap[a], swap[b], swap[x], swap[y] = says, says, -says, -says
+            for of, sign in ((a, 1.0), (b, 1.0), (x, -1.0), (y, -1.0)):
+                two_of_both[source, of] = sign * says
         c = np.flatnonzero(count == 1)
         r = known[start[c], 1]
         both = np.array([pair(one[c], r), pair(two[c], r)])
@@ -433,8 +475,9 @@ def _swaps(
             with_a = log_w(apart + sign * residual[a] * w_a[:, None], w_a * other[theirs[a]] + own[mine[b]])
             with_b = log_w(-apart + sign * residual[b] * w_b[:, None], w_b * other[theirs[b]] + own[mine[a]])
             says = 0.5 * (with_a - with_b)
-            swap[a], swap[b] = says, -says
-    return swap
+            two_of_one[source, a], two_of_one[source, b] = says, -says
+    said = np.count_nonzero(two_of_both, axis=0)
+    return np.where(said > 0, two_of_both.sum(axis=0) / np.maximum(said, 1), two_of_one.sum(axis=0))
 
 
 @dataclass(frozen=True)

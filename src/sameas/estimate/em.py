@@ -19,7 +19,7 @@ from sameas.assignment import assign
 from sameas.errors import InputError
 from sameas.estimate.averaging import Average, Averaged, but_positions
 from sameas.estimate.columns import ColumnEvidence
-from sameas.estimate.companions import Companions, clustering
+from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
 from sameas.estimate.coverage import local_share
 from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
@@ -57,7 +57,9 @@ class EMTuning:
         share of its standard error, or, of very few, when it changes by no more than this number.
     settled_weight : the weights of errors that are averaged over have settled when none changes by more than this.
     least_following : at least so much of each change is taken to follow in the next iteration.
-    scales : how the mixture of error scales is found.
+    scales : how the mixture of error scales is found. companions : how those of objects are; None asks for none.
+    disowned : what companions say is left out where, with it, fewer objects are common than this part of those that close
+        pairs beyond chance and companions show.
     """
 
     faint: float = 1e-3
@@ -76,6 +78,8 @@ class EMTuning:
     settled_weight: float = 0.01
     least_following: float = 0.25
     scales: ScalesTuning = DEFAULT_SCALES
+    companions: CompanionsTuning | None = DEFAULT_COMPANIONS
+    disowned: float = 0.5
 
 
 DEFAULT_EM = EMTuning()
@@ -163,7 +167,9 @@ class Estimates:
         return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1])).with_companions()
 
     def with_companions(self) -> Estimates:
-        excess = clustering(self.setting) if self.density is None else None
+        """The same with what the couples of either source say of these candidates."""
+        tuning = self.tuning.companions
+        excess = clustering(self.setting, tuning) if tuning is not None and self.density is None else None
         return replace(self, companions=None if excess is None else Companions.of(excess, self.setting))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
@@ -290,6 +296,8 @@ class Estimates:
         common = float(p_counted.sum())
         known = replace(self, common=common, change=0.0 if math.isnan(self.change) else common - self.common)
         known = known._with_partners(partner, self.setting.counted)
+        if self.companions is not None and known.means[0] < self.tuning.disowned * self.companions.share:
+            known = replace(known, companions=None)
         if common < self.tuning.fewest:
             return known
         grades = self.grades

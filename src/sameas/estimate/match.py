@@ -292,8 +292,8 @@ def match_sample(
     """
     seen = _photometry(coverage.first, coverage.second, brightness)
     every = Sampling(enough=2**62)
-    # What errors grow with would hold for the records of the sample alone.
-    tuning = replace(tuning, growing=False)
+    # What errors grow with would hold for the records of the sample alone; companions are asked of all records.
+    tuning = replace(tuning, growing=False, em=replace(tuning.em, companions=None))
     search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning, columns=columns)
     scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
     search, found, remarks = _converged(search, scan, errors, rounds)

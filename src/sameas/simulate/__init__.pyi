@@ -5,6 +5,7 @@ from .exposures import Sky as Sky
 from .exposures import exposure as exposure
 from .exposures import misquoted as misquoted
 from .exposures import with_outliers as with_outliers
+from .formal import couples_field as couples_field
 from .formal import formal_field as formal_field
 from .formal import growing_field as growing_field
 from .frames import Camera as Camera

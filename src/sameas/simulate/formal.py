@@ -124,6 +124,66 @@ def growing_field(
     return scene, (magnitudes[0], magnitudes[1]), true[1][truths[1]]
 
 
+def couples_field(
+    rng: np.random.Generator,
+    objects: int,
+    *,
+    share: float = 0.3,
+    separation: float = 2.0,
+    sigma_arcsec: tuple[float, float] = (0.1, 0.1),
+    chance: float = 0.1,
+    missing: float = 0.3,
+    members: int = 2,
+) -> SimulatedScene:
+    """Two sources of a square with more close couples than a Poisson field has; each misses objects by itself.
+
+    Parameters
+    ----------
+    rng : source of all random numbers.
+    objects : number of real objects in the field.
+    share : of them that lie in couples.
+    separation : of a couple, in standard errors of a record of the first source per axis, in any direction.
+    sigma_arcsec : error of a record of either source per axis, quoted as it is.
+    chance : other objects within 3σ of a pair, on average, beside companions.
+    missing : probability with which either source misses an object.
+    members : of a couple; where more than two, the others lie about the first with ``separation`` as their standard
+        deviation per axis.
+
+    Raises
+    ------
+    InputError : a number that is out of range.
+
+    >>> scene = couples_field(np.random.default_rng(1), 400)
+    >>> len(scene.first) < 400
+    True
+    """
+    possible = objects >= 1 and 0.0 <= share <= 1.0 and separation >= 0.0 and 0.0 <= missing < 1.0 and members >= 2
+    if not possible or not chance > 0.0 or not min(sigma_arcsec) > 0.0:
+        raise InputError(
+            f"couples_field: {objects} objects, a share of {share:g} in groups of {members} at {separation:g} errors, "
+            f"errors of {sigma_arcsec[0]:g} and {sigma_arcsec[1]:g} arcsec, {chance:g} by chance, {missing:g} missed; "
+            "give positive numbers, and shares between 0 and 1"
+        )
+    per_arcsec2 = chance / (math.pi * 9.0 * (sigma_arcsec[0] ** 2 + sigma_arcsec[1] ** 2))
+    side_deg = math.sqrt(objects / per_arcsec2) / 3600.0
+    place = LonLatBox((150.0, 150.0 + side_deg), (-side_deg / 2.0, side_deg / 2.0)).draw(rng, objects)
+    grouped = members * round(share * objects / members)
+    first = np.arange(grouped) // members * members
+    others = np.flatnonzero(first != np.arange(grouped))
+    apart = rng.standard_normal((len(others), 2))
+    if members == 2:
+        apart /= np.hypot(*apart.T)[:, None]
+    place[others] = displaced(place[first[others]], separation * sigma_arcsec[0] * apart)
+    sides, truths = [], []
+    for name, sigma in zip(("first", "second"), sigma_arcsec, strict=True):
+        truth = rng.permutation(np.flatnonzero(rng.uniform(size=objects) >= missing))
+        measured = displaced(place[truth], sigma * rng.standard_normal((len(truth), 2)))
+        sides.append(Records.of(measured, sigma=sigma, space=Sphere(), source=name))
+        truths.append(truth)
+    none = [np.zeros(len(truth), np.bool_) for truth in truths]
+    return SimulatedScene(sides[0], sides[1], truths[0], truths[1], none[0], none[1])
+
+
 def _measured(
     rng: np.random.Generator, place: FloatArray, quoted: tuple[float, float], scale: float, floor: float, name: str
 ) -> Records:

@@ -1,0 +1,140 @@
+"""Objects nearer to each other than a Poisson field has them: found, used, and not seen where there are none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sameas import ChiSquare, Identification, InputError, Records
+from sameas.estimate.companions import Companions, clustering, ring
+from sameas.estimate.coverage import Coverage
+from sameas.estimate.match import DEFAULT_MATCH, match
+from sameas.estimate.sample import Setting
+from sameas.score.pairs import is_true_pair
+from sameas.simulate.formal import couples_field
+from sameas.simulate.scenes import SimulatedScene
+
+WITHOUT = replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None))
+
+
+def setting_of(scene: SimulatedScene) -> Setting:
+    return Setting.whole(ChiSquare()(scene.first, scene.second), Coverage.of(scene.first, scene.second))
+
+
+def fields(seed: int, number: int, **options: float) -> list[SimulatedScene]:
+    return [couples_field(np.random.default_rng([seed, k]), 400, **options) for k in range(number)]  # type: ignore[arg-type]
+
+
+def certain_and_wrong(answer: Identification, scene: SimulatedScene) -> tuple[int, float]:
+    """How many pairs of p > 0.99 are wrong, and how many should be."""
+    matches = answer.matches
+    wrong = ~is_true_pair((matches.rows_1, matches.rows_2), scene.true_pairs())
+    sure = matches.p_match > 0.99
+    return int(wrong[sure].sum()), float((1.0 - matches.p_match[sure]).sum())
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_ring_is_a_density(d: int) -> None:
+    r = np.linspace(1e-6, 12.0, 20_001)
+    shell = {1: 2.0, 2: 2.0 * np.pi * r, 3: 4.0 * np.pi * r**2}[d]
+    for radius in (0.0, 0.7, 3.0):
+        assert np.trapezoid(shell * ring(r, radius, np.full(len(r), 0.8), d), r) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_a_ring_is_what_points_on_a_sphere_blurred_are(d: int) -> None:
+    rng = np.random.default_rng(d)
+    at = rng.standard_normal((400_000, d))
+    at *= 2.0 / np.sqrt((at**2).sum(axis=1))[:, None]
+    distance = np.sqrt(((at + 0.9 * rng.standard_normal(at.shape)) ** 2).sum(axis=1))
+    r = np.linspace(0.0, 2.0, 2001)[1:]
+    shell = {1: 2.0, 2: 2.0 * np.pi * r, 3: 4.0 * np.pi * r**2}[d]
+    inside = np.trapezoid(shell * ring(r, 2.0, np.full(len(r), 0.81), d), r)
+    assert inside == pytest.approx((distance < 2.0).mean(), abs=0.004)
+
+
+@pytest.mark.parametrize(("share", "separation"), [(0.3, 0.5), (0.3, 2.0), (1.0, 2.0), (1.0, 5.0)])
+def test_companions_are_as_many_as_there_are(share: float, separation: float) -> None:
+    scenes = fields(1, 4, share=share, separation=separation, missing=0.2)
+    seen = [clustering(setting_of(scene)) for scene in scenes]
+    numbers = [known.volume.sum() * np.mean(known.mean) for known in seen if known is not None]
+    assert len(numbers) == len(scenes)
+    # Of the companions that objects have, each source shows 0.8.
+    assert np.mean(numbers) == pytest.approx(0.8 * share, rel=0.15)
+    shares = [known.shares[0] for known in seen if known is not None]
+    assert np.mean(shares) == pytest.approx(0.8, abs=0.06)
+
+
+@pytest.mark.parametrize("chance", [0.01, 0.3, 3.0])
+def test_a_poisson_field_shows_none(chance: float) -> None:
+    scenes = fields(2, 10, share=0.0, chance=chance, missing=0.2)
+    assert [clustering(setting_of(scene)) for scene in scenes] == [None] * 10
+    scene = scenes[0]
+    with_them, _ = match(scene.first, scene.second)
+    without, _ = match(scene.first, scene.second, tuning=WITHOUT)
+    np.testing.assert_array_equal(with_them.p_pair, without.p_pair)
+
+
+@pytest.mark.slow_after(2)
+@pytest.mark.parametrize(
+    ("share", "separation", "missing"),
+    [(0.3, 0.5, 0.4), (1.0, 2.0, 0.4), (0.3, 0.1, 0.2), (0.3, 2.0, 0.4), (1.0, 0.5, 0.4), (1.0, 5.0, 0.4)],
+)
+def test_a_companion_is_not_taken_for_a_partner_that_was_missed(
+    share: float, separation: float, missing: float
+) -> None:
+    scenes = fields(3, 4, share=share, separation=separation, missing=missing)
+    wrong, expected, variance, certain, told = 0, 0.0, 0.0, 0, 0.0
+    for scene in scenes:
+        answer, _ = match(scene.first, scene.second)
+        matches = answer.matches
+        wrong += int((~is_true_pair((matches.rows_1, matches.rows_2), scene.true_pairs())).sum())
+        expected += answer.expected_wrong
+        variance += float((matches.p_match * (1.0 - matches.p_match)).sum())
+        here = certain_and_wrong(answer, scene)
+        certain, told = certain + here[0], told + here[1]
+    assert abs(wrong - expected) < 4.0 * np.sqrt(variance)
+    assert certain <= told + 3.0
+
+
+def test_sources_swapped_and_rows_shuffled_say_the_same() -> None:
+    (scene,) = fields(4, 1, share=0.5, separation=1.0)
+    answer, _ = match(scene.first, scene.second)
+    swapped, _ = match(scene.second, scene.first)
+    shuffled, _ = match(scene.first.part(np.random.default_rng(1).permutation(len(scene.first))), scene.second)
+    p = sorted(answer.p_pair)
+    np.testing.assert_allclose(sorted(swapped.p_pair), p, atol=1e-6)
+    np.testing.assert_allclose(sorted(shuffled.p_pair), p, atol=1e-6)
+
+
+def test_which_of_two_is_which_is_open_where_separations_are_those_of_errors() -> None:
+    (scene,) = fields(5, 1, share=1.0, separation=0.1, missing=0.0)
+    known, setting = clustering(setting_of(scene)), setting_of(scene)
+    assert known is not None
+    # Two couples far from all others: 1 and 2 of the first, at 3 and 4 of the second.
+    unit = float(known.unit[0]) * np.array([1.0, 0.0])
+    field = setting.pairs.first
+    at = field.features[:2] * 0.0 + [[160.0, 0.0], [160.0, 0.0]]
+    first = np.vstack([field.features, at + np.outer([-0.9, 0.9], unit / 3600.0)])
+    second = np.vstack([setting.pairs.second.features, at + np.outer([-0.8, 0.8], unit / 3600.0)])
+    one, two = (Records.of(x, sigma=0.1, space=field.space, source=name) for x, name in ((first, "a"), (second, "b")))
+    pairs = ChiSquare()(one, two)
+    whole = Setting.whole(pairs, Coverage.of(one, two))
+    said = Companions.of(known, whole)
+    swap = np.zeros(len(pairs))
+    swap[said.at] = said.swap
+    n = len(one)
+    by = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs.i, pairs.j, strict=True))}
+    a, b, x, y = (by[i, j] for i, j in ((n - 2, n - 2), (n - 1, n - 1), (n - 2, n - 1), (n - 1, n - 2)))
+    square = pairs.mahalanobis_sq
+    straight = 0.5 * (square[x] + square[y] - square[a] - square[b])
+    said_by_couples = swap[a] + swap[b] - swap[x] - swap[y]
+    assert straight > 2.0
+    assert -straight < said_by_couples < -0.3 * straight
+
+
+def test_numbers_out_of_range_are_refused() -> None:
+    with pytest.raises(InputError, match="couples_field: 400 objects, a share of 1.5"):
+        couples_field(np.random.default_rng(1), 400, share=1.5)
