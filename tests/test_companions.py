@@ -136,5 +136,5 @@ def test_which_of_two_is_which_is_open_where_separations_are_those_of_errors() -
 
 
 def test_numbers_out_of_range_are_refused() -> None:
-    with pytest.raises(InputError, match="couples_field: 400 objects, a share of 1.5"):
+    with pytest.raises(InputError, match=r"couples_field: 400 objects, a share of 1\.5"):
         couples_field(np.random.default_rng(1), 400, share=1.5)

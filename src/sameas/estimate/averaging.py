@@ -71,8 +71,8 @@ class Average:
         """The weights, and the probabilities of the pairs, when all other evidence of these is ``others`` (m,).
 
         expected : number of common objects that ``others`` let expect. seen : N₁, N₂, records that may be common.
-        exact : whether groups are summed exactly; else by messages. beside : (m,) ln of the odds of pairs to be companions,
-        before one-to-one.
+        exact : whether groups are summed exactly; else by messages.
+        beside : (m,) ln of the odds of pairs to be companions, before one-to-one.
         """
         solver: Solver = posterior if exact else by_messages
         p_pairs, log_weight, numbers = [], [], []
@@ -150,7 +150,7 @@ class Averaged:
             np.maximum(1.0 - np.bincount(at, p, n), 0.0)[at]
             for at, n in ((pairs.i, len(pairs.first)), (pairs.j, len(pairs.second)))
         )
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             log_weight = np.log(weight)[:, None]
             log_ratio = np.log(p) + np.log1p(-np.minimum(p, 1.0 - 1e-16)) - np.log(alone_1) - np.log(alone_2)
         least = np.minimum(alone_1, alone_2)

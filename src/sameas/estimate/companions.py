@@ -33,39 +33,46 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere, unit_vectors
 
 @dataclass(frozen=True)
 class CompanionsTuning:
-    """Attributes
+    """When companions are believed.
+
+    Attributes
     ----------
     radii : of the rings, in typical standard deviations of a residual. reach : so far companions are counted, in the
         same unit.
-    gain : ln of the likelihood by which companions must better that of the couples.
-    couples : about so many, of each source, tell.
-    most_dimensions : of the space.
-    iterations : of the fit.
+    records : of each source tell, about. couples : of them, about. iterations : of the fit.
+    most_records : of both sources for which they are asked. most_dimensions : of the space.
+    score : standard deviations by which couples at one distance must be more than a Poisson field has, for a fit.
+    gain : ln of the likelihood of the couples by which companions must better it.
+    mistaken : where a larger part of what looks like a companion is there by chance, the field is crowded, and
+    most : where records have more companions than this, it has clumps: of both the local densities tell.
+    significant : standard deviations by which records must have more than one companion, for that to be believed.
+    least_void : probability at least that no companion of an object is shown.
+    near : squares of normalised distances within which records compete for a couple.
     """
 
     radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
     reach: float = 7.0
-    gain: float = 8.0
-    couples: int = 30_000
     records: int = 8_000
-    most_records: int = 200_000
-    score: float = 2.5
-    most_dimensions: int = 3
+    couples: int = 30_000
     iterations: int = 100
+    most_records: int = 200_000
+    most_dimensions: int = 3
+    score: float = 2.5
+    gain: float = 8.0
     mistaken: float = 0.7
     most: float = 1.2
     significant: float = 2.5
+    least_void: float = 0.02
+    near: float = 25.0
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
-#: Squares of normalised distances within which records compete for a couple.
-NEAR = 25.0
 #: Records of both sources in a cell that is drawn, on average, and the seed of the draw.
 CELL, SEED = 1_000, 20_063
 #: Quantiles of the variances that stand for all.
 VARIANCES = np.linspace(0.01, 0.99, 50)
-#: By how much of r/L fewer couples at a distance r a box of side L has than there would be without edges, in one, two and
-#: three dimensions.
+#: By how much of r/L fewer couples at a distance r a box of side L has than it would have without edges, in one, two
+#: and three dimensions.
 EDGES = (1.0, 4.0 / math.pi, 1.5)
 
 
@@ -90,7 +97,8 @@ class Clustering:
 
     unit : (d,) typical standard deviation of a residual, in which all lengths are. radii : (r,) of the rings.
     volume : (r,) ∫ w of each. further : how many times as many companions an object has that has one.
-    mean : (ρ₁, ρ₂) mean densities.
+    mean : (ρ₁, ρ₂) mean densities. shares : of the records of either source that have a partner, by how many of the
+        other lie near; 0 where not asked.
     """
 
     unit: FloatArray
@@ -98,7 +106,6 @@ class Clustering:
     volume: FloatArray
     further: float
     mean: tuple[float, float]
-    gain: float
     shares: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -148,13 +155,13 @@ def _unit(setting: Setting) -> FloatArray:
     variance = np.median(one.variances, axis=0) + np.median(two.variances, axis=0)
     if isinstance(one.space, Sphere):
         variance = variance.mean()
-    return np.broadcast_to(np.sqrt(variance), setting.pairs.d)
+    return np.array(np.broadcast_to(np.sqrt(variance), setting.pairs.d))
 
 
 def _points(records: Records, unit: FloatArray) -> FloatArray:
     if isinstance(records.space, Sphere):
         return unit_vectors(*records.features.T) * (ARCSEC_PER_RADIAN / unit[0])
-    return records.features / unit
+    return np.asarray(records.features / unit)
 
 
 def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
@@ -194,91 +201,119 @@ def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
 
 def _edge(source: _Source, d: int) -> float:
     """By which share fewer couples there are at a distance of 1."""
-    return EDGES[d - 1] * float(source.density.mean() / len(source.points)) ** (1.0 / d)
+    return EDGES[d - 1] * math.pow(float(source.density.mean()) / len(source.points), 1.0 / d)
 
 
 def _ball(d: int) -> float:
     return float(math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0))
 
 
-def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Clustering | None:
-    """The excess of close couples in both sources; None where there is none to be seen."""
-    from scipy.special import chndtr
+@in_short
+@dataclass(frozen=True)
+class _Couples:
+    """Couples of one source's records, c of them, each from either of its records.
 
-    d, records = setting.pairs.d, sum(setting.numbers)
-    if d > tuning.most_dimensions or not 0 < records <= tuning.most_records or records < sum(map(len, setting.counted)):
-        return None
-    unit = _unit(setting)
-    radii, reach = np.array(tuning.radii), tuning.reach
-    one, two = _sources(setting, unit)
-    rows_1, rows_2 = _drawn(setting.levels, tuning.records)
-    sources = one.part(rows_1), two.part(rows_2)
-    mean, parts, due, own = [], [], np.zeros(len(radii)), []
-    found = []
-    for source in sources:
-        centres = _some_centres(source, reach, d, tuning.couples)
+    first : (c,) the record that it is seen from. background : (c,) density of couples of a Poisson field there, and
+    expected : how many of them are due. table : (r, c) what a ring of unit volume adds, (r,) due : how many that is.
+    centres : records that couples are seen from, size : records of them all, density : their mean one.
+    """
+
+    first: IntArray
+    background: FloatArray
+    expected: float
+    table: FloatArray
+    due: FloatArray
+    centres: int
+    size: int
+    density: float
+
+    @classmethod
+    def of(cls, source: _Source, d: int, tuning: CompanionsTuning) -> _Couples | None:
+        """Those of some records; None where there is none."""
+        from scipy.special import chndtr
+
+        reach, centres = tuning.reach, _some_centres(source, tuning.reach, d, tuning.couples)
         if len(centres) < 2:
             return None
         i, k, distance = source.couples(reach, centres)
         if not len(i):
             return None
-        density = float(source.density[centres].mean())
-        v = source.variance[i] + source.variance[k]
-        table = density * np.array([ring(distance, s, v, d) for s in radii])
-        w = 2.0 * np.quantile(source.variance[centres], VARIANCES)
-        due += density * len(centres) * np.array([chndtr(reach**2 / w, d, s**2 / w).mean() for s in radii])
+        density, variance = float(source.density[centres].mean()), source.variance[i] + source.variance[k]
+        table = density * np.array([ring(distance, radius, variance, d) for radius in tuning.radii])
+        typical = 2.0 * np.quantile(source.variance[centres], VARIANCES)
+        within = [float(chndtr(reach**2 / typical, d, radius**2 / typical).mean()) for radius in tuning.radii]
         # Near its edge a field has fewer at a distance: of a box of side L, a share 1 − c r/L of all couples.
         edge = _edge(source, d)
         background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
         inside = max(1.0 - edge * reach * d / (d + 1.0), 0.1)
-        own.append(float(source.density[centres].sum()) * _ball(d) * reach**d * inside)
-        parts.append((background, table))
-        mean.append(density)
-        found.append((i, k, len(centres), len(source.points)))
-    level = [max(len(b), 1) / e for (b, _), e in zip(parts, own, strict=True)]
-    more, spread = -due, np.zeros(len(radii))
-    for (background, table), g in zip(parts, level, strict=True):
-        more = more + (table / (g * background)).sum(axis=1)
-        spread += ((table / (g * background)) ** 2).sum(axis=1)
-    if not (more > tuning.score * np.sqrt(spread)).any():
-        return None
+        expected = float(source.density[centres].sum()) * _ball(d) * reach**d * inside
+        due = density * len(centres) * np.array(within)
+        return cls(i, background, expected, table, due, len(centres), len(source.points), density)
 
-    def likelihood(volume: FloatArray, level: list[float]) -> float:
-        total = -float(volume @ due)
-        for (background, table), g, expected in zip(parts, level, own, strict=True):
-            total += float(np.log(g * background + volume @ table).sum()) - g * expected
-        return 0.5 * total
+    def log_likelihood(self, volume: FloatArray, level: float) -> float:
+        """ln of that of the couples, each counted once."""
+        density = level * self.background + volume @ self.table
+        return 0.5 * (float(np.log(density).sum()) - level * self.expected - float(volume @ self.due))
 
-    none = likelihood(np.zeros(len(radii)), level)
-    volume = np.full(len(radii), 0.1 * sum(len(b) for b, _ in parts) / max(due.sum(), 1e-300) / len(radii))
-    for _ in range(tuning.iterations):
-        summed = np.zeros(len(radii))
-        for s, ((background, table), expected) in enumerate(zip(parts, own, strict=True)):
-            total = level[s] * background + volume @ table
-            summed += (table / total).sum(axis=1)
-            level[s] *= float((background / total).sum()) / expected
-        volume = volume * summed / due
-    gain = likelihood(volume, level) - none
-    if not gain > tuning.gain:
+    def companions(self, volume: FloatArray, level: float) -> FloatArray:
+        """(c,) how probable it is that a couple is one of companions."""
+        excess = volume @ self.table
+        return np.asarray(excess / (level * self.background + excess))
+
+
+def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Clustering | None:
+    """The excess of close couples in both sources; None where there is none to be seen."""
+    d, records = setting.pairs.d, sum(setting.numbers)
+    if d > tuning.most_dimensions or not 0 < records <= tuning.most_records or records < sum(map(len, setting.counted)):
         return None
-    squares, firsts, noise, mistaken = 0.0, 0.0, 1.0, []
-    for (i, _, count, size), (background, table), g in zip(found, parts, level, strict=True):
-        excess = volume @ table
-        p = excess / (g * background + excess)
-        several = float((np.bincount(i, p, size) ** 2).sum() - (p**2).sum())
+    unit = _unit(setting)
+    rows = _drawn(setting.levels, tuning.records)
+    one, two = (source.part(some) for source, some in zip(_sources(setting, unit), rows, strict=True))
+    of_1, of_2 = _Couples.of(one, d, tuning), _Couples.of(two, d, tuning)
+    if of_1 is None or of_2 is None:
+        return None
+    volume, levels, gain = _fitted((of_1, of_2), tuning)
+    if not gain > tuning.gain or float(volume.sum()) * max(of_1.density, of_2.density) > tuning.most:
+        return None
+    squares, firsts, noise = 0.0, 0.0, 1.0
+    for couples, level in zip((of_1, of_2), levels, strict=True):
+        p = couples.companions(volume, level)
+        several = float((np.bincount(couples.first, p, couples.size) ** 2).sum() - (p**2).sum())
         ours, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
+        if chance > tuning.mistaken * (chance + ours):
+            return None
         # What is there by chance may be a couple itself.
-        squares += several - (chance**2 + 3.0 * chance * ours) / count
-        firsts += ours**2 / count
+        squares += several - (chance**2 + 3.0 * chance * ours) / couples.centres
+        firsts += ours**2 / couples.centres
         noise += 2.0 * several
-        mistaken.append(chance / max(chance + ours, 1e-300))
-    if max(mistaken) > tuning.mistaken:
-        return None
-    if float(volume.sum()) * max(mean) > tuning.most:
-        return None
     further = squares / firsts if squares > tuning.significant * math.sqrt(noise) else 0.0
-    known = Clustering(unit, radii, volume, further, (mean[0], mean[1]), gain)
-    return replace(known, shares=_shares(known, sources, tuning))
+    known = Clustering(unit, np.array(tuning.radii), volume, further, (of_1.density, of_2.density))
+    return replace(known, shares=_shares(known, (one, two), tuning))
+
+
+def _fitted(
+    sources: tuple[_Couples, _Couples], tuning: CompanionsTuning
+) -> tuple[FloatArray, tuple[float, float], float]:
+    """(r,) ∫ w of each ring, how many times as many other couples there are as densities say, and by how much that
+    betters ln of the likelihood without companions: by EM, couple by couple; none where no distance has more."""
+    due = sources[0].due + sources[1].due
+    levels = [len(couples.background) / couples.expected for couples in sources]
+    ratios = [couples.table / (level * couples.background) for couples, level in zip(sources, levels, strict=True)]
+    more = ratios[0].sum(axis=1) + ratios[1].sum(axis=1) - due
+    spread = np.sqrt((ratios[0] ** 2).sum(axis=1) + (ratios[1] ** 2).sum(axis=1))
+    if not (more > tuning.score * spread).any():
+        return np.zeros(len(due)), (1.0, 1.0), 0.0
+    none = sum(x.log_likelihood(np.zeros(len(due)), level) for x, level in zip(sources, levels, strict=True))
+    volume = np.full(len(due), 0.1 * sum(len(couples.background) for couples in sources) / due.sum() / len(due))
+    for _ in range(tuning.iterations):
+        seen = np.zeros(len(due))
+        for s, couples in enumerate(sources):
+            density = levels[s] * couples.background + volume @ couples.table
+            seen += couples.table @ (1.0 / density)
+            levels[s] *= float((couples.background / density).sum()) / couples.expected
+        volume = volume * seen / due
+    found = sum(x.log_likelihood(volume, level) for x, level in zip(sources, levels, strict=True))
+    return volume, (levels[0], levels[1]), found - none
 
 
 def _shares(known: Clustering, sources: tuple[_Source, _Source], tuning: CompanionsTuning) -> tuple[float, float]:
@@ -326,9 +361,9 @@ class CompanionsRule(Rule):
 class Companions:
     """What is known of companions, for one list of candidates.
 
-    at : (q,) pairs that it matters for. excess : (q,) w of their residuals, by the densities there. shown : (2, q) odds that
-    their record of either source has a companion there, if no more than a Poisson field's have. swap : (q,) ln of what the separation of
-    couples says of which of two is which.
+    at : (q,) pairs that it matters for. excess : (q,) w of their residuals, by the densities there.
+    shown : (2, q) odds that their record of either source has a companion there, if objects had no more than a Poisson
+        field has. swap : (q,) ln of what the separations of couples say of which of two is which.
     """
 
     clustering: Clustering
@@ -336,27 +371,27 @@ class Companions:
     excess: FloatArray
     shown: FloatArray
     swap: FloatArray = field(repr=False)
+    tuning: CompanionsTuning = DEFAULT_COMPANIONS
 
     @classmethod
-    def of(cls, clustering: Clustering, setting: Setting, swaps: bool = True) -> Companions:
+    def of(cls, clustering: Clustering, setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Companions:
+        """For all candidates of a setting."""
         pairs, unit = setting.pairs, clustering.unit
-        sources = _sources(setting, unit)
-        variance = sources[0].variance[pairs.i] + sources[1].variance[pairs.j]
+        one, two = _sources(setting, unit)
         residual = pairs.residual / unit
-        local = [mean / source.density for mean, source in zip(clustering.mean, sources, strict=True)]
-        excess = clustering.at(np.sqrt((residual**2).sum(axis=1)), variance)
+        local = clustering.mean[0] / one.density, clustering.mean[1] / two.density
+        excess = clustering.at(np.sqrt((residual**2).sum(axis=1)), one.variance[pairs.i] + two.variance[pairs.j])
         excess *= np.sqrt(local[0][pairs.i] * local[1][pairs.j])
-        alone, nearest = [], []
-        for source, relative in zip(sources, local, strict=True):
-            i, k, distance = source.couples(DEFAULT_COMPANIONS.reach, None)
+        numbers, companion = [], []
+        for source, relative in zip((one, two), local, strict=True):
+            i, k, distance = source.couples(tuning.reach, None)
             w = clustering.at(distance, source.variance[i] + source.variance[k]) * np.sqrt(relative[i] * relative[k])
-            number = np.bincount(i, w, len(source.points))
-            alone.append(number)
-            nearest.append(_companion(i, k, w / (1.0 + w), len(source.points)))
-        taken = np.stack([alone[0][pairs.i], alone[1][pairs.j]])
-        swap = _swaps(clustering, setting, sources, residual, nearest) if swaps else np.zeros(len(pairs))
+            numbers.append(np.bincount(i, w, len(source.points)))
+            companion.append(_companion(i, k, w / (1.0 + w), len(source.points)))
+        swap = _swaps(clustering, setting, (one, two), residual, companion, tuning.near)
         at = np.flatnonzero((excess > 1e-3) | (swap != 0.0))
-        return cls(clustering, at, excess[at], taken[:, at], swap[at])
+        shown = np.stack([numbers[0][pairs.i[at]], numbers[1][pairs.j[at]]])
+        return cls(clustering, at, excess[at], shown, swap[at], tuning)
 
     @property
     def share(self) -> float:
@@ -374,25 +409,25 @@ class Companions:
 
         share_1, share_2 : of the records of either source that have a partner.
         """
-        known = self.clustering
+        known, least = self.clustering, self.tuning.least_void
+        # Shares that are still being estimated must not fall because companions seem to be many, nor these grow by it.
         c1, c2 = max(share_2, known.shares[1], 1e-3), max(share_1, known.shares[0], 1e-3)
         number = float(known.volume.sum()) * math.sqrt(known.mean[0] * known.mean[1] / (c1 * c2))
-        # Of numbers with the mean n, the mean of n (n − 1) is no less than n (n − 1) of the mean.
+        # Of whole numbers n with the mean N, the mean of n (n − 1) is not below N (N − 1).
         x, t = 1.0 - (1.0 - c1) * (1.0 - c2), max(known.further, 1.0 - 1.0 / max(number, 1e-9))
         if t < 1.0:
             p = number * (1.0 - t)
-            void = max(1.0 - p * x, 1e-6)
+            void = max(1.0 - p * x, least)
             none, one = 1.0 / void, t / void
-            here = 1.0 / max(1.0 - p * c1, 1e-6), 1.0 / max(1.0 - p * c2, 1e-6)
+            here = 1.0 / max(1.0 - p * c1, least), 1.0 / max(1.0 - p * c2, least)
         else:
             unseen = math.exp(-number * t * x)
             none, one = unseen / (1.0 - 1.0 / t + unseen / t), t
             here = none, none
         alone = 1.0 / ((1.0 + here[0] * self.shown[0]) * (1.0 + here[1] * self.shown[1]))
-        ratio = one + (none - one) * alone
         out = np.full(n, -np.inf)
         with np.errstate(divide="ignore"):
-            out[self.at] = np.log(ratio * self.excess)
+            out[self.at] = np.log((one + (none - one) * alone) * self.excess)
         return out
 
 
@@ -415,12 +450,13 @@ def _swaps(
     sources: tuple[_Source, _Source],
     residual: FloatArray,
     companion: list[IntArray],
+    nearest: float,
 ) -> FloatArray:
     """(m,) what the separations of couples say of pairs, where two records of a source compete for one or two of the
     other, and for no more."""
     pairs = setting.pairs
     i, j = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
-    near = pairs.mahalanobis_sq < NEAR
+    near = pairs.mahalanobis_sq < nearest
     found = _Lookup.of(i, j, len(pairs.second))
     v1, v2 = sources[0].variance, sources[1].variance
     two_of_both, two_of_one = np.zeros((2, len(pairs))), np.zeros((2, len(pairs)))
@@ -498,4 +534,4 @@ class _Lookup:
         """(k,) positions of pairs; −1 of those that are none."""
         wanted = i * self.n2 + j
         place = np.minimum(np.searchsorted(self.key, wanted), len(self.key) - 1)
-        return np.where(self.key[place] == wanted, self.order[place], -1)
+        return np.asarray(np.where(self.key[place] == wanted, self.order[place], -1))

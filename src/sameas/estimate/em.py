@@ -58,8 +58,8 @@ class EMTuning:
     settled_weight : the weights of errors that are averaged over have settled when none changes by more than this.
     least_following : at least so much of each change is taken to follow in the next iteration.
     scales : how the mixture of error scales is found. companions : how those of objects are; None asks for none.
-    disowned : what companions say is left out where, with it, fewer objects are common than this part of those that close
-        pairs beyond chance and companions show.
+    disowned : what companions say is left out where, with it, fewer objects are common than this part of those that
+        close pairs beyond chance and companions show.
     """
 
     faint: float = 1e-3
@@ -107,6 +107,7 @@ class Estimates:
     density : (ρ₁, ρ₂) of all records of each source where the user gave them, else None.
     average : errors that too few pairs leave open, over which probabilities are averaged; None where ``errors`` hold.
     columns : other columns that are evidence, None where none are.
+    companions : what is known of objects near each other, None where there are no more than by chance.
     """
 
     setting: Setting
@@ -169,8 +170,10 @@ class Estimates:
     def with_companions(self) -> Estimates:
         """The same with what the couples of either source say of these candidates."""
         tuning = self.tuning.companions
-        excess = clustering(self.setting, tuning) if tuning is not None and self.density is None else None
-        return replace(self, companions=None if excess is None else Companions.of(excess, self.setting))
+        if tuning is None or self.density is not None:
+            return self
+        known = clustering(self.setting, tuning)
+        return replace(self, companions=known and Companions.of(known, self.setting, tuning))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
         return replace(self, partner=partner, counted=counted, local=_local(self.setting, partner, counted))
