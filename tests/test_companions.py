@@ -38,7 +38,7 @@ def certain_and_wrong(answer: Identification, scene: SimulatedScene) -> tuple[in
 @pytest.mark.parametrize("d", [1, 2, 3])
 def test_a_ring_is_a_density(d: int) -> None:
     r = np.linspace(1e-6, 12.0, 20_001)
-    shell = {1: 2.0, 2: 2.0 * np.pi * r, 3: 4.0 * np.pi * r**2}[d]
+    shell = (np.full(len(r), 2.0), 2.0 * np.pi * r, 4.0 * np.pi * r**2)[d - 1]
     for radius in (0.0, 0.7, 3.0):
         assert np.trapezoid(shell * ring(r, radius, np.full(len(r), 0.8), d), r) == pytest.approx(1.0, abs=1e-5)
 
@@ -50,7 +50,7 @@ def test_a_ring_is_what_points_on_a_sphere_blurred_are(d: int) -> None:
     at *= 2.0 / np.sqrt((at**2).sum(axis=1))[:, None]
     distance = np.sqrt(((at + 0.9 * rng.standard_normal(at.shape)) ** 2).sum(axis=1))
     r = np.linspace(0.0, 2.0, 2001)[1:]
-    shell = {1: 2.0, 2: 2.0 * np.pi * r, 3: 4.0 * np.pi * r**2}[d]
+    shell = (np.full(len(r), 2.0), 2.0 * np.pi * r, 4.0 * np.pi * r**2)[d - 1]
     inside = np.trapezoid(shell * ring(r, 2.0, np.full(len(r), 0.81), d), r)
     assert inside == pytest.approx((distance < 2.0).mean(), abs=0.004)
 

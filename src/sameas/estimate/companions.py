@@ -160,7 +160,7 @@ def _unit(setting: Setting) -> FloatArray:
 
 def _points(records: Records, unit: FloatArray) -> FloatArray:
     if isinstance(records.space, Sphere):
-        return unit_vectors(*records.features.T) * (ARCSEC_PER_RADIAN / unit[0])
+        return np.asarray(unit_vectors(*records.features.T) * (ARCSEC_PER_RADIAN / unit[0]))
     return np.asarray(records.features / unit)
 
 
@@ -390,7 +390,7 @@ class Companions:
             companion.append(_companion(i, k, w / (1.0 + w), len(source.points)))
         swap = _swaps(clustering, setting, (one, two), residual, companion, tuning.near)
         at = np.flatnonzero((excess > 1e-3) | (swap != 0.0))
-        shown = np.stack([numbers[0][pairs.i[at]], numbers[1][pairs.j[at]]])
+        shown = np.array([numbers[0][pairs.i[at]], numbers[1][pairs.j[at]]], np.float64)
         return cls(clustering, at, excess[at], shown, swap[at], tuning)
 
     @property
@@ -513,7 +513,8 @@ def _swaps(
             says = 0.5 * (with_a - with_b)
             two_of_one[source, a], two_of_one[source, b] = says, -says
     said = np.count_nonzero(two_of_both, axis=0)
-    return np.where(said > 0, two_of_both.sum(axis=0) / np.maximum(said, 1), two_of_one.sum(axis=0))
+    both = two_of_both.sum(axis=0) / np.maximum(said, 1)
+    return np.asarray(np.where(said > 0, both, two_of_one.sum(axis=0)))
 
 
 @dataclass(frozen=True)

@@ -173,7 +173,7 @@ class Estimates:
         if tuning is None or self.density is not None:
             return self
         known = clustering(self.setting, tuning)
-        return replace(self, companions=known and Companions.of(known, self.setting, tuning))
+        return replace(self, companions=None if known is None else Companions.of(known, self.setting, tuning))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
         return replace(self, partner=partner, counted=counted, local=_local(self.setting, partner, counted))
