@@ -71,7 +71,10 @@ def test_companions_are_as_many_as_there_are(share: float, separation: float) ->
 def test_a_poisson_field_shows_none(chance: float) -> None:
     scenes = fields(2, 10, share=0.0, chance=chance, missing=0.2)
     assert [clustering(setting_of(scene)) for scene in scenes] == [None] * 10
-    scene = scenes[0]
+
+
+def test_a_poisson_field_is_answered_as_if_nobody_asked() -> None:
+    (scene,) = fields(2, 1, share=0.0, chance=0.3, missing=0.2)
     with_them, _ = match(scene.first, scene.second)
     without, _ = match(scene.first, scene.second, tuning=WITHOUT)
     np.testing.assert_array_equal(with_them.p_pair, without.p_pair)
