@@ -165,14 +165,21 @@ class Estimates:
         if columns is not None and self.columns is not None:
             columns = self.columns.at(setting, columns)
         known_there = replace(self, setting=setting, photometry=photometry, change=0.0, grades=grades, columns=columns)
-        return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1])).with_companions()
+        return known_there._with_partners((partner[0], partner[1]), (counted[0], counted[1])).with_companions(self)
 
-    def with_companions(self) -> Estimates:
-        """The same with what the couples of either source say of these candidates."""
+    def with_companions(self, before: Estimates | None = None) -> Estimates:
+        """The same with what the couples of either source say of these candidates.
+
+        before : what was known of other candidates, perhaps of the same records, which are not asked again.
+        """
         tuning = self.tuning.companions
         if tuning is None or self.density is not None:
             return self
-        known = clustering(self.setting, tuning)
+        here, there = self.setting.pairs, None if before is None else before.setting.pairs
+        if before is not None and there is not None and there.first is here.first and there.second is here.second:
+            known = None if before.companions is None else before.companions.clustering
+        else:
+            known = clustering(self.setting, tuning)
         return replace(self, companions=None if known is None else Companions.of(known, self.setting, tuning))
 
     def _with_partners(self, partner: Both, counted: tuple[BoolArray, BoolArray]) -> Estimates:
