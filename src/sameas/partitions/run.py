@@ -103,9 +103,9 @@ class RunTuning:
 
 
 DEFAULT_RUN = RunTuning()
-#: Records of both catalogues that are decided at once, and their candidates, of which each takes 0.3 kB: 0.6 GB of
+#: Records of both catalogues that are decided at once, and their candidates, of which each takes 0.4 kB: 0.6 GB of
 #: memory with what is loaded, and with what is summed. Fewer make halos a larger part of the work.
-PIECE_ROWS, PIECE_PAIRS = 300_000, 900_000
+PIECE_ROWS, PIECE_PAIRS = 300_000, 750_000
 
 
 @dataclass(frozen=True)
