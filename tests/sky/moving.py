@@ -5,10 +5,15 @@ import numpy as np
 from sameas.sky import Detections
 
 
-def night(seed, *, movers=40, false=60, times_min=(0, 20, 45, 70), side_deg=1.0, sigma=0.2, p_detect=0.85, rate=None):
-    """Detections of a square field about the opposition point, and the number of the mover of each, −1 for false ones.
+def night(
+    seed, *, movers=40, false=60, times_min=(0, 20, 45, 70), side_deg=1.0, sigma=0.2, p_detect=0.85, rate=None, stars=0,
+    larger=1.0, apart=0.0,
+):  # fmt: skip
+    """Detections of a square field about the opposition point, and the number of the mover of each, −1 for others.
 
-    movers : of the main belt, or of given rates (n, 2) arcsec/min. false : on every exposure.
+    movers : of the main belt, or of given rates (n, 2) arcsec/min. false : on every exposure. stars : that stand still,
+    on nine exposures of ten. larger : errors are so many times what is quoted. apart : arcsec, 1σ per axis by which an
+    exposure's places are off.
     """
     rng = np.random.default_rng(seed)
     mjd0, ra0, dec0 = 59300.0, 190.0, -4.0
@@ -17,13 +22,19 @@ def night(seed, *, movers=40, false=60, times_min=(0, 20, 45, 70), side_deg=1.0,
         # Retrograde along the ecliptic, which falls to the east here.
         rate = np.array([-0.5, 0.21]) + rng.normal(0.0, 0.08, (movers, 2))
     magnitude = rng.uniform(17.0, 20.0, movers)
+    fixed = rng.uniform(-0.5, 0.5, (stars, 2)) * side_deg * 3600.0
+    light = rng.uniform(17.0, 20.0, stars)
     rows = []
     for frame, minutes in enumerate(times_min):
         seen = np.flatnonzero(rng.random(movers) < p_detect)
-        place = at[seen] + minutes * rate[seen] + sigma * rng.standard_normal((len(seen), 2))
+        off = apart * rng.standard_normal(2) if apart else 0.0
+        place = at[seen] + minutes * rate[seen] + off + larger * sigma * rng.standard_normal((len(seen), 2))
         rows += [(frame, *xy, minutes, m, k) for xy, m, k in zip(place, magnitude[seen], seen, strict=True)]
         other = rng.uniform(-0.5, 0.5, (false, 2)) * side_deg * 3600.0
         rows += [(frame, *xy, minutes, rng.uniform(17.0, 20.0), -1) for xy in other]
+        there = np.flatnonzero(rng.random(stars) < 0.9)
+        place = fixed[there] + off + larger * sigma * rng.standard_normal((len(there), 2))
+        rows += [(frame, *xy, minutes, m, -1) for xy, m in zip(place, light[there], strict=True)]
     frame, x, y, minutes, bright, truth = (np.array(column) for column in zip(*rows, strict=True))
     order = rng.permutation(len(frame))
     dec = dec0 + y / 3600.0

@@ -255,6 +255,51 @@ def test_doubtful_rows_are_set_aside_with_the_reason():
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("trouble", [{}, {"larger": 2.5}, {"apart": 0.4}, {"times_min": (0, 30)}])
+def test_what_stands_still_is_no_mover(trouble):
+    """Stars whose errors are larger than quoted, on exposures that are off each other; and movers all the same."""
+    detections, truth = night(21, movers=10, false=20, stars=150, p_detect=1.0, **trouble)
+    found = find_movers(detections, least_probability=0.9)
+    pure, _ = named(found, truth)
+    assert pure.all() and len(found) >= 9
+    assert not truth[found.still.rows].max() >= 0 and 100 <= found.still.places <= 150
+    assert abs(found.still.error_scale - trouble.get("larger", 1.0)) < 0.3
+    off = np.abs(found.still.offset_arcsec).max()
+    assert off > 0.2 if "apart" in trouble else off < 0.15
+
+
+def test_two_stars_closer_than_their_errors_are_no_movers():
+    """Which detection is of which of them is open; that they stand still is not."""
+    rng = np.random.default_rng(4)
+    place = np.concatenate([rng.uniform(-900, 900, (30, 2)), [[100.0, 100.0], [100.3, 100.0]]])
+    t = np.repeat([0.0, 14.0, 31.0, 50.0], len(place))
+    place = np.tile(place, (4, 1)) + 0.2 * rng.standard_normal((4 * len(place), 2))
+    dec = 5.0 + place[:, 1] / 3600.0
+    seen = Detections.of(
+        190.0 + place[:, 0] / 3600.0 / np.cos(np.radians(dec)), dec, 59300.0 + t / 1440.0, sigma_arcsec=0.2
+    )
+    found = find_movers(seen)
+    assert len(found) == 0 and found.still.rows.all()
+
+
+def test_a_mover_hardly_faster_than_its_errors_is_no_star():
+    """0.03″/min for 70 minutes are eleven errors of 0.2″; a tenth of that is none."""
+    for rate, movers in ((0.03, 5), (0.003, 0)):
+        detections, truth = night(
+            22, movers=5, stars=100, p_detect=1.0, rate=np.full((5, 2), rate), times_min=(0, 25, 50, 70)
+        )
+        pure, _ = named(find_movers(detections, least=3, least_probability=0.9), truth)
+        assert pure.all() and len(pure) == movers
+
+
+def test_fast_movers_of_a_table_are_found():
+    """4 to 20″/min in any direction, without trails, among so many others that chance alone makes no link of theirs."""
+    rate = np.array([[9.0, -4.0], [-10.0, 2.0], [3.0, 3.0], [5.0, 15.0]])
+    detections, truth = night(12, movers=4, false=100, times_min=(0, 12, 24, 36), side_deg=0.5, rate=rate, p_detect=1.0)
+    pure, whole = named(find_movers(detections, least=3), truth)
+    assert pure.all() and whole.sum() >= 3
+
+
 @pytest.mark.slow
 def test_fast_movers_among_many_false_detections_are_found():
     """Chance makes more links of such rates than are tried; a third exposure in line supports the right ones."""

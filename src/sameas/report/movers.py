@@ -22,6 +22,8 @@ FEW = 3
 #: Pixels that a core adds in a second, below the limit of single frames (measured, 2 GHz).
 SUMS_PER_S = 2.5e9
 
+#: Errors so many times larger than quoted are said.
+WORTH_SAYING = 1.2
 #: Stars whose scatter constant ones have less often than this are listed as hardly constant.
 UNLIKELY = 0.001
 
@@ -41,6 +43,27 @@ def searched_lines(seen: Detections) -> list[str]:
     if days > 1.0:
         lines.append(
             f"{DOUBT}the exposures span {days:.1f} days; tracklets are of one night, search each night by itself"
+        )
+    return lines
+
+
+def still_lines(found: Movers) -> list[str]:
+    """What stands still and was left out, and what it shows of the exposures."""
+    still = found.still
+    if still is None or not still.places:
+        return []
+    lines = [f"Standing still: {count(int(still.rows.sum()))} detections at {count(still.places)} places, left out"]
+    off = float(np.hypot(*still.offset_arcsec.T).max())
+    typical = float(np.sqrt(np.median(found.detections.covariance[:, [0, 2]])))
+    if off > 0.5 * typical:
+        lines.append(
+            f"{DOUBT}places of an exposure are off those of the others by up to {off:.2f}″; "
+            "the search is without that, places are written as given"
+        )
+    if still.error_scale > WORTH_SAYING:
+        lines.append(
+            f"{DOUBT}what stands still scatters {still.error_scale:.2f} times as much as the errors allow; "
+            "errors were taken as so much larger"
         )
     return lines
 

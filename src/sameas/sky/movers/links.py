@@ -41,8 +41,8 @@ class Links:
     """Links of detections i to later ones j, (m,) each.
 
     minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : the
-    part of it that magnitudes, and the trail of j, say. misses : exposures between that saw the place. far : so fast
-    that chance alone makes more links than are tried; a third exposure supports them.
+    part of it that magnitudes, and the trail of j, say. misses : exposures between that saw the place. far : so
+    improbable by themselves that only a third exposure, which supports them, lets them be tried.
     """
 
     i: IntArray
@@ -69,18 +69,20 @@ def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = D
 
 
 def with_far_links(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
-    """The links, and those of fast movers among so many detections that chance makes more than are tried.
+    """The links, and those of fast movers, which are too improbable by themselves, or fewer than chance makes.
 
     Such a link is tried where three exposures that follow each other, one of them passed over at most, show detections
     in a straight line: of a hundred pairs by chance few have a third.
     """
-    reach = Reach.of(around, model, tuning)
-    every = replace(reach, arcsec=reach.uncapped)
-    pairs = _supported(around, reach, every, tuning)
+    supported = replace(tuning, least_log_ratio=min(tuning.least_log_ratio, tuning.least_supported))
+    every = Reach.of(around, model, supported)
+    every = replace(every, arcsec=every.uncapped)
+    pairs = _supported(around, every, tuning)
     if not len(pairs):
         return links
-    far = _links_of(around, model, tuning, every, pairs)
-    far = far.only(np.hypot(*far.offset.T) >= reach(far.minutes))
+    far = _links_of(around, model, supported, every, pairs)
+    n = len(around.detections)
+    far = far.only(~np.isin(far.i * n + far.j, links.i * n + links.j))
     far = _best_links(around, far, tuning)
     far = replace(far, far=np.ones(len(far), bool))
     both = Links(*(np.concatenate([getattr(p, name) for p in (links, far)]) for name in Links.__dataclass_fields__))
@@ -165,8 +167,8 @@ def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Re
     return links.only(log_ratio > tuning.least_log_ratio)
 
 
-def _supported(around: Surroundings, near: Reach, far: Reach, tuning: Tuning) -> IntArray:
-    """(m, 2) pairs farther apart than those tried by themselves, that a third detection lies in line with.
+def _supported(around: Surroundings, far: Reach, tuning: Tuning) -> IntArray:
+    """(m, 2) pairs that a third detection lies in line with.
 
     far : how far a mover may go.
     """
@@ -182,14 +184,11 @@ def _supported(around: Surroundings, near: Reach, far: Reach, tuning: Tuning) ->
         first, second, minutes = tree[a], tree[b], when[b] - when[a]
         if first is None or second is None or not minutes > 0:
             continue
-        least, most = float(near(np.array([minutes]))[0]), float(far(np.array([minutes]))[0])
+        most = float(far(np.array([minutes]))[0])
         # So many pairs are tried that the cost stays bounded; among more detections, less fast movers.
         density = len(rows[a]) * len(rows[b]) * math.exp(float(np.median(around.log_density[rows[b]]))) / len(rows[b])
-        most = min(most, math.sqrt(least**2 + tuning.far_pairs / (math.pi * max(density, 1e-300))))
-        if most <= least:
-            continue
+        most = min(most, math.sqrt(tuning.far_pairs / (math.pi * max(density, 1e-300))))
         pairs = first.sparse_distance_matrix(second, most / ARCSEC_PER_RADIAN, output_type="ndarray")
-        pairs = pairs[pairs["v"] > least / ARCSEC_PER_RADIAN]
         i, j = rows[a][pairs["i"]], rows[b][pairs["j"]]
         for c in (b + 1, b + 2):
             third = tree[c] if c < len(rows) else None

@@ -33,6 +33,7 @@ class Tuning:
     ----------
     fastest_arcsec_per_min : nothing faster is searched.
     least_log_ratio : two detections of less ln λ begin no track; links of more may join one.
+    least_supported : the same of two that a third one lies in line with; it adds ten and more.
     links : most links that a detection has to later ones, the best of them.
     tracks : most tracks that end at one detection and are grown further, the best of them; of two detections, of two
         far apart, and of more, so many each.
@@ -58,6 +59,7 @@ class Tuning:
 
     fastest_arcsec_per_min: float = 60.0
     least_log_ratio: float = -6.0
+    least_supported: float = -20.0
     links: int = 12
     tracks: int = 8
     far_pairs: float = 3e5

@@ -17,6 +17,7 @@ from sameas.sky.movers.detections import Detections, TrailRates
 from sameas.sky.movers.links import PRIOR_SHARE, Links, candidate_links, learn, rates_of, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
+from sameas.sky.movers.still import Still, standing_still
 from sameas.sky.movers.tracks import Competition, compete, grow
 from sameas.sky.series.tied import Series
 
@@ -47,6 +48,7 @@ class Movers:
         weigh of ``log_weight``.
     near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
     prefix : of their names, :data:`DETECTED` or :data:`ADDED`.
+    still : what stands still and was left out; None where something else has told.
     """
 
     detections: Detections
@@ -63,6 +65,7 @@ class Movers:
     log_missed: FloatArray
     near_earth: FloatArray | None = None
     prefix: str = DETECTED
+    still: Still | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.members)
@@ -193,7 +196,8 @@ def find_movers(
 
     Parameters
     ----------
-    detections : of one night, or of a series of frames; stars are best taken away before.
+    detections : of one night, or of a series of frames. What stands still, to the errors of the places and of the
+        times between, is found first and left out (``Movers.still``).
     model : of rates, brightness and misses, as :func:`learn_motion` makes it; None learns it from these detections.
     others : detections of other nights to learn from, instead of these; for no ``model``.
     least : a tracklet has so many detections or more. least_probability : and is so probable.
@@ -215,13 +219,32 @@ def find_movers(
         raise InputError(f"least={least}: a tracklet has two detections or more", naming("give {least:N}"))
     if not 0.0 <= least_probability <= 1.0:
         raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
-    around = Surroundings.of(detections, tuning)
+    still = standing_still(detections, tuning)
+    at, rest = np.flatnonzero(~still.rows), still.rest(detections)
+    if len(np.unique(rest.frame)) < 2:
+        return replace(_nothing(detections), still=still)
     if model is None:
-        model = learn_motion(*(others or (detections,)), tuning=tuning)
+        model = learn_motion(*(others or (rest,)), tuning=tuning)
+    found = _found(rest, model, tuning, least, least_probability, still)
+    members = np.where(found.members >= 0, at[found.members], -1)
+    return replace(found, detections=detections, members=members, still=still)
+
+
+def _found(
+    detections: Detections,
+    model: MotionModel,
+    tuning: Tuning,
+    least: int,
+    least_probability: float,
+    still: Still | None = None,
+) -> Movers:
+    """The tracklets of detections from which what stands still has been taken. still : by which it is judged again."""
+    around = Surroundings.of(detections, tuning)
     model = model.for_bands(detections.bands, tuning)
     tracks = grow(around, _links(around, model, tuning), model, tuning)
     competition = compete(tracks, len(detections), tuning)
-    return _movers(detections, model, competition, least, least_probability)
+    at_rest = np.zeros(len(competition.tracks)) if still is None else still.probability(around, competition.tracks)
+    return _movers(detections, model, competition, least, least_probability, at_rest)
 
 
 def learn_motion(*nights: Detections, counts: float = 30.0, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
@@ -235,12 +258,20 @@ def learn_motion(*nights: Detections, counts: float = 30.0, tuning: Tuning = DEF
     """
     model = MotionModel()
     for night in nights:
-        around, before = Surroundings.of(night, tuning), model
-        # Links that no main-belt object makes are too many, and say too little one by one.
-        likely = replace(tuning, least_log_ratio=max(tuning.least_log_ratio, DEFAULT_TUNING.least_log_ratio))
-        model = learn(around, model.for_bands(night.bands, tuning), likely, counts=counts)
-        model = _taught_by_tracks(around, model, before.rates, tuning, counts * TRACK_COUNTS)
+        night = standing_still(night, tuning).rest(night)
+        if len(np.unique(night.frame)) < 2:
+            continue
+        model = _learned(night, model, counts, tuning)
     return model
+
+
+def _learned(night: Detections, model: MotionModel, counts: float, tuning: Tuning) -> MotionModel:
+    """The model with what one night teaches from which what stands still has been taken."""
+    around, rates = Surroundings.of(night, tuning), model.rates
+    # Links that no main-belt object makes are too many, and say too little one by one.
+    likely = replace(tuning, least_log_ratio=max(tuning.least_log_ratio, DEFAULT_TUNING.least_log_ratio))
+    model = learn(around, model.for_bands(night.bands, tuning), likely, counts=counts)
+    return _taught_by_tracks(around, model, rates, tuning, counts * TRACK_COUNTS)
 
 
 def _links(around: Surroundings, model: MotionModel, tuning: Tuning) -> Links:
@@ -292,8 +323,11 @@ def _shown(weight: FloatArray, shown: IntArray, saw: IntArray, p: float) -> floa
     return p
 
 
-def _movers(detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float) -> Movers:
-    p_tracklet, p_member = _shares(found, len(detections))
+def _movers(
+    detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float, at_rest: FloatArray
+) -> Movers:
+    p_tracklet, p_member = found.shares(len(detections))
+    p_tracklet, p_member = (1.0 - at_rest) * p_tracklet, (1.0 - at_rest)[:, None] * p_member
     keep = np.flatnonzero(found.chosen)
     keep = keep[(found.tracks.size[keep] >= least) & (p_tracklet[keep] >= p_least)]
     keep = keep[np.lexsort([found.members[keep, 0], -found.tracks.log_weight[keep]])]
@@ -301,30 +335,10 @@ def _movers(detections: Detections, model: MotionModel, found: Competition, leas
     width = int(found.tracks.size[keep].max(initial=2))
     chance = len(detections) * np.exp(-np.clip(weight, -50.0, 700.0))
     return Movers(
-        detections, model, found.members[keep][:, :width], p_tracklet[keep], found.p_track[keep],
+        detections, model, found.members[keep][:, :width], p_tracklet[keep], ((1.0 - at_rest) * found.p_track)[keep],
         p_member[keep][:, :width], weight, chance, found.gap, found.tracks.state[keep],
         found.tracks.saw[keep], found.tracks.log_missed[keep],
     )  # fmt: skip
-
-
-def _shares(found: Competition, n: int) -> tuple[FloatArray, FloatArray]:
-    """(k,) probability that a mover has two of the detections of each chosen track, and (k, S) that it has each."""
-    members, p = found.members, found.p_track
-    owner = np.full(n + 1, -1)
-    k, column = np.nonzero((members >= 0) & found.chosen[:, None])
-    owner[members[k, column]] = k
-    p_tracklet, p_member = np.zeros(len(members)), np.zeros(members.shape)
-    position = np.full(n + 1, -1)
-    position[members[k, column]] = column
-    of = owner[members]  # which chosen track each detection of each track belongs to; −1 reads the last, none
-    for track in np.flatnonzero(p > 1e-9):
-        mine = of[track][members[track] >= 0]
-        for chosen in np.unique(mine[mine >= 0]):
-            common = members[track][(of[track] == chosen) & (members[track] >= 0)]
-            if len(common) >= 2:
-                p_tracklet[chosen] += p[track]
-                p_member[chosen, position[common]] += p[track]
-    return np.minimum(p_tracklet, 1.0), np.minimum(p_member, 1.0)
 
 
 def _linear_fits(detections: Detections, members: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -432,10 +446,10 @@ def search(
     """
     for _ in range(tuning.turns):
         if len(np.unique(series.frame[series.left])) < 2:
-            return _nothing(series), series
+            return _nothing(_nothing_left(series)), series
         detections = left_over(series)
-        model = learn_motion(detections, counts=tuning.counts, tuning=motion)
-        found = find_movers(detections, model=model, least=2, least_probability=0.0, tuning=motion)
+        model = _learned(detections, MotionModel(), tuning.counts, motion)
+        found = _found(detections, model, motion, 2, 0.0)
         slow, stuck = _standing(found, series, tuning)
         if not (slow | stuck).any():
             break
@@ -476,14 +490,18 @@ def _last(found: Movers) -> IntArray:
     return np.asarray(found.members[np.arange(len(found)), found.size - 1])
 
 
-def _nothing(series: Series) -> Movers:
-    """No tracklets, where no two frames have anything left."""
+def _nothing_left(series: Series) -> Detections:
+    """No detections of its exposures."""
     no, none = np.empty(0), np.empty(0, np.int64)
     names = tuple(one.name for one in series.exposures)
-    seen = Detections(no, no, np.empty((0, 3)), no, none, no, no, none, ("",), none, none, names, name="series")
-    wide = np.empty((0, 2))
+    return Detections(no, no, np.empty((0, 3)), no, none, no, no, none, ("",), none, none, names, name="series")
+
+
+def _nothing(detections: Detections) -> Movers:
+    """No tracklets, where no two exposures have anything left."""
+    no, none, wide = np.empty(0), np.empty(0, np.int64), np.empty((0, 2))
     return Movers(
-        seen, MotionModel(), wide.astype(np.int64), no, no, wide, no, no, 0.0, np.empty((0, 6)), none, no
+        detections, MotionModel(), wide.astype(np.int64), no, no, wide, no, no, 0.0, np.empty((0, 6)), none, no
     )  # fmt: skip
 
 

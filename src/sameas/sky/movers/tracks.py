@@ -244,6 +244,25 @@ class Competition:
     p_track: FloatArray
     gap: float
 
+    def shares(self, n: int) -> tuple[FloatArray, FloatArray]:
+        """(k,) probability that one object has two detections of each chosen track, (k, S) each; n in all."""
+        members, p = self.members, self.p_track
+        owner = np.full(n + 1, -1)
+        k, column = np.nonzero((members >= 0) & self.chosen[:, None])
+        owner[members[k, column]] = k
+        p_tracklet, p_member = np.zeros(len(members)), np.zeros(members.shape)
+        position = np.full(n + 1, -1)
+        position[members[k, column]] = column
+        of = owner[members]  # which chosen track each detection of each track belongs to; −1 reads the last, none
+        for track in np.flatnonzero(p > 1e-9):
+            mine = of[track][members[track] >= 0]
+            for chosen in np.unique(mine[mine >= 0]):
+                common = members[track][(of[track] == chosen) & (members[track] >= 0)]
+                if len(common) >= 2:
+                    p_tracklet[chosen] += p[track]
+                    p_member[chosen, position[common]] += p[track]
+        return np.minimum(p_tracklet, 1.0), np.minimum(p_member, 1.0)
+
 
 def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_limit_s: float = 20.0) -> Competition:
     """The best choice of tracks that share no detection, and the probability of each, by set packing.
