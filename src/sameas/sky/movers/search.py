@@ -247,7 +247,7 @@ def _found(
     return _movers(detections, model, competition, least, least_probability, at_rest)
 
 
-def learn_motion(*nights: Detections, counts: float = 30.0, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
+def learn_motion(*nights: Detections, counts: float = 100.0, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
     """What detections of one night or more teach of rates, brightness and misses; no identities are needed.
 
     counts : what is believed beforehand weighs as many links.
