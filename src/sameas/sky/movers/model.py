@@ -41,6 +41,8 @@ class Tuning:
         third detection lies in line with, so many at most. far_sigmas : in line, to so many standard deviations.
     misses : a track may pass over so many exposures in a row that saw its place, but not it.
     neighbours : the density around a detection is that of so many others of its exposure.
+    wide, crowded : where detections are denser than ``crowded`` times the density of ``wide`` times as many neighbours,
+        movers are no denser, for they do not crowd as false ones do; less is chance.
     bend_arcsec_per_min2, bend_rate : 1σ of the acceleration of a mover as slow as the second, arcsec/min; of faster,
         nearer ones in proportion. From the diurnal parallax at 1 au: 8.8″ (2π/1436 min)².
     outlier, outlier_scale : share of detections whose error is so many times the quoted one.
@@ -66,6 +68,8 @@ class Tuning:
     far_sigmas: float = 4.0
     misses: int = 4
     neighbours: int = 8
+    wide: int = 10
+    crowded: float = 2.0
     bend_arcsec_per_min2: float = 1.7e-4
     bend_rate: float = 0.5
     outlier: float = 0.02
@@ -139,6 +143,7 @@ class Surroundings:
 
     detections, axes : of all. minutes : (n,) since the first. covariance : (n, 2, 2) on the ecliptic axes.
     log_density : (n,) ln of the detections per arcsec² of the same exposure around each.
+    log_crowding : (n,) ln of how many times denser they are there than chance makes them, by what is farther around.
     reference : (n,) rate in longitude of a circular orbit there, arcsec/min.
     log_brightness : (n,) ln of the density per magnitude of detections as bright in its band, NaN where not measured.
     coverage : which exposures saw which cell of the sky. cell : (n,) that of each detection.
@@ -150,6 +155,7 @@ class Surroundings:
     minutes: FloatArray
     covariance: FloatArray
     log_density: FloatArray
+    log_crowding: FloatArray
     reference: FloatArray
     log_brightness: FloatArray
     coverage: Coverage
@@ -163,11 +169,12 @@ class Surroundings:
         minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
         elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
         density = _density(detections, axes, tuning.neighbours)
+        around = _density(detections, axes, tuning.wide * tuning.neighbours)
         coverage = Coverage.of(detections, axes, density)
         return cls(
             detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
-            reference_rate(elongation), _brightness(detections), coverage, coverage.cell(axes.unit),
-            _trail(detections, axes),
+            np.log(np.maximum(density / (tuning.crowded * around), 1.0)), reference_rate(elongation),
+            _brightness(detections), coverage, coverage.cell(axes.unit), _trail(detections, axes),
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:

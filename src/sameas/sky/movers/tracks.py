@@ -173,8 +173,9 @@ def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tunin
     two, saw = np.full(m, 2), 2 + links.misses
     pattern = model.log_pattern(two, saw, tuning)
     weight = (
-        links.log_ratio - model.log_odds - links.misses * math.log(1.0 - model.p_detect) + model.log_begin + pattern
-    )
+        links.log_ratio - model.log_odds - links.misses * math.log(1.0 - model.p_detect)
+        + model.log_begin - around.log_crowding[links.i] + pattern
+    )  # fmt: skip
     missed = pattern - model.log_pattern(two, two, tuning)
     return Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, saw, missed, state, covariance)
 
