@@ -284,10 +284,16 @@ def main() -> None:
     parser.add_argument(
         "--elements", type=Path, help="of known objects, as sameas movers --elements: O−C of the nights"
     )
+    parser.add_argument("--hard", type=int, metavar="NIGHTS", help="so many nights of each trouble of the field")
     parser.add_argument("--series", type=int, nargs="+", metavar="FRAMES", help="what series of so many frames cost")
     parser.add_argument("--measurements", type=int, default=5000, help="of each frame of --series")
     parser.add_argument("--probability", type=float, default=0.5, help="least probability of a tracklet")
     arguments = parser.parse_args()
+    if arguments.hard:
+        from benchmarks.moving import tables as hard
+
+        report("movers-hard", list(hard(arguments.hard)))
+        return
     if arguments.series:
         report("movers-series", [cost_table(arguments.series, arguments.measurements)])
         return

@@ -7,13 +7,13 @@ from sameas.sky import Detections
 
 def night(
     seed, *, movers=40, false=60, times_min=(0, 20, 45, 70), side_deg=1.0, sigma=0.2, p_detect=0.85, rate=None, stars=0,
-    larger=1.0, apart=0.0,
+    larger=1.0, apart=0.0, crowds=0,
 ):  # fmt: skip
     """Detections of a square field about the opposition point, and the number of the mover of each, −1 for others.
 
     movers : of the main belt, or of given rates (n, 2) arcsec/min. false : on every exposure. stars : that stand still,
     on nine exposures of ten. larger : errors are so many times what is quoted. apart : arcsec, 1σ per axis by which an
-    exposure's places are off.
+    exposure's places are off. crowds : of 25 false detections within 12″ or so, the same on every exposure.
     """
     rng = np.random.default_rng(seed)
     mjd0, ra0, dec0 = 59300.0, 190.0, -4.0
@@ -24,6 +24,7 @@ def night(
     magnitude = rng.uniform(17.0, 20.0, movers)
     fixed = rng.uniform(-0.5, 0.5, (stars, 2)) * side_deg * 3600.0
     light = rng.uniform(17.0, 20.0, stars)
+    crowd = rng.uniform(-0.5, 0.5, (crowds, 2)) * side_deg * 3600.0
     rows = []
     for frame, minutes in enumerate(times_min):
         seen = np.flatnonzero(rng.random(movers) < p_detect)
@@ -31,6 +32,9 @@ def night(
         place = at[seen] + minutes * rate[seen] + off + larger * sigma * rng.standard_normal((len(seen), 2))
         rows += [(frame, *xy, minutes, m, k) for xy, m, k in zip(place, magnitude[seen], seen, strict=True)]
         other = rng.uniform(-0.5, 0.5, (false, 2)) * side_deg * 3600.0
+        rows += [(frame, *xy, minutes, rng.uniform(17.0, 20.0), -1) for xy in other]
+        other = np.repeat(crowd, rng.poisson(25, crowds), axis=0)
+        other = other + 12.0 * rng.standard_normal(other.shape)
         rows += [(frame, *xy, minutes, rng.uniform(17.0, 20.0), -1) for xy in other]
         there = np.flatnonzero(rng.random(stars) < 0.9)
         place = fixed[there] + off + larger * sigma * rng.standard_normal((len(there), 2))

@@ -327,3 +327,20 @@ def test_how_often_movers_are_shown_is_learned_from_those_shown_twice(p):
     shown = rng.binomial(5, p, 4_000)
     shown = shown[shown >= 2]
     assert abs(_shown(np.ones(len(shown)), shown, np.full(len(shown), 5), 0.7) - p) < 0.02
+
+
+def test_false_detections_that_crowd_are_no_movers():
+    """Halos of bright stars give many on every exposure; movers are no more frequent there than anywhere."""
+    for seed in (41, 42):
+        detections, truth = night(seed, movers=5, false=150, p_detect=1.0, crowds=40)
+        pure, _ = named(find_movers(detections, least=3), truth)
+        assert pure.all() and len(pure) == 5
+
+
+def test_what_moves_with_the_telescope_is_no_flood_of_movers():
+    """Fifty warm pixels under a steady drift: one rate, as no fifty asteroids have; and five asteroids all the same."""
+    rate = np.concatenate([np.array([[-0.5, 0.21]]) + np.linspace(-0.2, 0.2, 5)[:, None], np.full((50, 2), 0.3)])
+    detections, truth = night(50, movers=55, rate=rate, p_detect=1.0)
+    found = find_movers(detections, least=3)
+    assert found.alike >= 48
+    assert sorted(truth[found.members[:, 0]].tolist()) == [0, 1, 2, 3, 4]

@@ -230,7 +230,15 @@ def run(
 
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.io.ades import REPORTS, Observer, observations
-    from sameas.report.movers import known_lines, model_lines, mover_lines, report_lines, searched_lines, still_lines
+    from sameas.report.movers import (
+        alike_lines,
+        known_lines,
+        model_lines,
+        mover_lines,
+        report_lines,
+        searched_lines,
+        still_lines,
+    )
     from sameas.sky.movers import find_movers
     from sameas.sky.movers.detections import detections_of
     from sameas.sky.movers.known import name_movers
@@ -258,7 +266,7 @@ def run(
         pace("searching")
         found = find_movers(seen, others=nights, least=least, least_probability=probability)
         pace.pause()
-        printer([*still_lines(found), *model_lines(found), "", *mover_lines(found), ""])
+        printer([*still_lines(found), *alike_lines(found), *model_lines(found), "", *mover_lines(found), ""])
         known, site = None, wanted_known.site
         if elements is not None:
             pace("predicting known objects")

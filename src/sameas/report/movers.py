@@ -68,6 +68,16 @@ def still_lines(found: Movers) -> list[str]:
     return lines
 
 
+def alike_lines(found: Movers) -> list[str]:
+    """What was left out because it moves alike."""
+    if not found.alike:
+        return []
+    return [
+        f"{DOUBT}{count(found.alike)} tracklets of one rate are left out: defects of the chip that the telescope moves "
+        "over the sky look so; give the frames themselves (--catalog), whose pixels tell"
+    ]
+
+
 def mover_lines(found: Movers) -> list[str]:
     """The tracklets."""
     if not len(found):

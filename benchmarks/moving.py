@@ -1,0 +1,148 @@
+"""Nights of detections with one trouble of the field each, whose movers are known: what is found, and how sure.
+
+Four exposures of half a degree, 10 to 25 minutes apart, errors of 0.2″, 300 false detections on each, ten movers of
+18 to 20.5 mag, a limit of 20.3 mag; the kinds say what is other.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from benchmarks.tables import Table
+from sameas.sky import Detections, find_movers
+
+SIDE_ARCSEC, SIGMA_ARCSEC, LIMIT_MAG = 1800.0, 0.2, 20.3
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is other than usual on a night.
+
+    exposures, movers, false : numbers. larger : errors are so many times what is quoted. apart : arcsec, an exposure's
+    offset, 1σ per axis. tails : share of the detections with five times the error. stars : that stand still, seen on
+    nine exposures of ten. speed : arcsec/min, evenly and in any direction, from and to; None is the main belt.
+    crowds : of 25 false detections within 12″, the same on every exposure. warm : pixels under a dithered telescope.
+    steady : the dither is the same from exposure to exposure, and so is the time.
+    """
+
+    name: str
+    exposures: int = 4
+    movers: int = 10
+    false: int = 300
+    larger: float = 1.0
+    apart: float = 0.0
+    tails: float = 0.0
+    stars: int = 0
+    speed: tuple[float, float] | None = None
+    crowds: int = 0
+    warm: int = 0
+    steady: bool = False
+
+
+KINDS = (
+    Kind("usual"),
+    Kind("three exposures", exposures=3),
+    Kind("two exposures", exposures=2),
+    Kind("eight exposures", exposures=8),
+    Kind("1 500 false", false=1500),
+    Kind("no movers", movers=0),
+    Kind("errors 2.5 × quoted", larger=2.5),
+    Kind("errors 0.4 × quoted", larger=0.4),
+    Kind("one error in twenty 5 ×", tails=0.05),
+    Kind("exposures 0.3″ off", apart=0.3),
+    Kind("2 to 20″/min", speed=(2.0, 20.0)),
+    Kind("0.01 to 0.06″/min, 150 stars", speed=(0.01, 0.06), stars=150),
+    Kind("150 stars", stars=150),
+    Kind("150 stars, two exposures", stars=150, exposures=2),
+    Kind("1 500 stars", stars=1500),
+    Kind("1 500 stars, errors 2.5 ×", stars=1500, larger=2.5),
+    Kind("150 stars, exposures 0.3″ off", stars=150, apart=0.3),
+    Kind("crowds of false ones", crowds=12),
+    Kind("60 warm pixels, dithered", warm=60),
+    Kind("60 warm pixels, steady drift", warm=60, steady=True),
+)
+BOUNDS = (0.5, 0.8, 0.95, 0.99, 1.01)
+
+
+def night(kind: Kind, rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
+    """The detections of a night and (n,) the number of the mover of each, −1 for none."""
+    between = np.full(kind.exposures - 1, 18.0) if kind.steady else rng.uniform(10.0, 25.0, kind.exposures - 1)
+    minutes = np.concatenate([[0.0], np.cumsum(between)])
+    n = kind.movers
+    at = _places(rng, n)
+    if kind.speed is None:
+        rate = np.column_stack([rng.normal(-0.55, 0.15, n), rng.normal(0.1, 0.15, n)])
+    else:
+        speed, angle = rng.uniform(*kind.speed, n), rng.uniform(0.0, 2.0 * np.pi, n)
+        rate = speed[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    light = rng.uniform(18.0, 20.5, n)
+    stars, pixels, crowds = _places(rng, kind.stars), _places(rng, kind.warm), _places(rng, kind.crowds)
+    star_light, pixel_light = rng.uniform(18.0, 21.0, kind.stars), rng.uniform(17.0, 20.0, kind.warm)
+    rows: list[np.ndarray] = []
+    for k, t in enumerate(minutes):
+        shown = rng.random(n) < 0.97 / (1.0 + np.exp((light - LIMIT_MAG) / 0.15))
+        constant = rng.random(kind.stars) < 0.9
+        dither = np.array([12.0, 7.0]) * k if kind.steady else rng.uniform(-20.0, 20.0, 2)
+        false = _places(rng, rng.poisson(kind.false))
+        crowd = np.repeat(crowds, rng.poisson(25, kind.crowds), axis=0)
+        crowd = crowd + 12.0 * rng.standard_normal(crowd.shape)
+        place = np.concatenate([(at + t * rate)[shown], stars[constant], pixels + dither, false, crowd])
+        mag = [light[shown], star_light[constant], pixel_light]
+        mag = [one + 0.1 * rng.standard_normal(len(one)) for one in mag]
+        bright = np.concatenate([*mag, 18.0 + 3.0 * rng.random(len(false)) ** 0.3, rng.uniform(18.0, 21.0, len(crowd))])
+        scale = kind.larger * np.where(rng.random(len(place)) < kind.tails, 5.0, 1.0)
+        place = place + SIGMA_ARCSEC * scale[:, None] * rng.standard_normal(place.shape)
+        place = place + kind.apart * rng.standard_normal(2)
+        who = np.concatenate([np.flatnonzero(shown), np.full(len(place) - int(shown.sum()), -1)])
+        rows.append(np.column_stack([place, bright, np.full(len(place), k), who]))
+    x, y, bright, frame, who = np.concatenate(rows).T
+    dec = 5.0 + y / 3600.0
+    seen = Detections.of(
+        190.0 + x / 3600.0 / np.cos(np.radians(dec)), dec, 59300.0 + minutes[frame.astype(int)] / 1440.0,
+        sigma_arcsec=SIGMA_ARCSEC, frame=frame.astype(int), magnitude=bright, magnitude_error=np.full(len(x), 0.1),
+    )  # fmt: skip
+    return seen, who.astype(int)[seen.rows]
+
+
+def _places(rng: np.random.Generator, n: int) -> np.ndarray:
+    return rng.uniform(-0.5, 0.5, (n, 2)) * SIDE_ARCSEC
+
+
+def tables(nights: int) -> Iterator[Table]:
+    """What is found of each kind, and what of candidates is stated."""
+    rows: list[tuple[Any, ...]] = []
+    for number, kind in enumerate(KINDS):
+        found = there = 0
+        stated, real = [], []
+        for seed in range(nights):
+            detections, who = night(kind, np.random.default_rng([seed, number]))
+            least = min(3, kind.exposures)
+            movers = find_movers(detections, least=least)
+            own = np.where(movers.members >= 0, who[movers.members], -1)
+            counts = [np.bincount(one[one >= 0], minlength=1) for one in own]
+            right = np.array([c.max() >= 2 for c in counts], bool)
+            shown = np.bincount(who[who >= 0], minlength=kind.movers) >= least
+            got = {int(c.argmax()) for c, ok in zip(counts, right, strict=True) if ok}
+            there += int(shown.sum())
+            found += sum(bool(shown[k]) for k in got)
+            stated.append(movers.p_tracklet)
+            real.append(right)
+        p, right = np.concatenate(stated), np.concatenate(real)
+        bins = []
+        for low, high in itertools.pairwise(BOUNDS):
+            here = (p >= low) & (p < high)
+            bins.append(f"{int(right[here].sum())}/{int(here.sum())} ({p[here].sum():.1f})" if here.any() else "–")
+        rows.append((kind.name, f"{found}/{there}", int((~right).sum()), f"{(1.0 - p).sum():.1f}", *bins))
+    heads = [f"p {low:g}…{min(high, 1.0):g}" for low, high in itertools.pairwise(BOUNDS)]
+    notes = (
+        f"{nights} nights of each kind; found: of movers that three exposures show (two where there are two), with p "
+        "of 0.5 and more",
+        "false: candidates no two detections of which are one mover's; said: how many candidates are expected false",
+        "of the candidates of each p so many are real / there are (expected)",
+    )
+    yield Table("Movers of nights with one trouble each", ("night", "found", "false", "said", *heads), rows, notes)
