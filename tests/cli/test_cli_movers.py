@@ -115,7 +115,7 @@ def test_a_report_leaves_out_what_is_not_probable_enough_and_says_so(luxembourg,
     header.write_text(WHO)
     # Of the second mover two detections are left, of brightnesses that hardly go together.
     night = read_table(luxembourg)
-    night["mag"][5] = 18.6
+    night["mag"][5] = 18.45
     night[:6].write(tmp_path / "pair.csv")
     options = ["--sigma", 0.15, "--probability", 0.0, "--report", header, "--tracklets", tmp_path / "t.csv"]
     told = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv")
