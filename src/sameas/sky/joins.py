@@ -460,5 +460,5 @@ def _second_ids(match: Joinable, answers: Answers, other: int) -> np.ma.MaskedAr
     ids = (match.first if other == 1 else match.second).ids
     absent = np.ma.getmaskarray(answers.second)
     if not len(ids):
-        return np.ma.masked_all(len(absent), ids.dtype)
+        return np.ma.MaskedArray(np.zeros(len(absent), ids.dtype), np.ones(len(absent), np.bool_))
     return np.ma.MaskedArray(ids[np.where(absent, 0, np.ma.getdata(answers.second))], absent)
