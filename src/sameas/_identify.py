@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 from sameas.assignment import assign, refuse_crowds
 from sameas.evidence import Rule
 from sameas.gate import DEFAULT_GATE, Pairs
 from sameas.groups import groups
-from sameas.kernels import threads
+from sameas.kernels.threads import both
 from sameas.posterior import posterior
 from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
@@ -46,7 +45,7 @@ def identify(
     """
     pairs = gate(first, second)
     refuse_crowds(pairs)
-    grouped, evidence = threads.both(partial(groups, pairs), partial(rule, pairs), len(pairs))
+    grouped, evidence = both(lambda: groups(pairs), lambda: rule(pairs), len(pairs))
     believed = prior(grouped.sizes_1, grouped.sizes_2)
     best = assign(grouped, evidence.log_ratio, believed)
     if certify:

@@ -25,7 +25,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.cells import GridLevel
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
-from sameas.gate import Pairs
+from sameas.gate import Pairs, Radius
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, unit_vectors
@@ -124,30 +124,32 @@ class Clustering:
 @in_short
 @dataclass(frozen=True)
 class _Source:
-    """Records of one source in typical errors."""
+    """Records of one source in typical errors. points : (n, …) where they are. evenly : they with errors all the same,
+    by which the gate measures distances."""
 
     points: FloatArray
+    evenly: Records
     variance: FloatArray
     density: FloatArray
     counted: BoolArray
 
     def part(self, rows: IntArray) -> _Source:
         """Some of its records."""
-        return _Source(self.points[rows], self.variance[rows], self.density[rows], self.counted[rows])
+        return _Source(
+            self.points[rows], self.evenly.part(rows), self.variance[rows], self.density[rows], self.counted[rows]
+        )
 
-    def couples(self, reach: float, centres: IntArray | None) -> tuple[IntArray, IntArray, FloatArray]:
-        from scipy.spatial import cKDTree
+    def near(self, other: _Source, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
+        """(m,) pairs of a record of this and one of the other, and how far apart they are."""
+        pairs = Radius(reach)(self.evenly, other.evenly)
+        return pairs.i.astype(np.int64), pairs.j.astype(np.int64), np.sqrt(pairs.mahalanobis_sq)
 
-        tree = cKDTree(self.points)
-        if centres is None:
-            pairs = tree.query_pairs(reach, output_type="ndarray").astype(np.int64)
-            i, k = np.concatenate([pairs, pairs[:, ::-1]]).T
-        else:
-            table = cKDTree(self.points[centres]).sparse_distance_matrix(tree, reach, output_type="ndarray")
-            i, k = centres[table["i"]], table["j"].astype(np.int64)
-            other = i != k
-            i, k = i[other], k[other]
-        return i, k, np.sqrt(((self.points[i] - self.points[k]) ** 2).sum(axis=1))
+    def couples(self, reach: float, centres: IntArray | None = None) -> tuple[IntArray, IntArray, FloatArray]:
+        """(c,) couples of its records, seen from each, or from some."""
+        i, k, distance = (self if centres is None else self.part(centres)).near(self, reach)
+        i = i if centres is None else centres[i]
+        other = i != k
+        return i[other], k[other], distance[other]
 
 
 def _unit(setting: Setting) -> FloatArray:
@@ -164,10 +166,21 @@ def _points(records: Records, unit: FloatArray) -> FloatArray:
     return np.asarray(records.features / unit)
 
 
+def _evenly(records: Records, unit: FloatArray) -> Records:
+    variance = 0.5 * (unit[:1] if isinstance(records.space, Sphere) else unit) ** 2
+    return replace(records, covariance=np.tile(variance, (len(records), 1)))
+
+
 def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
     scale = float(np.prod(unit))
     one, two = (
-        _Source(_points(records, unit), (records.variances / unit**2).mean(axis=1), density * scale, seen & counted)
+        _Source(
+            _points(records, unit),
+            _evenly(records, unit),
+            (records.variances / unit**2).mean(axis=1),
+            density * scale,
+            seen & counted,
+        )
         for records, density, seen, counted in zip(
             (setting.pairs.first, setting.pairs.second), setting.densities, setting.seen, setting.counted, strict=True
         )
@@ -319,14 +332,11 @@ def _fitted(
 def _shares(known: Clustering, sources: tuple[_Source, _Source], tuning: CompanionsTuning) -> tuple[float, float]:
     """Of the records of either source that have a partner, by how many of the other lie near beside companions of
     theirs; too low where errors are larger than thought."""
-    from scipy.spatial import cKDTree
-
     one, two = sources
-    found = cKDTree(one.points).sparse_distance_matrix(cKDTree(two.points), tuning.reach, output_type="ndarray")
+    i, k, distance = one.near(two, tuning.reach)
     n1, n2 = (int(np.count_nonzero(source.counted)) for source in sources)
-    if not len(found):
+    if not len(i):
         return 0.0, 0.0
-    i, k, distance = found["i"], found["j"], found["v"]
     v = one.variance[i] + two.variance[k]
     # Per unit of volume about all records: pairs there by chance, and of companions.
     scale = math.sqrt(n1 * n2 * known.mean[0] * known.mean[1])
@@ -384,7 +394,7 @@ class Companions:
         excess *= np.sqrt(local[0][pairs.i] * local[1][pairs.j])
         numbers, companion = [], []
         for source, relative in zip((one, two), local, strict=True):
-            i, k, distance = source.couples(tuning.reach, None)
+            i, k, distance = source.couples(tuning.reach)
             w = clustering.at(distance, source.variance[i] + source.variance[k]) * np.sqrt(relative[i] * relative[k])
             numbers.append(np.bincount(i, w, len(source.points)))
             companion.append(_companion(i, k, w / (1.0 + w), len(source.points)))
