@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sameas import ChiSquare, Identification, InputError, Records
-from sameas.estimate.companions import Companions, clustering, ring
+from sameas.estimate.companions import Companions, clustering, ring, within
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.estimate.sample import Setting
@@ -25,6 +25,34 @@ def setting_of(scene: SimulatedScene) -> Setting:
 
 def fields(seed: int, number: int, **options: float) -> list[SimulatedScene]:
     return [couples_field(np.random.default_rng([seed, k]), 400, **options) for k in range(number)]  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("d", [1, 2, 3])
+def test_the_share_within_reach_is_a_noncentral_chi_square(d):
+    from scipy.special import chndtr
+
+    variance = np.geomspace(1e-4, 2.0, 40)
+    for radius in (0.0, 0.5, 2.75, 5.5):
+        expected = chndtr(49.0 / variance, d, radius**2 / variance)
+        assert np.allclose(within(7.0, radius, variance, d), expected, rtol=0, atol=2e-5)
+
+
+def test_a_wide_ring_of_two_dimensions_is_scaled_before_it_overflows():
+    from scipy.special import i0e
+
+    x = np.geomspace(1e-3, 1e5, 200)
+    made = ring(x, 1.0, np.ones(200), 2)
+    seen = np.exp(-0.5 * (x - 1.0) ** 2) * i0e(x) / (2.0 * np.pi)
+    assert np.allclose(made, seen, rtol=1e-9, atol=0)
+
+
+def test_couples_are_the_same_by_strips_and_by_the_gate(monkeypatch):
+    setting = setting_of(couples_field(np.random.default_rng(3), 400))
+    one = clustering(setting)
+    monkeypatch.setattr("sameas.estimate.companions.STRIP", 0)
+    other = clustering(setting)
+    assert one is not None and other is not None
+    assert np.allclose(one.volume, other.volume, rtol=0, atol=1e-7 * one.volume.sum())
 
 
 def certain_and_wrong(answer: Identification, scene: SimulatedScene) -> tuple[int, float]:

@@ -257,8 +257,8 @@ from sameas.cli import main
 try:
     main()
 except SystemExit as error:
-    print(error.code, [name for name in ("numba", "scipy.linalg", "pydantic", "astropy.coordinates", "matplotlib")
-                       if name in sys.modules])
+    print(error.code, [name for name in ("numba", "scipy.linalg", "scipy.special", "pydantic", "astropy.coordinates",
+                                         "matplotlib") if name in sys.modules])
 """
     arguments = [
         "match",
