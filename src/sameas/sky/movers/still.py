@@ -89,7 +89,7 @@ def _searched(detections: Detections, before: Still, first: bool, tuning: Tuning
     n, around = len(detections), Surroundings.of(detections, tuning)
     here = replace(around, reference=np.zeros(n))
     # What stands still has few rivals: the second best ways through a star are those that pass over an exposure.
-    still = replace(tuning, bend_arcsec_per_min2=0.0, least_log_ratio=DEFAULT_TUNING.least_log_ratio, tracks=3)
+    still = replace(tuning, bend_arcsec_per_min2=0.0, least_log_ratio=DEFAULT_TUNING.least_log_ratio, tracks=6)
     model = MotionModel(rates=_AT_REST).for_bands(detections.bands, still)
     model = learn(here, model, still)
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)
