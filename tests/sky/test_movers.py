@@ -256,15 +256,15 @@ def test_doubtful_rows_are_set_aside_with_the_reason():
 
 
 @pytest.mark.parametrize("trouble", [{}, {"larger": 2.5}, {"apart": 0.4}, {"times_min": (0, 30)}])
-def test_what_stands_still_is_no_mover(trouble):
+def test_a_stationary_source_is_no_mover(trouble):
     """Stars whose errors are larger than quoted, on exposures that are off each other; and movers all the same."""
     detections, truth = night(21, movers=10, false=20, stars=150, p_detect=1.0, **trouble)
     found = find_movers(detections, least_probability=0.9)
     pure, _ = named(found, truth)
     assert pure.all() and len(found) >= 9
-    assert not truth[found.still.rows].max() >= 0 and 100 <= found.still.places <= 150
-    assert abs(found.still.error_scale - trouble.get("larger", 1.0)) < 0.3
-    off = np.abs(found.still.offset_arcsec).max()
+    assert not truth[found.stationary.rows].max() >= 0 and 100 <= found.stationary.places <= 150
+    assert abs(found.stationary.error_scale - trouble.get("larger", 1.0)) < 0.3
+    off = np.abs(found.stationary.offset_arcsec).max()
     assert off > 0.2 if "apart" in trouble else off < 0.15
 
 
@@ -279,7 +279,7 @@ def test_two_stars_closer_than_their_errors_are_no_movers():
         190.0 + place[:, 0] / 3600.0 / np.cos(np.radians(dec)), dec, 59300.0 + t / 1440.0, sigma_arcsec=0.2
     )
     found = find_movers(seen)
-    assert len(found) == 0 and found.still.rows.all()
+    assert len(found) == 0 and found.stationary.rows.all()
 
 
 def test_a_mover_hardly_faster_than_its_errors_is_no_star():

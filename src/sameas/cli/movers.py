@@ -231,13 +231,12 @@ def run(
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.io.ades import REPORTS, Observer, observations
     from sameas.report.movers import (
-        alike_lines,
         known_lines,
+        left_out_lines,
         model_lines,
         mover_lines,
         report_lines,
         searched_lines,
-        still_lines,
     )
     from sameas.sky.movers import find_movers
     from sameas.sky.movers.detections import detections_of
@@ -266,7 +265,7 @@ def run(
         pace("searching")
         found = find_movers(seen, others=nights, least=least, least_probability=probability)
         pace.pause()
-        printer([*still_lines(found), *alike_lines(found), *model_lines(found), "", *mover_lines(found), ""])
+        printer([*left_out_lines(found), *model_lines(found), "", *mover_lines(found), ""])
         known, site = None, wanted_known.site
         if elements is not None:
             pace("predicting known objects")

@@ -47,35 +47,29 @@ def searched_lines(seen: Detections) -> list[str]:
     return lines
 
 
-def still_lines(found: Movers) -> list[str]:
-    """What stands still and was left out, and what it shows of the exposures."""
-    still = found.still
-    if still is None or not still.places:
-        return []
-    lines = [f"Standing still: {count(int(still.rows.sum()))} detections at {count(still.places)} places, left out"]
-    off = float(np.hypot(*still.offset_arcsec.T).max())
-    typical = float(np.sqrt(np.median(found.detections.covariance[:, [0, 2]])))
-    if off > 0.5 * typical:
+def left_out_lines(found: Movers) -> list[str]:
+    """What was left out: stationary sources, with what they show of the exposures, and tracklets that move alike."""
+    lines, stationary = [], found.stationary
+    if stationary is not None and stationary.places:
+        rows, places = count(int(stationary.rows.sum())), count(stationary.places)
+        lines.append(f"Stationary: {rows} detections at {places} places, left out")
+        off = float(np.hypot(*stationary.offset_arcsec.T).max())
+        if off > 0.5 * found.detections.typical_sigma_arcsec:
+            lines.append(
+                f"{DOUBT}places of an exposure are off those of the others by up to {off:.2f}″; "
+                "the search is without that, places are written as given"
+            )
+        if stationary.error_scale > WORTH_SAYING:
+            lines.append(
+                f"{DOUBT}stationary sources scatter {stationary.error_scale:.2f} times as much as the errors allow; "
+                "errors were taken as so much larger"
+            )
+    if found.alike:
         lines.append(
-            f"{DOUBT}places of an exposure are off those of the others by up to {off:.2f}″; "
-            "the search is without that, places are written as given"
-        )
-    if still.error_scale > WORTH_SAYING:
-        lines.append(
-            f"{DOUBT}what stands still scatters {still.error_scale:.2f} times as much as the errors allow; "
-            "errors were taken as so much larger"
+            f"{DOUBT}{count(found.alike)} tracklets of one rate are left out: defects of the chip that the telescope "
+            "moves over the sky look so; give the frames themselves (--catalog), whose pixels tell"
         )
     return lines
-
-
-def alike_lines(found: Movers) -> list[str]:
-    """What was left out because it moves alike."""
-    if not found.alike:
-        return []
-    return [
-        f"{DOUBT}{count(found.alike)} tracklets of one rate are left out: defects of the chip that the telescope moves "
-        "over the sky look so; give the frames themselves (--catalog), whose pixels tell"
-    ]
 
 
 def mover_lines(found: Movers) -> list[str]:

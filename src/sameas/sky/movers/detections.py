@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -79,6 +80,11 @@ class Detections:
         """(f,) mean time of every exposure."""
         count = np.bincount(self.frame, minlength=len(self.frame_names))
         return np.asarray(np.bincount(self.frame, self.mjd_utc, len(self.frame_names)) / np.maximum(count, 1))
+
+    @property
+    def typical_sigma_arcsec(self) -> float:
+        """The median of the errors along both axes."""
+        return math.sqrt(float(np.median(self.covariance[:, [0, 2]])))
 
     def axes(self) -> EclipticAxes:
         """The ecliptic axes at every detection."""

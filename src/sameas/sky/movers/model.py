@@ -168,12 +168,11 @@ class Surroundings:
         axes = detections.axes()
         minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
         elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
-        density = _density(detections, axes, tuning.neighbours)
-        around = _density(detections, axes, tuning.wide * tuning.neighbours)
+        density, wide = _densities(detections, axes, (tuning.neighbours, tuning.wide * tuning.neighbours))
         coverage = Coverage.of(detections, axes, density)
         return cls(
             detections, axes, minutes, axes.rotated(detections.covariance), np.log(density),
-            np.log(np.maximum(density / (tuning.crowded * around), 1.0)), reference_rate(elongation),
+            np.log(np.maximum(density / (tuning.crowded * wide), 1.0)), reference_rate(elongation),
             _brightness(detections), coverage, coverage.cell(axes.unit), _trail(detections, axes),
         )  # fmt: skip
 
@@ -191,24 +190,26 @@ def _trail(detections: Detections, axes: EclipticAxes) -> FloatArray:
     return np.column_stack([cos * east + sin * north, cos * north - sin * east])
 
 
-def _density(detections: Detections, axes: EclipticAxes, neighbours: int) -> FloatArray:
-    """(n,) detections per arcsec² of the same exposure around each, itself counted."""
+def _densities(detections: Detections, axes: EclipticAxes, neighbours: tuple[int, ...]) -> list[FloatArray]:
+    """(n,) detections per arcsec² of the same exposure around each, itself counted, by each number of neighbours."""
     order = np.argsort(detections.frame, kind="stable")
     bounds = np.searchsorted(detections.frame[order], np.arange(len(detections.frame_names) + 1))
-    out = np.full(len(detections), np.nan)
+    out = [np.full(len(detections), np.nan) for _ in neighbours]
     for a, b in itertools.pairwise(bounds.tolist()):
         if b - a > 2:
-            k = min(neighbours, b - a - 1)
             at = axes.unit[order[a:b]]
-            reach = cKDTree(at).query(at, k + 1)[0][:, -1] * ARCSEC_PER_RADIAN
-            # The k-th neighbour bounds an area in which k − 1 others lie, on average over places (Poisson).
-            out[order[a:b]] = k / (math.pi * np.maximum(reach, 1.0) ** 2)
-    rest = np.isnan(out)
+            numbers = [min(k, b - a - 1) for k in neighbours]
+            reach = cKDTree(at).query(at, [k + 1 for k in numbers])[0] * ARCSEC_PER_RADIAN
+            for density, k, radius in zip(out, numbers, reach.T, strict=True):
+                # The k-th neighbour bounds an area in which k − 1 others lie, on average over places (Poisson).
+                density[order[a:b]] = k / (math.pi * np.maximum(radius, 1.0) ** 2)
+    rest = np.isnan(out[0])
     if rest.any():
         whole = axes.unit
         spread = float(np.linalg.norm(whole - whole.mean(axis=0), axis=1).max()) * ARCSEC_PER_RADIAN
         size = np.bincount(detections.frame)[detections.frame[rest]]
-        out[rest] = size / (math.pi * max(spread, 60.0) ** 2)
+        for density in out:
+            density[rest] = size / (math.pi * max(spread, 60.0) ** 2)
     return out
 
 

@@ -9,15 +9,16 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
-from sameas.sky.movers.links import PRIOR_SHARE, Links, candidate_links, learn, rates_of, with_far_links
+from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_of, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
-from sameas.sky.movers.still import Still, standing_still
+from sameas.sky.movers.stationary import Stationary, stationary_sources
 from sameas.sky.movers.tracks import Competition, compete, grow
 from sameas.sky.series.tied import Series
 
@@ -48,8 +49,8 @@ class Movers:
         weigh of ``log_weight``.
     near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
     prefix : of their names, :data:`DETECTED` or :data:`ADDED`.
-    still : what stands still and was left out; None where something else has told. alike : tracklets of one rate that
-        were left out, as defects of the chip make them.
+    stationary : the stationary sources, which were left out; None where something else has found them.
+    alike : tracklets of one rate that were left out, as defects of the chip make them.
     """
 
     detections: Detections
@@ -66,7 +67,7 @@ class Movers:
     log_missed: FloatArray
     near_earth: FloatArray | None = None
     prefix: str = DETECTED
-    still: Still | None = field(default=None, repr=False)
+    stationary: Stationary | None = field(default=None, repr=False)
     alike: int = field(default=0, repr=False)
 
     def __len__(self) -> int:
@@ -204,7 +205,7 @@ def find_movers(
     Parameters
     ----------
     detections : of one night, or of a series of frames. What stands still, to the errors of the places and of the
-        times between, is found first and left out (``Movers.still``).
+        times between, is found first and left out (``Movers.stationary``).
     model : of rates, brightness and misses, as :func:`learn_motion` makes it; None learns it from these detections.
     others : detections of other nights to learn from, instead of these; for no ``model``.
     least : a tracklet has so many detections or more. least_probability : and is so probable.
@@ -226,17 +227,18 @@ def find_movers(
         raise InputError(f"least={least}: a tracklet has two detections or more", naming("give {least:N}"))
     if not 0.0 <= least_probability <= 1.0:
         raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
-    still = standing_still(detections, tuning)
-    at, rest = np.flatnonzero(~still.rows), still.rest(detections)
+    stationary = stationary_sources(detections, tuning)
+    at, rest = np.flatnonzero(~stationary.rows), stationary.rest(detections)
     if len(np.unique(rest.frame)) < 2:
-        return replace(_nothing(detections), still=still)
+        return replace(_nothing(detections), stationary=stationary)
+    around = Surroundings.of(rest, tuning)
     if model is None:
-        model = learn_motion(*others, tuning=tuning) if others else _learned(rest, MotionModel(), COUNTS, tuning)
-    found = _found(rest, model, tuning, least, least_probability, still)
+        model = learn_motion(*others, tuning=tuning) if others else _learned(around, MotionModel(), COUNTS, tuning)
+    found = _found(around, model, tuning, least, least_probability, stationary)
     alike = _moving_alike(found)
     found = replace(found.only(~alike), alike=int(alike.sum()))
     members = np.where(found.members >= 0, at[found.members], -1)
-    return replace(found, detections=detections, members=members, still=still)
+    return replace(found, detections=detections, members=members, stationary=stationary)
 
 
 #: Rates with smaller errors than this, arcsec/min, tell a common motion from that of the main belt, which spreads by
@@ -254,28 +256,30 @@ def _moving_alike(found: Movers) -> BoolArray:
     error = np.sqrt(variance[first] + variance[last]) / ((seen.mjd_utc[last] - seen.mjd_utc[first]) * 1440.0)
     sharp = np.flatnonzero((found.size > 2) & (error < _SHARP))
     rate, error = found.rate_arcsec_per_min[sharp], error[sharp]
-    apart = np.hypot(*(rate[:, None] - rate[None]).T).T
-    near, far = ((apart < sigmas * error[:, None]).sum(axis=1) for sigmas in (3.0, 12.0))
-    common = (near >= _ALIKE) & (near > _EXCESS * (far - near) / 15.0)
-    out[sharp[(common & (apart < 3.0 * error)).any(axis=1)]] = True
+    if len(sharp):
+        tree = cKDTree(rate)
+        near, far = (tree.query_ball_point(rate, sigmas * error, return_length=True) for sigmas in (3.0, 12.0))
+        common = (near >= _ALIKE) & (near > _EXCESS * (far - near) / 15.0)
+        for alike in tree.query_ball_point(rate[common], 3.0 * error[common]):
+            out[sharp[alike]] = True
     return out
 
 
 def _found(
-    detections: Detections,
+    around: Surroundings,
     model: MotionModel,
     tuning: Tuning,
     least: int,
     least_probability: float,
-    still: Still | None = None,
+    stationary: Stationary | None = None,
 ) -> Movers:
-    """The tracklets of detections from which what stands still has been taken. still : by which it is judged again."""
-    around = Surroundings.of(detections, tuning)
+    """The tracklets of detections without stationary ones. stationary : these, by which slow tracklets are judged."""
+    detections = around.detections
     model = model.for_bands(detections.bands, tuning)
-    tracks = grow(around, _links(around, model, tuning), model, tuning)
-    competition = compete(tracks, len(detections), tuning)
-    at_rest = np.zeros(len(competition.tracks)) if still is None else still.probability(around, competition.tracks)
-    return _movers(detections, model, competition, least, least_probability, at_rest)
+    competition = _competition(around, model, tuning)
+    tracks = competition.tracks
+    p_stationary = np.zeros(len(tracks)) if stationary is None else stationary.probability(around, tracks)
+    return _movers(detections, model, competition, least, least_probability, p_stationary)
 
 
 def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
@@ -289,24 +293,25 @@ def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = D
     """
     model = MotionModel()
     for night in nights:
-        night = standing_still(night, tuning).rest(night)
-        if len(np.unique(night.frame)) < 2:
-            continue
-        model = _learned(night, model, counts, tuning)
+        night = stationary_sources(night, tuning).rest(night)
+        if len(np.unique(night.frame)) > 1:
+            model = _learned(Surroundings.of(night, tuning), model, counts, tuning)
     return model
 
 
-def _learned(night: Detections, model: MotionModel, counts: float, tuning: Tuning) -> MotionModel:
-    """The model with what one night teaches from which what stands still has been taken."""
-    around, rates = Surroundings.of(night, tuning), model.rates
+def _learned(around: Surroundings, model: MotionModel, counts: float, tuning: Tuning) -> MotionModel:
+    """The model with what one night's detections teach; without stationary ones."""
+    rates = model.rates
     # Links that no main-belt object makes are too many, and say too little one by one.
     likely = replace(tuning, least_log_ratio=max(tuning.least_log_ratio, DEFAULT_TUNING.least_log_ratio))
-    model = learn(around, model.for_bands(night.bands, tuning), likely, counts=counts)
+    model = learn(around, model.for_bands(around.detections.bands, tuning), likely, counts=counts)
     return _taught_by_tracks(around, model, rates, tuning, counts * TRACK_COUNTS)
 
 
-def _links(around: Surroundings, model: MotionModel, tuning: Tuning) -> Links:
-    return with_far_links(around, candidate_links(around, model, tuning), model, tuning)
+def _competition(around: Surroundings, model: MotionModel, tuning: Tuning) -> Competition:
+    """The tracks of all links, near and far, as they compete for the detections."""
+    links = with_far_links(around, candidate_links(around, model, tuning), model, tuning)
+    return compete(grow(around, links, model, tuning), len(around.detections), tuning)
 
 
 #: What is believed beforehand weighs so many tracks, for each link that it weighs: a link is one of several of a track,
@@ -323,7 +328,7 @@ def _taught_by_tracks(
     such movers, tracks tell that are straight over three exposures and more.
     """
     n = len(around.detections)
-    found = compete(grow(around, _links(around, model, tuning), model, tuning), n, tuning)
+    found = _competition(around, model, tuning)
     telling = found.p_track > 0.01
     p, tracks = found.p_track[telling], found.tracks.only(telling)
     # Movers that one exposure shows, or none, make no track; detections are those of an exposure.
@@ -355,10 +360,11 @@ def _shown(weight: FloatArray, shown: IntArray, saw: IntArray, p: float) -> floa
 
 
 def _movers(
-    detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float, at_rest: FloatArray
+    detections: Detections, model: MotionModel, found: Competition, least: int, p_least: float, p_stationary: FloatArray
 ) -> Movers:
     p_tracklet, p_member = found.shares(len(detections))
-    p_tracklet, p_member = (1.0 - at_rest) * p_tracklet, (1.0 - at_rest)[:, None] * p_member
+    moves = 1.0 - p_stationary
+    p_tracklet, p_member = moves * p_tracklet, moves[:, None] * p_member
     keep = np.flatnonzero(found.chosen)
     keep = keep[(found.tracks.size[keep] >= least) & (p_tracklet[keep] >= p_least)]
     keep = keep[np.lexsort([found.members[keep, 0], -found.tracks.log_weight[keep]])]
@@ -366,7 +372,7 @@ def _movers(
     width = int(found.tracks.size[keep].max(initial=2))
     chance = len(detections) * np.exp(-np.clip(weight, -50.0, 700.0))
     return Movers(
-        detections, model, found.members[keep][:, :width], p_tracklet[keep], ((1.0 - at_rest) * found.p_track)[keep],
+        detections, model, found.members[keep][:, :width], p_tracklet[keep], (moves * found.p_track)[keep],
         p_member[keep][:, :width], weight, chance, found.gap, found.tracks.state[keep],
         found.tracks.saw[keep], found.tracks.log_missed[keep],
     )  # fmt: skip
@@ -478,16 +484,15 @@ def search(
     for _ in range(tuning.turns):
         if len(np.unique(series.frame[series.left])) < 2:
             return _nothing(_nothing_left(series)), series
-        detections = left_over(series)
-        model = _learned(detections, MotionModel(), tuning.counts, motion)
-        found = _found(detections, model, motion, 2, 0.0)
+        around = Surroundings.of(left_over(series), motion)
+        found = _found(around, _learned(around, MotionModel(), tuning.counts, motion), motion, 2, 0.0)
         slow, stuck = _standing(found, series, tuning)
         if not (slow | stuck).any():
             break
         still, fixed = series.still.copy(), series.fixed.copy()
         for standing, which in ((still, slow), (fixed, stuck & ~slow)):
             members = found.members[which]
-            standing[detections.rows[members[members >= 0]]] = True
+            standing[found.detections.rows[members[members >= 0]]] = True
         series = replace(series, still=still, fixed=fixed)
     slow, stuck = _standing(found, series, tuning)
     wanted = (found.size >= least) & (found.p_tracklet >= least_probability) & ~slow & ~stuck

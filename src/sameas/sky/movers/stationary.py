@@ -1,4 +1,4 @@
-"""What stands still: stars, galaxies and variable objects among the detections, found before movers are searched.
+"""Stationary sources: stars, galaxies and variable objects among the detections, found before movers are searched.
 
 The tracks of the search serve, with one change: rates are 0. Whether the detections of such a track are rather those
 of a slow mover, the rate between its first and last one decides: its density is that of a rate of 0 measured with the
@@ -35,8 +35,8 @@ _ROUNDS = 4
 
 
 @dataclass(frozen=True)
-class Still:
-    """What stands still among n detections of f exposures.
+class Stationary:
+    """The stationary sources among n detections of f exposures.
 
     rows : (n,) which of them. places : of how many objects, each seen twice or more.
     share : of the tracks that stay within some errors, the part that stands still.
@@ -70,11 +70,11 @@ class Still:
         return np.asarray(expit(_log_ratio(around, tracks, 1.0) + math.log(self.share / (1.0 - self.share))))
 
 
-def standing_still(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Still:
-    """What rather stands still than moves or is of no object."""
+def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Stationary:
+    """The sources that are rather stationary than moving or of no object."""
     none = np.zeros((len(detections.frame_names), 2))
-    found = Still(np.zeros(len(detections), bool), 0, 0.0, none, 1.0)
-    typical = math.sqrt(float(np.median(detections.covariance[:, [0, 2]])))
+    found = Stationary(np.zeros(len(detections), bool), 0, 0.0, none, 1.0)
+    typical = detections.typical_sigma_arcsec
     for turn in range(_ROUNDS):
         before = found
         found = _searched(before.mended(detections), before, turn == 0, tuning)
@@ -84,16 +84,16 @@ def standing_still(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> S
     return found
 
 
-def _searched(detections: Detections, before: Still, first: bool, tuning: Tuning) -> Still:
-    """What stands still among detections that were mended already, and what that shows in all."""
+def _searched(detections: Detections, before: Stationary, first: bool, tuning: Tuning) -> Stationary:
+    """The stationary sources among detections that were mended already, and what they show in all."""
     n, around = len(detections), Surroundings.of(detections, tuning)
     here = replace(around, reference=np.zeros(n))
     # What stands still has few rivals: the second best ways through a star are those that pass over an exposure.
-    still = replace(tuning, bend_arcsec_per_min2=0.0, least_log_ratio=DEFAULT_TUNING.least_log_ratio, tracks=6)
-    model = MotionModel(rates=_AT_REST).for_bands(detections.bands, still)
-    model = learn(here, model, still)
+    tuning = replace(tuning, bend_arcsec_per_min2=0.0, least_log_ratio=DEFAULT_TUNING.least_log_ratio, tracks=6)
+    model = MotionModel(rates=_AT_REST).for_bands(detections.bands, tuning)
+    model = learn(here, model, tuning)
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)
-    found = compete(grow(here, candidate_links(here, model, still), model, still), n, still)
+    found = compete(grow(here, candidate_links(here, model, tuning), model, tuning), n, tuning)
     likely = np.flatnonzero(found.chosen & (found.shares(n)[0] > 0.5))
     tracks, members = found.tracks.only(likely), found.members[likely]
     if first:
@@ -105,7 +105,7 @@ def _searched(detections: Detections, before: Still, first: bool, tuning: Tuning
     at_rest = members[p > 0.5]
     rows = np.zeros(n, bool)
     rows[at_rest[at_rest >= 0]] = True
-    return Still(rows, len(at_rest), share, before.offset_arcsec + offset, before.error_scale * scale)
+    return Stationary(rows, len(at_rest), share, before.offset_arcsec + offset, before.error_scale * scale)
 
 
 def _log_ratio(around: Surroundings, tracks: Tracks, scale: float) -> FloatArray:
@@ -141,7 +141,7 @@ def _offsets_of_all(around: Surroundings, members: IntArray) -> tuple[FloatArray
     none = np.zeros((len(around.detections.frame_names), 2))
     offset, scale = _judged(around, members, none, straight=True)
     size = float(np.sqrt((offset**2).mean()))
-    if size > 0.5 * math.sqrt(float(np.median(around.detections.covariance[:, [0, 2]]))):
+    if size > 0.5 * around.detections.typical_sigma_arcsec:
         every, _ = _judged(around, members, offset, straight=False)
         if np.abs(every - offset).max() < 3.0 * size:
             return every, scale
