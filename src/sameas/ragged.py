@@ -6,6 +6,7 @@ Row k owns the entries ``start[k]`` … ``start[k + 1] − 1`` of all columns th
   within it.
 - :func:`ranges`: all whole numbers of several ranges, and which range each belongs to.
 - :func:`flattened`: the same of several lists, as a k-d tree gives neighbours.
+- :func:`places_in`: where numbers stand among ascending ones.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import IntArray
 from sameas.representation import in_short
+
+#: Numbers have no large gaps where they span at most so many times as many as there are.
+DENSE = 4
 
 
 @in_short
@@ -96,3 +100,17 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
     """
     rows = Ragged.of_sizes([len(each) for each in lists])
     return rows.row, np.concatenate([np.empty(0, np.int64), *(np.asarray(each, np.int64) for each in lists)])
+
+
+def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
+    """(k,) places of numbers among ascending ones, −1 for those that are not among them."""
+    if not len(ascending):
+        return np.full(np.shape(numbers), -1)
+    low, high = int(ascending[0]), int(ascending[-1])
+    if high - low < DENSE * (len(ascending) + np.size(numbers)):
+        # Numbers without large gaps are looked up: a search takes four times as long.
+        place = np.full(high - low + 3, -1)
+        place[ascending - (low - 1)] = np.arange(len(ascending))
+        return place[np.clip(numbers, low - 1, high + 1) - (low - 1)]
+    at = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
+    return np.where(ascending[at] == numbers, at, -1)

@@ -7,6 +7,7 @@ unit of the covariances, and its two covariances are brought to the same axes be
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,6 +79,11 @@ def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: A
     half_chord = np.minimum(np.hypot(u, v), 1.0)
     arc = np.where(half_chord > 1e-9, np.arcsin(half_chord) / np.maximum(half_chord, 1e-300), 1.0)
     return 2.0 * ARCSEC_PER_RADIAN * np.stack([u * arc, v * arc], axis=-1)
+
+
+def ball_volume(d: int) -> float:
+    """Volume of the ball of radius 1 in d dimensions."""
+    return float(math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0))
 
 
 def unit_vectors(lon_deg: ArrayLike, lat_deg: ArrayLike) -> FloatArray:

@@ -18,11 +18,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.assignment import assign
+from sameas.assignment import Hypothesis, assign
 from sameas.estimate.error_grid import ErrorAverage
 from sameas.evidence import Errors, Evidence, Rule
 from sameas.gate import Pairs
-from sameas.groups import groups, laid_out
+from sameas.groups import Groups, groups, laid_out
 from sameas.posterior import Posterior, by_messages, log_evidence, posterior
 from sameas.prior import PerPair
 from sameas.result import Identification
@@ -79,11 +79,11 @@ class Average:
         shift = _shift(expected, seen)
         for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.numbers, strict=True):
             here = _shift(number, seen)
-            p, log_z = _solved(pairs, others + log_density + (here.odds - shift.odds), solver, beside)
-            p_pairs.append(p)
-            log_weight.append(log_prior + log_z + here.log_records)
+            solved = Solved.of(pairs, others + log_density + (here.odds - shift.odds), solver, beside)
+            p_pairs.append(solved.p_pair)
+            log_weight.append(log_prior + solved.log_evidence + here.log_records)
             # A share of which nothing is known before lies between none and all.
-            numbers.append((float(p.sum()) + 0.5) / (min(seen) + 1.0) * min(seen))
+            numbers.append((float(solved.p_pair.sum()) + 0.5) / (min(seen) + 1.0) * min(seen))
         weight = np.exp(np.array(log_weight) - max(log_weight))
         weight /= weight.sum()
         odds = others + np.array([_shift(n, seen).odds - shift.odds for n in self.numbers])[:, None]
@@ -106,24 +106,46 @@ def _shift(number: float, seen: tuple[int, int]) -> _Shift:
     return _Shift(math.log(number) - sum(alone), records)
 
 
-def _solved(
-    pairs: Pairs, log_same: FloatArray, solver: Solver, beside: FloatArray | None = None
-) -> tuple[FloatArray, float]:
-    """(m,) probabilities of the pairs, and ln of the sum over all hypotheses.
+@dataclass(frozen=True)
+class Solved:
+    """Sums over all one-to-one hypotheses of one list of candidates.
 
-    Two records are one object, or companions missed each by the other source, or have nothing to do with each other.
+    p_pair : (m,) probabilities of the pairs to be one object. grouped, best, p_either : the groups of the pairs that
+    are not as good as impossible, their most probable hypothesis, and the probabilities by it.
     """
-    log_ratio = log_same if beside is None else np.logaddexp(log_same, beside)
-    kept = np.flatnonzero(log_ratio > IMPOSSIBLE)
-    p_pair = np.zeros(len(pairs))
-    if not len(kept):
-        return p_pair, 0.0
-    places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
-    grouped = laid_out(*places, len(pairs.first), len(pairs.second))
-    best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
-    p = solver(grouped, best).p_pair
-    p_pair[kept] = p if beside is None else p * np.exp(log_same[kept] - log_ratio[kept])
-    return p_pair, float(log_evidence(grouped, best, p).sum())
+
+    p_pair: FloatArray
+    grouped: Groups
+    best: Hypothesis
+    p_either: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        pairs: Pairs,
+        log_same: FloatArray,
+        solver: Solver,
+        beside: FloatArray | None = None,
+        least: float = IMPOSSIBLE,
+    ) -> Solved:
+        """By ln of the odds of the pairs (m,), before one-to-one, to be one object, and ``beside``, if any, to be
+        companions missed each by the other source, against having nothing to do with each other.
+
+        No pair is more probable than these odds say: those below ``least`` are left out, and at zero.
+        """
+        log_ratio = log_same if beside is None else np.logaddexp(log_same, beside)
+        kept = np.flatnonzero(log_ratio > least)
+        places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
+        grouped = laid_out(*places, len(pairs.first), len(pairs.second))
+        best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
+        p, p_pair = solver(grouped, best).p_pair, np.zeros(len(pairs))
+        p_pair[kept] = p if beside is None else p * np.exp(log_same[kept] - log_ratio[kept])
+        return cls(p_pair, grouped, best, p)
+
+    @property
+    def log_evidence(self) -> float:
+        """ln of the sum over all hypotheses, against that all records are alone."""
+        return float(log_evidence(self.grouped, self.best, self.p_either).sum())
 
 
 @dataclass(frozen=True)
@@ -170,18 +192,18 @@ def identified(
     seen: tuple[int, int],
     beside: FloatArray | None = None,
 ) -> Identification:
-    """The identification of these candidates, averaged; ``rule`` gives all evidence, its positions are replaced.
+    """The identification of these candidates, averaged; ``rule`` gives all evidence, of which the term of the positions
+    is replaced, or that of companions where errors are known.
 
     expected, seen, beside : as in :meth:`Average.posterior`. average : None where errors are known.
     """
     evidence = rule(pairs)
-    others = but_positions(evidence)
     if average is None:
-        log_ratio = evidence.log_ratio
-        averaged = Averaged.one(pairs, _solved(pairs, log_ratio, posterior, beside)[0], log_ratio)
+        changed, rest, log_ratio = "companions", but(evidence, "companions"), evidence.log_ratio
+        averaged = Averaged.one(pairs, Solved.of(pairs, log_ratio, posterior, beside).p_pair, log_ratio)
     else:
-        _, averaged = average.posterior(pairs, others, expected, seen, exact=True, beside=beside)
-    changed, rest = ("position", others) if average is not None else ("companions", but(evidence, "companions"))
+        changed, rest = "position", but_positions(evidence)
+        _, averaged = average.posterior(pairs, rest, expected, seen, exact=True, beside=beside)
     terms = {**evidence.terms, changed: averaged.log_ratio - rest}
     grouped = groups(pairs)
     best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.outline import Outline
 from sameas.kernels import threads
 from sameas.records import Records
@@ -58,6 +59,19 @@ class GridLevel:
     def part(self, rows_1: IntArray, rows_2: IntArray) -> GridLevel:
         """The same cells, for some of the records."""
         return GridLevel(self.of_first[rows_1], self.of_second[rows_2], self.volume)
+
+    def drawn(self, counts: Sequence[NDArray[Any]], enough: int, seed: int) -> BoolArray:
+        """(c,) which cells are drawn at random, to hold ``enough`` of each of the ``counts`` (each (c,))."""
+        order = np.random.default_rng(seed).permutation(len(self.volume))
+        needed = max(int(np.searchsorted(np.cumsum(count[order]), enough)) for count in counts) + 1
+        drawn = np.zeros(len(order), np.bool_)
+        drawn[order[:needed]] = True
+        return drawn
+
+
+def finest(levels: Sequence[GridLevel], most_cells: float) -> GridLevel:
+    """The level of the smallest cells that has no more of them; the first, where all have."""
+    return next((level for level in levels[::-1] if len(level.volume) <= most_cells), levels[0])
 
 
 def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...]]:

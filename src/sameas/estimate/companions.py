@@ -22,14 +22,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.estimate.cells import GridLevel
+from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs, Radius
-from sameas.ragged import ranges
+from sameas.ragged import places_in, ranges
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN, Sphere, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
 
 
 @dataclass(frozen=True)
@@ -156,9 +156,8 @@ class _Source:
         """(m,) pairs of a record of this and one of the other, and how far apart they are."""
         axis = int(np.argmax(np.ptp(other.points, axis=0)))
         order = np.argsort(other.points[:, axis], kind="stable")
-        low, high = (
-            np.searchsorted(other.points[order, axis], self.points[:, axis] + side) for side in (-reach, reach)
-        )
+        along = other.points[order, axis]
+        low, high = (np.searchsorted(along, self.points[:, axis] + side) for side in (-reach, reach))
         if int((high - low).sum()) <= STRIP:
             i, place = ranges(low, high - low)
             k = order[place]
@@ -214,22 +213,17 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
 
 def _drawn(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, IntArray]:
     """Records of either source in cells that hold enough of both; all, where these are hardly fewer."""
-    coarse = levels[0]
-    n = min(len(coarse.of_first), len(coarse.of_second))
-    if n > 2 * enough:
-        total = len(coarse.of_first) + len(coarse.of_second)
-        level = next((x for x in levels[::-1] if len(x.volume) * CELL <= total), coarse)
-        order = np.random.default_rng(SEED).permutation(len(level.volume))
-        sums = [np.cumsum(level.count(source)[order]) for source in (1, 2)]
-        drawn = np.zeros(len(order), np.bool_)
-        drawn[order[: max(int(np.searchsorted(sum_, enough)) for sum_ in sums) + 1]] = True
-        return np.flatnonzero(drawn[level.of_first]), np.flatnonzero(drawn[level.of_second])
-    return np.arange(len(coarse.of_first)), np.arange(len(coarse.of_second))
+    n1, n2 = len(levels[0].of_first), len(levels[0].of_second)
+    if min(n1, n2) <= 2 * enough:
+        return np.arange(n1), np.arange(n2)
+    level = finest(levels, (n1 + n2) / CELL)
+    drawn = level.drawn((level.count(1), level.count(2)), enough, SEED)
+    return np.flatnonzero(drawn[level.of_first]), np.flatnonzero(drawn[level.of_second])
 
 
 def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
     rows = np.flatnonzero(source.counted)
-    due = float(source.density[rows].sum()) * _ball(d) * reach**d + len(rows)
+    due = float(source.density[rows].sum()) * ball_volume(d) * reach**d + len(rows)
     if due <= most:
         return rows
     bits = np.ascontiguousarray(source.points[rows, 0]).view(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
@@ -239,10 +233,6 @@ def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
 def _edge(source: _Source, d: int) -> float:
     """By which share fewer couples there are at a distance of 1."""
     return EDGES[d - 1] * math.pow(float(source.density.mean()) / len(source.points), 1.0 / d)
-
-
-def _ball(d: int) -> float:
-    return float(math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0))
 
 
 @in_short
@@ -281,7 +271,7 @@ class _Couples:
         edge = _edge(source, d)
         background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
         inside = max(1.0 - edge * reach * d / (d + 1.0), 0.1)
-        expected = float(source.density[centres].sum()) * _ball(d) * reach**d * inside
+        expected = float(source.density[centres].sum()) * ball_volume(d) * reach**d * inside
         due_of_all = density * len(centres) * np.array(due)
         return cls(i, background, expected, table, due_of_all, len(centres), len(source.points), density)
 
@@ -365,7 +355,7 @@ def _shares(known: Clustering, sources: tuple[_Source, _Source], tuning: Compani
     inside = np.maximum(1.0 - 0.5 * (_edge(one, known.d) + _edge(two, known.d)) * distance, 0.1)
     background = scale * inside * np.sqrt(one.density[i] * two.density[k] / (known.mean[0] * known.mean[1]))
     companions, same = scale * known.at(distance, v), ring(distance, 0.0, v, known.d)
-    due, most = scale * _ball(known.d) * tuning.reach**known.d, float(min(n1, n2))
+    due, most = scale * ball_volume(known.d) * tuning.reach**known.d, float(min(n1, n2))
     common, level = 0.5 * most, 1.0
     for _ in range(tuning.iterations):
         total = common * same + companions + level * background
@@ -565,6 +555,5 @@ class _Lookup:
 
     def __call__(self, i: IntArray, j: IntArray) -> IntArray:
         """(k,) positions of pairs; −1 of those that are none."""
-        wanted = i * self.n2 + j
-        place = np.minimum(np.searchsorted(self.key, wanted), len(self.key) - 1)
-        return np.asarray(np.where(self.key[place] == wanted, self.order[place], -1))
+        place = places_in(self.key, i * self.n2 + j)
+        return np.asarray(np.where(place >= 0, self.order[place], -1))

@@ -22,7 +22,7 @@ from sameas.estimate.cells import FINEST, GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.space import ARCSEC_PER_RADIAN, Sphere, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.kernels.coverage import Buckets
@@ -156,14 +156,9 @@ def within_holes(here: Points, seen: BoolArray, there: Points, density: FloatArr
     return found | discs
 
 
-def _volume_of_disc(d: int) -> float:
-    """Volume of the disc of radius 1 in d dimensions."""
-    return float(math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0))
-
-
 def _radius(expected: float, density: Floats, d: int) -> Floats:
     """Of the disc that holds so many records on average."""
-    radius: Floats = (expected / _volume_of_disc(d) / density) ** (1.0 / d)
+    radius: Floats = (expected / ball_volume(d) / density) ** (1.0 / d)
     return radius
 
 
@@ -177,7 +172,7 @@ def opened(
         high = float(left.max())
         low = high / 2.0**here.d  # discs up to twice as large share their cells
         left = left[left <= low]
-        rows = here.isolated(wanted, density, (low, high), expected / _volume_of_disc(here.d), there)
+        rows = here.isolated(wanted, density, (low, high), expected / ball_volume(here.d), there)
         if len(rows):
             radius = _radius(expected, density[rows], here.d)
             inside = _inside(here, there, rows, radius, beyond * density[rows] ** (-1.0 / here.d), least)

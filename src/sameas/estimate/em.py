@@ -15,9 +15,8 @@ from functools import partial
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
-from sameas.assignment import assign
 from sameas.errors import InputError
-from sameas.estimate.averaging import Average, Averaged, but_positions
+from sameas.estimate.averaging import Average, Averaged, Solved, but_positions
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
 from sameas.estimate.coverage import local_share
@@ -28,11 +27,8 @@ from sameas.estimate.quantity import MOST_MISSING
 from sameas.estimate.sample import Setting
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
 from sameas.evidence.detection import logit
-from sameas.gate import Pairs
-from sameas.groups import laid_out
 from sameas.kernels import threads
 from sameas.posterior import by_messages
-from sameas.prior import PerPair
 from sameas.representation import in_short
 
 
@@ -175,8 +171,7 @@ class Estimates:
         tuning = self.tuning.companions
         if tuning is None or self.density is not None:
             return self
-        here, there = self.setting.pairs, None if before is None else before.setting.pairs
-        if before is not None and there is not None and there.first is here.first and there.second is here.second:
+        if before is not None and before.setting.pairs.same_records(self.setting.pairs):
             known = None if before.companions is None else before.companions.clustering
         else:
             known = clustering(self.setting, tuning)
@@ -239,15 +234,11 @@ class Estimates:
     def expectation(self) -> tuple[Estimates, FloatArray, FloatArray]:
         """The E-step: (m,) probabilities of the pairs and ln of their odds before one-to-one, and what was learned on
         the way of the errors that are left open."""
-        pairs, evidence = self.setting.pairs, self.rule()(self.setting.pairs)
-        beside = self.log_beside()
+        pairs, evidence, beside = self.setting.pairs, self.rule()(self.setting.pairs), self.log_beside()
         if self.average is None:
-            log_ratio, least = evidence.log_ratio, self.tuning.least_log_ratio
-            if beside is None:
-                return self, _probabilities(pairs, log_ratio, least), log_ratio
-            either = np.logaddexp(log_ratio, beside)
-            single = Averaged.one(pairs, _probabilities(pairs, either, least) * np.exp(log_ratio - either), log_ratio)
-            return self, single.p_pair, single.log_ratio
+            log_ratio = evidence.log_ratio
+            p_pair = Solved.of(pairs, log_ratio, by_messages, beside, self.tuning.least_log_ratio).p_pair
+            return self, p_pair, log_ratio if beside is None else Averaged.one(pairs, p_pair, log_ratio).log_ratio
         average, averaged = self.average.posterior(pairs, but_positions(evidence), *self.numbers(), beside=beside)
         return replace(self, average=average), averaged.p_pair, averaged.log_ratio
 
@@ -454,17 +445,3 @@ def settled(
         if number == 1 and not done and useless(known, p_counted):
             break
     return known, p_counted, number, done
-
-
-def _probabilities(pairs: Pairs, log_ratio: FloatArray, least: float) -> FloatArray:
-    """(m,) probabilities of the pairs, near enough for sums over many of them.
-
-    No pair is more probable than its odds before one-to-one say: those of next to none are left out, and at zero.
-    """
-    kept = np.flatnonzero(log_ratio > least)
-    places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
-    grouped = laid_out(*places, len(pairs.first), len(pairs.second))
-    best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
-    p_pair = np.zeros(len(pairs))
-    p_pair[kept] = by_messages(grouped, best).p_pair
-    return p_pair

@@ -23,11 +23,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from sameas.estimate.cells import finest
 from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.records import Records
-from sameas.space import Sphere
+from sameas.space import Sphere, ball_volume
 
 
 @dataclass(frozen=True)
@@ -201,9 +202,8 @@ def scanned(
         first, second = first.part(rows_1), second.part(rows_2)
     d = first.d
     richer = max(_mean_densities(coverage, density))
-    ball = math.pi ** (0.5 * d) / math.gamma(0.5 * d + 1.0)
     # In units of the typical error, in which a floor is the same along every axis.
-    widest = (tuning.crowd / (ball * richer * float(np.prod(unit)))) ** (1.0 / d)
+    widest = (tuning.crowd / (ball_volume(d) * richer * float(np.prod(unit)))) ** (1.0 / d)
     if widest < math.sqrt(ChiSquare().limit(d)):
         return None
     wide = Errors(factor_1=1e-6, factor_2=1e-6, floor=_floor(widest / tuning.reach * unit))
@@ -285,14 +285,10 @@ def _part(coverage: Coverage, tuning: GridTuning) -> tuple[IntArray, IntArray] |
     if min(n1, n2) <= 2 * tuning.enough:
         return np.arange(n1), np.arange(n2)
     poorer = 0 if n1 <= n2 else 1
-    fitting = [level for level in coverage.levels if len(level.volume) * tuning.cell <= min(n1, n2)]
-    level = fitting[-1] if fitting else coverage.levels[0]
+    level = finest(coverage.levels, min(n1, n2) / tuning.cell)
     of = (level.of_first, level.of_second)
     count = np.bincount(of[poorer][coverage.covered[poorer]], minlength=len(level.volume))
-    order = np.random.default_rng(tuning.seed).permutation(len(level.volume))
-    needed = int(np.searchsorted(np.cumsum(count[order]), tuning.enough)) + 1
-    drawn = np.zeros(len(level.volume), np.bool_)
-    drawn[order[:needed]] = True
+    drawn = level.drawn((count,), tuning.enough, tuning.seed)
     rows_1, rows_2 = (np.flatnonzero(drawn[cell]) for cell in of)
     return (rows_1, rows_2) if len(rows_1) and len(rows_2) else None
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.estimate.cells import GridLevel
+from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import Coverage
 from sameas.gate import Pairs
 from sameas.representation import in_short
@@ -103,12 +103,9 @@ class Setting:
         n = len(self.pairs.first), len(self.pairs.second)
         if min(n) <= sampling.worth_sampling * sampling.enough:
             return None
-        level = next((x for x in self.levels[::-1] if len(x.volume) * sampling.cell <= sum(n)), self.levels[0])
-        counts = [np.bincount(of, minlength=len(level.volume)) for of in (level.of_first, level.of_second)]
-        order = np.random.default_rng(sampling.seed).permutation(len(level.volume))
-        needed = max(int(np.searchsorted(np.cumsum(count[order]), sampling.enough)) for count in counts) + 1
-        drawn = np.zeros(len(level.volume), np.bool_)
-        drawn[order[:needed]] = True
+        level = finest(self.levels, sum(n) / sampling.cell)
+        counts = level.count(1), level.count(2)
+        drawn = level.drawn(counts, sampling.enough, sampling.seed)
         share = max(count[drawn].sum() / count.sum() for count in counts)
         return (level, drawn) if share * sampling.worth_sampling < 1.0 else None
 

@@ -342,6 +342,10 @@ class Pairs:
         """(k, d, d) Σ of the residuals of some pairs (k,), without those of all others."""
         return self._covariance(self.i[some], self.j[some])
 
+    def same_records(self, other: Pairs) -> bool:
+        """Whether the others are pairs of the very same records."""
+        return self.first is other.first and self.second is other.second
+
     def part(self, kept: BoolArray | IntArray) -> Pairs:
         """Some of the candidates, of the same records."""
         columns = ("place_1", "place_2", "i", "j", "residual", "mahalanobis_sq", "determinant")

@@ -30,11 +30,12 @@ from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import ErrorFactors
-from sameas.picture.named import NamedTracks, places_in
+from sameas.picture.named import NamedTracks
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
 from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING
+from sameas.ragged import places_in
 from sameas.representation import in_short
 
 #: Default ε: one scan in ten thousand, which a radar of 20 rotations a minute has every eight hours (chosen).

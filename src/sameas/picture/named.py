@@ -35,10 +35,8 @@ from sameas.picture.error_correlation import ErrorCorrelation, error_update, gro
 from sameas.picture.error_factors import ErrorFactors
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
+from sameas.ragged import places_in
 from sameas.tracks.alignment import moved, stamped_late
-
-#: Numbers have no large gaps where they span at most so many times as many as there are.
-DENSE = 4
 
 
 @dataclass(frozen=True)
@@ -260,17 +258,3 @@ def _lasting_root(scan: Scan, correlation: ErrorCorrelation) -> FloatArray:
     share = correlation.lasting(correlation.numbers(scan)[scan.source[at]], scan.tuning)
     out[at] = np.sqrt(share)[:, None, None] * np.linalg.cholesky(scan.reported_covariance[at, :2, :2])
     return out
-
-
-def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
-    """(k,) places of numbers among ascending ones, −1 for those that are not among them."""
-    if not len(ascending):
-        return np.full(np.shape(numbers), -1)
-    low, high = int(ascending[0]), int(ascending[-1])
-    if high - low < DENSE * (len(ascending) + np.size(numbers)):
-        # Numbers without large gaps are looked up: a search takes four times as long.
-        place = np.full(high - low + 3, -1)
-        place[ascending - (low - 1)] = np.arange(len(ascending))
-        return place[np.clip(numbers, low - 1, high + 1) - (low - 1)]
-    at = np.minimum(np.searchsorted(ascending, numbers), len(ascending) - 1)
-    return np.where(ascending[at] == numbers, at, -1)

@@ -23,11 +23,10 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, symmetric
 from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrNamed
-from sameas.picture.named import places_in
 from sameas.picture.object_states import ObjectStates
 from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, PictureObjects
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.ragged import ranges
+from sameas.ragged import places_in, ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import aged

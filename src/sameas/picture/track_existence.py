@@ -24,9 +24,10 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.picture.named import NamedTracks, places_in
+from sameas.picture.named import NamedTracks
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import places_in
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,11 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
 from sameas.kernels.kalman import best_others, mix, pairs_anew, pairs_stepped, swap_evidence
 from sameas.picture.error_correlation import LEAST_M2, ErrorCorrelation
-from sameas.picture.named import NamedTracks, Step, places_in
+from sameas.picture.named import NamedTracks, Step
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import places_in
 from sameas.tracks.kinds import KINDS
 
 

@@ -31,12 +31,12 @@ from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.instant_objects import IdentifiedObjects
 from sameas.picture.memory import Past
-from sameas.picture.named import places_in
 from sameas.picture.object_ids import Detections, ExistenceOdds, NamedObjects, Stages
 from sameas.picture.object_states import object_states
 from sameas.picture.picture_state import PictureState
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import places_in
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.scene import Instant

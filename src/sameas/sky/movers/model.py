@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from scipy.special import betaln
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.ragged import places_in
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import (
@@ -256,17 +257,14 @@ class Coverage:
         for drow in (-1, 0, 1):
             # Rows of another latitude have another number of cells.
             for dcolumn in (-1, 0, 1):
-                near = _keys(row + drow, longitude, side, dcolumn)
-                at = np.minimum(np.searchsorted(key, near), len(key) - 1)
-                same = key[at] == near
-                saw[at[same], detections.frame[same] + 1] = 1
+                at = places_in(key, _keys(row + drow, longitude, side, dcolumn))
+                saw[at[at >= 0], detections.frame[at >= 0] + 1] = 1
         return cls(side, key, np.cumsum(saw, axis=1))
 
     def cell(self, unit: FloatArray) -> IntArray:
         """(n,) the cell of each direction (n, 3), −1 where none has a detection."""
         key = _keys(*_rows(unit, self.side_deg), self.side_deg)
-        at = np.minimum(np.searchsorted(self.key, key), len(self.key) - 1)
-        return np.where(self.key[at] == key, at, -1)
+        return places_in(self.key, key)
 
     def saw(self, unit: FloatArray, frame: IntArray) -> BoolArray:
         """(n,) whether an exposure saw each direction (n, 3)."""
