@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import judged, peers, workload
-from benchmarks.frames import HOME, Tally
+from benchmarks.frames import Tally
 from benchmarks.recovered import true_rule
 from benchmarks.tables import Table, report
 from sameas import Identification, Sphere, identify
@@ -410,19 +409,16 @@ def columns(options: argparse.Namespace) -> Iterator[Table]:
 
 def _counterparts_of_nway(made: Counterparts, options: argparse.Namespace) -> tuple[Pairs, np.ndarray] | None:
     """NWAY's counterparts and their probabilities, told the true area and completeness; None where it is missing."""
-    python = options.interpreters.python("nway")
-    if peers.PEERS["nway"].version(python) is None:
-        return None
     area = made.area_arcsec2
     n, n1, n2 = len(made.scene.true_pairs()[0]), len(made.scene.first), len(made.scene.second)
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
         densities = workload.Densities(n / area, (n1 - n) / area, (n2 - n) / area)
         folder = workload.save(Path(name) / "scene", made.scene, densities)
         np.save(folder / "magnitude.npy", made.magnitude)
-        told = f"{str(folder)!r}, {area / 3600.0**2!r}, {n / n1!r}"
-        code = f"from benchmarks import peers; peers.nway_counterparts({told})"
-        subprocess.run([python, "-W", "ignore", "-c", code], check=True, capture_output=True, cwd=HOME)
-        row_1, row_2, p_any, p_i = np.load(folder / "nway.npy")
+        found = options.interpreters.nway("nway_counterparts", folder, area / 3600.0**2, n / n1)
+    if found is None:
+        return None
+    row_1, row_2, p_any, p_i = found
     return (row_1.astype(np.int64), row_2.astype(np.int64)), p_any * p_i
 
 

@@ -155,15 +155,9 @@ def nway(
     arrays: workload.Arrays, scene: SimulatedScene, area_arcsec2: float, interpreters: peers.Interpreters
 ) -> Pairs | None:
     """NWAY's pairs, told the true area and completeness; None where it is missing."""
-    if peers.PEERS["nway"].version(interpreters.python("nway")) is None:
-        return None
     completeness = len(scene.true_pairs()[0]) / len(scene.first)
-    told = f"{str(arrays.folder)!r}, {area_arcsec2 / 3600.0**2!r}, {completeness!r}"
-    code = f"from benchmarks import peers; peers.nway_pairs({told})"
-    command = [interpreters.python("nway"), "-W", "ignore", "-c", code]
-    subprocess.run(command, check=True, capture_output=True, cwd=HOME)
-    rows_1, rows_2 = np.load(arrays.folder / "nway.npy")
-    return rows_1, rows_2
+    found = interpreters.nway("nway_pairs", arrays.folder, area_arcsec2 / 3600.0**2, completeness)
+    return None if found is None else (found[0], found[1])
 
 
 # ---- errors that are not what is said of them ----

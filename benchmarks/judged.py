@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -129,13 +128,10 @@ def claims(one: RealSet, options: argparse.Namespace) -> Iterator[tuple[str, Pai
         if peers.PEERS["stilts"].version("") is not None:
             i, j = peers.stilts_pairs(arrays)
             yield "STILTS skyerr find=best, 3σ", (first.rows[i], second.rows[j]), None
-        python = options.interpreters.python("nway")
-        if peers.PEERS["nway"].version(python) is not None:
-            share = len(found.matches.rows_1) / len(first)
-            told = f"{str(arrays.folder)!r}, {one.area_deg2!r}, {share!r}"
-            code = f"from benchmarks import peers; peers.nway_pairs({told})"
-            subprocess.run([python, "-W", "ignore", "-c", code], check=True, capture_output=True, cwd=ROOT)
-            i, j = np.load(arrays.folder / "nway.npy")
+        share = len(found.matches.rows_1) / len(first)
+        theirs = options.interpreters.nway("nway_pairs", arrays.folder, one.area_deg2, share)
+        if theirs is not None:
+            i, j = theirs
             yield "NWAY, p > ½", (first.rows[i], second.rows[j]), None
 
 

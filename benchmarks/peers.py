@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.processes import Process
 from benchmarks.workload import Arrays
@@ -71,6 +72,23 @@ class Interpreters:
     def python(self, peer: str) -> str:
         """The interpreter of a peer."""
         return self.said.get(peer, sys.executable)
+
+    def nway(self, function: str, folder: Path, *told: float) -> NDArray[np.float64] | None:
+        """What a function for NWAY (below) leaves in ``nway.npy`` of a folder, called with it and what it is told.
+
+        None where NWAY is missing, or where it fails; then its last line is printed to stderr, and the others go on.
+        """
+        python = self.python("nway")
+        if PEERS["nway"].version(python) is None:
+            return None
+        code = f"from benchmarks import peers; peers.{function}{(str(folder), *told)!r}"
+        command, home = [python, "-W", "ignore", "-c", code], Path(__file__).parents[1]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=home, check=False)
+        if done.returncode:
+            said = (done.stderr.strip() or "it said nothing").splitlines()[-1]
+            print(f"NWAY failed: {said} (it is installed by {PEERS['nway'].install})", file=sys.stderr)
+            return None
+        return np.asarray(np.load(folder / "nway.npy"))
 
     def versions(self) -> dict[str, str | None]:
         """The version of every peer, None where it is missing."""
