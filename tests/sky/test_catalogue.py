@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -458,3 +459,23 @@ def test_real_gaia_edr3_without_errors_has_those_of_its_release() -> None:
     source = catalogue(table, sigma=0.3, sigma_unit="mas", pm_sigma_mas_per_yr=0.2)
     assert source.epoch_jyr == 2016.0
     assert len(source.records(1951.91)) == len(source)
+
+
+@pytest.mark.parametrize("nothing", ["-", "---", "None", "<NA>", "#N/A", "INDEF", "...", "", "n/a"])
+def test_magnitudes_in_a_column_of_text_are_magnitudes(nothing: str) -> None:
+    """Cells that say that there is none, numbers of Python, and what data frames call objects."""
+    place = {"ra": [1.0, 2.0, 3.0], "dec": [50.0, 60.0, 61.0]}
+    for cells in (["18.5", nothing, "17"], np.array([Decimal("18.5"), None, 17], dtype=object)):
+        source = catalogue({**place, "Jmag": cells, "Kmag": [1.0, 2.0, 3.0]}, sigma=1)
+        assert source.magnitude_name == "Jmag"
+        np.testing.assert_array_equal(source.magnitude, [18.5, np.nan, 17.0])
+        assert not any("not a number" in line for line in source.interpretation)
+
+
+def test_an_upper_limit_is_no_measured_magnitude_and_that_is_told() -> None:
+    place = {"ra": [1.0, 2.0, 3.0], "dec": [50.0, 60.0, 61.0]}
+    source = catalogue({**place, "Jmag": ["18.5", ">20.1", "17"]}, sigma=1)
+    np.testing.assert_array_equal(source.magnitude, [18.5, np.nan, 17.0])
+    assert "Jmag, row 1: '>20.1' is not a number; such cells count as not measured" in source.interpretation
+    source = catalogue({**place, "Jmag": ["faint", "good", "17"], "Kmag": [1.0, 2.0, 3.0]}, sigma=1)
+    assert source.magnitude_name == "Kmag"

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from astropy.table import Table
 
 from sameas.errors import InputError
 from sameas.front.match import Match
@@ -123,3 +124,29 @@ def test_the_order_in_which_records_are_kept_says_nothing(seam):
     doubled, due = (Match(each.result, each.estimate, each).blends(1.0) for each in (by_place, by_row))
     assert list(doubled["row_1"]) == sorted(doubled["row_1"]) and (doubled["id_1"] == due["id_1"]).all()
     np.testing.assert_allclose(doubled["p_blend"], due["p_blend"], rtol=1e-3, atol=1e-6)
+
+
+@pytest.mark.parametrize("magnitudes", ["auto", pytest.param("off", marks=pytest.mark.slow)])
+def test_the_order_of_the_rows_of_the_tables_says_nothing(magnitudes):
+    """What is learned is learned from some of the pairs: of sorted tables from the same ones as of shuffled ones."""
+    rng = np.random.default_rng(9)
+    n = 3000
+    place = np.column_stack([150.0 + rng.uniform(0.0, 0.3, n), 2.0 + rng.uniform(0.0, 0.3, n)])
+    bright = np.sort(rng.uniform(12.0, 20.0, n))
+    tables = []
+    for least in (0.2, 0.6):
+        some = np.flatnonzero(rng.random(n) < 0.8)
+        sigma = least * 10 ** (0.1 * (bright[some] - 16.0))
+        at = place[some] + rng.normal(size=(len(some), 2)) * sigma[:, None] * ARCSEC
+        columns = {"id": some, "ra": at[:, 0], "dec": at[:, 1], "sigma_arcsec": sigma}
+        tables.append(Table({**columns, "mag": bright[some] + rng.normal(0.0, 0.2, len(some))}))
+    shuffled = [table[rng.permutation(len(table))] for table in tables]
+    pairs = []
+    for one, two in (tables, shuffled):
+        catalogues = [Catalogue.of(table, name) for table, name in ((one, "one"), (two, "two"))]
+        found = match(*catalogues, MatchOptions(magnitudes=magnitudes))
+        matches = found.result.matches
+        ids = zip(one["id"][matches.rows_1].tolist(), two["id"][matches.rows_2].tolist(), strict=True)
+        pairs.append(dict(zip(ids, matches.p_match.tolist(), strict=True)))
+    assert pairs[0].keys() == pairs[1].keys() and len(pairs[0]) > 1500
+    assert max(abs(p - pairs[1][pair]) for pair, p in pairs[0].items()) < 1e-9

@@ -125,5 +125,5 @@ def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
 
 def _measured(table: Table, name: str, source: str) -> FloatArray:
     """(n,) numbers; 99 and −99.99, which surveys write for no measurement, are none."""
-    values = column_values.numbers(table, name, source)
+    values, _ = column_values.measured(table, name, source)
     return np.where(np.abs(values) < 90.0, values, np.nan)

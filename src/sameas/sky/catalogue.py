@@ -238,7 +238,7 @@ class Catalogue:
             ids=ids,
             astrometry=astrometry,
             choice=choice,
-            interpretation=interpretation + id_note,
+            interpretation=interpretation + id_note + _limits_in_words(rows, choice, name),
             doubts=tuple(doubt for doubt in doubts if doubt),
             has_motion=has_motion,
             options=options,
@@ -626,9 +626,17 @@ def _brightness(table: Table, name: str | None, source: str) -> FloatArray | Non
     """(n,) magnitudes; 99 and -99.99, which surveys write for no measurement, are none."""
     if name is None:
         return None
-    values = column_values.numbers(table, name, source)
+    values, _ = column_values.measured(table, name, source)
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(values) < 90.0, values, np.nan)
+
+
+def _limits_in_words(table: Table, choice: ColumnChoice, source: str) -> tuple[str, ...]:
+    """A note where cells of the magnitude say words."""
+    _, words = column_values.measured(table, choice.magnitude, source) if choice.magnitude else (None, None)
+    if words is None:
+        return ()
+    return (f"{choice.magnitude}, row {words[0]}: {words[1]!r} is not a number; such cells count as not measured",)
 
 
 def _repeats(ids: NDArray[Any]) -> bool:

@@ -5,6 +5,7 @@ What reads a cell takes a table and the name of a column and returns float64, Na
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from datetime import UTC, datetime
@@ -21,6 +22,8 @@ from sameas.sky.conventions import SkyFrame
 
 _SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
+#: What cells of text say, in lower case, where there is no number.
+_NOTHING = frozenset(("", "nan", "null", "none", "-", "--", "---", "na", "n/a", "#n/a", "<na>", "...", "…", "indef"))
 
 
 def as_table(data: Any, source: str) -> Table:
@@ -95,12 +98,44 @@ def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray
     values = np.full(len(texts), np.nan)
     for row, text in enumerate(texts):
         stripped = text.strip()
-        if stripped and stripped.lower() not in ("nan", "null", "none", "--"):
+        if stripped.lower() not in _NOTHING:
             try:
                 values[row] = reader(stripped.replace("−", "-"))
             except ValueError:
                 raise InputError(f"{source}: column {name!r}, row {row}: {text!r} is not a number") from None
     return values
+
+
+def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[int, str] | None]:
+    """(n,) the column's numbers, and the first of the rows whose text is none, with its text: an upper limit, a remark.
+
+    Raises
+    ------
+    InputError : a column of text of which more rows hold words than numbers; of several dimensions.
+    """
+    if not is_text(table, name) or table[name].ndim != 1:
+        return numbers(table, name, source), None
+    texts = [text.strip().replace("−", "-") for text in _texts(table, name)]
+    values = np.array([_number_or_none(text) for text in texts], dtype=np.float64)
+    words = [row for row, text in enumerate(texts) if text.lower() not in _NOTHING and np.isnan(values[row])]
+    if not words or len(words) > np.count_nonzero(np.isfinite(values)):
+        return numbers(table, name, source), None
+    return values, (words[0], texts[words[0]])
+
+
+def holds_numbers(table: Table, name: str) -> bool:
+    """Is there a number in each row, or in most of those of a column of text that say anything?"""
+    try:
+        return bool(np.isfinite(measured(table, name, "")[0]).any())
+    except InputError:
+        return False
+
+
+def _number_or_none(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def sexagesimal(table: Table, name: str, source: str) -> FloatArray:

@@ -27,7 +27,10 @@ from sameas.sky.surveys import survey_of
 
 # Names: the columns of one table, found by name, with their units, and what is wrong in the user's words.
 
-_SUFFIXES = {"_arcsec": "arcsec", "_mas": "mas", "_deg": "deg", "_hours": "hourangle", "_h": "hourangle"}
+_SUFFIXES = {
+    "_arcsec": "arcsec", "_mas": "mas", "_deg": "deg", "_hours": "hourangle", "_hrs": "hourangle", "_hr": "hourangle",
+    "_h": "hourangle",
+}  # fmt: skip
 #: Error columns without a unit: a smaller median is in degrees, a larger one in mas (chosen).
 _LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
 #: Units in brackets behind a name, as people write them.
@@ -566,7 +569,7 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
         return name, _error_of(search, name)
     for wanted, error in convention.magnitudes + conventions.PLAIN_MAGNITUDES:
         name = search.find(wanted)
-        if name and getattr(search.table[name], "ndim", 1) == 1 and not column_values.is_text(search.table, name):
+        if name and getattr(search.table[name], "ndim", 1) == 1 and column_values.holds_numbers(search.table, name):
             same = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
             return name, search.find(error) or search.first(same)
     by_ucd = next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None)

@@ -27,6 +27,7 @@ from sameas.result import Identification
 from sameas.sky.assumed import completed
 from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
+from sameas.sky.fields import apart_doubts
 from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
 from sameas.sky.warp import TUNING as WARP_TUNING
 from sameas.sky.warp import Warp, find_warp
@@ -72,8 +73,9 @@ class CrossmatchTuning:
     usual_scale : (least, largest) residuals over quoted errors that raise no doubt.
     usual_density : (least, largest) density that the user gave over the one that the data show that raise no doubt.
     by_place_from : from so many records on, of both catalogues together, records are put in the order of their places:
-        what lies together in the sky is then asked for together, and fetched once; a million rows in the order of a
-        table take a third longer.
+        what is learned from every k-th of them does then not depend on the order of the tables' rows, and what lies
+        together in the sky is asked for together, and fetched once (a million rows in the order of a table take a
+        third longer).
     """
 
     most_records_per_error: float = 20.0
@@ -84,7 +86,7 @@ class CrossmatchTuning:
     most_spacing_share: float = 0.2
     usual_scale: tuple[float, float] = (0.3, 5.0)
     usual_density: tuple[float, float] = (0.01, 100.0)
-    by_place_from: int = 100_000
+    by_place_from: int = 0
 
 
 TUNING = CrossmatchTuning()
@@ -238,7 +240,10 @@ def match(
         result, estimate = identified(one, warp.of(two))
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
-    doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search, warp)
+    if _next_to_nothing(result, estimate, tuning) and (apart := apart_doubts(first, second, one, two)):
+        doubts += apart
+    else:
+        doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search, warp)
     doubts += _blend_doubts(result, estimate)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
 
