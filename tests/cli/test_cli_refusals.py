@@ -69,7 +69,7 @@ def test_correlations_beyond_one_name_the_row(refused):
         table["rho"][11] = 1.5
 
     words = refused(correlated, "--sigma1", "sigma,north", "--correlation1", "rho")
-    assert "correlations beyond ±1 in 1 rows (first: row 11)" in words
+    assert "correlations beyond ±1 in 1 row (first: row 11)" in words
 
 
 def test_ids_that_were_asked_for_must_be_unique(refused):

@@ -251,3 +251,34 @@ def test_libraries_of_data_frames_are_not_imported_for_others():
     )
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == "[]"
+
+
+def test_names_of_columns_that_are_no_text_or_stand_twice(stars):
+    """Data frames have numbers, tuples and twins for names."""
+    pandas, pyarrow = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
+    frame = pandas.DataFrame(stars.first)
+    numbered = frame.assign(**{"0": 1.0}).rename(columns={"0": 0})
+    assert len(sameas.match(numbered, stars.second, sigma=0.05)) == len(stars.ra)
+    leveled = pandas.concat({"one": frame}, axis=1)
+    found = sameas.match(leveled, stars.second, sigma=0.05, ra1="one_ra", dec1="one_dec")
+    assert len(found) and "one_ra" in found.table.colnames
+    twins = pandas.concat([frame, frame[["ra"]]], axis=1)
+    with pytest.raises(InputError, match="first: two columns are called ra; rename one"):
+        sameas.match(twins, stars.second, sigma=0.05)
+    with pytest.raises(InputError, match="first: two columns are called a; rename one"):
+        sameas.match(pyarrow.Table.from_arrays([pyarrow.array([1.0])] * 2, names=["a", "a"]), stars.second)
+    for alone in (frame["ra"], pyarrow.array([1.0])):
+        with pytest.raises(InputError, match="does not hold positions"):
+            sameas.match(alone, stars.second)
+
+
+def test_rows_that_are_dicts_are_a_table(stars):
+    names = list(stars.second)
+    rows = [dict(zip(names, cells, strict=True)) for cells in zip(*stars.second.values(), strict=True)]
+    assert len(sameas.match(stars.first, rows, sigma=0.05)) == len(stars.ra)
+
+
+@pytest.mark.parametrize("values", [np.full(3, 0.1), np.full(3, 0.1) * u.arcsec])
+def test_an_option_takes_one_value_for_all_rows(stars, values):
+    with pytest.raises(InputError, match="sigma1 has 3 values, one for a row; make them a column of the table"):
+        sameas.match(stars.first, stars.second, sigma1=values)

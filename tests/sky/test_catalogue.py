@@ -291,7 +291,7 @@ def test_rows_without_an_epoch_are_not_moved() -> None:
     source = catalogue(table, sigma=1, epoch="when")
     assert len(source.records()) == 2
     assert list(source.records(2010.0).rows) == [0]
-    assert "1 rows have no epoch (column when, option) and are set aside when moved" in source.doubts
+    assert "1 of 2 rows has no epoch (column when, option) and is set aside when moved" in source.doubts
 
 
 @pytest.mark.parametrize(
@@ -314,7 +314,7 @@ def test_rows_without_an_epoch_are_not_moved() -> None:
         ),
         ({"ra": [1.0, 23.0], "dec": [-50, 50]}, {}, "ra states no unit and stays below 24: is it in hours?"),
         ({}, {"epoch": 1066}, "the epoch 1066 (option) lies outside 1850 to 2100"),
-        ({"pmra": [3e4, 0.0], "pmdec": [0.0, 0.0]}, {"epoch": 2000}, "1 proper motions exceed 20 arcsec/yr"),
+        ({"pmra": [3e4, 0.0], "pmdec": [0.0, 0.0]}, {"epoch": 2000}, "1 proper motion exceeds 20 arcsec/yr"),
         ({"pmra": [3.0, 0.0], "pmdec": [0.0, 0.0]}, {"epoch": 2000}, "pmra has no column of errors"),
     ],
 )

@@ -24,11 +24,11 @@ def _field(n: int = 200) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("misread", "words"),
     [
-        (lambda ra, dec: (ra / 15.0, dec), "in hours, ra of two would lie in the field of one: give the column its unit"),
-        (lambda ra, dec: (np.radians(ra), np.radians(dec)), "in radians, ra and dec of two would lie in the field of one"),
+        (lambda ra, dec: (ra / 15.0, dec), "in hours, ra of two would lie in the field of one: give the column"),
+        (lambda ra, dec: (np.radians(ra), np.radians(dec)), "in radians, ra and dec of two would lie in the field"),
         (lambda ra, dec: (dec, ra), "exchanged, ra and dec of two would lie in the field of one: give ra2=dec dec2=ra"),
-        (lambda ra, dec: (ra, -dec), "with the other sign, dec of two would lie in the field of one: were its signs lost"),
-        (lambda ra, dec: (ra + 3.0, dec), "two within 0.29° of RA 23.25°, Dec +41.20°: do they show the same part"),
+        (lambda ra, dec: (ra, -dec), "with the other sign, dec of two would lie in the field of one: were its signs"),
+        (lambda ra, dec: (ra + 3.0, dec), "do they show the same part of the sky?"),
     ],
 )  # fmt: skip
 def test_fields_apart_are_told_with_what_may_be_misread(misread: Any, words: str) -> None:
@@ -38,7 +38,8 @@ def test_fields_apart_are_told_with_what_may_be_misread(misread: Any, words: str
     for swapped in (False, True):
         tables = (second, first) if swapped else (first, second)
         names = ("two", "one") if swapped else ("one", "two")
-        found = match(*(Catalogue.of(table, name) for table, name in zip(tables, names, strict=True)))
+        one, two = (Catalogue.of(table, name) for table, name in zip(tables, names, strict=True))
+        found = match(one, two)
         told = [line for line in map(str, found.doubts) if line.startswith("the fields lie apart: ")]
         assert len(told) == 1 and not any("offset='find'" in str(line) for line in found.doubts)
         wanted = words.partition(",")[0] if swapped else words

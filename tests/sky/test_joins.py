@@ -143,8 +143,7 @@ def test_the_order_of_the_rows_of_the_tables_says_nothing(magnitudes):
     shuffled = [table[rng.permutation(len(table))] for table in tables]
     pairs = []
     for one, two in (tables, shuffled):
-        catalogues = [Catalogue.of(table, name) for table, name in ((one, "one"), (two, "two"))]
-        found = match(*catalogues, MatchOptions(magnitudes=magnitudes))
+        found = match(Catalogue.of(one, "one"), Catalogue.of(two, "two"), MatchOptions(magnitudes=magnitudes))
         matches = found.result.matches
         ids = zip(one["id"][matches.rows_1].tolist(), two["id"][matches.rows_2].tolist(), strict=True)
         pairs.append(dict(zip(ids, matches.p_match.tolist(), strict=True)))

@@ -370,10 +370,10 @@ def test_position_is_the_first_part_of_the_propagation_in_any_chunk():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"dec_deg": [0.0, 91.0]}, "hip: declinations beyond ±90° in 1 rows (first: row 1); give degrees"),
+        ({"dec_deg": [0.0, 91.0]}, "hip: declinations beyond ±90° in 1 row (first: row 1); give degrees"),
         ({"epoch_jyr": 57388.0}, "not Julian years in 2 rows (first: row 0); give e.g. 2016.0"),
-        ({"epoch_jyr": [2016.0, np.nan]}, "not Julian years in 1 rows (first: row 1)"),
-        ({"sigma": [[1.0, 1.0], [1.0, -1.0]]}, "hip: negative errors in 1 rows (first: row 1)"),
+        ({"epoch_jyr": [2016.0, np.nan]}, "not Julian years in 1 row (first: row 1)"),
+        ({"sigma": [[1.0, 1.0], [1.0, -1.0]]}, "hip: negative errors in 1 row (first: row 1)"),
         ({"sigma": [1.0, 1.0]}, "sigma has shape (2,); give (2, 2) up to (2, 6)"),
         ({"parallax_mas": [1.0]}, "hip: parallax_mas: shape (1,); give (2,)"),
         ({"pm_ra_mas_per_yr": ["a", "b"]}, "hip: pm_ra_mas_per_yr: not numbers"),

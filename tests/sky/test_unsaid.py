@@ -329,7 +329,7 @@ def test_our_own_table_of_a_frame_brings_errors_and_epoch_and_no_star_that_was_n
     source = catalogue(table)
     assert source.epoch_jyr == 1951.9 and list(source.records().rows) == [0, 1]
     np.testing.assert_allclose(source.records().covariance, [[0.04, 0.01, 0.09]] * 2)
-    assert "1 rows are stars that were not measured, and are set aside" in source.doubts
+    assert "1 row is a star that was not measured, and is set aside" in source.doubts
 
 
 def test_all_that_is_wrong_is_said_at_once() -> None:

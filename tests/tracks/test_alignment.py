@@ -109,7 +109,7 @@ def test_what_was_seen_earlier_is_a_part_of_the_state_now():
 
 
 def test_reports_without_a_time_are_refused():
-    with pytest.raises(InputError, match=r"ais: 1 reports have no time \(first: row 1\)"):
+    with pytest.raises(InputError, match=r"ais: 1 report has no time \(first: row 1\)"):
         States.of([0.0, np.nan], np.zeros((2, 2)), np.eye(2), speed_m_per_s=8.0, source="ais")
     with pytest.raises(InputError, match="without their covariances"):
         States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0, velocity=[[0.0, 0.0]])

@@ -17,7 +17,7 @@ from sameas.front.request import Request
 from sameas.io import replacing, write_table, written_formats
 from sameas.io.atomic import is_input
 from sameas.report.match import catalogue_lines
-from sameas.report.prose import count
+from sameas.report.prose import counted
 from sameas.sky.catalogue import Catalogue
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class Outputs:
     def write(self, table: Table, facts: Mapping[str, Any], rows: str) -> str:
         """Writes the table; the line that says so. rows : which ones it holds, in words."""
         write_table(table, self.path, provenance=facts, format=self.format, overwrite=self.overwrite)
-        return f"Output: {self.path}, {count(len(table))} rows, {len(table.columns)} columns ({rows})"
+        return f"Output: {self.path}, {counted(len(table), 'row')}, {len(table.columns)} columns ({rows})"
 
 
 class _Rehearsed(Exception):

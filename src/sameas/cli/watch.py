@@ -16,6 +16,7 @@ from sameas.cli.outcome import answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError
+from sameas.report.prose import counted
 
 _INPUTS, _MAP = "What is read", "The map"
 
@@ -94,11 +95,16 @@ def watch(
         server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
         asyncio.run(_run(keeper, server, until_s))
         state = keeper.health()
-        say([f"Watched: {state['tick']} instants, {state['objects']} objects in the last"])
+        say([f"Watched: {counted(state['tick'], 'instant')}, {counted(state['objects'], 'object')} in the last"])
         for name, one in state["sources"].items():
             aside = {word: one[word] for word in ("late", "repeated", "jumps", "refused") if one[word]}
             words = "".join(f", {n} {word}" for word, n in aside.items())
-            say([f"  {name}: {one['reports']} reports{words}" + (f"; {one['error']}" if one["error"] else "")])
+            say(
+                [
+                    f"  {name}: {counted(one['reports'], 'report')}{words}"
+                    + (f"; {one['error']}" if one["error"] else "")
+                ]
+            )
 
 
 def _settings(

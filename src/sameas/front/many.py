@@ -185,11 +185,11 @@ class MatchMany:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.report.prose import count
+        from sameas.report.prose import count, counted
 
-        names = ", ".join(f"{catalogue.name} ({count(len(catalogue))} rows)" for catalogue in self.sky.catalogues)
+        names = ", ".join(f"{catalogue.name} ({counted(len(catalogue), 'row')})" for catalogue in self.sky.catalogues)
         several = int((self.objects.n_members > 1).sum())
-        return f"Match of {names}: {count(len(self))} objects, {count(several)} of them in several"
+        return f"Match of {names}: {counted(len(self), 'object')}, {count(several)} of them in several"
 
     def __repr__(self) -> str:
         from sameas.report.prose import in_lines

@@ -264,13 +264,12 @@ class Match:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.report.prose import count, expected
+        from sameas.report.prose import counted, expected
 
-        sizes = [f"{records.source} ({count(records.n_table)} rows)"
+        sizes = [f"{records.source} ({counted(records.n_table, 'row')})"
                  for records in (self.identification.first, self.identification.second)]  # fmt: skip
-        return (
-            f"Match of {' and '.join(sizes)}: {count(len(self))} pairs, {expected(self.expected_wrong)} expected wrong"
-        )
+        pairs, wrong = counted(len(self), "pair"), expected(self.expected_wrong)
+        return f"Match of {' and '.join(sizes)}: {pairs}, {wrong} expected wrong"
 
     def __repr__(self) -> str:
         from sameas.report.prose import in_lines

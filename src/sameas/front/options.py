@@ -84,6 +84,9 @@ def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
 
 def _plain(value: Any, option: ColumnOption) -> Any:
     """A value that can be written down: names with commas between, quantities and times as numbers."""
+    if getattr(value, "shape", ()):
+        message = Message(Argument(option.parameter), f" has {len(value)} values, one for a row")
+        raise InputError(message, "make them a column of the table, and give its name")
     if isinstance(value, tuple | list):
         return ",".join(map(str, value))
     if option.unit and hasattr(value, "to_value"):

@@ -4,12 +4,13 @@
 - astropy's ``Table`` and ``QTable``; a column of ``SkyCoord`` becomes columns of right ascension, declination, motion;
 - astropy's ``SkyCoord``, whatever its frame, with its proper motions, distance, radial velocity and ``obstime``;
 - pandas and polars (lazy frames are collected), pyarrow, and whatever else speaks Arrow's interface;
-- NumPy's structured arrays, and mappings of names to columns.
+- NumPy's structured arrays, mappings of names to columns, and lists of rows that are mappings.
 """
 
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +42,7 @@ def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str 
         from sameas.io import read_table
 
         return read_table(data, format=format, hdu=hdu)
-    table = _as_table(data)
+    table = _as_table(data, name)
     if table is None:
         raise InputError(
             f"{name}: {kind_of(data)} does not hold positions",
@@ -103,7 +104,7 @@ def kind_of(data: Any) -> str:
     return kind.__name__ if home in ("builtins", "sameas") else f"{home} {kind.__name__}"
 
 
-def _as_table(data: Any) -> Table | None:
+def _as_table(data: Any, name: str) -> Table | None:
     from astropy.coordinates import SkyCoord
     from astropy.table import QTable, Table
 
@@ -113,34 +114,50 @@ def _as_table(data: Any) -> Table | None:
     if isinstance(data, SkyCoord):
         return Table(_columns_of(data, ""), copy=False)
     if library == "pandas" and hasattr(data, "iloc") and hasattr(data, "columns"):
-        return _of_pandas(data)
+        return _of_pandas(data, name)
     if library == "polars" and hasattr(data, "collect"):
         data = data.collect()
     if hasattr(data, "__arrow_c_stream__"):
-        return _of_arrow(data)
+        return _of_arrow(data, name)
     if isinstance(data, np.ndarray) and data.dtype.names:
         return Table(data, copy=False)
     if isinstance(data, Mapping):
         return Table(dict(data), copy=False)
+    if isinstance(data, list) and data and all(isinstance(row, Mapping) for row in data):
+        return Table(rows=data)
     return None
 
 
-def _of_pandas(frame: Any) -> Table:
+def _of_pandas(frame: Any, name: str) -> Table:
     """The columns of a data frame; its index too, unless that only numbers the rows."""
     from astropy.table import Table
 
     counts = type(frame.index).__name__ == "RangeIndex" and frame.index.name is None
+    names = ["_".join(map(str, one)) if isinstance(one, tuple) else str(one) for one in frame.columns]
+    _refuse_namesakes(names, name)
+    if names != list(frame.columns):
+        frame = frame.set_axis(names, axis=1)
     return Table.from_pandas(frame, index=not counts)
 
 
-def _of_arrow(data: Any) -> Table:
+def _refuse_namesakes(names: list[str], source: str) -> None:
+    twice = next((name for name, times in Counter(names).items() if times > 1), None)
+    if twice is not None:
+        raise InputError(f"{source}: two columns are called {twice}; rename one")
+
+
+def _of_arrow(data: Any, name: str) -> Table | None:
     import pyarrow as pa
     from astropy.table import Table
 
     from sameas.io.arrow import column_of
 
-    arrow = data if isinstance(data, pa.Table) else pa.table(data)
-    columns = (column_of(name, arrow.column(name)) for name in arrow.column_names)
+    try:
+        arrow = data if isinstance(data, pa.Table) else pa.table(data)
+    except pa.ArrowInvalid:  # one column only: a Series, an array
+        return None
+    _refuse_namesakes(arrow.column_names, name)
+    columns = (column_of(one, arrow.column(one)) for one in arrow.column_names)
     return Table([column for column in columns if column is not None], copy=False)
 
 

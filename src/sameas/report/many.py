@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from sameas.records import Records
-from sameas.report.prose import DOUBT, count, entry, figures
+from sameas.report.prose import DOUBT, count, counted, entry, figures
 from sameas.result.identification import AMBIGUOUS
 from sameas.sky.column_choice import in_years
 from sameas.sky.many import ManyMatch
@@ -84,6 +84,6 @@ def _sure(match: ManyMatch) -> list[str]:
             "expected wrong", f"{figures(float(np.sum(1.0 - p[several])))} of {count(several.sum())} of several records"
         ),
         *entry("ambiguous", f"{count(np.count_nonzero(several & (p < AMBIGUOUS)))} less probable than {AMBIGUOUS:g}"),
-        *entry("two by two", f"{count(match.broken)} pairs of two catalogues are not in any object"),
-        *entry("largest group", f"{count(groups.records.max(initial=0))} records"),
+        *entry("two by two", f"{counted(match.broken, 'pair')} of two catalogues in no object"),
+        *entry("largest group", f"{counted(groups.records.max(initial=0), 'record')}"),
     ]

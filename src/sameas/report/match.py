@@ -22,7 +22,7 @@ from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.report.findings import common_objects, findings, judged
-from sameas.report.prose import DOUBT, LABEL, count, entry, figures, percent
+from sameas.report.prose import DOUBT, LABEL, count, counted, entry, figures, percent
 from sameas.result import Answers, Identification
 from sameas.result.identification import AMBIGUOUS
 from sameas.sky.catalogue import Catalogue
@@ -55,7 +55,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     path : of its file. words : how a message that names arguments is put.
     """
     where = f" ({path})" if path else ""
-    lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {count(len(catalogue))} rows{where}"]
+    lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
     lines_read = [words(line).partition(": ") for line in catalogue.interpretation]
     last = {label: k for k, (label, _, _) in enumerate(lines_read)}
     for k, (label, colon, text) in enumerate(lines_read):
@@ -223,7 +223,7 @@ def _pairs(match: SkyMatch) -> list[str]:
     statistics = result.groups.statistics()
     largest = statistics.pop("records in the largest")
     sizes = ", ".join(f"{count(n)} {words}" for words, n in statistics.items() if n)
-    groups = count(len(result.groups)) + (f": {sizes}; the largest has {count(largest)} records" if sizes else "")
+    groups = count(len(result.groups)) + (f": {sizes}; the largest has {counted(largest, 'record')}" if sizes else "")
     k = len(result.matches)
     ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
     ways = [(n, words) for words, n in result.posterior.counts().items() if n]
@@ -231,7 +231,7 @@ def _pairs(match: SkyMatch) -> list[str]:
     wrong, missed = result.expected_wrong, result.expected_missed
     return [
         *entry("groups", groups),
-        *entry("pairs", f"{count(k)} identified among {count(len(result.pairs))} candidates"),
+        *entry("pairs", f"{count(k)} identified among {counted(len(result.pairs), 'candidate')}"),
         *entry(
             "expected wrong",
             f"{wrong:.1f} of the identified ({percent(wrong / max(k, 1))}); missed: {missed:.1f}",
@@ -335,7 +335,7 @@ def records_lines(found: Identification, estimate: Estimate) -> list[str]:
         "Found",
         *_records_row(found.first, found.answers_1),
         *_records_row(found.second, found.answers_2),
-        *entry("pairs", f"{count(pairs)} identified among {count(len(found.pairs))} candidates"),
+        *entry("pairs", f"{count(pairs)} identified among {counted(len(found.pairs), 'candidate')}"),
         *entry(
             "expected wrong",
             f"{wrong:.1f} of the identified ({percent(wrong / max(pairs, 1))}); missed: {found.expected_missed:.1f}",
@@ -347,5 +347,5 @@ def records_lines(found: Identification, estimate: Estimate) -> list[str]:
 def _records_row(records: Records, answers: Answers) -> list[str]:
     identified = int(np.count_nonzero(~np.ma.getmaskarray(answers.partner)))
     aside = "".join(f", {count(n)} set aside ({reason})" for reason, n in records.set_aside.counts().items())
-    words = f"{count(records.n_table)} rows{aside}, {count(identified)} identified"
+    words = f"{counted(records.n_table, 'row')}{aside}, {count(identified)} identified"
     return entry(records.source, words)

@@ -36,7 +36,7 @@ def searched_lines(seen: Detections) -> list[str]:
         f"{1440.0 * float(np.ptp(time)):.1f} minutes"
     ]
     for reason, number in seen.set_aside.counts().items():
-        lines.append(f"{DOUBT}{count(number)} rows are set aside: {reason}")
+        lines.append(f"{DOUBT}{counted(number, 'row')} {'is' if number == 1 else 'are'} set aside: {reason}")
     if len(seen.frame_names) < FEW:
         lines.append(f"{DOUBT}two exposures: nothing confirms that motion is straight; take three or more")
     days = float(np.ptp(time))
@@ -51,8 +51,8 @@ def left_out_lines(found: Movers) -> list[str]:
     """What was left out: stationary sources, with what they show of the exposures, and tracklets that move alike."""
     lines, stationary = [], found.stationary
     if stationary is not None and stationary.places:
-        rows, places = count(int(stationary.rows.sum())), count(stationary.places)
-        lines.append(f"Stationary: {rows} detections at {places} places, left out")
+        rows, places = counted(int(stationary.rows.sum()), "detection"), counted(stationary.places, "place")
+        lines.append(f"Stationary: {rows} at {places}, left out")
         off = float(np.hypot(*stationary.offset_arcsec.T).max())
         if off > 0.5 * found.detections.typical_sigma_arcsec:
             lines.append(
@@ -159,7 +159,7 @@ def series_lines(series: Series) -> list[str]:
     n = len(series.frame)
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
     lines = [
-        f"Series: {len(series.exposures)} frames over {minutes:.1f} minutes, {count(n)} measurements",
+        f"Series: {counted(len(series.exposures), 'frame')} over {minutes:.1f} minutes, {count(n)} measurements",
         f"  in the star catalogue {count(int(series.star.sum()))}, stationary {count(int(series.still.sum()))},"
         f" fixed on the chip {count(int(series.fixed.sum()))}, on bad pixels {count(int(series.spoilt.sum()))}; "
         f"candidates {count(int(series.left.sum()))}",
@@ -174,7 +174,8 @@ def star_lines(series: Series, filter: str = "") -> list[str]:
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
     zero, often = stars.zero_point, (stars.measurement >= 0).sum(axis=1)
     lines = [
-        f"Series: {len(series.exposures)} frames{f' in {filter}' if filter else ''} over {minutes:.1f} minutes, "
+        f"Series: {counted(len(series.exposures), 'frame')}{f' in {filter}' if filter else ''} "
+        f"over {minutes:.1f} minutes, "
         f"{count(len(stars))} stars, {count(int((stars.name != '').sum()))} of them in the catalogue, "
         f"{count(int((often == len(zero)).sum()))} on all frames",
         f"  registered by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
@@ -235,12 +236,10 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     if missed.any():
         ratio = pixels.log_ratio[k]
         times = f"{abs(ratio) / np.log(10):.1f} powers of ten {'more' if ratio >= 0 else 'less'} probable"
-        out.append((
-            f"{int(missed.sum())} frames do not show it; forced photometry there makes it {times}",
-            bool(ratio < 0),
-        ))  # fmt: skip
+        unseen = "1 frame does" if missed.sum() == 1 else f"{int(missed.sum())} frames do"
+        out.append((f"{unseen} not show it; forced photometry there makes it {times}", bool(ratio < 0)))
     if hidden.any():
-        out.append((f"on {int(hidden.sum())} frames it lies on a star", False))
+        out.append((f"on {counted(int(hidden.sum()), 'frame')} it lies on a star", False))
     off = frames - int(usable.sum())
     if off:
         out.append((f"on {off} of {frames} frames it is off the edge or on unusable pixels", False))

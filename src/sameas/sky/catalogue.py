@@ -59,7 +59,8 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
     lost = len(sigma) - len(known)
     if lost:
-        text = f"{lost} of {len(sigma)} rows lack a position or a positive error and are set aside"
+        lack, are = _verb(lost, "lack"), _verb(lost, "are")
+        text = f"{lost} of {len(sigma)} rows {lack} a position or a positive error and {are} set aside"
         placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
         if np.count_nonzero(placed) == len(known):
             return text
@@ -109,7 +110,8 @@ def _doubts_epochs(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the epoch {odd[0]:g} ({choice.epoch.reason}) lies outside 1850 to 2100"
     lost = len(epochs) - len(known)
     if lost and len(known):
-        return f"{lost} rows have no epoch ({choice.epoch.reason}) and are set aside when moved"
+        have, are = _verb(lost, "have"), _verb(lost, "are")
+        return f"{lost} of {len(epochs)} rows {have} no epoch ({choice.epoch.reason}) and {are} set aside when moved"
     return ""
 
 
@@ -122,7 +124,7 @@ def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if not len(fast):
         return ""
     return (
-        f"{len(fast)} proper motions exceed 20 arcsec/yr "
+        f"{len(fast)} {'proper motion exceeds' if len(fast) == 1 else 'proper motions exceed'} 20 arcsec/yr "
         f"(first: row {fast[0]}, {1e-3 * speed[fast[0]]:g} arcsec/yr): is {choice.motion[1].name} in mas/yr?"
     )
 
@@ -390,7 +392,12 @@ def _filled_in_words(filled: FloatArray, choice: ColumnChoice) -> str:
     least, largest = f"{filled.min():.2g}", f"{filled.max():.2g}"
     size = least if least == largest else f"{least} to {largest}"
     of = f"magnitude ({choice.magnitude})" if choice.magnitude else "catalogue"
-    return f"{len(filled)} rows have no position error and were given the typical one of their {of}, {size} arcsec"
+    rows = (
+        "1 row has no position error and was"
+        if len(filled) == 1
+        else f"{len(filled)} rows have no position error and were"
+    )
+    return f"{rows} given the typical one of their {of}, {size} arcsec"
 
 
 def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
@@ -407,7 +414,15 @@ def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
 
 def _not_measured(table: Table, choice: ColumnChoice) -> str:
     absent = 0 if not choice.measured else int(np.count_nonzero(_absent(table, choice.measured)))
-    return f"{absent} rows are stars that were not measured, and are set aside" if absent else ""
+    if not absent:
+        return ""
+    rows = "1 row is a star that was" if absent == 1 else f"{absent} rows are stars that were"
+    return f"{rows} not measured, and {_verb(absent, 'are')} set aside"
+
+
+def _verb(number: int, plural: str) -> str:
+    """A verb for so many rows."""
+    return {"are": "is", "have": "has", "lack": "lacks"}[plural] if number == 1 else plural
 
 
 def _absent(table: Table, name: str) -> BoolArray:
@@ -437,7 +452,11 @@ def _given_twice(table: Table, astrometry: Astrometry) -> str:
             alike = np.ma.filled(np.ma.asarray((first == second) | both_nan), False)
             whole &= np.asarray(alike, np.bool_) | (absent[one] & absent[other])
     times = int(np.count_nonzero(whole)) or len(same)
-    what = "are given twice" if whole.any() else "have exactly the position of another row"
+    what = (
+        f"{_verb(times, 'are')} given twice"
+        if whole.any()
+        else f"{_verb(times, 'have')} exactly the position of another row"
+    )
     k = int(np.flatnonzero(whole)[0]) if whole.any() else 0
     return (
         f"{times} of {len(table)} rows {what} (first: rows {one[k]} and {other[k]}); "

@@ -470,4 +470,6 @@ def _epochs(epoch_jyr: ArrayLike, n: int, source: str) -> FloatArray:
 def _refuse(wrong: NDArray[Any], what: str, remedy: str) -> None:
     rows = np.flatnonzero(wrong)
     if len(rows):
-        raise InputError(f"{what} in {len(rows)} rows (first: row {rows[0]}); {remedy}")
+        raise InputError(
+            f"{what} in {len(rows)} {'row' if len(rows) == 1 else 'rows'} (first: row {rows[0]}); {remedy}"
+        )

@@ -81,10 +81,9 @@ class States:
         if x.shape != (n, 2) or t.ndim != 1:
             raise InputError(f"{source}: times {t.shape}, positions {x.shape}; give (n,) and (n, 2)")
         if not np.isfinite(t).all():
-            first = np.flatnonzero(~np.isfinite(t))[0]
-            raise InputError(
-                f"{source}: {np.sum(~np.isfinite(t))} reports have no time (first: row {first}); give seconds"
-            )
+            lost = np.flatnonzero(~np.isfinite(t))
+            reports = "1 report has" if len(lost) == 1 else f"{len(lost)} reports have"
+            raise InputError(f"{source}: {reports} no time (first: row {lost[0]}); give seconds")
         if not speed_m_per_s > 0.0:
             raise InputError(f"{source}: motion.speed_m_per_s is {speed_m_per_s}; give how fast objects may be, 1σ")
         state, spread = np.zeros((n, 4)), np.zeros((n, 4, 4))
