@@ -28,6 +28,7 @@ from sameas.sky.assumed import completed
 from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.fields import apart_doubts
+from sameas.sky.residual_epoch import epoch_doubt
 from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
 from sameas.sky.warp import TUNING as WARP_TUNING
 from sameas.sky.warp import Warp, find_warp
@@ -243,7 +244,12 @@ def match(
     if _next_to_nothing(result, estimate, tuning) and (apart := apart_doubts(first, second, one, two)):
         doubts += apart
     else:
-        doubts += _offset_doubts(result, estimate, tuning) if search is None else _search_doubts(search, warp)
+        late, explained = epoch_doubt(first, second, epoch, result, estimate.typical_scale)
+        doubts += (late,) if late else ()
+        if search is not None:
+            doubts += _search_doubts(search, warp)
+        elif not explained:
+            doubts += _offset_doubts(result, estimate, tuning)
     doubts += _blend_doubts(result, estimate)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
 
