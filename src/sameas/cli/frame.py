@@ -195,6 +195,8 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
     if many:
         failed, skipped = sum(o.summary is None for o in outcomes), sum(o.skipped for o in outcomes)
         printer([totals(len(outcomes) - failed - skipped, skipped, failed)])
+        if series is None:
+            printer(["Each by itself; give their folder instead for a series: stars over all frames, and one page"])
     if series is not None:
         from sameas.cli.series import product
 

@@ -40,7 +40,7 @@ function surface(canvas) {
   const c = canvas.getContext("2d"); c.setTransform(ratio, 0, 0, ratio, 0, 0); c.clearRect(0, 0, w, h); return [c, w, h];
 }
 
-function axes(canvas, [x0, x1], [y0, y1], labelX, labelY) {
+function axes(canvas, [x0, x1], [y0, y1], labelX, labelY, inY = fix) {
   const [c, w, h] = surface(canvas), left = 72, right = 12, top = 10, bottom = 34;
   const X = v => left + (v - x0) / (x1 - x0) * (w - left - right), Y = v => h - bottom - (v - y0) / (y1 - y0) * (h - top - bottom);
   c.font = "12px system-ui, sans-serif"; c.fillStyle = colour.dim; c.strokeStyle = colour.line; c.lineWidth = 1;
@@ -48,7 +48,7 @@ function axes(canvas, [x0, x1], [y0, y1], labelX, labelY) {
     const step = [1, 2, 5, 10].map(f => f * p).find(f => f >= raw); const out = [];
     for (let t = Math.ceil(Math.min(a, b) / step) * step; t <= Math.max(a, b) + 1e-9; t += step) out.push([t, Math.max(0, -Math.floor(Math.log10(step) + 1e-9))]); return out; };
   c.textAlign = "center"; for (const [t, n] of ticks(x0, x1, 6)) { c.beginPath(); c.moveTo(X(t), top); c.lineTo(X(t), h - bottom); c.stroke(); c.fillText(fix(t, n), X(t), h - bottom + 15); }
-  c.textAlign = "right"; for (const [t, n] of ticks(y0, y1, 5)) { c.beginPath(); c.moveTo(left, Y(t)); c.lineTo(w - right, Y(t)); c.stroke(); c.fillText(fix(t, n), left - 6, Y(t) + 4); }
+  c.textAlign = "right"; for (const [t, n] of ticks(y0, y1, 5)) { c.beginPath(); c.moveTo(left, Y(t)); c.lineTo(w - right, Y(t)); c.stroke(); c.fillText(inY(t, n), left - 6, Y(t) + 4); }
   c.textAlign = "center"; c.fillText(labelX, (left + w - right) / 2, h - 4);
   if (labelY) { c.save(); c.translate(12, (top + h - bottom) / 2); c.rotate(-Math.PI / 2); c.fillText(labelY, 0, 0); c.restore(); }
   return [c, X, Y];

@@ -236,7 +236,7 @@ function measured(box, i) {
 const oddWords = i => `${fix(Math.abs(m.excess[i]), 1)} mag ${m.excess[i] < 0 ? "brighter" : "fainter"} than catalogued`;
 function oddList() {
   const box = el("odd-list"); box.hidden = !data.odd.length; el("n-odd").textContent = grouped(data.odd.length);
-  box.querySelector("summary").textContent = `${grouped(data.odd.length)} not as bright as catalogued`;
+  box.querySelector("summary").textContent = `${grouped(data.odd.length)} brighter or fainter than catalogued`;
   for (const i of data.odd) { const b = text("button", `${s.id[m.star[i]]}: ${oddWords(i)}${m.words[m.flags[i]] ? ` (${m.words[m.flags[i]]})` : ""}`); b.addEventListener("click", () => pick({ kind: "measured", row: i }, true)); box.append(b); }
 }
 function missing(box, k) {
@@ -283,14 +283,14 @@ function diagrams() {
   const curve = told.brightness.completeness;
   el("shown").textContent = curve ? curve.words : "the catalogue has no magnitudes";
   if (curve) {
-    const e = curve.edges_mag; [c, X, Y] = axes(el("complete"), [e[0], e[e.length - 1]], [0, 1.08 * Math.max(...curve.stars, 1)], "magnitude", "stars on the frame");
+    const e = curve.edges_mag; [c, X, Y] = axes(el("complete"), [e[0], e[e.length - 1]], [0, 1.2 * Math.max(...curve.stars, 1)], "magnitude", "stars on the frame");
     curve.stars.forEach((n, k) => { const x = X(e[k]), w = X(e[k + 1]) - x - 1;
       c.fillStyle = colour.bar; c.fillRect(x, Y(n), w, Y(0) - Y(n)); c.fillStyle = colour.found; c.fillRect(x, Y(curve.found[k]), w, Y(0) - Y(curve.found[k])); });
-    const top = 1.08 * Math.max(...curve.stars, 1); c.strokeStyle = c.fillStyle = colour.north; c.lineWidth = 1.2;
-    curve.stars.forEach((n, k) => { if (!n) return; const x = X((e[k] + e[k + 1]) / 2), f = curve.found[k] / n, y = v => Y(v * top / 1.08);
+    const top = 1.2 * Math.max(...curve.stars, 1); c.strokeStyle = c.fillStyle = colour.north; c.lineWidth = 1.2;
+    curve.stars.forEach((n, k) => { if (!n) return; const x = X((e[k] + e[k + 1]) / 2), f = curve.found[k] / n, y = v => Y(v * top / 1.2);
       c.beginPath(); c.arc(x, y(f), 2.6, 0, 7); c.fill(); c.beginPath(); c.moveTo(x, y(f - curve.sigma[k])); c.lineTo(x, y(Math.min(1.05, f + curve.sigma[k]))); c.stroke(); });
-    c.textAlign = "right"; c.fillText("points: share identified, top line 100 %", el("complete").clientWidth - 16, 22);
-    c.setLineDash([4, 4]); c.beginPath(); c.moveTo(X(e[0]), Y(top / 1.08)); c.lineTo(X(e[e.length - 1]), Y(top / 1.08)); c.stroke(); c.setLineDash([]);
+    c.textAlign = "right"; c.fillText("points: share identified; dashed: 100 %", el("complete").clientWidth - 16, 22);
+    c.setLineDash([4, 4]); c.beginPath(); c.moveTo(X(e[0]), Y(top / 1.2)); c.lineTo(X(e[e.length - 1]), Y(top / 1.2)); c.stroke(); c.setLineDash([]);
   }
 }
 

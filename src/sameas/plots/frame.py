@@ -229,7 +229,8 @@ def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
     axes.set_xlim(0, columns)
     axes.set_ylim(0, 1.06 * rows)
     far = int(np.count_nonzero(~drawn))
-    words = f"residuals, {magnified:g} × magnified" + (f"; {far} longer ones left out" if far else "")
+    longer = f"; {far} longer {'one' if far == 1 else 'ones'} left out" if far else ""
+    words = f"residuals, {magnified:g} × magnified{longer}"
     tidy(axes, "x [px]", "y [px]", words)
 
 

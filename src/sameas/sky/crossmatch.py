@@ -241,15 +241,13 @@ def match(
         result, estimate = identified(one, warp.of(two))
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
-    if _next_to_nothing(result, estimate, tuning) and (apart := apart_doubts(first, second, one, two)):
-        doubts += apart
-    else:
-        late, explained = epoch_doubt(first, second, epoch, result, estimate.typical_scale)
-        doubts += (late,) if late else ()
-        if search is not None:
-            doubts += _search_doubts(search, warp)
-        elif not explained:
-            doubts += _offset_doubts(result, estimate, tuning)
+    apart = apart_doubts(first, second, one, two) if _next_to_nothing(result, estimate, tuning) else ()
+    late, explained = epoch_doubt(first, second, epoch, result, estimate.typical_scale)
+    doubts += (*apart, late) if late else apart
+    if search is not None:
+        doubts += _search_doubts(search, warp)
+    elif not apart and not explained:
+        doubts += _offset_doubts(result, estimate, tuning)
     doubts += _blend_doubts(result, estimate)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
 
