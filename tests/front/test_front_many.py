@@ -120,3 +120,14 @@ def test_a_picture_of_two_of_them(found):
     assert found.plot("third", "first").axes
     with pytest.raises(InputError, match="no catalogues first and x; give two of first, second, third"):
         found.plot("first", "x")
+
+
+def test_names_with_accents_are_written_to_fits(three, tmp_path):
+    """The runner-up tells names of catalogues, and FITS has letters of ASCII only."""
+    crowded = [
+        {**one, "ra": 150.0 + (one["ra"] - 150.0) / 200.0, "dec": 2.0 + (one["dec"] - 2.0) / 200.0} for one in three
+    ]
+    found = sameas.match_many(*crowded, sigma=1.0, names=("gäia", "ǳ", "c"), id="name")
+    found.write(tmp_path / "out.fits")
+    words = read_table(tmp_path / "out.fits")["runner_up"]
+    assert any("gaia s" in word for word in np.ma.compressed(words).astype(str))

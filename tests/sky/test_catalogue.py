@@ -479,3 +479,18 @@ def test_an_upper_limit_is_no_measured_magnitude_and_that_is_told() -> None:
     assert "Jmag, row 1: '>20.1' is not a number; such cells count as not measured" in source.interpretation
     source = catalogue({**place, "Jmag": ["faint", "good", "17"], "Kmag": [1.0, 2.0, 3.0]}, sigma=1)
     assert source.magnitude_name == "Kmag"
+
+
+@pytest.mark.parametrize("said", ["100mas", "0.1arcsec", "0.1 arcsec", '0.1"', "0.1″", "1e2 mas", "0.1"])
+def test_an_error_for_all_may_have_its_unit(said: str) -> None:
+    source = catalogue({"ra": [1.0], "dec": [50.0]}, sigma=said)
+    np.testing.assert_allclose(source.records().covariance, [[0.01]])
+
+
+def test_an_error_of_another_unit_is_no_angle() -> None:
+    with pytest.raises(InputError, match="no column '3furlongs' for sigma"):
+        catalogue({"ra": [1.0], "dec": [50.0]}, sigma="3furlongs")
+    with pytest.raises(InputError, match="an angle"):
+        catalogue({"ra": [1.0], "dec": [50.0]}, sigma="3mag")
+    with pytest.raises(InputError, match="sigma=-3 is not positive"):
+        catalogue({"ra": [1.0], "dec": [50.0]}, sigma="-3mas")

@@ -35,6 +35,8 @@ _SUFFIXES = {
 _LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
 #: Units in brackets behind a name, as people write them.
 _BRACKETED = re.compile(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
+#: A number with a unit, as people write it: ``100mas``, ``0.1 arcsec``, ``0.1"``.
+_WITH_UNIT = re.compile(r"^([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z°″'\"]+)$", re.IGNORECASE)
 _UNIT_WORDS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",
     "arcsecond": "arcsec", "as": "arcsec", "″": "arcsec", '"': "arcsec", "''": "arcsec", "mas": "mas",
@@ -389,6 +391,11 @@ def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:
 
 
 def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Convention) -> PositionError:
+    written = _WITH_UNIT.match(str(sigma).strip())
+    in_unit = _UNIT_WORDS.get(written[2].lower(), "") if written else ""
+    if in_unit and search.find(str(sigma)) is None:
+        assert written is not None
+        return _number_of_option(search, float(written[1]), in_unit)
     try:
         number = float(sigma)
     except ValueError:
@@ -399,11 +406,14 @@ def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Conve
         if own and search.find_all(own.names) == names:
             return _error_columns(search, own, convention)
         return _error_columns(search, ErrorNames("axes" if count > 1 else "circle", names))
-    unit = search.options.sigma_unit or "arcsec"
+    return _number_of_option(search, number, search.options.sigma_unit or "arcsec")
+
+
+def _number_of_option(search: ColumnSearch, number: float, unit: str) -> PositionError:
     unit_of = Column("sigma", unit, "option")
     search.checked(unit_of, "arcsec", "an angle; give arcsec, mas, deg", naming("'{sigma}'"))
     if not number > 0:
-        message = Message(f"{search.source}: ", Argument("sigma", str(sigma)), " is not positive")
+        message = Message(f"{search.source}: ", Argument("sigma", f"{number:g}"), " is not positive")
         raise InputError(message, "give a standard deviation per axis")
     return PositionError("number", sigma_arcsec=number * column_values.factor(unit, "arcsec"))
 

@@ -15,6 +15,7 @@ the group of competing records.
 
 from __future__ import annotations
 
+import unicodedata
 from collections import Counter
 from typing import Any
 
@@ -156,10 +157,11 @@ def _in_words(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
     """(k,) runners-up as "catalogue id = catalogue id", masked where none is probable enough."""
     rows = np.ma.filled(match.objects.runner_up, NO_RECORD)[at]
     some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= LEAST_RUNNER_UP)
+    names = [_in_ascii(catalogue.name) for catalogue in match.catalogues]
     words = [
         " = ".join(
-            f"{catalogue.name} {catalogue.ids[row]}"
-            for catalogue, row in zip(match.catalogues, rows[k].tolist(), strict=True)
+            f"{name} {catalogue.ids[row]}"
+            for name, catalogue, row in zip(names, match.catalogues, rows[k].tolist(), strict=True)
             if row != NO_RECORD
         )
         for k in some.tolist()
@@ -169,3 +171,8 @@ def _in_words(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
     mask = np.ones(len(at), bool)
     mask[some] = False
     return np.ma.MaskedArray(out, mask)
+
+
+def _in_ascii(name: str) -> str:
+    """A file's name without accents: FITS has letters of ASCII only, and holds the words of every catalogue."""
+    return unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode() or "catalogue"
