@@ -221,6 +221,11 @@ def rates_of(
     return rate, (around.covariance[i] + around.covariance[j]) / minutes[:, None, None] ** 2
 
 
+def rates_between(around: Surroundings, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
+    """The same between detections i and later ones j."""
+    return rates_of(around, i, j, around.minutes[j] - around.minutes[i], around.axes.offsets(i, j))
+
+
 @dataclass(frozen=True)
 class Reach:
     """How far the next detection of a mover may be before its ln λ falls below the least.

@@ -133,9 +133,15 @@ class MotionModel:
         return np.asarray(betaln(shown + a, np.maximum(saw - shown, 0) + b) - betaln(a, b))
 
     def tracked(self, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(k,) share of the movers, whose place so many exposures saw, that two of them show or more."""
-        none, one = (np.exp(self.log_pattern(np.full_like(saw, k), saw, tuning)) for k in (0, 1))
-        return np.asarray(1.0 - none - saw * one)
+        """(k,) share of the movers, whose place so many exposures saw, that enough of them show to teach."""
+        none, one, two = (np.exp(self.log_pattern(np.full_like(saw, k), saw, tuning)) for k in (0, 1, 2))
+        few = np.where(fewest_shown(saw) > 2, 0.5 * saw * (saw - 1) * two, 0.0)
+        return np.asarray(1.0 - none - saw * one - few)
+
+
+def fewest_shown(saw: IntArray) -> IntArray:
+    """(k,) detections of a track that teaches: three, and two where no more exposures saw its place."""
+    return np.clip(saw, 2, 3)
 
 
 @dataclass(frozen=True)

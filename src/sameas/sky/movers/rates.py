@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 #: Angular speed of the Earth about the Sun, arcsec per minute (Gauss's constant).
@@ -108,7 +108,7 @@ class EclipticAxes:
 class RateDensity:
     """A mixture of Gaussians of rates against the reference, arcsec/min along ecliptic longitude and latitude.
 
-    share : (c,). mean : (c, 2). covariance : (c, 2, 2).
+    share : (c,). mean : (c, 2). covariance : (c, 2, 2). Mixtures of g groups, or one for each of m rates, are (c, g).
     """
 
     share: FloatArray
@@ -145,35 +145,71 @@ class RateDensity:
         spread = np.einsum("mc,cij->mij", weight, self.covariance) + np.einsum("mc,mci,mcj->mij", weight, off, off)
         return mean, spread
 
-    def refined(
-        self,
-        rate: FloatArray,
-        error: FloatArray,
-        weight: FloatArray,
-        *,
-        counts: float,
-        prior: RateDensity | None = None,
-    ) -> RateDensity:
-        """One round of expectation and maximisation; prior, or else the present mixture, counts as ``counts`` rates."""
-        before = prior or self
+    def moments(
+        self, rate: FloatArray, error: FloatArray, weight: FloatArray, group: IntArray, groups: int
+    ) -> RateMoments:
+        """What measured rates (m, 2) with covariances (m, 2, 2) teach, each by its weight and in its group (m,)."""
         parts = self._parts(rate, error)
         share = np.exp(parts - parts.max(axis=1, keepdims=True))
         share *= (weight / share.sum(axis=1))[:, None]
-        shares, means, spreads = np.empty_like(self.share), np.empty_like(self.mean), np.empty_like(self.covariance)
+        out = RateMoments.none(len(self.share), groups)
         for c in range(len(self.share)):
-            r, own = share[:, c], self.covariance[c]
+            own = self.covariance[c]
             gain = own @ np.linalg.inv(own + error)
             value = self.mean[c] + np.einsum("mij,mj->mi", gain, rate - self.mean[c])
-            left = own - gain @ own
-            kept = counts * before.share[c]
-            total = r.sum() + kept
-            means[c] = (r @ value + kept * before.mean[c]) / total
-            off = value - means[c]
-            spread = np.einsum("m,mi,mj->ij", r, off, off) + np.einsum("m,mij->ij", r, left)
-            drift = before.mean[c] - means[c]
-            spreads[c] = (spread + kept * (before.covariance[c] + np.outer(drift, drift))) / total
-            shares[c] = total
-        return RateDensity(shares / shares.sum(), means, spreads)
+            square = value[:, :, None] * value[:, None] + own - gain @ own
+            np.add.at(out.count[c], group, share[:, c])
+            np.add.at(out.first[c], group, share[:, c, None] * value)
+            np.add.at(out.second[c], group, share[:, c, None, None] * square)
+        return out
+
+    def counted(self, counts: float) -> RateMoments:
+        """Those of so many rates that are spread as this mixture is, in one group."""
+        count = counts * self.share
+        square = self.covariance + self.mean[:, :, None] * self.mean[:, None]
+        return RateMoments(
+            count[:, None], (count[:, None] * self.mean)[:, None], (count[:, None, None] * square)[:, None]
+        )
+
+    def refined(self, rate: FloatArray, error: FloatArray, weight: FloatArray, *, counts: float) -> RateDensity:
+        """One round of expectation and maximisation; the present mixture counts as ``counts`` rates."""
+        every = np.zeros(len(rate), np.int64)
+        return (self.counted(counts) + self.moments(rate, error, weight, every, 1)).densities().group(0)
+
+    def group(self, group: int | IntArray) -> RateDensity:
+        """Of mixtures of several groups that of one, or one for each rate (m,)."""
+        return RateDensity(self.share[:, group], self.mean[:, group], self.covariance[:, group])
+
+
+@dataclass(frozen=True)
+class RateMoments:
+    """Sums over rates by component and group: counts (c, g), rates (c, g, 2), and their squares (c, g, 2, 2)."""
+
+    count: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+    @classmethod
+    def none(cls, components: int, groups: int) -> RateMoments:
+        """Those of no rates."""
+        shape = components, groups
+        return cls(np.zeros(shape), np.zeros((*shape, 2)), np.zeros((*shape, 2, 2)))
+
+    def __add__(self, other: RateMoments) -> RateMoments:
+        return RateMoments(self.count + other.count, self.first + other.first, self.second + other.second)
+
+    def __sub__(self, other: RateMoments) -> RateMoments:
+        return RateMoments(self.count - other.count, self.first - other.first, self.second - other.second)
+
+    def all(self) -> RateMoments:
+        """Those of all groups as one."""
+        return RateMoments(*(getattr(self, name).sum(axis=1, keepdims=True) for name in self.__dataclass_fields__))
+
+    def densities(self) -> RateDensity:
+        """The mixtures that have these moments, (c, g)."""
+        mean = self.first / self.count[..., None]
+        covariance = self.second / self.count[..., None, None] - mean[..., :, None] * mean[..., None, :]
+        return RateDensity(self.count / self.count.sum(axis=0), mean, covariance)
 
 
 def log_normal(residual: FloatArray, covariance: FloatArray) -> FloatArray:

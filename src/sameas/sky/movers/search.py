@@ -15,11 +15,11 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
-from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_of, with_far_links
-from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
+from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_between, with_far_links
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, fewest_shown
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
 from sameas.sky.movers.stationary import Stationary, stationary_sources
-from sameas.sky.movers.tracks import Competition, compete, grow
+from sameas.sky.movers.tracks import Competition, Tracks, compete, groups_of, grow
 from sameas.sky.series.tied import Series
 
 if TYPE_CHECKING:
@@ -231,10 +231,13 @@ def find_movers(
     at, rest = np.flatnonzero(~stationary.rows), stationary.rest(detections)
     if len(np.unique(rest.frame)) < 2:
         return replace(_nothing(detections), stationary=stationary)
-    around = Surroundings.of(rest, tuning)
+    around, taught = Surroundings.of(rest, tuning), None
     if model is None:
-        model = learn_motion(*others, tuning=tuning) if others else _learned(around, MotionModel(), COUNTS, tuning)
-    found = _found(around, model, tuning, least, least_probability, stationary)
+        if others:
+            model = learn_motion(*others, tuning=tuning)
+        else:
+            model, taught = _learned(around, MotionModel(), COUNTS, tuning)
+    found = _found(around, model, taught, tuning, least, least_probability, stationary)
     alike = _moving_alike(found)
     found = replace(found.only(~alike), alike=int(alike.sum()))
     members = np.where(found.members >= 0, at[found.members], -1)
@@ -268,17 +271,23 @@ def _moving_alike(found: Movers) -> BoolArray:
 def _found(
     around: Surroundings,
     model: MotionModel,
+    taught: Taught | None,
     tuning: Tuning,
     least: int,
     least_probability: float,
     stationary: Stationary | None = None,
 ) -> Movers:
-    """The tracklets of detections without stationary ones. stationary : these, by which slow tracklets are judged."""
+    """The tracklets of detections without stationary ones.
+
+    taught : what these detections have taught of the model, if they have. stationary : sources by which slow tracklets
+    are judged.
+    """
     detections = around.detections
     model = model.for_bands(detections.bands, tuning)
-    competition = _competition(around, model, tuning)
-    tracks = competition.tracks
-    p_stationary = np.zeros(len(tracks)) if stationary is None else stationary.probability(around, tracks)
+    competition = _competition(around, model, taught, tuning)
+    p_stationary = np.zeros(len(competition.tracks))
+    if stationary is not None:
+        p_stationary = stationary.probability(around, competition.members, tuning)
     return _movers(detections, model, competition, least, least_probability, p_stationary)
 
 
@@ -295,12 +304,41 @@ def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = D
     for night in nights:
         night = stationary_sources(night, tuning).rest(night)
         if len(np.unique(night.frame)) > 1:
-            model = _learned(Surroundings.of(night, tuning), model, counts, tuning)
+            model, _ = _learned(Surroundings.of(night, tuning), model, counts, tuning)
     return model
 
 
-def _learned(around: Surroundings, model: MotionModel, counts: float, tuning: Tuning) -> MotionModel:
-    """The model with what one night's detections teach; without stationary ones."""
+@dataclass(frozen=True)
+class Taught:
+    """What each group of tracks with detections in common has taught of a model.
+
+    A single chance track among few makes movers of its rate ten times as frequent: without this, it would be believed
+    for what it has taught itself.
+
+    group : (n,) of each detection, g groups; −1 of none. rates : (c, g) mixtures, log_begin : (g,) that the others
+    teach.
+    """
+
+    group: IntArray
+    rates: RateDensity
+    log_begin: FloatArray
+
+    def corrected(self, around: Surroundings, tracks: Tracks, model: MotionModel) -> Tracks:
+        """The tracks with the weights that the model has without what their groups have taught."""
+        at = np.flatnonzero(self.group[tracks.first] >= 0)
+        group = self.group[tracks.first[at]]
+        rate, error = rates_between(around, tracks.first[at], tracks.last[at])
+        change = self.rates.group(group).log_density(rate, error) - model.rates.log_density(rate, error)
+        weight = tracks.log_weight.copy()
+        # A track that is against the model is no more probable for that.
+        weight[at] += np.minimum(change + self.log_begin[group] - model.log_begin, 0.0)
+        return replace(tracks, log_weight=weight)
+
+
+def _learned(
+    around: Surroundings, model: MotionModel, counts: float, tuning: Tuning
+) -> tuple[MotionModel, Taught | None]:
+    """The model with what one night's detections teach, without stationary ones; and what they have taught of it."""
     rates = model.rates
     # Links that no main-belt object makes are too many, and say too little one by one.
     likely = replace(tuning, least_log_ratio=max(tuning.least_log_ratio, DEFAULT_TUNING.least_log_ratio))
@@ -308,10 +346,13 @@ def _learned(around: Surroundings, model: MotionModel, counts: float, tuning: Tu
     return _taught_by_tracks(around, model, rates, tuning, counts * TRACK_COUNTS)
 
 
-def _competition(around: Surroundings, model: MotionModel, tuning: Tuning) -> Competition:
+def _competition(around: Surroundings, model: MotionModel, taught: Taught | None, tuning: Tuning) -> Competition:
     """The tracks of all links, near and far, as they compete for the detections."""
     links = with_far_links(around, candidate_links(around, model, tuning), model, tuning)
-    return compete(grow(around, links, model, tuning), len(around.detections), tuning)
+    tracks = grow(around, links, model, tuning)
+    if taught is not None:
+        tracks = taught.corrected(around, tracks, model)
+    return compete(tracks, len(around.detections), tuning)
 
 
 #: What is believed beforehand weighs so many tracks, for each link that it weighs: a link is one of several of a track,
@@ -321,41 +362,47 @@ TRACK_COUNTS = 0.1
 
 def _taught_by_tracks(
     around: Surroundings, model: MotionModel, rates: RateDensity, tuning: Tuning, counts: float
-) -> MotionModel:
+) -> tuple[MotionModel, Taught]:
     """The model with the rates, and how often a mover begins and is shown again, that whole tracks teach.
 
     rates : as believed beforehand. Among many false detections links alone do not show what is fast: that there are
     such movers, tracks tell that are straight over three exposures and more.
     """
     n = len(around.detections)
-    found = _competition(around, model, tuning)
-    telling = found.p_track > 0.01
-    p, tracks = found.p_track[telling], found.tracks.only(telling)
-    # Movers that one exposure shows, or none, make no track; detections are those of an exposure.
-    movers = float((p / model.tracked(tracks.saw, tuning)).sum())
+    found = _competition(around, model, None, tuning)
+    # Defects of a chip make pairs of any rate: where three exposures saw its place, a pair teaches nothing.
+    telling = (found.p_track > 0.01) & (found.tracks.size >= fewest_shown(found.tracks.saw))
+    p, tracks, members = found.p_track[telling], found.tracks.only(telling), found.members[telling]
+    groups, of_track, of_detection = groups_of(members, n)
+    # Movers that too few exposures show make no such track; detections are those of an exposure.
+    movers = np.bincount(of_track, p / model.tracked(tracks.saw, tuning), groups)
     exposures = float(around.coverage.before[around.cell, -1].mean())
-    share = (movers + counts * PRIOR_SHARE) / (n / exposures + counts)
-    i, j = tracks.first, tracks.last
-    minutes = around.minutes[j] - around.minutes[i]
-    rate, error = rates_of(around, i, j, minutes, around.axes.offsets(i, j))
+    share = (movers.sum() + counts * PRIOR_SHARE) / (n / exposures + counts)
+    of_others = (movers.sum() - movers + counts * PRIOR_SHARE) / (n / exposures + counts)
+    rate, error = rates_between(around, tracks.first, tracks.last)
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
-    return replace(
+    moments = model.rates.moments(rate[sharp], error[sharp], p[sharp], of_track[sharp], groups)
+    every = rates.counted(counts) + moments.all()
+    learned = replace(
         model,
-        rates=model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts, prior=rates),
+        rates=every.densities().group(0),
         log_begin=math.log(share),
         p_detect=min(max(_shown(p, tracks.size, tracks.saw, model.p_detect), 0.3), 0.97),
     )
+    return learned, Taught(of_detection, (every - moments).densities(), np.log(of_others))
 
 
 def _shown(weight: FloatArray, shown: IntArray, saw: IntArray, p: float) -> float:
     """The probability with which an exposure shows a mover, of tracks (k,) that ``shown`` of ``saw`` exposures show.
 
-    Those that less than two show make no track: truncated binomials, by expectation and maximisation.
+    Those that too few show make no track that teaches: truncated binomials, by expectation and maximisation.
     """
+    few = fewest_shown(saw) > 2
     for _ in range(30):
-        one = saw * p * (1.0 - p) ** (saw - 1)
-        there = np.maximum(1.0 - (1.0 - p) ** saw - one, 1e-6)
-        p = (float(weight @ (shown + one / there)) + 2.0) / (float(weight @ (saw / there)) + 3.0)
+        none, one = (1.0 - p) ** saw, saw * p * (1.0 - p) ** (saw - 1)
+        two = np.where(few, 0.5 * saw * (saw - 1) * p**2 * (1.0 - p) ** np.maximum(saw - 2, 0), 0.0)
+        there = np.maximum(1.0 - none - one - two, 1e-6)
+        p = (float(weight @ (shown + (one + 2.0 * two) / there)) + 2.0) / (float(weight @ (saw / there)) + 3.0)
     return p
 
 
@@ -485,7 +532,7 @@ def search(
         if len(np.unique(series.frame[series.left])) < 2:
             return _nothing(_nothing_left(series)), series
         around = Surroundings.of(left_over(series), motion)
-        found = _found(around, _learned(around, MotionModel(), tuning.counts, motion), motion, 2, 0.0)
+        found = _found(around, *_learned(around, MotionModel(), tuning.counts, motion), motion, 2, 0.0)
         slow, stuck = _standing(found, series, tuning)
         if not (slow | stuck).any():
             break

@@ -1,8 +1,9 @@
 """Stationary sources: stars, galaxies and variable objects among the detections, found before movers are searched.
 
 The tracks of the search serve, with one change: rates are 0. Whether the detections of such a track are rather those
-of a slow mover, the rate between its first and last one decides: its density is that of a rate of 0 measured with the
-error it has, against that of movers. How many of the tracks stand still is estimated from them all.
+of a slow mover, its rate by least squares decides: its density is that of a rate of 0 measured with the error it has,
+against that of movers. How many of the tracks that stay within some errors stand still is estimated from them all; what
+a track itself adds to that does not count for it.
 
 What stands still also shows how far the exposures are off each other, and how large the errors of places really are.
 """
@@ -13,14 +14,14 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logsumexp
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.movers.detections import Detections
-from sameas.sky.movers.links import candidate_links, learn, rates_of
+from sameas.sky.movers.links import candidate_links, learn
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
-from sameas.sky.movers.rates import SOLAR_SYSTEM, RateDensity, log_normal
-from sameas.sky.movers.tracks import Tracks, compete, grow
+from sameas.sky.movers.rates import SOLAR_SYSTEM, RateDensity
+from sameas.sky.movers.tracks import compete, grow
 
 #: Rates of what stands still, arcsec/min: what is less is no rate at all (1″ in a week).
 _AT_REST = RateDensity.of([1.0], [(0.0, 0.0)], [(1e-4, 1e-4)])
@@ -39,14 +40,14 @@ class Stationary:
     """The stationary sources among n detections of f exposures.
 
     rows : (n,) which of them. places : of how many objects, each seen twice or more.
-    share : of the tracks that stay within some errors, the part that stands still.
+    counts : of the tracks that stay within some errors, how many stand still and how many move.
     offset_arcsec : (f, 2) east and north, how far each exposure is off the others; 0 where too little shows it.
     error_scale : so many times larger than quoted are the errors of places, 1 or more.
     """
 
     rows: BoolArray
     places: int
-    share: float
+    counts: tuple[float, float]
     offset_arcsec: FloatArray
     error_scale: float
 
@@ -65,15 +66,15 @@ class Stationary:
         """The detections that do not stand still, mended."""
         return self.mended(detections).some(np.flatnonzero(~self.rows))
 
-    def probability(self, around: Surroundings, tracks: Tracks) -> FloatArray:
-        """(k,) that tracks of mended detections stand still."""
-        return np.asarray(expit(_log_ratio(around, tracks, 1.0) + math.log(self.share / (1.0 - self.share))))
+    def probability(self, around: Surroundings, members: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(k,) that tracks of mended detections, the members (k, S), are stationary."""
+        return _probabilities(_Rates.of(around, members, tuning), self.counts)
 
 
 def stationary_sources(detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Stationary:
     """The sources that are rather stationary than moving or of no object."""
     none = np.zeros((len(detections.frame_names), 2))
-    found = Stationary(np.zeros(len(detections), bool), 0, 0.0, none, 1.0)
+    found = Stationary(np.zeros(len(detections), bool), 0, _BEFORE, none, 1.0)
     typical = detections.typical_sigma_arcsec
     for turn in range(_ROUNDS):
         before = found
@@ -95,41 +96,120 @@ def _searched(detections: Detections, before: Stationary, first: bool, tuning: T
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)
     found = compete(grow(here, candidate_links(here, model, tuning), model, tuning), n, tuning)
     likely = np.flatnonzero(found.chosen & (found.shares(n)[0] > 0.5))
-    tracks, members = found.tracks.only(likely), found.members[likely]
+    members = found.members[likely]
     if first:
         offset, scale = _offsets_of_all(around, members)
     else:
-        p, _ = _probabilities(_log_ratio(around, tracks, 1.0))
+        rates = _Rates.of(around, members, tuning)
+        p = _probabilities(rates, _counts(rates))
         offset, scale = _judged(around, members[p > 0.5], np.zeros_like(before.offset_arcsec), straight=False)
-    p, share = _probabilities(_log_ratio(around, tracks, scale))
-    at_rest = members[p > 0.5]
+    rates = _Rates.of(around, members, tuning, scale)
+    counts = _counts(rates)
+    at_rest = members[_probabilities(rates, counts) > 0.5]
     rows = np.zeros(n, bool)
     rows[at_rest[at_rest >= 0]] = True
-    return Stationary(rows, len(at_rest), share, before.offset_arcsec + offset, before.error_scale * scale)
+    return Stationary(rows, len(at_rest), counts, before.offset_arcsec + offset, before.error_scale * scale)
 
 
-def _log_ratio(around: Surroundings, tracks: Tracks, scale: float) -> FloatArray:
-    """(k,) ln of how much more probable the rate between a track's ends is if it stands still. scale : of the errors.
+@dataclass(frozen=True)
+class _Rates:
+    """What the rates of tracks (k,) say of whether they are stationary.
 
-    Within some errors of no motion the rates of movers are spread evenly, or closer where all are slow.
+    log_ratio : ln of how much more probable the detections are if the rate is 0 than if it is a mover's. near : whether
+    the rate is within some errors of 0.
     """
-    i, j = tracks.first, tracks.last
-    minutes = around.minutes[j] - around.minutes[i]
-    offset = around.axes.offsets(i, j)
-    relative, error = rates_of(around, i, j, minutes, offset)
-    error = error * scale**2
-    evenly = -np.log(math.pi * _WITHIN_SIGMAS**2 * np.sqrt(np.linalg.det(error)))
-    moving = np.maximum(SOLAR_SYSTEM.log_density(relative, error), evenly)
-    return np.asarray(log_normal(offset / minutes[:, None], error) - moving)
+
+    log_ratio: FloatArray
+    near: BoolArray
+
+    @classmethod
+    def of(cls, around: Surroundings, members: IntArray, tuning: Tuning, scale: float = 1.0) -> _Rates:
+        """Those of members (k, S), errors being ``scale`` times as large; any one of them may be an outlier."""
+        there = members >= 0
+        rows = np.where(there, members, members[:, :1])
+        origin = np.repeat(members[:, 0], members.shape[1])
+        place = around.axes.offsets(origin, rows.ravel()).reshape(*members.shape, 2)
+        minutes = around.minutes[rows]
+        variance = scale**2 * 0.5 * np.trace(around.covariance[rows], axis1=2, axis2=3)
+        reference = np.column_stack([around.reference[members[:, 0]], np.zeros(len(members))])
+        fits = [_RateFit.of(place, minutes, np.where(there, variance, np.inf))]
+        log_prior = [np.zeros(len(members))]
+        # Of two detections none can be told to be the outlier.
+        for column in range(members.shape[1]):
+            wide = variance.copy()
+            wide[:, column] *= tuning.outlier_scale**2
+            fits.append(_RateFit.of(place, minutes, np.where(there, wide, np.inf)))
+            possible = there[:, column] & (there.sum(axis=1) > 2)
+            log_prior.append(np.where(possible, math.log(tuning.outlier / (1.0 - tuning.outlier)), -np.inf))
+        at_rest = np.array([q + f.log_rest + f.log_stationary() for q, f in zip(log_prior, fits, strict=True)])
+        moving = np.array([q + f.log_rest + f.log_moving(reference) for q, f in zip(log_prior, fits, strict=True)])
+        best = np.maximum(at_rest, moving).argmax(axis=0)
+        near = np.array([f.chi2 for f in fits])[best, np.arange(len(members))] < _WITHIN_SIGMAS**2
+        return cls(logsumexp(at_rest, axis=0) - logsumexp(moving, axis=0), near)
 
 
-def _probabilities(log_ratio: FloatArray) -> tuple[FloatArray, float]:
-    """(k,) probabilities of tracks to stand still, and the share that does, by expectation and maximisation."""
-    share = 0.5
+@dataclass(frozen=True)
+class _RateFit:
+    """Straight motion fitted to tracks (k,) by weighted least squares.
+
+    rate : (k, 2) arcsec/min on the ecliptic axes. variance : of each of its components. log_rest : ln of the density of
+    what is left when place and rate are taken out.
+    """
+
+    rate: FloatArray
+    variance: FloatArray
+    log_rest: FloatArray
+
+    @classmethod
+    def of(cls, place: FloatArray, minutes: FloatArray, variance: FloatArray) -> _RateFit:
+        """That of places (k, S, 2) at times (k, S); variance : (k, S) arcsec² per axis, infinite where none is."""
+        weight = 1.0 / variance
+        total = weight.sum(axis=1)
+        off = minutes - ((weight * minutes).sum(axis=1) / total)[:, None]
+        mean = np.einsum("ks,ksd->kd", weight, place) / total[:, None]
+        lever = np.maximum((weight * off**2).sum(axis=1), 1e-300)
+        rate = np.einsum("ks,ksd->kd", weight * off, place) / lever[:, None]
+        left = place - mean[:, None] - off[..., None] * rate[:, None]
+        chi2 = (weight * (left**2).sum(axis=2)).sum(axis=1)
+        # In two dimensions the root of the determinant of each covariance is its variance per axis.
+        roots = np.where(np.isfinite(variance), np.log(np.minimum(variance, 1e300)), 0.0).sum(axis=1)
+        return cls(rate, 1.0 / lever, -0.5 * chi2 - roots - np.log(total) - np.log(lever))
+
+    @property
+    def chi2(self) -> FloatArray:
+        """(k,) of the rate, in two dimensions, against 0."""
+        return np.asarray((self.rate**2).sum(axis=1) / self.variance)
+
+    def log_stationary(self) -> FloatArray:
+        """(k,) ln of the density of the rate if it is 0."""
+        return -0.5 * self.chi2 - np.log(2.0 * math.pi * self.variance)
+
+    def log_moving(self, reference: FloatArray) -> FloatArray:
+        """(k,) the same if it moves: evenly within some errors of 0, or closer where all are slow there.
+
+        reference : (k, 2) rate of a circular orbit.
+        """
+        evenly = -np.log(math.pi * _WITHIN_SIGMAS**2 * self.variance)
+        error = self.variance[:, None, None] * np.eye(2)
+        return np.maximum(SOLAR_SYSTEM.log_density(self.rate - reference, error), evenly)
+
+
+def _counts(rates: _Rates) -> tuple[float, float]:
+    """How many of the tracks near no motion are stationary, and how many move, by expectation and maximisation."""
+    log_ratio = rates.log_ratio[rates.near]
+    stationary, moving = 0.5 * len(log_ratio) + _BEFORE[0], 0.5 * len(log_ratio) + _BEFORE[1]
     for _ in range(50):
-        p = expit(log_ratio + math.log(share / (1.0 - share)))
-        share = float((p.sum() + _BEFORE[0]) / (len(p) + sum(_BEFORE)))
-    return np.asarray(p), share
+        p = float(expit(log_ratio + math.log(stationary / moving)).sum())
+        stationary, moving = p + _BEFORE[0], len(log_ratio) - p + _BEFORE[1]
+    return stationary, moving
+
+
+def _probabilities(rates: _Rates, counts: tuple[float, float]) -> FloatArray:
+    """(k,) that tracks are stationary, by the counts of the others."""
+    stationary, moving = counts
+    own = rates.near * expit(rates.log_ratio + math.log(stationary / moving))
+    others = np.maximum(stationary - own, _BEFORE[0]), np.maximum(moving - (rates.near - own), _BEFORE[1])
+    return np.asarray(expit(rates.log_ratio + np.log(others[0] / others[1])))
 
 
 def _offsets_of_all(around: Surroundings, members: IntArray) -> tuple[FloatArray, float]:

@@ -25,7 +25,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.marginals import additive_answer
 from sameas.many.sets import Sets
 from sameas.ragged import Ragged, ranges
-from sameas.sky.movers.links import Links, rates_of
+from sameas.sky.movers.links import AT_ONCE, Links, rates_of
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 from sameas.sky.movers.rates import log_normal
 
@@ -37,8 +37,8 @@ class Tracks:
     last : the last detection. parent : the track without it, −1 where that is one detection alone. first : the first
     detection. size : of how many detections. log_weight : ln w against all of them being of no mover, or each of
     another. gain : what the last detection adds to it. saw : exposures that saw its place, from its first detection on.
-    log_missed : what those of them that do not show it weigh of ln w. state, covariance : (k, 6), (k, 6, 6) place, rate
-    and acceleration at the time of the first detection, in arcsec and minutes on its ecliptic axes.
+    log_missed : what those of them that do not show it weigh of ln w. state : (k, 6) place, rate and acceleration at
+    the time of the first detection, in arcsec and minutes on its ecliptic axes.
     """
 
     first: IntArray
@@ -50,7 +50,6 @@ class Tracks:
     saw: IntArray
     log_missed: FloatArray
     state: FloatArray
-    covariance: FloatArray
 
     def __len__(self) -> int:
         return len(self.last)
@@ -76,13 +75,33 @@ class Tracks:
         return out
 
 
+@dataclass(frozen=True)
+class _Open:
+    """Tracks that may go on, with the covariances (k, 6, 6) of their states."""
+
+    tracks: Tracks
+    covariance: FloatArray
+
+    def only(self, keep: BoolArray | IntArray) -> _Open:
+        """Some of the tracks."""
+        return _Open(self.tracks.only(keep), self.covariance[keep])
+
+    @staticmethod
+    def together(parts: list[_Open]) -> _Open:
+        """All of several lists of tracks."""
+        return _Open(Tracks.together([p.tracks for p in parts]), np.concatenate([p.covariance for p in parts]))
+
+
 def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Tracks:
     """The tracks that the links make: at every detection the best of those that end there."""
     seen = around.detections
     order = np.argsort(seen.frame[links.j], kind="stable")
     links = links.only(order)
     bounds = np.searchsorted(seen.frame[links.j], np.arange(len(seen.frame_names) + 1))
-    kept: list[Tracks] = [_none()]
+    # No link goes on from an exposure after this one: its covariances, nine tenths of the memory, are given up.
+    until = np.full(len(seen.frame_names), -1)
+    np.maximum.at(until, seen.frame[links.i], seen.frame[links.j])
+    kept: list[_Open] = [_none()]
     offsets = [0]
     # Where in ``kept`` the tracks that end at a detection are: those of one exposure follow each other by detection.
     start, count = np.zeros(len(seen), np.int64), np.zeros(len(seen), np.int64)
@@ -94,18 +113,21 @@ def grow(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning 
         row, parent = ranges(start[here.i], count[here.i])
         if len(row):
             grown.append(_extended(around, here.only(row), _among(kept, offsets, parent), parent, model, tuning))
-        kind = np.concatenate([here.far.astype(np.int64), np.full(len(row) and len(grown[-1]), 2)])
-        level = _best(Tracks.together(grown), kind, tuning.tracks)
-        size = np.bincount(level.last, minlength=len(seen))
+        kind = np.concatenate([here.far.astype(np.int64), np.full(len(row) and len(grown[-1].tracks), 2)])
+        level = _best(_Open.together(grown), kind, tuning.tracks)
+        size = np.bincount(level.tracks.last, minlength=len(seen))
         ended = np.flatnonzero(size)
         count[ended] = size[ended]
-        start[ended] = offsets[-1] + len(kept[-1]) + np.searchsorted(level.last, ended)
-        offsets.append(offsets[-1] + len(kept[-1]))
+        offsets.append(offsets[-1] + len(kept[-1].tracks))
+        start[ended] = offsets[-1] + np.searchsorted(level.tracks.last, ended)
         kept.append(level)
-    return _ended(around, Tracks.together(kept), model, tuning)
+        for n, old in enumerate(kept[:-1]):
+            if len(old.covariance) and until[seen.frame[old.tracks.last[0]]] <= frame:
+                kept[n] = replace(old, covariance=old.covariance[:0])
+    return _ended(around, Tracks.together([level.tracks for level in kept]), model, tuning)
 
 
-def _among(levels: list[Tracks], offsets: list[int], number: IntArray) -> Tracks:
+def _among(levels: list[_Open], offsets: list[int], number: IntArray) -> _Open:
     """The tracks with some numbers, of levels whose first tracks have the numbers ``offsets``.
 
     All levels in one list would be copied at every exposure: long series would cost as the square of their length.
@@ -115,46 +137,56 @@ def _among(levels: list[Tracks], offsets: list[int], number: IntArray) -> Tracks
     parts = [levels[n].only(number[level == n] - offsets[n]) for n in np.unique(level).tolist()]
     back = np.empty_like(order)
     back[order] = np.arange(len(order))
-    return Tracks.together(parts).only(back)
+    return _Open.together(parts).only(back)
 
 
-def _none() -> Tracks:
+def _none() -> _Open:
     no = np.empty(0, np.int64)
     none = np.empty(0)
-    return Tracks(no, no, no, no, none, none, no, none, np.empty((0, 6)), np.empty((0, 6, 6)))
+    return _Open(Tracks(no, no, no, no, none, none, no, none, np.empty((0, 6))), np.empty((0, 6, 6)))
 
 
 def _ended(around: Surroundings, tracks: Tracks, model: MotionModel, tuning: Tuning) -> Tracks:
     """The tracks, with what the exposures before and after them say that saw where they then were."""
     seen, when = around.detections, around.detections.frame_mjd * 1440.0
     frames, first_minutes = len(when), seen.mjd_utc * 1440.0
-    # What is improbable without them they make no more probable.
-    told = np.flatnonzero(tracks.log_weight > tuning.least_ended)
+    # What is improbable without them they make no more probable; what does not compete need not be known.
+    asked = np.flatnonzero((tracks.log_weight > tuning.least_ended) & ~_surpassed(tracks, tuning))
     steps = np.arange(1, tuning.around + 1)
-    frame = np.concatenate(
-        [seen.frame[tracks.first[told]][:, None] - steps, seen.frame[tracks.last[told]][:, None] + steps], axis=1
-    )
-    k, column = np.nonzero((frame >= 0) & (frame < frames))
-    at, number = told[k], frame[k, column]
-    t = (when[number] - first_minutes[tracks.first[at]])[:, None]
-    state = tracks.state[at]
-    there = state[:, :2] + t * state[:, 2:4] + 0.5 * t * t * state[:, 4:]
     saw = tracks.saw.copy()
-    np.add.at(saw, at, around.coverage.saw(around.axes.directions(tracks.first[at], there), number))
+    for part in np.split(asked, range(AT_ONCE, len(asked), AT_ONCE)):
+        frame = np.concatenate(
+            [seen.frame[tracks.first[part]][:, None] - steps, seen.frame[tracks.last[part]][:, None] + steps], axis=1
+        )
+        k, column = np.nonzero((frame >= 0) & (frame < frames))
+        at, number = part[k], frame[k, column]
+        t = (when[number] - first_minutes[tracks.first[at]])[:, None]
+        state = tracks.state[at]
+        there = state[:, :2] + t * state[:, 2:4] + 0.5 * t * t * state[:, 4:]
+        np.add.at(saw, at, around.coverage.saw(around.axes.directions(tracks.first[at], there), number))
     before = model.log_pattern(tracks.size, tracks.saw, tuning)
     pattern = model.log_pattern(tracks.size, saw, tuning)
     missed = pattern - model.log_pattern(tracks.size, tracks.size, tuning)
     return replace(tracks, log_weight=tracks.log_weight + pattern - before, saw=saw, log_missed=missed)
 
 
-def _best(tracks: Tracks, kind: IntArray, most: int) -> Tracks:
+def _surpassed(tracks: Tracks, tuning: Tuning) -> BoolArray:
+    """(k,) tracks that do not compete: those of another without its last detections, where these are sure."""
+    out = np.zeros(len(tracks), bool)
+    sure = (tracks.parent >= 0) & (tracks.gain > tuning.sure)
+    out[tracks.parent[sure]] = True
+    return out
+
+
+def _best(grown: _Open, kind: IntArray, most: int) -> _Open:
     """The best tracks of every kind (k,) at every last detection, by detection."""
+    tracks = grown.tracks
     order = np.lexsort([-tracks.log_weight, kind, tracks.last])
     code = 3 * tracks.last[order] + kind[order]
-    return tracks.only(order[np.arange(len(order)) - np.searchsorted(code, code) < most])
+    return grown.only(order[np.arange(len(order)) - np.searchsorted(code, code) < most])
 
 
-def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning) -> Tracks:
+def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning) -> _Open:
     """Tracks of two detections."""
     m = len(links)
     rate, error = rates_of(around, links.i, links.j, links.minutes, links.offset)
@@ -177,17 +209,18 @@ def _begun(around: Surroundings, links: Links, model: MotionModel, tuning: Tunin
         + model.log_begin - around.log_crowding[links.i] + pattern
     )  # fmt: skip
     missed = pattern - model.log_pattern(two, two, tuning)
-    return Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, saw, missed, state, covariance)
+    return _Open(Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, saw, missed, state), covariance)
 
 
 def _extended(
-    around: Surroundings, links: Links, before: Tracks, parent: IntArray, model: MotionModel, tuning: Tuning
-) -> Tracks:
+    around: Surroundings, links: Links, above: _Open, parent: IntArray, model: MotionModel, tuning: Tuning
+) -> _Open:
     """Tracks with one detection more, that of the link beginning where each ends; (m,) of links and tracks."""
+    before = above.tracks
     minutes = around.minutes[links.j] - around.minutes[before.first]
     place = around.axes.offsets(before.first, links.j)
     noise = around.covariance[links.j]
-    off, spread = _predicted(before.state, before.covariance, minutes, place, noise)
+    off, spread = _predicted(before.state, above.covariance, minutes, place, noise)
     wide = spread + (tuning.outlier_scale**2 - 1.0) * noise
     fit = np.logaddexp(
         math.log1p(-tuning.outlier) + log_normal(off, spread), math.log(tuning.outlier) + log_normal(off, wide)
@@ -199,12 +232,13 @@ def _extended(
     missed = pattern - model.log_pattern(size, size, tuning)
     # Few of those that a link may continue lie in line with it.
     kept = np.flatnonzero(gain > tuning.least_log_ratio)
-    before = before.only(kept)
-    state, covariance = _updated(before.state, before.covariance, minutes[kept], place[kept], noise[kept])
-    return Tracks(
+    before, covariance = before.only(kept), above.covariance[kept]
+    state, covariance = _updated(before.state, covariance, minutes[kept], place[kept], noise[kept])
+    longer = Tracks(
         before.first, links.j[kept], parent[kept], size[kept], before.log_weight + gain[kept], gain[kept], saw[kept],
-        missed[kept], state, covariance,
+        missed[kept], state,
     )  # fmt: skip
+    return _Open(longer, covariance)
 
 
 def _predicted(
@@ -271,10 +305,7 @@ def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_lim
     tracks : of n detections. Tracks that are another one without its last detections, where these are sure, do not
     compete; nor do those that weigh nothing.
     """
-    surpassed = np.zeros(len(tracks), bool)
-    sure = (tracks.parent >= 0) & (tracks.gain > tuning.sure)
-    surpassed[tracks.parent[sure]] = True
-    at = np.flatnonzero(~surpassed & (tracks.log_weight > tuning.least_competing))
+    at = np.flatnonzero(~_surpassed(tracks, tuning) & (tracks.log_weight > tuning.least_competing))
     members = tracks.members(at)
     weight = tracks.log_weight[at]
     use = np.bincount(members[members >= 0], minlength=n)
@@ -288,6 +319,20 @@ def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_lim
         chosen[rest], share[rest] = answer.chosen[of_track], answer.probability[of_track]
         gap = float(answer.gap.max(initial=0.0))
     return Competition(tracks.only(at), members, chosen, share, gap)
+
+
+def groups_of(members: IntArray, n: int) -> tuple[int, IntArray, IntArray]:
+    """How many groups tracks with members (k, S) make that have some of n detections in common; (k,) that of each.
+
+    And (n,) that of each detection, −1 of those of no track.
+    """
+    k, column = np.nonzero(members >= 0)
+    edges = coo_array((np.ones(len(k), np.int8), (k, len(members) + members[k, column])), shape=(len(members) + n,) * 2)
+    _, part = connected_components(edges, directed=False)
+    there, of_track = np.unique(part[: len(members)], return_inverse=True)
+    number = np.full(int(part.max(initial=0)) + 1, -1)
+    number[there] = np.arange(len(there))
+    return len(there), of_track, number[part[len(members) :]]
 
 
 def _contracted(members: IntArray, n: int) -> IntArray:
