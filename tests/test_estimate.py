@@ -190,3 +190,24 @@ def test_pairs_that_are_improbable_do_not_count():
     log_odds = np.concatenate([np.full(5000, 20.0), np.full(5000, -30.0)])
     found = fit_errors(z2, log_odds, 2, Errors()).errors
     assert max(s for s, share in zip(found.scales, found.shares, strict=True) if share > 0.01) < 2.0
+
+
+@pytest.mark.parametrize("extended", [0.0, 0.25])
+def test_errors_of_a_tail_are_found_beyond_the_gate_of_honest_ones(extended):
+    """A quarter of the objects is extended: their places are five times as bad as quoted, among chance candidates."""
+    rng = np.random.default_rng(20)
+    # 0.25 by chance within 3σ of a pair: within the gate of honest errors, chance makes as many as are displaced.
+    n, side = 2_000, math.sqrt(2_000 * math.pi * 18.0 / 0.25)
+    place, wide = rng.uniform(0.0, side, (n, 2)), np.where(rng.random(n) < extended, 5.0, 1.0)
+    shown = [np.flatnonzero(rng.random(n) > 0.2) for _ in range(2)]
+    first, second = (
+        Records.of(place[some] + scale[some, None] * rng.normal(size=(len(some), 2)), sigma=1.0, source=name)
+        for some, scale, name in zip(shown, (np.ones(n), wide), ("first", "second"), strict=True)
+    )
+    answer, estimate = match(first, second)
+    common = len(np.intersect1d(*shown))
+    assert abs(estimate.common - common) < 4.0 * math.sqrt(common * 0.2)
+    assert (max(estimate.errors.scales) > 2.0) == (extended > 0.0)
+    told_none = shown[0][answer.answers_1.p_none > 0.99]
+    assert len(told_none) > 50
+    assert np.isin(told_none, shown[1]).sum() <= 5

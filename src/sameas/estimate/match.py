@@ -67,6 +67,10 @@ class MatchTuning:
     suspected, suspected_crowded : a tail of the errors that betters ln of the likelihood by so much, but does not stand
         out, is looked for farther out. Then, and where one stands out, a record may have this many candidates by
         chance.
+    widening : the gate opens by this factor to see whether what looks like the beginning of a tail is one: where it is
+        ``suspected``, or this share of the pairs, ``suspected_share``, has errors 1.4 times the typical ones. Then
+        ``seed`` is tried as its scale, in typical ones, and its share, and it is one if it then betters ln of the
+        likelihood by ``borne_out`` (fields without a tail, but with clusters, ghosts or blends: 0.4 at most).
     modelled : pairs from which the error model of the evidence is learned. bettering : ln of the likelihood by which
         another model must be better, or be better than the quoted errors, or common objects stand out from chance.
     significant : standard deviations by which close candidates must exceed what chance gives, for their errors to be
@@ -87,6 +91,10 @@ class MatchTuning:
     most_crowded: float = 8.0
     suspected: float = 1.0
     suspected_crowded: float = 2.0
+    widening: float = 1.5
+    suspected_share: float = 0.05
+    seed: tuple[float, float] = (3.375, 0.1)
+    borne_out: float = 4.0
     modelled: int = 3_000
     bettering: float = 8.0
     significant: float = 4.0
@@ -320,17 +328,49 @@ def _converged(
         search = replace(search, start=model)
         again = search.settled(None, max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
+    if errors is None:
+        search, found = _with_tail(search, found, rounds)
     if tuning.growing and errors is None and found.settled:
         search, found = _with_trends(search, found, rounds)
     if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
         more = search.photometry is not None or search.columns is not None
         believed = "positions and quoted errors alone" if more else "the quoted errors"
         given = search.columns and search.columns.given_only
-        search = replace(search, photometry=None, precision=False, columns=given, trends=())
+        search = replace(
+            search, photometry=None, precision=False, columns=given, trends=(), tailed=None, least_sigmas=0.0
+        )
         again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
         found = replace(again, rounds=found.rounds + again.rounds)
         remarks.append(f"close candidates do not exceed what chance gives; {believed} are used")
     return search, found, remarks
+
+
+def _with_tail(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
+    """Where the rounds end with a gate that shows the tail of the errors, if there is one.
+
+    Within the gate of honest errors, displaced pairs are hard to tell from the many that chance makes, and what they
+    would add to the number of common objects is missing; farther out, only a tail has more pairs than chance.
+    """
+    tuning, scales = search.tuning, search.tuning.em.scales
+    # It is judged when the rounds have ended, not in each of them: what it adds grows with the common objects.
+    patient = replace(tuning, em=replace(tuning.em, scales=replace(scales, standing_out=tuning.suspected)))
+    while search.gate is None and found.suspects_tail() and found.rounds < rounds:
+        least_sigmas, tailed = tuning.widening * found.gate_sigmas, _tailed(found.known.errors, tuning)
+        wider = replace(search, least_sigmas=least_sigmas, tailed=tailed, tuning=patient)
+        again = wider.settled(None, max(rounds - found.rounds, 5))
+        if again.known.tail < tuning.borne_out:
+            break
+        search, found = wider, replace(again, rounds=found.rounds + again.rounds)
+    return search, found
+
+
+def _tailed(errors: Errors, tuning: MatchTuning) -> Errors:
+    """The same errors with the beginning of a tail, unless they have one."""
+    scale, share = tuning.seed
+    wide = scale * errors.typical_scale
+    if max(errors.scales) >= wide:
+        return errors
+    return replace(errors, scales=(*errors.scales, wide), shares=(*((1.0 - share) * x for x in errors.shares), share))
 
 
 def _with_trends(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
@@ -396,25 +436,42 @@ class _Converged:
 
     def must_open(self) -> bool:
         """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
-        pairs, limit, common = self.known.setting.pairs, self.gate_sigmas, float(self.p_counted.sum())
-        tuning, standing_out = self.tuning, self.tuning.em.scales.standing_out
+        limit, tuning, standing_out = self.gate_sigmas, self.tuning, self.tuning.em.scales.standing_out
         if limit >= tuning.widest_sigmas or not self.known.learns_errors:
             return False
         if _is_narrow(self.known, self.p_counted, limit, tuning):
             return True
-        chance = _chance(self.known, self.p_counted)
+        chance = _chance(self.known, self.p_counted, 2.0)
         if tuning.suspected < self.known.tail < standing_out and chance < tuning.suspected_crowded:
             return True  # what lies farther out decides whether it is one
         if chance > (tuning.suspected_crowded if self.known.tail >= standing_out else tuning.crowded):
             return False
-        square = self.known.errors.pairs(pairs).mahalanobis_sq
-        beyond = float(self.p_counted[square > (0.7 * limit) ** 2].sum())
-        return beyond > 1.0 + tuning.opening * common
+        return self._reaches_farther()
+
+    def suspects_tail(self) -> bool:
+        """Whether errors look as if they had a tail beyond the gate, and opening this a little is affordable."""
+        known, tuning = self.known, self.tuning
+        wider = tuning.widening * self.gate_sigmas
+        if not known.learns_errors or known.common < tuning.em.fewest or wider > tuning.widest_sigmas:
+            return False
+        if _chance(known, self.p_counted, tuning.widening) > tuning.most_crowded:
+            return False
+        if known.tail >= tuning.em.scales.standing_out:
+            return self._reaches_farther()
+        typical = 1.4 * known.errors.typical_scale
+        wide = sum(x for scale, x in zip(known.errors.scales, known.errors.shares, strict=True) if scale > typical)
+        return known.tail > tuning.suspected or wide > tuning.suspected_share
+
+    def _reaches_farther(self) -> bool:
+        """Whether true pairs lie in the outer part of the gate."""
+        square = self.known.errors.pairs(self.known.setting.pairs).mahalanobis_sq
+        beyond = float(self.p_counted[square > (0.7 * self.gate_sigmas) ** 2].sum())
+        return beyond > 1.0 + self.tuning.opening * float(self.p_counted.sum())
 
 
-def _chance(known: Estimates, p_counted: FloatArray) -> float:
-    """Candidates of a record that are there by chance, if the gate were twice as wide."""
-    return known.setting.by_chance(p_counted) * 2.0**known.setting.pairs.d
+def _chance(known: Estimates, p_counted: FloatArray, wider: float) -> float:
+    """Candidates of a record that are there by chance, if the gate were so many times as wide."""
+    return known.setting.by_chance(p_counted) * wider**known.setting.pairs.d
 
 
 def _is_narrow(known: Estimates, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
@@ -422,12 +479,15 @@ def _is_narrow(known: Estimates, p_counted: FloatArray, limit: float, tuning: Ma
     if limit >= tuning.widest_sigmas or not known.learns_errors:
         return False
     needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
-    return tuning.exceeded * limit < needed and _chance(known, p_counted) < tuning.most_crowded
+    return tuning.exceeded * limit < needed and _chance(known, p_counted, 2.0) < tuning.most_crowded
 
 
 @dataclass(frozen=True)
 class _GateSearch:
-    """Rounds with one gate after another, each twice as wide as the one before, until it is wide enough."""
+    """Rounds with one gate after another, each twice as wide as the one before, until it is wide enough.
+
+    tailed, least_sigmas : the errors, and the radius of the gate, that the rounds begin with where a tail was seen.
+    """
 
     coverage: Coverage
     photometry: Photometry | None
@@ -440,11 +500,13 @@ class _GateSearch:
     tuning: MatchTuning = DEFAULT_MATCH
     columns: ColumnEvidence | None = None
     trends: tuple[Trend, ...] = ()
+    tailed: Errors | None = None
+    least_sigmas: float = 0.0
 
     def settled(self, errors: Errors | None, most: int) -> _Converged:
         """The end of at most so many rounds; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
-        limit, total, known, whole = _radius(self.gate, first.d), 0, None, None
+        limit, total, known, whole = max(_radius(self.gate, first.d), self.least_sigmas), 0, None, None
         while True:
             self.progress("gate")
             pairs = (self.gate or Radius(limit))(*self.start.records(first, second))
@@ -463,7 +525,7 @@ class _GateSearch:
                 known = Estimates.nothing(
                     part, errors, seen, self.density, excess, self.precision, self.tuning.em, columns
                 )
-                known = replace(known, errors=errors or self.start)
+                known = replace(known, errors=errors or self.start.with_mixture(self.tailed or self.start))
             else:
                 known = known.at(part, seen, columns)
             found = self._in_gate(known, whole, limit, most - total)
