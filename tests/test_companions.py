@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sameas import ChiSquare, Identification, InputError, Records
-from sameas.estimate.companions import Companions, clustering, ring, within
+from sameas.estimate.companions import Companions, close_couples, clustering, ring, within
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.estimate.sample import Setting
@@ -164,6 +164,21 @@ def test_which_of_two_is_which_is_open_where_separations_are_those_of_errors() -
     said_by_couples = swap[a] + swap[b] - swap[x] - swap[y]
     assert straight > 2.0
     assert -straight < said_by_couples < -0.3 * straight
+
+
+def test_records_within_their_errors_of_each_other_are_counted() -> None:
+    (scene,) = fields(6, 1, share=0.0, chance=0.3)
+    again = scene.second.part(np.arange(0, len(scene.second), 5))
+    place = np.vstack([scene.second.features, again.features])
+    twice = Records.of(place, sigma=0.1, space=scene.second.space, source="second")
+    counted = close_couples(Setting.whole(ChiSquare()(scene.first, twice), Coverage.of(scene.first, twice)))
+    assert counted is not None
+    one, two = counted
+    assert (one.records, two.records) == (len(scene.first), len(twice))
+    assert abs(one.couples - one.by_chance) < 4.0 * one.by_chance**0.5
+    # All couples of a record and its copy; chance makes more of them than densities without copies say.
+    assert two.couples - len(again) - one.couples > -4.0 * one.couples**0.5
+    assert two.couples - two.by_chance > 0.6 * len(again)
 
 
 def test_numbers_out_of_range_are_refused() -> None:

@@ -205,7 +205,7 @@ def test_errors_of_a_tail_are_found_beyond_the_gate_of_honest_ones(extended):
         for some, scale, name in zip(shown, (np.ones(n), wide), ("first", "second"), strict=True)
     )
     answer, estimate = match(first, second)
-    common = len(np.intersect1d(*shown))
+    common = len(np.intersect1d(shown[0], shown[1]))
     assert abs(estimate.common - common) < 4.0 * math.sqrt(common * 0.2)
     assert (max(estimate.errors.scales) > 2.0) == (extended > 0.0)
     told_none = shown[0][answer.answers_1.p_none > 0.99]

@@ -244,6 +244,24 @@ def test_one_table_given_twice_is_doubted(stars):
 
 
 @pytest.mark.slow
+def test_objects_given_twice_with_errors_of_their_own_are_doubted():
+    rng = np.random.default_rng(4)
+    place, sigma = rng.uniform([40.0, 0.0], [40.05, 0.05], (600, 2)), 0.2 / 3600.0
+
+    def exposure(share: float) -> np.ndarray:
+        return (place + rng.normal(0.0, sigma, place.shape))[rng.random(600) < share]
+
+    def table(*exposures: np.ndarray) -> Table:
+        ra, dec = np.concatenate(exposures).T
+        return Table({"ra": ra, "dec": dec, "pos_err_arcsec": np.full(len(ra), 0.2)})
+
+    once = sameas.match(table(exposure(0.9)), table(exposure(0.9)))
+    assert not any("couples" in str(doubt) for doubt in once.sky.doubts)
+    twice = sameas.match(table(exposure(0.9)), table(exposure(0.7), exposure(0.7)))
+    (doubt,) = (str(doubt) for doubt in twice.sky.doubts if "couples" in str(doubt))
+    assert doubt.startswith("in second ") and "one object given twice" in doubt and "p_second" in doubt
+
+
 def test_libraries_of_data_frames_are_not_imported_for_others():
     program = (
         "import sys, sameas; sameas.match({'ra': [1.0, 2.0], 'dec': [1.0, 2.0]}, {'ra': [1.0], 'dec': [1.0]}, sigma=1);"

@@ -49,6 +49,7 @@ class CompanionsTuning:
     significant : standard deviations by which records must have more than one companion, for that to be believed.
     least_void : probability at least that no companion of an object is shown.
     near : squares of normalised distances within which records compete for a couple.
+    beside : records of one source nearer than this, in the unit of ``radii``, may be of one object.
     """
 
     radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
@@ -65,6 +66,7 @@ class CompanionsTuning:
     significant: float = 2.5
     least_void: float = 0.02
     near: float = 25.0
+    beside: float = 2.0
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
@@ -314,6 +316,39 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     further = squares / firsts if squares > tuning.significant * math.sqrt(noise) else 0.0
     known = Clustering(unit, np.array(tuning.radii), volume, further, (of_1.density, of_2.density))
     return replace(known, shares=_shares(known, (one, two), tuning))
+
+
+@in_short
+@dataclass(frozen=True)
+class CloseCouples:
+    """Records of one source nearer to each other than their errors.
+
+    records : that were looked at. couples : of them, nearer than twice the typical error of a residual. by_chance : as
+    many are due by the local densities.
+    """
+
+    records: int
+    couples: int
+    by_chance: float
+
+
+def close_couples(
+    setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS
+) -> tuple[CloseCouples, CloseCouples] | None:
+    """How many records of either source lie nearer to each other than their errors; None where not asked."""
+    d, reach = setting.pairs.d, tuning.beside
+    if d > tuning.most_dimensions or not 0 < sum(setting.numbers) <= tuning.most_records:
+        return None
+    rows = _drawn(setting.levels, tuning.records)
+    sources = _sources(setting, _unit(setting))
+    one, two = (_close_couples(source.part(some), reach, d) for source, some in zip(sources, rows, strict=True))
+    return one, two
+
+
+def _close_couples(source: _Source, reach: float, d: int) -> CloseCouples:
+    first, _, _ = source.couples(reach)
+    by_chance = 0.5 * float(source.density.sum()) * ball_volume(d) * reach**d
+    return CloseCouples(len(source.points), len(first) // 2, by_chance)
 
 
 def _fitted(

@@ -15,9 +15,11 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected
+from sameas.estimate.companions import close_couples
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimated
+from sameas.estimate.sample import Setting
 from sameas.evidence import Column, Errors, Related
 from sameas.gate import ChiSquare, Radius
 from sameas.kernels import threads
@@ -73,6 +75,8 @@ class CrossmatchTuning:
         without common objects, makes the errors doubtful.
     usual_scale : (least, largest) residuals over quoted errors that raise no doubt.
     usual_density : (least, largest) density that the user gave over the one that the data show that raise no doubt.
+    twice_sigmas, twice_share : couples of records of one catalogue, nearer to each other than their errors, are doubted
+        where they are more than chance lets expect by so many standard deviations, and by this share of the records.
     by_place_from : from so many records on, of both catalogues together, records are put in the order of their places:
         what is learned from every k-th of them does then not depend on the order of the tables' rows, and what lies
         together in the sky is asked for together, and fetched once (a million rows in the order of a table take a
@@ -87,6 +91,8 @@ class CrossmatchTuning:
     most_spacing_share: float = 0.2
     usual_scale: tuple[float, float] = (0.3, 5.0)
     usual_density: tuple[float, float] = (0.01, 100.0)
+    twice_sigmas: float = 5.0
+    twice_share: float = 0.03
     by_place_from: int = 0
 
 
@@ -248,7 +254,7 @@ def match(
         doubts += _search_doubts(search, warp)
     elif not apart and not explained:
         doubts += _offset_doubts(result, estimate, tuning)
-    doubts += _blend_doubts(result, estimate)
+    doubts += _blend_doubts(result, estimate) + _twice_doubts(result, estimate, tuning)
     return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
 
 
@@ -426,6 +432,21 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
                 f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {number} of its pairs "
                 f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
                 f"`blends`{first} lists them, given the resolution of {one}"
+            )
+    return tuple(doubts)
+
+
+def _twice_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
+    """A doubt of records that seem to be of one object of the same catalogue."""
+    found, doubts = close_couples(Setting.whole(result.pairs, estimate.coverage)), []
+    for records, close in zip((result.first, result.second), found or (), strict=False):
+        beyond = close.couples - close.by_chance
+        significant = tuning.twice_sigmas * math.sqrt(close.by_chance + tuning.twice_sigmas)
+        if beyond > max(significant, tuning.twice_share * close.records):
+            doubts.append(
+                f"in {records.source} {close.couples} couples of records lie within their errors of each other, where "
+                f"chance makes {close.by_chance:.0f}: if they are one object given twice (two exposures, a deblender), "
+                "its probability is divided between the two; give each object once, or add p_second to p_match"
             )
     return tuple(doubts)
 
