@@ -406,3 +406,33 @@ def _example(name: str):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def _three_crowded(rng: np.random.Generator) -> list[Table]:
+    """A sky whose density and coverage differ from place to place, seen three times."""
+    n = 1200
+    place = np.column_stack([150.0 + 0.2 * rng.random(n) ** 2, 2.0 + 0.2 * rng.random(n) ** 2])
+    tables = []
+    for sigma, kept in ((0.1, place[:, 0] < 150.15), (0.4, place[:, 1] > 2.02), (0.8, np.ones(n, bool))):
+        some = np.flatnonzero(kept & (rng.random(n) < 0.85))
+        at = place[some] + rng.normal(0.0, sigma / 3600.0, (len(some), 2))
+        tables.append(Table({"id": some, "ra": at[:, 0], "dec": at[:, 1], "sigma_arcsec": np.full(len(some), sigma)}))
+    return tables
+
+
+def test_the_order_of_the_rows_changes_no_object() -> None:
+    """Densities are those of each record's own place, in whatever order tables and matches keep their records."""
+    rng = np.random.default_rng(2)
+    tables = _three_crowded(rng)
+    shuffled = [table[rng.permutation(len(table))] for table in tables]
+    found = []
+    for some in (tables, shuffled):
+        objects = match_many([Catalogue.of(table, name) for table, name in zip(some, "abc", strict=True)]).objects
+        ids = [np.append(np.asarray(table["id"]), -1) for table in some]
+        rows = np.ma.filled(objects.members, -1)
+        keys = zip(*(one[row].tolist() for one, row in zip(ids, rows.T, strict=True)), strict=True)
+        found.append(dict(zip(keys, np.asarray(objects.probability).tolist(), strict=True)))
+    assert found[0].keys() == found[1].keys()
+    assert max(abs(p - found[1][key]) for key, p in found[0].items()) < 1e-6
+    true = sum(len({k for k in key if k >= 0}) == 1 for key in found[0])
+    assert true > 0.93 * len(found[0])

@@ -293,6 +293,16 @@ class Coverage:
         """Cells over the stretch that both sources span together; both must have records."""
         return cls(first, second, *levels_of(first, second))
 
+    def part(self, rows_1: IntArray, rows_2: IntArray) -> Coverage:
+        """The same cells and footprints, for some of the records, or for all of them in another order."""
+        made = Coverage(
+            self.first.part(rows_1), self.second.part(rows_2), self.volume,
+            tuple(level.part(rows_1, rows_2) for level in self.levels),
+        )  # fmt: skip
+        one, two = self.covered
+        made.__dict__["covered"] = one[rows_1], two[rows_2]
+        return made
+
     def density(
         self, source: int, weights: FloatArray, volumes: Sequence[FloatArray] | None = None
     ) -> tuple[FloatArray, FloatArray]:

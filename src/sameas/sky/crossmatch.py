@@ -225,7 +225,7 @@ def match(
     (first, second), assumed = completed((first, second), options.epoch_jyr)
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
     if len(one) + len(two) >= tuning.by_place_from:
-        one, two = threads.each([partial(_by_place, records) for records in (one, two)], len(one) + len(two))
+        one, two = threads.each([partial(by_place, records) for records in (one, two)], len(one) + len(two))
     _refuse_blur(one, two, tuning)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
     rotation = None if search is None or search.by_chance else search
@@ -285,7 +285,7 @@ def brought_together(
 _IN_SQUARE, _RING_BITS = 10.0, 12
 
 
-def _by_place(records: Records) -> Records:
+def by_place(records: Records) -> Records:
     """The records ring of declination by ring, along each ring from west to east."""
     lon, lat = (np.ascontiguousarray(of) for of in records.features.T)
     n, south, north = len(records), float(lat.min()), float(lat.max())
@@ -513,5 +513,6 @@ def _number(value: float | str) -> float | None:
 
 
 __all__ = [
-    "MatchOptions", "SkyMatch", "area_and_densities", "brought_together", "common_epoch", "density_doubts", "match",
+    "MatchOptions", "SkyMatch", "area_and_densities", "brought_together", "by_place", "common_epoch",
+    "density_doubts", "match",
 ]  # fmt: skip

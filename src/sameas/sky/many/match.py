@@ -19,6 +19,7 @@ from scipy.sparse import csr_array
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
+from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
 from sameas.gate import Pairs
 from sameas.gaussian import mahalanobis_sq
@@ -33,7 +34,7 @@ from sameas.representation import in_short
 from sameas.sky.assumed import completed
 from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import MatchOptions, SkyMatch, brought_together
+from sameas.sky.crossmatch import MatchOptions, SkyMatch, brought_together, by_place
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.many.population import TUNING, Coverages, Population, PopulationTuning, first_guess, patterns_of
 from sameas.sky.many.stars import AstrometricRecords, fitted, moving_rows
@@ -197,8 +198,15 @@ def _through(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_
 
 def _positions_of(records: Records, rows: IntArray) -> tuple[IntArray, BoolArray]:
     """Positions of table rows among the records, and whether they are among them."""
-    at = np.minimum(np.searchsorted(records.rows, rows), max(len(records) - 1, 0))
+    order = np.argsort(records.rows)
+    at = order[np.minimum(np.searchsorted(records.rows, rows, sorter=order), max(len(records) - 1, 0))]
     return at, records.rows[at] == rows
+
+
+def _placed_alike(match: SkyMatch, first: Records, second: Records) -> Coverage:
+    """A match's coverage, its records in the order of these, which are of the epoch of all catalogues."""
+    coverage = match.estimate.coverage
+    return coverage.part(place(first, coverage.first), place(second, coverage.second))
 
 
 @dataclass(frozen=True)
@@ -306,12 +314,12 @@ def match_many(
         ordered, searches = _on_one_frame(ordered, progress)
     matches = _two_by_two(ordered, options, progress)
     progress("candidates of all")
-    records = [catalogue.records(epoch) for catalogue in ordered]
+    records = [by_place(catalogue.records(epoch)) for catalogue in ordered]
     astrometric = tuple(AstrometricRecords.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
     candidates = Candidates.of(matches, records, astrometric)
     given = [records[order.index(k)] for k in range(len(order))]
     together = pooled(given, candidates)
-    coverages = {pair: match.estimate.coverage for pair, match in matches.items()}
+    coverages = {(a, b): _placed_alike(match, records[a], records[b]) for (a, b), match in matches.items()}
     observers = StarObservers.of(together, records, astrometric, _first_guess(matches, records, coverages, options))
     em = _estimated(replace(together, observers=observers), coverages, options, progress, tuning)
     objects = Objects(tuple(given), em.pooled, em.sets, em.answer, em.terms)
