@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -181,9 +182,8 @@ def unpack(packed: FloatArray, d: int) -> FloatArray:
         axis = np.arange(d)
         full[:, axis, axis] = packed
         return full
-    upper = np.triu_indices(d)
-    full[:, upper[0], upper[1]] = packed
-    full[:, upper[1], upper[0]] = packed
+    for at, (v, w) in enumerate(combinations_with_replacement(range(d), 2)):
+        full[:, v, w] = full[:, w, v] = packed[:, at]
     return full
 
 

@@ -5,7 +5,7 @@ import pytest
 from modelled_scenes import describe, straight, told
 
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
-from sameas.kernels.kalman import add_evidence, correlated_shifts, mix, update_in_plane
+from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture import Past, Watch
 from sameas.picture.error_correlation import CORRELATIONS
 from sameas.picture.scan import Scan
@@ -103,24 +103,3 @@ def test_evidence_of_correlations_is_the_mean_over_motions_and_linear_between_co
         for t in range(4):
             each = [np.interp(share + (1 - share) * r, CORRELATIONS, p) for r, p in zip(rho[:, t], log_p, strict=True)]
             np.testing.assert_allclose(evidence[:, s, t], 1.0 + np.bincount(source, each, 3), rtol=1e-9)
-
-
-@pytest.mark.parametrize("way", ["interpreted", "compiled"])
-def test_a_mixture_has_the_moments_of_what_is_drawn_from_both(way):
-    rng = np.random.default_rng(5)
-    mean, other = rng.normal(size=(3, 2, 4)), rng.normal(size=(2, 2, 4))
-    root, other_root = rng.normal(size=(3, 2, 4, 4)), rng.normal(size=(2, 2, 4, 4))
-    covariance, other_covariance = (r @ r.swapaxes(-1, -2) for r in (root, other_root))
-    at, share = np.array([2, 0]), np.array([0.3, 0.8])
-    mixed = mean.copy(), covariance.copy()
-    getattr(mix, way)(*mixed, at, share, other, other_covariance)
-    for n, (row, s) in enumerate(zip(at, share, strict=True)):
-        # E[x] and E[x xᵀ] of a mixture are the means of those of its parts.
-        first = (1 - s) * mean[row] + s * other[n]
-        second = sum(
-            w * (p + m[..., :, None] * m[..., None, :])
-            for w, m, p in ((1 - s, mean[row], covariance[row]), (s, other[n], other_covariance[n]))
-        )
-        np.testing.assert_allclose(mixed[0][row], first, atol=1e-12)
-        np.testing.assert_allclose(mixed[1][row], second - first[..., :, None] * first[..., None, :], atol=1e-12)
-    assert np.array_equal(mixed[0][1], mean[1]) and np.array_equal(mixed[1][1], covariance[1])

@@ -35,8 +35,10 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
     sources = [told(rng, one, times, x, v, tau_s[0], names), told(rng, two, times[::3], (x + apart[:, None])[:, ::3],
                v[:, ::3], tau_s[1], names)]  # fmt: skip
     scene, past = Scene.of(sources), Past(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
+    # Also those that are far apart are compared to the end.
+    tuning = Tuning(parted_chi_sq=np.inf)
     for time_s in times:
-        scan = Scan.of(scene.at(time_s))
+        scan = Scan.of(scene.at(time_s), tuning)
         past = past.on(scan)
         if time_s == 0.0:
             past = replace(past, track_pairs=_all_pairs(scan, past.tracks.track_of_record))
@@ -239,11 +241,33 @@ def test_pairs_that_passed_each_other_long_ago_are_not_compared_for_ever():
         for time_s in times:
             state = watch.advance(scene.at(time_s))
             watch = state.watch
-        counts.append(len(watch.past.track_pairs))
+        counts.append(len(watch.past.track_pairs) + len(watch.past.track_pairs.parted))
         shown = np.append(state.scan.track, "")[state.members]
         assert sorted(shown.tolist()) == [[k, k] for k in names[: len(shown)]]
     # Each ship's own two tracks, and with all that met before.
     assert counts[0] == 4 < counts[1]
+
+
+@pytest.mark.slow
+def test_what_was_known_of_tracks_that_part_counts_when_they_meet_again():
+    # Two ships pass each other, turn round a kilometre apart, and pass each other again.
+    rng, times = np.random.default_rng(3), np.arange(0.0, 601.0, 10.0)
+    way = 6.0 * np.minimum(times, 600.0 - times) - 600.0
+    x = np.stack([np.column_stack([side * way, np.full(len(times), side * 40.0)]) for side in (1.0, -1.0)])
+    v = np.gradient(x, 10.0, axis=1)
+    scene = Scene.of([told(rng, describe(name, "tracks"), times, x, v, 20.0, ["0", "1"]) for name in "ab"])
+    pairs, together = [], []
+    for tuning in (Tuning(), Tuning(parted_chi_sq=np.inf)):
+        watch = Watch(tuning=tuning)
+        for time_s in times:
+            state = watch.advance(scene.at(time_s))
+            watch = state.watch
+            shown = np.append(state.scan.track, "")[state.members]
+            together.append(float(state.probability[(shown == "0").all(axis=1)].sum()))
+            pairs.append(len(watch.past.track_pairs))
+    (some, every), (ours, theirs) = np.reshape(pairs, (2, -1)), np.reshape(together, (2, -1))
+    assert some[35] == 2 < every[35] == 4 == some[50] and theirs.min() > 0.9
+    np.testing.assert_allclose(ours, theirs, atol=0.01)
 
 
 def p_one(scene, every_s=30.0):

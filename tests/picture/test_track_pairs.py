@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
-from sameas.kernels.kalman import best_others, pairs_anew, pairs_stepped, swap_evidence
+from sameas.kernels.kalman import best_others, swap_evidence
+from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_correlation import LEAST_M2, error_update
 from sameas.picture.named import with_lasting
 
@@ -19,6 +20,27 @@ def rng():
 def spd(rng, *shape):
     root = rng.standard_normal((*shape[:-1], shape[-1], shape[-1]))
     return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
+
+
+def packed(mean, covariance):
+    """(k, WIDTH) the rows of means (k, 2, 8) and covariances (k, 2, 8, 8) of both ways."""
+    out = np.empty((len(mean), WIDTH))
+    for way, d in enumerate((ONE, CONVOY)):
+        lower = np.tril_indices(d)
+        out[:, MEAN[way] : MEAN[way] + d] = mean[:, way, :d]
+        out[:, COVARIANCE[way] : COVARIANCE[way] + len(lower[0])] = covariance[:, way][:, *lower]
+    return out
+
+
+def unpacked(rows):
+    """The means and covariances of rows; d is 0 where both tracks are one object."""
+    mean, covariance = np.zeros((len(rows), 2, 8)), np.zeros((len(rows), 2, 8, 8))
+    for way, d in enumerate((ONE, CONVOY)):
+        lower = np.tril_indices(d)
+        mean[:, way, :d] = rows[:, MEAN[way] : MEAN[way] + d]
+        covariance[:, way][:, *lower] = rows[:, COVARIANCE[way] : COVARIANCE[way] + len(lower[0])]
+        covariance[:, way][:, *lower[::-1]] = covariance[:, way][:, *lower]
+    return mean, covariance
 
 
 def without_past(delta, covariances, lasting):
@@ -82,20 +104,42 @@ def test_pairs_go_through_an_instant_as_the_formulas_say(rng, way):
     )  # fmt: skip
     a, b = (rng.integers(0, m, n) for _ in range(2))
     delta = rng.standard_normal((n, 2))
-    mean, covariance = np.zeros((n, 2, 8)), np.zeros((n, 2, 8, 8))
+    errors = np.empty((n, WIDTH))
     given = delta, total[a], total[b], 0.3 * root[a], 0.5 * root[b]
-    getattr(pairs_anew, way)(*given, mean, covariance)
+    getattr(pairs_anew, way)(*given, errors)
+    mean, covariance = unpacked(errors)
     for ours, theirs in zip((mean, covariance), without_past(given[0], given[1:3], given[3:]), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
     rows = np.flatnonzero(rng.random(n) < 0.8)
     a, b = a[rows], b[rows]
-    out = [np.empty((len(rows), *shape)) for shape in ((2, 8), (2, 8, 8), (2,), (), ())]
+    out = [np.empty((len(rows), *shape)) for shape in ((WIDTH,), (2,), (), ())]
     last, moved, drift, slope, noise, shift, _ = step
     getattr(pairs_stepped, way)(
-        mean, covariance, rows, a, b, last, moved, drift, slope, noise, shift, new, total, LEAST_M2, *out
+        errors[:12], errors[12:], rows, a, b, last, moved, drift, slope, noise, shift, new, total, LEAST_M2, *out
     )
-    for ours, theirs in zip(out, stepped(mean, covariance, rows, a, b, step, total), strict=True):
+    after = stepped(mean, covariance, rows, a, b, step, total)
+    for ours, theirs in zip((*unpacked(out[0]), *out[1:]), after, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-9)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_mixture_has_the_moments_of_what_is_drawn_from_both(rng, way):
+    (mean, other), (covariance, other_covariance) = rng.normal(size=(2, 3, 2, 8)), spd(rng, 2, 3, 2, 8)
+    rows, others = packed(mean, covariance), packed(other[:2], other_covariance[:2])
+    before, (means, covariances), (other_means, others_covariances) = rows.copy(), unpacked(rows), unpacked(others)
+    at, share = np.array([2, 0]), np.array([0.3, 0.8])
+    getattr(mix, way)(rows, at, share, others)
+    mixed = unpacked(rows)
+    for n, (row, s) in enumerate(zip(at, share, strict=True)):
+        # E[x] and E[x xᵀ] of a mixture are the means of those of its parts.
+        first = (1 - s) * means[row] + s * other_means[n]
+        second = sum(
+            w * (p + m[..., :, None] * m[..., None, :])
+            for w, m, p in ((1 - s, means[row], covariances[row]), (s, other_means[n], others_covariances[n]))
+        )
+        np.testing.assert_allclose(mixed[0][row], first, atol=1e-12)
+        np.testing.assert_allclose(mixed[1][row], second - first[..., :, None] * first[..., None, :], atol=1e-12)
+    assert np.array_equal(rows[1], before[1])
 
 
 @pytest.mark.parametrize("way", WAYS)

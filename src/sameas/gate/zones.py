@@ -349,8 +349,21 @@ def _longitudes(low: float, height: float, count: int, reach_deg: float) -> Floa
 
 def _sharpness(records: Records) -> FloatArray:
     """Per feature, how many standard deviations wide the bulk of the records lies."""
-    middle = np.percentile(records.features, (5, 95), axis=0)
+    middle = _percentiles(records.features, (0.05, 0.95))
     return np.asarray((middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0)))
+
+
+def _percentiles(values: FloatArray, shares: tuple[float, ...]) -> FloatArray:
+    """(k, d) the values of every column that these shares of it do not exceed, as of ``np.quantile``, which takes four
+    times as long for a few hundred rows."""
+    places = [share * (len(values) - 1) for share in shares]
+    ends = [(int(place), min(int(place) + 1, len(values) - 1)) for place in places]
+    ordered = np.partition(values, sorted({end for both in ends for end in both}), axis=0)
+    return np.stack([_between(*ordered[list(both)], place - both[0]) for both, place in zip(ends, places, strict=True)])
+
+
+def _between(low: FloatArray, high: FloatArray, share: float) -> FloatArray:
+    return high - (high - low) * (1.0 - share) if share >= 0.5 else low + (high - low) * share
 
 
 def _widest(records: Records) -> FloatArray:

@@ -16,6 +16,29 @@ def root(parent: AnyIntArray, k: int) -> int:
 
 
 @small
+def label_components(i: AnyIntArray, j: AnyIntArray, parent: IntArray, label: IntArray) -> None:
+    """Writes the component of every record (n,), numbered by first appearance. i, j : (m,) the records of every pair.
+    parent : (n,) scratch."""
+    for k in range(len(parent)):
+        parent[k] = k
+    for e in range(len(i)):
+        a, b = root(parent, i[e]), root(parent, j[e])
+        # The representative is the first record of its component.
+        if a < b:
+            parent[b] = a
+        elif b < a:
+            parent[a] = b
+    count = 0
+    for k in range(len(parent)):
+        a = root(parent, k)
+        if a == k:
+            label[k] = count
+            count += 1
+        else:
+            label[k] = label[a]
+
+
+@small
 def label_pairs(
     place1: Int32Array,
     place2: Int32Array,

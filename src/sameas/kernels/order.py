@@ -306,3 +306,28 @@ def widest(covariance: FloatArray, out: FloatArray) -> None:
     for k in range(len(covariance)):
         xx, xy, yy = covariance[k, 0], covariance[k, 1], covariance[k, 2]
         out[k, 0] = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
+
+
+@small
+def merge_rows(
+    one: IntArray, other: IntArray, number: IntArray, time_s: FloatArray, serial: IntArray, merged: IntArray
+) -> None:
+    """Writes the rows of two lists as one in the order of their numbers, then times, then serial numbers, in which
+    both lists are. number, time_s, serial : (n,) of all rows."""
+    a = b = 0
+    for k in range(len(merged)):
+        if b == len(other):
+            first = True
+        elif a == len(one):
+            first = False
+        else:
+            r, s = one[a], other[b]
+            first = number[r] < number[s]
+            if number[r] == number[s]:
+                first = time_s[r] < time_s[s] or (time_s[r] == time_s[s] and serial[r] < serial[s])
+        if first:
+            merged[k] = one[a]
+            a += 1
+        else:
+            merged[k] = other[b]
+            b += 1

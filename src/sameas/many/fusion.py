@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, inverse, symmetric
-from sameas.kernels.linear import best_exchange
+from sameas.kernels.intersection import weights_of_least_determinant
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane
@@ -101,38 +101,29 @@ def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criter
 def intersection_weights(information: FloatArray, *, criterion: str = "determinant") -> FloatArray:
     """(n, k) the weights of :func:`covariance_intersection` for n objects with k estimates each, by their information
     Pᵢ⁻¹ (n, k, L, L)."""
-    n, k, size, _ = information.shape
+    if criterion == "determinant":
+        weights = np.empty(information.shape[:2])
+        weights_of_least_determinant(np.ascontiguousarray(information), STEPS, OPTIMAL, BISECTIONS, weights)
+        return weights
+    return _weights_of_least_trace(information)
+
+
+def _weights_of_least_trace(information: FloatArray) -> FloatArray:
+    """The same for the least trace, by multiplication with the roots of the slopes."""
+    n, k, _, _ = information.shape
     weights, open_ = np.full((n, k), 1.0 / k), np.arange(n)
     for _ in range(STEPS):
         ours, w = information[open_], weights[open_]
         covariance = inverse(np.einsum("nk,nkvw->nvw", w, ours))
-        if criterion == "determinant":
-            slope = np.einsum("nkvw,nwv->nk", ours, covariance) / size
-        else:
-            slope = np.einsum("nuv,nkvw,nwu->nk", covariance, ours, covariance)
-            slope /= np.einsum("nvv->n", covariance)[:, None]
+        slope = np.einsum("nuv,nkvw,nwu->nk", covariance, ours, covariance)
+        slope /= np.einsum("nvv->n", covariance)[:, None]
         far = slope.max(axis=1, initial=0.0) > 1.0 + OPTIMAL
         if not far.any():
             break
-        open_, ours, w, slope, covariance = open_[far], ours[far], w[far], slope[far], covariance[far]
-        moved = _exchanged(ours, w, slope, covariance) if criterion == "determinant" else w * np.sqrt(slope)
+        open_, w, slope = open_[far], w[far], slope[far]
+        moved = w * np.sqrt(slope)
         weights[open_] = moved / moved.sum(axis=1, keepdims=True)
     return weights
-
-
-def _exchanged(information: FloatArray, weights: FloatArray, slope: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Weights (n, k) after the best exchange between the estimates of greatest slope and of least among those used."""
-    row = np.arange(len(weights))
-    to, off = slope.argmax(axis=1), np.where(weights > 0.0, slope, np.inf).argmin(axis=1)
-    root = np.linalg.cholesky(covariance)
-    change = root.transpose(0, 2, 1) @ (information[row, to] - information[row, off]) @ root
-    # ln|M + δ D| is greatest where its slope is 0; an estimate that is not needed gives up all of its weight.
-    step = np.empty(len(row))
-    best_exchange(np.linalg.eigvalsh(change), weights[row, off], BISECTIONS, step)
-    out = weights.copy()
-    out[row, to] += step
-    out[row, off] -= step
-    return out
 
 
 def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, FloatArray]:

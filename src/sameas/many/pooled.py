@@ -16,14 +16,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.gaussian import inverse
+from sameas.kernels.components import label_components
 from sameas.kernels.kalman import joint_in_plane
 from sameas.many.joint import NO_RECORD, Observers
 from sameas.many.observations import Observations, Region, Source, records_of
@@ -226,9 +225,6 @@ def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
 
 def numbered_groups(i: IntArray, j: IntArray, n: int) -> IntArray:
     """(n,) the connected component of each record, numbered by first appearance."""
-    graph = coo_array((np.ones(len(i), np.int8), (i, j)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    _, first, again = np.unique(label, return_index=True, return_inverse=True)
-    rank = np.empty(len(first), np.int64)
-    rank[np.argsort(first)] = np.arange(len(first))
-    return rank[again]
+    parent, label = np.empty((2, n), np.int64)
+    label_components(i, j, parent, label)
+    return label

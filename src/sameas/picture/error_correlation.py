@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -115,9 +116,14 @@ class ErrorCorrelation:
     def forgotten(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(n,) the part of it that is not lasting, mean (1 − s) exp(−Δt/τ)."""
         of_tau = np.einsum("nst,s->nt", self._weights, 1.0 - np.array(tuning.lasting_shares))
-        mean = np.einsum("nt,nt->n", of_tau[source], _rho(elapsed_s, np.array(tuning.correlation_s)))
-        fixed_s = self._fixed_s[source]
-        return np.where(np.isfinite(fixed_s), _rho(elapsed_s, np.nan_to_num(fixed_s)[:, None])[:, 0], mean)
+        # Most sources have few different Δt.
+        elapsed_s, at = np.unique(elapsed_s, return_inverse=True)
+        mean = np.einsum("st,nt->ns", of_tau, _rho(elapsed_s, np.array(tuning.correlation_s)))[at, source]
+        fixed_s = self._fixed_s
+        if not np.isfinite(fixed_s).any():
+            return np.asarray(mean)
+        given = _rho(elapsed_s, np.nan_to_num(fixed_s))[at, source]
+        return np.where(np.isfinite(fixed_s)[source], given, mean)
 
     def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(n,) the share of the variance of a report that is left in the mean of ``count`` (n,), ``every_s`` apart."""
@@ -131,13 +137,13 @@ class ErrorCorrelation:
         each, stepped = (part[source, n - 1] for part in sums)
         return np.asarray((n + 2.0 * (n * each - stepped)) / n**2)
 
-    @property
+    @cached_property
     def _weights(self) -> FloatArray:
         """(S, s, τ) probabilities."""
         weight = np.exp(self.log_probable - self.log_probable.max(axis=(1, 2), initial=-np.inf, keepdims=True))
         return np.asarray(weight / weight.sum(axis=(1, 2), keepdims=True))
 
-    @property
+    @cached_property
     def _fixed_s(self) -> FloatArray:
         """(S,) τ that the user gives, NaN for others."""
         return np.array([self.fixed_s.get(name, np.nan) for name in self.names], np.float64)

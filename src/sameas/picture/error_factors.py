@@ -74,6 +74,17 @@ class ErrorFactors:
         whole = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return whole._averaged(tuning)
 
+    def telling(self, source: IntArray, stated: FloatArray, motion: FloatArray) -> IntArray:
+        """(k,) those of new reports (n,) that :meth:`with_shifts` is to look at; of (n, 2, 2) R + R′ as stated, and D.
+
+        Where motion is larger than errors its description would be judged.
+        """
+        calm = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
+        which = np.flatnonzero(calm & (self.reports[source] < MOST_OF_SOURCE))
+        if not len(which):
+            return which
+        return np.asarray(which[np.linspace(0, len(which) - 1, min(len(which), MOST_REPORTS)).astype(np.int64)])
+
     def with_shifts(
         self,
         source: IntArray,
@@ -82,36 +93,37 @@ class ErrorFactors:
         motion: tuple[FloatArray, FloatArray],
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
-        """After new reports of tracks.
+        """After new reports of tracks, a few of those of an instant (:meth:`telling`).
 
         Parameters
         ----------
         source, shift : (n,), (n, 2) place in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated, motion : D and
         what of it comes of the errors of measured velocities, (n, 2, 2) each.
         """
-        # Where motion is larger than errors its description would be judged.
-        calm = np.trace(motion[0], axis1=1, axis2=2) < np.trace(errors[0], axis1=1, axis2=2)
-        which = np.flatnonzero(calm & (self.reports[source] < MOST_OF_SOURCE))
-        if not len(which):
+        n = len(source)
+        if not n:
             return self
-        which = which[np.linspace(0, len(which) - 1, min(len(which), MOST_REPORTS)).astype(np.int64)]
-        source, shift, n = source[which], shift[which], len(which)
-        both, shared = errors[0][which], (errors[1] + errors[1].transpose(0, 2, 1))[which]
-        whole, carried = motion[0][which], motion[1][which]
+        both, shared = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
         log_out = log_density(shift, tuning.factor_outlier**2 * both) - np.log(1.0 / tuning.factor_outliers - 1.0)
         # Once with any share of the motion, once with the errors of velocities as they are stated.
         fixed, free = (
-            np.concatenate([np.zeros_like(carried), carried]),
-            np.concatenate([whole, growth(whole - carried)]),
+            np.concatenate([np.zeros_like(motion[1]), motion[1]]),
+            np.concatenate([motion[0], growth(motion[0] - motion[1])]),
         )
-        log_shifts, log_p = self.log_shifts.copy(), np.empty((2 * n, len(CORRELATIONS)))
-        twice, shares = np.concatenate([shift, shift]), np.array(tuning.motion_shares)
-        for k, sq in enumerate(np.array(tuning.error_factors) ** 2):
-            stated, common = (np.concatenate([sq * one, sq * one]) for one in (both, shared))
-            correlated_shifts(twice, stated + fixed, common, free, CORRELATIONS, shares, LEAST_M2, log_p)
-            # Of two ways in succession the report between is in both.
-            seen = 0.5 * np.logaddexp(np.concatenate([log_p[:n], log_p[n:]], axis=1), log_out[:, None])
-            np.add.at(log_shifts[:, k], source, seen)
+        # All factors at once, (factors, twice n, …).
+        sq = np.array(tuning.error_factors)[:, None, None, None] ** 2
+        stated, common = (sq * np.concatenate([one, one]) for one in (both, shared))
+        log_p = np.empty((len(sq) * 2 * n, len(CORRELATIONS)))
+        correlated_shifts(
+            np.tile(shift, (2 * len(sq), 1)), (stated + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
+            np.tile(free, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p,
+        )  # fmt: skip
+        # Of two ways in succession the report between is in both.
+        log_p = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
+        seen = 0.5 * np.logaddexp(log_p, log_out[:, None])
+        log_shifts = self.log_shifts.copy()
+        for s in np.unique(source).tolist():
+            log_shifts[s] += seen[:, source == s].sum(axis=1)
         reports = self.reports + np.bincount(source, minlength=len(self.names))
         return replace(self, log_shifts=log_shifts, reports=reports)
 

@@ -30,13 +30,12 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
-from sameas.gaussian import inverse
+from sameas.kernels.track_steps import errors_forgotten, tracks_moved, ways_of_tracks
 from sameas.picture.error_correlation import ErrorCorrelation, error_update, growth
 from sameas.picture.error_factors import ErrorFactors
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.ragged import places_in
-from sameas.tracks.alignment import moved, stamped_late
 
 
 @dataclass(frozen=True)
@@ -137,6 +136,7 @@ class NamedTracks:
         place = np.flatnonzero(scan.track != "")
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
+        continuing = continuing[np.argsort(number[continuing])]
         step, correlation, factors = self._step(
             scan, number[continuing], place[continuing], source[continuing], correlation
         )
@@ -192,56 +192,74 @@ class NamedTracks:
         before = self.scan if self.scan is not None else scan
         at = places_in(self.number, number)
         was = self.place[at]
-        dt = scan.now.instant_s - before.time_s[was]
-        state, covariance = moved(
-            before.reported_state[was], before.reported_covariance[was], dt, before.walk_m2_per_s3[was]
-        )
-        new, elapsed = scan.covariance[place, :2, :2], scan.time_s[place] - before.time_s[was]
+        dt, elapsed = scan.now.instant_s - before.time_s[was], scan.time_s[place] - before.time_s[was]
         # A report of an earlier time than the track's last one is not new.
         new_report = elapsed > 0.0
-        left = np.where(new_report[:, None, None], before.manoeuvre_covariance[was], scan.manoeuvre_covariance[place])
-        old = (stamped_late(covariance, state, before.late_s[was]) + left)[:, :2, :2]
-        shift = scan.state[place, :2] - state[:, :2]
-        one, other = before.reported_covariance[was, :2, :2], scan.reported_covariance[place, :2, :2]
-        roots = np.linalg.cholesky(one), np.linalg.cholesky(other)
-        # L L′ᵀ: the covariance of the errors of the two reports if they are the same.
-        shared, k = np.asarray(roots[0] @ roots[1].transpose(0, 2, 1)), np.flatnonzero(new_report)
-        motion = growth(old + new - one - other)
-        correlation = correlation.updated(
-            source[k], elapsed[k], shift[k], ((one + other)[k], shared[k]), motion[k], scan.tuning
+        manoeuvres = before.manoeuvre_covariance[was, :2, :2], scan.manoeuvre_covariance[place, :2, :2]
+        moved, (old, drift, root_before, root, motion) = np.empty((len(at), 2)), np.empty((5, len(at), 2, 2))
+        tracks_moved(
+            was, before.reported_state, before.reported_covariance, before.walk_m2_per_s3, before.late_s, dt,
+            np.where(new_report[:, None, None], *manoeuvres), before.covariance, moved, old, drift,
+        )  # fmt: skip
+        new, shift = scan.covariance[place, :2, :2], scan.state[place, :2] - moved
+        ways_of_tracks(
+            was, place, before.reported_covariance, scan.reported_covariance, old, new, root_before, root, motion
         )
-        stated = 1.0 / scan.error_factor[place[k], None, None], 1.0 / before.error_factor[was[k], None, None]
-        as_stated = stated[1] ** 2 * one[k] + stated[0] ** 2 * other[k], stated[0] * stated[1] * shared[k]
-        factors = self.error_factors.of_sources(correlation.names, scan.tuning)
-        # Of the motion what comes of the errors of velocities that were measured.
-        later, moving = dt[k, None, None], before.moving[was[k], None, None]
-        cross, velocity = (before.reported_covariance[was[k], v, 2:] for v in (slice(2), slice(2, 4)))
-        carried = np.where(moving, later * (cross + cross.transpose(0, 2, 1) + later * velocity), 0.0)
-        factors = factors.with_shifts(source[k], shift[k], as_stated, (motion[k], growth(carried)), scan.tuning)
-        share = correlation.lasting(source, scan.tuning)[:, None, None]
-        common = correlation.forgotten(source, elapsed, scan.tuning)[:, None, None] * shared
-        forgetting = common.transpose(0, 2, 1) @ inverse(old - share * one)
-        lasting_before, lasting = (np.sqrt(share) * root for root in roots)
-        slope = np.concatenate([forgetting - np.eye(2), lasting - forgetting @ lasting_before], axis=2)
-        noise = new - share * other - forgetting @ common
-        drift = growth(old - before.covariance[was, :2, :2])
-        error_mean, error_covariance = self.error_mean[at], self.error_covariance[at].copy()
+        correlation, factors = self._errors_shown(
+            scan, (was, place), source, (dt, elapsed), shift, (root_before, root), motion, correlation
+        )
+        slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
+        share, forgotten = correlation.lasting(source, scan.tuning), correlation.forgotten(source, elapsed, scan.tuning)
+        errors_forgotten(root_before, root, old, new, share, forgotten, slope, noise)
+        error_mean, error_covariance = self.error_mean[at], self.error_covariance[at]
         error_covariance[:, :2, :2] += drift
         updated_mean, updated_covariance, log_own, chi_sq = error_update(
             error_mean, error_covariance, slope, noise, shift
         )
         updated_mean[:, :2] += shift
-        repeated = ~new_report[:, None, None]
+        repeated = np.flatnonzero(~new_report)
+        shift[repeated], slope[repeated], noise[repeated], log_own[repeated] = 0.0, 0.0, 0.0, 0.0
+        updated_mean[repeated], updated_covariance[repeated] = error_mean[repeated], error_covariance[repeated]
+        new[repeated] = old[repeated]
         step = Step(
-            number, source, before.state[was, :2], state[:, :2],
-            state[:, :2] + np.where(new_report[:, None], shift, 0.0), np.where(repeated, old, new), drift,
-            lasting, other, np.where(repeated, 0.0, slope), np.where(repeated, 0.0, noise),
-            np.where(new_report[:, None], shift, 0.0), new_report,
-            elapsed, np.where(new_report, log_own, 0.0), np.where(new_report[:, None], updated_mean, error_mean),
-            np.where(repeated, error_covariance, updated_covariance), scan.now.instant_s,
+            number, source, before.state[was, :2], moved, moved + shift, new, drift,
+            np.sqrt(share)[:, None, None] * root, scan.reported_covariance[place, :2, :2], slope, noise, shift,
+            new_report, elapsed, log_own, updated_mean, updated_covariance, scan.now.instant_s,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
-        return step.take(np.flatnonzero(consistent)[np.argsort(number[consistent])]), correlation, factors
+        return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation, factors
+
+    def _errors_shown(
+        self, scan: Scan, reports: tuple[IntArray, IntArray], source: IntArray, times_s: tuple[FloatArray, FloatArray],
+        shift: FloatArray, roots: tuple[FloatArray, FloatArray], motion: FloatArray, correlation: ErrorCorrelation,
+    ) -> tuple[ErrorCorrelation, ErrorFactors]:  # fmt: skip
+        """The correlation times and the factors of errors after new reports of tracks.
+
+        reports : (m,) rows of the last report in the last scan, and of the new one in this. times_s : (m,) seconds from
+        the last report to the instant, and to the new one. roots : (m, 2, 2) L and L′.
+        """
+        before = self.scan if self.scan is not None else scan
+        k = np.flatnonzero(times_s[1] > 0.0)
+        was, place = reports[0][k], reports[1][k]
+        one, other = before.reported_covariance[was, :2, :2], scan.reported_covariance[place, :2, :2]
+        # L L′ᵀ: the covariance of the errors of the two reports if they are the same.
+        shared = np.asarray(roots[0][k] @ roots[1][k].transpose(0, 2, 1))
+        source, elapsed, shift, motion = source[k], times_s[1][k], shift[k], motion[k]
+        correlation = correlation.updated(source, elapsed, shift, (one + other, shared), motion, scan.tuning)
+        factors = self.error_factors.of_sources(correlation.names, scan.tuning)
+        stated = 1.0 / before.error_factor[was, None, None], 1.0 / scan.error_factor[place, None, None]
+        as_stated = stated[0] ** 2 * one + stated[1] ** 2 * other
+        few = factors.telling(source, as_stated, motion)
+        was = was[few]
+        # Of the motion what comes of the errors of velocities that were measured.
+        later, moving = times_s[0][k[few], None, None], before.moving[was, None, None]
+        cross, velocity = (before.reported_covariance[was, v, 2:] for v in (slice(2), slice(2, 4)))
+        carried = np.where(moving, later * (cross + cross.transpose(0, 2, 1) + later * velocity), 0.0)
+        factors = factors.with_shifts(
+            source[few], shift[few], (as_stated[few], (stated[0] * stated[1] * shared)[few]),
+            (motion[few], growth(carried)), scan.tuning,
+        )  # fmt: skip
+        return correlation, factors
 
 
 def with_lasting(covariance: FloatArray, lasting: FloatArray) -> FloatArray:

@@ -250,6 +250,8 @@ class NamedObjects(PictureObjects):
     def _new_numbers(self, detections: Detections, new: IntArray) -> IntArray:
         """(k,) the numbers of objects that match none of these: of one that ended, by a unique id, or new ones."""
         number = np.zeros(len(new), np.int64)
+        if not len(new):
+            return number
         for column in range(detections.tracks.shape[1]):
             before = np.where(detections.unique[new, column], self.history.last_of(detections.tracks[new, column]), 0)
             free = (before > 0) & (number == 0) & ~np.isin(before, self.number) & ~np.isin(before, number)

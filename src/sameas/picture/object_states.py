@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.gaussian import inverse
-from sameas.many.fusion import intersection_weights
+from sameas.kernels.object_states import sum_of_records
+from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
 from sameas.picture.scan import Scan
 
 #: Kinds of sources whose named records are tracks, smoothed by a filter of their own.
 SMOOTHED = ("tracks", "marine radar")
+#: 1σ per axis of velocities of objects of which nothing is described, m/s.
+UNKNOWN_SPEED = 1e3
 
 
 @dataclass(frozen=True)
@@ -38,10 +40,15 @@ class ObjectStates:
 
 def object_states(scan: Scan, members: IntArray, identification: Objects | None) -> ObjectStates:
     """States of the objects ``identification`` of the scan, with these ``members`` (n, S), −1 for none."""
-    information, vector, placed, moving, origin = _summed(scan, members)
-    covariance = inverse(information)
-    state = np.einsum("nvw,nw->nv", covariance, vector)
-    state[:, :2] += origin
+    n = len(members)
+    state, covariance, placed, moving = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, bool), np.empty(n, bool)
+    kinds = np.array([description.kind in SMOOTHED for description in scan.now.descriptions], dtype=bool)
+    smoothed = scan.moving & (scan.track != "") & (kinds[scan.source] if len(scan) else False)
+    speed = np.where(np.isfinite(scan.speed_m_per_s), scan.speed_m_per_s, UNKNOWN_SPEED)
+    sum_of_records(
+        members, scan.state, scan.covariance, scan.placed, scan.moving, smoothed, speed, STEPS, OPTIMAL, BISECTIONS,
+        state, covariance, placed, moving,
+    )  # fmt: skip
     is_member = members >= 0
     directed = np.flatnonzero((is_member & ~scan.placed[members]).any(axis=1)) if len(scan) else np.empty(0, np.int64)
     if len(directed) and identification is not None:
@@ -56,59 +63,3 @@ def object_states(scan: Scan, members: IntArray, identification: Objects | None)
             np.linalg.eigvalsh(covariance[directed, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
         )
     return ObjectStates(state, covariance, placed, moving)
-
-
-def _summed(scan: Scan, members: IntArray) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, FloatArray]:
-    """Information (n, 4, 4) and vector (n, 4) about the origins (n, 2) of the objects; whether placed, and moving."""
-    n = len(members)
-    at, source = np.nonzero(members >= 0)
-    record = members[at, source]
-    keep = scan.placed[record]
-    at, record = at[keep], record[keep]
-    origin = np.zeros((n, 2))
-    # From the last to the first, so that the first member of each stays.
-    origin[at[::-1]] = scan.state[record[::-1], :2]
-    precision, pull = _precision(scan, record, scan.state[record] - _wide(origin[at]))
-    placed, moving = np.zeros(n, bool), np.zeros(n, bool)
-    placed[at], moving[at[scan.moving[record]]] = True, True
-    _intersect(scan, at, record, precision, pull)
-    information, vector, slowest = np.zeros((n, 4, 4)), np.zeros((n, 4)), np.zeros(n)
-    # The members of an object follow each other.
-    some, first = np.unique(at, return_index=True)
-    if len(some):
-        speed = np.where(np.isfinite(scan.speed_m_per_s[record]), scan.speed_m_per_s[record], 1e3)
-        information[some], vector[some] = np.add.reduceat(precision, first), np.add.reduceat(pull, first)
-        slowest[some] = np.maximum.reduceat(speed, first)
-    rest = np.where(moving, 0.0, 1.0 / np.maximum(slowest, 1.0) ** 2)
-    information[:, 2, 2] += rest
-    information[:, 3, 3] += rest
-    # Where no member is a position the state has the variance of a plane's width.
-    information[~placed, 0, 0] = information[~placed, 1, 1] = 1e-12
-    return information, vector, placed, moving, origin
-
-
-def _precision(scan: Scan, record: IntArray, offset: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(m, 4, 4) information of records and (m, 4) its product with their offsets; 0 on unreported velocities."""
-    out = np.zeros((len(record), 4, 4))
-    moving = scan.moving[record]
-    out[moving] = inverse(scan.covariance[record[moving]])
-    out[~moving, :2, :2] = inverse(scan.covariance[record[~moving], :2, :2])
-    return out, np.einsum("mvw,mw->mv", out, offset)
-
-
-def _intersect(scan: Scan, at: IntArray, record: IntArray, precision: FloatArray, pull: FloatArray) -> None:
-    """Weigh the precisions of smoothed tracks of one object by covariance intersection, in place."""
-    kinds = np.array([description.kind in SMOOTHED for description in scan.now.descriptions], dtype=bool)
-    smoothed = kinds[scan.source[record]] & (scan.track[record] != "") & scan.moving[record]
-    count = np.bincount(at[smoothed], minlength=int(at.max(initial=-1)) + 1)
-    for k in np.unique(count[count > 1]).tolist():
-        several = np.flatnonzero(smoothed & (count[at] == k))
-        records = several[np.argsort(at[several], kind="stable")].reshape(-1, k)
-        weights = intersection_weights(precision[records])
-        precision[records] *= weights[..., None, None]
-        pull[records] *= weights[..., None]
-
-
-def _wide(position: FloatArray) -> FloatArray:
-    """Positions (…, 2) as states at rest (…, 4)."""
-    return np.concatenate([position, np.zeros_like(position)], axis=-1)

@@ -13,8 +13,12 @@ have been exchanged with the probability h e^(−χ²/8), and with ε whatever t
 that of its best rival begins anew, so its state is a mixture of its own and one without a past. h is estimated for
 every source (:class:`SwapRates`) by how probable the next reports are with and without a swap.
 
-The state of a pair is the mean and covariance of (e_a, z_a, z_b, d), z what lasts of the errors, twice: if they are one
-object, d = 0, and in convoy, d unknown.
+The state of a pair is the mean and covariance of (e_a, z_a, z_b) if they are one object, z what lasts of the errors,
+and of (e_a, z_a, z_b, d) in convoy.
+
+Pairs that have gone far apart are no longer compared (:class:`PartedPairs`): the positions of the instant tell them
+apart, and further reports tell nothing new. What their reports have told until then is kept for as long as they might
+meet again.
 
 Source: METHOD 3.
 """
@@ -29,8 +33,9 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
-from sameas.kernels.kalman import best_others, mix, pairs_anew, pairs_stepped, swap_evidence
+from sameas.gaussian import log_density, mahalanobis_sq
+from sameas.kernels.kalman import best_others, swap_evidence
+from sameas.kernels.track_pairs import WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_correlation import LEAST_M2, ErrorCorrelation
 from sameas.picture.named import NamedTracks, Step
 from sameas.picture.object_table import ColumnTable
@@ -46,13 +51,48 @@ def keys(first: IntArray, second: IntArray) -> IntArray:
 
 
 @dataclass(frozen=True)
+class PartedPairs(ColumnTable):
+    """Pairs of tracks that have gone far apart, (k,) each, by ascending numbers of their tracks.
+
+    first, second : numbers of the tracks, first < second. log_ratio : ln r of their reports until then. near_s : when
+    their positions agreed last.
+    """
+
+    first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    second: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
+    near_s: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+    def on(self, step: Step, parting: PartedPairs, tuning: Tuning) -> PartedPairs:
+        """At an instant: with those that part now, without those whose tracks have gone or that parted long ago."""
+        every = self.stacked(parting) if len(parting) else self
+        if not len(every):
+            return self
+        here = (step.find(every.first) >= 0) & (step.find(every.second) >= 0)
+        every = every.take(np.flatnonzero(here & (step.instant_s - every.near_s <= tuning.pair_timeout_s)))
+        return every.take(np.argsort(keys(every.first, every.second))) if len(parting) else every
+
+    def met(self, first: IntArray, second: IntArray) -> tuple[FloatArray, PartedPairs]:
+        """(k,) ln r of pairs that meet now, 0 for those that never parted, and the other parted pairs."""
+        at = places_in(keys(self.first, self.second), keys(first, second))
+        left = np.ones(len(self), bool)
+        left[at[at >= 0]] = False
+        return np.append(self.log_ratio, 0.0)[at], self if left.all() else self.take(np.flatnonzero(left))
+
+
+@dataclass(frozen=True)
 class TrackPairs(ColumnTable):
     """Pairs of tracks at an instant, (k,) each, by ascending numbers of their tracks.
 
     Attributes
     ----------
     first, second : numbers of the tracks, first < second.
-    mean, covariance : (k, 2, 8), (k, 2, 8, 8) of (e_a, z_a, z_b, d) if they are one object, and if they are in convoy.
+    errors, met : (n, WIDTH), (m, WIDTH) mean and covariance of (e_a, z_a, z_b) if they are one object, and of
+        (e_a, z_a, z_b, d) if they are in convoy, as :mod:`sameas.kernels.track_pairs` has them: of those that have gone
+        through a step, and of those that have met since. row : where each pair stands in both, one below the other.
     log_convoy : log-odds that two objects, if they are two, are in convoy.
     log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`.
     at_scan : ln N(δ; 0, P_a + P_b) at the last report of either. now : the same at the instant. chi_sq : its χ².
@@ -63,12 +103,13 @@ class TrackPairs(ColumnTable):
         errors, and what it adds to ln r; see :meth:`with_offsets`.
     near_s : when their positions agreed last. Pairs of which that is long ago are forgotten: whoever passes another
         once would else be compared with it for ever.
+    parted : the pairs that have gone far apart.
     """
 
+    WHOLE = frozenset({"errors", "met", "parted"})
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     second: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    mean: FloatArray = field(default_factory=lambda: np.empty((0, 2, 8)))
-    covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 8, 8)))
+    row: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     log_convoy: FloatArray = field(default_factory=lambda: np.empty(0))
     log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
     at_scan: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -85,6 +126,9 @@ class TrackPairs(ColumnTable):
     offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
     near_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
+    met: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
+    parted: PartedPairs = field(default_factory=PartedPairs)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -100,14 +144,14 @@ class TrackPairs(ColumnTable):
         instant_s: float,
     ) -> TrackPairs:
         """Pairs that meet now: δ (k, 2), covariances P_a, P_b and roots B_a, B_b (k, 2, 2). They have no past."""
-        error, total = _without_past(delta, covariances, lasting), covariances[0] + covariances[1]
+        errors, total = _without_past(delta, covariances, lasting), covariances[0] + covariances[1]
         density, chi_sq = log_density(delta, total), mahalanobis_sq(delta, total)
         never, none = np.full(len(first), np.nan), np.zeros(len(first))
         return cls(
-            first, second, error.mean, error.covariance, none, none, density, density, chi_sq,
+            first, second, np.arange(len(first)), none, none, density, density, chi_sq,
             never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(len(first), bool),
             np.zeros_like(delta), np.zeros(len(first), np.int64), np.full(len(first), -np.inf),
-            np.ones(delta.shape, bool), none, none, np.full(len(first), instant_s),
+            np.ones(delta.shape, bool), none, none, np.full(len(first), instant_s), errors,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -115,19 +159,14 @@ class TrackPairs(ColumnTable):
         return np.asarray(places_in(keys(self.first, self.second), keys(first, second)) >= 0)
 
     def with_(self, others: TrackPairs) -> TrackPairs:
-        """These and others, in order."""
+        """These and others that meet now, in order; of those that have parted before, what was known then counts."""
         if not len(others):
             return self
-        own, fresh = keys(self.first, self.second), keys(others.first, others.second)
-        order = np.argsort(fresh)
-        # Where the others stand among both.
-        place, rest = np.searchsorted(own, fresh[order]) + np.arange(len(fresh)), np.ones(len(own) + len(fresh), bool)
-        rest[place] = False
-        columns, more = self.columns(), others.columns()
-        for name, column in columns.items():
-            columns[name] = np.empty((len(rest), *column.shape[1:]), column.dtype)
-            columns[name][rest], columns[name][place] = column, more[name][order]
-        return replace(self, **columns)
+        log_ratio, parted = self.parted.met(others.first, others.second)
+        others = replace(others, log_ratio=others.log_ratio + log_ratio)
+        met = np.concatenate([self.met, others.errors, others.met])
+        both = self.stacked(replace(others, row=len(self.errors) + len(self.met) + others.row))
+        return replace(both.take(np.argsort(keys(both.first, both.second), kind="stable")), met=met, parted=parted)
 
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
@@ -140,10 +179,14 @@ class TrackPairs(ColumnTable):
         the report, by the track's own reports 1. Two tracks that keep apart are not one again for that reason.
         """
         a, b = step.find(self.first), step.find(self.second)
-        recent = step.instant_s - self.near_s <= tuning.pair_timeout_s
-        rows = np.flatnonzero((a >= 0) & (b >= 0) & recent)
+        unlike_s = step.instant_s - self.near_s
+        recent, far = unlike_s <= tuning.pair_timeout_s, self.chi_sq > tuning.parted_chi_sq
+        far &= unlike_s > tuning.parted_s
+        rows, parting = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~far), np.flatnonzero(far)
         a, b = a[rows], b[rows]
         updated, log_two = self._updated(step, rows, a, b, tuning)
+        parting = PartedPairs(*(column[parting] for column in (self.first, self.second, self.log_ratio, self.near_s)))
+        updated = replace(updated, parted=self.parted.on(step, parting, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         weight = self.log_ratio[rows] + self.at_scan[rows]
         log_before, log_swapped, near = _swapped(self.log_ratio[rows], weight, log_two, step, (a, b), rivals, tuning)
@@ -161,11 +204,10 @@ class TrackPairs(ColumnTable):
         """The pairs ``rows`` after the motion of their tracks, places a and b in the step, and after its new reports:
         those of the first track, then of the second; and (k,) ln p of these if they are two objects."""
         k = len(rows)
-        mean, covariance = np.empty((k, 2, 8)), np.empty((k, 2, 8, 8))
-        log_reports, now, chi_sq = np.empty((k, 2)), np.empty(k), np.empty(k)
+        errors, log_reports, now, chi_sq = np.empty((k, WIDTH)), np.empty((k, 2)), np.empty(k), np.empty(k)
         pairs_stepped(
-            self.mean, self.covariance, rows, a, b, step.last, step.moved, step.drift, step.slope, step.noise,
-            step.shift, step.new_report, step.covariance, LEAST_M2, mean, covariance, log_reports, now, chi_sq,
+            self.errors, self.met, self.row[rows], a, b, step.last, step.moved, step.drift, step.slope, step.noise,
+            step.shift, step.new_report, step.covariance, LEAST_M2, errors, log_reports, now, chi_sq,
         )  # fmt: skip
         # ln p of the reports if they are one object, in convoy, or each on its own way.
         log_one, log_together = log_reports.T
@@ -176,13 +218,13 @@ class TrackPairs(ColumnTable):
         new_report = is_new.any(axis=1)
         before, at_scan = self.log_ratio[rows], self.at_scan[rows]
         return TrackPairs(
-            self.first[rows], self.second[rows], mean, covariance,
+            self.first[rows], self.second[rows], np.arange(k),
             np.clip(log_convoy + log_together - log_apart, -bound, bound),
             np.where(new_report, before + at_scan + gain - now, before), np.where(new_report, now, at_scan), now,
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
             self.offset[rows], self.offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
-            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.near_s[rows]),
+            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.near_s[rows]), errors,
         ), log_two  # fmt: skip
 
     def _leaked(
@@ -206,7 +248,7 @@ class TrackPairs(ColumnTable):
         fresh = _without_past(
             step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]), (step.lasting[a], step.lasting[b])
         )
-        mix(self.mean, self.covariance, at, anew[at], fresh.mean, fresh.covariance)
+        mix(self.errors, at, anew[at], fresh)
         self.log_convoy[at] *= 1.0 - anew[at]
         # Offsets of another object are no longer theirs.
         other = anew > tuning.offset_anew
@@ -299,10 +341,10 @@ def _swapped(
 
 def _without_past(
     delta: FloatArray, covariances: tuple[FloatArray, FloatArray], lasting: tuple[FloatArray, FloatArray]
-) -> Gaussian:
-    """(e_a, z_a, z_b, d) of pairs by δ = e_a − e_b + d alone, if they are one object and if they are in convoy."""
-    out = Gaussian(np.zeros((len(delta), 2, 8)), np.zeros((len(delta), 2, 8, 8)))
-    pairs_anew(delta, *covariances, *lasting, out.mean, out.covariance)
+) -> FloatArray:
+    """(k, WIDTH) errors of pairs by δ = e_a − e_b + d alone."""
+    out = np.empty((len(delta), WIDTH))
+    pairs_anew(delta, *covariances, *lasting, out)
     return out
 
 

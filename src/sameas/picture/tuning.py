@@ -42,6 +42,8 @@ class Tuning:
     id_timeout_s : a track id that is not reported keeps its number for this long.
     manoeuvre_every_s : mean time between two manoeuvres of an object.
     pair_timeout_s : two tracks are not compared any more when their positions have not agreed for this long.
+    parted_chi_sq, parted_s : they are not compared while they are apart by more than this χ², once their positions have
+        not agreed for so long; what was known of them then counts when they meet again.
     partner_odds : two tracks may be partners until strangers are this many times more probable by their positions.
     search_s : longest search for the best partition of one group, in seconds.
 
@@ -117,6 +119,8 @@ class Tuning:
     id_timeout_s: float = 3600.0
     manoeuvre_every_s: float = 600.0
     pair_timeout_s: float = 900.0
+    parted_chi_sq: float = 100.0
+    parted_s: float = 30.0
     partner_odds: float = 20.0
     search_s: float = 10.0
 

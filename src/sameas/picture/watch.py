@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
+from sameas.kernels.components import label_components
 from sameas.many.identify import identify_many
 from sameas.many.marginals import best_sets
 from sameas.many.objects import Objects
@@ -94,9 +93,9 @@ def _parts(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
     members = sets.members[several]
     at, source = np.nonzero(members >= 0)
     edges = (n_records + at, members[at, source])
-    size = n_records + len(several)
-    _, part = connected_components(csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False)
-    return np.asarray(part[:n_records], np.int64)
+    parent, part = np.empty((2, n_records + len(several)), np.int64)
+    label_components(*edges, parent, part)
+    return part[:n_records]
 
 
 def _links(sets: Sets, before: IntArray) -> IntArray:
@@ -288,10 +287,12 @@ class Watch:
                 )
             ]
             newest[at[order], column] = values[order]
-        object_texts, has_text = {}, (newest != "").any(axis=1).tolist()
-        for number, k in zip(objects.number.tolist(), objects.detection.tolist(), strict=True):
-            before = self.texts.get(number, NO_TEXTS)
-            object_texts[number] = np.where(newest[k] != "", newest[k], before) if k >= 0 and has_text[k] else before
+        numbers = objects.number.tolist()
+        object_texts = {number: self.texts.get(number, NO_TEXTS) for number in numbers}
+        has_text = np.append((newest != "").any(axis=1), False)[objects.detection]
+        for at, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
+            before = object_texts[numbers[at]]
+            object_texts[numbers[at]] = np.where(newest[k] != "", newest[k], before)
         return object_texts
 
 

@@ -115,23 +115,28 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
     usable = np.flatnonzero(reports.usable)
     track = reports.track[usable]
     _, number = np.unique(track if track.dtype.kind in "iu" else track.astype(str), return_inverse=True)
-    rows = usable[np.lexsort([reports.time_s[usable], number])]
-    number = np.sort(number)
-    again = (number[1:] == number[:-1]) & (reports.state[rows[1:], :2] == reports.state[rows[:-1], :2]).all(axis=1)
-    repeated = rows[1:][again]
-    repeated = repeated[_moves(reports.state[repeated, 2:], reports.covariance[repeated, 2:, 2:], tuning)]
-    if not len(repeated):
+    again = usable[repeated(number, reports.time_s[usable], reports.state[usable, :2])]
+    again = again[in_motion(reports.state[again, 2:], reports.covariance[again, 2:, 2:], tuning)]
+    if not len(again):
         return reports, ()
     state = reports.state.copy()
-    state[repeated] = np.nan
+    state[again] = np.nan
     repeated_positions = (
-        "1 report repeats the position" if len(repeated) == 1 else f"{len(repeated)} reports repeat the positions"
+        "1 report repeats the position" if len(again) == 1 else f"{len(again)} reports repeat the positions"
     )
     note = f"{repeated_positions} of an earlier report though the object moves; set aside: no position was measured"
     return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
 
 
-def _moves(velocity: FloatArray, covariance: FloatArray, tuning: Tuning) -> BoolArray:
+def repeated(track: IntArray, time_s: FloatArray, position: FloatArray) -> IntArray:
+    """(k,) those of reports (n,) that repeat the position (n, 2) of the report before them of their track."""
+    rows = np.lexsort([time_s, track])
+    before, after = rows[:-1], rows[1:]
+    same = (position[after, 0] == position[before, 0]) & (position[after, 1] == position[before, 1])
+    return np.asarray(after[same & (track[after] == track[before])])
+
+
+def in_motion(velocity: FloatArray, covariance: FloatArray, tuning: Tuning) -> BoolArray:
     """(n,) whether velocities (n, 2) are certainly not 0."""
     return np.asarray(mahalanobis_sq(velocity, covariance) > ChiSquare(tuning.at_rest).limit(2))
 
@@ -208,12 +213,12 @@ class Feed:
             there, minutes = with_minutes(there, np.full(len(there), walk_of(description)), placed.tuning)
             notes += (_counted_note(description.name, minutes),)
         if isinstance(there, States):
-            there, repeated = position_updates(there, placed.tuning)
+            there, repetitions = position_updates(there, placed.tuning)
             there, duplicates = split_duplicate_ids(
                 there, description.motion.speed_m_per_s or math.inf, placed.tuning,
                 doubtful_s=60.0 if reports.counted_clock else 0.0,
             )  # fmt: skip
-            notes += tuple(f"{description.name}: {note}" for note in (*repeated, *duplicates))
+            notes += tuple(f"{description.name}: {note}" for note in (*repetitions, *duplicates))
         p_stationary, measured = None, None
         if to_tracks:
             if not isinstance(there, States):

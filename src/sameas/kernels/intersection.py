@@ -1,0 +1,159 @@
+"""Compiled weights of covariance intersection, object by object (:mod:`sameas.many.fusion`)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from sameas.arrays import FloatArray
+from sameas.kernels.compiled import part, small_by
+
+#: Sweeps over the elements of a matrix, at most, until its eigenvalues have converged, and the share of its square that
+#: may be left beside them.
+SWEEPS, BESIDE = 30, 1e-30
+
+
+def _work(information: FloatArray, *_: Any) -> float:
+    # An element of a matrix is used some dozens of times.
+    return 30.0 * information.size
+
+
+@small_by(_work)
+def weights_of_least_determinant(
+    information: FloatArray, steps: int, optimal: float, halvings: int, weights: FloatArray
+) -> None:
+    """Writes the weights (n, k) of n objects of k estimates by their information (n, k, d, d): those of the greatest
+    determinant of Σ w I.
+
+    Found by vertex exchange: the estimate of the greatest slope tr(I (Σ w I)⁻¹) gets as much of the weight of the one
+    of the least as is best, until no slope is greater than d by more than its share ``optimal``; ``steps`` at most.
+    """
+    for row in range(len(information)):
+        weigh(information[row], steps, optimal, halvings, weights[row])
+
+
+@part
+def weigh(ours: FloatArray, steps: int, optimal: float, halvings: int, w: FloatArray) -> None:
+    """Writes the weights (k,) of the estimates of one object, by their information (k, d, d)."""
+    k, d, _ = ours.shape
+    total, root, half, change = np.empty((d, d)), np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
+    slope = np.empty(k)
+    w[:] = 1.0 / k
+    for _ in range(steps):
+        total[:] = 0.0
+        for one in range(k):
+            for a in range(d):
+                for b in range(a + 1):
+                    total[a, b] += w[one] * ours[one, a, b]
+        inverse_root(total, root)
+        to, off = 0, -1
+        for one in range(k):
+            # Of L⁻¹ I L⁻ᵀ the trace.
+            slope[one] = 0.0
+            for a in range(d):
+                for b in range(a + 1):
+                    value = 0.0
+                    for c in range(a + 1):
+                        value += root[a, c] * ours[one, c, b]
+                    slope[one] += value * root[a, b]
+            slope[one] /= d
+            if slope[one] > slope[to]:
+                to = one
+            if w[one] > 0.0 and (off < 0 or slope[one] < slope[off]):
+                off = one
+        if not slope[to] > 1.0 + optimal:
+            break
+        for a in range(d):
+            for b in range(d):
+                half[a, b] = 0.0
+                for c in range(a + 1):
+                    half[a, b] += root[a, c] * (ours[to, c, b] - ours[off, c, b])
+        for a in range(d):
+            for b in range(a + 1):
+                value = 0.0
+                for c in range(b + 1):
+                    value += half[a, c] * root[b, c]
+                change[a, b] = change[b, a] = value
+        _to_eigenvalues(change)
+        step = _best_exchange(change, w[off], halvings)
+        w[to] += step
+        w[off] -= step
+        every = 0.0
+        for one in range(k):
+            every += w[one]
+        for one in range(k):
+            w[one] /= every
+
+
+@part
+def inverse_root(matrix: FloatArray, inverse: FloatArray) -> None:
+    """Writes L⁻¹ of a matrix L Lᵀ, of which the lower triangle is given, and is lost."""
+    d = len(matrix)
+    for a in range(d):
+        for b in range(a + 1):
+            value = matrix[a, b]
+            for c in range(b):
+                value -= matrix[a, c] * matrix[b, c]
+            matrix[a, b] = math.sqrt(max(value, 1e-300)) if a == b else value / matrix[b, b]
+    for b in range(d):
+        inverse[b, b] = 1.0 / matrix[b, b]
+        for a in range(b + 1, d):
+            value = 0.0
+            for c in range(b, a):
+                value -= matrix[a, c] * inverse[c, b]
+            inverse[a, b], inverse[b, a] = value / matrix[a, a], 0.0
+
+
+@part
+def _to_eigenvalues(matrix: FloatArray) -> None:
+    """Rotates a symmetric matrix until its eigenvalues stand on its diagonal (Jacobi)."""
+    d = len(matrix)
+    for _ in range(SWEEPS):
+        beside, whole = 0.0, 0.0
+        for a in range(d):
+            whole += matrix[a, a] * matrix[a, a]
+            for b in range(a):
+                beside += matrix[a, b] * matrix[a, b]
+        if beside <= BESIDE * whole:
+            return
+        for a in range(1, d):
+            for b in range(a):
+                if matrix[a, b] == 0.0:
+                    continue
+                theta = 0.5 * (matrix[a, a] - matrix[b, b]) / matrix[a, b]
+                tangent = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                tangent = tangent if theta >= 0.0 else -tangent
+                cosine = 1.0 / math.sqrt(tangent * tangent + 1.0)
+                sine = tangent * cosine
+                for c in range(d):
+                    one, other = matrix[c, b], matrix[c, a]
+                    matrix[c, b], matrix[c, a] = cosine * one - sine * other, sine * one + cosine * other
+                for c in range(d):
+                    one, other = matrix[b, c], matrix[a, c]
+                    matrix[b, c], matrix[a, c] = cosine * one - sine * other, sine * one + cosine * other
+
+
+@part
+def _best_exchange(change: FloatArray, most: float, halvings: int) -> float:
+    """The δ of 0 … ``most`` at which ln|1 + δ D| is greatest; D has its eigenvalues μ on the diagonal of ``change``.
+
+    Its slope Σ μ/(1 + δ μ) falls in δ: halving finds where it is 0, to 2^−halvings of ``most``. What is not below 0 at
+    ``most`` goes all the way.
+    """
+    slope = 0.0
+    for v in range(len(change)):
+        slope += change[v, v] / max(1.0 + most * change[v, v], 1e-300)
+    if slope >= 0.0:
+        return most
+    low, high = 0.0, most
+    for _ in range(halvings):
+        middle, slope = 0.5 * (low + high), 0.0
+        for v in range(len(change)):
+            slope += change[v, v] / (1.0 + middle * change[v, v])
+        if slope > 0.0:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)

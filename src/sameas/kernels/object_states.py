@@ -1,0 +1,104 @@
+"""Compiled states of objects from their records (:mod:`sameas.picture.object_states`)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.kernels.compiled import part, small_by
+from sameas.kernels.intersection import inverse_root, weigh
+
+#: Information on the position of an object that has none: that of a plane's width, 1/m².
+NOWHERE = 1e-12
+
+
+def _work(members: IntArray, *_: Any) -> float:
+    # A record's covariance has sixteen elements, each of which is used some dozens of times.
+    return 500.0 * members.size
+
+
+@small_by(_work)
+def sum_of_records(
+    members: IntArray, state: FloatArray, covariance: FloatArray, placed: BoolArray, moving: BoolArray,
+    smoothed: BoolArray, speed: FloatArray, steps: int, optimal: float, halvings: int, mean: FloatArray,
+    spread: FloatArray, has_place: BoolArray, has_velocity: BoolArray,
+) -> None:  # fmt: skip
+    """Writes states (n, 4), (n, 4, 4) of objects, and whether they have a place and a velocity.
+
+    members : (n, S) records, −1 for none. state … speed : (r, …) of all records; ``smoothed`` those that are joined by
+    covariance intersection first (:func:`sameas.kernels.intersection.weigh`), ``speed`` 1σ per axis where no velocity
+    is reported.
+    """
+    n, most = members.shape
+    ours, weights, own = np.zeros((most, 4, 4)), np.ones(most), np.empty(most, np.int64)
+    total, root, pull, away = np.empty((4, 4)), np.empty((4, 4)), np.empty(4), np.empty(4)
+    alike, both = np.empty((most, 4, 4)), np.empty(most)
+    for k in range(n):
+        count = joined = 0
+        slowest = 0.0
+        has_place[k] = has_velocity[k] = False
+        for record in members[k]:
+            if record < 0 or not placed[record]:
+                continue
+            _information(covariance[record], moving[record], root, ours[count])
+            own[count], weights[count] = record, 1.0
+            if smoothed[record]:
+                alike[joined] = ours[count]
+                joined += 1
+            has_place[k], has_velocity[k] = True, has_velocity[k] or moving[record]
+            slowest = max(slowest, speed[record])
+            count += 1
+        if joined > 1:
+            weigh(alike[:joined], steps, optimal, halvings, both[:joined])
+            at = 0
+            for m in range(count):
+                if smoothed[own[m]]:
+                    weights[m] = both[at]
+                    at += 1
+        total[:], pull[:] = 0.0, 0.0
+        for m in range(count):
+            # About the first record, so that large coordinates cost no digits.
+            for v in range(4):
+                away[v] = state[own[m], v] - (state[own[0], v] if v < 2 else 0.0)
+            for v in range(4):
+                for w in range(4):
+                    value = weights[m] * ours[m, v, w]
+                    total[v, w] += value
+                    pull[v] += value * away[w]
+        if not has_velocity[k]:
+            total[2, 2] += 1.0 / max(slowest, 1.0) ** 2
+            total[3, 3] += 1.0 / max(slowest, 1.0) ** 2
+        if not has_place[k]:
+            total[0, 0] = total[1, 1] = NOWHERE
+        _inverse(total, root, spread[k])
+        for v in range(4):
+            mean[k, v] = state[own[0], v] if v < 2 and has_place[k] else 0.0
+            for w in range(4):
+                mean[k, v] += spread[k, v, w] * pull[w]
+
+
+@part
+def _information(covariance: FloatArray, moving: bool, root: FloatArray, out: FloatArray) -> None:
+    """Writes the information (4, 4) of a record; 0 on a velocity that is not reported."""
+    if moving:
+        _inverse(covariance.copy(), root, out)
+        return
+    out[:] = 0.0
+    a, b, c = covariance[0, 0], 0.5 * (covariance[0, 1] + covariance[1, 0]), covariance[1, 1]
+    determinant = a * c - b * b
+    out[0, 0], out[1, 1] = c / determinant, a / determinant
+    out[0, 1] = out[1, 0] = -b / determinant
+
+
+@part
+def _inverse(matrix: FloatArray, root: FloatArray, out: FloatArray) -> None:
+    """Writes the inverse of a positive definite matrix, which is lost; root : scratch."""
+    inverse_root(matrix, root)
+    for v in range(len(matrix)):
+        for w in range(v + 1):
+            value = 0.0
+            for c in range(v, len(matrix)):
+                value += root[c, v] * root[c, w]
+            out[v, w] = out[w, v] = value

@@ -1,0 +1,227 @@
+"""Compiled loops over pairs of tracks from one instant to the next (:mod:`sameas.picture.track_pairs`).
+
+The errors of a pair are (e_a, z_a, z_b) if the two tracks are one object, and (e_a, z_a, z_b, d) if they are in convoy.
+Both stand in one row of :data:`WIDTH` numbers: their means, then the lower triangles of their covariances, row by row.
+A crowded picture has tens of thousands of pairs, and what takes time is to move them through the memory.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.kernels.compiled import part, small
+
+#: Components of the errors if both are one object, and if they are in convoy.
+ONE, CONVOY = 6, 8
+#: Where in a row the means and the covariances begin, of both; and its length.
+MEAN = (0, ONE)
+COVARIANCE = (ONE + CONVOY, ONE + CONVOY + ONE * (ONE + 1) // 2)
+WIDTH = COVARIANCE[1] + CONVOY * (CONVOY + 1) // 2
+
+
+@small
+def pairs_stepped(
+    errors: FloatArray, met: FloatArray, rows: IntArray, first: IntArray, second: IntArray, last: FloatArray,
+    moved: FloatArray, drift: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray,
+    new_report: BoolArray, total: FloatArray, least_m2: float, new_errors: FloatArray, log_reports: FloatArray,
+    now: FloatArray, chi_sq: FloatArray,
+) -> None:  # fmt: skip
+    """Writes pairs of tracks after an instant: grown by the tracks' motion, updated by the new report of the first
+    track, then by that of the second.
+
+    errors, met : (n, WIDTH), (m, WIDTH). rows : (k,) of both, one below the other, that go on. first, second : (k,)
+    their tracks, rows of the step, of which ``last`` … ``new_report`` are columns (:class:`sameas.picture.named.Step`).
+    total : (m, 2, 2) covariance of each track's position at the instant. least_m2 : what keeps certain steps
+    invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of the reports under both. now, chi_sq : (k,)
+    ln N(δ; 0, P_a + P_b) and its χ².
+    """
+    one, other, h, gain = np.empty(CONVOY), np.empty(CONVOY), np.empty((2, 6)), np.empty((2, 2))
+    of_first, of_second = np.array([0, 1, 2, 3]), np.array([0, 1, 4, 5, 6, 7])
+    mean_one, covariance_one = np.empty(ONE), np.empty((ONE, ONE))
+    mean_two, covariance_two = np.empty(CONVOY), np.empty((CONVOY, CONVOY))
+    for k in range(len(rows)):
+        a, b = first[k], second[k]
+        row = errors[rows[k]] if rows[k] < len(errors) else met[rows[k] - len(errors)]
+        _unpacked(row, MEAN[0], COVARIANCE[0], mean_one, covariance_one)
+        _unpacked(row, MEAN[1], COVARIANCE[1], mean_two, covariance_two)
+        x, y = moved[a, 0] - moved[b, 0], moved[a, 1] - moved[b, 1]
+        went_x, went_y = x - (last[a, 0] - last[b, 0]), y - (last[a, 1] - last[b, 1])
+        _gain_by_drift(drift[a], drift[b], 1e-4 * least_m2, gain)
+        _grow(drift[a], gain, went_x, went_y, mean_one, covariance_one)
+        _grow(drift[a], gain, went_x, went_y, mean_two, covariance_two)
+        log_one = log_two = 0.0
+        if new_report[a]:
+            for v in range(2):
+                for w in range(4):
+                    h[v, w] = slope[a, v, w]
+            east, north = shift[a, 0], shift[a, 1]
+            log_one = _update(mean_one, covariance_one, of_first, h, noise[a], least_m2, east, north, one, other)
+            log_two = _update(mean_two, covariance_two, of_first, h, noise[a], least_m2, east, north, one, other)
+            for v in range(2):
+                mean_one[v] += shift[a, v]
+                mean_two[v] += shift[a, v]
+            x, y = x + shift[a, 0], y + shift[a, 1]
+        if new_report[b]:
+            # e_b = e_a − δ + d, and d is 0 where both are one object.
+            for v in range(2):
+                for w in range(2):
+                    h[v, w], h[v, 2 + w], h[v, 4 + w] = slope[b, v, w], slope[b, v, 2 + w], slope[b, v, w]
+            east = shift[b, 0] + h[0, 0] * x + h[0, 1] * y
+            north = shift[b, 1] + h[1, 0] * x + h[1, 1] * y
+            log_one += _update(mean_one, covariance_one, of_second[:4], h, noise[b], least_m2, east, north, one, other)
+            log_two += _update(mean_two, covariance_two, of_second, h, noise[b], least_m2, east, north, one, other)
+            x, y = x - shift[b, 0], y - shift[b, 1]
+        _packed(mean_one, covariance_one, MEAN[0], COVARIANCE[0], new_errors[k])
+        _packed(mean_two, covariance_two, MEAN[1], COVARIANCE[1], new_errors[k])
+        log_reports[k, 0], log_reports[k, 1] = log_one, log_two
+        p = total[a, 0, 0] + total[b, 0, 0]
+        q = total[a, 0, 1] + total[b, 0, 1]
+        r = total[a, 1, 1] + total[b, 1, 1]
+        determinant = p * r - q * q
+        chi_sq[k] = (r * x * x - 2.0 * q * x * y + p * y * y) / determinant
+        now[k] = -0.5 * (chi_sq[k] + math.log(determinant)) - math.log(2.0 * math.pi)
+
+
+@part
+def _unpacked(row: FloatArray, mean_at: int, covariance_at: int, mean: FloatArray, covariance: FloatArray) -> None:
+    """Reads a mean and a covariance from a row."""
+    at = covariance_at
+    for v in range(len(mean)):
+        mean[v] = row[mean_at + v]
+        for w in range(v + 1):
+            covariance[v, w] = covariance[w, v] = row[at]
+            at += 1
+
+
+@part
+def _packed(mean: FloatArray, covariance: FloatArray, mean_at: int, covariance_at: int, row: FloatArray) -> None:
+    """Writes a mean and a covariance into a row."""
+    at = covariance_at
+    for v in range(len(mean)):
+        row[mean_at + v] = mean[v]
+        for w in range(v + 1):
+            row[at] = covariance[v, w]
+            at += 1
+
+
+@part
+def _gain_by_drift(drift_a: FloatArray, drift_b: FloatArray, least: float, gain: FloatArray) -> None:
+    """Writes (2, 2) the part of the way of both tracks from each other that is the first one's."""
+    p = drift_a[0, 0] + drift_b[0, 0] + least
+    q = 0.5 * (drift_a[0, 1] + drift_b[0, 1] + drift_a[1, 0] + drift_b[1, 0])
+    r = drift_a[1, 1] + drift_b[1, 1] + least
+    determinant = p * r - q * q
+    for v in range(2):
+        gain[v, 0] = (drift_a[v, 0] * r - drift_a[v, 1] * q) / determinant
+        gain[v, 1] = (drift_a[v, 1] * p - drift_a[v, 0] * q) / determinant
+
+
+@part
+def _grow(drift: FloatArray, gain: FloatArray, x: float, y: float, mean: FloatArray, covariance: FloatArray) -> None:
+    """Adds to e_a the motion of its track, of which the way (x, y) of both tracks from each other tells a part."""
+    for v in range(2):
+        mean[v] += gain[v, 0] * x + gain[v, 1] * y
+        for w in range(2):
+            left = 0.5 * (drift[v, w] - gain[v, 0] * drift[0, w] - gain[v, 1] * drift[1, w])
+            covariance[v, w] += left
+            covariance[w, v] += left
+
+
+@part
+def _update(
+    mean: FloatArray, covariance: FloatArray, seen: IntArray, slope: FloatArray, noise: FloatArray, least: float,
+    east: float, north: float, one: FloatArray, other: FloatArray,
+) -> float:  # fmt: skip
+    """Updates a state in place by ν = H x + n, ν = (east, north), and gives ln p(ν); H is ``slope`` (2, …) on the
+    components ``seen`` and 0 on others. one, other : room for the columns of P Hᵀ."""
+    d = len(mean)
+    for v in range(d):
+        one[v] = other[v] = 0.0
+        for at in range(len(seen)):
+            one[v] += covariance[v, seen[at]] * slope[0, at]
+            other[v] += covariance[v, seen[at]] * slope[1, at]
+    a, b, c = noise[0, 0] + least, 0.5 * (noise[0, 1] + noise[1, 0]), noise[1, 1] + least
+    for at in range(len(seen)):
+        v = seen[at]
+        a += slope[0, at] * one[v]
+        b += 0.5 * (slope[0, at] * other[v] + slope[1, at] * one[v])
+        c += slope[1, at] * other[v]
+        east -= slope[0, at] * mean[v]
+        north -= slope[1, at] * mean[v]
+    determinant = a * c - b * b
+    x, y = (c * east - b * north) / determinant, (a * north - b * east) / determinant
+    for v in range(d):
+        mean[v] += one[v] * x + other[v] * y
+        gain_1 = (c * one[v] - b * other[v]) / determinant
+        gain_2 = (a * other[v] - b * one[v]) / determinant
+        for w in range(v + 1):
+            covariance[v, w] -= gain_1 * one[w] + gain_2 * other[w]
+            covariance[w, v] = covariance[v, w]
+    return -0.5 * (east * x + north * y + math.log(determinant)) - math.log(2.0 * math.pi)
+
+
+@small
+def pairs_anew(
+    delta: FloatArray, covariance_a: FloatArray, covariance_b: FloatArray, lasting_a: FloatArray,
+    lasting_b: FloatArray, errors: FloatArray,
+) -> None:  # fmt: skip
+    """Writes the errors (k, WIDTH) of pairs by δ = e_a − e_b + d alone.
+
+    delta : (k, 2). covariance_a … lasting_b : (k, 2, 2) P and B of both tracks.
+    """
+    onto = np.empty((ONE, 2))
+    mean_one, covariance_one = np.empty(ONE), np.empty((ONE, ONE))
+    mean_two, covariance_two = np.zeros(CONVOY), np.empty((CONVOY, CONVOY))
+    for k in range(len(delta)):
+        p = covariance_a[k, 0, 0] + covariance_b[k, 0, 0]
+        q = 0.5 * (covariance_a[k, 0, 1] + covariance_b[k, 0, 1] + covariance_a[k, 1, 0] + covariance_b[k, 1, 0])
+        r = covariance_a[k, 1, 1] + covariance_b[k, 1, 1]
+        determinant = p * r - q * q
+        covariance_two[:] = 0.0
+        for v in range(2):
+            for w in range(2):
+                onto[v, w], onto[2 + v, w], onto[4 + v, w] = (
+                    covariance_a[k, v, w],
+                    lasting_a[k, w, v],
+                    -lasting_b[k, w, v],
+                )
+                covariance_two[v, w] = covariance_a[k, v, w]
+                covariance_two[v, 2 + w] = covariance_two[2 + w, v] = lasting_a[k, v, w]
+            covariance_two[2 + v, 2 + v] = covariance_two[4 + v, 4 + v] = 1.0
+            # Of any distance d, δ tells nothing of the errors: d = δ − e_a + e_b.
+            mean_two[6 + v] = delta[k, v]
+        covariance_two[6, 6], covariance_two[7, 7] = p, r
+        covariance_two[6, 7] = covariance_two[7, 6] = q
+        for v in range(ONE):
+            gain_1 = (onto[v, 0] * r - onto[v, 1] * q) / determinant
+            gain_2 = (onto[v, 1] * p - onto[v, 0] * q) / determinant
+            mean_one[v] = gain_1 * delta[k, 0] + gain_2 * delta[k, 1]
+            for w in range(ONE):
+                covariance_one[v, w] = covariance_two[v, w] - (gain_1 * onto[w, 0] + gain_2 * onto[w, 1])
+            for w in range(2):
+                covariance_two[v, 6 + w] = covariance_two[6 + w, v] = -onto[v, w]
+        _packed(mean_one, covariance_one, MEAN[0], COVARIANCE[0], errors[k])
+        _packed(mean_two, covariance_two, MEAN[1], COVARIANCE[1], errors[k])
+
+
+@small
+def mix(errors: FloatArray, at: IntArray, share: FloatArray, others: FloatArray) -> None:
+    """Turns the errors of some pairs into mixtures of themselves and others, in place: their means and covariances.
+
+    errors : (k, WIDTH). at : (m,) rows. share : (m,) of the others (m, WIDTH).
+    """
+    away = np.empty(CONVOY)
+    for n in range(len(at)):
+        row, other, s = errors[at[n]], others[n], share[n]
+        for way in range(2):
+            d, place = (ONE, COVARIANCE[0]) if way == 0 else (CONVOY, COVARIANCE[1])
+            begin = 0 if way == 0 else ONE
+            for v in range(d):
+                away[v] = other[begin + v] - row[begin + v]
+                row[begin + v] += s * away[v]
+                for w in range(v + 1):
+                    row[place] = (1.0 - s) * row[place] + s * other[place] + s * (1.0 - s) * away[v] * away[w]
+                    place += 1
