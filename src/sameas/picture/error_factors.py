@@ -119,8 +119,8 @@ class ErrorFactors:
             np.tile(free, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p,
         )  # fmt: skip
         # Of two ways in succession the report between is in both.
-        log_p = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
-        seen = 0.5 * np.logaddexp(log_p, log_out[:, None])
+        both_ways = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
+        seen = 0.5 * np.logaddexp(both_ways, log_out[:, None])
         log_shifts = self.log_shifts.copy()
         for s in np.unique(source).tolist():
             log_shifts[s] += seen[:, source == s].sum(axis=1)

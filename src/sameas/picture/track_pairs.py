@@ -182,10 +182,10 @@ class TrackPairs(ColumnTable):
         unlike_s = step.instant_s - self.near_s
         recent, far = unlike_s <= tuning.pair_timeout_s, self.chi_sq > tuning.parted_chi_sq
         far &= unlike_s > tuning.parted_s
-        rows, parting = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~far), np.flatnonzero(far)
+        rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~far)
         a, b = a[rows], b[rows]
         updated, log_two = self._updated(step, rows, a, b, tuning)
-        parting = PartedPairs(*(column[parting] for column in (self.first, self.second, self.log_ratio, self.near_s)))
+        parting = PartedPairs(self.first[far], self.second[far], self.log_ratio[far], self.near_s[far])
         updated = replace(updated, parted=self.parted.on(step, parting, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         weight = self.log_ratio[rows] + self.at_scan[rows]

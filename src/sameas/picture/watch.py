@@ -290,9 +290,9 @@ class Watch:
         numbers = objects.number.tolist()
         object_texts = {number: self.texts.get(number, NO_TEXTS) for number in numbers}
         has_text = np.append((newest != "").any(axis=1), False)[objects.detection]
-        for at, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
-            before = object_texts[numbers[at]]
-            object_texts[numbers[at]] = np.where(newest[k] != "", newest[k], before)
+        for row, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
+            before = object_texts[numbers[row]]
+            object_texts[numbers[row]] = np.where(newest[k] != "", newest[k], before)
         return object_texts
 
 
