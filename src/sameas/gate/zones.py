@@ -359,9 +359,9 @@ def _percentiles(values: FloatArray, shares: tuple[float, ...]) -> FloatArray:
     places = [share * (len(values) - 1) for share in shares]
     ends = [(int(place), min(int(place) + 1, len(values) - 1)) for place in places]
     ordered = np.partition(values, sorted({end for both in ends for end in both}), axis=0)
-    return np.stack([
-        _between(ordered[low], ordered[high], place - low) for (low, high), place in zip(ends, places, strict=True)
-    ])
+    return np.stack(
+        [_between(ordered[low], ordered[high], place - low) for (low, high), place in zip(ends, places, strict=True)]
+    )
 
 
 def _between(low: FloatArray, high: FloatArray, share: float) -> FloatArray:

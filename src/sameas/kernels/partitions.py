@@ -390,6 +390,8 @@ def _packed_group(
     begin, entry, weight, place, hint = _prune(begin, entry, weight, place, hint, cuts[0], block, done, own_dual)
     if _sum_blocks(begin, entry, weight, place, block, done, most_records, cap, share, chosen):
         return cuts[0]
+    # Blocks share no sets: those that are summed need no better duals.
+    begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, ~done[entry[begin[:-1]]])
     for sweeps in ANNEALINGS:
         # Every go starts from the sets of the first cut.
         hint = _anneal(begin, entry, weight, sweeps, own_dual)

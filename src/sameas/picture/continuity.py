@@ -15,9 +15,9 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence import Evidence, Field, Rule
-from sameas.gate import ChiSquare, Pairs
+from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.records import Records
 
 
@@ -111,7 +111,7 @@ class NearOrNamed:
     common: CommonTracks
 
     def __call__(self, first: Records, second: Records) -> Pairs:
-        near = ChiSquare()(first, second)
+        near = GATE(first, second)
         named = self.common.unique > 0.0
         by_id = (self.common.object_place[named] << 32) | self.common.detection_place[named]
         key = np.unique(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))

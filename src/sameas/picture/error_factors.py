@@ -41,8 +41,9 @@ from sameas.tracks.alignment import moved
 
 #: Sources whose factors are weighed together, and steps of the mean field of blocks of them.
 BLOCK, STEPS = 3, 5
-#: Pairs, and reports, of an instant that are looked at, and reports of a source; more show nothing new.
-MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 256, 64, 2000
+#: Pairs, and reports, of an instant that are looked at, for the time it takes; and reports of a source: more show
+#: nothing new.
+MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 64, 64, 2000
 
 
 @dataclass(frozen=True)
@@ -136,7 +137,7 @@ class ErrorFactors:
         weight: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
-        """After pairs of tracks that are surely one object.
+        """After pairs of tracks that are surely one object, of an instant :data:`MOST_PAIRS` at most.
 
         Parameters
         ----------
@@ -145,12 +146,6 @@ class ErrorFactors:
         """
         if not len(delta):
             return self
-        if len(delta) > MOST_PAIRS:
-            some = np.linspace(0, len(delta) - 1, MOST_PAIRS).astype(np.int64)
-            return self.with_sure_pairs(
-                (sources[0][some], sources[1][some]), delta[some], (stated[0][some], stated[1][some]), motion[some],
-                weight[some], tuning,
-            )  # fmt: skip
         swap = sources[0] > sources[1]
         first, second = np.minimum(*sources), np.maximum(*sources)
         one, other = (np.where(swap[:, None, None], *both) for both in (stated[::-1], stated))

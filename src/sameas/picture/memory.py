@@ -29,7 +29,7 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
-from sameas.picture.error_factors import ErrorFactors
+from sameas.picture.error_factors import MOST_PAIRS, ErrorFactors
 from sameas.picture.named import NamedTracks
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
@@ -211,10 +211,13 @@ class Past:
         at, places = at[at >= 0], places[at >= 0]
         elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
-        due = (elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1)
+        due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1))
+        # Pairs that met at one instant are due at one; those beyond some dozens wait for the next.
+        due = due[np.linspace(0, len(due) - 1, min(len(due), MOST_PAIRS)).astype(np.int64)]
         correlation = tracks.error_correlation
         number_of = correlation.numbers(scan)[scan.source]
-        begin = due | np.isnan(elapsed)
+        begin = np.isnan(elapsed)
+        begin[due] = True
         track_pairs = self.track_pairs.anchored(at, begin, scan.now.instant_s, delta)
         a, b = places[due].T
         reported, total = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]

@@ -4,6 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from sameas.gate import ChiSquare
+from sameas.gate import Tuning as GateTuning
+
+#: The gate of an instant: up to some thousands of records in the plane one sweep is faster than a layout of zones.
+GATE = ChiSquare(tuning=GateTuning(each_with_each=4096))
+
 
 @dataclass(frozen=True)
 class Tuning:
@@ -119,8 +125,8 @@ class Tuning:
     id_timeout_s: float = 3600.0
     manoeuvre_every_s: float = 600.0
     pair_timeout_s: float = 900.0
-    parted_chi_sq: float = 100.0
-    parted_s: float = 30.0
+    parted_chi_sq: float = 60.0
+    parted_s: float = 20.0
     partner_odds: float = 20.0
     search_s: float = 10.0
 

@@ -50,7 +50,11 @@ class States:
     @cached_property
     def usable(self) -> BoolArray:
         """(n,) whether a report has a position with its error."""
-        sound = np.isfinite(self.covariance).all(axis=(1, 2)) & np.isfinite(self.state).all(axis=1)
+        return self.usable_of(slice(None))
+
+    def usable_of(self, which: NDArray[Any] | slice) -> BoolArray:
+        """(k,) the same of some of the reports."""
+        sound = np.isfinite(self.covariance[which]).all(axis=(1, 2)) & np.isfinite(self.state[which]).all(axis=1)
         return np.asarray(sound)
 
     def take(self, which: NDArray[Any]) -> States:

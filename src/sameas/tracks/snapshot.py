@@ -83,7 +83,8 @@ class Snapshot:
         else:
             rows = feed.succession.at(instant_s)
             rows = rows[instant_s - reports.time_s[rows] <= feed.track_timeout_s]
-        rows = rows[reports.usable[rows]]
+        usable = reports.usable[rows] if isinstance(reports, Directions) else reports.usable_of(rows)
+        rows = rows[usable]
         time_s, none = reports.time_s[rows], np.empty(0, np.int64)
         if isinstance(reports, Directions):
             return cls(feed, rows, time_s, reports.bearing_deg[rows], reports.sigma_deg[rows] ** 2, none)
@@ -98,6 +99,8 @@ class Snapshot:
         if isinstance(self.feed.reports, Directions) or not len(self.rows):
             return self
         old = aged(self.covariance, density)
+        if not old.any():
+            return self
         keep = ~old
         return Snapshot(
             self.feed, self.rows[keep], self.time_s[keep], self.state[keep], self.covariance[keep], self.rows[old]
