@@ -153,9 +153,12 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
 def _in_order(source: Source) -> Source:
     """A source with its records ordered by their content, equal ones by their ids."""
     records = records_of(source)
-    ids = records.ids[records.rows]
-    ids = ids if ids.dtype.kind in "iuf" else ids.astype(str)
-    order = np.lexsort([ids, *records.covariance.T[::-1], *records.features.T[::-1]])
+    order = np.lexsort(records.features.T[::-1])
+    ordered = records.features[order]
+    if (ordered[1:] == ordered[:-1]).all(axis=1).any():
+        ids = records.ids[records.rows]
+        ids = ids if ids.dtype.kind in "iuf" else ids.astype(str)
+        order = np.lexsort([ids, *records.covariance.T[::-1], *records.features.T[::-1]])
     records = replace(
         records, features=records.features[order], covariance=records.covariance[order], rows=records.rows[order]
     )

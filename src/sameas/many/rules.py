@@ -35,7 +35,6 @@ from sameas.evidence import (
     Universal,
 )
 from sameas.gate import Pairs
-from sameas.many.joint import NO_RECORD
 from sameas.many.pooled import PooledRecords
 from sameas.many.terms import Linear, PairTerms, Terms, best_reference, mean_of_pairs
 from sameas.prior import PerPair
@@ -90,9 +89,7 @@ class PoissonObjects(ObjectsRule):
         """The terms of the records and pairs of ``pooled``."""
         q, false = _per_source(self.q, pooled, "q"), _per_source(self.false, pooled, "false")
         log_missed, log_detected = np.log(q), np.log1p(-q)
-        alone_sets = np.full((len(pooled), len(q)), NO_RECORD)
-        alone_sets[np.arange(len(pooled)), pooled.source] = np.arange(len(pooled))
-        log_j = pooled.observers.joint(pooled.positions(alone_sets)).log_density
+        log_j = pooled.log_joint(np.arange(len(pooled))[:, None])
         odds = (log_detected - log_missed)[pooled.source]
         base = math.log(self.density) + log_missed.sum()
         with np.errstate(divide="ignore"):

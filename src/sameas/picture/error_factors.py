@@ -43,7 +43,7 @@ from sameas.tracks.alignment import moved
 BLOCK, STEPS = 3, 5
 #: Pairs, and reports, of an instant that are looked at, for the time it takes; and reports of a source: more show
 #: nothing new.
-MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 64, 64, 2000
+MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 64, 32, 2000
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,9 @@ from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.ragged import places_in
 
+#: Reports of an instant by which correlation times are estimated, at most; more show nothing new.
+MOST_REPORTS = 256
+
 
 @dataclass(frozen=True)
 class Step(ColumnTable):
@@ -144,20 +147,19 @@ class NamedTracks:
         number[is_new] = self.n_numbers + np.arange(np.count_nonzero(is_new))
         track_of_record[place] = number
         lasting = _lasting_root(scan, correlation)
-        error_mean = np.zeros((len(number), 4))
-        error_covariance = with_lasting(scan.covariance[place, :2, :2], lasting[place])
-        at = step.find(number)
-        error_mean[at >= 0], error_covariance[at >= 0] = (
-            step.error_mean[at[at >= 0]],
-            step.error_covariance[at[at >= 0]],
-        )
         order = np.argsort(number)
+        number, place, source = number[order], place[order], source[order]
+        at = step.find(number)
+        anew = place[at < 0]
+        error_mean = np.append(step.error_mean, np.zeros((1, 4)), axis=0)[at]
+        error_covariance = np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0)[at]
+        error_covariance[at < 0] = with_lasting(scan.covariance[anew, :2, :2], lasting[anew])
         now_s = scan.now.instant_s
+        is_new = number >= self.n_numbers
         by_name, absent = self._names_on(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
-            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number[order], place[order],
-            track_of_record, error_mean[order], error_covariance[order], lasting, scan, correlation, source[order],
-            factors,
+            now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number, place, track_of_record,
+            error_mean, error_covariance, lasting, scan, correlation, source, factors,
         )  # fmt: skip
         return tracks, step
 
@@ -245,7 +247,10 @@ class NamedTracks:
         # L L′ᵀ: the covariance of the errors of the two reports if they are the same.
         shared = np.asarray(roots[0][k] @ roots[1][k].transpose(0, 2, 1))
         source, elapsed, shift, motion = source[k], times_s[1][k], shift[k], motion[k]
-        correlation = correlation.updated(source, elapsed, shift, (one + other, shared), motion, scan.tuning)
+        some = np.linspace(0, len(k) - 1, min(len(k), MOST_REPORTS)).astype(np.int64)
+        correlation = correlation.updated(
+            source[some], elapsed[some], shift[some], ((one + other)[some], shared[some]), motion[some], scan.tuning
+        )
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
         stated = 1.0 / before.error_factor[was, None, None], 1.0 / scan.error_factor[place, None, None]
         as_stated = stated[0] ** 2 * one + stated[1] ** 2 * other
@@ -274,5 +279,9 @@ def _lasting_root(scan: Scan, correlation: ErrorCorrelation) -> FloatArray:
     out = np.zeros((len(scan), 2, 2))
     at = np.flatnonzero(scan.placed)
     share = correlation.lasting(correlation.numbers(scan)[scan.source[at]], scan.tuning)
-    out[at] = np.sqrt(share)[:, None, None] * np.linalg.cholesky(scan.reported_covariance[at, :2, :2])
+    covariance, root = scan.reported_covariance[at], np.sqrt(share)
+    first = np.sqrt(covariance[:, 0, 0])
+    cross = covariance[:, 1, 0] / first
+    out[at, 0, 0], out[at, 1, 0] = root * first, root * cross
+    out[at, 1, 1] = root * np.sqrt(covariance[:, 1, 1] - cross**2)
     return out

@@ -463,9 +463,8 @@ def with_manoeuvres(
     a, b, log_ratio = a[partners], b[partners], log_ratio[partners]
     if not len(a):
         return scan
-    extra = manoeuvre_covariance(scan)
     delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
-    log_usual = log_density(delta, spread)
+    log_usual, chi_sq = log_density(delta, spread), mahalanobis_sq(delta, spread)
     with np.errstate(divide="ignore"):
         # ln of the odds that there was a manoeuvre since the report.
         log_odds = np.log(np.expm1(np.maximum(scan.now.instant_s - scan.time_s, 0.0) / scan.tuning.manoeuvre_every_s))
@@ -473,10 +472,16 @@ def with_manoeuvres(
     best = Rivals.of(a, b, scan.source[a], scan.source[b]).most(log_same)
     # Either of the two may have made the manoeuvre.
     own, other, k = np.append(a, b), np.append(b, a), np.tile(np.arange(len(a)), 2)
+    # No covariance adds more to ln p than χ²/2, so that most records are not looked at any further.
+    likely = np.bincount(own, 0.5 * chi_sq[k], len(scan)) + log_odds > 0.0
+    own, other, k = own[likely[own]], other[likely[own]], k[likely[own]]
+    if not len(own):
+        return scan
+    extra = manoeuvre_covariance(scan)
     log_density_moved = log_density(delta[k], spread[k] + extra[own, :2, :2])
     log_moved = log_odds[own] + log_ratio[k] + log_density_moved
-    likely = np.maximum(log_same[k], log_moved)
-    partner = likely == _most(own * len(scan.start) + scan.source[other], likely)
+    most_likely = np.maximum(log_same[k], log_moved)
+    partner = most_likely == _most(own * len(scan.start) + scan.source[other], most_likely)
     log_manoeuvre = np.bincount(own[partner], (log_density_moved - log_usual[k])[partner], len(scan)) + log_odds
     manoeuvred = np.zeros(len(scan), bool)
     # No rival explains the other without a manoeuvre, and its partners in all sources together say that there was one.
@@ -492,7 +497,7 @@ def manoeuvre_covariance(scan: Scan) -> FloatArray:
     age = np.maximum(scan.now.instant_s - scan.time_s, 0.0)
     speed = np.where(np.isfinite(scan.speed_m_per_s), scan.speed_m_per_s, 0.0)
     v = np.where(scan.moving[:, None], scan.state[:, 2:], 0.0)
-    change = np.einsum("nv,nw->nvw", v, v) + speed[:, None, None] ** 2 * np.eye(2)
+    change = v[:, :, None] * v[:, None, :] + speed[:, None, None] ** 2 * np.eye(2)
     change[speed == 0.0] = 0.0
     out = np.zeros((len(scan), 4, 4))
     out[:, :2, :2] = change * (age**2 / 3.0)[:, None, None]

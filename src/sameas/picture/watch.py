@@ -132,7 +132,8 @@ TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
 #: Those of them that are unique to an object.
 UNIQUE_IDS = ("mmsi", "icao", "callsign")
 #: Bounds of the work of an instant. In crowded pictures (500 objects, 0.1 others within σ) what is left out changes
-#: probabilities by 5e-4 at most; a first cut of 20, whose largest groups are cut at 6 all the same, takes twice as long.
+#: probabilities by 5e-4 at most; with a first cut of 20, and 6 for the largest groups all the same, it takes twice as
+#: long.
 LIVE = ManyTuning(cuts=(10.0, 8.0, 6.0, 4.0, 2.0, 1.0), block_steps=10_000)
 #: The texts of an object without any.
 NO_TEXTS = np.full(len(TEXTS), "", dtype=object)

@@ -181,7 +181,7 @@ class GrowingFeed:
     def feed(self, instant_s: float) -> Feed:
         """The feed by which a scene knows the source at an instant; reports that no later instant needs are dropped."""
         self._drop(instant_s - self.lag_s)
-        rows = self._rows.visible()
+        rows = self._rows.visible(("measured",) if self._directions else ())
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
         every = np.arange(len(rows))
@@ -504,7 +504,7 @@ def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed
 
 
 #: Columns of a feed that its reports have.
-_VISIBLE = ("time_s", "state", "covariance", "p_stationary", "sensor_m", "heights")
+_VISIBLE = ("time_s", "state", "covariance", "p_stationary", "sensor_m", "heights", "name")
 
 
 class _Rows:
@@ -540,10 +540,18 @@ class _Rows:
         return len(self.taken)
 
     @classmethod
+    def _beside(cls, n: int) -> _Rows:
+        """Rows without the columns of times and states, which are given after."""
+        rows = cls(0)
+        rows.p_stationary, rows.sensor_m, rows.heights = np.zeros(n), np.full((n, 2), np.nan), np.full((n, 4), np.nan)
+        rows.number, rows.serial, rows.name = np.full(n, -1), np.full(n, -1), np.full(n, "", object)
+        return rows
+
+    @classmethod
     def of_states(
         cls, there: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
     ) -> _Rows:
-        rows = cls(len(usable))
+        rows = cls._beside(len(usable))
         for column in ("measured", "filtered", "state"):
             setattr(rows, column, there.state[usable])
         for column in ("measured_covariance", "filtered_covariance", "covariance"):
@@ -581,13 +589,13 @@ class _Rows:
         out.attributes = {name: column[which] for name, column in self.attributes.items()}
         return out
 
-    def visible(self) -> _Rows:
-        """Of a feed: copies of what later reports would change, without what only the filter needs."""
+    def visible(self, also: tuple[str, ...]) -> _Rows:
+        """Of a feed: copies of what later reports would change, without what only the filter needs; ``also`` others."""
         out = _Rows(0)
-        for name in (*_VISIBLE, "taken", "number", "serial", "name"):
+        for name in (*_VISIBLE, *also):
             setattr(out, name, getattr(self, name).copy())
-        # Directions are in what was measured.
-        out.measured = self.measured.copy()
+        # These no feed has.
+        out.taken, out.number, out.serial = self.taken, self.number, self.serial
         out.attributes = {name: column.copy() for name, column in self.attributes.items()}
         return out
 
@@ -615,7 +623,8 @@ class _Rows:
     def clear(self, places: IntArray) -> None:
         """Empties these rows."""
         for name, _, empty in self.ARRAYS:
-            getattr(self, name)[places] = empty
+            if name in _VISIBLE:
+                getattr(self, name)[places] = empty
         self.taken[places], self.number[places], self.serial[places], self.name[places] = False, -1, -1, ""
         for column in self.attributes.values():
             column[places] = None if column.dtype == object else np.nan
