@@ -11,6 +11,7 @@ from tests.live.conftest import replay, settings
 import sameas
 from sameas.errors import InputError
 from sameas.io import read_table, write_table
+from sameas.live.journal import LAYOUT
 from sameas.live.keeper import Keeper
 from sameas.saved import dumps
 
@@ -88,7 +89,7 @@ def test_a_damaged_journal_is_refused(damage, tmp_path):
         Keeper(settings(), tmp_path, replay=replay())
 
 
-VERSION = {"version": sameas.__version__}
+VERSION = {"version": sameas.__version__, "layout": LAYOUT}
 
 
 @pytest.mark.parametrize("state", ["text", ["a", "list"], VERSION, {"names": []}, VERSION | {"picture": 3, "tick": 1}])

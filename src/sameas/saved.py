@@ -51,12 +51,16 @@ _MADE = {
 _OF_ASTROPY = {"_recreate_irreducible_unit", "_column_rebuild", "_construct_mixin_from_columns"}
 
 
+class _NotHere(pickle.UnpicklingError):
+    """A state names a class that this version of sameas does not have."""
+
+
 class _DataOnly(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if name in _MADE.get(module, ()):
             return super().find_class(module, name)
         if module == "sameas" or module.startswith("sameas."):
-            found = super().find_class(module, name) if name.isidentifier() else None
+            found = self._of_sameas(module, name) if name.isidentifier() else None
             if isinstance(found, type) and found.__module__ == module:
                 return found
             # Functions that states hold by name, such as a rule of evidence: of sameas, and not called by the reading.
@@ -67,6 +71,12 @@ class _DataOnly(pickle.Unpickler):
             if isinstance(found, type) or name in _OF_ASTROPY:
                 return found
         raise pickle.UnpicklingError(f"it names {module}.{name}, which is no data")
+
+    def _of_sameas(self, module: str, name: str) -> Any:
+        try:
+            return super().find_class(module, name)
+        except (AttributeError, ModuleNotFoundError):
+            raise _NotHere(f"it has {module}.{name}") from None
 
 
 def dumps(value: Any) -> bytes:
@@ -93,6 +103,10 @@ def loads(content: bytes, where: str) -> Any:
         if hashlib.sha256(content[size:]).digest() != content[:size]:
             raise pickle.UnpicklingError("its checksum is another")
         return _DataOnly(io.BytesIO(content[size:])).load()
+    except _NotHere as error:
+        raise InputError(
+            f"{where}: was saved by another version of sameas ({error})", "move it away to begin anew"
+        ) from error
     except Exception as error:
         reason = str(error) if isinstance(error, pickle.UnpicklingError) else type(error).__name__
         raise InputError(f"{where}: is damaged ({reason})", "move it away to begin anew") from error

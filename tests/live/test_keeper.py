@@ -2,7 +2,10 @@
 
 import asyncio
 import contextlib
+import hashlib
+import io
 import os
+import pickle
 import shutil
 import signal
 import sqlite3
@@ -10,6 +13,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +24,7 @@ from tests.live.conftest import START_S, harbour, replay, settings
 from sameas.errors import InputError
 from sameas.io import read_table
 from sameas.live.frame import Alarm
-from sameas.live.journal import Journal, load_state
+from sameas.live.journal import LAYOUT, Journal, load_state
 from sameas.live.keeper import Delta, Keeper
 from sameas.live.settings import LiveSource, OwnShip, Settings, WatchSettings, read_settings
 from sameas.tracks import Description
@@ -168,12 +172,51 @@ def test_a_registration_or_search_that_fails_ends_nothing_and_the_state_is_saved
     assert again.restored and again.journal is None and load_state(tmp_path)["tick"] == 6
 
 
-def test_a_damaged_state_is_refused_and_another_version_begins_anew(tmp_path):
+def test_a_damaged_state_is_refused(tmp_path):
     (tmp_path / "state.pickle").write_bytes(b"\x80\x05nonsense")
     with pytest.raises(InputError, match="is damaged"):
         load_state(tmp_path)
     (tmp_path / "state.pickle").unlink()
     assert load_state(tmp_path) is None
+
+
+def test_a_state_that_other_code_saved_is_refused_in_one_line(tmp_path, monkeypatch):
+    first = Keeper(settings(), tmp_path, replay=replay())
+    ticked(first, 4.0)
+    first.close()
+    for name, value, whose in (
+        ("sameas.live.journal.LAYOUT", LAYOUT + 1, "an earlier build of this version of sameas"),
+        ("sameas.__version__", "99.0", "version 0.1.0 of sameas"),
+    ):
+        with monkeypatch.context() as patched:
+            patched.setattr(name, value)
+            with pytest.raises(InputError, match=rf"state.pickle: was saved by {whose}.*; move its folder away"):
+                Keeper(settings(), tmp_path, replay=replay())
+    assert Keeper(settings(), tmp_path, replay=replay()).restored
+
+
+class AttributeNames(pickle.Pickler):
+    """Collects the names of what objects of sameas hold."""
+
+    def __init__(self) -> None:
+        super().__init__(io.BytesIO(), protocol=5)
+        self.found: dict[str, set[str]] = {}
+
+    def reducer_override(self, value: Any) -> Any:
+        kind = type(value)
+        if kind.__module__.startswith("sameas"):
+            kept = {n for n in vars(value) if not isinstance(getattr(kind, n, None), cached_property)}
+            self.found.setdefault(f"{kind.__module__}.{kind.__qualname__}", set()).update(kept)
+        return NotImplemented
+
+
+def test_what_states_hold_is_that_of_their_layout(keeper):
+    ticked(keeper, 20.0)
+    names = AttributeNames()
+    names.dump(keeper.picture)
+    held = sorted((kind, sorted(found)) for kind, found in names.found.items())
+    # Where this fails, states that others have saved cannot be read any more: raise LAYOUT, and take the new digest.
+    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (2, "78b7641e34e9")
 
 
 def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):

@@ -38,6 +38,8 @@ CREATE INDEX IF NOT EXISTS alarms_active ON alarms (active, key);
 ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
 #: Where the disk refuses them, so many rows wait in memory; the oldest go first.
 WAITING_ROWS = 4 * ARCHIVE_ROWS
+#: Number of what a state holds; raised with every change of it (``tests/live/test_keeper.py`` notices).
+LAYOUT = 2
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 
@@ -228,16 +230,17 @@ class Journal:
 def save_state(folder: Path, state: Mapping[str, Any]) -> None:
     """Saves the state: whole, or the one before stays."""
     with replacing(folder / "state.pickle") as draft:
-        draft.write_bytes(dumps({"version": sameas.__version__, **state}))
+        draft.write_bytes(dumps({"version": sameas.__version__, "layout": LAYOUT, **state}))
         os.chmod(draft, 0o600)
 
 
 def load_state(folder: Path) -> dict[str, Any] | None:
-    """The saved state; None where there is none, or another version's.
+    """The saved state; None where there is none.
 
     Raises
     ------
-    InputError : the file is damaged, or its owner is another user.
+    InputError : the file is damaged, another version of sameas saved it, or its owner is another user. The numbers of
+        its objects are in the journal beside it, so that nothing begins anew there by itself.
     """
     path = folder / "state.pickle"
     if not path.exists():
@@ -246,4 +249,11 @@ def load_state(folder: Path) -> dict[str, Any] | None:
         raise InputError(f"{path}: belongs to another user", "give a folder of your own")
     state: Any = loads(path.read_bytes(), str(path))
     with reading(str(path), "is damaged"):
-        return dict(state) if state["version"] == sameas.__version__ else None
+        version, layout, state = str(state["version"]), state.get("layout", 1), dict(state)
+    if (version, layout) != (sameas.__version__, LAYOUT):
+        whose = "an earlier build of this version" if version == sameas.__version__ else f"version {version}"
+        raise InputError(
+            f"{path}: was saved by {whose} of sameas, whose states this one ({sameas.__version__}) does not read",
+            "move its folder away to begin anew, or go on with the version that saved it",
+        )
+    return state

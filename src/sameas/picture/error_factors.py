@@ -75,16 +75,15 @@ class ErrorFactors:
         whole = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return whole._averaged(tuning)
 
-    def telling(self, source: IntArray, stated: FloatArray, motion: FloatArray) -> IntArray:
-        """(k,) those of new reports (n,) that :meth:`with_shifts` is to look at; of (n, 2, 2) R + R′ as stated, and D.
+    def telling(self, source: IntArray, place: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
+        """(k,) those of new reports (n,) at places (n, 2) that :meth:`with_shifts` is to look at, by R + R′ as stated
+        and D, (n, 2, 2).
 
         Where motion is larger than errors its description would be judged.
         """
         calm = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
         which = np.flatnonzero(calm & (self.reports[source] < MOST_OF_SOURCE))
-        if not len(which):
-            return which
-        return np.asarray(which[np.linspace(0, len(which) - 1, min(len(which), MOST_REPORTS)).astype(np.int64)])
+        return which[evenly(place[which], MOST_REPORTS)]
 
     def with_shifts(
         self,
@@ -193,6 +192,14 @@ class ErrorFactors:
                 weight[block] = _marginals(alone, both[np.ix_(block, block)])
         mean = weight @ logs
         return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))
+
+
+def evenly(place: FloatArray, most: int) -> IntArray:
+    """(k,) ascending, ``most`` of n places (n, 2), spread evenly in the order of their first coordinates: a choice that
+    does not depend on the order in which they are given."""
+    if len(place) <= most:
+        return np.arange(len(place))
+    return np.sort(np.lexsort(place.T[::-1])[np.linspace(0, len(place) - 1, most).astype(np.int64)])
 
 
 def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:

@@ -29,7 +29,7 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
-from sameas.picture.error_factors import MOST_PAIRS, ErrorFactors
+from sameas.picture.error_factors import MOST_PAIRS, ErrorFactors, evenly
 from sameas.picture.named import NamedTracks
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.track_existence import TrackExistence
@@ -213,7 +213,7 @@ class Past:
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
         due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1))
         # Pairs that met at one instant are due at one; those beyond some dozens wait for the next.
-        due = due[np.linspace(0, len(due) - 1, min(len(due), MOST_PAIRS)).astype(np.int64)]
+        due = due[evenly(scan.state[places[due, 0], :2], MOST_PAIRS)]
         correlation = tracks.error_correlation
         number_of = correlation.numbers(scan)[scan.source]
         begin = np.isnan(elapsed)

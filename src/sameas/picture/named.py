@@ -32,7 +32,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.kernels.track_steps import errors_forgotten, tracks_moved, ways_of_tracks
 from sameas.picture.error_correlation import ErrorCorrelation, error_update, growth
-from sameas.picture.error_factors import ErrorFactors
+from sameas.picture.error_factors import ErrorFactors, evenly
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.ragged import places_in
@@ -247,14 +247,15 @@ class NamedTracks:
         # L L′ᵀ: the covariance of the errors of the two reports if they are the same.
         shared = np.asarray(roots[0][k] @ roots[1][k].transpose(0, 2, 1))
         source, elapsed, shift, motion = source[k], times_s[1][k], shift[k], motion[k]
-        some = np.linspace(0, len(k) - 1, min(len(k), MOST_REPORTS)).astype(np.int64)
+        here = scan.state[place, :2]
+        some = evenly(here, MOST_REPORTS)
         correlation = correlation.updated(
             source[some], elapsed[some], shift[some], ((one + other)[some], shared[some]), motion[some], scan.tuning
         )
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
         stated = 1.0 / before.error_factor[was, None, None], 1.0 / scan.error_factor[place, None, None]
         as_stated = stated[0] ** 2 * one + stated[1] ** 2 * other
-        few = factors.telling(source, as_stated, motion)
+        few = factors.telling(source, here, as_stated, motion)
         was = was[few]
         # Of the motion what comes of the errors of velocities that were measured.
         later, moving = times_s[0][k[few], None, None], before.moving[was, None, None]

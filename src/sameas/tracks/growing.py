@@ -181,7 +181,7 @@ class GrowingFeed:
     def feed(self, instant_s: float) -> Feed:
         """The feed by which a scene knows the source at an instant; reports that no later instant needs are dropped."""
         self._drop(instant_s - self.lag_s)
-        rows = self._rows.visible(("measured",) if self._directions else ())
+        rows = self._rows.visible(("measured",) if self._directions or not self._named else ())
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
         every = np.arange(len(rows))
@@ -623,7 +623,7 @@ class _Rows:
     def clear(self, places: IntArray) -> None:
         """Empties these rows."""
         for name, _, empty in self.ARRAYS:
-            if name in _VISIBLE:
+            if name in (*_VISIBLE, "measured"):
                 getattr(self, name)[places] = empty
         self.taken[places], self.number[places], self.serial[places], self.name[places] = False, -1, -1, ""
         for column in self.attributes.values():
