@@ -191,7 +191,7 @@ def test_a_state_that_other_code_saved_is_refused_in_one_line(tmp_path, monkeypa
         with monkeypatch.context() as patched:
             patched.setattr(name, value)
             with pytest.raises(InputError, match=rf"state.pickle: was saved by {whose}.*; move its folder away"):
-                Keeper(settings(), tmp_path, replay=replay())
+                load_state(tmp_path)
     assert Keeper(settings(), tmp_path, replay=replay()).restored
 
 

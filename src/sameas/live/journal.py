@@ -249,11 +249,12 @@ def load_state(folder: Path) -> dict[str, Any] | None:
         raise InputError(f"{path}: belongs to another user", "give a folder of your own")
     state: Any = loads(path.read_bytes(), str(path))
     with reading(str(path), "is damaged"):
-        version, layout, state = str(state["version"]), state.get("layout", 1), dict(state)
+        kept: dict[str, Any] = dict(state)
+        version, layout = str(kept["version"]), kept.get("layout", 1)
     if (version, layout) != (sameas.__version__, LAYOUT):
         whose = "an earlier build of this version" if version == sameas.__version__ else f"version {version}"
         raise InputError(
             f"{path}: was saved by {whose} of sameas, whose states this one ({sameas.__version__}) does not read",
             "move its folder away to begin anew, or go on with the version that saved it",
         )
-    return state
+    return kept

@@ -1,0 +1,141 @@
+"""Kernels of an instant give what the formulas give, written along the rows; interpreted and compiled alike."""
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from sameas.gate.zones import _percentiles
+from sameas.gaussian import inverse
+from sameas.kernels.components import label_components
+from sameas.kernels.intersection import weights_of_least_determinant
+from sameas.kernels.object_states import sum_of_records
+from sameas.kernels.order import merge_rows
+from sameas.kernels.track_steps import errors_forgotten, tracks_moved, ways_of_tracks
+from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
+from sameas.picture.error_correlation import growth
+from sameas.tracks.alignment import moved, process_noise, stamped_late, transition
+
+WAYS = ("interpreted", "compiled")
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(7)
+
+
+def spd(rng, *shape):
+    root = rng.standard_normal((*shape, shape[-1]))
+    return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
+
+
+def test_states_go_on_as_their_transition_says(rng):
+    state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
+    there, spread = moved(state, covariance, dt, walk)
+    f = transition(dt)
+    np.testing.assert_allclose(there, np.einsum("nvw,nw->nv", f, state), rtol=1e-12)
+    np.testing.assert_allclose(spread, f @ covariance @ f.transpose(0, 2, 1) + process_noise(dt, walk), rtol=1e-10)
+    assert np.array_equal(spread, spread.transpose(0, 2, 1))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_last_reports_are_moved_as_the_formulas_say(rng, way):
+    n, was = 8, np.array([3, 0, 7, 7])
+    state, covariance, walk, late = rng.standard_normal((n, 4)), spd(rng, n, 4), rng.random(n), rng.random(n)
+    before, dt, left = 0.5 * spd(rng, n, 4), rng.random(4), 0.1 * spd(rng, 4, 2)
+    place, old, drift = np.empty((4, 2)), np.empty((4, 2, 2)), np.empty((4, 2, 2))
+    getattr(tracks_moved, way)(was, state, covariance, walk, late, dt, left, before, place, old, drift)
+    there, spread = moved(state[was], covariance[was], dt, walk[was])
+    spread = stamped_late(spread, there, late[was])[:, :2, :2] + left
+    np.testing.assert_allclose(place, there[:, :2], rtol=1e-12)
+    np.testing.assert_allclose(old, spread, rtol=1e-12)
+    np.testing.assert_allclose(drift, growth(spread - before[was, :2, :2]), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_errors_of_two_reports_go_together_as_the_formulas_say(rng, way):
+    was, now, m = np.array([2, 0, 1]), np.array([1, 1, 0]), 3
+    one, other = 0.2 * spd(rng, 4, 4), 0.2 * spd(rng, 4, 4)
+    old, new = one[was, :2, :2] + spd(rng, m, 2), other[now, :2, :2] + spd(rng, m, 2)
+    root_before, root, motion = np.empty((3, m, 2, 2))
+    getattr(ways_of_tracks, way)(was, now, one, other, old, new, root_before, root, motion)
+    np.testing.assert_allclose(root_before, np.linalg.cholesky(one[was, :2, :2]), rtol=1e-10)
+    np.testing.assert_allclose(root, np.linalg.cholesky(other[now, :2, :2]), rtol=1e-10)
+    np.testing.assert_allclose(motion, growth(old + new - one[was, :2, :2] - other[now, :2, :2]), rtol=1e-9, atol=1e-12)
+    share, forgotten = rng.random(m), 0.3 * rng.random(m)
+    slope, noise = np.empty((m, 2, 4)), np.empty((m, 2, 2))
+    getattr(errors_forgotten, way)(root_before, root, old, new, share, forgotten, slope, noise)
+    common, s = forgotten[:, None, None] * (root_before @ root.transpose(0, 2, 1)), share[:, None, None]
+    gain = common.transpose(0, 2, 1) @ inverse(old - s * one[was, :2, :2])
+    lasting = np.sqrt(s) * (root - gain @ root_before)
+    np.testing.assert_allclose(slope, np.concatenate([gain - np.eye(2), lasting], axis=2), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(noise, new - s * other[now, :2, :2] - gain @ common, rtol=1e-8, atol=1e-10)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_weights_of_covariance_intersection_are_the_best(rng, way):
+    information = spd(rng, 6, 3, 4)
+    weights = np.empty((6, 3))
+    getattr(weights_of_least_determinant, way)(information, STEPS, OPTIMAL, BISECTIONS, weights)
+    total = np.einsum("nk,nkvw->nvw", weights, information)
+    slope = np.einsum("nkvw,nwv->nk", information, np.linalg.inv(total)) / 4.0
+    assert weights.min() >= 0.0 and weights.sum(axis=1) == pytest.approx(np.ones(6))
+    # No estimate deserves more weight, and none that has some deserves less.
+    assert slope.max() < 1.0 + 2.0 * OPTIMAL and slope[weights > 1e-3] == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_states_of_objects_are_sums_of_information(rng, way):
+    n = 7
+    state, covariance = 1e4 + rng.standard_normal((n, 4)), spd(rng, n, 4)
+    members = np.array([[0, 1, -1], [2, -1, 3], [-1, 4, -1], [5, 6, -1]])
+    placed, moving = np.arange(n) != 4, np.array([True, True, True, False, True, False, False])
+    smoothed = np.array([True, True, False, False, False, False, False])
+    speed = np.full(n, 8.0)
+    mean, spread, has_place, has_velocity = np.empty((4, 4)), np.empty((4, 4, 4)), np.empty(4, bool), np.empty(4, bool)
+    getattr(sum_of_records, way)(
+        members, state, covariance, placed, moving, smoothed, speed, STEPS, OPTIMAL, BISECTIONS, mean, spread,
+        has_place, has_velocity,
+    )  # fmt: skip
+    assert has_place.tolist() == [True, True, False, True] and has_velocity.tolist() == [True, True, False, False]
+    of = np.zeros((n, 4, 4))
+    of[moving] = np.linalg.inv(covariance[moving])
+    of[~moving, :2, :2] = np.linalg.inv(covariance[~moving, :2, :2])
+    weights = np.empty((1, 2))
+    weights_of_least_determinant(of[None, :2], STEPS, OPTIMAL, BISECTIONS, weights)
+    of[:2] *= weights[0][:, None, None]
+    rest = np.diag([0.0, 0.0, 1.0, 1.0]) / 8.0**2
+    for k, (records, beside) in enumerate([([0, 1], 0.0), ([2, 3], 0.0), (None, None), ([5, 6], rest)]):
+        if records is not None:
+            information = of[records].sum(axis=0) + beside
+            np.testing.assert_allclose(spread[k], np.linalg.inv(information), rtol=1e-7, atol=1e-10)
+            pull = np.einsum("kvw,kw->v", of[records], state[records])
+            np.testing.assert_allclose(mean[k], np.linalg.solve(information, pull), rtol=1e-7)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_components_are_numbered_by_first_appearance(rng, way):
+    i, j, n = rng.integers(0, 30, 18), rng.integers(0, 30, 18), 30
+    parent, label = np.empty((2, n), np.int64)
+    getattr(label_components, way)(i, j, parent, label)
+    _, theirs = connected_components(coo_array((np.ones(18), (i, j)), shape=(n, n)), directed=False)
+    assert np.array_equal(label[:, None] == label, theirs[:, None] == theirs)
+    assert np.array_equal(np.unique(label, return_index=True)[1], np.sort(np.unique(label, return_index=True)[1]))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_two_ordered_lists_of_rows_are_merged(rng, way):
+    number, time_s, serial = rng.integers(0, 4, 40), rng.integers(0, 5, 40).astype(float), rng.permutation(40)
+
+    def ordered(rows):
+        return rows[np.lexsort([serial[rows], time_s[rows], number[rows]])]
+
+    rows, merged = rng.permutation(40)[:31], np.empty(31, np.int64)
+    getattr(merge_rows, way)(ordered(rows[:20]), ordered(rows[20:]), number, time_s, serial, merged)
+    assert np.array_equal(merged, ordered(rows))
+
+
+@pytest.mark.parametrize("n", [1, 2, 20, 501])
+def test_percentiles_are_those_of_numpy_to_the_last_digit(rng, n):
+    values = rng.standard_normal((n, 2))
+    assert np.array_equal(_percentiles(values, (0.05, 0.95)), np.percentile(values, (5, 95), axis=0))
