@@ -80,10 +80,10 @@ def test_memory_is_calibrated_however_long_errors_last(tau_s):
 @pytest.mark.slow
 def test_memory_is_bounded_by_what_numbers_are_worth():
     scene, times = two_meet(0, 200.0)
-    past = Past(reassigned=0.01)
+    past, tuning = Past(reassigned=0.01), Tuning(parted_chi_sq=np.inf)
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Scan.of(now))
+        past = past.on(Scan.of(now, tuning))
         found = identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region)
         past = past.with_pairs(found.pooled)
         assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
