@@ -8,7 +8,9 @@ import pytest
 from moving import night
 
 from sameas import InputError
+from sameas.report.movers import left_out_lines
 from sameas.sky import Detections, MotionModel, find_movers, learn_motion
+from sameas.sky.movers.fixed import fixed_on_chip
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import Surroundings, Tuning
@@ -295,6 +297,39 @@ def test_stars_with_a_false_detection_beside_them_are_no_slow_movers():
     found = find_movers(detections, least=3)
     pure, _ = named(found, truth)
     assert pure.all() and len(found) == 3
+
+
+def dithered(seed, dithers, *, pixels=400):
+    """A night of three movers, with pixels that are fixed on a chip whose field is off by (f, 2) arcsec."""
+    detections, truth = night(seed, movers=3, false=50, stars=50, side_deg=0.5, p_detect=1.0)
+    rng = np.random.default_rng(seed)
+    at = rng.uniform(-900.0, 900.0, (pixels, 2))
+    place = np.concatenate([at + one for one in dithers]) + 0.2 * rng.standard_normal((4 * pixels, 2))
+    frame = np.repeat(np.arange(4), pixels)
+    dec = np.concatenate([detections.dec_deg, -4.0 + place[:, 1] / 3600.0])
+    ra = 190.0 + place[:, 0] / 3600.0 / np.cos(np.radians(dec[len(detections) :]))
+    seen = Detections.of(
+        np.concatenate([detections.ra_deg, ra]), dec,
+        np.concatenate([detections.mjd_utc, detections.frame_mjd[frame]]), sigma_arcsec=0.2,
+        frame=np.concatenate([detections.frame, frame]),
+    )  # fmt: skip
+    return seen, np.concatenate([truth, np.full(len(place), -1)])
+
+
+def test_pixels_under_a_dithered_telescope_are_no_movers():
+    """Chance makes lines of three of so many; a night of 2 000 such pixels had 39 candidates."""
+    seen, truth = dithered(1, [(0.0, 0.0), (15.0, -8.0), (-11.0, 4.0), (6.0, 17.0)])
+    found = find_movers(seen, least=3)
+    pure, _ = named(found, truth)
+    assert pure.all() and len(found) == 3 and 1590 < found.fixed < 1650
+    assert any("fixed on the chip" in line for line in left_out_lines(found))
+
+
+def test_what_moves_by_one_rate_is_not_taken_as_fixed_on_the_chip():
+    """Steps in proportion to the time between are those of objects, too."""
+    minutes = np.array([0.0, 20.0, 45.0, 70.0])[:, None]
+    seen, _ = dithered(1, minutes * [[0.4, -0.2]])
+    assert not fixed_on_chip(seen).any()
 
 
 def test_a_mover_hardly_faster_than_its_errors_is_no_star():

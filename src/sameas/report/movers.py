@@ -64,6 +64,11 @@ def left_out_lines(found: Movers) -> list[str]:
                 f"{DOUBT}stationary sources scatter {stationary.error_scale:.2f} times as much as the errors allow; "
                 "errors were taken as so much larger"
             )
+    if found.fixed:
+        lines.append(
+            f"{DOUBT}{count(found.fixed)} detections move by one step from exposure to exposure, and by another to the "
+            "next: they are fixed on the chip, and left out"
+        )
     if found.alike:
         lines.append(
             f"{DOUBT}{count(found.alike)} tracklets of one rate are left out: defects of the chip that the telescope "

@@ -15,6 +15,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
+from sameas.sky.movers.fixed import fixed_on_chip
 from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_between, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, fewest_shown
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
@@ -50,7 +51,8 @@ class Movers:
     near_earth : (k,) scores of digest2 for near-Earth objects, 0 … 100, where they were asked for.
     prefix : of their names, :data:`DETECTED` or :data:`ADDED`.
     stationary : the stationary sources, which were left out; None where something else has found them.
-    alike : tracklets of one rate that were left out, as defects of the chip make them.
+    fixed : detections that were left out as fixed on the chip. alike : tracklets of one rate that were left out, as
+        defects of the chip make them under a steady drift.
     """
 
     detections: Detections
@@ -68,6 +70,7 @@ class Movers:
     near_earth: FloatArray | None = None
     prefix: str = DETECTED
     stationary: Stationary | None = field(default=None, repr=False)
+    fixed: int = field(default=0, repr=False)
     alike: int = field(default=0, repr=False)
 
     def __len__(self) -> int:
@@ -229,8 +232,10 @@ def find_movers(
         raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
     stationary = stationary_sources(detections, tuning)
     at, rest = np.flatnonzero(~stationary.rows), stationary.rest(detections)
+    fixed = fixed_on_chip(rest)
+    at, rest = at[~fixed], rest.some(~fixed)
     if len(np.unique(rest.frame)) < 2:
-        return replace(_nothing(detections), stationary=stationary)
+        return replace(_nothing(detections), stationary=stationary, fixed=int(fixed.sum()))
     around, taught = Surroundings.of(rest, tuning), None
     if model is None:
         if others:
@@ -241,7 +246,7 @@ def find_movers(
     alike = _moving_alike(found)
     found = replace(found.only(~alike), alike=int(alike.sum()))
     members = np.where(found.members >= 0, at[found.members], -1)
-    return replace(found, detections=detections, members=members, stationary=stationary)
+    return replace(found, detections=detections, members=members, stationary=stationary, fixed=int(fixed.sum()))
 
 
 #: Rates with smaller errors than this, arcsec/min, tell a common motion from that of the main belt, which spreads by
@@ -303,6 +308,7 @@ def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = D
     model = MotionModel()
     for night in nights:
         night = stationary_sources(night, tuning).rest(night)
+        night = night.some(~fixed_on_chip(night))
         if len(np.unique(night.frame)) > 1:
             model, _ = _learned(Surroundings.of(night, tuning), model, counts, tuning)
     return model
