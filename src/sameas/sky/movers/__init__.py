@@ -3,7 +3,7 @@
 The way of the data; each module hands on one frozen value:
 
 - :mod:`~sameas.sky.movers.detections`: columns → ``Detections``, checked, exposures numbered by time;
-- :mod:`~sameas.sky.movers.stationary`: ``Detections`` → ``Stationary``: the sources that do not move, with the exposures'
+- :mod:`~sameas.sky.movers.stationary`: ``Detections`` → ``Stationary``: the sources that do not move, with exposures'
   offsets and the scale of the errors that they show; :mod:`~sameas.sky.movers.fixed`: what is fixed on a dithered chip;
 - :mod:`~sameas.sky.movers.model`: the rest → ``Surroundings`` (densities, which exposures saw which place), and
   ``MotionModel``, what is believed of rates (:mod:`~sameas.sky.movers.rates`), brightness and misses;
@@ -15,8 +15,8 @@ The way of the data; each module hands on one frozen value:
   (``find_movers``), and of what a tied series of frames (:mod:`sameas.sky.series`) leaves over (``search``);
 - :mod:`~sameas.sky.movers.trails`: of that, what is measured better as a trail; :mod:`~sameas.sky.movers.stack` and
   :mod:`~sameas.sky.movers.below_limit`: what the frames show along a motion;
-- :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``, and
-  scores of digest2 for near-Earth objects, where it is installed.
+- :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``,
+  and scores of digest2 for near-Earth objects, where it is installed.
 
 When to use what: :func:`find_movers` of :class:`Detections` finds tracklets; :func:`learn_motion` of other nights gives
 it a better model than one poor night can teach.

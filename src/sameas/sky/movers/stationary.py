@@ -1,9 +1,9 @@
 """Stationary sources: stars, galaxies and variable objects among the detections, found before movers are searched.
 
 The tracks of the search serve, with one change: rates are 0. Whether the detections of such a track are rather those
-of a slow mover, its rate by least squares decides: its density is that of a rate of 0 measured with the error it has,
-against that of movers. How many of the tracks that stay within some errors stand still is estimated from them all; what
-a track itself adds to that does not count for it.
+of a slow mover, its rate by least squares decides, one detection of which may be an outlier: its density is that of a
+rate of 0 measured with the error it has, against that of movers. How many of the tracks that stay within some errors of
+0 are stationary is estimated from them all; what a track itself adds to that does not count for it.
 
 What stands still also shows how far the exposures are off each other, and how large the errors of places really are.
 """
