@@ -77,10 +77,9 @@ class CrossmatchTuning:
     usual_density : (least, largest) density that the user gave over the one that the data show that raise no doubt.
     twice_sigmas, twice_share : couples of records of one catalogue, nearer to each other than their errors, are doubted
         where they are more than chance lets expect by so many standard deviations, and by this share of the records.
-    by_place_from : from so many records on, of both catalogues together, records are put in the order of their places:
-        what is learned from every k-th of them does then not depend on the order of the tables' rows, and what lies
-        together in the sky is asked for together, and fetched once (a million rows in the order of a table take a
-        third longer).
+    by_place : whether records are put in the order of their places: what is learned from every k-th of them does then
+        not depend on the order of the tables' rows, and what lies together in the sky is asked for together, and
+        fetched once (a million rows in the order of a table take a third longer).
     """
 
     most_records_per_error: float = 20.0
@@ -93,7 +92,7 @@ class CrossmatchTuning:
     usual_density: tuple[float, float] = (0.01, 100.0)
     twice_sigmas: float = 5.0
     twice_share: float = 0.03
-    by_place_from: int = 0
+    by_place: bool = True
 
 
 TUNING = CrossmatchTuning()
@@ -224,7 +223,7 @@ def match(
     progress("motion")
     (first, second), assumed = completed((first, second), options.epoch_jyr)
     epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
-    if len(one) + len(two) >= tuning.by_place_from:
+    if tuning.by_place:
         one, two = threads.each([partial(by_place, records) for records in (one, two)], len(one) + len(two))
     _refuse_blur(one, two, tuning)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
