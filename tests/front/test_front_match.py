@@ -300,3 +300,17 @@ def test_rows_that_are_dicts_are_a_table(stars):
 def test_an_option_takes_one_value_for_all_rows(stars, values):
     with pytest.raises(InputError, match="sigma1 has 3 values, one for a row; make them a column of the table"):
         sameas.match(stars.first, stars.second, sigma1=values)
+
+
+def test_categories_of_polars_are_text(stars):
+    polars = pytest.importorskip("polars")
+    kinds = polars.Series(["a", None, "bé"] * len(stars.ra), dtype=polars.Categorical)[: len(stars.ra)]
+    frame = polars.DataFrame(stars.first).with_columns(kind=kinds)
+    found = sameas.match(frame, stars.second, sigma=0.05)
+    assert len(found) == len(stars.ra)
+    assert found.table["kind"].filled("-").tolist()[:3] == ["a", "-", "bé"]
+
+
+def test_a_right_ascension_that_is_infinite_is_set_aside_without_a_warning(stars):
+    first = {**stars.first, "ra": np.where(np.arange(len(stars.ra)) == 3, np.inf, stars.first["ra"])}
+    assert len(sameas.match(first, stars.second, sigma=0.05)) == len(stars.ra) - 1

@@ -494,3 +494,15 @@ def test_an_error_of_another_unit_is_no_angle() -> None:
         catalogue({"ra": [1.0], "dec": [50.0]}, sigma="3mag")
     with pytest.raises(InputError, match="sigma=-3 is not positive"):
         catalogue({"ra": [1.0], "dec": [50.0]}, sigma="-3mas")
+
+
+@pytest.mark.parametrize(("sigma", "doubted"), [(0.1, True), (None, True), (1.0, False)])
+def test_positions_of_single_precision_are_doubted_where_their_errors_are_smaller(
+    sigma: float | None, doubted: bool
+) -> None:
+    place = {"ra": np.array([300.1, 301.2], np.float32), "dec": np.array([5.1, 5.2])}
+    source = catalogue(place, **({} if sigma is None else {"sigma": sigma}))
+    told = "ra is in single precision: positions are rounded to 0.11 arcsec; store it in double precision"
+    assert (told in source.doubts) == doubted, source.doubts
+    double = catalogue({name: values.astype(np.float64) for name, values in place.items()}, sigma=0.1)
+    assert not any("precision" in doubt for doubt in double.doubts)

@@ -113,6 +113,11 @@ def _simple(values: pa.ChunkedArray) -> pa.ChunkedArray:
 
     kind = values.type
     if pa.types.is_dictionary(kind):
+        if str(kind.value_type) == "string_view":  # of polars; Arrow does not unpack it
+            words = [(chunk.indices, chunk.dictionary.cast(pa.large_string())) for chunk in values.chunks]
+            plain = pa.dictionary(kind.index_type, pa.large_string())
+            chunks = [pa.DictionaryArray.from_arrays(number, word) for number, word in words]
+            return pa.chunked_array(chunks, plain).cast(pa.large_string())
         return _simple(values.cast(kind.value_type))
     if pa.types.is_timestamp(kind):
         text = values.cast(pa.timestamp(kind.unit)).cast(pa.string())

@@ -233,7 +233,7 @@ class Catalogue:
         if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             interpretation = (*interpretation, "without epoch and motion: used as it is; it cannot be moved")
         doubts = (assumed, _filled_in_words(filled, choice), *doubts_of(astrometry, choice, options))
-        doubts += (_not_measured(rows, choice), _given_twice(rows, astrometry))
+        doubts += (_not_measured(rows, choice), _given_twice(rows, astrometry), _rounded(rows, choice, astrometry))
         return cls(
             name=name,
             table=rows,
@@ -354,7 +354,7 @@ def _astrometry(
     if options.missing_pm_mas_per_yr is not None:
         missing = replace(missing, pm_sigma_mas_per_yr=options.missing_pm_mas_per_yr)
     astrometry = Astrometry.of(
-        np.mod(ra, 360.0),
+        np.mod(np.where(np.isfinite(ra), ra, np.nan), 360.0),
         dec,
         epoch_jyr=np.where(np.isnan(epoch), 2000.0, epoch),
         sigma=sigma,
@@ -428,6 +428,30 @@ def _verb(number: int, plural: str) -> str:
 def _absent(table: Table, name: str) -> BoolArray:
     column = table[name]
     return np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(table), np.bool_)
+
+
+#: A step of the numbers below this part of the typical error does no harm (chosen).
+_HARMLESS_STEP = 0.3
+
+
+def _rounded(table: Table, choice: ColumnChoice, astrometry: Astrometry) -> str:
+    """A doubt of positions whose numbers are too short for their errors: those of 32 bits have seven digits."""
+    steps, placed = [], np.isfinite(astrometry.dec_deg)
+    for column in (choice.ra, choice.dec):
+        values = table[column.name]
+        if column.parts or values.dtype != np.float32 or column.unit not in _FULL_TURN or not placed.any():
+            continue
+        largest = np.abs(np.ma.filled(np.ma.asarray(values), 0.0)[placed]).max()
+        cosine = np.cos(np.radians(np.median(astrometry.dec_deg[placed]))) if column is choice.ra else 1.0
+        steps.append((3600.0 * 360.0 / _FULL_TURN[column.unit] * cosine * float(np.spacing(largest)), column.name))
+    if not steps:
+        return ""
+    step, name = max(steps)
+    sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
+    known = sigma[np.isfinite(sigma)]
+    if len(known) and step < _HARMLESS_STEP * float(np.median(known)):
+        return ""
+    return f"{name} is in single precision: positions are rounded to {step:.2g} arcsec; store it in double precision"
 
 
 def _given_twice(table: Table, astrometry: Astrometry) -> str:
