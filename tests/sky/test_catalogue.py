@@ -500,7 +500,7 @@ def test_an_error_of_another_unit_is_no_angle() -> None:
 def test_positions_of_single_precision_are_doubted_where_their_errors_are_smaller(
     sigma: float | None, doubted: bool
 ) -> None:
-    place = {"ra": np.array([300.1, 301.2], np.float32), "dec": np.array([5.1, 5.2])}
+    place = {"ra": np.array([300.1, 301.2, np.nan], np.float32), "dec": np.array([5.1, 5.2, 5.3])}
     source = catalogue(place, **({} if sigma is None else {"sigma": sigma}))
     told = "ra is in single precision: positions are rounded to 0.11 arcsec; store it in double precision"
     assert (told in source.doubts) == doubted, source.doubts

@@ -436,7 +436,7 @@ _HARMLESS_STEP = 0.3
 
 def _rounded(table: Table, choice: ColumnChoice, astrometry: Astrometry) -> str:
     """A doubt of positions whose numbers are too short for their errors: those of 32 bits have seven digits."""
-    steps, placed = [], np.isfinite(astrometry.dec_deg)
+    steps, placed = [], np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
     for column in (choice.ra, choice.dec):
         values = table[column.name]
         if column.parts or values.dtype != np.float32 or column.unit not in _FULL_TURN or not placed.any():
