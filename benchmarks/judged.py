@@ -120,7 +120,7 @@ def claims(one: RealSet, options: argparse.Namespace) -> Iterator[tuple[str, Pai
     for radius in (quoted, 1.0, 2.0, 5.0):
         yield (
             f"mutual nearest within {radius:.2g}″",
-            _mutual(first.rows, near.rows, near.separation_arcsec, radius),
+            _mutual(first.rows, near.rows[first.rows], near.separation_arcsec[first.rows], radius),
             None,
         )
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:

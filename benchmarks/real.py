@@ -69,16 +69,11 @@ class Field:
     def nearest(self) -> tuple[np.ndarray, np.ndarray]:
         """The nearest source and how far it is; −1 beyond the radius."""
         near = self.found.nearest(moved=True)
-        rows = np.full(self.first.n_table, NOBODY)
-        separation = np.full(self.first.n_table, np.nan)
-        inside = near.separation_arcsec <= RADIUS_ARCSEC
-        rows[self.first.rows] = np.where(inside, near.rows, NOBODY)
-        separation[self.first.rows] = near.separation_arcsec
-        return rows, separation
+        return np.where(near.separation_arcsec <= RADIUS_ARCSEC, near.rows, NOBODY), near.separation_arcsec
 
     def nearest_star(self, j: int) -> tuple[int, float]:
         """The Gaia star nearest to a 2MASS source, and how far it is."""
-        b = self.second.features[np.searchsorted(self.second.rows, j)]
+        b = self.second.features[self.second.at_row(j)]
         offset = sphere_offset(*self.first.features.T, *b)
         separation = np.hypot(offset[:, 0], offset[:, 1])
         at = int(np.argmin(separation))
@@ -86,8 +81,8 @@ class Field:
 
     def separation(self, i: int, j: int) -> float:
         """Between a Gaia star and a 2MASS source, arcsec; rows of the tables."""
-        a = self.first.features[np.searchsorted(self.first.rows, i)]
-        b = self.second.features[np.searchsorted(self.second.rows, j)]
+        a = self.first.features[self.first.at_row(i)]
+        b = self.second.features[self.second.at_row(j)]
         return float(np.hypot(*sphere_offset(*a, *b)))
 
     def probability(self, i: int, j: int) -> float | None:
@@ -233,7 +228,7 @@ def _found_by_us_alone(field: Field, i: int, ours: int, their_partners: np.ndarr
 
 def _motion(field: Field, i: int) -> str:
     """A star whose motion is not known has wider errors."""
-    sigma = float(np.sqrt(field.first.covariance[np.searchsorted(field.first.rows, i), 0]))
+    sigma = float(np.sqrt(field.first.covariance[field.first.at_row(i), 0]))
     return f"; its motion is not known, σ {sigma:.2f}″" if sigma > 0.02 else ""
 
 

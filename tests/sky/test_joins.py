@@ -149,3 +149,17 @@ def test_the_order_of_the_rows_of_the_tables_says_nothing(magnitudes):
         pairs.append(dict(zip(ids, matches.p_match.tolist(), strict=True)))
     assert pairs[0].keys() == pairs[1].keys() and len(pairs[0]) > 1500
     assert max(abs(p - pairs[1][pair]) for pair, p in pairs[0].items()) < 1e-9
+
+
+def test_the_nearest_of_every_row_stands_at_its_row():
+    rng = np.random.default_rng(3)
+    ra, dec = rng.uniform(10.0, 10.1, 60), rng.uniform(-0.05, 0.05, 60)
+    dec[7] = np.nan
+    order = rng.permutation(60)
+    tables = {"one": (ra, dec), "two": (ra[order], dec[order])}
+    options = CatalogueOptions(sigma=0.5, epoch=2000.0)
+    one, two = (Catalogue.of({"ra": a, "dec": d}, name, options=options) for name, (a, d) in tables.items())
+    near = match(one, two).nearest(moved=True)
+    assert near.rows[7] == -1 and np.isinf(near.separation_arcsec[7])
+    usable = np.isfinite(dec)
+    assert (order[near.rows[usable]] == np.flatnonzero(usable)).all() and (near.separation_arcsec[usable] < 1e-6).all()

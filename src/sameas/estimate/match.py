@@ -92,7 +92,7 @@ class MatchTuning:
     suspected: float = 1.0
     suspected_crowded: float = 2.0
     widening: float = 1.5
-    suspected_share: float = 0.05
+    suspected_share: float = 0.1
     seed: tuple[float, float] = (3.375, 0.1)
     borne_out: float = 4.0
     modelled: int = 3_000

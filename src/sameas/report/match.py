@@ -112,7 +112,6 @@ def nearest_lines(match: SkyMatch) -> list[str]:
     result = match.result
     ours = np.full(result.first.n_table, -1)
     ours[result.matches.rows_1] = result.matches.rows_2
-    ours = ours[result.first.rows]
     known = ours >= 0
     numbers = []
     for moved in (False, True):

@@ -193,10 +193,15 @@ class SkyMatch:
         return area_and_densities(self.estimate.coverage)
 
     def nearest(self, moved: bool) -> Nearest:
-        """The nearest record of the second catalogue to each of the first, with or without motion."""
-        if moved:
-            return nearest(self.result.first, self.result.second)
-        return nearest(_unmoved(self.result.first, self.first), _unmoved(self.result.second, self.second))
+        """The nearest record of the second catalogue to each row of the first table, with or without motion.
+
+        A row that cannot be used has none: −1, at infinity.
+        """
+        one, two = self.result.first, self.result.second
+        near = nearest(one, two) if moved else nearest(_unmoved(one, self.first), _unmoved(two, self.second))
+        rows, separation = np.full(one.n_table, -1), np.full(one.n_table, np.inf)
+        rows[one.rows], separation[one.rows] = near.rows, near.separation_arcsec
+        return Nearest(rows, separation)
 
 
 def match(
