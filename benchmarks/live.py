@@ -8,6 +8,7 @@ of the instant (``LivePicture.advance``).
 from __future__ import annotations
 
 import argparse
+import gc
 import time
 from collections.abc import Iterator
 
@@ -65,6 +66,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one scene of ten cycles each")
     options = parser.parse_args()
     compiled.compile_all()
+    gc.set_threshold(100_000, 50, 100)  # as in the command
     seeds, count = (1, 10) if options.quick else (2, 60)
     notes = (
         f"milliseconds of one thread over {seeds} scene{'s' * (seeds > 1)} of {count} cycles, every target reported by "
