@@ -106,9 +106,13 @@ class Nearest:
         there, back = nearest(scene.first, scene.second), nearest(scene.second, scene.first)
         mutual = np.flatnonzero(back.rows[there.rows] == np.arange(len(there.rows)))
         true = scene.true_pairs()
-        self.separation.append(there.separation_arcsec[mutual])
-        self.right.append(is_true_pair((mutual, there.rows[mutual]), true))
+        self.tell(there.separation_arcsec[mutual], is_true_pair((mutual, there.rows[mutual]), true))
         self.true += len(true[0])
+
+    def tell(self, separation: np.ndarray, right: np.ndarray) -> None:
+        """The mutual pairs of one field, (k,): how far apart in arcsec, and whether they are true."""
+        self.separation.append(separation)
+        self.right.append(right)
 
     def best(self) -> tuple[float, int, int]:
         """The radius of fewest wrong and missed, and what is found and wrong within it."""

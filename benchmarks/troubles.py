@@ -20,6 +20,7 @@ from astropy.table import Table as Rows
 from scipy.spatial import cKDTree
 
 import sameas
+from benchmarks.field import Nearest
 from benchmarks.tables import Table, report
 
 #: A pair, or a record's having no partner, is called certain from here on.
@@ -328,8 +329,7 @@ class Judged:
     none: int = 0
     none_wrong: int = 0
     said: set[str] = field(default_factory=set)
-    separation: list[np.ndarray] = field(default_factory=list)
-    mutual_right: list[np.ndarray] = field(default_factory=list)
+    nearest: Nearest = field(default_factory=Nearest)
 
     def add(self, kind: Kind, rng: np.random.Generator, objects: int) -> None:
         """One field."""
@@ -354,23 +354,18 @@ class Judged:
         distance, there = cKDTree(b).query(a)
         back = cKDTree(a).query(b)[1]
         mutual = np.flatnonzero(back[there] == np.arange(len(a)))
-        self.separation.append(distance[mutual])
-        self.mutual_right.append((of_a[mutual] == of_b[there[mutual]]) & (of_a[mutual] >= 0))
+        self.nearest.tell(distance[mutual], (of_a[mutual] == of_b[there[mutual]]) & (of_a[mutual] >= 0))
 
     def line(self, kind: Kind) -> list[Any]:
         """The row of the table."""
         p, right = np.concatenate(self.p), np.concatenate(self.right)
         sure, expected = p >= SURE, float((1.0 - p).sum())
         wrong = int((~right).sum())
-        order = np.argsort(np.concatenate(self.separation))
-        separation, theirs = np.concatenate(self.separation)[order], np.concatenate(self.mutual_right)[order]
-        found = np.concatenate([[0], np.cumsum(theirs)])
-        best = int(np.argmin(np.arange(len(found)) - 2 * found))
         off = (wrong - expected) / np.sqrt(max(float((p * (1.0 - p)).sum()), 1.0))
         return [
             kind.trouble, self.true, int(right.sum()), wrong, expected, float(off), int(sure.sum()),
             int((sure & ~right).sum()), float((1.0 - p[sure]).sum()), self.none, self.none_wrong,
-            float(separation[best - 1]) if best else 0.0, int(found[best]), best - int(found[best]),
+            *self.nearest.best(),
             "; ".join(sorted(text[:48] for text in self.said)),
         ]  # fmt: skip
 

@@ -223,6 +223,15 @@ def _drawn(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, IntArray
     return np.flatnonzero(drawn[level.of_first]), np.flatnonzero(drawn[level.of_second])
 
 
+def _asked(setting: Setting, tuning: CompanionsTuning) -> tuple[_Source, _Source] | None:
+    """The records of either source that are asked of couples; None where there are too many, or dimensions."""
+    if setting.pairs.d > tuning.most_dimensions or not 0 < sum(setting.numbers) <= tuning.most_records:
+        return None
+    rows = _drawn(setting.levels, tuning.records)
+    one, two = (s.part(some) for s, some in zip(_sources(setting, _unit(setting)), rows, strict=True))
+    return one, two
+
+
 def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
     rows = np.flatnonzero(source.counted)
     due = float(source.density[rows].sum()) * ball_volume(d) * reach**d + len(rows)
@@ -290,12 +299,10 @@ class _Couples:
 
 def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Clustering | None:
     """The excess of close couples in both sources; None where there is none to be seen."""
-    d, records = setting.pairs.d, sum(setting.numbers)
-    if d > tuning.most_dimensions or not 0 < records <= tuning.most_records or records < sum(map(len, setting.counted)):
+    asked = None if sum(setting.numbers) < sum(map(len, setting.counted)) else _asked(setting, tuning)
+    if asked is None:
         return None
-    unit = _unit(setting)
-    rows = _drawn(setting.levels, tuning.records)
-    one, two = (source.part(some) for source, some in zip(_sources(setting, unit), rows, strict=True))
+    d, unit, (one, two) = setting.pairs.d, _unit(setting), asked
     of_1, of_2 = _Couples.of(one, d, tuning), _Couples.of(two, d, tuning)
     if of_1 is None or of_2 is None:
         return None
@@ -336,12 +343,10 @@ def close_couples(
     setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS
 ) -> tuple[CloseCouples, CloseCouples] | None:
     """How many records of either source lie nearer to each other than their errors; None where not asked."""
-    d, reach = setting.pairs.d, tuning.beside
-    if d > tuning.most_dimensions or not 0 < sum(setting.numbers) <= tuning.most_records:
+    asked = _asked(setting, tuning)
+    if asked is None:
         return None
-    rows = _drawn(setting.levels, tuning.records)
-    sources = _sources(setting, _unit(setting))
-    one, two = (_close_couples(source.part(some), reach, d) for source, some in zip(sources, rows, strict=True))
+    one, two = (_close_couples(source, tuning.beside, setting.pairs.d) for source in asked)
     return one, two
 
 

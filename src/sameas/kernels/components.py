@@ -19,15 +19,7 @@ def root(parent: AnyIntArray, k: int) -> int:
 def label_components(i: AnyIntArray, j: AnyIntArray, parent: IntArray, label: IntArray) -> None:
     """Writes the component of every record (n,), numbered by first appearance. i, j : (m,) the records of every pair.
     parent : (n,) scratch."""
-    for k in range(len(parent)):
-        parent[k] = k
-    for e in range(len(i)):
-        a, b = root(parent, i[e]), root(parent, j[e])
-        # The representative is the first record of its component.
-        if a < b:
-            parent[b] = a
-        elif b < a:
-            parent[a] = b
+    join(i, j, parent, 0)
     count = 0
     for k in range(len(parent)):
         a = root(parent, k)
@@ -86,7 +78,10 @@ def label_pairs(
 
 @part
 def join(place1: AnyIntArray, place2: AnyIntArray, parent: AnyIntArray, n1: int) -> None:
-    """Union of the two records of every pair; the representative is the first in place, one of source 1."""
+    """Union of the two records of every pair; the representative is the first in place.
+
+    n1 : how many records come before those of place2: all of source 1; 0 where both number the same records.
+    """
     for k in range(len(parent)):
         parent[k] = k
     a = 0

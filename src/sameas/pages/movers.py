@@ -18,7 +18,7 @@ from sameas.sky.movers.known import KnownObjects
 from sameas.sky.movers.search import Movers
 from sameas.sky.movers.stack import Stack
 from sameas.sky.series.stars import Stars
-from sameas.sky.series.tied import Series
+from sameas.sky.series.tied import LEAST_FLOOR_ARCSEC, Series
 
 #: Most candidates and most frames of each on the page (chosen: some megabytes).
 MOST, MOST_FRAMES = 24, 40
@@ -163,7 +163,9 @@ def series_field(
             "measured": one["found"]["measurements"], "identified": one["found"]["identified"],
             "missing": one["found"]["missing"], "zero": rounded(stars.zero_point[k], 4),
             "zero_err": rounded(stars.zero_error[k], 4), "ensemble": int(stars.ensemble[k]),
-            "scatter": rounded(series.floor_arcsec[k], 3), "width": rounded(one.get("psf_fwhm_px") or np.nan, 2),
+            "scatter": rounded(series.floor_arcsec[k], 3),
+            "below": bool(series.floor_arcsec[k] <= LEAST_FLOOR_ARCSEC),
+            "width": rounded(one.get("psf_fwhm_px") or np.nan, 2),
             "shift": column(series.shift_arcsec[k], 5), "doubts": list(doubts[k]),
         }
         for k, (one, exposure) in enumerate(zip(summary, series.exposures, strict=True))

@@ -12,7 +12,7 @@ function frames() {
     if (f.page) { const a = document.createElement("a"); a.href = encodeURIComponent(f.page); a.textContent = f.name; first.append(a); } else first.textContent = f.name;
     const number = w => cell("td", w, "number");
     tr.append(first, cell("td", clock(f.mjd)), number(grouped(f.measured)), number(grouped(f.identified)), number(grouped(f.missing)),
-      number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${f.scatter > 0.02 ? "" : "≤ "}${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts.length ? `${f.doubts.length}, below` : "none", f.doubts.length ? "doubt" : ""));
+      number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${f.below ? "≤ " : ""}${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts.length ? `${f.doubts.length}, below` : "none", f.doubts.length ? "doubt" : ""));
     return tr; });
   const failed = data.failed.map(([name, why]) => { const tr = document.createElement("tr"), words = cell("td", why); tr.className = "failed"; words.colSpan = 8; tr.append(cell("td", name), words); return tr; });
   el("frames").replaceChildren(head, ...rows, ...failed);

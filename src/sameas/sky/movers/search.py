@@ -230,12 +230,9 @@ def find_movers(
         raise InputError(f"least={least}: a tracklet has two detections or more", naming("give {least:N}"))
     if not 0.0 <= least_probability <= 1.0:
         raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
-    stationary = stationary_sources(detections, tuning)
-    at, rest = np.flatnonzero(~stationary.rows), stationary.rest(detections)
-    fixed = fixed_on_chip(rest)
-    at, rest = at[~fixed], rest.some(~fixed)
+    stationary, fixed, at, rest = _left_out(detections, tuning)
     if len(np.unique(rest.frame)) < 2:
-        return replace(_nothing(detections), stationary=stationary, fixed=int(fixed.sum()))
+        return replace(_nothing(detections), stationary=stationary, fixed=fixed)
     around, taught = Surroundings.of(rest, tuning), None
     if model is None:
         if others:
@@ -246,7 +243,15 @@ def find_movers(
     alike = _moving_alike(found)
     found = replace(found.only(~alike), alike=int(alike.sum()))
     members = np.where(found.members >= 0, at[found.members], -1)
-    return replace(found, detections=detections, members=members, stationary=stationary, fixed=int(fixed.sum()))
+    return replace(found, detections=detections, members=members, stationary=stationary, fixed=fixed)
+
+
+def _left_out(detections: Detections, tuning: Tuning) -> tuple[Stationary, int, IntArray, Detections]:
+    """The stationary sources, how many others are fixed on the chip, and the rows of the rest, with these, mended."""
+    stationary = stationary_sources(detections, tuning)
+    rest = stationary.rest(detections)
+    moves = ~fixed_on_chip(rest)
+    return stationary, int(np.count_nonzero(~moves)), np.flatnonzero(~stationary.rows)[moves], rest.some(moves)
 
 
 #: Rates with smaller errors than this, arcsec/min, tell a common motion from that of the main belt, which spreads by
@@ -307,10 +312,9 @@ def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = D
     """
     model = MotionModel()
     for night in nights:
-        night = stationary_sources(night, tuning).rest(night)
-        night = night.some(~fixed_on_chip(night))
-        if len(np.unique(night.frame)) > 1:
-            model, _ = _learned(Surroundings.of(night, tuning), model, counts, tuning)
+        _, _, _, rest = _left_out(night, tuning)
+        if len(np.unique(rest.frame)) > 1:
+            model, _ = _learned(Surroundings.of(rest, tuning), model, counts, tuning)
     return model
 
 

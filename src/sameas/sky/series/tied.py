@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Sources of a frame that may be near a place within the reach.
 NEIGHBOURS = 3
+#: Scatter of a frame's bright sources beside their errors that is not told from none, arcsec (chosen).
+LEAST_FLOOR_ARCSEC = 0.02
 #: Measurements whose place is that of no light, or of a part of it: never movers.
 _SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
 #: Measurements whose light is not all of it: they say nothing of zero points.
@@ -440,7 +442,7 @@ def _floors(
             off = (stack[k] - centre).ravel()
             spread = 1.4826 * np.nanmedian(np.abs(off - np.nanmedian(off)))
             if np.isfinite(spread):
-                out[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), 0.02**2))
+                out[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), LEAST_FLOOR_ARCSEC**2))
     return out
 
 
