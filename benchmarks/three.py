@@ -76,7 +76,7 @@ _COLUMNS = (
 
 def _own(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
     """What a catalogue says of its own rows, in the order of the columns of a picture; NaN where it knows no motion."""
-    from sameas.sky.many.stars import moving_rows
+    from sameas.sky.many.population import moving_rows
 
     a = catalogue.astrometry[rows]
     known = moving_rows(catalogue)[rows]

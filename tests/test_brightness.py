@@ -9,8 +9,7 @@ import pytest
 
 from sameas import InputError, PoissonField, Records, identify
 from sameas.estimate.match import match
-from sameas.estimate.photometry import Photometry
-from sameas.estimate.regression import Sample, density_of, fit_relation, weighted_median
+from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relation, weighted_median
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair, score_probabilities

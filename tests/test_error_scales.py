@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
+from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.evidence import Errors
 
 

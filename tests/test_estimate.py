@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sameas import InputError, Radius, Records
-from sameas.estimate.error_scales import fit_errors
+from sameas.estimate.error_model import fit_errors
 from sameas.estimate.match import match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Errors

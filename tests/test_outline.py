@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from sameas import Plane, Records, Sphere
+from sameas.estimate.cells import Outline
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.outline import Outline
 
 LOW, HIGH = np.zeros(2), np.full(2, 10.0)
 

@@ -24,8 +24,7 @@ from sameas.cli.app import app
 from sameas.estimate.places import Counts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
-from sameas.partitions import cells as healpix
-from sameas.partitions import run
+from sameas.partitions import healpix, run
 from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
 from sameas.partitions.output import partition_file, write_hats
 from sameas.partitions.part import DEFAULT_PART, Halo, Patch

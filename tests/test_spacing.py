@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sameas import Box, CloseObjects, CommonObjects, InputError, Plane, Records, identify
-from sameas.evidence.spacing import estimate_reach
+from sameas.evidence.close import estimate_reach
 from sameas.score.pairs import score_records
 from sameas.simulate.scenes import Cap, grid, line, poisson_field, sky_field
 

@@ -224,7 +224,7 @@ def test_an_estimated_reach_is_that_of_each_scene():
     scenes = drawn(FIVE, 25)
     verdict = EstimatedReach()(scenes, FIVE)
     from sameas import CloseObjects
-    from sameas.evidence.spacing import estimate_reach
+    from sameas.evidence.close import estimate_reach
 
     claimed = []
     for scene in range(25):

@@ -11,13 +11,13 @@ from benchmarks.study.contenders import INNER, PAPERS_GATE, Counted, Gate, Verdi
 from benchmarks.study.scenes import Formation, Scenes
 from sameas._identify import identify
 from sameas.evidence import CloseObjects
-from sameas.evidence.spacing import LEAST_SIGMAS, estimate_reach
+from sameas.evidence.close import LEAST_SIGMAS, estimate_reach
 from sameas.prior import Prior
 
 
 @dataclass(frozen=True)
 class EstimatedReach:
-    """``CloseObjects`` with the boxes of :func:`sameas.evidence.spacing.estimate_reach`, scene by scene.
+    """``CloseObjects`` with the boxes of :func:`sameas.evidence.close.estimate_reach`, scene by scene.
 
     Where no source has two records, nothing can be measured: b is then the least that the estimate ever states.
     """

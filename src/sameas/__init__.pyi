@@ -21,7 +21,7 @@ from .evidence import GaussianMixture as GaussianMixture
 from .evidence import PoissonField as PoissonField
 from .evidence import Samples as Samples
 from .evidence import Universal as Universal
-from .evidence.spacing import estimate_reach as estimate_reach
+from .evidence.close import estimate_reach as estimate_reach
 from .front.explain import compare as compare
 from .front.explain import explain as explain
 from .front.frame import MatchFrame as MatchFrame

@@ -16,14 +16,12 @@ from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
-from sameas.sky.frame.identified import FrameIdentification, Refinement
+from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, searched, solve
 from sameas.sky.frame.image import read
-from sameas.sky.frame.listing import listing
 from sameas.sky.frame.measurements import Measurements
+from sameas.sky.frame.outputs import ERROR_NAMES, listing, summary
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
-from sameas.sky.frame.solve import footprint, searched, solve
-from sameas.sky.frame.summary import ERROR_NAMES, summary
 from sameas.sky.frame.tangent import Pointing, directions_deg
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 

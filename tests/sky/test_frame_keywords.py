@@ -6,8 +6,7 @@ from astropy.io import fits
 from astropy.time import Time
 
 from sameas.errors import InputError
-from sameas.sky.frame.keywords import Facts, Given, plateau
-from sameas.sky.frame.observation import Card
+from sameas.sky.frame.keywords import Card, Facts, Given, plateau
 
 
 def facts(given=None, comments=None, **cards):

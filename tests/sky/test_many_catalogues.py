@@ -21,8 +21,7 @@ from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import brought_together, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
-from sameas.sky.many.population import freedom, pairs_within, patterns_of
-from sameas.sky.many.stars import AstrometricRecords, fitted
+from sameas.sky.many.population import AstrometricRecords, fitted, freedom, pairs_within, patterns_of
 from sameas.space import displaced, sphere_offset
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

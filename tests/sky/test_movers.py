@@ -10,12 +10,12 @@ from moving import night
 from sameas import InputError
 from sameas.report.movers import left_out_lines
 from sameas.sky import Detections, MotionModel, find_movers, learn_motion
-from sameas.sky.movers.fixed import fixed_on_chip
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import _shown
+from sameas.sky.movers.stationary import fixed_on_chip
 from sameas.sky.movers.tracks import Tracks, compete, grow
 
 

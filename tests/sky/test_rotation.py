@@ -12,7 +12,7 @@ from sameas.simulate.scenes import Cap, WholeSky, sky_field
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import MatchOptions
 from sameas.sky.crossmatch import match as match_catalogues
-from sameas.sky.rotation import Rotation, find_rotation
+from sameas.sky.systematics import Rotation, find_rotation
 from sameas.space import sphere_offset
 
 

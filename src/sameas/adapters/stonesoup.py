@@ -23,7 +23,7 @@ from stonesoup.types.track import Track
 
 from sameas.errors import InputError
 from sameas.evidence import CloseObjects
-from sameas.evidence.spacing import estimate_reach
+from sameas.evidence.close import estimate_reach
 from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
 from sameas.many.rules import MissedObjects

@@ -63,7 +63,7 @@ def compile_sums() -> None:
 
 def compile_scales() -> None:
     """Compile the kernels of the error scales, by fitting them to a few pairs."""
-    from sameas.estimate.error_scales import fit_errors
+    from sameas.estimate.error_model import fit_errors
     from sameas.evidence import Errors
 
     fit_errors(np.linspace(0.1, 9.0, 20), np.linspace(-5.0, 5.0, 20), 2, Errors())

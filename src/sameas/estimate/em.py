@@ -20,7 +20,7 @@ from sameas.estimate.averaging import Average, Averaged, Solved, but_positions
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
 from sameas.estimate.coverage import local_share
-from sameas.estimate.error_scales import DEFAULT_SCALES, ScalesTuning, fit_errors
+from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
 from sameas.estimate.photometry import LearningPairs, Photometry
 from sameas.estimate.quantity import MOST_MISSING

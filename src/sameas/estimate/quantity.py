@@ -11,8 +11,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.photometry import Photometry
-from sameas.estimate.regression import weighted_median
+from sameas.estimate.photometry import Photometry, weighted_median
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.result import Identification

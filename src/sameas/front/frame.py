@@ -55,8 +55,8 @@ class MatchFrame:
 
     @cached_property
     def table(self) -> Table:
-        """One row per measurement and one per star that was not identified; see :mod:`sameas.sky.frame.listing`."""
-        from sameas.sky.frame.listing import listing
+        """One row per measurement and one per star that was not identified; see :mod:`sameas.sky.frame.outputs`."""
+        from sameas.sky.frame.outputs import listing
 
         return listing(self.sky)
 

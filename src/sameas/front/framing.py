@@ -30,14 +30,12 @@ from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone
-from sameas.sky.frame.identified import FrameIdentification, Refinement
+from sameas.sky.frame.identified import FrameIdentification, Refinement, searched, solve
 from sameas.sky.frame.image import Frame, read
 from sameas.sky.frame.keywords import Given
-from sameas.sky.frame.listing import listing
 from sameas.sky.frame.measurements import Detection, Measurements
+from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
-from sameas.sky.frame.solve import searched, solve
-from sameas.sky.frame.summary import summary
 from sameas.sky.frame.tangent import Pointing
 
 Progress = Callable[[str], None]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
     from sameas.sky.many import ManyMatch, ManyOptions
-    from sameas.sky.rotation import Rotation
+    from sameas.sky.systematics import Rotation
 
 #: What the terms of the error model are called in an output.
 ERROR_NAMES = {

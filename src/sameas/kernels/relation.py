@@ -1,4 +1,4 @@
-"""Compiled densities of one magnitude given others, and how they are learned: see ``sameas.estimate.regression``."""
+"""Compiled densities of one magnitude given others, and how they are learned: see ``sameas.estimate.photometry``."""
 
 from __future__ import annotations
 

@@ -15,10 +15,9 @@ from sameas.pages.template import asset, column, page_of, png, rounded, script_s
 from sameas.plots.frame import binned, binning, stretched
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.listing import why_missing
 from sameas.sky.frame.measurements import Flag
+from sameas.sky.frame.outputs import summary, why_missing
 from sameas.sky.frame.photometry import instrumental
-from sameas.sky.frame.summary import summary
 
 #: Most candidates of a measurement on the page, and their least probability (chosen).
 COMPETITORS, LEAST = 6, 1e-6
@@ -35,7 +34,7 @@ def write_frame_page(
     """Writes the page of an identified frame: one file, complete in itself.
 
     brightest : number of the brightest identified stars that are marked at first, None for all; the page has a slider.
-    facts : of :func:`sameas.sky.frame.summary.summary` for this frame, where it was made already.
+    facts : of :func:`sameas.sky.frame.outputs.summary` for this frame, where it was made already.
 
     Raises
     ------

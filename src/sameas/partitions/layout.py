@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from sameas.arrays import IntArray
 from sameas.errors import InputError, reading
 from sameas.io.arrow import numbers_in
-from sameas.partitions.cells import FINEST, cells_of, joined, within
+from sameas.partitions.healpix import FINEST, cells_of, joined, within
 from sameas.representation import in_short
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ import numpy as np
 from sameas.arrays import IntArray
 from sameas.io.arrow import array_of
 from sameas.io.parquet import column_metadata
-from sameas.partitions import cells as healpix
+from sameas.partitions import healpix
 from sameas.partitions.layout import CELL, COLLECTION, Cell, HatsCatalogue, numbers_of
 
 if TYPE_CHECKING:

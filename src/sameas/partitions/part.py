@@ -21,7 +21,7 @@ from sameas.gate import Pairs
 from sameas.groups import Groups, groups, laid_out
 from sameas.io.arrow import column_of
 from sameas.io.parquet import decoded, described
-from sameas.partitions import cells as healpix
+from sameas.partitions import healpix
 from sameas.partitions.layout import CELL, Cell, HatsCatalogue, numbers_of
 from sameas.posterior import APPROXIMATE, Posterior, posterior
 from sameas.prior import EVIDENCE_ALONE

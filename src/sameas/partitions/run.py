@@ -34,7 +34,7 @@ from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
 from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
 from sameas.kernels import threads
-from sameas.partitions import cells as healpix
+from sameas.partitions import healpix
 from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of
 from sameas.partitions.output import (  # fmt: skip
     arrow_of,

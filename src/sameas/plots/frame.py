@@ -15,8 +15,8 @@ from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SE
 from sameas.report.prose import count
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
+from sameas.sky.frame.outputs import orientation
 from sameas.sky.frame.photometry import instrumental
-from sameas.sky.frame.summary import orientation
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

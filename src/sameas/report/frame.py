@@ -10,7 +10,7 @@ from sameas.estimate.quantity import Quantity
 from sameas.report.findings import error_model_in_words, judged
 from sameas.report.prose import DOUBT, count, entry
 from sameas.sky.frame.identified import FEW
-from sameas.sky.frame.summary import ERROR_NAMES
+from sameas.sky.frame.outputs import ERROR_NAMES
 
 
 def frame_lines(summary: Mapping[str, Any]) -> list[str]:

@@ -5,9 +5,18 @@
 - :func:`least_loss`, :func:`most_right`: another choice of pairs, where a wrong one costs more than a missed one.
 """
 
-from sameas.result.decision import ALL_ALIKE, Decision, Loss, judged, least_loss, most_right
 from sameas.result.explanation import Competitor, Explanation
-from sameas.result.identification import Answers, Identification, Matches
+from sameas.result.identification import (
+    ALL_ALIKE,
+    Answers,
+    Decision,
+    Identification,
+    Loss,
+    Matches,
+    judged,
+    least_loss,
+    most_right,
+)
 
 __all__ = [
     "ALL_ALIKE", "Answers", "Competitor", "Decision", "Explanation", "Identification", "Loss", "Matches", "judged",

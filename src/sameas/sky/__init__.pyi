@@ -10,14 +10,14 @@ from .frame.field import Cone as Cone
 from .frame.field import StarField as StarField
 from .frame.identified import FrameIdentification as FrameIdentification
 from .frame.identified import identify_frame as identify_frame
+from .frame.identified import solve as solve
 from .frame.image import Frame as Frame
-from .frame.listing import listing as listing
+from .frame.outputs import listing as listing
 from .frame.place import Placement as Placement
 from .frame.place import place as place
 from .frame.pointing_hints import Aim as Aim
 from .frame.pointing_hints import AllSky as AllSky
 from .frame.pointing_hints import ApproximateWcs as ApproximateWcs
-from .frame.solve import solve as solve
 from .frame.tangent import Pointing as Pointing
 from .many import ManyMatch as ManyMatch
 from .many import ManyOptions as ManyOptions

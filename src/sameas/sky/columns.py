@@ -21,9 +21,8 @@ from astropy.table import Table
 
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
-from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError
+from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, survey_of
 from sameas.sky.conventions import Convention, ErrorNames
-from sameas.sky.surveys import survey_of
 
 # Names: the columns of one table, found by name, with their units, and what is wrong in the user's words.
 

@@ -29,11 +29,8 @@ from sameas.result import Identification
 from sameas.sky.assumed import completed
 from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.fields import apart_doubts
-from sameas.sky.residual_epoch import epoch_doubt
-from sameas.sky.rotation import Rotation, find_rotation, residual_rotation
-from sameas.sky.warp import TUNING as WARP_TUNING
-from sameas.sky.warp import Warp, find_warp
+from sameas.sky.doubts import apart_doubts, epoch_doubt
+from sameas.sky.systematics import WARP_TUNING, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
 
@@ -111,8 +108,8 @@ class MatchOptions:
         as "G,BP:J,H" (see ``sky.bands``).
     precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
     offset : "none" takes both catalogues to be on one frame, and doubts it where the pairs show an offset; "find"
-        estimates the shift and rotation of the second catalogue and takes it away (see :mod:`sameas.sky.rotation`), and
-        a smooth warp of the field beside it (see :mod:`sameas.sky.warp`).
+        estimates the shift and rotation of the second catalogue and takes it away, and
+        a smooth warp of the field beside it (see :mod:`sameas.sky.systematics`).
     evidence : columns of either catalogue that are evidence too, by name, alone or related to one of the other.
     """
 

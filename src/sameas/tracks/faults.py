@@ -16,8 +16,7 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import FloatArray
-from sameas.tracks.alignment import States
-from sameas.tracks.clock import Steps, jump_of
+from sameas.tracks.alignment import States, Steps, jump_of
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports
 

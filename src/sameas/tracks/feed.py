@@ -18,9 +18,8 @@ from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.representation import in_short
-from sameas.tracks.alignment import States, Succession
+from sameas.tracks.alignment import States, Succession, with_minutes
 from sameas.tracks.biases import corrected
-from sameas.tracks.clock import with_minutes
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import split_duplicate_ids
 from sameas.tracks.filter import follow, measures_anew

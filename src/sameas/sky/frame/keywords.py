@@ -1,13 +1,30 @@
 """Keywords: the facts of an exposure from its header, each with the line that says where it comes from.
 
+These are the station, the direction of the telescope, the middle of the exposure, and the properties of the camera.
+
 ``facts.lines`` are printed: each fact with its keyword, what was assumed ("assumed: …") and what is doubtful
 ("doubt: …").
+
+A header is read through :class:`Cards`, because observatories write one fact under many names: each fact is looked up
+by a list of names, the more certain ones first, and comes with a line on its keyword and how it was read.
+
+- :func:`station`: the sign of a longitude differs. TheSkyX and the national observatories of the United States count
+  west as positive, most others east. A letter or a comment decides it, else the sidereal time of the header, else the
+  program that wrote the header; else east is assumed, and a line says so.
+- :func:`aim`: the direction, from the first pair of keywords that holds one.
+- :func:`middle`: in this order the middle of the exposure, its start and end, its start and duration. DATE-OBS with a
+  time of day is preferred to MJD-OBS and JD, which are often of another moment; where they differ by more than the
+  exposure, a line says so. The scale is that of TIMESYS, UTC without one.
 """
 
 from __future__ import annotations
 
 import math
+import re
+import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from datetime import datetime
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,12 +32,384 @@ from numpy.typing import NDArray
 
 from sameas.errors import InputError
 from sameas.representation import in_short
-from sameas.sky.frame.observation import Cards, Station, aim, middle, station
 from sameas.space import ARCSEC_PER_RADIAN
 
 if TYPE_CHECKING:
     from astropy.io.fits import Header
     from astropy.time import Time
+
+_SEXAGESIMAL = re.compile(
+    r"^\s*([+-]?)\s*(\d+)[\s:hHdD°]+(\d+)(?:[\s:mM']+(\d+(?:\.\d*)?))?\s*[sS\"]?\s*([NSEWnsew]?)\s*$"
+)
+_NUMBER = re.compile(r"^\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][+-]?\d+)?)\s*[A-Za-z/\-_]*\s*$")
+
+
+@dataclass(frozen=True)
+class Card:
+    """One keyword with its value and comment."""
+
+    name: str
+    value: Any
+    comment: str = ""
+
+    def number(self) -> float:
+        """The value as a number, NaN where it is none; a unit behind it is passed over."""
+        if isinstance(self.value, bool):
+            return math.nan
+        if isinstance(self.value, int | float):
+            return float(self.value)
+        match = _NUMBER.match(str(self.value))
+        return float(match[1].replace("D", "E").replace("d", "e")) if match else math.nan
+
+    def angle(self) -> tuple[float, bool]:
+        """The value in its first unit (hours or degrees), and whether it was sexagesimal; NaN where it is neither."""
+        match = _SEXAGESIMAL.match(str(self.value)) if isinstance(self.value, str) else None
+        if match is None:
+            return self.number(), False
+        first, minutes, seconds = float(match[2]), float(match[3]), float(match[4] or 0.0)
+        if minutes >= 60 or seconds >= 60:
+            return math.nan, True
+        sign = -1.0 if match[1] == "-" or match[5].upper() == "S" else 1.0
+        return sign * (first + minutes / 60 + seconds / 3600), True
+
+    def text(self) -> str:
+        """The value as text, without blanks around it."""
+        return str(self.value).strip()
+
+    def says(self, pattern: str) -> bool:
+        """Whether the comment holds the pattern, in letters of any case."""
+        return re.search(pattern, self.comment, re.IGNORECASE) is not None
+
+
+@dataclass(frozen=True)
+class Cards:
+    """The cards of one header."""
+
+    header: Header
+
+    def all(self, names: Iterable[str]) -> list[Card]:
+        """The cards of those names that the header has with a value, in the order of the names."""
+        cards = []
+        for name in names:
+            for key in (name, f"HIERARCH {name}"):
+                if key in self.header:
+                    value = self.header[key]
+                    text = "" if value is None or type(value).__name__ == "Undefined" else str(value).strip()
+                    if text and text.lower() not in ("nan", "n/a", "none", "unknown", "null"):
+                        cards.append(Card(name, value, str(self.header.comments[key])))
+                    break
+        return cards
+
+    def first(self, names: Iterable[str]) -> Card | None:
+        """The card of the first of the names that the header has with a value."""
+        return next(iter(self.all(names)), None)
+
+    def number(self, names: Iterable[str]) -> Card | None:
+        """The card of the first of the names whose value is a finite number."""
+        return next((card for card in self.all(names) if math.isfinite(card.number())), None)
+
+
+_LATITUDE = ("OBSGEO-B", "SITELAT", "LATITUDE", "GEOLAT", "OBSLAT", "LAT-OBS", "OBS-LAT", "ESO TEL GEOLAT", "TELLAT")
+_LONGITUDE: tuple[str, ...] = (
+    "OBSGEO-L",
+    "SITELONG",
+    "LONGITUD",
+    "GEOLON",
+    "OBSLONG",
+    "LONG-OBS",
+    "OBS-LONG",
+    "ESO TEL GEOLON",
+)
+_LONGITUDE += ("TELLONG", "GEOLONG", "OBSLON", "LONGITUDE", "SITELON")
+_HEIGHT = ("OBSGEO-H", "SITEELEV", "ALTITUDE", "HEIGHT", "GEOELEV", "ALT-OBS", "OBS-ELEV", "ESO TEL GEOELEV", "SITEALT")
+_SIDEREAL = ("LST", "ST", "LST-OBS", "LMST", "SIDEREAL", "LST-HDR")
+_PLACES = ("ORIGIN", "OBSERVAT", "TELESCOP", "SITE", "SITENAME", "OBSCODE", "MPCCODE", "OBSERVER")
+_AIMS: tuple[tuple[str, str], ...] = (
+    ("OBJCTRA", "OBJCTDEC"),
+    ("RA", "DEC"),
+    ("TELRA", "TELDEC"),
+    ("RA_TARG", "DEC_TARG"),
+    ("RA-OBS", "DEC-OBS"),
+)
+_AIMS += (
+    ("RA_OBJ", "DEC_OBJ"),
+    ("CAT-RA", "CAT-DEC"),
+    ("RA_PNT", "DEC_PNT"),
+    ("OBJRA", "OBJDEC"),
+    ("CRVAL1", "CRVAL2"),
+)
+#: Hours by which a sidereal time may differ: it may be that of the start, the middle or the end.
+_SIDEREAL_TOLERANCE_H = 0.3
+
+
+@dataclass(frozen=True)
+class Station:
+    """A place on the Earth: degrees, east positive; metres above the ellipsoid, NaN if unknown; MPC code or ''."""
+
+    lat_deg: float
+    lon_deg: float
+    height_m: float = math.nan
+    code: str = ""
+
+
+def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str, ...]]:
+    """The station, None where the header has none, and the lines on how it was read."""
+    lat, lon = cards.first(_LATITUDE), cards.first(_LONGITUDE)
+    if lat is None or lon is None:
+        return None, ()
+    lat_deg, lon_deg = lat.angle()[0], lon.angle()[0]
+    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 360):
+        return None, (
+            f"doubt: {lat.name} = {lat.text()}, {lon.name} = {lon.text()} are not a place on the Earth; not used",
+        )
+    east_deg, how = _east(cards, lon, lon_deg, time)
+    height = cards.number(_HEIGHT)
+    place = Station(
+        lat_deg, (east_deg + 180) % 360 - 180, math.nan if height is None else height.number(), _code(cards)
+    )
+    called = f" (MPC {place.code})" if place.code else ""
+    return place, (f"station {lat_deg:+.4f}°, {place.lon_deg:+.4f}° east{called}: {lat.name}, {lon.name}, {how}",)
+
+
+def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[float, str]:
+    """The longitude counted to the east, and by what its sign was decided."""
+    letter = re.search(r"[EWew]\s*$", card.text())
+    if letter:
+        return (lon_deg if letter[0].strip().upper() == "E" else -lon_deg), "its letter"
+    if card.name.startswith("OBSGEO") or lon_deg > 180:
+        return lon_deg, "east positive"
+    sidereal = cards.first(_SIDEREAL)
+    hours = math.nan if sidereal is None else sidereal.angle()[0]
+    if time is not None and sidereal is not None and math.isfinite(hours):
+        off = {sign: abs((sidereal_time_h(time) + sign * lon_deg / 15 - hours + 12) % 24 - 12) for sign in (1, -1)}
+        best = 1 if off[1] < off[-1] else -1
+        if off[best] < _SIDEREAL_TOLERANCE_H and off[-best] > 3 * _SIDEREAL_TOLERANCE_H:
+            return best * lon_deg, f"{'east' if best > 0 else 'west'} positive by {sidereal.name}"
+    if card.says(r"\bwest\b|\(\+?w\)|\+\s*w\b") and not card.says(r"\beast\b|west(ern)?\s*(is\s*)?(neg|-)"):
+        return -lon_deg, "west positive by its comment"
+    if card.says(r"\beast\b|\(\+?e\)|\+\s*e\b"):
+        return lon_deg, "east positive by its comment"
+    writer = cards.first(("SWCREATE", "OBSERVAT", "ORIGIN"))
+    if writer is not None and re.search(r"TheSky|KPNO|NOAO|CTIO", writer.text()):
+        return -lon_deg, f"west positive as {writer.text()} does"
+    return lon_deg, "assumed: east positive"
+
+
+def sidereal_time_h(time: Time) -> float:
+    """Greenwich mean sidereal time in hours, good to a few seconds (Meeus, Astronomical Algorithms, eq. 12.4)."""
+    return float((18.697374558 + 24.06570982441908 * (time.mjd - 51544.5)) % 24)
+
+
+def _code(cards: Cards) -> str:
+    """The code of the Minor Planet Center, three letters and digits in parentheses or alone under its own name."""
+    for card in cards.all(_PLACES):
+        match = re.search(r"\(([0-9A-Z]\d{2})\)", card.text())
+        if match is None and card.name in ("OBSCODE", "MPCCODE"):
+            match = re.fullmatch(r"([0-9A-Z]\d{2})", card.text())
+        if match:
+            return match[1]
+    return ""
+
+
+def aim(cards: Cards) -> tuple[tuple[float, float] | None, tuple[str, ...]]:
+    """ICRS direction (ra_deg, dec_deg) of the telescope, None if the header has none, and the line on it."""
+    for names in _AIMS:
+        ra, dec = (cards.first([name]) for name in names)
+        if ra is None or dec is None or (names[0] == "CRVAL1" and not _is_equatorial(cards)):
+            continue
+        (ra_value, sexagesimal), (dec_deg, _) = ra.angle(), dec.angle()
+        hours = sexagesimal or ra.says(r"\bhours?\b|\bhrs\b")
+        ra_deg = ra_value * 15 if hours else ra_value
+        if not (0 <= ra_deg <= 360 and abs(dec_deg) <= 90):
+            continue
+        ra_deg, dec_deg, equinox = _to_icrs(cards, ra_deg, dec_deg)
+        unit = "hours" if hours else "degrees"
+        return (ra_deg, dec_deg), (f"aim {ra_deg:.5f}°, {dec_deg:+.5f}°: {names[0]} in {unit}, {names[1]}{equinox}",)
+    return None, ()
+
+
+def _is_equatorial(cards: Cards) -> bool:
+    kind = cards.first(["CTYPE1"])
+    return kind is not None and kind.text().upper().startswith("RA")
+
+
+def _to_icrs(cards: Cards, ra_deg: float, dec_deg: float) -> tuple[float, float, str]:
+    """A direction of the header's EQUINOX, in ICRS. EPOCH is not used: it is often that of the exposure."""
+    card = cards.number(["EQUINOX"])
+    year = 2000.0 if card is None else card.number()
+    if abs(year - 2000) < 0.01 or not 1800 < year < 2200:
+        return ra_deg, dec_deg, "" if card is not None else ", assumed: J2000"
+    from astropy import units as u
+    from astropy.coordinates import FK4, FK5, SkyCoord
+
+    frame = FK4(equinox=f"B{year}") if year == 1950 else FK5(equinox=f"J{year}")
+    direction = SkyCoord(ra_deg * u.deg, dec_deg * u.deg, frame=frame).icrs
+    return float(direction.ra.deg), float(direction.dec.deg), f", precessed from {year:g}"
+
+
+_MIDDLE = ("DATE-AVG", "DATE-MID", "DATE_MID", "MIDPOINT", "MJD-AVG", "MJD-MID", "MJD_MID", "JD-MID", "JD_MID", "JDMID")
+_START = ("DATE-OBS", "DATE_OBS", "DATE-BEG", "DATE-STA", "DATEOBS", "UTSTART")
+_END = ("DATE-END", "DATE_END", "MJD-END", "EXPEND")
+_CLOCK = ("TIME-OBS", "TIME_OBS", "UT", "UTC", "UTC-OBS", "UT-OBS", "UT-START", "UTSTART", "TIME-BEG", "TIME", "UTIME")
+_COUNTED = ("MJD-OBS", "MJD_OBS", "MJD-BEG", "EXPSTART", "MJD", "MJD-STR", "JD", "JD-OBS", "JULDAT", "JULIAN", "JD_UTC")
+_SCALES = {"UTC": "utc", "UT": "utc", "GMT": "utc", "TDB": "tdb", "TT": "tt", "TDT": "tt", "TAI": "tai", "TCB": "tcb"}
+_SCALES |= {"TCG": "tcg", "UT1": "ut1"}
+_ISO = re.compile(r"^(\d{4})[-/](\d{1,2})[-/](\d{1,2})(?:[T\s]+(\S.*?)Z?)?$")
+_OLD = re.compile(r"^(\d{1,2})[/-](\d{1,2})[/-](\d{2}|\d{4})$")
+_FIRST_UTC_YEAR = 1960
+#: TT − UT in seconds before there was UTC (Espenak & Meeus 2006, NASA/TP-2006-214141, from Morrison & Stephenson 2004).
+_DELTA_T = (
+    (1880, -5.0),
+    (1900, -2.7),
+    (1910, 10.4),
+    (1920, 21.2),
+    (1930, 24.0),
+    (1940, 24.3),
+    (1950, 29.1),
+    (1960, 33.2),
+)
+_S_PER_DAY = 86400.0
+
+
+def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...]]:
+    """The middle of the exposure, None where the header has no time, and the lines on how it was read.
+
+    exposure_s : NaN if it is not known; the start is then taken for the middle, and a line says so.
+    """
+    scale, lines = _time_scale(cards)
+    for card in cards.all(_MIDDLE):
+        day = _day(card, cards)
+        if day is not None:
+            return _time_of(day, scale, f"middle of the exposure ({card.name})", lines)
+    start = _start(cards)
+    if start is None:
+        return None, ()
+    card, day, remark = start
+    if card.says(r"\bmid"):
+        return _time_of(day, scale, f"middle of the exposure ({card.name}, by its comment)", lines)
+    lines += remark + _disagreement(cards, card, day, exposure_s)
+    for end in cards.all(_END):
+        last = _day(end, cards)
+        if last is not None and last > day:
+            return _time_of((day + last) / 2, scale, f"midway between {card.name} and {end.name}", lines)
+    if not math.isfinite(exposure_s):
+        return _time_of(
+            day, scale, f"start ({card.name})", (*lines, "assumed: exposure unknown, its start is used as its middle")
+        )
+    return _time_of(day + exposure_s / 2 / _S_PER_DAY, scale, f"start ({card.name}) and half the exposure", lines)
+
+
+def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
+    """The time of an MJD on a scale, in TT before there was UTC, and the lines with the one on ``how`` it was read."""
+    from sameas.times import Time
+
+    year = 1858.8 + day / 365.25
+    if scale == "utc" and year < _FIRST_UTC_YEAR:
+        years, seconds = zip(*_DELTA_T, strict=True)
+        delta = _between(year, years, seconds)
+        day, scale = day + delta / _S_PER_DAY, "tt"
+        lines = (*lines, f"assumed: universal time, turned into TT by {delta:+.1f} s (there was no UTC before 1960)")
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*dubious year")
+        whole = math.floor(day)
+        time = Time(whole, day - whole, format="mjd", scale=scale)
+        text = time.isot
+    return time, (f"middle of the exposure {text} {scale.upper()}: {how}", *lines)
+
+
+def _between(x: float, xs: tuple[float, ...], ys: tuple[float, ...]) -> float:
+    import numpy as np
+
+    return float(np.interp(x, xs, ys))
+
+
+def _time_scale(cards: Cards) -> tuple[str, tuple[str, ...]]:
+    card = cards.first(("TIMESYS",))
+    if card is None:
+        return "utc", ("assumed: times are UTC (no TIMESYS)",)
+    name = card.text().upper()
+    if name in _SCALES:
+        return _SCALES[name], ()
+    return "utc", (f"assumed: times are UTC (TIMESYS = {card.text()!r} is not known)",)
+
+
+def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
+    """The card of the start, its MJD, and what was assumed."""
+    dates = [(card, _date(card.text())) for card in cards.all(_START)]
+    for card, date in dates:
+        if date is not None and date[1] is not None:
+            return card, date[0] + date[1], ()
+    dated = next(((card, date[0]) for card, date in dates if date is not None), None)
+    if dated is not None:
+        for clock in cards.all(_CLOCK):
+            share = _time_of_day(clock.text())
+            if share is not None:
+                return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + share, ()
+    for card in cards.all(_COUNTED):
+        day = _day(card, cards)
+        if day is not None:
+            return card, day, ()
+    if dated is not None:
+        return dated[0], dated[1] + 0.5, (f"assumed: 12:00, for {dated[0].name} has no time of day; up to 12 h wrong",)
+    return None
+
+
+def _day(card: Card, cards: Cards) -> float | None:
+    """MJD of a card that holds an MJD, a JD or a date with a time; None for anything else."""
+    value = card.number()
+    if math.isfinite(value):
+        if value > 2_000_000:
+            return value - 2_400_000.5
+        return value if 0 < value < 100_000 and "JD" in card.name + "MJD" * card.name.startswith("EXP") else None
+    date = _date(card.text())
+    return date[0] + date[1] if date is not None and date[1] is not None else None
+
+
+def _date(text: str) -> tuple[float, float | None] | None:
+    """MJD of the day and fraction of the day, None where the text has no time of day."""
+    iso, old = _ISO.match(text), _OLD.match(text)
+    if iso:
+        year, month, day, clock = int(iso[1]), int(iso[2]), int(iso[3]), iso[4]
+    elif old:
+        # The rule of FITS before 2000: two digits are a year of the twentieth century.
+        year, month, day, clock = int(old[3]) + (1900 if len(old[3]) == 2 else 0), int(old[2]), int(old[1]), None
+    else:
+        return None
+    try:
+        mjd = float((datetime(year, month, day) - datetime(1858, 11, 17)).days)
+    except ValueError:
+        return None
+    share = None if clock is None else _time_of_day(clock)
+    return mjd, None if share is None else share - _zone_of(clock or "")
+
+
+def _zone_of(clock: str) -> float:
+    """By what share of a day a time is ahead of UTC: 0 unless a zone stands behind it, as in 18:33:43-0700."""
+    zone = re.search(r":\d{2}(?:\.\d*)?\s*([+-])(\d{2}):?(\d{2})?$", clock.strip())
+    if zone is None:
+        return 0.0
+    return (1.0 if zone[1] == "+" else -1.0) * (int(zone[2]) + int(zone[3] or 0) / 60.0) / 24.0
+
+
+def _time_of_day(text: str) -> float | None:
+    match = re.match(r"^(\d{1,2})[:\s](\d{1,2})(?:[:\s](\d{1,2}(?:\.\d*)?))?", text.strip())
+    if match is None:
+        return None
+    hours, minutes, seconds = int(match[1]), int(match[2]), float(match[3] or 0.0)
+    if hours > 24 or minutes > 59 or seconds >= 61:
+        return None
+    return (hours * 3600 + minutes * 60 + seconds) / _S_PER_DAY
+
+
+def _disagreement(cards: Cards, used: Card, day: float, exposure_s: float) -> tuple[str, ...]:
+    allowed_s = 2.0 + (exposure_s if math.isfinite(exposure_s) else 60.0)
+    for card in cards.all(_COUNTED):
+        other = _day(card, cards)
+        if card.name != used.name and other is not None and abs(other - day) * _S_PER_DAY > allowed_s:
+            apart_s = abs(other - day) * _S_PER_DAY
+            return (f"doubt: {card.name} differs from {used.name} by {apart_s:.0f} s; {used.name} is used",)
+    return ()
+
 
 _EXPOSURE = ("EXPTIME", "EXPOSURE", "EXP_TIME", "EXP-TIME", "TEXPTIME", "ITIME", "ELAPTIME", "EXPOSED", "XPOSURE")
 _GAIN = ("EGAIN", "GAIN", "CCDGAIN", "GAIN1", "GAINEFF", "ATODGAIN", "ESO DET OUT1 CONAD", "HIERARCH GAIN")

@@ -1,8 +1,8 @@
 """Several catalogues identified at once: every object, its record in each catalogue, and how sure that is.
 
 Data passes: catalogues → identified two by two → candidates → what each record says of place and motion
-(:mod:`sameas.sky.many.stars`) → the sets that could be one star → the population, estimated with the probabilities of
-the sets (:mod:`sameas.sky.many.population`) → the best partition into stars. Nothing of it depends on the order of the
+→ the sets that could be one star → the population, estimated with the probabilities of the sets
+(:mod:`sameas.sky.many.population`) → the best partition into stars. Nothing of it depends on the order of the
 catalogues.
 """
 
@@ -36,9 +36,18 @@ from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import MatchOptions, SkyMatch, brought_together, by_place
 from sameas.sky.crossmatch import match as match_two
-from sameas.sky.many.population import TUNING, Coverages, Population, PopulationTuning, first_guess, patterns_of
-from sameas.sky.many.stars import AstrometricRecords, fitted, moving_rows
-from sameas.sky.rotation import Rotation, find_rotation
+from sameas.sky.many.population import (
+    TUNING,
+    AstrometricRecords,
+    Coverages,
+    Population,
+    PopulationTuning,
+    first_guess,
+    fitted,
+    moving_rows,
+    patterns_of,
+)
+from sameas.sky.systematics import Rotation, find_rotation
 from sameas.space import sphere_offset
 
 #: An upper bound of a log density that excludes no set: a motion allows positions far apart.
@@ -217,7 +226,7 @@ class ManyOptions:
     gate_sigmas, error_scale : as in :class:`~sameas.sky.crossmatch.MatchOptions`, of every two catalogues.
     time_limit_s : of branch and bound in one group; where it is reached the answer states its gap.
     offset : "none" takes all catalogues to be on one frame; "find" rotates each onto the most precise one, or onto one
-        that was rotated so before (see :mod:`sameas.sky.rotation`).
+        that was rotated so before (see :mod:`sameas.sky.systematics`).
     """
 
     epoch_jyr: float | None = None

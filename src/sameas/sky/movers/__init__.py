@@ -4,7 +4,7 @@ The way of the data; each module hands on one frozen value:
 
 - :mod:`~sameas.sky.movers.detections`: columns → ``Detections``, checked, exposures numbered by time;
 - :mod:`~sameas.sky.movers.stationary`: ``Detections`` → ``Stationary``: the sources that do not move, with exposures'
-  offsets and the scale of the errors that they show; :mod:`~sameas.sky.movers.fixed`: what is fixed on a dithered chip;
+  offsets and the scale of the errors that they show; and what is fixed on a dithered chip;
 - :mod:`~sameas.sky.movers.model`: the rest → ``Surroundings`` (densities, which exposures saw which place), and
   ``MotionModel``, what is believed of rates (:mod:`~sameas.sky.movers.rates`), brightness and misses;
 - :mod:`~sameas.sky.movers.links`: → ``Links``, which detection may be the next one of the same mover, one to one; its

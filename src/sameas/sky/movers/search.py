@@ -15,11 +15,10 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
-from sameas.sky.movers.fixed import fixed_on_chip
 from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_between, with_far_links
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, fewest_shown
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
-from sameas.sky.movers.stationary import Stationary, stationary_sources
+from sameas.sky.movers.stationary import Stationary, fixed_on_chip, stationary_sources
 from sameas.sky.movers.tracks import Competition, Tracks, compete, groups_of, grow
 from sameas.sky.series.tied import Series
 
