@@ -25,7 +25,7 @@ from sameas.sky.movers.below_limit import search_below_limit
 from sameas.sky.movers.search import left_over, search
 from sameas.sky.movers.stack import chip_map, confirmed, stack
 from sameas.sky.movers.trails import with_trails
-from sameas.sky.series.tied import Exposure, Series, tie
+from sameas.sky.series import Exposure, Series, tie
 
 STATED = (0.02, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)
 #: Movers of a round, and the share of them that pass a star in the middle of the series.

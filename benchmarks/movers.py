@@ -194,7 +194,7 @@ def long_series(frames: int, measurements: int = 5000, seed: int = 1) -> list[An
 
     measurements : of each frame, on average.
     """
-    from sameas.sky.series.tied import Exposure
+    from sameas.sky.series import Exposure
 
     rng, share = np.random.default_rng(seed), measurements / 5000.0
     stars, false = round(STARS * share), round(FALSE * share)
@@ -227,7 +227,7 @@ def long_series(frames: int, measurements: int = 5000, seed: int = 1) -> list[An
 def tied_and_searched(frames: int, measurements: int) -> Callable[[], dict[str, Any]]:
     """The work that is measured: a series tied together and searched."""
     from sameas.sky.movers.search import search
-    from sameas.sky.series.tied import tie
+    from sameas.sky.series import tie
 
     exposures = long_series(frames, measurements)
 

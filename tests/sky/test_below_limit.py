@@ -15,7 +15,7 @@ from sameas.simulate.frames import Camera, Gaussian, frame_of
 from sameas.sky.movers.below_limit import Plan, _normalised, search_below_limit
 from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import stack
-from sameas.sky.series.tied import Exposure, tie
+from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC, FWHM = 192, 1.0, 150.0, 20.0, 3.0
 #: Flux of signal to noise 5 on a frame: 2 √π σ times the noise of a pixel, the sky's 300 e and the read-out's 25.

@@ -11,7 +11,7 @@ import pytest
 from sameas import InputError
 from sameas.sky.movers.orbits import AU_KM, Elements, _packed_date, _planets, _two_body, ephemeris, near, states
 from sameas.sky.movers.search import search
-from sameas.sky.series.tied import Exposure, tie
+from sameas.sky.series import Exposure, tie
 
 RA, DEC, SCALE = 62.5, 22.9, 1.2
 

@@ -10,7 +10,7 @@ from browser import CHROMIUM, Browser
 from sameas.simulate.frames import Camera, Gaussian, frame_of
 from sameas.sky.movers.search import search
 from sameas.sky.movers.stack import confirmed, stack
-from sameas.sky.series.tied import Exposure, tie
+from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC = 256, 1.0, 150.0, 20.0
 STARS = 70

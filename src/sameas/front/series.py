@@ -18,7 +18,7 @@ from sameas.front.framing import FrameRequest, frame_of
 from sameas.front.provenance import program
 from sameas.io import read_table, write_table
 from sameas.sky.frame.image import Frame
-from sameas.sky.series.tied import DEFAULT_TUNING, Exposure, Series, tie
+from sameas.sky.series import DEFAULT_TUNING, Exposure, Series, tie
 
 #: What frames in a folder end with, packed or not.
 ENDINGS = (".fits", ".fit", ".fts")

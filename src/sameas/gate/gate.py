@@ -116,7 +116,7 @@ def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tu
 
 def _each_with_each(first: Records, second: Records, limit: float, box: bool, space: Plane) -> Columns | None:
     """All pairs of few records on a plane; None where they are too many for the room, or records are equal."""
-    from sameas.kernels.few import sweep_few
+    from sameas.kernels.plane import sweep_few
 
     out = _room(first.d, 4 * (len(first) + len(second)))
     periods = np.array(space.period_list(first.d))

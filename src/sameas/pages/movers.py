@@ -17,8 +17,7 @@ from sameas.report.movers import reasons
 from sameas.sky.movers.known import KnownObjects
 from sameas.sky.movers.search import Movers
 from sameas.sky.movers.stack import Stack
-from sameas.sky.series.stars import Stars
-from sameas.sky.series.tied import LEAST_FLOOR_ARCSEC, Series
+from sameas.sky.series import LEAST_FLOOR_ARCSEC, Series, Stars
 
 #: Most candidates and most frames of each on the page (chosen: some megabytes).
 MOST, MOST_FRAMES = 24, 40

@@ -14,7 +14,7 @@ from sameas.plots.sheet import DOTS_PER_INCH, nice_length, required
 from sameas.sky.movers.known import KnownObjects
 from sameas.sky.movers.search import Movers
 from sameas.sky.movers.stack import Stack
-from sameas.sky.series.tied import Series
+from sameas.sky.series import Series
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

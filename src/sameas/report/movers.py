@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from sameas.sky.movers.below_limit import BelowLimit, Plan
     from sameas.sky.movers.known import KnownObjects
     from sameas.sky.movers.stack import Stack
-    from sameas.sky.series.tied import Series
+    from sameas.sky.series import Series
 
 #: Tracklets that are listed; all are in the output.
 MOST = 20

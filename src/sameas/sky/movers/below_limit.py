@@ -40,7 +40,7 @@ from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import ADDED, Movers
 from sameas.sky.movers.stack import ChipMap, chip_map, predicted
-from sameas.sky.series.tied import Series
+from sameas.sky.series import Series
 
 Plane = NDArray[np.float32]
 #: Of a pixel of a frame: three planes, and what the median of a strip takes.

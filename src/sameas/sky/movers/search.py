@@ -20,7 +20,7 @@ from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, T
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
 from sameas.sky.movers.stationary import Stationary, fixed_on_chip, stationary_sources
 from sameas.sky.movers.tracks import Competition, Tracks, compete, groups_of, grow
-from sameas.sky.series.tied import Series
+from sameas.sky.series import Series
 
 if TYPE_CHECKING:
     from astropy.table import Table

@@ -26,7 +26,7 @@ from sameas.representation import in_short
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.search import Movers
-from sameas.sky.series.tied import Series
+from sameas.sky.series import Series
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ What is fixed on the chip while the telescope is dithered, warm pixels and other
 :func:`fixed_on_chip`. Between two exposures all of it moves by one vector on the sky, another one between the next two;
 what moves for itself does not. From exposure to exposure the vector that most pairs of detections have is looked for. A
 steady drift is not told from a common motion here (``Movers.alike``); frames have pixels that tell
-(:mod:`sameas.sky.series.tied`).
+(:mod:`sameas.sky.series`).
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.stack import ChipMap
-from sameas.sky.series.tied import Series, Trails
+from sameas.sky.series import Series, Trails
 
 #: Measurements of these are no light of the sky, or not all of it.
 _NO_LIGHT = int(Flag.HOT | Flag.COSMIC | Flag.EDGE)
