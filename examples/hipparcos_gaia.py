@@ -25,7 +25,7 @@ from sameas import match, plots
 from sameas.evidence import Errors
 from sameas.io import read_table, write_table
 from sameas.plots.residuals import containment
-from sameas.report.prose import count
+from sameas.representation import count
 from sameas.sky import SkyMatch
 from sameas.space import sphere_offset
 

@@ -27,7 +27,7 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from sameas.io import read_table, write_table
-from sameas.report.prose import count
+from sameas.representation import count
 from sameas.sky import Catalogue, CatalogueOptions, ManyMatch
 from sameas.sky.many import match_many
 

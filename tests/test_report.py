@@ -9,6 +9,7 @@ from astropy.table import Table
 from sameas.errors import InputError
 from sameas.report import match as report
 from sameas.report import prose
+from sameas.representation import count
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match
 
@@ -101,7 +102,7 @@ def test_shares_have_the_decimals_they_need(share, words):
 
 
 def test_counts_have_their_thousands_apart():
-    assert prose.count(117955) == "117 955"
+    assert count(117955) == "117 955"
 
 
 def judged(rng, quoted, outliers=0.0):

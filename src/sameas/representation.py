@@ -1,4 +1,4 @@
-"""How values print: a dataclass of arrays in a few lines, however many rows it has."""
+"""How values print: a dataclass of arrays in a few lines, however many rows it has; counts and their nouns."""
 
 from __future__ import annotations
 
@@ -74,3 +74,21 @@ def _collection(values: Any) -> str:
         if len(text) <= 2 * LETTERS:
             return text
     return f"<{type(values).__name__} of {len(values)}>"
+
+
+def count(number: int | np.integer) -> str:
+    """A whole number, its thousands apart.
+
+    >>> count(12345)
+    '12 345'
+    """
+    return f"{int(number):,}".replace(",", " ")
+
+
+def counted(number: int | np.integer, noun: str, plural: str = "") -> str:
+    """A number with its noun, or its noun and verb; without a ``plural`` the noun gets an s.
+
+    >>> counted(1, "report"), counted(12345, "report"), counted(2, "report has", "reports have")
+    ('1 report', '12 345 reports', '2 reports have')
+    """
+    return f"{count(number)} {noun if number == 1 else plural or noun + 's'}"

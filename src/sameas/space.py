@@ -93,6 +93,13 @@ def unit_vectors(lon_deg: ArrayLike, lat_deg: ArrayLike) -> FloatArray:
     return np.stack([across * np.cos(lon), across * np.sin(lon), np.sin(lat)], axis=-1)
 
 
+def mean_direction(vectors: FloatArray) -> FloatArray:
+    """(3,) the unit vector along the mean of unit vectors (n, 3); the north pole where they cancel."""
+    mean = vectors.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    return np.asarray(mean / length) if length > 0.0 else np.array([0.0, 0.0, 1.0])
+
+
 def local_axes(lon: FloatArray, lat: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The unit vectors to the east and to the north, (..., 3) each, of directions in radians."""
     east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)], axis=-1)

@@ -90,7 +90,7 @@ def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
     """
     from sameas.cli.terminal import notice
     from sameas.front.series import calibrations_in, frames_in
-    from sameas.report.prose import counted
+    from sameas.representation import counted
 
     taken = {Path(other).resolve() for other in others}
     found: list[str] = []

@@ -17,7 +17,7 @@ from sameas.front.request import Request
 from sameas.io import replacing, write_table, written_formats
 from sameas.io.atomic import is_input
 from sameas.report.match import catalogue_lines
-from sameas.report.prose import counted
+from sameas.representation import counted
 from sameas.sky.catalogue import Catalogue
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ import sameas
 from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, PointingOptions
 from sameas.front.provenance import program
-from sameas.report.prose import counted
+from sameas.representation import counted
 
 #: Tracklets of at least this probability are measured in the pixels, which may raise it.
 FAINT = 0.02

@@ -16,7 +16,7 @@ from sameas.cli.outcome import answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError
-from sameas.report.prose import counted
+from sameas.representation import counted
 
 _INPUTS, _MAP = "What is read", "The map"
 

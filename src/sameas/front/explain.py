@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, reading
-from sameas.report.prose import count, entry, moment
+from sameas.report.prose import entry, moment
 from sameas.report.written import source_numbers, texts_of
+from sameas.representation import count
 from sameas.result.explanation import probability_text
 
 if TYPE_CHECKING:

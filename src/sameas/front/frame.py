@@ -154,7 +154,7 @@ class MatchFrame:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.report.prose import count
+        from sameas.representation import count
 
         found = self.summary["found"]
         stars = f"{count(found['identified'])} of {count(found['measurements'])} measurements identified"

@@ -185,7 +185,7 @@ class MatchMany:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.report.prose import count, counted
+        from sameas.representation import count, counted
 
         names = ", ".join(f"{catalogue.name} ({counted(len(catalogue), 'row')})" for catalogue in self.sky.catalogues)
         several = int((self.objects.n_members > 1).sum())

@@ -264,7 +264,8 @@ class Match:
     @property
     def headline(self) -> str:
         """What it is, in one line."""
-        from sameas.report.prose import counted, expected
+        from sameas.report.prose import expected
+        from sameas.representation import counted
 
         sizes = [f"{records.source} ({counted(records.n_table, 'row')})"
                  for records in (self.identification.first, self.identification.second)]  # fmt: skip

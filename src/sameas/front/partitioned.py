@@ -148,7 +148,8 @@ class PartitionedMatch:
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : how a message that names arguments is put."""
         from sameas.report.findings import column_lines
-        from sameas.report.prose import DOUBT, count, entry, figures, percent
+        from sameas.report.prose import DOUBT, entry, figures, percent
+        from sameas.representation import count
 
         found = self.estimated
         learned, work = found.learned, found.work
@@ -210,7 +211,8 @@ def both_hats(first: Any, second: Any) -> bool:
 
 def written_lines(written: Written) -> list[str]:
     """What a run wrote, in lines."""
-    from sameas.report.prose import count, entry, figures
+    from sameas.report.prose import entry, figures
+    from sameas.representation import count
 
     return [
         "Identified",

@@ -41,7 +41,8 @@ from sameas.report.picture import (
     read_lines,
     scene_lines,
 )
-from sameas.report.prose import count, counted, in_html, in_lines, in_one, span
+from sameas.report.prose import in_html, in_lines, in_one, span
+from sameas.representation import count, counted
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene

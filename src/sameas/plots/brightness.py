@@ -12,7 +12,8 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.evidence.detection import DetectionCurve
 from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, sheet, tidy
-from sameas.report.prose import count, percent
+from sameas.report.prose import percent
+from sameas.representation import count
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, nice_length, sheet, tidy
-from sameas.report.prose import count
+from sameas.representation import count, counted
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.outputs import orientation
@@ -229,7 +229,7 @@ def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
     axes.set_xlim(0, columns)
     axes.set_ylim(0, 1.06 * rows)
     far = int(np.count_nonzero(~drawn))
-    longer = f"; {far} longer {'one' if far == 1 else 'ones'} left out" if far else ""
+    longer = f"; {counted(far, 'longer one')} left out" if far else ""
     words = f"residuals, {magnified:g} × magnified{longer}"
     tidy(axes, "x [px]", "y [px]", words)
 

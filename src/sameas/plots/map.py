@@ -13,7 +13,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import MapSensor, MapSheet, members_of
 from sameas.plots.sheet import FAINT, INK, ellipse, nice_length, sheet
-from sameas.report.prose import count
+from sameas.representation import count, counted
 from sameas.tracks.coordinates import LocalPlane, geodesy
 
 if TYPE_CHECKING:
@@ -182,8 +182,7 @@ class _Now:
     def finding(self) -> str:
         o = self.drawn.objects
         doubtful, several = int(o["ambiguous"][self.rows].sum()), int((o["n_sources"][self.rows] > 1).sum())
-        plural = "" if len(self.rows) == 1 else "s"
-        words = f"{count(len(self.rows))} object{plural}"
+        words = counted(len(self.rows), "object")
         if len(np.unique(self.drawn.records["source"])) > 1:
             words += f", {count(several)} seen by two or more sources"
         return words + (f", {count(doubtful)} ambiguous" if doubtful else "")

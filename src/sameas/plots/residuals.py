@@ -14,7 +14,8 @@ from sameas.evidence import Errors
 from sameas.plots.sheet import DENSITY, FAINT, FILL, FOUND, INK, SECOND, sheet, tidy
 from sameas.records import unpack
 from sameas.report.findings import by_source
-from sameas.report.prose import count, percent
+from sameas.report.prose import percent
+from sameas.representation import count
 from sameas.sky.crossmatch import SkyMatch
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.io import replacing
-from sameas.space import ARCSEC_PER_RADIAN, local_axes, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, local_axes, mean_direction, unit_vectors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -120,8 +120,7 @@ class TangentAxes:
     @classmethod
     def about(cls, position_deg: FloatArray) -> TangentAxes:
         """The frame at the mean direction of (n, 2) longitudes and latitudes."""
-        middle = _axes(position_deg)[0].mean(axis=0)
-        middle /= np.linalg.norm(middle)
+        middle = mean_direction(_axes(position_deg)[0])
         lon = np.degrees(np.arctan2(middle[1], middle[0]))
         lat = np.degrees(np.arctan2(middle[2], np.hypot(middle[0], middle[1])))
         _, east, north = _axes(np.array([[lon, lat]]))

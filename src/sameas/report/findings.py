@@ -8,7 +8,8 @@ from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
 from sameas.evidence.detection import DetectionCurve
-from sameas.report.prose import count, entry, percent
+from sameas.report.prose import entry, percent
+from sameas.representation import count
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
 #: Quoted errors are right where the residuals differ from them by no more than this, or so many standard errors.

@@ -8,7 +8,8 @@ from typing import Any
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
 from sameas.report.findings import error_model_in_words, judged
-from sameas.report.prose import DOUBT, count, entry
+from sameas.report.prose import DOUBT, entry
+from sameas.representation import count
 from sameas.sky.frame.identified import FEW
 from sameas.sky.frame.outputs import ERROR_NAMES
 

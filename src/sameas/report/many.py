@@ -7,7 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from sameas.records import Records
-from sameas.report.prose import DOUBT, count, counted, entry, figures
+from sameas.report.prose import DOUBT, entry, figures
+from sameas.representation import count, counted
 from sameas.result.identification import AMBIGUOUS
 from sameas.sky.column_choice import in_years
 from sameas.sky.many import ManyMatch

@@ -22,7 +22,8 @@ from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.report.findings import common_objects, findings, judged
-from sameas.report.prose import DOUBT, LABEL, count, counted, entry, figures, percent
+from sameas.report.prose import DOUBT, LABEL, entry, figures, percent
+from sameas.representation import count, counted
 from sameas.result import Answers, Identification
 from sameas.result.identification import AMBIGUOUS
 from sameas.sky.catalogue import Catalogue
@@ -226,7 +227,7 @@ def _pairs(match: SkyMatch) -> list[str]:
     k = len(result.matches)
     ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
     ways = [(n, words) for words, n in result.posterior.counts().items() if n]
-    methods = ", ".join(f"{count(n)} group{'s' if n > 1 else ''} by {words}" for n, words in ways)
+    methods = ", ".join(f"{counted(n, 'group')} by {words}" for n, words in ways)
     wrong, missed = result.expected_wrong, result.expected_missed
     return [
         *entry("groups", groups),

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sameas.report.prose import DOUBT, count, counted
+from sameas.report.prose import DOUBT
+from sameas.representation import count, counted
 
 if TYPE_CHECKING:
     from sameas.sky.movers import Detections, Movers
@@ -36,7 +37,7 @@ def searched_lines(seen: Detections) -> list[str]:
         f"{1440.0 * float(np.ptp(time)):.1f} minutes"
     ]
     for reason, number in seen.set_aside.counts().items():
-        lines.append(f"{DOUBT}{counted(number, 'row')} {'is' if number == 1 else 'are'} set aside: {reason}")
+        lines.append(f"{DOUBT}{counted(number, 'row is', 'rows are')} set aside: {reason}")
     if len(seen.frame_names) < FEW:
         lines.append(f"{DOUBT}two exposures: nothing confirms that motion is straight; take three or more")
     days = float(np.ptp(time))
@@ -241,7 +242,7 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
     if missed.any():
         ratio = pixels.log_ratio[k]
         times = f"{abs(ratio) / np.log(10):.1f} powers of ten {'more' if ratio >= 0 else 'less'} probable"
-        unseen = "1 frame does" if missed.sum() == 1 else f"{int(missed.sum())} frames do"
+        unseen = counted(int(missed.sum()), "frame does", "frames do")
         out.append((f"{unseen} not show it; forced photometry there makes it {times}", bool(ratio < 0)))
     if hidden.any():
         out.append((f"on {counted(int(hidden.sum()), 'frame')} it lies on a star", False))

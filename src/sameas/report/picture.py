@@ -8,7 +8,8 @@ from typing import Any
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.summary import Summary
 from sameas.picture.watch import Watch
-from sameas.report.prose import ALARM, DOUBT, counted, entry, moment, span
+from sameas.report.prose import ALARM, DOUBT, entry, moment, span
+from sameas.representation import counted
 from sameas.tracks.scene import Scene
 
 

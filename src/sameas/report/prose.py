@@ -1,4 +1,4 @@
-"""Prose: labelled lines, counts and shares, as every report writes them; results in a few lines, and in notebooks."""
+"""Prose: labelled lines, times and shares, as every report writes them; results in a few lines, and in notebooks."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sameas.errors import InputError
+from sameas.representation import count, counted
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,20 +23,6 @@ LABEL = 22
 DOUBT, ALARM = "  doubt".ljust(2 + LABEL), "  ALARM".ljust(2 + LABEL)
 #: Times from this on are seconds since 1970, in UTC (it is March 1973); earlier ones are the user's own seconds.
 UTC_FROM_S = 1e8
-
-
-def count(number: int | np.integer) -> str:
-    """A whole number, its thousands apart."""
-    return f"{int(number):,}".replace(",", " ")
-
-
-def counted(number: int | np.integer, noun: str) -> str:
-    """So many of something.
-
-    >>> counted(1, "report"), counted(12345, "report")
-    ('1 report', '12 345 reports')
-    """
-    return f"{count(number)} {noun}{'' if number == 1 else 's'}"
 
 
 def moment(time_s: float) -> str:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, IntArray
 from sameas.errors import InputError
-from sameas.report.prose import count, entry, moment
+from sameas.report.prose import entry, moment
+from sameas.representation import count
 from sameas.result.explanation import probability_text
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, Message, naming
 from sameas.records import Records
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
 from sameas.sky.column_values import to_icrs, turned_errors, typical_errors
@@ -59,7 +59,7 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
     lost = len(sigma) - len(known)
     if lost:
-        lack, are = _verb(lost, "lack"), _verb(lost, "are")
+        lack, are = ("lacks", "is") if lost == 1 else ("lack", "are")
         text = f"{lost} of {len(sigma)} rows {lack} a position or a positive error and {are} set aside"
         placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
         if np.count_nonzero(placed) == len(known):
@@ -110,7 +110,7 @@ def _doubts_epochs(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the epoch {odd[0]:g} ({choice.epoch.reason}) lies outside 1850 to 2100"
     lost = len(epochs) - len(known)
     if lost and len(known):
-        have, are = _verb(lost, "have"), _verb(lost, "are")
+        have, are = ("has", "is") if lost == 1 else ("have", "are")
         return f"{lost} of {len(epochs)} rows {have} no epoch ({choice.epoch.reason}) and {are} set aside when moved"
     return ""
 
@@ -124,7 +124,7 @@ def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if not len(fast):
         return ""
     return (
-        f"{len(fast)} {'proper motion exceeds' if len(fast) == 1 else 'proper motions exceed'} 20 arcsec/yr "
+        f"{counted(len(fast), 'proper motion exceeds', 'proper motions exceed')} 20 arcsec/yr "
         f"(first: row {fast[0]}, {1e-3 * speed[fast[0]]:g} arcsec/yr): is {choice.motion[1].name} in mas/yr?"
     )
 
@@ -416,13 +416,8 @@ def _not_measured(table: Table, choice: ColumnChoice) -> str:
     absent = 0 if not choice.measured else int(np.count_nonzero(_absent(table, choice.measured)))
     if not absent:
         return ""
-    rows = "1 row is a star that was" if absent == 1 else f"{absent} rows are stars that were"
-    return f"{rows} not measured, and {_verb(absent, 'are')} set aside"
-
-
-def _verb(number: int, plural: str) -> str:
-    """A verb for so many rows."""
-    return {"are": "is", "have": "has", "lack": "lacks"}[plural] if number == 1 else plural
+    rows = counted(absent, "row is a star that was", "rows are stars that were")
+    return f"{rows} not measured, and {'is' if absent == 1 else 'are'} set aside"
 
 
 def _absent(table: Table, name: str) -> BoolArray:
@@ -476,11 +471,8 @@ def _given_twice(table: Table, astrometry: Astrometry) -> str:
             alike = np.ma.filled(np.ma.asarray((first == second) | both_nan), False)
             whole &= np.asarray(alike, np.bool_) | (absent[one] & absent[other])
     times = int(np.count_nonzero(whole)) or len(same)
-    what = (
-        f"{_verb(times, 'are')} given twice"
-        if whole.any()
-        else f"{_verb(times, 'have')} exactly the position of another row"
-    )
+    are, have = ("is", "has") if times == 1 else ("are", "have")
+    what = f"{are} given twice" if whole.any() else f"{have} exactly the position of another row"
     k = int(np.flatnonzero(whole)[0]) if whole.any() else 0
     return (
         f"{times} of {len(table)} rows {what} (first: rows {one[k]} and {other[k]}); "

@@ -24,7 +24,8 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import ColumnChoice, in_years
 from sameas.sky.column_values import to_icrs
-from sameas.space import unit_vectors
+from sameas.sky.frame.tangent import directions_deg
+from sameas.space import mean_direction, unit_vectors
 
 #: Records that a field is judged by, at most: its outline moves by little with more.
 _ENOUGH = 10_000
@@ -42,9 +43,7 @@ class _Field:
     @classmethod
     def of(cls, position_deg: FloatArray) -> _Field:
         vectors = unit_vectors(*position_deg.T)
-        middle = vectors.mean(axis=0)
-        length = float(np.linalg.norm(middle))
-        centre = middle / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+        centre = mean_direction(vectors)
         return cls(centre, max(float(_degrees(vectors @ centre).max()), _LEAST_RADIUS_DEG))
 
     def to(self, other: _Field) -> float:
@@ -52,8 +51,8 @@ class _Field:
         return float(_degrees(self.centre @ other.centre))
 
     def __str__(self) -> str:
-        lon = np.degrees(np.arctan2(self.centre[1], self.centre[0])) % 360.0
-        return f"within {self.radius_deg:.2g}° of RA {lon:.2f}°, Dec {np.degrees(np.arcsin(self.centre[2])):+.2f}°"
+        lon, lat = directions_deg(self.centre)
+        return f"within {self.radius_deg:.2g}° of RA {lon:.2f}°, Dec {lat:+.2f}°"
 
 
 def _degrees(cosine: FloatArray) -> FloatArray:

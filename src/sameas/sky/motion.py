@@ -23,7 +23,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import propagated
 from sameas.records import unpack
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.space import ARCSEC_PER_RADIAN
 
 
@@ -470,6 +470,4 @@ def _epochs(epoch_jyr: ArrayLike, n: int, source: str) -> FloatArray:
 def _refuse(wrong: NDArray[Any], what: str, remedy: str) -> None:
     rows = np.flatnonzero(wrong)
     if len(rows):
-        raise InputError(
-            f"{what} in {len(rows)} {'row' if len(rows) == 1 else 'rows'} (first: row {rows[0]}); {remedy}"
-        )
+        raise InputError(f"{what} in {counted(len(rows), 'row')} (first: row {rows[0]}); {remedy}")

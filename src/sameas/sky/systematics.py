@@ -31,8 +31,8 @@ from sameas.gaussian import inverse, mahalanobis_sq, propagated
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky.frame.tangent import to_plane
-from sameas.space import ARCSEC_PER_RADIAN, displaced, local_axes, sphere_offset, unit_vectors
+from sameas.sky.frame.tangent import directions_deg, to_plane
+from sameas.space import ARCSEC_PER_RADIAN, displaced, local_axes, mean_direction, sphere_offset, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.registration import Registration
@@ -202,8 +202,8 @@ def residual_rotation(
     if not len(answer.p_pair):
         return None
     at = answer.second.features[:: -(-len(answer.second) // tuning.most_pairs)]
-    x, y, z = unit_vectors(*at.T).mean(axis=0)
-    centre = (float(np.degrees(np.arctan2(y, x)) % 360.0), float(np.degrees(np.arctan2(z, np.hypot(x, y)))))
+    lon, lat = directions_deg(mean_direction(unit_vectors(*at.T)))
+    centre = float(lon), float(lat)
     rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale, tuning)
     sigmas = float(np.sqrt(mahalanobis_sq(rotation.vector, rotation.covariance)))
     return (rotation, share) if share > tuning.significant_share and sigmas > tuning.significant_sigmas else None
@@ -370,8 +370,7 @@ def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTu
     if before is not None:
         residual = residual + before.displacement(position)
     vectors = unit_vectors(*position.T)
-    centre = vectors.mean(axis=0)
-    centre /= np.linalg.norm(centre)
+    centre = mean_direction(vectors)
     if float((vectors @ centre).min()) < math.cos(math.radians(tuning.widest_deg)):
         return None
     place = to_plane(vectors, centre) * ARCSEC_PER_RADIAN

@@ -30,6 +30,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import symmetric
 from sameas.many.observations import Part
+from sameas.representation import counted
 from sameas.tracks.tuning import Tuning
 
 
@@ -94,7 +95,7 @@ class States:
             raise InputError(f"{source}: times {t.shape}, positions {x.shape}; give (n,) and (n, 2)")
         if not np.isfinite(t).all():
             lost = np.flatnonzero(~np.isfinite(t))
-            reports = "1 report has" if len(lost) == 1 else f"{len(lost)} reports have"
+            reports = counted(len(lost), "report has", "reports have")
             raise InputError(f"{source}: {reports} no time (first: row {lost[0]}); give seconds")
         if not speed_m_per_s > 0.0:
             raise InputError(f"{source}: motion.speed_m_per_s is {speed_m_per_s}; give how fast objects may be, 1σ")

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.representation import counted
 from sameas.tracks.alignment import States
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
@@ -91,8 +92,7 @@ def _notes(name: str, objects: int, strays: int) -> list[str]:
     if objects > 1:
         notes.append(f"{name} is reported at {objects} places too far apart for one object: split into one track each")
     if strays and objects:
-        reports = "1 report" if strays == 1 else f"{strays} reports"
-        notes.append(f"{reports} of {name} set aside: no object moves that fast")
+        notes.append(f"{counted(strays, 'report')} of {name} set aside: no object moves that fast")
     return notes
 
 

@@ -17,7 +17,7 @@ from sameas.errors import InputError, naming
 from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 from sameas.tracks.alignment import States, Succession, with_minutes
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
@@ -120,10 +120,8 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
         return reports, ()
     state = reports.state.copy()
     state[again] = np.nan
-    repeated_positions = (
-        "1 report repeats the position" if len(again) == 1 else f"{len(again)} reports repeat the positions"
-    )
-    note = f"{repeated_positions} of an earlier report though the object moves; set aside: no position was measured"
+    repeat = counted(len(again), "report repeats the position", "reports repeat the positions")
+    note = f"{repeat} of an earlier report though the object moves; set aside: no position was measured"
     return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.representation import in_short
+from sameas.representation import counted, in_short
 
 TextArray = NDArray[np.object_]
 #: Seconds from 1970 to the end of the year 9999: later than that, and as long before, is no time.
@@ -62,8 +62,8 @@ class Damaged:
         for reason, count in self.counts().items():
             where = self.lines[self.reasons == reason]
             numbers = ", ".join(str(n) for n in where[:5]) + (", …" if count > 5 else "")
-            unit = self.unit if count == 1 else f"{self.unit}s"
-            sentences.append(f"{count} {unit} damaged: {reason} ({unit} {numbers})")
+            damaged = counted(count, self.unit)
+            sentences.append(f"{damaged} damaged: {reason} ({damaged.rpartition(' ')[2]} {numbers})")
         return sentences
 
 

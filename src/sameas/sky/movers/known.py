@@ -21,7 +21,7 @@ from sameas.prior import PerPair
 from sameas.records import Records
 from sameas.sky.movers.orbits import AU_KM, Elements, ephemeris, geocentric_km, near, states
 from sameas.sky.movers.search import Movers
-from sameas.space import ARCSEC_PER_RADIAN
+from sameas.space import ARCSEC_PER_RADIAN, mean_direction
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -163,8 +163,7 @@ def _of_field(
     k, seen = len(found), found.detections
     owner, p, magnitude = np.full(k, -1), np.zeros(k), np.full(k, np.nan)
     offset = np.full((len(seen), 2), np.nan)
-    unit = unit_of.mean(axis=0)
-    unit /= np.linalg.norm(unit)
+    unit = mean_direction(unit_of)
     radius = float(np.degrees(np.arccos(np.clip(unit_of @ unit, -1, 1)).max()))
     ra0, dec0 = math.degrees(math.atan2(unit[1], unit[0])) % 360.0, math.degrees(math.asin(unit[2]))
     there_rows = near(every, middle, ra0, dec0, radius + 0.1)
