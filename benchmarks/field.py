@@ -21,9 +21,16 @@ from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
 from sameas.simulate.exposures import Exposure, Sky, exposure
-from sameas.simulate.formal import couples_field, formal_field, growing_field
 from sameas.simulate.scenes import SimulatedScene
-from sameas.simulate.surveys import BlendedField, Counterparts, blended_field, counterparts
+from sameas.simulate.surveys import (
+    BlendedField,
+    Counterparts,
+    blended_field,
+    counterparts,
+    couples_field,
+    formal_field,
+    growing_field,
+)
 from sameas.sky.crossmatch import nearest
 from sameas.space import displaced
 

@@ -28,12 +28,12 @@ from sameas.simulate.boat_radar import BoatRadarScene, boat_radar
 from sameas.simulate.sensors import Bias, SensorOutput
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH
-from sameas.tracks.common_scans import ComparedSource, common_scans
 from sameas.tracks.faults import source_faults
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_offsets import Plots, candidates, fit_plots
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
+from sameas.tracks.snapshot import ComparedSource, common_scans
 from sameas.tracks.source import Description
 
 #: Of the peers: plots within it are a vessel's.

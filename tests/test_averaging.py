@@ -7,9 +7,8 @@ from scipy.special import logsumexp
 import naive
 from problems import shuffled
 from sameas import InputError, Records, Sphere
-from sameas.estimate.averaging import Average
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_grid import DEFAULT_GRID, ErrorAverage, GridTuning, scanned
+from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorAverage, GridTuning, scanned
 from sameas.estimate.match import match
 from sameas.evidence import Errors
 from sameas.gate import Radius

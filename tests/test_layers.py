@@ -46,8 +46,8 @@ FLOOR = {room: floor for floor, line in enumerate(FLOORS.strip().splitlines()) f
 #: Rooms that know no sky, no ships and no command line.
 CORE = [room for room in FLOOR if FLOOR[room] <= FLOOR["score"]]
 #: The way of many sources: its own stages, each from earlier ones only.
-MANY = ["observations", "joint", "pooled", "terms", "rules", "sets", "partition", "marginals", "explanation",
-        "objects", "identify", "sequential"]  # fmt: skip
+MANY = ["observations", "joint", "pooled", "rules", "sets", "marginals", "explanation",
+        "objects", "identify"]  # fmt: skip
 
 
 def room_of(path):

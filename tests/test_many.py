@@ -18,10 +18,9 @@ import naive
 from sameas import CloseObjects, CommonObjects, Field, PerPair, Plane, PoissonField, Records, Sphere, identify
 from sameas.errors import InputError
 from sameas.gate import Radius
-from sameas.many.identify import identify_many
+from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.observations import Bearing, LinearPart, Observations, Region
 from sameas.many.rules import MissedObjects, PoissonObjects
-from sameas.many.sequential import identify_sequentially
 from sameas.many.sets import ManyTuning
 
 WIDE = Radius(1e4)

@@ -25,13 +25,11 @@ from sameas import (
 )
 from sameas.evidence import Displacement, Evidence, Flat, Identity, Rule
 from sameas.gate import Radius
-from sameas.many.identify import identify_many
+from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.observations import Bearing, Observations, records_of
 from sameas.many.pooled import pooled
-from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, parts_of, terms_of
-from sameas.many.sequential import identify_sequentially
+from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, best_reference, parts_of, terms_of
 from sameas.many.sets import ManyTuning, candidate_sets
-from sameas.many.terms import best_reference
 from test_many import WIDE, field_scene, oracle, probabilities, same_as_identify, sets_of, small_scene
 
 

@@ -8,8 +8,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from sameas.kernels import partitions
 from sameas.many.identify import identify_many
-from sameas.many.marginals import EXACT, MOST_RECORDS, best_sets, packed_groups
-from sameas.many.partition import best_partition, incidence_of
+from sameas.many.marginals import EXACT, MOST_RECORDS, best_partition, best_sets, incidence_of, packed_groups
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import TUNING, Sets
 from sameas.records import Records

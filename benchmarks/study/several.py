@@ -18,10 +18,9 @@ from benchmarks.study.scenes import Formation, Scenes
 from benchmarks.study.tally import Ratio, distances
 from benchmarks.study.trial import generator
 from sameas.arrays import FloatArray, IntArray
-from sameas.many.identify import identify_many
+from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.objects import Objects
 from sameas.many.rules import PoissonObjects
-from sameas.many.sequential import identify_sequentially
 from sameas.records import Records
 
 #: Scenes that are identified in one call; orders of the sources that are tried where there are many.

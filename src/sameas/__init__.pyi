@@ -39,6 +39,7 @@ from .gate import Radius as Radius
 from .io import read_table as read_table
 from .io import write_table as write_table
 from .many.identify import identify_many as identify_many
+from .many.identify import identify_sequentially as identify_sequentially
 from .many.objects import Objects as Objects
 from .many.observations import Bearing as Bearing
 from .many.observations import LinearPart as LinearPart
@@ -46,7 +47,6 @@ from .many.observations import Observations as Observations
 from .many.observations import Region as Region
 from .many.rules import MissedObjects as MissedObjects
 from .many.rules import PoissonObjects as PoissonObjects
-from .many.sequential import identify_sequentially as identify_sequentially
 from .prior import CommonObjects as CommonObjects
 from .prior import PerPair as PerPair
 from .records import Records as Records

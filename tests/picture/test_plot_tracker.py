@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.many.identify import identify_many
+from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.joint import joint_density
 from sameas.many.observations import Region, records_of
 from sameas.many.rules import PoissonObjects
-from sameas.many.sequential import identify_sequentially
 from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.plot_tracker import PlotTracker
 from sameas.records import Records

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.sky.frame.calibration import MasterFrames
-from sameas.sky.frame.image import Frame
+from sameas.sky.frame.image import Frame, MasterFrames
 from sameas.sky.frame.keywords import Facts
 from sameas.sky.frame.measurements import Flag
 

@@ -9,9 +9,8 @@ from scipy.spatial import cKDTree
 from sameas.errors import InputError
 from sameas.simulate.frames import Camera, Gaussian, Moffat, Trail, frame_of
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
-from sameas.sky.frame.image import Frame, read
+from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.measurements import Detection, Flag
 
 pytest.importorskip("photutils")

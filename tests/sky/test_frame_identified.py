@@ -13,11 +13,10 @@ from astropy.table import Table
 
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, searched, solve
-from sameas.sky.frame.image import read
+from sameas.sky.frame.image import MasterFrames, read
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import ERROR_NAMES, listing, summary
 from sameas.sky.frame.photometry import Completeness, ZeroPoint

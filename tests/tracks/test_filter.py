@@ -5,8 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from sameas.errors import InputError
-from sameas.tracks.alignment import States, moved
-from sameas.tracks.filter import follow
+from sameas.tracks.alignment import States, follow, moved
 
 Q = 0.2
 

@@ -24,8 +24,8 @@ from sameas.tracks import (
     Timing,
 )
 from sameas.tracks.bias_fit import Pool
-from sameas.tracks.common_scans import ComparedSource, common_scans
 from sameas.tracks.placement import Directions
+from sameas.tracks.snapshot import ComparedSource, common_scans
 
 NAMES = ("range_m", "azimuth_deg", "time_s")
 

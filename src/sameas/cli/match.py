@@ -29,7 +29,7 @@ from sameas.cli.options import (
 )
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
-from sameas.sky.output_columns import JOINS
+from sameas.sky.conventions import JOINS
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
@@ -351,8 +351,8 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.cli.terminal import Pace, Printer
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
-    from sameas.sky.assumed import completed
     from sameas.sky.crossmatch import brought_together, density_doubts
+    from sameas.sky.doubts import completed
 
     printer = Printer(quiet)
     with Pace(quiet) as pace:

@@ -26,12 +26,11 @@ from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
 from sameas.estimate import em as going
-from sameas.estimate.averaging import Average
-from sameas.estimate.averaging import identified as averaged
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates
-from sameas.estimate.error_grid import DEFAULT_GRID, ErrorScan, GridTuning, LeftOpen, scanned
+from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorScan, GridTuning, LeftOpen, scanned
+from sameas.estimate.error_grid import identified as averaged
 from sameas.estimate.error_model import ErrorModel, Tail, bettered, error_model, over_quoted, spread, tail
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
 from sameas.estimate.photometry import Photometry

@@ -27,11 +27,10 @@ from sameas.io.catalogues import BRIGHT, GAIA, catalogue
 from sameas.io.format import json_text
 from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.frame.calibration import MasterFrames
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone
 from sameas.sky.frame.identified import FrameIdentification, Refinement, searched, solve
-from sameas.sky.frame.image import Frame, read
+from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Detection, Measurements
 from sameas.sky.frame.outputs import listing, summary

@@ -20,8 +20,8 @@ from sameas.many.joint import NO_RECORD
 from sameas.many.marginals import Answer
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
+from sameas.many.rules import Terms, pairs_of
 from sameas.many.sets import Sets
-from sameas.many.terms import Terms, pairs_of
 from sameas.representation import in_short
 from sameas.result.explanation import probability_text
 

@@ -21,8 +21,8 @@ from sameas.many.joint import NO_RECORD, Joint
 from sameas.many.marginals import Answer
 from sameas.many.observations import Source, records_of
 from sameas.many.pooled import PooledRecords
+from sameas.many.rules import Terms
 from sameas.many.sets import Sets
-from sameas.many.terms import Terms
 from sameas.representation import in_short
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.many.joint import NO_RECORD
 from sameas.many.pooled import PooledRecords
-from sameas.many.terms import Terms
+from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 
@@ -113,7 +113,7 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUN
 @in_short
 @dataclass(frozen=True)
 class _SetsOfSize:
-    """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` as of :func:`sameas.many.terms.pairs_of`, ln
+    """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` as of :func:`sameas.many.rules.pairs_of`, ln
     w, and the part ``between`` of it by the rules of pairs."""
 
     records: IntArray

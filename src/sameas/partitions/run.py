@@ -58,10 +58,10 @@ from sameas.partitions.part import (
 )
 from sameas.representation import in_short
 from sameas.saved import dumps, loads
-from sameas.sky.assumed import completed
 from sameas.sky.bands import columns_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, common_epoch
+from sameas.sky.doubts import completed
 from sameas.sky.joins import joined_names
 
 Progress = Callable[[str], None]

@@ -5,9 +5,8 @@ shifted, turned, stretched or biased against the other, with the :class:`~sameas
 may have: ``Shift``, ``Similarity``, ``Affine`` or ``SensorBias``.
 """
 
-from sameas.registration.joint import Parameter, Registration, register
 from sameas.registration.offsets import Affine, Offset, SensorBias, Shift, Similarity
-from sameas.registration.solution import Solution
+from sameas.registration.solution import Parameter, Registration, Solution, register
 from sameas.registration.tuning import Tuning
 
 __all__ = [

@@ -5,9 +5,6 @@ from .exposures import Sky as Sky
 from .exposures import exposure as exposure
 from .exposures import misquoted as misquoted
 from .exposures import with_outliers as with_outliers
-from .formal import couples_field as couples_field
-from .formal import formal_field as formal_field
-from .formal import growing_field as growing_field
 from .frames import Camera as Camera
 from .frames import Gaussian as Gaussian
 from .frames import Lens as Lens
@@ -34,3 +31,6 @@ from .surveys import BlendedField as BlendedField
 from .surveys import Counterparts as Counterparts
 from .surveys import blended_field as blended_field
 from .surveys import counterparts as counterparts
+from .surveys import couples_field as couples_field
+from .surveys import formal_field as formal_field
+from .surveys import growing_field as growing_field

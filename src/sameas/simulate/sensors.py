@@ -25,10 +25,9 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
-from sameas.tracks.alignment import States
+from sameas.tracks.alignment import States, follow
 from sameas.tracks.coordinates import LocalPlane, geodesy, turned
 from sameas.tracks.feed import walk_of
-from sameas.tracks.filter import follow
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports

@@ -26,10 +26,9 @@ from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky.assumed import completed
 from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.doubts import apart_doubts, epoch_doubt
+from sameas.sky.doubts import apart_doubts, completed, epoch_doubt
 from sameas.sky.systematics import WARP_TUNING, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 

@@ -30,7 +30,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.output_columns import JOINS, meta_of
+from sameas.sky.conventions import JOINS, meta_of
 from sameas.space import Sphere
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def joined(
 
     Parameters
     ----------
-    join : one of :data:`~sameas.sky.output_columns.JOINS`.
+    join : one of :data:`~sameas.sky.conventions.JOINS`.
     nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
     rows : some of :func:`joined_rows`; None: all.
 

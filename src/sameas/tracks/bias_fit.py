@@ -23,7 +23,7 @@ from sameas.registration.hough import Votes, vote
 from sameas.registration.solution import displacement_sigmas, refine
 from sameas.registration.weights import Weighed, weigh
 from sameas.tracks.biases import RelativeBias
-from sameas.tracks.common_scans import CommonScan
+from sameas.tracks.snapshot import CommonScan
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -33,7 +33,7 @@ class BiasFit:
 
     Attributes
     ----------
-    biases : (p,) which they are: see :class:`~sameas.tracks.common_scans.CommonScan`. theta : (p,) their values.
+    biases : (p,) which they are: see :class:`~sameas.tracks.snapshot.CommonScan`. theta : (p,) their values.
     covariance : (p, p) of theta, by data and prior.
     relative : (p, p) the same without what displaces all sources alike: for comparing them with each other.
     pairs : expected number of pairs, over all instants. tracks : of how many objects they are.

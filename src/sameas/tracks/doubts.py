@@ -22,12 +22,12 @@ from sameas.registration.weights import weigh
 from sameas.tracks.alignment import States
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import TIME
-from sameas.tracks.common_scans import ComparedSource, bias_widths, common_scans
 from sameas.tracks.coordinates import EARTH_M, FARTHEST_M, LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
 from sameas.tracks.registration import unbiased
 from sameas.tracks.reports import Reports
+from sameas.tracks.snapshot import ComparedSource, bias_widths, common_scans
 from sameas.tracks.source import Description, Site
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 

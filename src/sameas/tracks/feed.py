@@ -18,11 +18,10 @@ from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.representation import counted, in_short
-from sameas.tracks.alignment import States, Succession, with_minutes
+from sameas.tracks.alignment import States, Succession, follow, measures_anew, with_minutes
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import split_duplicate_ids
-from sameas.tracks.filter import follow, measures_anew
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
@@ -353,8 +352,9 @@ def need_filtering(placed: PlacedReports) -> bool:
     """Whether reports are single measurements under ids of their objects, which only a filter makes tracks.
 
     Reports without velocities are, and the plots of ASTERIX 048 with or without velocities. Other reports with
-    velocities are where they scatter as single measurements do (:func:`sameas.tracks.filter.measures_anew`). Targets of
-    an ARPA and tracks of another system are smoothed already; satellite positions with velocities need no filter.
+    velocities are where they scatter as single measurements do (:func:`sameas.tracks.alignment.measures_anew`).
+    Targets of an ARPA and tracks of another system are smoothed already; satellite positions with velocities
+    need no filter.
     """
     description, reports = placed.description, placed.reports
     smoothed = reports.kind == "arpa" or description.kind == "tracks"

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
 from sameas.kernels.order import merge_rows
-from sameas.tracks.alignment import States, Succession
+from sameas.tracks.alignment import States, Succession, follow, measures_anew
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import Branches
@@ -40,7 +40,6 @@ from sameas.tracks.feed import (
     stationary,
     walk_of,
 )
-from sameas.tracks.filter import follow, measures_anew
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports

@@ -37,8 +37,8 @@ from sameas.registration.offsets import RADIAN
 from sameas.tracks.alignment import States, Succession, moved
 from sameas.tracks.bias_fit import BiasFit
 from sameas.tracks.biases import AZIMUTH, EAST, GAIN, NORTH, RANGE, TIME
-from sameas.tracks.common_scans import bias_widths
 from sameas.tracks.feed import Feed
+from sameas.tracks.snapshot import bias_widths
 from sameas.tracks.tuning import Tuning
 
 #: The biases of a radar's plots, in the order of BIASES.

@@ -18,10 +18,10 @@ from sameas.registration import Parameter
 from sameas.representation import in_short
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME, corrected
-from sameas.tracks.common_scans import CommonScan, ComparedSource, bias_widths, common_scans
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
+from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
 
 _UNITS = ("m", "deg", "", "s", "m", "m")
 _TEXTS = {

@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.centroid import Centroids, Own, adaptive, centroids, cut
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA, PSF, Centroids, Own, adaptive, centroids, cut
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Detection, DetectionTuning, Flag, Measurements
-from sameas.sky.frame.psf import FWHM_PER_SIGMA, PSF
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
@@ -32,7 +31,7 @@ def marked(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuni
 
     A defect is found by its sharpness: no star exceeds its neighbours more than one that is centred on a pixel. Single
     pixels are HOT, several that touch are COSMIC; one frame cannot tell a short hit of a particle from a hot pixel,
-    darks can (:mod:`sameas.sky.frame.calibration`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because
+    darks can (:mod:`sameas.sky.frame.image`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because
     its sharpness is not compared with the frame's own stars: it flags the cores of stars 1.5 px wide.
     """
     lines = _lines(frame, background, tuning)

@@ -13,10 +13,10 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.records import unpack
 from sameas.representation import in_short
-from sameas.sky.assumed import TUNING
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.column_values import numbers
+from sameas.sky.doubts import COMMON_ERROR
 from sameas.space import sphere_offset, unit_vectors
 
 # Stars: the catalogue's directions and magnitudes that a frame is placed by.
@@ -137,7 +137,7 @@ class StarField:
             used = _near(catalogue, near, epoch_jyr)
             catalogue = _only(catalogue, used)
         if catalogue.error_is_unknown:
-            usual = PositionError("number", sigma_arcsec=TUNING.usual_arcsec, reason="assumed")
+            usual = PositionError("number", sigma_arcsec=COMMON_ERROR.usual_arcsec, reason="assumed")
             catalogue = catalogue.with_error(usual)
         records = catalogue.records(epoch_jyr if known and motion and len(catalogue) else None)
         if not len(records) and near is None:

@@ -27,15 +27,15 @@ from sameas.many.joint import NO_RECORD, Joint, Observers
 from sameas.many.marginals import Answer, answer
 from sameas.many.objects import Objects
 from sameas.many.pooled import PooledRecords, pooled
+from sameas.many.rules import Linear, Terms
 from sameas.many.sets import Sets, candidate_sets
-from sameas.many.terms import Linear, Terms
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.sky.assumed import completed
 from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import MatchOptions, SkyMatch, brought_together, by_place
 from sameas.sky.crossmatch import match as match_two
+from sameas.sky.doubts import completed
 from sameas.sky.many.population import (
     TUNING,
     AstrometricRecords,

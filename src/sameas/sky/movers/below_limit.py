@@ -33,9 +33,9 @@ from sameas.kernels import threads
 from sameas.kernels.stacking import best_motion
 from sameas.representation import in_short
 from sameas.sky.frame.background import Background
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
-from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.detections import Detections
 from sameas.sky.movers.rates import EclipticAxes, reference_rate, sun_longitude_deg
 from sameas.sky.movers.search import ADDED, Movers

@@ -23,8 +23,8 @@ from scipy.spatial import cKDTree
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.representation import in_short
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.search import Movers
 from sameas.sky.series import Series
 

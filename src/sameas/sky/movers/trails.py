@@ -21,9 +21,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from sameas.arrays import BoolArray, FloatArray
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
-from sameas.sky.frame.psf import FWHM_PER_SIGMA
 from sameas.sky.movers.stack import ChipMap
 from sameas.sky.series import Series, Trails
 
