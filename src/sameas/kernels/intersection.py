@@ -13,6 +13,8 @@ from sameas.kernels.compiled import part, small_by
 #: Sweeps over the elements of a matrix, at most, until its eigenvalues have converged, and the share of its square that
 #: may be left beside them.
 SWEEPS, BESIDE = 30, 1e-30
+#: A slope that is greater is not below 0 by rounding.
+CERTAIN = 1e-6
 
 
 def _work(information: FloatArray, *_: Any) -> float:
@@ -76,8 +78,11 @@ def weigh(ours: FloatArray, steps: int, optimal: float, halvings: int, w: FloatA
                 for c in range(b + 1):
                     value += half[a, c] * root[b, c]
                 change[a, b] = change[b, a] = value
-        _to_eigenvalues(change)
-        step = _best_exchange(change, w[off], halvings)
+        # Most often one estimate takes all the weight of another, which is seen without the eigenvalues.
+        step = w[off]
+        if not _slope_at(change, step, total, root) > CERTAIN:
+            _to_eigenvalues(change)
+            step = _best_exchange(change, w[off], halvings)
         w[to] += step
         w[off] -= step
         every = 0.0
@@ -133,6 +138,23 @@ def _to_eigenvalues(matrix: FloatArray) -> None:
                 for c in range(d):
                     one, other = matrix[b, c], matrix[a, c]
                     matrix[b, c], matrix[a, c] = cosine * one - sine * other, sine * one + cosine * other
+
+
+@part
+def _slope_at(change: FloatArray, most: float, whole: FloatArray, root: FloatArray) -> float:
+    """The slope of ln|1 + δ D| at δ = ``most``, tr(D (1 + δ D)⁻¹), of the matrix D ``change``; whole, root : scratch."""
+    for a in range(len(change)):
+        for b in range(a + 1):
+            whole[a, b] = most * change[a, b] + (1.0 if a == b else 0.0)
+    inverse_root(whole, root)
+    slope = 0.0
+    for c in range(len(change)):
+        for a in range(c + 1):
+            value = 0.0
+            for b in range(c + 1):
+                value += root[c, b] * change[b, a]
+            slope += value * root[c, a]
+    return slope
 
 
 @part

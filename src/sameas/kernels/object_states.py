@@ -42,7 +42,7 @@ def sum_of_records(
         for record in members[k]:
             if record < 0 or not placed[record]:
                 continue
-            _information(covariance[record], moving[record], root, ours[count])
+            _information(covariance[record], moving[record], total, root, ours[count])
             own[count], weights[count] = record, 1.0
             if smoothed[record]:
                 alike[joined] = ours[count]
@@ -80,10 +80,11 @@ def sum_of_records(
 
 
 @part
-def _information(covariance: FloatArray, moving: bool, root: FloatArray, out: FloatArray) -> None:
-    """Writes the information (4, 4) of a record; 0 on a velocity that is not reported."""
+def _information(covariance: FloatArray, moving: bool, copy: FloatArray, root: FloatArray, out: FloatArray) -> None:
+    """Writes the information (4, 4) of a record; 0 on a velocity that is not reported. copy, root : scratch."""
     if moving:
-        _inverse(covariance.copy(), root, out)
+        copy[:] = covariance
+        _inverse(copy, root, out)
         return
     out[:] = 0.0
     a, b, c = covariance[0, 0], 0.5 * (covariance[0, 1] + covariance[1, 0]), covariance[1, 1]

@@ -39,7 +39,6 @@ def pairs_stepped(
     ln N(δ; 0, P_a + P_b) and its χ².
     """
     one, other, h, gain = np.empty(CONVOY), np.empty(CONVOY), np.empty((2, 6)), np.empty((2, 2))
-    of_first, of_second = np.array([0, 1, 2, 3]), np.array([0, 1, 4, 5, 6, 7])
     mean_one, covariance_one = np.empty(ONE), np.empty((ONE, ONE))
     mean_two, covariance_two = np.empty(CONVOY), np.empty((CONVOY, CONVOY))
     for k in range(len(rows)):
@@ -58,8 +57,8 @@ def pairs_stepped(
                 for w in range(4):
                     h[v, w] = slope[a, v, w]
             east, north = shift[a, 0], shift[a, 1]
-            log_one = _update(mean_one, covariance_one, of_first, h, noise[a], least_m2, east, north, one, other)
-            log_two = _update(mean_two, covariance_two, of_first, h, noise[a], least_m2, east, north, one, other)
+            log_one = _update(mean_one, covariance_one, 2, 4, h, noise[a], least_m2, east, north, one, other)
+            log_two = _update(mean_two, covariance_two, 2, 4, h, noise[a], least_m2, east, north, one, other)
             for v in range(2):
                 mean_one[v] += shift[a, v]
                 mean_two[v] += shift[a, v]
@@ -71,8 +70,8 @@ def pairs_stepped(
                     h[v, w], h[v, 2 + w], h[v, 4 + w] = slope[b, v, w], slope[b, v, 2 + w], slope[b, v, w]
             east = shift[b, 0] + h[0, 0] * x + h[0, 1] * y
             north = shift[b, 1] + h[1, 0] * x + h[1, 1] * y
-            log_one += _update(mean_one, covariance_one, of_second[:4], h, noise[b], least_m2, east, north, one, other)
-            log_two += _update(mean_two, covariance_two, of_second, h, noise[b], least_m2, east, north, one, other)
+            log_one += _update(mean_one, covariance_one, 4, ONE, h, noise[b], least_m2, east, north, one, other)
+            log_two += _update(mean_two, covariance_two, 4, CONVOY, h, noise[b], least_m2, east, north, one, other)
             x, y = x - shift[b, 0], y - shift[b, 1]
         _packed(mean_one, covariance_one, MEAN[0], COVARIANCE[0], new_errors[k])
         _packed(mean_two, covariance_two, MEAN[1], COVARIANCE[1], new_errors[k])
@@ -132,20 +131,26 @@ def _grow(drift: FloatArray, gain: FloatArray, x: float, y: float, mean: FloatAr
 
 @part
 def _update(
-    mean: FloatArray, covariance: FloatArray, seen: IntArray, slope: FloatArray, noise: FloatArray, least: float,
+    mean: FloatArray, covariance: FloatArray, begin: int, end: int, slope: FloatArray, noise: FloatArray, least: float,
     east: float, north: float, one: FloatArray, other: FloatArray,
 ) -> float:  # fmt: skip
-    """Updates a state in place by ν = H x + n, ν = (east, north), and gives ln p(ν); H is ``slope`` (2, …) on the
-    components ``seen`` and 0 on others. one, other : room for the columns of P Hᵀ."""
-    d = len(mean)
-    for v in range(d):
-        one[v] = other[v] = 0.0
-        for at in range(len(seen)):
-            one[v] += covariance[v, seen[at]] * slope[0, at]
-            other[v] += covariance[v, seen[at]] * slope[1, at]
+    """Updates a state in place by ν = H x + n, ν = (east, north), and gives ln p(ν); H is ``slope`` (2, …) on its first
+    two components and on ``begin`` … ``end`` − 1, and 0 on others. one, other : room for the columns of P Hᵀ.
+
+    The rows and columns of the lower triangle are walked with plain counters, which the compiler unrolls; a list of the
+    components that are seen would take a third more.
+    """
+    d, skipped = len(mean), begin - 2
     a, b, c = noise[0, 0] + least, 0.5 * (noise[0, 1] + noise[1, 0]), noise[1, 1] + least
-    for at in range(len(seen)):
-        v = seen[at]
+    for v in range(d):
+        east_v = covariance[v, 0] * slope[0, 0] + covariance[v, 1] * slope[0, 1]
+        north_v = covariance[v, 0] * slope[1, 0] + covariance[v, 1] * slope[1, 1]
+        for w in range(begin, end):
+            east_v += covariance[v, w] * slope[0, w - skipped]
+            north_v += covariance[v, w] * slope[1, w - skipped]
+        one[v], other[v] = east_v, north_v
+    for at in range(2 + end - begin):
+        v = at if at < 2 else at + skipped
         a += slope[0, at] * one[v]
         b += 0.5 * (slope[0, at] * other[v] + slope[1, at] * one[v])
         c += slope[1, at] * other[v]
@@ -158,8 +163,8 @@ def _update(
         gain_1 = (c * one[v] - b * other[v]) / determinant
         gain_2 = (a * other[v] - b * one[v]) / determinant
         for w in range(v + 1):
-            covariance[v, w] -= gain_1 * one[w] + gain_2 * other[w]
-            covariance[w, v] = covariance[v, w]
+            value = covariance[v, w] - (gain_1 * one[w] + gain_2 * other[w])
+            covariance[v, w] = covariance[w, v] = value
     return -0.5 * (east * x + north * y + math.log(determinant)) - math.log(2.0 * math.pi)
 
 
