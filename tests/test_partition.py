@@ -73,6 +73,30 @@ def test_sets_that_duals_prove_improbable_change_no_probability(seed):
         assert short[2][0] < EXACT and (short[1] == whole[1]).all()
 
 
+def test_groups_of_three_records_are_summed_partition_by_partition_as_any_other():
+    rng = np.random.default_rng(5)
+    every = np.array([[0, -1, -1], [-1, 1, -1], [-1, -1, 2], [0, 1, -1], [0, -1, 2], [-1, 1, 2], [0, 1, 2]])
+    members, group = [], []
+    for which in range(2**4):
+        several = np.array([True] * 3 + [bool(which >> k & 1) for k in range(4)])
+        members.append(np.where(every[several] >= 0, every[several] + 3 * which, -1))
+        group += [which] * int(several.sum())
+    members, group = np.concatenate(members), np.array(group)
+    size = (members >= 0).sum(axis=1)
+    start = np.searchsorted(group, np.arange(17))
+    for spread in (1.0, 10.0, 400.0):
+        weight = np.where(size > 1, spread * rng.standard_normal(len(size)), 0.0)
+        sets = Sets(members, size, weight, group, start, np.full(16, -np.inf))
+        few, general = (packed_groups(sets, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
+        np.testing.assert_allclose(few[0], general[0], rtol=1e-12, atol=1e-14)
+        assert (few[1] == general[1]).all() and (few[2] >= EXACT).all()
+    # Which of two equally good partitions is chosen does not depend on the way.
+    equal = Sets(members, size, np.zeros(len(size)), group, start, np.full(16, -np.inf))
+    few, general = (packed_groups(equal, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
+    np.testing.assert_allclose(few[0], general[0], rtol=1e-12)
+    assert (few[1] == general[1]).all()
+
+
 def test_the_best_of_possible_sets_is_found_whether_blocks_can_be_summed_or_not():
     for seed in range(3):
         sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)

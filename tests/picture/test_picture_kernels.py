@@ -11,10 +11,10 @@ from sameas.kernels.components import label_components
 from sameas.kernels.intersection import weights_of_least_determinant
 from sameas.kernels.object_states import sum_of_records
 from sameas.kernels.order import merge_rows
-from sameas.kernels.track_steps import errors_forgotten, tracks_moved, ways_of_tracks
+from sameas.kernels.track_steps import errors_forgotten, states_moved, tracks_moved, ways_of_tracks
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_correlation import growth
-from sameas.tracks.alignment import moved, process_noise, stamped_late, transition
+from sameas.tracks.alignment import moved, process_noise, transition
 
 WAYS = ("interpreted", "compiled")
 
@@ -39,6 +39,19 @@ def test_states_go_on_as_their_transition_says(rng):
 
 
 @pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("late_s", [0.0, 0.7])
+def test_states_are_moved_by_a_kernel_as_by_arrays_to_the_last_bit(rng, way, late_s, monkeypatch):
+    state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
+    covariance[:, 0, 3] += 0.1  # what is not quite symmetric is made so
+    covariance[4] = np.nan
+    monkeypatch.setattr("sameas.tracks.alignment.runs_compiled", lambda kernel: False)
+    expected = moved(state, covariance, dt, walk, late_s)
+    there, spread = np.empty((9, 4)), np.empty((9, 4, 4))
+    getattr(states_moved, way)(state, covariance, dt, walk, late_s, there, spread)
+    assert np.array_equal(there, expected[0]) and np.array_equal(spread, expected[1], equal_nan=True)
+
+
+@pytest.mark.parametrize("way", WAYS)
 def test_last_reports_are_moved_as_the_formulas_say(rng, way):
     n, was = 8, np.array([3, 0, 7, 7])
     state, covariance, walk, late = rng.standard_normal((n, 4)), spd(rng, n, 4), rng.random(n), rng.random(n)
@@ -46,7 +59,8 @@ def test_last_reports_are_moved_as_the_formulas_say(rng, way):
     place, old, drift = np.empty((4, 2)), np.empty((4, 2, 2)), np.empty((4, 2, 2))
     getattr(tracks_moved, way)(was, state, covariance, walk, late, dt, left, before, place, old, drift)
     there, spread = moved(state[was], covariance[was], dt, walk[was])
-    spread = stamped_late(spread, there, late[was])[:, :2, :2] + left
+    blurred = there[:, 2:, None] * there[:, None, 2:] + spread[:, 2:, 2:]
+    spread = spread[:, :2, :2] + late[was, None, None] ** 2 * blurred + left
     np.testing.assert_allclose(place, there[:, :2], rtol=1e-12)
     np.testing.assert_allclose(old, spread, rtol=1e-12)
     np.testing.assert_allclose(drift, growth(spread - before[was, :2, :2]), rtol=1e-9, atol=1e-12)

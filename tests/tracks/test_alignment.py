@@ -14,7 +14,6 @@ from sameas.tracks.alignment import (
     aged,
     moved,
     process_noise,
-    stamped_late,
     transition,
 )
 
@@ -66,7 +65,7 @@ def test_what_is_unknown_of_the_velocity_is_said_by_the_covariance():
 
 def test_stamps_that_are_uncertain_blur_along_the_velocity_only():
     state, covariance = np.array([[0, 0, 10.0, 0.0]]), np.zeros((1, 4, 4))
-    np.testing.assert_allclose(stamped_late(covariance, state, 2.0)[0, :2, :2], [[400.0, 0.0], [0.0, 0.0]])
+    np.testing.assert_allclose(moved(state, covariance, 0.0, 0.0, 2.0)[1][0, :2, :2], [[400.0, 0.0], [0.0, 0.0]])
 
 
 def test_the_last_report_by_its_own_time_stands_for_a_track_whatever_the_order_of_arrival():

@@ -151,6 +151,11 @@ def compile_all() -> None:
     _spent = float("inf")
 
 
+def runs_compiled(function: Any) -> bool:
+    """Whether a kernel would run compiled whatever it is given: what arrays do nearly as fast asks before it calls."""
+    return isinstance(function, Kernel) and not function.interprets
+
+
 def items(*arguments: Any) -> int:
     """Number of elements of all arrays among the arguments, and in tuples of them."""
     total = 0
@@ -270,4 +275,16 @@ def _switched_off() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("0", "")
 
 
-__all__ = ["Kernel", "beginnings", "compile_all", "inlined", "items", "kernel", "part", "say", "small", "small_by"]
+__all__ = [
+    "Kernel",
+    "beginnings",
+    "compile_all",
+    "inlined",
+    "items",
+    "kernel",
+    "part",
+    "runs_compiled",
+    "say",
+    "small",
+    "small_by",
+]

@@ -1,4 +1,5 @@
-"""Compiled loops over named tracks from one instant to the next (:mod:`sameas.picture.named`)."""
+"""Compiled loops over states and named tracks from one instant to the next (:mod:`sameas.tracks.alignment`,
+:mod:`sameas.picture.named`)."""
 
 from __future__ import annotations
 
@@ -11,9 +12,45 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.compiled import part, small_by
 
 
-def _work(was: IntArray, *_: Any) -> float:
+def _work(was: IntArray | FloatArray, *_: Any) -> float:
     # Two covariances of sixteen elements, each of which is used some times.
     return 100.0 * len(was)
+
+
+@small_by(_work)
+def states_moved(
+    state: FloatArray, covariance: FloatArray, dt: FloatArray, walk: FloatArray, late_s: float, there: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Writes states and covariances (n, 4), (n, 4, 4) after ``dt`` (n,) seconds, as
+    :func:`sameas.tracks.alignment.moved` gives them to the last bit.
+
+    walk : (n,) of their velocities. late_s : 1σ of their stamps, 0 for none.
+    """
+    crossed = np.empty((2, 2))
+    for k in range(len(state)):
+        t, p, to = dt[k], covariance[k], out[k]
+        size = abs(t)
+        for v in range(2):
+            there[k, v], there[k, 2 + v] = state[k, v] + t * state[k, 2 + v], state[k, 2 + v]
+            for w in range(2):
+                crossed[v, w] = p[v, 2 + w] + t * p[2 + v, 2 + w]
+                to[v, 2 + w] = to[2 + w, v] = crossed[v, w]
+                to[2 + v, 2 + w] = 0.5 * (p[2 + v, 2 + w] + p[2 + w, 2 + v])
+        for v in range(2):
+            for w in range(2):
+                one, other = p[v, w] + t * (p[2 + v, w] + crossed[v, w]), p[w, v] + t * (p[2 + w, v] + crossed[w, v])
+                to[v, w] = 0.5 * (one + other)
+        place, cross, speed = walk[k] * (size * size * size) / 3.0, walk[k] * t * size / 2.0, walk[k] * size
+        for v in range(2):
+            to[v, v] += place
+            to[v, 2 + v] += cross
+            to[2 + v, v] += cross
+            to[2 + v, 2 + v] += speed
+        if late_s != 0.0:
+            for v in range(2):
+                for w in range(2):
+                    to[v, w] += late_s * late_s * (there[k, 2 + v] * there[k, 2 + w] + to[2 + v, 2 + w])
 
 
 @small_by(_work)

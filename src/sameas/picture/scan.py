@@ -18,7 +18,7 @@ from sameas.many.observations import Source, records_of
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import Ragged
 from sameas.records import Records
-from sameas.tracks.alignment import States, moved, stamped_late
+from sameas.tracks.alignment import States, moved
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import POSITION, Instant
 
@@ -164,14 +164,14 @@ def _part(
     late = description.timing.latency_sigma_s or 0.0
     reported_state, reported_covariance = np.full((n, 4), np.nan), np.full((n, 4, 4), np.nan)
     state, covariance = reported_state, reported_covariance
+    walk = np.full(n, description.motion.acceleration_m2_per_s3 or 0.0)
     if isinstance(reports, States):
         reported_state, reported_covariance = reports.state[row], reports.covariance[row]
-        state, covariance = moved(reported_state, reported_covariance, instant_s - time_s, feed.walk_m2_per_s3[row])
-        covariance = stamped_late(covariance, state, late)
-    walk = feed.walk_m2_per_s3[row] if isinstance(reports, States) else description.motion.acceleration_m2_per_s3 or 0.0
+        walk = feed.walk_m2_per_s3[row]
+        state, covariance = moved(reported_state, reported_covariance, instant_s - time_s, walk, late)
     return {
         "row": row, "table": table, "track": _names(reports.track, row), "time_s": time_s, "late_s": np.full(n, late),
-        "walk_m2_per_s3": np.full(n, walk),
+        "walk_m2_per_s3": walk,
         "speed_m_per_s": np.full(n, description.motion.speed_m_per_s or math.inf),
         "reported_state": reported_state, "reported_covariance": reported_covariance,
         "state": state, "covariance": covariance,

@@ -38,6 +38,8 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, mahalanobis_sq, symmetric
+from sameas.kernels.compiled import runs_compiled
+from sameas.kernels.track_steps import states_moved
 from sameas.many.observations import Part
 from sameas.ragged import Ragged
 from sameas.representation import counted
@@ -169,33 +171,42 @@ def process_noise(dt_s: ArrayLike, acceleration_m2_per_s3: ArrayLike) -> FloatAr
 
 
 def moved(
-    state: FloatArray, covariance: FloatArray, dt_s: ArrayLike, acceleration_m2_per_s3: ArrayLike
+    state: FloatArray,
+    covariance: FloatArray,
+    dt_s: ArrayLike,
+    acceleration_m2_per_s3: ArrayLike,
+    late_s: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """States (n, 4) and covariances (n, 4, 4) after dt (n,) seconds, before where dt is negative."""
-    dt = np.broadcast_to(np.asarray(dt_s, dtype=np.float64), (len(state),))[:, None]
-    there = np.concatenate([state[:, :2] + dt * state[:, 2:], state[:, 2:]], axis=1)
+    """States (n, 4) and covariances (n, 4, 4) after dt (n,) seconds, before where dt is negative.
+
+    late_s : 1σ of stamps that are uncertain, which adds v vᵀ σ² along the velocity.
+    """
+    n = len(state)
+    size, q = np.empty(n), np.empty(n)
+    size[:], q[:] = np.asarray(dt_s, np.float64), np.asarray(acceleration_m2_per_s3, np.float64)
+    there, out = np.empty((n, 4)), np.empty((n, 4, 4))
+    if runs_compiled(states_moved):
+        states_moved(
+            np.ascontiguousarray(state), np.ascontiguousarray(covariance), size, q, float(late_s), there, out
+        )  # fmt: skip
+        return there, out
+    dt, p = size[:, None], covariance
+    there[:, :2], there[:, 2:] = state[:, :2] + dt * state[:, 2:], state[:, 2:]
     # F P Fᵀ + Q, written out: matrices of which most elements are 0 take four times as long.
-    t, p = dt[:, :, None], covariance
+    t, size = dt[:, :, None], np.abs(size)
     crossed = p[:, :2, 2:] + t * p[:, 2:, 2:]
-    out = np.empty(p.shape)
     out[:, :2, :2] = symmetric(p[:, :2, :2] + t * (p[:, 2:, :2] + crossed))
     out[:, :2, 2:], out[:, 2:, :2] = crossed, crossed.transpose(0, 2, 1)
     out[:, 2:, 2:] = symmetric(p[:, 2:, 2:])
-    size, q = np.abs(dt[:, 0]), np.broadcast_to(np.asarray(acceleration_m2_per_s3, np.float64), (len(state),))
-    for axis, (place, cross, speed) in enumerate([(q * size**3 / 3.0, q * dt[:, 0] * size / 2.0, q * size)] * 2):
+    place, cross, speed = q * (size * size * size) / 3.0, q * dt[:, 0] * size / 2.0, q * size
+    for axis in range(2):
         out[:, axis, axis] += place
         out[:, axis, axis + 2] += cross
         out[:, axis + 2, axis] += cross
         out[:, axis + 2, axis + 2] += speed
+    if late_s:
+        out[:, :2, :2] += late_s * late_s * (there[:, 2:, None] * there[:, None, 2:] + out[:, 2:, 2:])
     return there, out
-
-
-def stamped_late(covariance: FloatArray, state: FloatArray, sigma_s: float | FloatArray) -> FloatArray:
-    """Covariances grown by stamps that are uncertain by ``sigma_s``, (n,) or one: v vᵀ σ² along the velocity."""
-    grown = covariance.copy()
-    speed_sq = state[:, 2:, None] * state[:, None, 2:] + covariance[:, 2:, 2:]
-    grown[:, :2, :2] += np.square(sigma_s).reshape(-1, 1, 1) * speed_sq
-    return grown
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from sameas.many.observations import LinearPart, Observations, Source
 from sameas.records import Records
 from sameas.registration.weights import PlacedSources as Weighing
 from sameas.space import Plane
-from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise, stamped_late
+from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias, BiasModel, RelativeBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
@@ -99,9 +99,9 @@ class Snapshot:
             return cls(feed, rows, time_s, reports.bearing_deg[rows], reports.sigma_deg[rows] ** 2, none)
         late = description.timing.latency_sigma_s or 0.0
         state, covariance = moved(
-            reports.state[rows], reports.covariance[rows], instant_s - time_s, feed.walk_m2_per_s3[rows]
+            reports.state[rows], reports.covariance[rows], instant_s - time_s, feed.walk_m2_per_s3[rows], late
         )
-        return cls(feed, rows, time_s, state, stamped_late(covariance, state, late), none)
+        return cls(feed, rows, time_s, state, covariance, none)
 
     def without_aged(self, density: float) -> Snapshot:
         """The same without the reports that are too uncertain to distinguish objects."""
