@@ -6,7 +6,9 @@ Row k owns the entries ``start[k]`` … ``start[k + 1] − 1`` of all columns th
   within it.
 - :func:`ranges`: all whole numbers of several ranges, and which range each belongs to.
 - :func:`flattened`: the same of several lists, as a k-d tree gives neighbours.
-- :func:`places_in`: where numbers stand among ascending ones.
+- :func:`places_in`: where numbers stand among ascending ones; :func:`spans_in`: where among ones that occur several
+  times.
+- :func:`ordered_by`: rows in the order of their columns.
 """
 
 from __future__ import annotations
@@ -14,9 +16,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import IntArray
 from sameas.representation import in_short
@@ -100,6 +103,46 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
     """
     rows = Ragged.of_sizes([len(each) for each in lists])
     return rows.row, np.concatenate([np.empty(0, np.int64), *(np.asarray(each, np.int64) for each in lists)])
+
+
+def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
+    """(k,) first places of numbers among ascending ones, and how often they are there.
+
+    Example
+    -------
+    >>> spans_in(np.array([3, 3, 5]), np.array([5, 3, 4]))
+    (array([2, 0, 2]), array([1, 2, 0]))
+    """
+    low, high = (int(ascending[0]), int(ascending[-1])) if len(ascending) else (0, -1)
+    if high - low < DENSE * (len(ascending) + np.size(numbers)):
+        # As in places_in: numbers without large gaps are looked up.
+        start = np.zeros(high - low + 4, np.int64)
+        np.cumsum(np.bincount(ascending - low, minlength=high - low + 1), out=start[2:-1])
+        start[-1] = len(ascending)
+        at = np.clip(numbers, low - 1, high + 1) - (low - 1)
+        first = start[at]
+        return first, start[at + 1] - first
+    first, last = (np.searchsorted(ascending, numbers, side) for side in ("left", "right"))
+    return first, last - first
+
+
+def ordered_by(columns: Sequence[NDArray[Any]] | NDArray[Any]) -> IntArray:
+    """(n,) rows in the order of their columns (n,), the first column first; equal rows stay in order.
+
+    It is ``np.lexsort`` of the columns from the last to the first, at a third of the time where no two rows are equal
+    in the first.
+
+    Example
+    -------
+    >>> ordered_by([np.array([2.0, 1.0, 2.0]), np.array([5, 6, 4])])
+    array([1, 2, 0])
+    """
+    order = np.argsort(columns[0])
+    first = columns[0][order]
+    # Sorts put what is not a number last.
+    if np.any(first[1:] == first[:-1]) or (len(first) and first[-1] != first[-1]):
+        return np.lexsort(columns[::-1])
+    return order
 
 
 def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:

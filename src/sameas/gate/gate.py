@@ -64,7 +64,7 @@ def search(first: Records, second: Records, limit: float, box: bool, tuning: Tun
     ------
     InputError : they are more than the memory holds.
     """
-    return _search(first, second, limit, box, tuning, _Allowed.of(first, second, tuning))
+    return _search(first, second, limit, box, tuning, _Allowed(first, second, tuning))
 
 
 @dataclass
@@ -73,15 +73,16 @@ class _Allowed:
 
     first: Records
     second: Records
-    most: float
+    tuning: Tuning
     count: int = 0
 
-    @classmethod
-    def of(cls, first: Records, second: Records, tuning: Tuning) -> _Allowed:
-        if len(first) * len(second) * tuning.bytes_of_pair < _SMALL:
-            return cls(first, second, math.inf)
+    @cached_property
+    def most(self) -> float:
+        """Pairs, at most; the system is asked for its memory (0.2 ms) by searches alone that may take much of it."""
+        if len(self.first) * len(self.second) * self.tuning.bytes_of_pair < _SMALL:
+            return math.inf
         left = memory_left()
-        return cls(first, second, (tuning.memory if left is None else left) / tuning.bytes_of_pair)
+        return (self.tuning.memory if left is None else left) / self.tuning.bytes_of_pair
 
     def take(self, count: int) -> None:
         """Raises InputError where these are too many, with those before."""

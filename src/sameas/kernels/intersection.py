@@ -142,7 +142,7 @@ def _to_eigenvalues(matrix: FloatArray) -> None:
 
 @part
 def _slope_at(change: FloatArray, most: float, whole: FloatArray, root: FloatArray) -> float:
-    """The slope of ln|1 + δ D| at δ = ``most``, tr(D (1 + δ D)⁻¹), of the matrix D ``change``; whole, root : scratch."""
+    """The slope of ln|1 + δ D| at δ = ``most``, tr(D (1 + δ D)⁻¹), D being ``change``; whole, root : scratch."""
     for a in range(len(change)):
         for b in range(a + 1):
             whole[a, b] = most * change[a, b] + (1.0 if a == b else 0.0)

@@ -342,13 +342,13 @@ def packed(
     mask, of, total = np.empty(FEW_SETS, np.int64), np.empty((FEW_SETS, FEW_RECORDS), np.int64), np.empty(FEW_SETS)
     for g in groups:
         a, b = start[g], start[g + 1]
-        if b - a <= FEW_SETS and small >= FEW_RECORDS:
-            if _few_summed(members[a:b], weight[a:b], local, mask, of, total, share[a:b], chosen[a:b]):
-                cut[g] = cuts[0]
-                continue
-        cut[g] = _packed_group(
-            members[a:b], weight[a:b], local, small, cuts, most_records, cap, dual, share[a:b], chosen[a:b]
-        )
+        few = b - a <= FEW_SETS and small >= FEW_RECORDS
+        if few and _few_summed(members[a:b], weight[a:b], local, mask, of, total, share[a:b], chosen[a:b]):
+            cut[g] = cuts[0]
+        else:
+            cut[g] = _packed_group(
+                members[a:b], weight[a:b], local, small, cuts, most_records, cap, dual, share[a:b], chosen[a:b]
+            )
 
 
 @part

@@ -26,7 +26,7 @@ from sameas.kernels.components import label_components
 from sameas.kernels.kalman import joint_in_plane
 from sameas.many.joint import NO_RECORD, Observers
 from sameas.many.observations import Observations, Region, Source, records_of
-from sameas.ragged import Ragged
+from sameas.ragged import Ragged, ordered_by
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane
@@ -153,7 +153,7 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
 def _in_order(source: Source) -> Source:
     """A source with its records ordered by their content, equal ones by their ids."""
     records = records_of(source)
-    order = np.lexsort(records.features.T[::-1])
+    order = ordered_by(records.features.T)
     ordered = records.features[order]
     if (ordered[1:] == ordered[:-1]).all(axis=1).any():
         ids = records.ids[records.rows]
@@ -196,7 +196,7 @@ def _pairs(
             compared.append(pairs)
             numbers.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
     i, j = (np.concatenate(column) for column in zip(*numbers, strict=True))
-    order = np.lexsort([j, i])
+    order = np.argsort(i * start[-1] + j, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     cuts = np.cumsum([0, *map(len, compared)])

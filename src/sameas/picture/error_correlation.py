@@ -192,12 +192,11 @@ class ErrorCorrelation:
         out, spread = self, inverse(total)
         usual = [self.correlation(source, elapsed_s, tuning)[:, None, None] for source in sources]
         for own, other in ((0, 1), (1, 0)):
-            log_p = np.empty((len(elapsed_s), len(CORRELATIONS)))
-            for k, correlation in enumerate(CORRELATIONS.tolist()):
-                common = correlation * reported[own] + usual[other] * reported[other]
-                slope = common @ spread
-                innovation = differences[1] - np.einsum("nvw,nw->nv", slope, differences[0])
-                log_p[:, k] = log_density(innovation, total - slope @ common.transpose(0, 2, 1) + LEAST_M2 * np.eye(2))
+            # All correlations at once, (c, n, 2, 2).
+            common = CORRELATIONS[:, None, None, None] * reported[own] + usual[other] * reported[other]
+            slope = common @ spread
+            innovation = differences[1] - np.einsum("cnvw,nw->cnv", slope, differences[0])
+            log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + LEAST_M2 * np.eye(2)).T
             out = out._with_evidence(sources[own], elapsed_s, log_p, tuning)
         return out
 

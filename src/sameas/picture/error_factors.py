@@ -37,6 +37,7 @@ from sameas.kernels.kalman import correlated_shifts
 from sameas.picture.error_correlation import CORRELATIONS, LEAST_M2, growth
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.ragged import ordered_by
 from sameas.tracks.alignment import moved
 
 #: Sources whose factors are weighed together, and steps of the mean field of blocks of them.
@@ -199,7 +200,7 @@ def evenly(place: FloatArray, most: int) -> IntArray:
     does not depend on the order in which they are given."""
     if len(place) <= most:
         return np.arange(len(place))
-    return np.sort(np.lexsort(place.T[::-1])[np.linspace(0, len(place) - 1, most).astype(np.int64)])
+    return np.sort(ordered_by(place.T)[np.linspace(0, len(place) - 1, most).astype(np.int64)])
 
 
 def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:

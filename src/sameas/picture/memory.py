@@ -112,8 +112,10 @@ class Past:
         """By how much the errors that sources state are too small."""
         return self.tracks.error_factors
 
-    def on(self, scan: Scan) -> Past:
+    def on(self, scan: Scan, track_of_record: IntArray | None = None) -> Past:
         """The past after the scan of a later instant.
+
+        track_of_record : (n,) ``tracks.numbers_on(scan)``, where it is known already.
 
         Raises
         ------
@@ -125,7 +127,7 @@ class Past:
                 "give instants in the order of time"
             )
         correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s)
-        tracks, step = replace(self.tracks, error_correlation=correlation).on(scan)
+        tracks, step = replace(self.tracks, error_correlation=correlation).on(scan, track_of_record)
         kind = {description.name: description.kind for description in scan.now.descriptions}
         known = len(self.swaps.log_probable)
         swaps = self.swaps.of_sources(
@@ -165,9 +167,12 @@ class Past:
         """The same, with tracks (any shape, −1 for none) that other sources show to be real."""
         return replace(self, existence=self.existence.with_real(track[track >= 0]))
 
-    def with_manoeuvres(self, scan: Scan, per_m2: float) -> Scan:
-        """A later instant's scan with larger covariances of the reports that a manoeuvre has made obsolete."""
-        return with_manoeuvres(scan, self.tracks, self.track_pairs, self._log_ratio(), per_m2)
+    def with_manoeuvres(self, scan: Scan, track_of_record: IntArray, per_m2: float) -> Scan:
+        """A later instant's scan with larger covariances of the reports that a manoeuvre has made obsolete.
+
+        track_of_record : (n,) ``tracks.numbers_on(scan)``.
+        """
+        return with_manoeuvres(scan, track_of_record, self.track_pairs, self._log_ratio(), per_m2)
 
     def with_pairs(self, pooled: PooledRecords) -> Past:
         """The same with the pairs that the gate let through for the first time, which have no past yet."""

@@ -129,13 +129,13 @@ class NamedTracks:
                 out[here] = list(map(known.get, scan.track[here].tolist(), repeat(-1)))
         return out
 
-    def on(self, scan: Scan) -> tuple[NamedTracks, Step]:
-        """The tracks of the next instant's scan, and the step to it.
+    def on(self, scan: Scan, track_of_record: IntArray | None = None) -> tuple[NamedTracks, Step]:
+        """The tracks of the next instant's scan, and the step to it; track_of_record : (n,) :meth:`numbers_on` of it.
 
         A track that is not in a scan keeps its number for ``id_timeout_s``, but has no past when it comes back.
         """
         correlation = self.error_correlation.of_sources(scan)
-        track_of_record = self.numbers_on(scan)
+        track_of_record = self.numbers_on(scan) if track_of_record is None else track_of_record.copy()
         place = np.flatnonzero(scan.track != "")
         number, source = track_of_record[place], correlation.numbers(scan)[scan.source[place]]
         continuing = np.flatnonzero((places_in(self.number, number) >= 0) & scan.placed[place])
@@ -244,13 +244,16 @@ class NamedTracks:
         k = np.flatnonzero(times_s[1] > 0.0)
         was, place = reports[0][k], reports[1][k]
         one, other = before.reported_covariance[was, :2, :2], scan.reported_covariance[place, :2, :2]
-        # L L′ᵀ: the covariance of the errors of the two reports if they are the same.
-        shared = np.asarray(roots[0][k] @ roots[1][k].transpose(0, 2, 1))
         source, elapsed, shift, motion = source[k], times_s[1][k], shift[k], motion[k]
+
+        def shared(which: IntArray) -> FloatArray:
+            """L L′ᵀ of some: the covariance of the errors of the two reports if they are the same."""
+            return np.asarray(roots[0][k[which]] @ roots[1][k[which]].transpose(0, 2, 1))
+
         here = scan.state[place, :2]
         some = evenly(here, MOST_REPORTS)
         correlation = correlation.updated(
-            source[some], elapsed[some], shift[some], ((one + other)[some], shared[some]), motion[some], scan.tuning
+            source[some], elapsed[some], shift[some], (one[some] + other[some], shared(some)), motion[some], scan.tuning
         )
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
         stated = 1.0 / before.error_factor[was, None, None], 1.0 / scan.error_factor[place, None, None]
@@ -262,7 +265,7 @@ class NamedTracks:
         cross, velocity = (before.reported_covariance[was, v, 2:] for v in (slice(2), slice(2, 4)))
         carried = np.where(moving, later * (cross + cross.transpose(0, 2, 1) + later * velocity), 0.0)
         factors = factors.with_shifts(
-            source[few], shift[few], (as_stated[few], (stated[0] * stated[1] * shared)[few]),
+            source[few], shift[few], (as_stated[few], (stated[0] * stated[1])[few] * shared(few)),
             (motion[few], growth(carried)), scan.tuning,
         )  # fmt: skip
         return correlation, factors

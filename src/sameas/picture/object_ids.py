@@ -26,7 +26,7 @@ from sameas.picture.continuity import CommonTracks, Continuity, Motions, NearOrN
 from sameas.picture.object_states import ObjectStates
 from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, PictureObjects
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.ragged import places_in, ranges
+from sameas.ragged import places_in, ranges, spans_in
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import aged
@@ -88,8 +88,7 @@ class TrackHistory(ColumnTable):
 
     def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
         """(m,) places in ``tracks`` (k,) and (m,) rows here of everything that these tracks have been of."""
-        low, high = (np.searchsorted(self.track, tracks, side) for side in ("left", "right"))
-        return ranges(low, high - low)
+        return ranges(*spans_in(self.track, tracks))
 
     def last_of(self, tracks: IntArray) -> IntArray:
         """(k,) the object that each track was of in its last scan, 0 for none."""

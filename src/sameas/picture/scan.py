@@ -135,6 +135,9 @@ class Scan:
     def find(self, source: int, table: IntArray) -> IntArray:
         """(k,) places in the scan of rows of a source's records."""
         start, stop = self.start[source], self.start[source + 1]
+        if stop > start and self.table[stop - 1] == stop - start - 1:
+            # Every row of the source takes part, as at nearly all instants.
+            return np.asarray(start + table)
         return np.asarray(start + np.searchsorted(self.table[start:stop], table))
 
 

@@ -33,11 +33,11 @@ import numpy as np
 from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.gaussian import log_density, mahalanobis_sq
+from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
 from sameas.kernels.kalman import best_others, swap_evidence
 from sameas.kernels.track_pairs import WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_correlation import LEAST_M2, ErrorCorrelation
-from sameas.picture.named import NamedTracks, Step
+from sameas.picture.named import Step
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -145,7 +145,7 @@ class TrackPairs(ColumnTable):
     ) -> TrackPairs:
         """Pairs that meet now: δ (k, 2), covariances P_a, P_b and roots B_a, B_b (k, 2, 2). They have no past."""
         errors, total = _without_past(delta, covariances, lasting), covariances[0] + covariances[1]
-        density, chi_sq = log_density(delta, total), mahalanobis_sq(delta, total)
+        density, chi_sq = _density_and_distance(delta, total)
         never, none = np.full(len(first), np.nan), np.zeros(len(first))
         return cls(
             first, second, np.arange(len(first)), none, none, density, density, chi_sq,
@@ -438,7 +438,7 @@ class SwapRates:
 
 
 def with_manoeuvres(
-    scan: Scan, tracks: NamedTracks, track_pairs: TrackPairs, log_ratio: FloatArray, per_m2: float
+    scan: Scan, track_of_record: IntArray, track_pairs: TrackPairs, log_ratio: FloatArray, per_m2: float
 ) -> Scan:
     """The scan with larger covariances of reports whose objects have made a manoeuvre since.
 
@@ -454,9 +454,10 @@ def with_manoeuvres(
     with D than without, by more than the odds against a manoeuvre. A radar too coarse to see it does not outvote one
     that does. The position stays as reported; only the covariance grows, for evidence, memory and fused states alike.
 
-    tracks, track_pairs : of the instant before. log_ratio : (k,) ln r of the pairs then.
+    track_of_record : (n,) numbers of the records' tracks, −1 for those that are new. track_pairs : of the instant
+    before. log_ratio : (k,) ln r of the pairs then.
     """
-    a, b = _places(scan, tracks, np.stack([track_pairs.first, track_pairs.second]))
+    a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
     partners = (
         (a >= 0) & (b >= 0) & (log_ratio + track_pairs.now >= math.log(per_m2) - math.log(scan.tuning.partner_odds))
     )
@@ -464,7 +465,7 @@ def with_manoeuvres(
     if not len(a):
         return scan
     delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
-    log_usual, chi_sq = log_density(delta, spread), mahalanobis_sq(delta, spread)
+    log_usual, chi_sq = _density_and_distance(delta, spread)
     with np.errstate(divide="ignore"):
         # ln of the odds that there was a manoeuvre since the report.
         log_odds = np.log(np.expm1(np.maximum(scan.now.instant_s - scan.time_s, 0.0) / scan.tuning.manoeuvre_every_s))
@@ -506,12 +507,17 @@ def manoeuvre_covariance(scan: Scan) -> FloatArray:
     return out
 
 
-def _places(scan: Scan, tracks: NamedTracks, number: IntArray) -> IntArray:
-    """(…) places of tracks in a new scan, −1 for those that are not in it."""
-    on = tracks.numbers_on(scan)
-    order = np.argsort(on, kind="stable")
-    at = places_in(on[order], number)
+def _places(track_of_record: IntArray, number: IntArray) -> IntArray:
+    """(…) places of tracks in a new scan, −1 for those that are not in it; track_of_record : (n,) of that."""
+    order = np.argsort(track_of_record, kind="stable")
+    at = places_in(track_of_record[order], number)
     return np.where(at >= 0, np.append(order, -1)[at], -1)
+
+
+def _density_and_distance(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k,) ln N(Δ; 0, Σ) and χ²."""
+    chi_sq, log_det = distance_and_log_determinant(delta, covariance)
+    return -0.5 * (chi_sq + log_det + delta.shape[-1] * LOG_2PI), chi_sq
 
 
 def _most(group: IntArray, values: FloatArray) -> FloatArray:

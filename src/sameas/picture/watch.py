@@ -195,8 +195,9 @@ class Watch:
         """
         with_records = now.with_records()
         scan = self.past.error_factors.on(Scan.of(with_records, self.tuning))
-        scan = self.past.with_manoeuvres(scan, objects_per_m2(now))
-        with_records, past = scan.now, self.past.on(scan)
+        track_of_record = self.past.tracks.numbers_on(scan)
+        scan = self.past.with_manoeuvres(scan, track_of_record, objects_per_m2(now))
+        with_records, past = scan.now, self.past.on(scan, track_of_record)
         identification = self._identify(with_records, past)
         by_hysteresis = np.zeros(0, bool)
         if identification is not None:

@@ -217,9 +217,10 @@ class GrowingFeed:
         """Seconds without a report after which a track has ended; infinite while no track has two reports."""
         if not len(self._gaps):
             return math.inf
-        # The quantile, "higher": np.quantile takes ten times as long.
+        # The quantile, "higher": np.quantile takes ten times as long, and np.partition twenty times where most gaps are
+        # equal.
         place = math.ceil(self.tuning.timeout_quantile * (len(self._gaps) - 1))
-        return float(np.partition(self._gaps, place)[place])
+        return float(np.sort(self._gaps)[place])
 
     # ---- taking in ----
 
