@@ -612,3 +612,71 @@ def best_motion(
                 if noise > least and light / math.sqrt(noise) > best[y, x]:
                     best[y, x], which[y, x] = light / math.sqrt(noise), r
     return best, which
+
+
+# ---- densities in nested cells ----
+
+
+def nested_densities(
+    cells: np.ndarray, numbers: np.ndarray, levels: tuple[int, ...], volume: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(u, 2) whether the other source looks at cells, and (u, 2, 2) densities there, level after level."""
+    from sameas.estimate import cells as sizes
+    from sameas.estimate import coverage, places
+
+    def level(steps: int, n: np.ndarray) -> list[tuple[np.ndarray, float]]:
+        """Records of both sources in the larger cell of each, and the volume of that which lies in the field."""
+        out = []
+        for cell in cells:
+            inside = n[cells >> 2 * steps == cell >> 2 * steps].astype(float)
+            total, sharing, most = inside.sum(axis=0), (inside * (inside - 1.0)).sum(axis=0), 4.0**steps
+            covered = []
+            for k in range(2):
+                due = total[k] ** 2 / most
+                partly = sharing[k] > due + places.PARTLY * math.sqrt(2.0 * due) + 1.0
+                covered.append(max(total[k] ** 2 / max(sharing[k], 1.0), 1.0) if partly else most)
+            richer = int(total[1] > total[0])
+            out.append((total, volume * (np.mean(covered) if total[0] == total[1] else covered[richer])))
+        return out
+
+    def all_of(n: np.ndarray) -> float:
+        first = {cell >> 2 * levels[0]: size for cell, (_, size) in zip(cells, level(levels[0], n), strict=True)}
+        return sum(first.values())
+
+    total = numbers.sum(axis=0)
+    seen = np.ones(numbers.shape, bool)
+    density, highest = np.tile(total[::-1] / all_of(numbers), (len(cells), 1)), np.zeros(numbers.shape)
+    for steps in levels:
+        for k, (n, size) in enumerate(level(steps, numbers)):
+            for s in range(2):
+                expected = max(density[k, s], 0.5 * highest[k, s]) * size
+                if n[1 - s] == 0 and n[s] >= coverage.IN_CELL * total[s] / total[1 - s] and expected >= coverage.HOLE:
+                    seen[k, s] = False
+                highest[k, s] = max(highest[k, s], density[k, s])
+                drawn = coverage.PSEUDO_COUNT / density[k, s]
+                density[k, s] = (n[1 - s] + coverage.PSEUDO_COUNT) / (size + drawn)
+    numbers = numbers * seen
+    total = numbers.sum(axis=0)
+    at = np.repeat(((total + 0.5) / all_of(numbers))[None, :, None], len(cells), axis=0).repeat(2, axis=2)
+    ended = [total[0] == 0, total[1] == 0]
+    for steps in levels:
+        known = level(steps, numbers)
+        of_cells = {cell >> 2 * steps: n for cell, (n, _) in zip(cells, known, strict=True)}
+        for s in range(2):
+            finest = sum(n[s] ** 2 for n in of_cells.values()) <= sizes.FINEST * total[s] or steps == 0
+            scores = []
+            for rank, smooth in enumerate(coverage.SMOOTHS):
+                score = -coverage.LESS_PROBABLE * rank
+                for k, (n, size) in enumerate(known):
+                    if numbers[k, s]:
+                        due = (max(n[s] - 1.0, 0.0) + smooth) / (size + smooth / at[k, s, 0])
+                        score += numbers[k, s] * math.log(due)
+                scores.append(score)
+            smooth = coverage.SMOOTHS[int(np.argmax(scores))]
+            if not ended[s]:
+                for k, (n, size) in enumerate(known):
+                    left = max(n[s] - (coverage.LEFT_OUT if finest else 1.0), 0.0)
+                    at[k, s, 0] = (left + smooth) / (size + smooth / at[k, s, 0])
+                    at[k, s, 1] = (n[s] + smooth) / (size + smooth / at[k, s, 1])
+            ended[s] = ended[s] or finest
+    return seen, at

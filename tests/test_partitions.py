@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
+import naive
 import sameas
 from sameas import InputError
 
@@ -21,13 +22,14 @@ pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealp
 from typer.testing import CliRunner
 
 from sameas.cli.app import app
+from sameas.estimate import places as of_places
 from sameas.estimate.places import Counts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
 from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
 from sameas.partitions.output import partition_file, write_hats
-from sameas.partitions.part import DEFAULT_PART, Halo, Patch
+from sameas.partitions.part import DEFAULT_PART, Halo, PartTuning, Patch
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
 
@@ -584,3 +586,95 @@ def test_a_cell_counts_with_the_part_of_it_that_lies_within_the_field(part):
     at = places.at(rich)
     assert places.density[at, 0, 0].mean() == pytest.approx(8.0, rel=0.04)
     assert places.density[at, 1, 1].mean() == pytest.approx(2.0, rel=0.06)
+
+
+def strewn(seed, n):
+    """Cells of the records of two sources: a dense and a thin stretch, and one where either does not look."""
+    rng = np.random.default_rng([5, seed])
+    cells = [np.where(rng.uniform(size=n) < 0.5, rng.integers(0, n // 8, n), rng.integers(0, n, n)) for _ in "12"]
+    cells[1] = cells[1][: n // 2]
+    holes = (n // 2, 5 * n // 8), (3 * n // 4, 7 * n // 8)
+    return [(4 << 20) + c[(c < low) | (c >= high)] for c, (low, high) in zip(cells, holes, strict=True)]
+
+
+@pytest.mark.parametrize("n", [1, 3, 40, 160, 700])
+@pytest.mark.parametrize("seed", range(3))
+def test_densities_in_nested_cells_are_those_of_their_definition(seed, n):
+    one, two = strewn(seed, n) if n > 3 else (np.array([7] * n), np.array([7, 9]))
+    counts = Counts.of(one, two)
+    places = Places.of(counts, 0.3)
+    counts = counts.coarser(places.steps)
+    seen, density = naive.nested_densities(counts.cells, counts.numbers, places.levels, places.volume)
+    assert np.array_equal(places.seen, seen)
+    assert places.density == pytest.approx(density, rel=1e-12)
+    if n > 100:
+        assert not seen.all()
+
+
+def test_some_cells_tell_how_strongly_densities_are_smoothed(monkeypatch):
+    """Of an even field with a dense cluster: by a twentieth of the cells nearly what all of them say."""
+    rng = np.random.default_rng(3)
+    one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
+    every = Places.of(Counts.of(one, two), 1.0)
+    monkeypatch.setattr(of_places, "ASKED", len(every.cells) // 20)
+    some = Places.of(Counts.of(one, two), 1.0)
+    apart = np.log(some.density / every.density)
+    assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
+
+
+def test_what_a_partition_counts_does_not_depend_on_how_much_of_it_is_counted_at_once(tmp_path):
+    one, two = sky((10.0, 20.0), 900, 0.4, 8)
+    one["pos_err"][5] = 300.0  # it reaches far
+    found = sameas.match(*stored(tmp_path, (one, two), (5_000, 5_000)), sigma="pos_err", sigma_unit="arcsec")
+    work = found.estimated.work
+    for side in (1, 2):
+        cell = work.sides[side - 1].stored.cells[0]
+        whole, pieces = (
+            replace(work, tuning=PartTuning(counted_at_once=most)).count(side, cell) for most in (9_999, 7)
+        )
+        assert np.array_equal(whole.counts.cells, pieces.counts.cells)
+        assert np.array_equal(whole.counts.numbers, pieces.counts.numbers)
+        assert whole.rows == pieces.rows == [len(one), len(two)][side - 1]
+        assert np.array_equal(whole.far, pieces.far) and len(whole.far) == (side == 1)
+
+
+@pytest.mark.parametrize("written", ["in order", "in another order", "in two files", "without cells"])
+def test_rows_that_follow_each_other_are_those_of_the_whole_partition(tmp_path, written):
+    """However a partition is written: in groups of 50 rows that rise, that do not, in a folder of files, and by
+    positions alone."""
+    from pyarrow import parquet
+
+    table, _ = sky((10.0, 20.0), 500, 0.4, 9)
+    write_hats(table, tmp_path / "a", most_rows=5_000)
+    catalogue = HatsCatalogue.open(tmp_path / "a")
+    (cell,) = catalogue.cells
+    rows, file = parquet.read_table(catalogue.file(cell)), catalogue.file(cell)
+    if written == "in another order":
+        rows = rows.take(np.random.default_rng(1).permutation(len(rows)))
+    if written == "without cells":
+        rows = rows.drop_columns([CELL])
+    file.unlink()
+    if written == "in two files":
+        stated = tmp_path / "a/hats.properties"
+        stated.write_text(stated.read_text() + "\nhats_npix_suffix=/\n")
+        folder = file.with_suffix("")
+        folder.mkdir()
+        parquet.write_table(rows.slice(0, 200), folder / "2.parquet", row_group_size=50)
+        parquet.write_table(rows.slice(200), folder / "1.parquet", row_group_size=50)
+    else:
+        parquet.write_table(rows, file, row_group_size=50)
+    catalogue = HatsCatalogue.open(tmp_path / "a")
+    every = catalogue.rows(EVERYTHING, ["id", "ra"])
+    assert every.num_rows == len(table) and catalogue.rows(EVERYTHING, []).num_rows == len(table)
+    places = np.asarray(every[CELL])
+    assert np.all(places[1:] >= places[:-1])
+    for chunk, begin in zip(
+        catalogue.chunks(3, 120, ["id", "ra"]), (len(table) * k // 6 - 60 for k in (1, 3, 5)), strict=True
+    ):
+        assert chunk.equals(every.slice(begin, 120))
+    pieces = [piece for cell in catalogue.cells for piece in catalogue.pieces(cell, ["id"], 33)]
+    assert sorted(i for piece in pieces for i in piece["id"].to_pylist()) == sorted(every["id"].to_pylist())
+    assert max(piece.num_rows for piece in pieces) <= 33
+    some = np.array([[places[20], places[90]], [places[300], places[301] + 1]])
+    inside = every.filter(healpix.within(some, places))
+    assert catalogue.rows(some, ["id", "ra"]).equals(inside)

@@ -24,7 +24,16 @@ from sameas.arrays import AnyIntArray, BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.cells import FINEST, GridLevel
 from sameas.estimate.columns import DEFAULT_COLUMNS, ColumnEvidence
-from sameas.estimate.coverage import HOLE, IN_CELL, LEFT_OUT, PSEUDO_COUNT, SHARED_PSEUDO_COUNT, Coverage, smoothing
+from sameas.estimate.coverage import (
+    HOLE,
+    IN_CELL,
+    LEFT_OUT,
+    LESS_PROBABLE,
+    PSEUDO_COUNT,
+    SHARED_PSEUDO_COUNT,
+    SMOOTHS,
+    Coverage,
+)
 from sameas.estimate.em import Estimates
 from sameas.estimate.grades import Grades
 from sameas.estimate.match import DEFAULT_MATCH, Estimate, MatchTuning, match_sample
@@ -32,6 +41,7 @@ from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.kernels.nested import covered_cells, look_nested, refine_nested, refine_share_nested, score_nested
 from sameas.records import Records
 from sameas.representation import in_short
 
@@ -40,6 +50,8 @@ COARSEST = 100_000.0
 #: A larger cell lies within the field for all of it, unless by so many standard deviations more pairs of its records
 #: share one of its finest cells than by chance.
 PARTLY = 2.0
+#: About so many cells tell how strongly densities are smoothed; borders, which tell most, are few of them.
+ASKED = 300_000
 _NOTHING = np.empty(0)
 
 
@@ -57,10 +69,9 @@ class Counts:
     @classmethod
     def of(cls, cells_1: IntArray, cells_2: IntArray) -> Counts:
         """Of records in these cells, (n₁,) and (n₂,)."""
-        cells, at = np.unique(np.concatenate([cells_1, cells_2]), return_inverse=True)
-        one, two = at[: len(cells_1)], at[len(cells_1) :]
-        numbers = np.column_stack([np.bincount(one, minlength=len(cells)), np.bincount(two, minlength=len(cells))])
-        return cls(cells, numbers.astype(np.int32))
+        numbers = np.zeros((len(cells_1) + len(cells_2), 2), np.int32)
+        numbers[: len(cells_1), 0] = numbers[len(cells_1) :, 1] = 1
+        return cls._summed(np.concatenate([cells_1, cells_2]), numbers)
 
     @classmethod
     def sum(cls, parts: Sequence[Counts]) -> Counts:
@@ -127,7 +138,7 @@ class Places:
                 break
             level, last = level.coarser(1), last + 1
         counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
-        cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers.astype(np.float64)
+        cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers
         seen = _seen(cells, numbers, levels, volume)
         density = _density(cells, numbers * seen, levels, volume)
         return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)
@@ -141,9 +152,9 @@ class Places:
         if steps < self.steps:
             return len(cells) * self.volume / 4.0 ** (self.steps - steps)
         counts = counts.coarser(self.steps)
-        level = _Level.of(counts.cells, counts.numbers.astype(np.float64), steps - self.steps)
-        own = counts.cells[level.start] >> 2 * (steps - self.steps)
-        return float(level.covered[np.isin(own, cells)].sum()) * self.volume
+        own, covered = np.empty(len(counts.cells), np.int64), np.empty(len(counts.cells))
+        number = covered_cells(counts.cells, counts.numbers, 2 * (steps - self.steps), PARTLY, own, covered)
+        return float(covered[:number][np.isin(own[:number], cells)].sum()) * self.volume
 
     def folds(self, counted: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
         """(n₁,), (n₂,) the parts into which cells of some dozens of records are dealt, that columns are learned by."""
@@ -170,12 +181,7 @@ class Places:
         for steps in self.levels[1:-1] or self.levels:
             known, at = np.unique(cells >> (2 * steps), return_inverse=True)
             parts, weights = np.bincount(at, part), np.bincount(at, weight)
-            own = self.cells >> (2 * steps)
-            place = np.minimum(np.searchsorted(known, own), len(known) - 1)
-            there = known[place] == own
-            parts, weights = np.where(there, parts[place], 0.0), np.where(there, weights[place], 0.0)
-            pseudo = 0.25 * SHARED_PSEUDO_COUNT / (share * (1.0 - share))
-            share = (parts + pseudo * share) / (weights + pseudo)
+            refine_share_nested(self.cells, known, parts, weights, 2 * steps, SHARED_PSEUDO_COUNT, share)
         return share
 
     def write(self, folder: Path) -> None:
@@ -198,76 +204,42 @@ class Places:
 _COLUMNS = ("cells", "density", "seen", "share")
 
 
-@dataclass(frozen=True)
-class _Level:
-    """The occupied cells of one size. start : (c,) where each begins among the finest cells. at : (u,) that of each of
-    those. numbers : (c, 2) records of either source. covered : (c,) how many of the finest lie within the field."""
-
-    start: IntArray
-    at: IntArray
-    numbers: FloatArray
-    covered: FloatArray
-
-    @classmethod
-    def of(cls, cells: IntArray, numbers: FloatArray, steps: int) -> _Level:
-        """Cells ``steps`` steps larger than these, (u,) and rising, with so many records (u, 2).
-
-        Cells reach beyond the border of a field, and into holes: of N records that are strewn over K of the finest
-        cells N²/K pairs share theirs on average, from which K follows. The source that has more records there tells.
-        """
-        own = cells >> (2 * steps)
-        first = np.append(True, own[1:] != own[:-1])
-        start = np.flatnonzero(first)
-        records = np.add.reduceat(numbers, start)
-        over = _strewn_over(records, np.add.reduceat(numbers * (numbers - 1.0), start), 4.0**steps)
-        one, two = records.T
-        covered = np.where(one > two, over[:, 0], np.where(two > one, over[:, 1], over.mean(axis=1)))
-        return cls(start, np.cumsum(first) - 1, records, covered)
-
-
-def _strewn_over(records: FloatArray, sharing: FloatArray, most: float) -> FloatArray:
-    """Over how many cells records are strewn of which so many pairs share theirs: all of ``most``, unless these are
-    too many for chance."""
-    due = records**2 / most
-    partly = sharing > due + PARTLY * np.sqrt(2.0 * due) + 1.0
-    return np.where(partly, np.maximum(records**2 / np.maximum(sharing, 1.0), 1.0), most)
-
-
-def _seen(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume: float) -> BoolArray:
+def _seen(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
     """(u, 2) whether the other source looks there, as ``kernels.coverage.look`` has it. volume : of a cell."""
-    total = numbers.sum(axis=0)
-    least, seen = IN_CELL * total / total[::-1], np.ones(numbers.shape, np.bool_)
-    density, highest = np.empty(0), np.zeros(numbers.shape)
-    for level in (_Level.of(cells, numbers, steps) for steps in levels):
-        if not len(density):
-            density = np.full(numbers.shape, total[::-1] / (volume * level.covered.sum()))
-        size, count = volume * level.covered[level.at, None], level.numbers[level.at]
-        other = count[:, ::-1]
-        seen &= ~((other == 0.0) & (count >= least) & (np.maximum(density, 0.5 * highest) * size >= HOLE))
-        np.maximum(highest, density, out=highest)
-        density = (other + PSEUDO_COUNT) / (size + PSEUDO_COUNT / density)
+    total = numbers.sum(axis=0).astype(np.float64)
+    density = np.tile(total[::-1] / _covered(cells, numbers, levels[0], volume), (len(cells), 1))
+    highest, seen = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
+    for steps in levels:
+        look_nested(
+            cells, numbers, 2 * steps, PARTLY, volume, IN_CELL * total / total[::-1], HOLE, PSEUDO_COUNT,
+            density, highest, seen,
+        )  # fmt: skip
     return seen
 
 
-def _density(cells: IntArray, numbers: FloatArray, levels: Sequence[int], volume: float) -> FloatArray:
-    """(u, 2, 2) densities of the counted records of either source at those of their own, and at others, as
+def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> FloatArray:
+    """(u, 2, 2) densities of the counted records of either source at those of their own, [:, k, 0], and at others, as
     ``Coverage.density``. volume : of a cell."""
-    total = numbers.sum(axis=0)
-    own = others = np.empty(0)
-    open_ = total > 0.0
+    total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
+    own, others = density[:, :, 0], density[:, :, 1]
+    own[:] = others[:] = (total + 0.5) / _covered(cells, numbers, levels[0], volume)
+    smooths, asked, open_ = np.array(SMOOTHS), min(ASKED / len(cells), 1.0), total > 0.0
     for steps in levels:
-        level = _Level.of(cells, numbers, steps)
-        if not len(own):
-            own = others = np.tile((total + 0.5) / (volume * level.covered.sum()), (len(cells), 1))
-        finest = (np.square(level.numbers).sum(axis=0) <= FINEST * total) | (steps == 0)
-        size, count = volume * level.covered[level.at, None], level.numbers[level.at]
-        left = np.maximum(count - 1.0, 0.0)
-        smooth = np.array([smoothing(left[:, k], size[:, 0], own[:, k], numbers[:, k]) for k in (0, 1)])
-        left = np.maximum(count - np.where(finest, LEFT_OUT, 1.0), 0.0)
-        own = np.where(open_, (left + smooth) / (size + smooth / own), own)
-        others = np.where(open_, (count + smooth) / (size + smooth / others), others)
+        score = np.zeros((2, len(smooths) + 1))
+        score_nested(cells, numbers, 2 * steps, PARTLY, volume, asked, smooths, own, score)
+        finest = (score[:, -1] <= FINEST * total) | (steps == 0)
+        smooth = smooths[np.argmax(score[:, :-1] - LESS_PROBABLE * np.arange(len(smooths)), axis=1)]
+        left_out = np.where(finest, LEFT_OUT, 1.0)
+        refine_nested(cells, numbers, 2 * steps, PARTLY, volume, smooth, left_out, open_, own, others)
         open_ &= ~finest
-    return np.stack([own, others], axis=2)
+    return density
+
+
+def _covered(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float) -> float:
+    """The volume of all cells that lies within the field."""
+    own, covered = np.empty(len(cells), np.int64), np.empty(len(cells))
+    number = covered_cells(cells, numbers, 2 * steps, PARTLY, own, covered)
+    return volume * float(covered[:number].sum())
 
 
 def drawn(counts: Counts, sampling: Sampling = Sampling()) -> tuple[int, IntArray]:  # noqa: B008

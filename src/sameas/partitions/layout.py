@@ -11,6 +11,8 @@ import hashlib
 import json
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -24,6 +26,7 @@ from sameas.arrays import IntArray
 from sameas.errors import InputError, reading
 from sameas.io.arrow import numbers_in
 from sameas.partitions.healpix import FINEST, cells_of, joined, within
+from sameas.ragged import ranges
 from sameas.representation import in_short
 
 if TYPE_CHECKING:
@@ -189,12 +192,8 @@ class HatsCatalogue:
         for number in self.touching(stretch):
             cell = self.cells[number]
             for file in self._files(cell):
-                try:
+                with _naming(file, cell):
                     parts += self._part(file, cell, stretch, names)
-                except (InputError, MemoryError):
-                    raise
-                except Exception as error:  # Arrow fails in many ways on what it did not foresee
-                    raise _broken(file, cell, error) from error
         if parts:
             table = pa.concat_tables(parts, promote_options="permissive")
             place = numbers_of(table, CELL)
@@ -202,6 +201,26 @@ class HatsCatalogue:
             return table if sorted_ else table.take(pa.array(np.argsort(place, kind="stable")))
         empty = self.schema.empty_table().select(names)
         return empty.append_column(CELL, pa.array([], pa.int64()))
+
+    def pieces(self, cell: Cell, columns: list[str], most_rows: int) -> Iterator[pa.Table]:
+        """The rows of a partition as they are stored, at most so many at once, with their cells.
+
+        Raises
+        ------
+        InputError : the partition is missing or broken; it is named.
+        """
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        names = list(dict.fromkeys(columns))
+        for file in self._files(cell):
+            with _naming(file, cell), parquet.ParquetFile(file, memory_map=True) as opened:
+                stored = CELL in opened.schema_arrow.names
+                wanted = list(dict.fromkeys([*names, *([CELL] if stored else self.position)]))
+                for batch in opened.iter_batches(most_rows, columns=wanted, use_threads=False):
+                    part = pa.Table.from_batches([batch])
+                    cells = part.column(CELL) if stored else pa.chunked_array([self._cells(part, stored)])
+                    yield _with_cells_last(part, cells, names)
 
     def chunks(self, number: int, size: int, columns: list[str]) -> list[pa.Table]:
         """So many tables of so many rows that follow each other on the sky, at equal distances among all rows, with
@@ -215,47 +234,59 @@ class HatsCatalogue:
         begins = (np.arange(number) * 2 + 1) * total // (2 * number) - size // 2
         parts: list[list[pa.Table]] = [[] for _ in begins]
         for k, cell in enumerate(self.cells):
-            some = np.flatnonzero((begins < end[k + 1]) & (begins + size > end[k]))
-            rows = self.rows(cell.stretch, columns) if len(some) else None
-            for chunk in some:
-                assert rows is not None
+            for chunk in np.flatnonzero((begins < end[k + 1]) & (begins + size > end[k])):
                 low, high = max(int(begins[chunk] - end[k]), 0), int(min(begins[chunk] + size, end[k + 1]) - end[k])
-                parts[chunk].append(rows.take(pa.array(np.arange(low, high))))  # a slice would hold all of them
+                parts[chunk].append(self._following(cell, low, high, columns))
         return [pa.concat_tables(some, promote_options="permissive") for some in parts]
+
+    def _following(self, cell: Cell, low: int, high: int, columns: list[str]) -> pa.Table:
+        """Rows of a partition that follow each other on the sky: those from ``low`` to ``high``."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        files = self._files(cell)
+        if len(files) == 1:
+            with _naming(files[0], cell), parquet.ParquetFile(files[0], memory_map=True) as opened:
+                if _rising(opened.metadata):
+                    end = np.cumsum([0, *(opened.metadata.row_group(k).num_rows for k in range(opened.num_row_groups))])
+                    held = [int(k) for k in np.flatnonzero((end[:-1] < high) & (end[1:] > low))]
+                    part = pa.concat_tables([self._read(opened, k, columns) for k in held])
+                    place = numbers_of(part, CELL)
+                    if np.all(place[1:] >= place[:-1]):
+                        return part.take(pa.array(np.arange(low, high) - end[held[0]]))
+        rows = self.rows(cell.stretch, columns)
+        return rows.take(pa.array(np.arange(low, high)))  # a slice would hold all of them
 
     def _part(self, file: Path, cell: Cell, stretch: IntArray, names: list[str]) -> list[pa.Table]:
         """The rows of one file."""
         import pyarrow as pa
         from pyarrow import parquet
 
-        whole = within(stretch, cell.stretch[:, 0])[0] and within(stretch, cell.stretch[:, 1] - 1)[0]
-        whole = bool(whole) and bool(
-            np.any((stretch[:, 0] <= cell.stretch[0, 0]) & (stretch[:, 1] >= cell.stretch[0, 1]))
-        )
         parts = []
+        whole = bool(np.any((stretch[:, 0] <= cell.stretch[0, 0]) & (stretch[:, 1] >= cell.stretch[0, 1])))
         with parquet.ParquetFile(file, memory_map=True) as opened:
             stored = CELL in opened.schema_arrow.names
             if stored and whole and opened.metadata.num_rows:
                 part = opened.read(list(dict.fromkeys([*names, CELL])), use_threads=False)
-                return [_with_cells_last(part.replace_schema_metadata(None), part.column(CELL), names)]
-            for group in range(opened.num_row_groups):
-                if stored and not whole and _outside(opened.metadata.row_group(group), stretch):
+                return [_with_cells_last(part, part.column(CELL), names)]
+            for number in range(opened.num_row_groups):
+                if stored and not whole and _outside(opened.metadata.row_group(number), stretch):
                     continue
-                keys = [CELL] if stored else list(self.position)
-                key = opened.read_row_group(group, keys, use_threads=False)
-                cells = self._cells(key, stored)
-                kept = np.ones(len(cells), np.bool_) if whole else within(stretch, cells)
-                if not kept.any():
-                    continue
-                # A table without columns has no rows.
-                part = opened.read_row_group(group, names or keys, use_threads=False).select(names or keys[:1])
-                if not kept.all():
-                    some = pa.array(np.flatnonzero(kept))
-                    part, cells = part.take(some), cells[kept]
-                if CELL in part.column_names:
-                    part = part.drop_columns([CELL])
-                parts.append(part.replace_schema_metadata(None).append_column(CELL, pa.array(cells)))
+                group = _Group.of(self._read(opened, number, names))
+                kept = np.arange(len(group.cells)) if whole else group.inside(stretch)
+                if len(kept):
+                    parts.append(group.table if len(kept) == len(group.cells) else group.table.take(pa.array(kept)))
         return parts
+
+    def _read(self, opened: Any, number: int, names: list[str]) -> pa.Table:
+        """A row group, with the cells of its rows last."""
+        import pyarrow as pa
+
+        stored = CELL in opened.schema_arrow.names
+        wanted = list(dict.fromkeys([*names, *([CELL] if stored else self.position)]))
+        part = opened.read_row_group(number, wanted, use_threads=False)
+        cells = part.column(CELL) if stored else pa.chunked_array([self._cells(part, stored)])
+        return _with_cells_last(part, cells, names)
 
     def _cells(self, key: pa.Table, stored: bool) -> IntArray:
         if stored:
@@ -284,38 +315,84 @@ class HatsCatalogue:
 def _with_cells_last(part: pa.Table, cells: Any, names: list[str]) -> pa.Table:
     import pyarrow as pa
 
-    part = part.select([name for name in names if name != CELL])
-    return part.append_column(CELL, cells.cast(pa.int64()))
+    kept = [name for name in names if name != CELL]  # a selection of no columns would have no rows
+    schema = pa.schema([*(part.schema.field(name) for name in kept), pa.field(CELL, pa.int64())])
+    return pa.Table.from_arrays([*(part.column(name) for name in kept), cells.cast(pa.int64())], schema=schema)
 
 
-def _outside(group: Any, stretch: IntArray) -> bool:
-    """Whether the statistics of a row group say that none of its rows lies in a set of stretches."""
+@dataclass(frozen=True)
+class _Group:
+    """A row group. table : its rows, with their cells last. cells : (n,) these. rising : whether they rise."""
+
+    table: pa.Table
+    cells: IntArray
+    rising: bool
+
+    @classmethod
+    def of(cls, table: pa.Table) -> _Group:
+        cells = numbers_of(table, CELL)
+        return cls(table, cells, bool(len(cells)) and bool(np.all(cells[1:] >= cells[:-1])))
+
+    def inside(self, stretch: IntArray) -> IntArray:
+        """The rows in a set of stretches."""
+        if not self.rising:
+            return np.flatnonzero(within(stretch, self.cells))
+        touched = stretch[np.searchsorted(stretch[:, 1], self.cells[0], side="right") :]
+        touched = touched[: np.searchsorted(touched[:, 0], self.cells[-1], side="right")]
+        begin, end = np.searchsorted(self.cells, touched).T
+        return ranges(begin, end - begin)[1]
+
+
+def _rising(metadata: Any) -> bool:
+    """Whether the row groups of a file follow each other on the sky, by their statistics."""
+    last = -1
+    for number in range(metadata.num_row_groups):
+        limits = _limits(metadata.row_group(number))
+        if limits is None or limits[0] < last:
+            return False
+        last = limits[1]
+    return True
+
+
+def _limits(group: Any) -> tuple[int, int] | None:
+    """The first and the last cell of a row group, by its statistics; None where it has none."""
     for k in range(group.num_columns):
         column = group.column(k)
         if column.path_in_schema == CELL:
             statistics = column.statistics
-            if statistics is None or not statistics.has_min_max:
-                return False
-            at = int(np.searchsorted(stretch[:, 1], statistics.min, side="right"))
-            return at == len(stretch) or bool(stretch[at, 0] > statistics.max)
-    return False
+            return (statistics.min, statistics.max) if statistics is not None and statistics.has_min_max else None
+    return None
+
+
+def _outside(group: Any, stretch: IntArray) -> bool:
+    """Whether the statistics of a row group say that none of its rows lies in a set of stretches."""
+    limits = _limits(group)
+    if limits is None:
+        return False
+    at = int(np.searchsorted(stretch[:, 1], limits[0], side="right"))
+    return at == len(stretch) or bool(stretch[at, 0] > limits[1])
 
 
 def _opened(file: Path, cell: Cell) -> Any:
     """The file's footer."""
     from pyarrow import parquet
 
-    try:
+    with _naming(file, cell):
         return parquet.ParquetFile(file)
-    except MemoryError:
+
+
+@contextmanager
+def _naming(file: Path, cell: Cell) -> Iterator[None]:
+    """What fails while a file of a partition is read names it."""
+    try:
+        yield
+    except (InputError, MemoryError):
         raise
     except Exception as error:  # Arrow fails in many ways on what it did not foresee
-        raise _broken(file, cell, error) from error
-
-
-def _broken(file: Path, cell: Cell, error: BaseException) -> InputError:
-    words = " ".join(str(error).split())[:160]
-    return InputError(f"{file}: the partition {cell} cannot be read ({words})", "restore it, and call again")
+        words = " ".join(str(error).split())[:160]
+        raise InputError(
+            f"{file}: the partition {cell} cannot be read ({words})", "restore it, and call again"
+        ) from error
 
 
 def _listed(folder: Path, suffix: str) -> list[Cell]:

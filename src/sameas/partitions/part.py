@@ -53,6 +53,7 @@ class PartTuning:
         they differ from those of a whole field by 6e-8, 7e-10 and 7e-10 at λ 2.
     at_once : candidates of records whose probabilities are summed at once, about; each of them and of those around them
         takes 250 bytes.
+    counted_at_once : rows of a partition that are counted at once; about 200 bytes each.
     most_of_all : where that would be more than this share of all records, it is all of them.
     finer : the halo's edge is followed by cells that are smaller than its own by so many orders.
     """
@@ -61,6 +62,7 @@ class PartTuning:
     certain_arcsec: float = 1000.0
     steps: int = 3
     at_once: int = 450_000
+    counted_at_once: int = 200_000
     most_of_all: float = 0.8
     finer: int = 3
 
@@ -209,12 +211,15 @@ class Work:
 
     def count(self, side: int, cell: Cell) -> Counted:
         """The records of a partition of catalogue 1 or 2, counted."""
-        one = self.sides[side - 1]
-        rows = one.rows(one.stored.rows(cell.stretch, self.columns(side)))
-        far = (rows.moved_arcsec > self.far_arcsec) | (rows.sigma_arcsec * 10.0 > self.far_arcsec)
-        none, cells = np.empty(0, np.int64), rows.cells
-        counts = Counts.of(cells, none) if side == 1 else Counts.of(none, cells)
-        return Counted(counts, len(rows.catalogue), rows.stored[rows.records.rows[far]])
+        one, none = self.sides[side - 1], np.empty(0, np.int64)
+        counts, number, beyond = [Counts.of(none, none)], 0, [none]
+        for table in one.stored.pieces(cell, self.columns(side), self.tuning.counted_at_once):
+            rows = one.rows(table)
+            far = (rows.moved_arcsec > self.far_arcsec) | (rows.sigma_arcsec * 10.0 > self.far_arcsec)
+            counts.append(Counts.of(rows.cells, none) if side == 1 else Counts.of(none, rows.cells))
+            number += len(rows.catalogue)
+            beyond.append(rows.stored[rows.records.rows[far]])
+        return Counted(Counts.sum(counts), number, np.sort(np.concatenate(beyond)))
 
     def read(self, side: int, stretch: IntArray, near: FloatArray, columns: list[str] | None = None) -> Rows:
         """The rows in stretches, and the far records that reach to within a distance of a direction.
