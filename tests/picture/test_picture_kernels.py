@@ -13,7 +13,7 @@ from sameas.kernels.object_states import sum_of_records
 from sameas.kernels.order import merge_rows
 from sameas.kernels.track_steps import errors_forgotten, states_moved, tracks_moved, ways_of_tracks
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
-from sameas.picture.error_correlation import growth
+from sameas.picture.error_factors import growth
 from sameas.tracks.alignment import moved, process_noise, transition
 
 WAYS = ("interpreted", "compiled")

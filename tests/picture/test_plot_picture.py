@@ -12,7 +12,7 @@ from sameas.many.identify import identify_many
 from sameas.many.observations import records_of
 from sameas.picture import Picture, PlotPicture, Watch
 from sameas.picture.bernoulli import KNOWN
-from sameas.picture.instant_objects import TrackedObjects
+from sameas.picture.picture_state import TrackedObjects
 from sameas.picture.plot_picture import nameless, scan_times_between
 from sameas.tracks.feed import Feed
 from sameas.tracks.reports import Reports

@@ -6,7 +6,7 @@ from modelled_scenes import describe, straight, told
 
 from sameas.errors import InputError
 from sameas.picture import Picture, Stages, Watch
-from sameas.picture.track_existence import Mixture
+from sameas.picture.memory import Mixture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 

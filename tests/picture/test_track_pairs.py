@@ -6,7 +6,7 @@ import pytest
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
 from sameas.kernels.kalman import best_others, swap_evidence
 from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, mix, pairs_anew, pairs_stepped
-from sameas.picture.error_correlation import LEAST_M2, error_update
+from sameas.picture.error_factors import LEAST_M2, error_update
 from sameas.picture.named import with_lasting
 
 WAYS = ("interpreted", "compiled")

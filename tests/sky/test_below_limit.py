@@ -10,7 +10,7 @@ import pytest
 
 import naive
 from sameas.errors import InputError
-from sameas.kernels.stacking import best_motion
+from sameas.kernels.linear import best_motion
 from sameas.simulate.frames import Camera, Gaussian, frame_of
 from sameas.sky.movers.below_limit import Plan, _normalised, search_below_limit
 from sameas.sky.movers.search import search

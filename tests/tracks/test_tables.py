@@ -12,8 +12,7 @@ from pyarrow import parquet
 
 from sameas.errors import InputError
 from sameas.io.sensors import ReadOptions, read_reports
-from sameas.io.sensors.columns import choose
-from sameas.io.sensors.tables import cells_of_csv, read
+from sameas.io.sensors.tables import cells_of_csv, choose, read
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos"
 KNOT = 1852.0 / 3600.0

@@ -65,8 +65,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     from sameas.sky.movers.known import name_movers, near_earth_scores
     from sameas.sky.movers.orbits import Elements
     from sameas.sky.movers.search import search
-    from sameas.sky.movers.stack import confirmed, stack
-    from sameas.sky.movers.trails import with_trails
+    from sameas.sky.movers.stack import confirmed, stack, with_trails
 
     began, printer = time.perf_counter(), Printer(quiet)
     observer = None if request.header is None else Observer.read(request.header)

@@ -16,7 +16,7 @@ def update_in_plane(
     mean: FloatArray, covariance: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray,
     updated_mean: FloatArray, updated_covariance: FloatArray, log_p: FloatArray, chi_sq: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes what :func:`sameas.picture.error_correlation.error_update` gives: x by ν = H x + n.
+    """Writes what :func:`sameas.picture.error_factors.error_update` gives: x by ν = H x + n.
 
     mean, covariance : (k, d), (k, d, d) of x. slope, noise : (k, 2, d), (k, 2, 2) H and the covariance of n.
     shift : (k, 2) ν. updated_mean, updated_covariance : of x given ν. log_p, chi_sq : (k,) ln p(ν), and χ² of ν.

@@ -1,4 +1,4 @@
-"""Compiled states of objects from their records (:mod:`sameas.picture.object_states`)."""
+"""Compiled states of objects from their records (:mod:`sameas.picture.object_table`)."""
 
 from __future__ import annotations
 

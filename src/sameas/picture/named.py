@@ -10,9 +10,9 @@ to the instant,
     at a new report         f′ = G f + n,  G = Cᵀ (P − s R)⁻¹,  n ~ N(0, P′ − s R′ − G C),  C = ρ (1 − s) L L′ᵀ,
 
 L and L′ being the roots of R at the two reports, s the source's lasting share, ρ = exp(−Δt/τ), τ its correlation time
-(:mod:`sameas.picture.error_correlation`). A report measures e by its distance from the prediction of the last one,
+(:mod:`sameas.picture.error_factors`). A report measures e by its distance from the prediction of the last one,
 ν = e′ − e = (G − 1) e + (B′ − G B) z + n. A Kalman filter keeps the mean and covariance of (e, z) by all reports of the
-track; :func:`sameas.picture.error_correlation.error_update` is one step.
+track; :func:`sameas.picture.error_factors.error_update` is one step.
 
 A report that is farther from its prediction than one correct report in 10⁹ starts the track anew, without a past: its
 id went to another object, or the object moved as its motion model does not allow.
@@ -31,8 +31,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.kernels.track_steps import errors_forgotten, tracks_moved, ways_of_tracks
-from sameas.picture.error_correlation import ErrorCorrelation, error_update, growth
-from sameas.picture.error_factors import ErrorFactors, evenly
+from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.ragged import places_in

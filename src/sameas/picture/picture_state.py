@@ -2,6 +2,10 @@
 
 :class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused returns as evidence: a state without
 memory is the answer of ``identify_many`` for that instant, and memory counts every report once.
+
+The objects of an instant are those that sources show, as sets of records of its scan: :class:`IdentifiedObjects` where
+``identify_many`` identifies the instant alone, :class:`TrackedObjects` where objects were tracked to it. The prior of a
+tracked object is no record: sets that differ only in it count as one.
 """
 
 from __future__ import annotations
@@ -18,12 +22,265 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.identity import Alarm
 from sameas.many.explanation import Name, ObjectExplanation
-from sameas.picture.instant_objects import InstantObjects
-from sameas.picture.object_states import ObjectStates
-from sameas.picture.object_table import PictureObjects
+from sameas.many.objects import Objects
+from sameas.many.observations import records_of
+from sameas.picture.bernoulli import KNOWN
+from sameas.picture.object_table import ObjectStates, PictureObjects
+from sameas.picture.plot_tracker import TrackedPlots
 from sameas.picture.scan import Scan
+from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
+from sameas.tracks.alignment import States
 from sameas.tracks.scene import Instant
+
+
+class InstantObjects(Protocol):
+    """The interface of the objects that sources show at an instant, (n,) each.
+
+    members : (n, S) records of the scan, −1 for none. probability : that exactly these records are one object.
+    runner_up : (n, S) the most probable other set that has one of them. p_runner_up : its probability, 0 for none.
+    p_alone : (records,) that a record has no partner. group : the group that each object is in.
+    names : names in explanations of members that are no records.
+    by_hysteresis : whether an object is shown only because it was so at the last instant (:mod:`sameas.picture.watch`).
+    """
+
+    @property
+    def members(self) -> IntArray: ...
+    @property
+    def probability(self) -> FloatArray: ...
+    @property
+    def runner_up(self) -> IntArray: ...
+    @property
+    def p_runner_up(self) -> FloatArray: ...
+    @property
+    def p_alone(self) -> FloatArray: ...
+    @property
+    def group(self) -> IntArray: ...
+    @property
+    def names(self) -> Mapping[Name, Name]: ...
+    @property
+    def by_hysteresis(self) -> BoolArray: ...
+
+    def explain(self, row: int) -> ObjectExplanation:
+        """Why object ``row`` has its records; objects that other records are in are rows, too."""
+        ...
+
+
+@dataclass(frozen=True)
+class IdentifiedObjects:
+    """Objects of ``identify_many``; ``identification`` is None where no source has a record."""
+
+    scan: Scan
+    identification: Objects | None
+    by_hysteresis: BoolArray
+
+    @cached_property
+    def members(self) -> IntArray:
+        """(n, S) records of the scan."""
+        n_sources = len(self.scan.now.sources)
+        if self.identification is None:
+            return np.full((0, n_sources), -1)
+        return self.scan.places(self.identification.members[:, :n_sources])
+
+    @property
+    def probability(self) -> FloatArray:
+        """(n,) that exactly its records are one object."""
+        return np.empty(0) if self.identification is None else self.identification.probability
+
+    @cached_property
+    def runner_up(self) -> IntArray:
+        """(n, S) records of the scan of the most probable other set that has one of an object's records."""
+        if self.identification is None:
+            return self.members
+        return self.scan.places(self.identification.runner_up[:, : self.members.shape[1]])
+
+    @cached_property
+    def p_runner_up(self) -> FloatArray:
+        """(n,) its probability, 0 where nothing else is possible."""
+        if self.identification is None:
+            return np.empty(0)
+        return np.asarray(np.ma.filled(self.identification.p_runner_up, 0.0))
+
+    @cached_property
+    def p_alone(self) -> FloatArray:
+        """(records,) that a record has no partner."""
+        out = np.ones(len(self.scan))
+        if self.identification is not None:
+            pooled, sets = self.identification.pooled, self.identification.sets
+            lone = np.flatnonzero(sets.size == 1)
+            alone = np.zeros(len(pooled))
+            alone[sets.members[lone].max(axis=1)] = self.identification.answer.probability[lone]
+            for s, source in zip(pooled.given, pooled.sources, strict=True):
+                rows, first = records_of(source).rows, pooled.start[pooled.given.index(s)]
+                if s < self.members.shape[1]:
+                    out[self.scan.find(s, rows)] = alone[first : first + len(rows)]
+        return np.clip(out, 0.0, 1.0)
+
+    @property
+    def group(self) -> IntArray:
+        """(n,) the group that each object is in."""
+        return np.empty(0, np.int64) if self.identification is None else self.identification.group
+
+    @property
+    def names(self) -> Mapping[Name, Name]:
+        """None: all members are records."""
+        return {}
+
+    def explain(self, row: int) -> ObjectExplanation:
+        """Why object ``row`` has its records."""
+        assert self.identification is not None
+        return self.identification.explain(row)
+
+
+@dataclass(frozen=True)
+class TrackedObjects:
+    """Objects that were tracked to the instant of the scan, of them those that a source shows now."""
+
+    scan: Scan
+    tracks: TrackedPlots
+
+    @cached_property
+    def which(self) -> IntArray:
+        """(n,) which of the tracked objects they are."""
+        return np.flatnonzero((self.tracks.members >= 0).any(axis=1))
+
+    @cached_property
+    def members(self) -> IntArray:
+        """(n, S) records of the scan."""
+        if self.tracks.identification is None:
+            return np.full((0, len(self.scan.now.sources)), -1)
+        return self._sets[0][self._own]
+
+    @property
+    def probability(self) -> FloatArray:
+        """(n,) that exactly its records are one object, new or not."""
+        return np.empty(0) if self.tracks.identification is None else self._sets[1][self._own]
+
+    @property
+    def runner_up(self) -> IntArray:
+        """(n, S) records of the scan of the most probable other set that has one of an object's records."""
+        second = self._second
+        return np.where((second >= 0)[:, None], self._sets[0][second], -1) if len(second) else self.members
+
+    @property
+    def p_runner_up(self) -> FloatArray:
+        """(n,) its probability, 0 where nothing else is possible."""
+        second = self._second
+        return np.where(second >= 0, self._sets[1][second], 0.0) if len(second) else np.empty(0)
+
+    @cached_property
+    def p_alone(self) -> FloatArray:
+        """(records,) that no other source shows the object of a record."""
+        out = np.ones(len(self.scan))
+        if self.tracks.identification is not None:
+            sets, probability = self._sets
+            lone = np.flatnonzero((sets >= 0).sum(axis=1) == 1)
+            out[:] = 0.0
+            out[sets[lone].max(axis=1)] = probability[lone]
+        return out
+
+    @property
+    def group(self) -> IntArray:
+        """(n,) the group that each object is in."""
+        identification = self.tracks.identification
+        return np.empty(0, np.int64) if identification is None else identification.group[self.which]
+
+    @property
+    def by_hysteresis(self) -> BoolArray:
+        """(n,) none: the past is among the evidence."""
+        return np.zeros(len(self.which), bool)
+
+    @cached_property
+    def names(self) -> Mapping[Name, Name]:
+        """The priors of tracked objects stand beside the records."""
+        objects = self.tracks.prior_objects
+        return {(KNOWN, k): ("known object", n) for k, n in zip(objects.records.ids.tolist(), objects.number.tolist(),
+                                                               strict=True)}  # fmt: skip
+
+    def explain(self, row: int) -> ObjectExplanation:
+        """Why object ``row`` has its records; priors of tracked objects are among them."""
+        identification = self.tracks.identification
+        assert identification is not None
+        reasons, place = identification.explain(int(self.which[row])), np.full(len(self.tracks), -1)
+        place[self.which] = np.arange(len(self.which))
+        rivals = tuple(
+            replace(rival, taken=tuple((name, int(place[at])) for name, at in rival.taken if name[0] != KNOWN))
+            for rival in reasons.rivals
+        )
+        return replace(reasons, rivals=rivals)
+
+    @cached_property
+    def states(self) -> ObjectStates:
+        """States of the objects: their priors updated by their records."""
+        tracks, scan, which = self.tracks, self.scan, self.which
+        state, covariance = tracks.state[which], tracks.covariance[which]
+        region = tracks.now.region.covariance
+        position = [isinstance(feed.reports, States) for feed in scan.now.feeds]
+        placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (tracks.prior_of[which] >= 0)
+        # An object whose directions do not cross may be anywhere along them.
+        widest = np.linalg.eigvalsh(region[:2, :2])[-1]
+        placed |= np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
+        return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region, scan.tuning))
+
+    @cached_property
+    def _sets(self) -> tuple[IntArray, FloatArray]:
+        """(k, S) every possible set of records of the scan, and (k,) its probability, whatever its prior object."""
+        identification = self.tracks.identification
+        assert identification is not None
+        members = self._possible
+        sets, of = np.unique(members, axis=0, return_inverse=True)
+        return sets, np.clip(
+            np.bincount(of.ravel(), weights=identification.answer.probability, minlength=len(sets)), 0.0, 1.0
+        )
+
+    @cached_property
+    def _possible(self) -> IntArray:
+        """Every set that was weighed, (k, S) records of the scan; −1 for none and for priors."""
+        identification = self.tracks.identification
+        assert identification is not None
+        pooled = identification.pooled
+        scan_record = np.full(len(pooled) + 1, -1)
+        for u, source_number in enumerate(pooled.given):
+            if source_number > 0:
+                rows = records_of(pooled.sources[u]).rows
+                scan_record[pooled.start[u] : pooled.start[u + 1]] = self.scan.find(source_number - 1, rows)
+        records = scan_record[identification.sets.members]
+        out = np.full((len(records), len(self.scan.now.sources)), -1)
+        at, column = np.nonzero(records >= 0)
+        out[at, self.scan.source[records[at, column]]] = records[at, column]
+        return out
+
+    @cached_property
+    def _own(self) -> IntArray:
+        """(n,) which of the sets each object is."""
+        identification = self.tracks.identification
+        assert identification is not None
+        _, of = np.unique(self._possible, axis=0, return_inverse=True)
+        return np.asarray(of.ravel()[identification.set_of_object[self.which]])
+
+    @cached_property
+    def _second(self) -> IntArray:
+        """(n,) the most probable other set that has one of an object's records, −1 where there is none."""
+        best = np.full(len(self.which), -1)
+        if self.tracks.identification is None:
+            return best
+        sets, probability = self._sets
+        own_row, column = np.nonzero(self.members >= 0)
+        of_record = np.zeros(len(self.scan), np.int64)
+        of_record[self.members[own_row, column]] = own_row
+        other = np.setdiff1d(np.flatnonzero((probability > 0.0) & (sets >= 0).any(axis=1)), self._own)
+        # Ascending, so that the last to be written is the most probable; of equals the first by content.
+        other = other[np.lexsort([-other, probability[other]])]
+        at, column = np.nonzero(sets[other] >= 0)
+        best[of_record[sets[other[at], column]]] = other[at]
+        return best
+
+
+def has_velocity(covariance: FloatArray, region: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
+    """(n,) whether velocities are known better than those of any objects of the region."""
+    unknown = tuning.unknown_velocity_share * np.diagonal(region)[2:4]
+    return np.asarray((covariance[:, 2, 2] < unknown[0]) & (covariance[:, 3, 3] < unknown[1]))
+
 
 #: The text on an object that is shown, though it is not in the most probable answer.
 STAYS = "its identity is kept until another is much more probable"

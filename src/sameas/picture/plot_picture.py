@@ -26,9 +26,8 @@ from scipy.special import logit
 
 from sameas.arrays import IntArray
 from sameas.errors import InputError
-from sameas.picture.instant_objects import TrackedObjects, has_velocity
 from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects
-from sameas.picture.picture_state import PictureState
+from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning

@@ -36,7 +36,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
 from sameas.kernels.kalman import best_others, swap_evidence
 from sameas.kernels.track_pairs import WIDTH, mix, pairs_anew, pairs_stepped
-from sameas.picture.error_correlation import LEAST_M2, ErrorCorrelation
+from sameas.picture.error_factors import LEAST_M2, ErrorCorrelation
 from sameas.picture.named import Step
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan

@@ -28,11 +28,10 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
-from sameas.picture.instant_objects import IdentifiedObjects
 from sameas.picture.memory import Past
 from sameas.picture.object_ids import Detections, ExistenceOdds, NamedObjects, Stages
-from sameas.picture.object_states import object_states
-from sameas.picture.picture_state import PictureState
+from sameas.picture.object_table import object_states
+from sameas.picture.picture_state import IdentifiedObjects, PictureState
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.ragged import places_in

@@ -5,9 +5,9 @@ shifted, turned, stretched or biased against the other, with the :class:`~sameas
 may have: ``Shift``, ``Similarity``, ``Affine`` or ``SensorBias``.
 """
 
+from sameas.registration.hough import Tuning
 from sameas.registration.offsets import Affine, Offset, SensorBias, Shift, Similarity
 from sameas.registration.solution import Parameter, Registration, Solution, register
-from sameas.registration.tuning import Tuning
 
 __all__ = [
     "Affine",

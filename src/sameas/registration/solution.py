@@ -25,9 +25,8 @@ from sameas.evidence import Errors, Rule
 from sameas.gaussian import LOG_2PI, inverse, log_determinant, mahalanobis_sq, propagated, symmetric
 from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
-from sameas.registration.hough import Votes, vote
+from sameas.registration.hough import DEFAULT_TUNING, Tuning, Votes, vote
 from sameas.registration.offsets import Offset
-from sameas.registration.tuning import DEFAULT_TUNING, Tuning
 from sameas.registration.weights import PlacedSources, Weighed, boxed, flattened, meet, records_moved, weigh, weighed
 from sameas.representation import in_short
 from sameas.result import Identification

@@ -19,9 +19,8 @@ from sameas.gate import Radius
 from sameas.gaussian import inverse, log_density
 from sameas.ragged import Ragged
 from sameas.records import Records
-from sameas.registration.hough import typical_sigma
+from sameas.registration.hough import DEFAULT_TUNING, Tuning, typical_sigma
 from sameas.registration.offsets import Offset
-from sameas.registration.tuning import DEFAULT_TUNING, Tuning
 from sameas.space import Plane
 
 if TYPE_CHECKING:

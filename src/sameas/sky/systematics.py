@@ -211,7 +211,7 @@ def residual_rotation(
 
 def _initial(centre: tuple[float, float], registration: Registration) -> Rotation:
     """The shift of the patch, at its centre; the rotation about it is not known yet."""
-    from sameas.registration.tuning import DEFAULT_TUNING as REGISTRATION_TUNING
+    from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION_TUNING
 
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = registration.covariance

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sameas.registration.tuning import DEFAULT_TUNING as REGISTRATION
-from sameas.registration.tuning import Tuning as RegistrationTuning
+from sameas.registration.hough import DEFAULT_TUNING as REGISTRATION
+from sameas.registration.hough import Tuning as RegistrationTuning
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ The way of the data; each module hands on one frozen value:
   detections, by set packing;
 - :mod:`~sameas.sky.movers.search`: → ``Movers``, the tracklets with their probabilities: of detections
   (``find_movers``), and of what a tied series of frames (:mod:`sameas.sky.series`) leaves over (``search``);
-- :mod:`~sameas.sky.movers.trails`: of that, what is measured better as a trail; :mod:`~sameas.sky.movers.stack` and
+- :mod:`~sameas.sky.movers.stack`: of that, what is measured better as a trail; :mod:`~sameas.sky.movers.stack` and
   :mod:`~sameas.sky.movers.below_limit`: what the frames show along a motion;
 - :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``,
   and scores of digest2 for near-Earth objects, where it is installed.

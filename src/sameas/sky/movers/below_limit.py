@@ -30,7 +30,7 @@ from scipy.special import expit
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.kernels import threads
-from sameas.kernels.stacking import best_motion
+from sameas.kernels.linear import best_motion
 from sameas.representation import in_short
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA
