@@ -19,7 +19,8 @@ class Work:
     """A function "module:name" of this package whose result, called again and again, is what is timed.
 
     options : its arguments. runs : how often, after one run to warm up. at_most_s : no further run starts after it.
-    threads : SAMEAS_THREADS. python : another interpreter.
+    threads : SAMEAS_THREADS. python : another interpreter. processor : whether a run's time is what its thread takes of
+    the processor, which other work on the machine hardly changes.
     """
 
     function: str
@@ -28,6 +29,7 @@ class Work:
     at_most_s: float = 240.0
     threads: int | None = None
     python: str = sys.executable
+    processor: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Measurement:
 
 def measure(work: Work) -> Measurement:
     """The work done in a process of its own; a failure is told in ``missing``, not raised."""
-    order = {name: getattr(work, name) for name in ("function", "options", "runs", "at_most_s")}
+    order = {name: getattr(work, name) for name in ("function", "options", "runs", "at_most_s", "processor")}
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONWARNINGS": "ignore"}
     if work.threads is not None:

@@ -84,7 +84,7 @@ def _cells(one: Measurement, share: float, ours: float) -> list[object]:
     if not one.seconds:
         words = ["missing", one.missing] if one.absent else ["failed", ""]
         return [*words, 0, None, None, None]
-    word = "" if share == 0.5 else f"p{100 * share:.0f} "
+    word = "" if share == 0.5 else f"p50 {duration(one.median)}, p{100 * share:.0f} "
     time = _judged(one, share)
     spread = f"{duration(min(one.seconds))} to {duration(max(one.seconds))}"
     return [

@@ -56,6 +56,19 @@ def test_the_posterior_is_the_sum_over_all_hypotheses(name, draw):
         np.testing.assert_allclose(1.0 - sum_2[rows_2], none_2, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("draw", DRAWS)
+@pytest.mark.parametrize("shape", [(2, 2), (2, 3), (3, 2), (4, 2), (2, 5)])
+def test_groups_of_two_records_of_a_source_are_summed_hypothesis_by_hypothesis(shape, draw):
+    for seed in range(8):
+        ratios = random_ratios(np.random.default_rng([*shape, seed, len(draw)]), *shape, 0.9, DRAWS[draw])
+        pairs, _, _, sure = solved(*shape, ratios, PerPair(0.3))
+        ours = as_table(pairs, sure.p_pair)
+        for rows_1, rows_2, local in components_of(*shape, ratios):
+            expected, _, _ = naive.posterior(len(rows_1), len(rows_2), local, lambda k: 0.3 * k)
+            for (i, j), p in expected.items():
+                assert ours[rows_1[i], rows_2[j]] == pytest.approx(p, rel=1e-9, abs=1e-250)
+
+
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("name", PRIORS)
 @pytest.mark.parametrize("n1, n2", [(6, 6), (4, 7), (7, 4)])

@@ -135,7 +135,7 @@ def assign(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> Hypothesis
     bounds = groups.bounds(len(threads.even(len(weight))) - 1)
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1)
     if prior.slope is not None:
-        if np.any(prior.slope):
+        if np.count_nonzero(prior.slope):
             weight = weight + np.repeat(prior.slope, groups.pair_counts)
         threads.over(
             lambda a, b: assign_linear(a, b, *shape, groups.local_1, groups.local_2, weight, chosen, u, v), bounds

@@ -80,7 +80,7 @@ class Groups:
 
     def bounds(self, parts: int) -> list[int]:
         """Cuts between groups that share the pairs out evenly over ``parts`` ranges."""
-        if parts == 1:
+        if parts == 1 or len(self) == 1:
             return [0, len(self)]
         cuts = np.linspace(0, len(self.order), parts + 1)[1:-1]
         return [0, *np.searchsorted(self.start, cuts).tolist(), len(self)]

@@ -125,7 +125,7 @@ def posterior(
     unsettled = 0.0
     open_pairs = _NONE
     edge = None if cut is None else _Edge.of(groups, cut, method)
-    if (method == APPROXIMATE).any():
+    if np.count_nonzero(method == APPROXIMATE):
         if linear:
             open_pairs = _without_improbable(groups, best, method, share, neglected, tuning.improbable, edge)
         else:
@@ -136,7 +136,7 @@ def posterior(
         if not math.isfinite(float(share.sum())):
             raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = np.empty(m)
-    p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
+    p_pair[groups.order] = np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
     return Posterior(p_pair, method, neglected, unsettled, None if edge is None else edge.pairs(groups))
 
 

@@ -16,8 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.kernels.compiled import runs_compiled
 from sameas.representation import in_short
 from sameas.space import Plane, Space, Sphere
+
+#: So many rows are looked at one by one where kernels run compiled; NumPy is faster for more (measured).
+FEW = 256
 
 
 @in_short
@@ -32,6 +36,10 @@ class SetAside:
         """How many rows were set aside for each reason."""
         reasons, counts = np.unique(self.reasons.astype(str), return_counts=True)
         return {str(reason): int(count) for reason, count in zip(reasons, counts, strict=True)}
+
+
+#: No row is set aside.
+NONE_ASIDE = SetAside(np.empty(0, np.int64), np.empty(0, object))
 
 
 @in_short
@@ -59,7 +67,7 @@ class Records:
     space: Space = field(default_factory=Plane)
     source: str = "source"
     table: Any = None
-    set_aside: SetAside = field(default_factory=lambda: SetAside(np.empty(0, np.int64), np.empty(0, object)))
+    set_aside: SetAside = field(default=NONE_ASIDE)
 
     def __len__(self) -> int:
         return len(self.features)
@@ -254,7 +262,9 @@ def _unusable(
 
     if invalid not in ("refuse", "set aside"):
         raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')
-    if _all_usable(values, packed, isinstance(space, Sphere)):
+    # Of few rows a kernel that is compiled looks at each of them in less time than NumPy needs for the first.
+    few = len(values) <= FEW and runs_compiled(check_rows)
+    if not few and _all_usable(values, packed, isinstance(space, Sphere)):
         return None
     reasons = np.empty(len(values), np.int8)
     if not check_rows(values, packed, isinstance(space, Sphere), reasons):

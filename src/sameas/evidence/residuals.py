@@ -69,8 +69,9 @@ class Errors:
     @property
     def as_modelled(self) -> bool:
         """Whether S is not the sum of the quoted covariances."""
-        added = any(variance is not None for variance in self.added)
-        return (self.factor_1, self.factor_2) != (1.0, 1.0) or bool(np.any(self.floor)) or added
+        if self.factor_1 != 1.0 or self.factor_2 != 1.0 or any(variance is not None for variance in self.added):
+            return True
+        return self.floor != 0.0 if isinstance(self.floor, float) else bool(np.any(self.floor))
 
     def with_mixture(self, mixture: Errors) -> Errors:
         """The same S with the scales and shares of another."""
@@ -93,7 +94,10 @@ class Errors:
 
     def log_density(self, pairs: Pairs) -> FloatArray:
         """(m,) ln of the density of the residuals [F14, T17, for one component of scale 1]."""
-        modelled, density = self.pairs(pairs), np.empty(len(pairs))
+        modelled = self.pairs(pairs)
+        if len(pairs) <= BATCH:
+            return modelled.log_peaks(slice(None)) + self._profile(modelled.mahalanobis_sq, pairs.d)
+        density = np.empty(len(pairs))
         for some in _batches(len(pairs)):
             density[some] = modelled.log_peaks(some) + self._profile(modelled.mahalanobis_sq[some], pairs.d)
         return density

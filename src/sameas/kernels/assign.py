@@ -274,10 +274,11 @@ def every_size(
     best1 = mate1.copy()
     potential = np.zeros(n1)
     price = np.zeros(n2)
-    distance = np.empty(n2)
+    # Distances of the columns that are not done: −∞ and ∞ for the others, which so are neither reached nor the nearest.
+    distance, nearest = np.empty(n2), np.empty(n2)
+    bits = nearest.view(np.int64)
     through = np.empty(n2, np.int64)
-    done = np.empty(n2, np.bool_)
-    scanned = np.empty(n2, np.int64)
+    scanned, reached = np.empty(n2, np.int64), np.empty(n2)
     top = -np.inf
     for e in range(low, edges[-1]):
         top = max(top, weight[e])
@@ -291,42 +292,45 @@ def every_size(
         for c in range(n2):
             if k == 1 or (heads[c] >= 0 and mate1[row_of[heads[c] - low]] >= 0):
                 heads[c] = heaviest_free(pairs, starts[c], starts[c + 1], row_of, low, mate1, weight)
-            done[c] = False
+            nearest[c] = np.inf
             if heads[c] >= 0:
-                distance[c] = max(0.0, top + price[c] - weight[heads[c]])
+                nearest[c] = max(0.0, top + price[c] - weight[heads[c]])
                 through[c] = heads[c]
-            else:
-                distance[c] = np.inf
+            distance[c] = nearest[c]
         count = 0
-        end = -1
+        end, least = -1, np.inf
         while True:
-            c = -1
+            # Numbers from 0 on are ordered as their bits are, of which processors find the least several at a time.
+            lowest = bits[0]
             for t in range(n2):
-                if not done[t] and (c < 0 or distance[t] < distance[c]):
-                    c = t
-            if c < 0 or distance[c] == np.inf:
+                lowest = min(lowest, bits[t])
+            c = 0
+            while bits[c] != lowest:
+                c += 1
+            least = nearest[c]
+            if least == np.inf:
                 break
-            done[c] = True
             if mate2[c] < 0:
                 end = c
                 break
-            scanned[count] = c
+            distance[c], nearest[c] = -np.inf, np.inf
+            scanned[count], reached[count] = c, least
             count += 1
             row = row_of[mate2[c] - low]
-            for e in range(edges[row], edges[row + 1]):
-                t = local2[e]
-                if not done[t]:
-                    reach = distance[c] + max(0.0, potential[row] + price[t] - weight[e])
-                    if reach < distance[t]:
-                        distance[t] = reach
-                        through[t] = e
+            own, begin = potential[row], edges[row]
+            own_weight, columns = weight[begin : edges[row + 1]], local2[begin : edges[row + 1]]
+            for at in range(len(columns)):
+                t = np.uint64(columns[at])  # which no loop has to look whether it counts from the end
+                reach = least + max(0.0, own + price[t] - own_weight[at])
+                if reach < distance[t]:
+                    distance[t] = nearest[t] = reach
+                    through[t] = begin + at
         if end < 0:
             break
-        least = distance[end]
         for t in range(count):
             c = scanned[t]
-            price[c] += least - distance[c]
-            potential[row_of[mate2[c] - low]] -= least - distance[c]
+            price[c] += least - reached[t]
+            potential[row_of[mate2[c] - low]] -= least - reached[t]
         total += top - least
         top -= least
         c = end

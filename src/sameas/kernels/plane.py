@@ -243,8 +243,11 @@ def _in_order(features: FloatArray, packed: FloatArray, periods: FloatArray) -> 
             content[k, v] = value
         for v in range(packed.shape[1]):
             content[k, d + v] = packed[k, v]
-    rows = np.arange(n).astype(np.int32)
-    gap = n // 2  # Shell's sort: halves the gap each time
+    rows = np.argsort(content[:, 0]).astype(np.int32)
+    gap = 0  # Shell's sort where some say the same of their first feature: halves the gap each time
+    for k in range(1, n):
+        if content[rows[k], 0] == content[rows[k - 1], 0]:
+            gap = n // 2
     while gap > 0:
         for k in range(gap, n):
             row, at = rows[k], k
