@@ -1,6 +1,5 @@
 """Data walks one way: every room has its floor, no room imports one above it, and starting up imports little."""
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import sameas
+from modules import belong_inside, circles, imported, name_of, too_small
 
 HOME = Path(sameas.__file__).parent
 #: The rooms (modules and packages of ``sameas``) from the ground up; those of one line do not import each other.
@@ -54,29 +54,6 @@ def room_of(path):
     return path.relative_to(HOME).with_suffix("").parts[0]
 
 
-def name_of(path):
-    return ".".join(path.relative_to(HOME).with_suffix("").parts).removesuffix(".__init__")
-
-
-def is_module(name):
-    place = HOME.parent.joinpath(*name.split("."))
-    return place.with_suffix(".py").exists() or (place / "__init__.py").exists()
-
-
-def imported(path):
-    """Modules of sameas that a file imports, wherever in it, as dotted names without ``sameas.``."""
-    names = set()
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import"
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                names.add(inner if is_module(inner) else node.module)
-    return {name.removeprefix("sameas.") for name in names if name.startswith("sameas.")}
-
-
 def rooms(names):
     return {name.split(".")[0] for name in names} & set(FLOOR)
 
@@ -107,13 +84,18 @@ def test_kernels_import_kernels_only():
 @pytest.mark.slow
 def test_no_module_imports_itself_by_way_of_others():
     """No circles, also not those that type checkers alone would see."""
-    modules = {name_of(path): path for path in MODULES}
-    wanted = {name: imported(path) & set(modules) - {name} for name, path in modules.items()}
-    done = set()
-    while left := {name: others - done for name, others in wanted.items() if name not in done}:
-        free = {name for name, others in left.items() if not others}
-        assert free, f"circle among {sorted(left)}"
-        done |= free
+    assert circles() == []
+
+
+@pytest.mark.slow
+def test_a_module_that_one_other_imports_lies_inside_that():
+    """But for rules, formats, kernels, commands … (``modules.KINDS``), and where both together hold two ideas."""
+    assert belong_inside() == []
+
+
+@pytest.mark.slow
+def test_a_module_of_a_few_lines_has_many_importers():
+    assert too_small() == []
 
 
 @pytest.mark.parametrize("stage", MANY)

@@ -1,0 +1,134 @@
+"""The modules of sameas: which imports which, of what kind each is, and which belong inside their only importer.
+
+``scripts/house`` prints the numbers, ``test_layers.py`` keeps the rules.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+HOME = Path(__file__).resolve().parent.parent / "src" / "sameas"
+#: Folders in which every module is one of its kind, however few import it.
+KINDS = {
+    "adapters": "adapter", "cli": "command", "evidence": "rule", "io": "format", "kernels": "kernel",
+    "pages": "page", "plots": "drawing", "report": "report", "score": "score", "simulate": "scene",
+}  # fmt: skip
+#: Lines of a module and its only importer together from which they stay two.
+TWO_IDEAS = 700
+#: Shorter modules need more importers than so few, unless they are one of a kind.
+SMALL, FEW = 60, 5
+
+
+@dataclass(frozen=True)
+class Module:
+    """name : dotted, without ``sameas.``. importers : names of modules and packages, stubs included."""
+
+    name: str
+    path: Path
+    lines: int
+    importers: frozenset[str]
+
+    @property
+    def room(self) -> str:
+        return self.name.split(".")[0]
+
+    def kind(self, lines: dict[str, int]) -> str:
+        """The kind of the module; "inside" where nothing keeps it out of the module that imports it."""
+        if self.path.name in ("__init__.py", "__main__.py"):
+            return "package"
+        if self.room in KINDS:
+            return KINDS[self.room]
+        if "." not in self.name:
+            return "stage"
+        if any(one.split(".")[0] != self.room or (HOME / one.replace(".", "/")).is_dir() for one in self.importers):
+            return "interface of its room"
+        if len(self.importers) != 1:
+            return "shared" if self.importers else "inside"
+        return "long" if self.lines + lines[next(iter(self.importers))] > TWO_IDEAS else "inside"
+
+
+def name_of(path: Path) -> str:
+    """Dotted, without ``sameas.``; "" is the package itself."""
+    return ".".join(path.relative_to(HOME).with_suffix("").parts).removesuffix("__init__").removesuffix(".")
+
+
+def is_module(name: str) -> bool:
+    place = HOME.parent.joinpath(*name.split("."))
+    return place.with_suffix(".py").exists() or (place / "__init__.py").exists()
+
+
+@cache
+def imported(path: Path) -> frozenset[str]:
+    """Modules of sameas that a file or stub imports, wherever in it, as dotted names without ``sameas.``."""
+    names = set()
+    package = ".".join(path.parent.relative_to(HOME.parent).parts)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0 or path.suffix == ".pyi", f"{path}: relative import"
+            assert node.level < 2, f"{path}: an import from above"
+            module = ".".join(part for part in (package if node.level else "", node.module or "") if part)
+            for alias in node.names:
+                inner = f"{module}.{alias.name}"
+                names.add(inner if is_module(inner) else module)
+    return frozenset(name.removeprefix("sameas.") for name in names if name.startswith("sameas."))
+
+
+@cache
+def modules() -> dict[str, Module]:
+    """All modules by name."""
+    files = {name_of(path): path for path in sorted(HOME.rglob("*.py"))}
+    importers: dict[str, set[str]] = {name: set() for name in files}
+    for path in sorted(HOME.rglob("*.py*")):
+        if path.suffix in (".py", ".pyi"):
+            for name in imported(path) & set(files) - {name_of(path)}:
+                importers[name].add(name_of(path))
+    return {
+        name: Module(name, path, len(path.read_text(encoding="utf-8").splitlines()), frozenset(importers[name]))
+        for name, path in files.items()
+    }
+
+
+def lines_of() -> dict[str, int]:
+    return {name: module.lines for name, module in modules().items()}
+
+
+def circles() -> list[str]:
+    """Modules that import each other in a circle, also those that type checkers alone would see; [] is none."""
+    paths = {name: module.path for name, module in modules().items() if name}
+    wanted = {name: imported(path) & set(paths) - {name} for name, path in paths.items()}
+    done: set[str] = set()
+    while left := {name: others - done for name, others in wanted.items() if name not in done}:
+        free = {name for name, others in left.items() if not others}
+        if not free:
+            return sorted(left)
+        done |= free
+    return []
+
+
+def belong_inside() -> list[str]:
+    """Modules that one other imports, or none, and that nothing keeps out of it."""
+    lines = lines_of()
+    return [name for name, module in modules().items() if module.kind(lines) == "inside"]
+
+
+def too_small() -> list[str]:
+    """Modules of a few lines that few import."""
+    lines = lines_of()
+    kept = {"package", *KINDS.values()}
+    return [
+        name
+        for name, module in modules().items()
+        if module.lines < SMALL and len(module.importers) < FEW and module.kind(lines) not in kept
+    ]
+
+
+def of_one_importer() -> Counter[str]:
+    """How many modules have one importer, by kind."""
+    lines = lines_of()
+    return Counter(m.kind(lines) for m in modules().values() if len(m.importers) == 1 and m.kind(lines) != "package")
