@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import special
 
 from sameas import ChiSquare, Identification, InputError, Records
-from sameas.estimate.companions import Companions, close_couples, clustering, ring, within
+from sameas.estimate.companions import Companions, close_couples, clustering, ring, scaled_i0, within
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.estimate.sample import Setting
@@ -184,3 +185,11 @@ def test_records_within_their_errors_of_each_other_are_counted() -> None:
 def test_numbers_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match=r"couples_field: 400 objects, a share of 1\.5"):
         couples_field(np.random.default_rng(1), 400, share=1.5)
+
+
+def test_the_scaled_bessel_function_is_scipys():
+    x = np.concatenate([[0.0, 1e-300], np.geomspace(1e-3, 1e12, 4001), [29.999999, 30.0, np.inf]])
+    with np.errstate(all="raise"):
+        ours = scaled_i0(x)
+    np.testing.assert_allclose(ours, special.i0e(x), rtol=3e-15)
+    assert scaled_i0(x[:4000].reshape(40, 100)).shape == (40, 100)

@@ -81,16 +81,32 @@ VARIANCES = np.linspace(0.01, 0.99, 50)
 EDGES = (1.0, 4.0 / math.pi, 1.5)
 
 
+#: Coefficients of √(2πx) e⁻ˣ I₀(x) in powers of 1/x (Abramowitz & Stegun 9.7.1), and the x from which so many give
+#: it to 1e-15.
+_EXPANSION, _LARGE = [math.prod((2 * j - 1) ** 2 / (8 * j) for j in range(1, k + 1)) for k in range(16)], 30.0
+
+
+def scaled_i0(x: FloatArray) -> FloatArray:
+    """e⁻ˣ I₀(x), x ≥ 0 of any shape. scipy.special takes 0.1 s to import, and ``np.i0`` ten times as long."""
+    out, large = np.empty_like(x), x >= _LARGE
+    inverse = 1.0 / x[large]
+    total = np.full_like(inverse, _EXPANSION[-1])
+    for coefficient in reversed(_EXPANSION[:-1]):
+        total *= inverse
+        total += coefficient
+    out[large] = total * np.sqrt(inverse / (2.0 * math.pi))
+    small = x[~large]
+    out[~large] = np.exp(-small) * np.i0(small)
+    return out
+
+
 def ring(distance: FloatArray, radius: float, variance: FloatArray, d: int) -> FloatArray:
     """(m,) density of points at a distance, that lie on a sphere of a radius blurred by a variance per axis."""
     with np.errstate(over="ignore"):
         x = distance * radius / variance
     peak = (2.0 * math.pi * variance) ** (-0.5 * d) * np.exp(-0.5 * (distance - radius) ** 2 / variance)
     if d == 2:
-        # e⁻ˣ I₀(x), for large x by its expansion (Abramowitz & Stegun 9.7.1); scipy.special takes 0.1 s to import.
-        small, large = np.minimum(x, 500.0), np.maximum(x, 500.0)
-        expansion = (1.0 + (0.125 + 0.0703125 / large) / large) / np.sqrt(2.0 * math.pi * large)
-        return np.asarray(peak * np.where(x < 500.0, np.exp(-small) * np.i0(small), expansion))
+        return np.asarray(peak * scaled_i0(x))
     if d == 1:
         return np.asarray(peak * 0.5 * (1.0 + np.exp(-2.0 * x)))
     return np.asarray(peak * np.where(x > 1e-6, -np.expm1(-2.0 * x) / np.maximum(2.0 * x, 1e-300), 1.0))
