@@ -131,3 +131,9 @@ def test_starting_up_imports_nothing_heavy(used):
     loaded = set(run.stdout.split())
     assert "sameas" in loaded and ("numpy" in loaded or used == "sameas")
     assert not loaded & {"astropy", "scipy", "numba", "pyarrow", "matplotlib", "pandas", "typer", "rich", "llvmlite"}
+
+
+def test_the_options_of_a_match_are_made_without_numpy():
+    program = "import sys, sameas.cli.match; print('numpy' in sys.modules, 'typer' in sys.modules)"
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == ["False", "True"]

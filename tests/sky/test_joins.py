@@ -11,9 +11,9 @@ from astropy.table import Table
 from sameas.errors import InputError
 from sameas.front.match import Match
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.conventions import JOINS
 from sameas.sky.crossmatch import CrossmatchTuning, MatchOptions, match
 from sameas.sky.joins import joined
+from sameas.sky.output_columns import JOINS
 
 ARCSEC = 1.0 / 3600.0
 

@@ -9,7 +9,7 @@ from astropy.table import Table
 
 import sameas
 from sameas.io import read_table, write_table
-from sameas.sky.conventions import UCDS
+from sameas.sky.output_columns import UCDS
 
 
 @pytest.mark.parametrize("name", UCDS)

@@ -29,7 +29,7 @@ from sameas.cli.options import (
 )
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
-from sameas.sky.conventions import JOINS
+from sameas.sky.output_columns import JOINS
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs

@@ -413,7 +413,7 @@ def match(
         return replace(found, join=join, nway_columns=nway_columns, call=call)
     from sameas.front.request import Request
     from sameas.sky import crossmatch
-    from sameas.sky.conventions import JOINS
+    from sameas.sky.output_columns import JOINS
 
     if join not in JOINS:
         raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")

@@ -30,7 +30,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.conventions import JOINS, meta_of
+from sameas.sky.output_columns import JOINS, meta_of
 from sameas.space import Sphere
 
 if TYPE_CHECKING:

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.result.identification import AMBIGUOUS
-from sameas.sky.conventions import meta_of
 from sameas.sky.frame.identified import EXPECTED, FrameIdentification
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.place import odds_in_words
 from sameas.sky.frame.tangent import directions_deg
+from sameas.sky.output_columns import meta_of
 
 if TYPE_CHECKING:
     from astropy.table import Table

@@ -27,8 +27,8 @@ from sameas.arrays import IntArray
 from sameas.errors import InputError
 from sameas.many.joint import NO_RECORD
 from sameas.records import Records
-from sameas.sky.conventions import meta_of
 from sameas.sky.many.match import ManyMatch
+from sameas.sky.output_columns import meta_of
 
 #: Least probability of a runner-up that is named (chosen).
 LEAST_RUNNER_UP = 1e-3
