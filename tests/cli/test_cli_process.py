@@ -243,13 +243,14 @@ except SystemExit:
 
 
 @pytest.mark.slow
-def test_a_short_run_imports_nothing_that_it_does_not_need(tmp_path):
-    """Which would take longer than the match itself."""
+@pytest.mark.parametrize(("rows", "side_deg"), [(60, 1.0), (1000, 0.02)])
+def test_a_short_run_imports_nothing_that_it_does_not_need(tmp_path, rows, side_deg):
+    """Which would take longer than the match itself: nor do the larger groups of a thousand rows in a crowd."""
     rng = np.random.default_rng(3)
-    ra, dec = rng.uniform(10.0, 11.0, (2, 60))
+    ra, dec = rng.uniform(10.0, 10.0 + side_deg, (2, rows))
     for name in ("one", "two"):
-        off = rng.normal(0.0, 0.1 / 3600.0, (2, 60))
-        columns = {"ra": ra + off[0], "dec": dec + off[1], "sigma": np.full(60, 0.1)}
+        off = rng.normal(0.0, 0.1 / 3600.0, (2, rows))
+        columns = {"ra": ra + off[0], "dec": dec + off[1], "sigma": np.full(rows, 0.1)}
         parquet.write_table(pyarrow.table(columns), tmp_path / f"{name}.parquet")
     probe = """
 import sys

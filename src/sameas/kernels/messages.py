@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import inlined, kernel, part
+from sameas.kernels.compiled import inlined, part, small_by
 from sameas.kernels.posterior import LOCAL, bounded_exp
 
 # Compiled upper bounds of the probability of pairs, from what their records can do without each other.
@@ -33,7 +34,13 @@ HIGHEST = 300.0
 STILL = 0.1
 
 
-@kernel
+def _pairs_wanted(first: int, last: int, start: IntArray, *rest: Any) -> float:
+    """The pairs of the groups first … last − 1 that are wanted, each looked at in every sweep."""
+    pairs, wanted = np.diff(start[first : last + 1]), rest[-2]
+    return 2.0 * SWEEPS * float(pairs[wanted[first:last]].sum())
+
+
+@small_by(_pairs_wanted)
 def bounds(
     first: int,
     last: int,
@@ -156,7 +163,13 @@ def sum_but(at: int, whole: float, none: float, values: FloatArray, first: int, 
     return others
 
 
-@kernel
+def _pairs_left(first: int, last: int, start: IntArray, *rest: Any) -> float:
+    """The pairs of the groups first … last − 1 that are left LOCAL, for each of the sweeps that most of them need."""
+    pairs, method = np.diff(start[first : last + 1]), rest[8]
+    return 32.0 * float(pairs[method[first:last] == LOCAL].sum())
+
+
+@small_by(_pairs_left)
 def messages(
     first: int,
     last: int,
