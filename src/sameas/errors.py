@@ -136,7 +136,11 @@ class InputError(ValueError):
         """Several refusals in one: all that is missing is said at once."""
         if len(errors) == 1:
             return errors[0]
-        words = [part for error in errors for part in (error.words, ". Also: ")][:-1]
+        words: list[str] = []
+        for error in errors:
+            if words:
+                words.append(" Also: " if str(words[-1]).endswith("?") else ". Also: ")
+            words.append(error.words)
         return cls(Message(*words), source=errors[0].source)
 
     @property

@@ -5,6 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fields import field, save
+from typer.testing import CliRunner
+
+from sameas.cli.app import app
 
 
 @pytest.fixture
@@ -48,6 +51,33 @@ def test_no_position_or_two_name_the_option_of_that_catalogue(refused):
 def test_a_column_that_is_not_there_names_the_option_that_was_typed(refused):
     assert "no column 'sigmas' for --sigma1; did you mean 'sigma'?" in refused(lambda t: None, "--sigma1", "sigmas")
     assert "no column 'sigmas' for --sigma; did you mean" in refused(lambda t: None, "--sigma", "sigmas")
+
+
+def test_what_is_missing_in_both_is_said_in_sentences(refused):
+    assert "did you mean 'ra'? Also: second: no column 'rra' for --ra" in refused(lambda t: None, "--ra", "rra")
+
+
+@pytest.mark.parametrize("option", ["--radius", "--within", "--max-sep"])
+@pytest.mark.parametrize("command", ["match", "many"])
+def test_who_gives_a_radius_reads_what_decides_instead(command, option):
+    done = CliRunner().invoke(app, [command, "a.csv", "b.csv", "-o", "c.csv", option, "1"])
+    words = " ".join(done.output.replace("│", " ").split())
+    assert done.exit_code == 2 and f"No such option: {option}. No radius is needed" in words
+    assert "give --sigma ARCSEC" in words and "Possible options" not in words
+
+
+def test_swapped_columns_and_marks_of_missing_declinations(refused):
+    def swapped(table):
+        table["ra"], table["dec"] = np.full(len(table), 20.0), np.full(len(table), 150.0)
+
+    def marked(table):
+        table["dec"][3] = -99.0
+
+    words = refused(swapped)
+    assert "(first: row 0), right ascensions within it; are the two swapped? give --ra1 NAME --dec1 NAME" in words
+    assert "beyond ±90° in 1 row (first: row 3); leave cells empty that were not measured (-99 there)" in refused(
+        marked
+    )
 
 
 def test_unknown_units(refused):

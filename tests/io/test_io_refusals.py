@@ -131,6 +131,7 @@ def test_csv_that_is_not_utf8(tmp_path):
     # Arrow's own traceback for a row that it cannot decode would be a warning here, and an error.
     assert "(line 3); save it as UTF-8" in refusal(tmp_path / "t.csv", "name,n\na,1\nÅ,1,2\n".encode("latin-1"))
     assert "(line 1); save it as UTF-8" in refusal(tmp_path / "t.csv", "Ångström,n\n1,1\n".encode("latin-1"))
+    assert "is UTF-16 text, not CSV; save it as UTF-8" in refusal(tmp_path / "t.csv", "name,n\na,1\n".encode("utf-16"))
 
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
@@ -189,7 +190,7 @@ def test_a_votable_whose_rows_lie_elsewhere_is_refused_and_nothing_is_loaded(
     else:
         name = "t.vot.gz" if packed else "t.vot"
         said = refusal(tmp_path / name, gzip.compress(content) if packed else content)
-        assert "rows lie elsewhere" in said or (encoding == "utf-16" and "is a binary file" in said)
+        assert "rows lie elsewhere" in said or (encoding == "utf-16" and "is UTF-16 text" in said)
     assert not loaded
 
 

@@ -282,6 +282,8 @@ def test_an_epoch_that_is_none_is_refused() -> None:
         catalogue(table, sigma=1, epoch="when")
     with pytest.raises(InputError, match="column 'word', row 0: 'soon' is not a number"):
         catalogue(table, sigma=1, epoch="word")
+    with pytest.raises(InputError, match="row 0: '12,5' is not a number; write decimals with a point"):
+        catalogue({"ra": ["12,5"], "dec": [50.0]}, sigma=1)
     with pytest.raises(InputError, match="no column '2016,5' for epoch"):
         catalogue(table, sigma=1, epoch="2016,5")
 

@@ -79,13 +79,30 @@ COMMANDS = {
 }
 
 
+#: What other programs call the distance within which they look for a partner.
+_RADIUS = {"--radius", "--within", "--max-sep", "--max-error", "--separation", "--tolerance", "--match-radius"}
+#: The commands that take errors instead, and what they answer.
+_WITH_ERRORS = {"match", "many"}
+_NO_RADIUS = (
+    "No radius is needed: how far to look follows from the errors of the positions; where the tables do not state "
+    "these, they are estimated, or give --sigma ARCSEC."
+)
+
+
 class _Recorded(TyperCommand):
     """A command that keeps its arguments as they were typed, for the output's provenance."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)
         ctx.meta["typed"] = shlex.join(["sameas", str(self.name), *args])
-        return super().parse_args(ctx, ellipses_split(args))
+        try:
+            return super().parse_args(ctx, ellipses_split(args))
+        except Exception as error:
+            unknown: Any = error
+            if self.name in _WITH_ERRORS and getattr(unknown, "option_name", None) in _RADIUS:
+                unknown.possibilities = None  # similar in letters only
+                unknown.message = f"No such option: {unknown.option_name}. {_NO_RADIUS}"
+            raise
 
 
 class _Unmade(TyperCommand):

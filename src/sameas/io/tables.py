@@ -38,6 +38,7 @@ FORMATS: tuple[Format, ...] = (
 #: So much of a file tells what it is: the comments of VizieR are long.
 _HEAD_BYTES = 1 << 16
 
+_UTF_16 = "UTF-16 text"
 #: The first bytes of files that are no tables of ours, and what they are.
 _OTHER_SIGNATURES = (
     (b"\x89PNG", "a PNG picture"),
@@ -103,6 +104,8 @@ def kind_of(first: bytes) -> str | None:
         return "an XML file without a table"
     if text.startswith((b"{", b"[{")):
         return "a JSON file"
+    if first.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return _UTF_16
     return "a binary file" if b"\x00" in first else None
 
 
@@ -290,6 +293,8 @@ def _check_kind(path: Path, known: Format, kind: str | None) -> None:
         kind = f"a {kind} file"
     elif kind == "a web page (HTML)":
         remedy = "the download probably failed"
+    elif kind == _UTF_16:
+        remedy = "save it as UTF-8"
     reason = f"is {kind}, not {known.label}" if kind else f"is not a {known.label} file"
     raise InputError(f"{path}: {reason}", remedy)
 

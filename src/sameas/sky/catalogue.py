@@ -350,6 +350,7 @@ def _astrometry(
     if options.fill_errors and choice.error.kind != "unknown":
         sigma, correlation, filled = _filled(sigma, correlation, magnitude, np.isfinite(ra) & np.isfinite(dec))
     epoch = _epochs(table, choice, source)
+    _check_declinations(ra, dec, source)
     missing = MissingMotion()
     if options.missing_pm_mas_per_yr is not None:
         missing = replace(missing, pm_sigma_mas_per_yr=options.missing_pm_mas_per_yr)
@@ -368,6 +369,23 @@ def _astrometry(
     )
     # The epoch that is not known is not 2000.
     return (replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry), filled
+
+
+def _check_declinations(ra: FloatArray, dec: FloatArray, source: str) -> None:
+    """Refuses declinations beyond ±90°: of most rows where the columns are swapped, of few where none was measured."""
+    beyond = np.flatnonzero(np.abs(dec) > 90.0)
+    if not len(beyond):
+        return
+    message = f"{source}: declinations beyond ±90° in {counted(len(beyond), 'row')} (first: row {beyond[0]})"
+    few = 2 * len(beyond) < np.count_nonzero(np.isfinite(dec))
+    if few:
+        remedy: str = f"leave cells empty that were not measured ({dec[beyond[0]]:g} there)"
+    elif np.all(np.abs(ra[np.isfinite(ra)]) <= 90.0):
+        message += ", right ascensions within it"
+        remedy = naming("are the two swapped? give {ra:NAME} {dec:NAME}")
+    else:
+        remedy = "give degrees"
+    raise InputError(message, remedy, source=source)
 
 
 def _filled(

@@ -102,7 +102,9 @@ def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray
             try:
                 values[row] = reader(stripped.replace("−", "-"))
             except ValueError:
-                raise InputError(f"{source}: column {name!r}, row {row}: {text!r} is not a number") from None
+                remedy = "write decimals with a point" if re.fullmatch(r"[-+−]?\d+,\d+", stripped) else ""
+                message = f"{source}: column {name!r}, row {row}: {text!r} is not a number"
+                raise InputError(message, remedy) from None
     return values
 
 
