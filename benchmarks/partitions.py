@@ -14,13 +14,14 @@ import numpy as np
 from astropy.table import Table as Rows
 
 import sameas
-from benchmarks import workload
 from benchmarks.tables import Table, report
-from sameas.partitions.layout import HatsCatalogue
-from sameas.partitions.output import write_hats
+from sameas.partitions.layout import Cell, HatsCatalogue, properties
+from sameas.partitions.output import finish_catalogue, write_hats
 from sameas.partitions.run import PIECE_ROWS
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
+#: Objects of one field where it is asked what a row costs; more are in several, on the same parallel.
+FIELD = 2_500_000
 #: Holes in the awkward field.
 HOLES = 12
 COLUMNS = ("partitions", "pairs", "others than one machine", "claimed twice", "largest |Δp|", "% |Δp| > 1e-6",
@@ -64,13 +65,14 @@ print(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]) - start, n)
 """
 
 
-def tables(n: int, lam: float, awkward: bool = False) -> list[Any]:
+def tables(n: int, lam: float, awkward: bool = False, field: int = 0) -> list[Any]:
     """The workload of the other benchmarks as two tables; ``awkward``: around the pole, so that RA 0 lies in it, with
-    holes where neither source looks."""
+    holes where neither source looks. field : its number; each lies elsewhere."""
     from sameas.simulate.scenes import crowded_sky
 
-    rng = np.random.default_rng(71)
-    scene = crowded_sky(rng, n, lam, centre_deg=(0.0, 90.0)) if awkward else workload.crowded(71, n, lam)[0]
+    rng = np.random.default_rng(71 + field)
+    centre_deg = (0.0, 90.0) if awkward else ((150.0 + 18.0 * field) % 360.0, 40.0)
+    scene = crowded_sky(rng, n, lam, centre_deg=centre_deg)
     widest = float(90.0 - scene.first.features[:, 1].min())
     holes = widest * rng.uniform(-0.7, 0.7, (HOLES, 2)), widest * rng.uniform(0.05, 0.12, HOLES)
     out = []
@@ -81,7 +83,9 @@ def tables(n: int, lam: float, awkward: bool = False) -> list[Any]:
         for (x, y), radius in zip(*holes, strict=True) if awkward else ():
             at = np.radians(ra)
             seen &= np.hypot((90.0 - dec) * np.cos(at) - x, (90.0 - dec) * np.sin(at) - y) > radius
-        out.append(Rows({"id": np.arange(seen.sum()), "ra": ra[seen], "dec": dec[seen], "pos_err": sigma[seen]}))
+        out.append(
+            Rows({"id": field * n + np.arange(seen.sum()), "ra": ra[seen], "dec": dec[seen], "pos_err": sigma[seen]})
+        )
     return out
 
 
@@ -108,12 +112,29 @@ def stored(folder: Path, both: list[Any], most: int) -> tuple[str, tuple[Path, P
     return f"{len(one)} and {len(two)}", (folder / "a", folder / "b")
 
 
+def in_fields(folder: Path, rows: int, lam: float, most: int) -> tuple[str, tuple[Path, Path], int]:
+    """Both as catalogues of one field, or of as many as it takes, written one after another: how many partitions,
+    where, and how many rows."""
+    fields = max(1, round(rows / FIELD))
+    coarser = 3 * most if fields == 1 else min(3 * most, rows // fields // 8)  # so that none holds rows of two fields
+    most = min(most, coarser)
+    cells: tuple[list[Cell], list[Cell]] = [], []
+    n, paths = 0, (folder / "a", folder / "b")
+    for path in (*paths, folder / "out"):
+        shutil.rmtree(path, ignore_errors=True)
+    for number in range(fields):
+        both = tables(rows // fields, lam, field=number)
+        n += sum(map(len, both))
+        for table, path, found, rows_at_most in zip(both, paths, cells, (most, coarser), strict=True):
+            found += write_hats(table, path, most_rows=rows_at_most)
+    for path, found in zip(paths, cells, strict=True):
+        finish_catalogue(path, found, properties(path / "hats.properties"), {})
+    return " and ".join(str(len(found)) for found in cells), paths, n
+
+
 def size(folder: Path, rows: int, lam: float, most: int) -> tuple[Any, ...]:
     """What a row costs in catalogues of so many objects, without the comparison with one machine."""
-    both = tables(rows, lam)
-    n = sum(map(len, both))
-    cells, paths = stored(folder, both, most)
-    del both
+    cells, paths, n = in_fields(folder, rows, lam, most)
     estimating, deciding, _, _, _, pairs, memory = run(OURS, *paths, folder / "out", PIECE_ROWS)
     return (n, cells, int(pairs), 1e6 * estimating / n, 1e6 * deciding / n, estimating + deciding, memory)
 
