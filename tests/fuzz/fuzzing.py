@@ -13,6 +13,7 @@ once more.
 from __future__ import annotations
 
 import argparse
+import ast
 import hashlib
 import json
 import math
@@ -307,8 +308,11 @@ class Findings:
 
 @dataclass(frozen=True)
 class Code:
-    """What inputs are read by. modules : of sameas, each as a digest. libraries : their versions. inputs : a digest of
-    the first fifty, which are other ones when the files or their changes are."""
+    """What reads the inputs.
+
+    modules : a digest of each loaded module of sameas, without its comments and docstrings. libraries : their versions.
+    inputs : a digest of the first fifty inputs, which changes with the corpus and with how inputs are changed.
+    """
 
     modules: dict[str, str]
     libraries: dict[str, str]
@@ -328,7 +332,7 @@ class Code:
                 continue
         paths = {module: SOURCE / module for module in modules}
         return cls(
-            {module: _digest(path.read_bytes()) if path.is_file() else "gone" for module, path in paths.items()},
+            {module: _digest(_meaning(path)) if path.is_file() else "gone" for module, path in paths.items()},
             found, digest.hexdigest()[:16],
         )  # fmt: skip
 
@@ -338,6 +342,23 @@ class Code:
             self.modules.items() <= later.modules.items()
             and (self.libraries, self.inputs) == (later.libraries, later.inputs)
         )  # fmt: skip
+
+
+def _meaning(path: Path) -> bytes:
+    """A module as its syntax tree, without comments and docstrings: what does not change when only words do."""
+    tree = ast.parse(path.read_bytes())
+    for node in ast.walk(tree):
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
+            node.body = [one for one in node.body if not _is_text(one)]
+    return ast.dump(tree).encode()
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
 
 
 def _digest(content: bytes) -> str:

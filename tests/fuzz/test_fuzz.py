@@ -51,3 +51,13 @@ def test_what_was_read_counts_for_the_code_that_read_it(tmp_path, monkeypatch, c
     assert run("--inputs", "10", "--older")[1::6] == ["40", "2026-01-02"]
     assert run("--inputs", "10")[1] == "10"
     assert run("--inputs", "10", "--older")[1] == "40" and json.loads(path.read_text())["older"]["day"] == "2026-01-02"
+
+
+def test_only_what_a_module_does_counts_as_its_code(tmp_path):
+    def meaning(text):
+        (tmp_path / "module.py").write_text(text)
+        return fuzzing._meaning(tmp_path / "module.py")
+
+    plain = meaning("def half(x):\n    return x / 2\n")
+    assert meaning('"""Halves."""\n\ndef half(x):\n    """Half of x."""\n    return x / 2  # exact\n') == plain
+    assert meaning("def half(x):\n    return x / 3\n") != plain
