@@ -106,7 +106,7 @@ def test_the_order_in_which_records_are_kept_says_nothing(seam):
         tables.append({"id": [f"n{k}" for k in some], "ra": at[:, 0] % 360.0, "dec": at[:, 1]})
     options = CatalogueOptions(sigma=0.5, epoch=2000.0)
     one, two = (Catalogue.of(table, name, options=options) for table, name in zip(tables, ("one", "two"), strict=True))
-    by_row, by_place = (match(one, two, tuning=CrossmatchTuning(by_place=put)) for put in (False, True))
+    by_row, by_place = (match(one, two, tuning=CrossmatchTuning(sort_by_position=put)) for put in (False, True))
     assert (np.diff(by_place.result.first.rows) < 0).any() and (np.diff(by_row.result.first.rows) > 0).all()
     for join in ("all1", "1or2", "pairs"):
         expected, found = (joined(each, join) for each in (by_row, by_place))

@@ -19,7 +19,7 @@ from sameas.gate import Radius
 from sameas.io import read_provenance, read_table, write_table
 from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import brought_together, match
+from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
 from sameas.sky.many.population import AstrometricRecords, fitted, freedom, pairs_within, patterns_of
 from sameas.space import displaced, sphere_offset
@@ -214,7 +214,7 @@ def test_the_density_of_a_pair_is_that_of_its_residual_at_the_common_epoch(dec: 
     catalogues = one, two, three
     seen = tuple(AstrometricRecords.of(c, c.records(2003.0), 2003.0) for c in catalogues)
     for a, b in ((0, 1), (0, 2), (1, 2)):
-        _, _, first_records, second_records = brought_together(catalogues[a], catalogues[b])
+        _, _, first_records, second_records = at_common_epoch(catalogues[a], catalogues[b])
         pairs = Radius(1e5)(first_records, second_records)
         own = np.flatnonzero(pairs.i == pairs.j)
         sets = np.full((len(own), 3), -1)

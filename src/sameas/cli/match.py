@@ -351,7 +351,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     from sameas.cli.terminal import Pace, Printer
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
-    from sameas.sky.crossmatch import brought_together, density_doubts
+    from sameas.sky.crossmatch import at_common_epoch, density_doubts
     from sameas.sky.doubts import completed
 
     printer = Printer(quiet)
@@ -359,7 +359,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
         first, second = _understood(request, printer, pace)
         pace("motion")
         (first, second), assumed = completed((first, second), request.options.epoch_jyr)
-        together = request.naming_sides(lambda: brought_together(first, second, request.options.epoch_jyr))
+        together = request.naming_sides(lambda: at_common_epoch(first, second, request.options.epoch_jyr))
         _, moved, one, two = together
         pace("densities")
         coverage = Coverage.of(one, two)

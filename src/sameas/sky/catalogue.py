@@ -1,7 +1,7 @@
-"""Catalogue: one table of the sky, understood: positions, errors, motion, epoch, brightness in known units.
+"""Catalogue: one table of the sky with positions, errors, proper motions, epoch and magnitude in known units.
 
-:meth:`Catalogue.of` makes it of a table by itself, :class:`CatalogueOptions` says what it cannot know. Print
-``interpretation`` (what was taken for what) and ``doubts`` (what looks wrong) before believing a result.
+:meth:`Catalogue.of` finds the columns of a table; :class:`CatalogueOptions` overrides them. Read ``interpretation``
+(the chosen columns) and ``doubts`` (what looks wrong) before trusting a result.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
 from sameas.space import Sphere
 
-# Doubts: what is legal in a catalogue, but looks like a wrong unit, a wrong column or a wrong year.
+# Doubts: legal values that suggest a wrong unit, a wrong column or a wrong year.
 
 _LARGEST_SIGMA_ARCSEC, _LEAST_SIGMA_ARCSEC = 60.0, 1e-6
 _FASTEST_MAS_PER_YR = 20_000.0  # Barnard's star moves 10.4 arcsec a year
 
 
 def doubts_of(astrometry: Astrometry, choice: ColumnChoice, options: CatalogueOptions) -> tuple[str, ...]:
-    """Lines that question a catalogue; none if nothing looks wrong."""
+    """One line per doubt about a catalogue; empty if nothing looks wrong."""
     lines = [
-        _doubts_errors(astrometry, choice),
-        _taken_errors(choice),
-        _radians(astrometry, choice),
-        _hours(astrometry, choice),
-        _doubts_epochs(astrometry, choice),
-        _motions(astrometry, choice),
-        _motion_errors(choice, options),
+        _error_doubt(astrometry, choice),
+        _assumed_error_doubt(choice),
+        _radians_doubt(astrometry, choice),
+        _hours_doubt(astrometry, choice),
+        _epoch_doubt(astrometry, choice),
+        _motion_doubt(astrometry, choice),
+        _motion_error_doubt(choice, options),
     ]
     return tuple(line for line in lines if line)
 
 
-def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
+def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.error.kind == "unknown":
         return ""
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
@@ -68,8 +68,8 @@ def _doubts_errors(astrometry: Astrometry, choice: ColumnChoice) -> str:
     return ""
 
 
-def _taken_errors(choice: ColumnChoice) -> str:
-    """A doubt of errors that were not in the table, or in a unit that is not given."""
+def _assumed_error_doubt(choice: ColumnChoice) -> str:
+    """A doubt about errors that are not in the table, or whose unit is not stated."""
     error = choice.error
     if error.survey is not None:
         by = f" at its {choice.magnitude}" if choice.magnitude else ""
@@ -81,7 +81,7 @@ def _taken_errors(choice: ColumnChoice) -> str:
     return ""
 
 
-def _radians(astrometry: Astrometry, choice: ColumnChoice) -> str:
+def _radians_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.ra.unit != "deg" or choice.ra.reason != "by convention":
         return ""
     ra, dec = astrometry.ra_deg, astrometry.dec_deg
@@ -91,18 +91,18 @@ def _radians(astrometry: Astrometry, choice: ColumnChoice) -> str:
     return ""
 
 
-def _hours(astrometry: Astrometry, choice: ColumnChoice) -> str:
+def _hours_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.ra.unit != "deg" or choice.ra.reason != "by convention":
         return ""
     ra, dec = astrometry.ra_deg, astrometry.dec_deg
     known = np.isfinite(ra) & np.isfinite(dec)
-    # Right ascensions of a whole sky that end at 24
+    # A wide field (12° by 60°) whose right ascensions end at 24
     if known.any() and ra[known].max() <= 24.0 and np.ptp(ra[known]) > 12.0 and np.ptp(dec[known]) > 60.0:
         return f"{choice.ra.name} states no unit and stays below 24: is it in hours?"
     return ""
 
 
-def _doubts_epochs(astrometry: Astrometry, choice: ColumnChoice) -> str:
+def _epoch_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     epochs = astrometry.epoch_jyr
     known = epochs[np.isfinite(epochs)]
     odd = known[(known < 1850) | (known > 2100)]
@@ -115,7 +115,7 @@ def _doubts_epochs(astrometry: Astrometry, choice: ColumnChoice) -> str:
     return ""
 
 
-def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
+def _motion_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.motion[1] is None:
         return ""
     speed = np.hypot(astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr)
@@ -129,7 +129,7 @@ def _motions(astrometry: Astrometry, choice: ColumnChoice) -> str:
     )
 
 
-def _motion_errors(choice: ColumnChoice, options: CatalogueOptions) -> str:
+def _motion_error_doubt(choice: ColumnChoice, options: CatalogueOptions) -> str:
     if choice.motion[1] is None or choice.motion_errors[1] is not None or options.pm_sigma_mas_per_yr is not None:
         return ""
     survey = choice.error.survey
@@ -160,11 +160,11 @@ class Catalogue:
     name : used in messages.
     table : the user's table, (n,) rows.
     ids : (n,) identifiers, unique.
-    astrometry : (n,) positions, motions and errors; NaN where there is no position or no error of it, and in
+    astrometry : (n,) positions, motions and errors; NaN where the position or its error is missing, and in
         ``epoch_jyr`` where the epoch is not known.
-    options : what the user gave. choice : which columns were taken. interpretation : the same as lines to print.
+    options : given by the user. choice : the chosen columns. interpretation : the same as lines to print.
     doubts : what looks wrong.
-    has_motion : is there a proper motion in any row?
+    has_motion : whether any row has a proper motion.
     magnitude, magnitude_error : (n,), NaN where not measured, or None. magnitude_name : the column.
     """
 
@@ -190,20 +190,21 @@ class Catalogue:
 
     @property
     def epoch_jyr(self) -> float | None:
-        """The median epoch of the rows, None where no epoch is known."""
+        """The median epoch of the rows, None if no epoch is known."""
         known = self.astrometry.epoch_jyr[np.isfinite(self.astrometry.epoch_jyr)]
         return float(np.median(known)) if len(known) else None
 
     @classmethod
     def of(cls, table: Any, name: str, *, options: CatalogueOptions | None = None) -> Catalogue:
-        """A catalogue of a table.
+        """The catalogue of a table.
 
         table : astropy Table or QTable, dict of arrays, pyarrow Table or pandas DataFrame.
-        name : of the source, for messages. options : what the user says of the columns.
+        name : of the source, for messages. options : columns and values given by the user.
 
         Raises
         ------
-        InputError : an empty table, no or ambiguous columns, numbers that cannot be in their unit; all at once.
+        InputError : an empty table, missing or ambiguous columns (reported together), numbers impossible in
+            their unit.
 
         Example
         -------
@@ -219,28 +220,32 @@ class Catalogue:
 
     @classmethod
     def _of_choice(cls, rows: Table, choice: ColumnChoice, options: CatalogueOptions, name: str) -> Catalogue:
-        """The catalogue of a table whose columns are understood."""
+        """The catalogue of a table with chosen columns."""
         magnitude = _brightness(rows, choice.magnitude, name)
-        astrometry, filled = _astrometry(rows, choice, options, magnitude, name)
+        astrometry, filled_arcsec = _astrometry(rows, choice, options, magnitude, name)
         pm = choice.motion[1]
         has_motion = pm is not None and bool(np.isfinite(column_values.numbers(rows, pm.name, name)).any())
-        assumed = ""
+        epoch_doubt = ""
         if has_motion and not np.isfinite(astrometry.epoch_jyr).any():
-            choice, assumed = _with_assumed_epoch(choice)
+            choice, epoch_doubt = _with_assumed_epoch(choice)
             astrometry = replace(astrometry, epoch_jyr=_epochs(rows, choice, name))
         ids, id_note = _ids(rows, choice, options, name)
-        interpretation = choice.describe(_epochs_in_words(astrometry.epoch_jyr))
+        interpretation = choice.describe(_epoch_range(astrometry.epoch_jyr))
         if not has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             interpretation = (*interpretation, "without epoch and motion: used as it is; it cannot be moved")
-        doubts = (assumed, _filled_in_words(filled, choice), *doubts_of(astrometry, choice, options))
-        doubts += (_not_measured(rows, choice), _given_twice(rows, astrometry), _rounded(rows, choice, astrometry))
+        doubts = (epoch_doubt, _filled_note(filled_arcsec, choice), *doubts_of(astrometry, choice, options))
+        doubts += (
+            _not_measured_note(rows, choice),
+            _duplicate_doubt(rows, astrometry),
+            _precision_doubt(rows, choice, astrometry),
+        )
         return cls(
             name=name,
             table=rows,
             ids=ids,
             astrometry=astrometry,
             choice=choice,
-            interpretation=interpretation + id_note + _limits_in_words(rows, choice, name),
+            interpretation=interpretation + id_note + _unmeasured_magnitude_note(rows, choice, name),
             doubts=tuple(doubt for doubt in doubts if doubt),
             has_motion=has_motion,
             options=options,
@@ -249,7 +254,7 @@ class Catalogue:
         )
 
     def alike(self, table: Any) -> Catalogue:
-        """Other rows of the same source, understood as these are; nothing is printed of them, and they may be none."""
+        """Other rows of the same source with the same columns and options, without doubts; may be empty."""
         rows = column_values.as_table(table, self.name)
         magnitude = _brightness(rows, self.choice.magnitude, self.name)
         astrometry, _ = _astrometry(rows, self.choice, self.options, magnitude, self.name)
@@ -261,7 +266,7 @@ class Catalogue:
 
     @property
     def error_is_unknown(self) -> bool:
-        """Whether nothing is known of the position errors."""
+        """Whether no position errors are known."""
         return self.choice.error.kind == "unknown"
 
     def with_error(self, error: PositionError) -> Catalogue:
@@ -269,19 +274,19 @@ class Catalogue:
         return Catalogue._of_choice(self.table, replace(self.choice, error=error), self.options, self.name)
 
     def with_epoch(self, epoch_jyr: float, reason: str) -> Catalogue:
-        """The same catalogue, its epoch not known before, with one."""
+        """The same catalogue with one epoch for all rows. reason : origin of the epoch."""
         epoch = Epoch(jyr=epoch_jyr, reason=reason)
         return Catalogue._of_choice(self.table, replace(self.choice, epoch=epoch), self.options, self.name)
 
     def records(self, epoch_jyr: float | None = None) -> Records:
         """The catalogue's records at an epoch, with covariances of east and north in arcsec².
 
-        epoch_jyr : Julian year that every row is moved to; None leaves each where it was observed.
+        epoch_jyr : Julian year to which every row is moved; None keeps the observed positions.
         Rows without a position or a positive error are set aside.
 
         Raises
         ------
-        InputError : an epoch is asked for, but the catalogue's own is not known; no position errors are known.
+        InputError : an epoch is given but the catalogue's epoch is not known; no position errors are known.
         """
         if self.error_is_unknown:
             raise InputError(
@@ -291,7 +296,7 @@ class Catalogue:
             )
         a = self.astrometry
         if epoch_jyr is None:
-            return self._records(a.ra_deg, a.dec_deg, _position_spread(a))
+            return self._records(a.ra_deg, a.dec_deg, _position_errors(a))
         if self.epoch_jyr is None:
             raise InputError(
                 f"{self.name}: its epoch is not known, so it cannot be moved to {epoch_jyr:g}",
@@ -299,20 +304,20 @@ class Catalogue:
                 source=self.name,
             )
         known = np.isfinite(a.epoch_jyr)
-        still = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
-        ra, dec, covariance = position_at(still, epoch_jyr)
+        with_epoch_known = a if known.all() else replace(a, epoch_jyr=np.where(known, a.epoch_jyr, epoch_jyr))
+        ra, dec, covariance = position_at(with_epoch_known, epoch_jyr)
         return self._records(np.where(known, ra, np.nan), dec, covariance)
 
-    def _records(self, ra_deg: FloatArray, dec_deg: FloatArray, spread: FloatArray) -> Records:
-        """Records at these positions; ``spread`` (n, 2) variances or (n, 2, 2) covariances, arcsec²."""
-        if spread.ndim == 3 and not spread[:, 0, 1].any():
-            spread = np.einsum("nvv->nv", spread)
-        if spread.ndim == 2 and np.array_equal(spread[:, 0], spread[:, 1]):
-            spread = spread[:, :1]
+    def _records(self, ra_deg: FloatArray, dec_deg: FloatArray, position_errors: FloatArray) -> Records:
+        """Records at these positions. position_errors : (n, 2) variances or (n, 2, 2) covariances, arcsec²."""
+        if position_errors.ndim == 3 and not position_errors[:, 0, 1].any():
+            position_errors = np.einsum("nvv->nv", position_errors)
+        if position_errors.ndim == 2 and np.array_equal(position_errors[:, 0], position_errors[:, 1]):
+            position_errors = position_errors[:, :1]
         return Records.of(
             np.column_stack([ra_deg, dec_deg]),
-            variance=spread if spread.ndim == 2 else None,
-            covariance=spread if spread.ndim == 3 else None,
+            variance=position_errors if position_errors.ndim == 2 else None,
+            covariance=position_errors if position_errors.ndim == 3 else None,
             ids=self.ids,
             space=Sphere(),
             source=self.name,
@@ -321,7 +326,7 @@ class Catalogue:
         )
 
 
-def _position_spread(astrometry: Astrometry) -> FloatArray:
+def _position_errors(astrometry: Astrometry) -> FloatArray:
     """(n, 2) variances or (n, 2, 2) covariances of the positions, arcsec²."""
     packed = astrometry.packed
     return 1e-6 * (packed.stacked(2) if isinstance(packed, Variances) else packed[:, :2, :2])
@@ -330,7 +335,7 @@ def _position_spread(astrometry: Astrometry) -> FloatArray:
 def ellipse_covariance(
     major: FloatArray, minor: FloatArray, angle_deg: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """East variance, north variance and covariance of error ellipses.
+    """East variance, north variance and covariance of error ellipses, each (n,).
 
     major, minor : (n,) semi-axes, one sigma. angle_deg : (n,) of the major axis, east of north.
     """
@@ -342,13 +347,15 @@ def ellipse_covariance(
 def _astrometry(
     table: Table, choice: ColumnChoice, options: CatalogueOptions, magnitude: FloatArray | None, source: str
 ) -> tuple[Astrometry, FloatArray]:
-    """Positions, motions and errors, and the errors in arcsec that were filled in."""
-    ra, dec, turn = _place(table, choice, source)
+    """Positions, motions and errors, and the position errors that were filled in, arcsec."""
+    ra, dec, rotation = _icrs_position(table, choice, source)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion, _MOTION_UNITS, strict=True)]
-    sigma, correlation = _errors(table, choice, options, magnitude, source, turn)
-    filled = np.zeros(0)
+    sigma, correlation = _errors(table, choice, options, magnitude, source, rotation)
+    filled_arcsec = np.zeros(0)
     if options.fill_errors and choice.error.kind != "unknown":
-        sigma, correlation, filled = _filled(sigma, correlation, magnitude, np.isfinite(ra) & np.isfinite(dec))
+        sigma, correlation, filled_arcsec = _with_typical_errors(
+            sigma, correlation, magnitude, np.isfinite(ra) & np.isfinite(dec)
+        )
     epoch = _epochs(table, choice, source)
     _check_declinations(ra, dec, source)
     missing = MissingMotion()
@@ -367,12 +374,12 @@ def _astrometry(
         missing=missing,
         source=source,
     )
-    # The epoch that is not known is not 2000.
-    return (replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry), filled
+    # Astrometry.of requires an epoch: 2000 was a placeholder for an unknown one.
+    return (replace(astrometry, epoch_jyr=epoch) if np.isnan(epoch).any() else astrometry), filled_arcsec
 
 
 def _check_declinations(ra: FloatArray, dec: FloatArray, source: str) -> None:
-    """Refuses declinations beyond ±90°: of most rows where the columns are swapped, of few where none was measured."""
+    """Refuses declinations beyond ±90°: many suggest swapped columns, a few suggest missing values."""
     beyond = np.flatnonzero(np.abs(dec) > 90.0)
     if not len(beyond):
         return
@@ -388,38 +395,39 @@ def _check_declinations(ra: FloatArray, dec: FloatArray, source: str) -> None:
     raise InputError(message, remedy, source=source)
 
 
-def _filled(
+def _with_typical_errors(
     sigma: FloatArray, correlation: FloatArray | None, magnitude: FloatArray | None, placed: BoolArray
 ) -> tuple[FloatArray, FloatArray | None, FloatArray]:
-    """Errors and correlations, where a position has no error the typical one of its magnitude, and these in arcsec."""
-    empty = np.flatnonzero(placed & ~np.isfinite(sigma[:, :2]).all(axis=1))
-    if not len(empty):
+    """Errors and correlations with typical errors by magnitude where missing, and the typical errors used, arcsec."""
+    without_error = np.flatnonzero(placed & ~np.isfinite(sigma[:, :2]).all(axis=1))
+    if not len(without_error):
         return sigma, correlation, np.zeros(0)
-    typical = typical_errors(np.sqrt(0.5 * (sigma[:, 0] ** 2 + sigma[:, 1] ** 2)), magnitude)[empty]
+    typical = typical_errors(np.sqrt(0.5 * (sigma[:, 0] ** 2 + sigma[:, 1] ** 2)), magnitude)[without_error]
     sigma, typical = sigma.copy(), np.where(np.isfinite(typical), typical, np.nan)
-    sigma[empty, 0] = sigma[empty, 1] = typical
+    sigma[without_error, 0] = sigma[without_error, 1] = typical
     if correlation is not None:
         correlation = correlation.copy()
-        correlation[empty] = np.eye(correlation.shape[1])
+        correlation[without_error] = np.eye(correlation.shape[1])
     return sigma, correlation, 1e-3 * typical[np.isfinite(typical)]
 
 
-def _filled_in_words(filled: FloatArray, choice: ColumnChoice) -> str:
-    if not len(filled):
+def _filled_note(filled_arcsec: FloatArray, choice: ColumnChoice) -> str:
+    """How many rows were given typical errors, and of what size; ``filled`` in arcsec."""
+    if not len(filled_arcsec):
         return ""
-    least, largest = f"{filled.min():.2g}", f"{filled.max():.2g}"
+    least, largest = f"{filled_arcsec.min():.2g}", f"{filled_arcsec.max():.2g}"
     size = least if least == largest else f"{least} to {largest}"
     of = f"magnitude ({choice.magnitude})" if choice.magnitude else "catalogue"
     rows = (
         "1 row has no position error and was"
-        if len(filled) == 1
-        else f"{len(filled)} rows have no position error and were"
+        if len(filled_arcsec) == 1
+        else f"{len(filled_arcsec)} rows have no position error and were"
     )
     return f"{rows} given the typical one of their {of}, {size} arcsec"
 
 
 def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
-    """The choice with the epoch that is usual where motions come without one, and the doubt that says so."""
+    """The choice with the usual epoch for proper motions without one, and the doubt that reports it."""
     gaia = choice.convention.startswith("Gaia")
     year = 2016.0 if gaia else 2000.0
     hint = " (Gaia DR1 2015.0, DR2 2015.5, DR3 2016.0)" if gaia else ""
@@ -430,25 +438,25 @@ def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
     return replace(choice, epoch=Epoch(jyr=year, reason="assumed")), doubt
 
 
-def _not_measured(table: Table, choice: ColumnChoice) -> str:
-    absent = 0 if not choice.measured else int(np.count_nonzero(_absent(table, choice.measured)))
-    if not absent:
+def _not_measured_note(table: Table, choice: ColumnChoice) -> str:
+    count = 0 if not choice.measured else int(np.count_nonzero(_is_masked(table, choice.measured)))
+    if not count:
         return ""
-    rows = counted(absent, "row is a star that was", "rows are stars that were")
-    return f"{rows} not measured, and {'is' if absent == 1 else 'are'} set aside"
+    rows = counted(count, "row is a star that was", "rows are stars that were")
+    return f"{rows} not measured, and {'is' if count == 1 else 'are'} set aside"
 
 
-def _absent(table: Table, name: str) -> BoolArray:
+def _is_masked(table: Table, name: str) -> BoolArray:
     column = table[name]
     return np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(table), np.bool_)
 
 
-#: A step of the numbers below this part of the typical error does no harm (chosen).
+#: Rounding steps below this fraction of the typical error are ignored (chosen).
 _HARMLESS_STEP = 0.3
 
 
-def _rounded(table: Table, choice: ColumnChoice, astrometry: Astrometry) -> str:
-    """A doubt of positions whose numbers are too short for their errors: those of 32 bits have seven digits."""
+def _precision_doubt(table: Table, choice: ColumnChoice, astrometry: Astrometry) -> str:
+    """A doubt about positions in single precision (seven digits) that are rounded too coarsely for their errors."""
     steps, placed = [], np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
     for column in (choice.ra, choice.dec):
         values = table[column.name]
@@ -467,10 +475,10 @@ def _rounded(table: Table, choice: ColumnChoice, astrometry: Astrometry) -> str:
     return f"{name} is in single precision: positions are rounded to {step:.2g} arcsec; store it in double precision"
 
 
-def _given_twice(table: Table, astrometry: Astrometry) -> str:
-    """A doubt where rows repeat others: in every column, or in position only."""
+def _duplicate_doubt(table: Table, astrometry: Astrometry) -> str:
+    """A doubt about rows that repeat others, in all columns or in position only."""
     bits = astrometry.ra_deg.view(np.uint64) * np.uint64(11400714819323198485) ^ astrometry.dec_deg.view(np.uint64)
-    ordered = np.sort(bits)  # a twentieth of the time of the order, which is hardly ever needed
+    ordered = np.sort(bits)  # takes a twentieth of the time of argsort, which is rarely needed
     if not (ordered[1:] == ordered[:-1]).any():
         return ""
     order = np.argsort(bits, kind="stable")
@@ -478,31 +486,31 @@ def _given_twice(table: Table, astrometry: Astrometry) -> str:
     same = np.flatnonzero((bits[1:] == bits[:-1]) & (ra[1:] == ra[:-1]) & (dec[1:] == dec[:-1]))
     if not len(same):
         return ""
-    one, other = order[same], order[same + 1]
-    whole = np.ones(len(same), np.bool_)
+    row, other_row = order[same], order[same + 1]
+    identical = np.ones(len(same), np.bool_)
     for name in table.colnames:
         column = table[name]
         if getattr(column, "ndim", 1) == 1:
-            first, second = column[one], column[other]
-            absent = _absent(table, name)
+            first, second = column[row], column[other_row]
+            masked = _is_masked(table, name)
             both_nan = (first != first) & (second != second)
-            alike = np.ma.filled(np.ma.asarray((first == second) | both_nan), False)
-            whole &= np.asarray(alike, np.bool_) | (absent[one] & absent[other])
-    times = int(np.count_nonzero(whole)) or len(same)
-    are, have = ("is", "has") if times == 1 else ("are", "have")
-    what = f"{are} given twice" if whole.any() else f"{have} exactly the position of another row"
-    k = int(np.flatnonzero(whole)[0]) if whole.any() else 0
+            equal = np.ma.filled(np.ma.asarray((first == second) | both_nan), False)
+            identical &= np.asarray(equal, np.bool_) | (masked[row] & masked[other_row])
+    count = int(np.count_nonzero(identical)) or len(same)
+    are, have = ("is", "has") if count == 1 else ("are", "have")
+    what = f"{are} given twice" if identical.any() else f"{have} exactly the position of another row"
+    k = int(np.flatnonzero(identical)[0]) if identical.any() else 0
     return (
-        f"{times} of {len(table)} rows {what} (first: rows {one[k]} and {other[k]}); "
+        f"{count} of {len(table)} rows {what} (first: rows {row[k]} and {other_row[k]}); "
         "each counts as an object of its own: remove duplicates"
     )
 
 
-def _place(table: Table, choice: ColumnChoice, source: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    """(n,) right ascension and declination, degrees, and by how much the axes of another frame stand turned."""
+def _icrs_position(table: Table, choice: ColumnChoice, source: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+    """(n,) right ascension and declination, degrees, and the rotation of the axes of another frame (None for ICRS)."""
     lon, lat = _degrees(table, choice.ra, source), _degrees(table, choice.dec, source)
     if choice.measured:
-        lon = np.where(_absent(table, choice.measured), np.nan, lon)
+        lon = np.where(_is_masked(table, choice.measured), np.nan, lon)
     if choice.frame == "icrs":
         return lon, lat, None
     beyond = np.flatnonzero(np.abs(lat) > 90.0)
@@ -517,46 +525,48 @@ def _errors(
     options: CatalogueOptions,
     magnitude: FloatArray | None,
     source: str,
-    turn: FloatArray | None,
+    rotation: FloatArray | None,
 ) -> tuple[FloatArray, FloatArray | None]:
-    """(n, k) standard deviations in mas, mas/yr and km/s, and (n, 6, 6) their correlations, or None.
+    """(n, k) standard deviations in mas, mas/yr and km/s, and their correlations (n, 6, 6), or None.
 
-    turn : of the axes of the errors, None where they point east and north. k is 2 where nothing is said of the errors
-    of motions, else 6.
+    rotation : of the axes of the errors, None if they point east and north. k is 2 without correlations and errors of
+    motions, else 6.
     """
     if choice.error.survey is not None:
         east = north = 1e-3 * choice.error.survey.sigma_mas(magnitude, len(table))
         rho = None
     else:
         east, north, rho = _position_sigmas(table, choice.error, source)
-    if turn is not None and choice.error.kind not in ("circle", "number", "survey"):
-        east, north, rho = turned_errors(east, north, rho, turn)
+    if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
+        east, north, rho = turned_errors(east, north, rho, rotation)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
     if choice.error.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
-        of_survey = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))
-        motion[1:3] = [of_survey if column is None else column for column in motion[1:3]]
+        pm_sigma = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))
+        motion[1:3] = [pm_sigma if column is None else column for column in motion[1:3]]
     if options.pm_sigma_mas_per_yr is not None:
         for k in (1, 2):
             motion_error = motion[k]
-            empty = np.full(len(table), np.nan) if motion_error is None else motion_error
-            motion[k] = np.where(np.isnan(empty), options.pm_sigma_mas_per_yr, empty)
+            given = np.full(len(table), np.nan) if motion_error is None else motion_error
+            motion[k] = np.where(np.isnan(given), options.pm_sigma_mas_per_yr, given)
     correlated = rho is not None or bool(choice.weights) or bool(choice.correlations)
-    spoken = motion if correlated or any(column is not None for column in motion) else []
-    nothing = np.full(len(table) if spoken else 0, np.nan)
-    sigma = np.column_stack([1e3 * east, 1e3 * north, *(nothing if column is None else column for column in spoken)])
-    wide = sigma.copy()
+    motion_sigmas = motion if correlated or any(column is not None for column in motion) else []
+    unknown = np.full(len(table) if motion_sigmas else 0, np.nan)
+    sigma = np.column_stack(
+        [1e3 * east, 1e3 * north, *(unknown if column is None else column for column in motion_sigmas)]
+    )
+    floored = sigma.copy()
     if options.sigma_floor_arcsec:
-        wide[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
-    wide[:, :2][~(wide[:, :2] > 0)] = np.nan  # no error at all says nothing
+        floored[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
+    floored[:, :2][~(floored[:, :2] > 0)] = np.nan
     if not correlated:
-        return wide, None
+        return floored, None
     correlation = _correlations(table, choice, sigma, source)
     if not choice.weights:
         correlation[:, 0, 1] = correlation[:, 1, 0] = 0.0 if rho is None else rho
-    # The floor is independent noise: it adds to the variances and leaves the covariances.
-    shrink = np.ones_like(sigma)
-    shrink[:, :2] = sigma[:, :2] / wide[:, :2]
-    return wide, correlation * shrink[:, :, None] * shrink[:, None, :]
+    # The floor is independent noise: it adds to the variances and does not change the covariances.
+    ratio = np.ones_like(sigma)
+    ratio[:, :2] = sigma[:, :2] / floored[:, :2]
+    return floored, correlation * ratio[:, :, None] * ratio[:, None, :]
 
 
 def _degrees(table: Table, column: Column, source: str) -> FloatArray:
@@ -566,9 +576,9 @@ def _degrees(table: Table, column: Column, source: str) -> FloatArray:
         values = column_values.sexagesimal(table, column.name, source)
     else:
         values = column_values.numbers(table, column.name, source)
-    turn = _FULL_TURN.get(column.unit, np.inf)
+    full_turn = _FULL_TURN.get(column.unit, np.inf)
     with np.errstate(invalid="ignore"):
-        beyond = np.flatnonzero(np.abs(values) > turn * 1.0001)
+        beyond = np.flatnonzero(np.abs(values) > full_turn * 1.0001)
     if len(beyond) and column.unit != "deg":
         raise InputError(
             f"{source}: {column.name!r} is in {column.unit} ({column.reason}), but row {beyond[0]} has "
@@ -582,7 +592,7 @@ def _degrees(table: Table, column: Column, source: str) -> FloatArray:
 def _position_sigmas(
     table: Table, error: PositionError, source: str
 ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    """(n,) standard deviations east and north in arcsec, and their correlation, None where there is none."""
+    """(n,) standard deviations east and north in arcsec, and their correlation or None."""
     if error.kind in ("number", "unknown"):
         sigma = np.full(len(table), error.sigma_arcsec)
         return sigma, sigma, None
@@ -629,7 +639,7 @@ def _motion_numbers(table: Table, column: Column | None, unit: str, source: str)
 
 
 def _correlations(table: Table, choice: ColumnChoice, sigma: FloatArray, source: str) -> FloatArray:
-    """(n, 6, 6) correlations; see :mod:`sameas.sky.conventions` for those hidden in weights."""
+    """(n, 6, 6) correlations; see :mod:`sameas.sky.conventions` for those derived from weights."""
     matrices = np.zeros((len(table), 6, 6))
     if choice.weights:
         *weights, f2, transits = (column_values.numbers(table, name, source) for name in choice.weights)
@@ -646,7 +656,7 @@ def _epochs(table: Table, choice: ColumnChoice, source: str) -> FloatArray:
     return np.broadcast_to(np.nan if choice.epoch.jyr is None else choice.epoch.jyr, len(table))
 
 
-def _epochs_in_words(epochs: FloatArray) -> str:
+def _epoch_range(epochs: FloatArray) -> str:
     known = epochs[np.isfinite(epochs)]
     if not len(known):
         return ""
@@ -657,7 +667,7 @@ def _epochs_in_words(epochs: FloatArray) -> str:
 def _ids(
     table: Table, choice: ColumnChoice, options: CatalogueOptions, source: str
 ) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """(n,) identifiers, and a note where the column found could not serve."""
+    """(n,) identifiers, and a note if the id column cannot be used."""
     if choice.id is None:
         return np.arange(len(table)), ()
     column = table[choice.id]
@@ -676,7 +686,7 @@ def _ids(
 
 
 def _brightness(table: Table, name: str | None, source: str) -> FloatArray | None:
-    """(n,) magnitudes; 99 and -99.99, which surveys write for no measurement, are none."""
+    """(n,) magnitudes, NaN for placeholders such as 99 and -99.99."""
     if name is None:
         return None
     values, _ = column_values.measured(table, name, source)
@@ -684,8 +694,8 @@ def _brightness(table: Table, name: str | None, source: str) -> FloatArray | Non
         return np.where(np.abs(values) < 90.0, values, np.nan)
 
 
-def _limits_in_words(table: Table, choice: ColumnChoice, source: str) -> tuple[str, ...]:
-    """A note where cells of the magnitude say words."""
+def _unmeasured_magnitude_note(table: Table, choice: ColumnChoice, source: str) -> tuple[str, ...]:
+    """A note if cells of the magnitude contain text."""
     _, words = column_values.measured(table, choice.magnitude, source) if choice.magnitude else (None, None)
     if words is None:
         return ()

@@ -1,7 +1,7 @@
-"""The choice of a catalogue's columns: what a user gives, and what was chosen.
+"""The columns of a catalogue: the user's options, the resulting choice, and typical errors of surveys.
 
-For tables without errors there are those of surveys by magnitude, of positions and proper motions (``SURVEYS``). They
-are medians from the literature, 1σ an axis: right on the average of a magnitude, not star by star. Tables only.
+``SURVEYS`` gives errors of positions and proper motions by magnitude for tables without error columns. They are
+medians from the literature, 1σ per axis: right on average at a magnitude, not for each star. Data only.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from sameas.sky.conventions import Correlations, SkyFrame
 
 @dataclass(frozen=True)
 class Survey:
-    """One survey and its errors.
+    """The typical errors of one survey.
 
-    title : as people call it. source : where the numbers are from. band : the magnitude that they go by.
-    mag_mas : (magnitude, error in mas an axis), ascending; between them the logarithm goes straight, beyond them it
-        stays. typical_mas : where no magnitude is known. mag_mas_per_yr, typical_mas_per_yr : of proper motions, the
-        same; empty and None where the survey has none.
-    conventions : titles of conventions whose tables are of this survey. epochs_jyr : (least, largest) of them, where a
-        convention has several surveys. words : what texts of its tables say.
+    title : common name. source : reference of the numbers. band : band of the magnitudes.
+    mag_mas : (magnitude, error in mas per axis), ascending; interpolated linearly in the logarithm of the error,
+        constant outside. typical_mas : error where no magnitude is known. mag_mas_per_yr, typical_mas_per_yr : the
+        same for proper motions; empty and None if the survey has none.
+    conventions : titles of the column conventions of this survey. epochs_jyr : (least, largest) epoch, where several
+        surveys share a convention. words : pattern found in the texts of its tables.
     """
 
     title: str
@@ -40,7 +40,7 @@ class Survey:
     typical_mas_per_yr: float | None = None
 
     def sigma_mas(self, magnitude: FloatArray | None, n: int) -> FloatArray:
-        """(n,) standard deviation an axis, by magnitude where it is known.
+        """(n,) standard deviation per axis, mas, by magnitude where it is known.
 
         >>> SURVEYS[0].title, SURVEYS[0].sigma_mas(np.array([12.0, 20.0, np.nan]), 3).round(3).tolist()
         ('Gaia DR3', [0.015, 0.4, 0.1])
@@ -48,7 +48,7 @@ class Survey:
         return _by_magnitude(self.mag_mas, self.typical_mas, magnitude, n)
 
     def pm_sigma_mas_per_yr(self, magnitude: FloatArray | None, n: int) -> FloatArray | None:
-        """(n,) standard deviation of a proper motion along an axis, mas a year; None where the survey has no motions.
+        """(n,) standard deviation of proper motion per axis, mas/yr; None if the survey has no proper motions.
 
         >>> SURVEYS[0].pm_sigma_mas_per_yr(np.array([12.0, 20.0, np.nan]), 3).round(3).tolist()
         [0.02, 0.5, 0.12]
@@ -59,11 +59,11 @@ class Survey:
 
 
 def _by_magnitude(
-    known: tuple[tuple[float, float], ...], typical: float, magnitude: FloatArray | None, n: int
+    mag_and_error: tuple[tuple[float, float], ...], typical: float, magnitude: FloatArray | None, n: int
 ) -> FloatArray:
-    if magnitude is None or not known:
+    if magnitude is None or not mag_and_error:
         return np.full(n, typical)
-    mags, errors = np.array(known).T
+    mags, errors = np.array(mag_and_error).T
     return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, np.log(errors))), typical)
 
 
@@ -75,7 +75,7 @@ _DR3 = Survey(
     ((15.0, 0.015), (17.0, 0.05), (20.0, 0.4), (21.0, 1.0)), 0.1,
     _GAIA, (2015.9, 2016.1), r"gaia[ _-]?e?dr3|\bI[/_]35[05]\b", _MOTIONS_DR3, 0.12,
 )  # fmt: skip
-#: The first one that fits is taken.
+#: The first survey that fits is used.
 SURVEYS = (
     _DR3,
     Survey(
@@ -87,7 +87,7 @@ SURVEYS = (
         "Gaia DR1", "Gaia Collaboration 2016, A&A 595, A2", "G", ((21.0, 10.0),), 10.0,
         _GAIA, (2014.9, 2015.1), r"gaia[ _-]?dr1|\bI[/_]337\b",
     ),
-    # Of a release that nothing tells, the last.
+    # DR3 if the release is not known.
     replace(_DR3, epochs_jyr=(-np.inf, np.inf), words=""),
     Survey(
         "Hipparcos", "ESA 1997, SP-1200", "Hp", ((9.0, 0.7), (12.0, 1.6)), 0.8,
@@ -104,25 +104,25 @@ SURVEYS = (
         ("2MASS", "2MASS at VizieR (II/246)"), words=r"2MASS|\bII[/_]246\b",
     ),
     Survey(
-        # 45 mas against UCAC and 20 to 30 mas common to a region, in quadrature; at r = 22 of photons alone.
+        # 45 mas against UCAC and 20 to 30 mas common to a region, in quadrature; at r = 22 photon noise only.
         "SDSS", "Pier et al. 2003, AJ 125, 1559, abstract", "r", ((20.0, 51.0), (22.0, 103.0)), 60.0,
         ("SDSS",), words=r"\bSDSS\b|\bV[/_]147\b",
     ),
     Survey(
-        # A median distance of 13.5 mas to Gaia is 11.5 mas an axis; 5 mas of the frame; the faint end is assumed.
+        # A median distance of 13.5 mas to Gaia is 11.5 mas per axis; 5 mas from the frame; the faint end is assumed.
         "Pan-STARRS1", "Lubow et al. 2021, AJ 161, 6, and Magnier et al. 2020, ApJS 251, 6, abstracts", "r",
         ((19.0, 12.5), (21.5, 60.0)), 30.0,
         ("Pan-STARRS1",), words=r"pan-?starrs|\bII[/_]349\b",
     ),
     Survey(
-        # Assumed: the supplement's table was not at hand.
+        # Assumed: the supplement's table was not available.
         "AllWISE", "assumed after Cutri et al. 2013, AllWISE Explanatory Supplement, II.5", "W1",
         ((13.0, 50.0), (17.0, 300.0)), 150.0,
         ("AllWISE", "AllWISE at VizieR (II/328)"), words=r"allwise|\bII[/_]328\b",
     ),
     Survey(
-        # 15 to 20 mas from 10 to 14 mag, 15 to 100 mas and 1 to 10 mas a year over all; UCAC2 has 70 mas at 16 mag,
-        # motions of 1 to 3 mas a year to 12 mag and of 4 to 7 to 16 mag.
+        # 15 to 20 mas from 10 to 14 mag, 15 to 100 mas and 1 to 10 mas/yr in total; UCAC2 has 70 mas at 16 mag, proper
+        # motions of 1 to 3 mas/yr up to 12 mag and of 4 to 7 mas/yr up to 16 mag.
         "UCAC4", "Zacharias et al. 2013, AJ 145, 44, and of UCAC2 2004, AJ 127, 3043, abstracts", "f",
         ((10.0, 15.0), (14.0, 20.0), (16.0, 70.0)), 40.0,
         words=r"\bUCAC4\b|\bI[/_]322", mag_mas_per_yr=((12.0, 2.0), (14.0, 4.0), (16.0, 7.0)), typical_mas_per_yr=4.0,
@@ -142,13 +142,13 @@ def survey_of(convention: str, epoch_jyr: float | None, texts: list[str]) -> Sur
     return named[0] if len({survey.title for survey in named}) == 1 else None
 
 
-#: Why a unit is taken that nothing says.
+#: Reason of a unit that is not stated in the table.
 GUESSED = "guessed by its size"
 
 
 @dataclass(frozen=True)
 class CatalogueOptions:
-    """What the user gives of a catalogue; everything else is looked for. Columns are named in any case.
+    """Options for the columns of a catalogue; what is not given is searched for. Names ignore case.
 
     ra, dec, id, magnitude, parallax, radial_velocity : column names; "none" for the last three ignores them.
     sigma : one standard deviation per axis: a number (in ``sigma_unit``, arcsec if not given), a column, or
@@ -159,8 +159,8 @@ class CatalogueOptions:
     pm : "column,column" of proper motion in right ascension (times cos δ) and declination, or "none".
     pm_sigma_mas_per_yr : error of proper motions where the table has none.
     sigma_floor_arcsec : added in quadrature to the position errors.
-    missing_pm_mas_per_yr : how fast an object of unknown proper motion may move, one sigma per axis.
-    fill_errors : rows whose position error is empty or not positive get the typical one of their magnitude.
+    missing_pm_mas_per_yr : standard deviation per axis of the proper motion of objects without a measured one.
+    fill_errors : rows whose position error is empty or not positive get the typical error at their magnitude.
     """
 
     ra: str | None = None
@@ -183,9 +183,9 @@ class CatalogueOptions:
 
 @dataclass(frozen=True)
 class Column:
-    """A column in its role: its name, the unit of its numbers, and where we have the unit from.
+    """A column: its name, the unit of its numbers, and the origin of the unit.
 
-    parts : the columns of hours (or sign and degrees), minutes and seconds, where one angle is spread over several.
+    parts : the columns of hours (or sign and degrees), minutes and seconds, if an angle is split over several.
     """
 
     name: str
@@ -199,10 +199,9 @@ class PositionError:
     """The position error: "circle", "axes", "ellipse" or "variances" from columns, one ``sigma_arcsec`` for all
     ("number"), that of a survey by magnitude ("survey"), or "unknown", to be estimated.
 
-    reason : where a number is from. survey : whose errors are taken. guessed_unit : the unit of the columns is said
-    nowhere, and taken from the size of the numbers.
-
-    angle_from : where the angle of an ellipse is counted from, towards the other one.
+    reason : origin of a number. survey : source of typical errors. guessed_unit : the unit of the columns is not stated
+    and was guessed from the size of the numbers.
+    angle_from : zero point of the ellipse angle, which increases towards the other axis.
     """
 
     kind: Literal["circle", "axes", "ellipse", "variances", "number", "survey", "unknown"]
@@ -218,7 +217,7 @@ class PositionError:
 
 @dataclass(frozen=True)
 class Epoch:
-    """The epoch: a column, or one Julian year for all, or neither where it is not known."""
+    """The epoch: a column, one Julian year for all rows, or neither if it is not known."""
 
     column: str | None = None
     jyr: float | None = None
@@ -227,12 +226,12 @@ class Epoch:
 
 @dataclass(frozen=True)
 class ColumnChoice:
-    """What was understood of a table's columns; :meth:`describe` says it in words.
+    """The columns chosen from a table; :meth:`describe` returns them as lines of text.
 
     motion, motion_errors : parallax, pm ra*, pm dec, radial velocity; None where the table has none.
     correlations : (i, j, column), parameters numbered as in :mod:`sameas.sky.conventions`.
-    weights : the 15 columns UW of hip2 followed by F2 and Ntr. notes : what else should be known.
-    frame : of the position and of its errors. measured : a column that is empty in rows that are no measurements.
+    weights : the 15 columns UW of hip2 followed by F2 and Ntr. notes : further lines for the user.
+    frame : of the position and its errors. measured : a column that is empty in rows without a measurement.
     """
 
     convention: str
@@ -252,7 +251,7 @@ class ColumnChoice:
     measured: str = ""
 
     def describe(self, epochs: str = "") -> tuple[str, ...]:
-        """Lines to be printed: what was taken for what, and why; ``epochs`` as read from the column."""
+        """Lines to print: the chosen columns with reasons. epochs : text of the epochs read from a column."""
         lines = [f"position: {_listed(self.ra, self.dec)}; names of: {self.convention}", self._error_line()]
         moving = [column for column in self.motion if column]
         if moving:
@@ -300,7 +299,7 @@ def in_years(epoch: float) -> str:
 
 
 def _listed(*columns: Column) -> str:
-    """Names with their units, those of one unit and one reason together."""
+    """Column names with unit and reason, grouped by both."""
     groups: dict[tuple[str, str], list[str]] = {}
     for column in columns:
         groups.setdefault((column.unit, column.reason), []).append(column.name)

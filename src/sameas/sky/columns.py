@@ -1,9 +1,8 @@
-"""Columns: which columns of a table are position, errors, motion, epoch and brightness, and why we think so.
+"""Columns: which columns of a table are position, errors, motion, epoch and brightness, with the reason for each.
 
-:func:`choose` looks for the names of known catalogues (:mod:`sameas.sky.conventions`), for units and
-UCDs; an option always wins. What belongs together is taken together: never the right ascension of one
-convention and the declination of another. Where two answers are equally good the table is refused with the
-choices.
+:func:`choose` uses the column names of known catalogues (:mod:`sameas.sky.conventions`), units and UCDs; an option
+takes precedence. All position columns come from one convention: never the right ascension of one and the declination
+of another. If two choices are equally good, the table is refused and the choices are listed.
 """
 
 from __future__ import annotations
@@ -24,17 +23,15 @@ from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, survey_of
 from sameas.sky.conventions import Convention, ErrorNames
 
-# Names: the columns of one table, found by name, with their units, and what is wrong in the user's words.
-
 _SUFFIXES = {
     "_arcsec": "arcsec", "_mas": "mas", "_deg": "deg", "_hours": "hourangle", "_hrs": "hourangle", "_hr": "hourangle",
     "_h": "hourangle",
 }  # fmt: skip
-#: Error columns without a unit: a smaller median is in degrees, a larger one in mas (chosen).
+#: Error columns without a unit: a median below the first is taken as degrees, above the second as mas (chosen).
 _LEAST_IN_ARCSEC, _LARGEST_IN_ARCSEC = 0.002, 5.0
-#: Units in brackets behind a name, as people write them.
+#: A unit in brackets at the end of a column name.
 _BRACKETED = re.compile(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]\s*$")
-#: A number with a unit, as people write it: ``100mas``, ``0.1 arcsec``, ``0.1"``.
+#: A number with a unit: ``100mas``, ``0.1 arcsec``, ``0.1"``.
 _WITH_UNIT = re.compile(r"^([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)\s*([a-z°″'\"]+)$", re.IGNORECASE)
 _UNIT_WORDS = {
     "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg", "arcsec": "arcsec", "arcseconds": "arcsec",
@@ -47,51 +44,54 @@ _UNIT_WORDS = {
 
 @dataclass(frozen=True)
 class ColumnSearch:
-    """One table being read: finds columns by name and says what is wrong in the user's words."""
+    """Search for the columns of one table by name; errors name the option to give."""
 
     table: Table
     options: CatalogueOptions
     source: str
 
     def find(self, wanted: str) -> str | None:
-        """The column of that name: exactly, or the only one in any case, or but for blanks, brackets and dots."""
+        """The column of this name: exact, else the only match ignoring case, else ignoring blanks, brackets, dots."""
         if wanted in self.table.colnames:
             return wanted
-        alike = self._in_any_case.get(wanted.lower(), [])
+        alike = self._by_lower_case.get(wanted.lower(), [])
         if not alike and wanted:
-            alike = self._as_people_write.get(_squeezed(wanted), [])
+            alike = self._by_squeezed_name.get(_squeezed(wanted), [])
         return alike[0] if len(alike) == 1 else None
 
     @cached_property
-    def _in_any_case(self) -> dict[str, list[str]]:
-        """The columns by their names in lower case."""
+    def _by_lower_case(self) -> dict[str, list[str]]:
+        """The columns by their lower-case names."""
         names: dict[str, list[str]] = {}
         for name in self.table.colnames:
             names.setdefault(name.lower(), []).append(name)
         return names
 
     @cached_property
-    def _as_people_write(self) -> dict[str, list[str]]:
-        """The columns whose names have more than letters: ``RA (J2000)`` as raj2000, ``Dec. [deg]`` as dec."""
+    def _by_squeezed_name(self) -> dict[str, list[str]]:
+        """The columns with punctuation in their names, by letters and digits only.
+
+        ``RA (J2000)`` is found as raj2000, ``Dec. [deg]`` as dec.
+        """
         names: dict[str, list[str]] = {}
         for name in self.table.colnames:
             if re.fullmatch(r"\w*", name, re.ASCII):
                 continue
-            for spelled in {_squeezed(name), _squeezed(_BRACKETED.sub("", name) if _bracketed_unit(name) else name)}:
-                names.setdefault(spelled, []).append(name)
+            for squeezed in {_squeezed(name), _squeezed(_BRACKETED.sub("", name) if _bracketed_unit(name) else name)}:
+                names.setdefault(squeezed, []).append(name)
         return names
 
     def find_all(self, wanted: tuple[str, ...]) -> tuple[str, ...] | None:
-        """All of the columns, or None."""
+        """The columns of these names, or None if one is missing."""
         found = [self.find(name) for name in wanted]
         return None if None in found else tuple(name for name in found if name)
 
     def first(self, wanted: tuple[str, ...]) -> str | None:
-        """The first of the columns that is there."""
+        """The first of these names that is a column."""
         return next((found for name in wanted if (found := self.find(name))), None)
 
     def required(self, wanted: str, option: str) -> str:
-        """The column that an option names."""
+        """The column named by an option."""
         found = self.find(wanted.strip())
         if found:
             return found
@@ -105,7 +105,7 @@ class ColumnSearch:
         return ", ".join(names[:20]) + (f" and {len(names) - 20} more" if len(names) > 20 else "")
 
     def several(self, text: str, count: int, option: str) -> tuple[str, ...]:
-        """The columns that an option names, separated by commas."""
+        """The columns named by an option, separated by commas."""
         parts = [part for part in text.split(",") if part.strip()]
         if len(parts) != count:
             message = Message(f"{self.source}: ", Argument(option, repr(text)), f" names {len(parts)} columns")
@@ -113,7 +113,7 @@ class ColumnSearch:
         return tuple(self.required(part, option) for part in parts)
 
     def column(self, name: str, unit: str, option: str = "") -> Column:
-        """A column with its unit: its own, else that of its name's ending, else ``unit`` by convention."""
+        """A column with its unit: the option's, the column's own, that of the name's suffix, or ``unit``."""
         own = column_values.unit_of(self.table, name)
         if option:
             return Column(name, option, "option")
@@ -122,14 +122,14 @@ class ColumnSearch:
         return Column(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
     def angle(self, name: str, unit: str) -> Column:
-        """A column of small angles, such as errors."""
+        """A column of small angles, such as errors, with its unit; a missing unit is guessed from the values."""
         column = self.column(name, unit, self.options.sigma_unit or "")
         if not column.unit:
             column = replace(column, unit=self._guessed_unit(name), reason=GUESSED)
         return self.checked(column, "arcsec", "an angle")
 
     def _guessed_unit(self, name: str) -> str:
-        """The unit of an error column that says none, by the size of its numbers."""
+        """The unit of an error column without one, guessed from its median."""
         values = column_values.numbers(self.table, name, self.source)
         known = values[values > 0]
         middle = float(np.median(known)) if len(known) else 0.1
@@ -139,7 +139,7 @@ class ColumnSearch:
         return "mas" if moving or middle > _LARGEST_IN_ARCSEC else "arcsec"
 
     def checked(self, column: Column, target: str, words: str, name: str = "") -> Column:
-        """The column, whose unit is one of ``target``'s kind. name : of the column in messages."""
+        """The column, refused if its unit cannot be converted to ``target``. name : the column's name in messages."""
         try:
             column_values.factor(column.unit, target)
         except (ValueError, TypeError):  # UnitConversionError, unknown unit
@@ -157,7 +157,7 @@ class ColumnSearch:
 
 
 def _suffix_unit(name: str) -> str:
-    """The unit that a name ends in: ``err_mas``, ``RA [deg]``."""
+    """The unit at the end of a name: ``err_mas``, ``RA [deg]``."""
     suffix = next((unit for suffix, unit in _SUFFIXES.items() if name.lower().endswith(suffix)), "")
     return suffix or _bracketed_unit(name)
 
@@ -168,7 +168,7 @@ def _bracketed_unit(name: str) -> str:
 
 
 def _squeezed(name: str) -> str:
-    """A name's letters and digits in lower case; an underscore in front, which VizieR's own columns have, stays."""
+    """The letters and digits of a name in lower case; a leading underscore (VizieR's computed columns) is kept."""
     return ("_" if name.startswith("_") else "") + re.sub(r"[\W_]+", "", name.lower())
 
 
@@ -179,10 +179,10 @@ _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:
 
 
 def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice:
-    """What the columns of a table mean.
+    """The columns chosen for position, errors, motion, epoch, id and magnitude.
 
-    table : its names, units, UCDs, descriptions and header are read, of its cells only the notation.
-    options : what the user says. source : name used in messages.
+    table : read are names, units, UCDs, descriptions, header and the notation of the cells.
+    options : columns given by the user. source : name used in messages.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     ra, dec = (search.find(name) for name in convention.position)
     if ra is None or dec is None:
         raise InputError(f"{source}: no columns {' and '.join(map(repr, convention.position))}")
-    asked: tuple[Callable[[], Any], ...] = (
+    choosers: tuple[Callable[[], Any], ...] = (
         lambda: (_direction(search, ra, convention, 0), _direction(search, dec, convention, 1)),
         lambda: _motion(search, convention),
         lambda: _epoch(search, convention, ra),
@@ -201,25 +201,25 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
         lambda: _magnitude(search, convention),
         lambda: _position_error(search, convention),
     )
-    place, motions, epoch, id, magnitudes, error = _all_of(asked)
+    position, motions, epoch, id, magnitudes, error = _all_of(choosers)
     motion, motion_errors, notes = motions
-    found = tuple((i, j, name) for i, j, wanted in convention.correlations if (name := search.find(wanted)))
+    correlations = tuple((i, j, name) for i, j, wanted in convention.correlations if (name := search.find(wanted)))
     if not_used:
         notes = (*notes, f"not used: {', '.join(not_used)}")
     magnitude, magnitude_error = magnitudes
     if error.kind == "unknown":
-        known = survey_of(convention.title, _year(search, epoch), _texts(search))
-        error = error if known is None else PositionError("survey", survey=known)
+        survey_errors = survey_of(convention.title, _year(search, epoch), _texts(search))
+        error = error if survey_errors is None else PositionError("survey", survey=survey_errors)
     choice = ColumnChoice(
         convention=convention.title,
-        ra=place[0],
-        dec=place[1],
+        ra=position[0],
+        dec=position[1],
         error=error,
         epoch=epoch,
         id=id,
         motion=motion,
         motion_errors=motion_errors,
-        correlations=found if error.kind == "axes" else tuple(c for c in found if min(c[:2]) >= 2),
+        correlations=correlations if error.kind == "axes" else tuple(c for c in correlations if min(c[:2]) >= 2),
         weights=_weights(search, convention) if error.kind == "axes" else (),
         magnitude=magnitude,
         magnitude_error=magnitude_error,
@@ -230,29 +230,29 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     return choice
 
 
-def _all_of(asked: tuple[Callable[[], Any], ...]) -> list[Any]:
-    """The answers to all questions; what is refused is refused at once, not one thing a run."""
-    answers: list[Any] = []
-    refused: list[InputError] = []
-    for question in asked:
+def _all_of(choosers: tuple[Callable[[], Any], ...]) -> list[Any]:
+    """The results of all choosers; their refusals are raised together."""
+    choices: list[Any] = []
+    refusals: list[InputError] = []
+    for choose_one in choosers:
         try:
-            answers.append(question())
+            choices.append(choose_one())
         except InputError as error:
-            refused.append(error)
-    if refused:
-        raise InputError.together(refused)
-    return answers
+            refusals.append(error)
+    if refusals:
+        raise InputError.together(refusals)
+    return choices
 
 
 def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
-    """The convention of the position, and the right ascensions that were passed over."""
+    """The convention of the position, and the right ascension columns that are not used."""
     if search.options.ra or search.options.dec:
         return _position_of_options(search), ()
-    there = [c for c in conventions.CONVENTIONS if _applies(search, c)]
-    if not there:
-        elsewhere = (c for c in conventions.OTHER_FRAMES if _applies(search, c))
-        return _position_by_ucd(search) or next(elsewhere, None) or _no_position(search), ()
-    superseded = {name.lower() for c in there for name in c.over if name != c.position[0]}
+    candidates = [c for c in conventions.CONVENTIONS if _applies(search, c)]
+    if not candidates:
+        other_frames = (c for c in conventions.OTHER_FRAMES if _applies(search, c))
+        return _position_by_ucd(search) or next(other_frames, None) or _no_position(search), ()
+    superseded = {name.lower() for c in candidates for name in c.over if name != c.position[0]}
     computed = {name.lower() for name in conventions.VIZIER_COMPUTED}
     rules: tuple[Callable[[Convention], bool], ...] = (
         lambda c: c.position[0].lower() not in computed,
@@ -261,15 +261,15 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
         lambda c: "main" in search.ucd(search.find(c.position[0]) or ""),
     )
     for rule in rules:
-        there_by_rule = [c for c in there if rule(c)]
-        chosen = there_by_rule or there
+        by_rule = [c for c in candidates if rule(c)]
+        chosen = by_rule or candidates
         if len({c.position[0].lower() for c in chosen}) == 1:
             break
-        there = chosen
-    _refuse_equals(search, chosen)
+        candidates = chosen
+    _refuse_ambiguous(search, chosen)
     taken = search.find(chosen[0].position[0])
-    every = {search.find(c.position[0]) for c in conventions.CONVENTIONS if _applies(search, c)}
-    return chosen[0], tuple(sorted(name for name in every if name and name != taken))
+    all_ra = {search.find(c.position[0]) for c in conventions.CONVENTIONS if _applies(search, c)}
+    return chosen[0], tuple(sorted(name for name in all_ra if name and name != taken))
 
 
 def _applies(search: ColumnSearch, convention: Convention) -> bool:
@@ -277,7 +277,8 @@ def _applies(search: ColumnSearch, convention: Convention) -> bool:
     return marked and search.find_all(convention.position) is not None
 
 
-def _refuse_equals(search: ColumnSearch, chosen: list[Convention]) -> None:
+def _refuse_ambiguous(search: ColumnSearch, chosen: list[Convention]) -> None:
+    """Refuses several equally good positions or errors; puts conventions with errors first."""
     positions = sorted({search.find(c.position[0]) or "" for c in chosen})
     if len(positions) == 1 and all(_own_error(search, c) is None for c in chosen):
         positions = sorted(n for n in search.table.colnames if n.lower() == positions[0].lower())
@@ -293,12 +294,11 @@ def _refuse_equals(search: ColumnSearch, chosen: list[Convention]) -> None:
             f"{' or '.join(','.join(names) for names in sorted(errors))}",
             naming("give {sigma:'EAST,NORTH'} or {ellipse:'A,B,ANGLE'}"),
         )
-    # Of one position the convention that brings errors knows it best.
     chosen.sort(key=lambda c: _own_error(search, c) is None)
 
 
 def _position_of_options(search: ColumnSearch) -> Convention:
-    """The convention of the columns that the options name."""
+    """The convention of the columns named by the options."""
     options = search.options
     stated = search.required(options.ra or options.dec or "", "ra" if options.ra else "dec")
     axis = 0 if options.ra else 1
@@ -318,15 +318,17 @@ def _position_of_options(search: ColumnSearch) -> Convention:
 
 
 def _position_by_ucd(search: ColumnSearch) -> Convention | None:
-    def marked(*patterns: str) -> list[str]:
-        ucds = {name: search.ucd(name) for name in search.table.colnames}
-        found = [n for n, ucd in ucds.items() if ucd.startswith(patterns)]
-        return [n for n in found if "main" in ucds[n]] or found
+    """The position columns with the UCDs of right ascension and declination, or galactic longitude and latitude."""
 
-    ra, dec = marked("pos.eq.ra", "pos_eq_ra"), marked("pos.eq.dec", "pos_eq_dec")
+    def columns_with(*patterns: str) -> list[str]:
+        ucds = {name: search.ucd(name) for name in search.table.colnames}
+        names = [n for n, ucd in ucds.items() if ucd.startswith(patterns)]
+        return [n for n in names if "main" in ucds[n]] or names
+
+    ra, dec = columns_with("pos.eq.ra", "pos_eq_ra"), columns_with("pos.eq.dec", "pos_eq_dec")
     if len(ra) == 1 and len(dec) == 1:
         return conventions.plain((ra[0], dec[0]), title="UCD pos.eq.ra, pos.eq.dec")
-    lon, lat = marked("pos.galactic.lon", "pos_gal_lon"), marked("pos.galactic.lat", "pos_gal_lat")
+    lon, lat = columns_with("pos.galactic.lon", "pos_gal_lon"), columns_with("pos.galactic.lat", "pos_gal_lat")
     if len(lon) == 1 and len(lat) == 1 and not ra:
         return conventions.plain((lon[0], lat[0]), "UCD pos.galactic.lon, pos.galactic.lat", "galactic")
     return None
@@ -344,12 +346,12 @@ def _own_error(search: ColumnSearch, convention: Convention) -> ErrorNames | Non
 
 
 def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> Column:
-    """Right ascension or longitude (axis 0), declination or latitude (axis 1)."""
+    """The column of right ascension or longitude (axis 0), declination or latitude (axis 1)."""
     right_ascension, unit = axis == 0 and convention.frame == "icrs", convention.unit
     if convention.parts:
         parts = tuple(found for part in convention.parts[axis] if (found := search.find(part)))
-        in_words = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
-        return Column(name, in_words, "by convention", parts)
+        unit_text = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
+        return Column(name, unit_text, "by convention", parts)
     if column_values.is_sexagesimal(search.table, name):
         own = column_values.unit_of(search.table, name)
         hours = right_ascension and own != u.deg
@@ -371,16 +373,20 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
     own = _own_error(search, convention)
     if own:
         return _error_columns(search, own, convention)
-    ways = (*conventions.plain(convention.position).errors, *conventions.PLAIN_CIRCLES, *_circles_by_ending(search))
-    found = {names: e for e in ways if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
+    candidates = (
+        *conventions.plain(convention.position).errors,
+        *conventions.PLAIN_CIRCLES,
+        *_circles_by_ending(search),
+    )
+    found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
     if len(found) > 1:
         raise InputError(
             f"{search.source}: {len(found)} candidates for the position error: "
             f"{' or '.join(','.join(names) for names in found)}",
             naming("give {sigma:NAME}"),
         )
-    for way in found.values():
-        return _error_columns(search, way, convention)
+    for error_names in found.values():
+        return _error_columns(search, error_names, convention)
     return PositionError("unknown")
 
 
@@ -390,11 +396,11 @@ def _may_be_angle(search: ColumnSearch, names: tuple[str, ...]) -> bool:
 
 
 def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Convention) -> PositionError:
-    written = _WITH_UNIT.match(str(sigma).strip())
-    in_unit = _UNIT_WORDS.get(written[2].lower(), "") if written else ""
+    number_and_unit = _WITH_UNIT.match(str(sigma).strip())
+    in_unit = _UNIT_WORDS.get(number_and_unit[2].lower(), "") if number_and_unit else ""
     if in_unit and search.find(str(sigma)) is None:
-        assert written is not None
-        return _number_of_option(search, float(written[1]), in_unit)
+        assert number_and_unit is not None
+        return _number_of_option(search, float(number_and_unit[1]), in_unit)
     try:
         number = float(sigma)
     except ValueError:
@@ -409,8 +415,8 @@ def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Conve
 
 
 def _number_of_option(search: ColumnSearch, number: float, unit: str) -> PositionError:
-    unit_of = Column("sigma", unit, "option")
-    search.checked(unit_of, "arcsec", "an angle; give arcsec, mas, deg", naming("'{sigma}'"))
+    unit_column = Column("sigma", unit, "option")
+    search.checked(unit_column, "arcsec", "an angle; give arcsec, mas, deg", naming("'{sigma}'"))
     if not number > 0:
         message = Message(f"{search.source}: ", Argument("sigma", f"{number:g}"), " is not positive")
         raise InputError(message, "give a standard deviation per axis")
@@ -418,38 +424,47 @@ def _number_of_option(search: ColumnSearch, number: float, unit: str) -> Positio
 
 
 def _circles_by_ending(search: ColumnSearch) -> tuple[ErrorNames, ...]:
-    """Position errors behind the name of a survey: ``xmm_poserr_arcsec``."""
+    """Position errors with a survey prefix: ``xmm_poserr_arcsec``."""
     found = [name for name in search.table.colnames if _POSITION_ERROR.search(name)]
     return tuple(ErrorNames("circle", (name,)) for name in found)
 
 
-def _error_columns(search: ColumnSearch, way: ErrorNames, convention: Convention | None = None) -> PositionError:
-    """The columns of an error, of which all names are there, with their units."""
-    kind, names = way.kind, search.find_all(way.names) or ()
+def _error_columns(
+    search: ColumnSearch, error_names: ErrorNames, convention: Convention | None = None
+) -> PositionError:
+    """The columns of an error with their units; all ``error_names`` are columns of the table."""
+    kind, names = error_names.kind, search.find_all(error_names.names) or ()
     if kind == "variances":
-        squares = tuple(search.checked(search.column(n, way.unit), "arcsec2", "the square of an angle") for n in names)
-        return PositionError(kind, squares, covariance=search.find(way.covariance) or "")
-    columns = tuple(search.angle(name, way.unit) for name in names[:2])
+        squares = tuple(
+            search.checked(search.column(n, error_names.unit), "arcsec2", "the square of an angle") for n in names
+        )
+        return PositionError(kind, squares, covariance=search.find(error_names.covariance) or "")
+    columns = tuple(search.angle(name, error_names.unit) for name in names[:2])
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
     stated = search.options.correlation
     correlation = search.required(stated, "correlation") if stated else ""
     if not stated and kind == "axes" and convention:
         correlation = next((n for i, j, w in convention.correlations if (i, j) == (0, 1) and (n := search.find(w))), "")
-    found = "" if correlation or kind != "axes" else search.find(way.covariance) or ""
+    covariance = "" if correlation or kind != "axes" else search.find(error_names.covariance) or ""
     guessed = any(column.reason == GUESSED for column in columns)
     return PositionError(
-        kind, columns, correlation=correlation, covariance=found, angle_from=way.angle_from, guessed_unit=guessed
+        kind,
+        columns,
+        correlation=correlation,
+        covariance=covariance,
+        angle_from=error_names.angle_from,
+        guessed_unit=guessed,
     )
 
 
 def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[str, ...]]:
-    """Columns of parallax, proper motion and radial velocity, those of their errors, and notes."""
+    """Columns of parallax, proper motion and radial velocity, the columns of their errors, and notes."""
     options, units = search.options, ("mas", "mas / yr", "mas / yr", "km / s")
     names: list[str | None] = [None] * 4
     errors: list[str | None] = [None] * 4
-    for way in convention.motions:
-        for k, (name, error) in enumerate(zip(way.names, way.errors, strict=True)):
+    for motion_names in convention.motions:
+        for k, (name, error) in enumerate(zip(motion_names.names, motion_names.errors, strict=True)):
             if names[k] is None and search.find(name):
                 names[k], errors[k] = search.find(name), search.find(error)
     if (names[1] is None) != (names[2] is None):
@@ -470,9 +485,9 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
             names[k] = None if text.lower() == "none" else search.required(text, option)
             errors[k] = _error_of(search, names[k])
     notes = []
-    if names[1] is None and not options.pm and (other := search.find_all(("pm_ra", "pm_dec"))):
-        not_used = f"{', '.join(other)} not used: with or without cos(dec) is not stated; if with, give "
-        notes.append(Message(not_used, Argument("pm", repr(",".join(other)))))
+    if names[1] is None and not options.pm and (plain_names := search.find_all(("pm_ra", "pm_dec"))):
+        not_used = f"{', '.join(plain_names)} not used: with or without cos(dec) is not stated; if with, give "
+        notes.append(Message(not_used, Argument("pm", repr(",".join(plain_names)))))
     return (
         tuple(search.motion_column(n, unit) if n else None for n, unit in zip(names, units, strict=True)),
         tuple(search.motion_column(n, unit) if n else None for n, unit in zip(errors, units, strict=True)),
@@ -481,8 +496,8 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
 
 
 def _error_of(search: ColumnSearch, name: str | None) -> str | None:
-    ways = ("{}_error", "e_{}", "{}_err", "{}err", "{}Err", "sigma_{}")
-    return search.first(tuple(way.format(name) for way in ways)) if name else None
+    patterns = ("{}_error", "e_{}", "{}_err", "{}err", "{}Err", "sigma_{}")
+    return search.first(tuple(pattern.format(name) for pattern in patterns)) if name else None
 
 
 def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
@@ -496,21 +511,21 @@ def _epoch(search: ColumnSearch, convention: Convention, ra: str) -> Epoch:
     name = search.first(convention.epochs)
     if name:
         return Epoch(column=name, reason=f"column {name}")
-    for wanted in conventions.PLAIN_EPOCHS:  # whatever the names of the position are
+    for wanted in conventions.PLAIN_EPOCHS:  # valid with any names of the position
         name = search.find(wanted)
         if name and column_values.are_years(table, name):
             return Epoch(column=name, reason=f"column {name}")
-    described = _DESCRIBED_EPOCH.search(str(table[ra].info.description or ""))
-    if described:
-        return Epoch(jyr=float(described[1]), reason=f"description of {ra}")
+    year_in_description = _DESCRIBED_EPOCH.search(str(table[ra].info.description or ""))
+    if year_in_description:
+        return Epoch(jyr=float(year_in_description[1]), reason=f"description of {ra}")
     if convention.epoch_jyr is not None:
         return Epoch(jyr=convention.epoch_jyr, reason=f"epoch of {convention.title}")
-    released = _released_epoch(search, convention)
-    return released if released else _header_epoch(table)
+    release_epoch = _released_epoch(search, convention)
+    return release_epoch if release_epoch else _header_epoch(table)
 
 
 def _year(search: ColumnSearch, epoch: Epoch) -> float | None:
-    """The Julian year of all rows, or the median of theirs; None where it is not known."""
+    """The Julian year of all rows, or the median over the rows; None if it is not known."""
     if not epoch.column:
         return epoch.jyr
     years = column_values.years(search.table, epoch.column, search.source)
@@ -519,7 +534,7 @@ def _year(search: ColumnSearch, epoch: Epoch) -> float | None:
 
 
 def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | None:
-    """The epoch of the data release that the table's words or columns tell, if they tell one."""
+    """The epoch of the data release named in the texts or implied by the columns; None unless there is exactly one."""
     texts = _texts(search)
     found = {
         epoch: f"the table states {match[0]}"
@@ -539,7 +554,7 @@ def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | Non
 
 
 def _texts(search: ColumnSearch) -> list[str]:
-    """What the table says of itself: its metadata, its first designations."""
+    """The metadata of the table and its first designations, searched for the data release."""
     texts = [f"{key} {value}" for key, value in search.table.meta.items()]
     name = search.find("designation")
     if name and column_values.is_text(search.table, name):
@@ -579,8 +594,8 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
     for wanted, error in convention.magnitudes + conventions.PLAIN_MAGNITUDES:
         name = search.find(wanted)
         if name and getattr(search.table[name], "ndim", 1) == 1 and column_values.holds_numbers(search.table, name):
-            same = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
-            return name, search.find(error) or search.first(same)
+            errors_of_name = tuple(e for w, e in convention.magnitudes + conventions.PLAIN_MAGNITUDES if w == wanted)
+            return name, search.find(error) or search.first(errors_of_name)
     by_ucd = next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None)
     if by_ucd:
         return by_ucd, None

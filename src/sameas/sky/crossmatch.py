@@ -1,6 +1,7 @@
-"""Two catalogues identified: brought to one epoch, everything unknown estimated, and what motion did to the residuals.
+"""Crossmatch of two catalogues: moved to a common epoch, matched with estimated parameters, checked for doubts.
 
-Data passes: two :class:`Catalogue` → epoch → two ``Records`` on the sphere → ``estimate.match`` → :class:`SkyMatch`.
+Data flow: two :class:`Catalogue` → common epoch → two ``Records`` on the sphere → ``estimate.match`` →
+:class:`SkyMatch`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from sameas.estimate.blends import suspected
 from sameas.estimate.companions import close_couples
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
-from sameas.estimate.match import match as estimated
+from sameas.estimate.match import match as estimate_match
 from sameas.estimate.sample import Setting
 from sameas.evidence import Column, Errors, Related
 from sameas.gate import ChiSquare, Radius
@@ -28,7 +29,7 @@ from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky.bands import AUTO, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.doubts import apart_doubts, completed, epoch_doubt
+from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt
 from sameas.sky.systematics import WARP_TUNING, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
@@ -36,7 +37,7 @@ from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 @in_short
 @dataclass(frozen=True)
 class Nearest:
-    """The nearest neighbour, one record at a time: what most programs give, here to be compared with.
+    """The nearest neighbour of each record: the usual crossmatch, for comparison.
 
     rows : (n,) table row of the nearest record; separation_arcsec : (n,) its distance.
     """
@@ -46,7 +47,7 @@ class Nearest:
 
 
 def nearest(first: Records, second: Records) -> Nearest:
-    """The nearest record of ``second`` to each record of ``first``, on the sphere, whatever their errors."""
+    """The nearest record of ``second`` to each record of ``first`` on the sphere; errors are ignored."""
     from scipy.spatial import cKDTree
 
     distance, at = cKDTree(unit_vectors(*second.features.T)).query(unit_vectors(*first.features.T), workers=-1)
@@ -58,24 +59,25 @@ ARCSEC2_PER_DEG2 = 3600.0**2
 
 @dataclass(frozen=True)
 class CrossmatchTuning:
-    """From where a result is refused or doubted; all chosen.
+    """Thresholds for refusing or doubting a result; all chosen.
 
     Attributes
     ----------
-    most_records_per_error : more records of either catalogue within one typical error are refused: positions cannot
-        tell them apart, and the unit of the errors is probably wrong.
-    sampled_from_rows, sampled_rings : from this number of rows on that is judged by one ring of cells in this number.
-    least_common_share, least_common_sigmas : catalogues have hardly any objects in common where the expected number of
-        common objects is at most this share of the smaller catalogue and at most this many of its standard errors.
-    most_spacing_share : a quarter of the records nearer to another catalogue's than this share of what chance gives,
-        without common objects, makes the errors doubtful.
-    usual_scale : (least, largest) residuals over quoted errors that raise no doubt.
-    usual_density : (least, largest) density that the user gave over the one that the data show that raise no doubt.
-    twice_sigmas, twice_share : couples of records of one catalogue, nearer to each other than their errors, are doubted
-        where they are more than chance lets expect by so many standard deviations, and by this share of the records.
-    by_place : whether records are put in the order of their places: what is learned from every k-th of them does then
-        not depend on the order of the tables' rows, and what lies together in the sky is asked for together, and
-        fetched once (a million rows in the order of a table take a third longer).
+    most_records_per_error : more records per typical error, in both catalogues, are refused: positions cannot separate
+        them, and the unit of the errors is probably wrong.
+    sampled_from_rows, sampled_rings : tables longer than ``sampled_from_rows`` are checked for this on one declination
+        ring of cells in ``sampled_rings``.
+    least_common_share, least_common_sigmas : two catalogues have hardly any objects in common if the expected number
+        is at most this share of the smaller catalogue and at most this many of its standard errors.
+    most_spacing_share : with hardly any common objects the errors are doubted if the lower quartile of the
+        nearest-neighbour distances is below this share of its value for chance alone.
+    usual_scale : (least, largest) ratio of residuals to quoted errors that raises no doubt.
+    usual_density : (least, largest) ratio of the given density to the observed one that raises no doubt.
+    duplicate_sigmas, duplicate_share : close pairs within one catalogue are doubted if they exceed the number expected
+        by chance by this many standard deviations and by this share of the records.
+    sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
+        order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
+        take a third longer).
     """
 
     most_records_per_error: float = 20.0
@@ -86,9 +88,9 @@ class CrossmatchTuning:
     most_spacing_share: float = 0.2
     usual_scale: tuple[float, float] = (0.3, 5.0)
     usual_density: tuple[float, float] = (0.01, 100.0)
-    twice_sigmas: float = 5.0
-    twice_share: float = 0.03
-    by_place: bool = True
+    duplicate_sigmas: float = 5.0
+    duplicate_share: float = 0.03
+    sort_by_position: bool = True
 
 
 TUNING = CrossmatchTuning()
@@ -97,19 +99,19 @@ TUNING = CrossmatchTuning()
 @in_short
 @dataclass(frozen=True)
 class MatchOptions:
-    """Options of a match; what is left out is estimated from the catalogues.
+    """Options of a match; options that are not given are estimated from the catalogues.
 
     epoch_jyr : common epoch, Julian year. gate_sigmas : radius of the gate in quoted standard deviations.
-    error_scale : "auto" estimates how residuals spread about the quoted errors; a number takes that factor, ``Errors``
-        that mixture of factors.
+    error_scale : "auto" estimates the ratio of residuals to quoted errors; a number is taken as that factor, ``Errors``
+        as a mixture of factors.
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
-    magnitudes : "auto" takes those of both catalogues as evidence, "off" leaves it to the positions; columns by name
+    magnitudes : "auto" uses the magnitudes of both catalogues as evidence, "off" uses positions only; columns by name
         as "G,BP:J,H" (see ``sky.bands``).
-    precision : whether the sizes of the quoted errors are evidence too, where magnitudes tell too little.
-    offset : "none" takes both catalogues to be on one frame, and doubts it where the pairs show an offset; "find"
-        estimates the shift and rotation of the second catalogue and takes it away, and
-        a smooth warp of the field beside it (see :mod:`sameas.sky.systematics`).
-    evidence : columns of either catalogue that are evidence too, by name, alone or related to one of the other.
+    precision : whether the sizes of the quoted errors are used as evidence where magnitudes separate too little.
+    offset : "none" assumes that both catalogues are on one frame, and reports a doubt if the pairs show an offset;
+        "find" estimates and removes a shift and rotation of the second catalogue, and a smooth warp of the field (see
+        :mod:`sameas.sky.systematics`).
+    evidence : further columns used as evidence, by name, alone or related to a column of the other catalogue.
     """
 
     epoch_jyr: float | None = None
@@ -122,7 +124,7 @@ class MatchOptions:
     evidence: Sequence[Column | Related] = ()
 
     def errors(self) -> Errors | None:
-        """The spread of the residuals, None where it is to be estimated."""
+        """The given mixture of error factors, None if it is to be estimated."""
         if self.error_scale == "auto":
             return None
         if isinstance(self.error_scale, Errors):
@@ -133,11 +135,11 @@ class MatchOptions:
         return Errors((scale,), (1.0,))
 
     def gate(self) -> ChiSquare | Radius | None:
-        """The gate, None where it is to be chosen."""
+        """The given gate, None if it is to be chosen."""
         return None if self.gate_sigmas is None else Radius(self.gate_sigmas)
 
     def density(self) -> tuple[float, float] | None:
-        """Densities per arcsec², None where they come from the data."""
+        """The given densities per arcsec², None if they come from the data."""
         if self.density_per_deg2 is None:
             return None
         if not all(0.0 < value < math.inf for value in self.density_per_deg2):
@@ -148,12 +150,12 @@ class MatchOptions:
 @in_short
 @dataclass(frozen=True)
 class SkyMatch:
-    """Two catalogues identified.
+    """Result of a crossmatch of two catalogues.
 
-    epoch_jyr : the epoch both were brought to, None where each stayed where it was observed.
-    moved : one sentence on what was moved and why. doubts : what looks wrong with the result.
-    rotation : of the second catalogue onto the first; None where it was not looked for, or chance explains it as well.
-    warp : what is left after that, of higher order, and was taken away too; None likewise.
+    epoch_jyr : common epoch, None if positions were not moved.
+    moved : one sentence on which catalogue was moved and why. doubts : what looks wrong with the result.
+    rotation : from the second catalogue onto the first; None if it was not searched for, or is not significant.
+    warp : the smooth residual distortion after the rotation, also removed; None likewise.
     """
 
     first: Catalogue
@@ -168,30 +170,30 @@ class SkyMatch:
 
     @cached_property
     def covered_1(self) -> BoolArray:
-        """(n,) whether the second catalogue looks where each row of the first lies; True for unusable rows."""
+        """(n,) whether the second catalogue covers the position of each row of the first; True for unusable rows."""
         return self.result.first.over_table(self.estimate.coverage.covered[0])
 
     @cached_property
     def covered_2(self) -> BoolArray:
-        """(n,) whether the first catalogue looks where each row of the second lies; True for unusable rows."""
+        """(n,) whether the first catalogue covers the position of each row of the second; True for unusable rows."""
         return self.result.second.over_table(self.estimate.coverage.covered[1])
 
     @cached_property
     def still_offsets(self) -> FloatArray:
-        """(k, 2) east and north offsets of the identified pairs, arcsec, each at its own catalogue's epoch."""
+        """(k, 2) east and north offsets of the matched pairs, arcsec, each record at the epoch of its catalogue."""
         a, b = self.first.astrometry, self.second.astrometry
         i, j = self.result.matches.rows_1, self.result.matches.rows_2
         return sphere_offset(a.ra_deg[i], a.dec_deg[i], b.ra_deg[j], b.dec_deg[j])
 
     @cached_property
     def area_and_densities(self) -> tuple[float, float, float]:
-        """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
+        """Area covered by both catalogues, deg², and the mean density of each catalogue there, per deg²."""
         return area_and_densities(self.estimate.coverage)
 
     def nearest(self, moved: bool) -> Nearest:
-        """The nearest record of the second catalogue to each row of the first table, with or without motion.
+        """The nearest record of the second catalogue to each row of the first table.
 
-        A row that cannot be used has none: −1, at infinity.
+        moved : at the common epoch, or at the epochs of the catalogues. An unusable row has row −1 at infinity.
         """
         one, two = self.result.first, self.result.second
         near = nearest(one, two) if moved else nearest(_unmoved(one, self.first), _unmoved(two, self.second))
@@ -208,13 +210,13 @@ def match(
     progress: Callable[[str], None] = lambda stage: None,
     tuning: CrossmatchTuning = TUNING,
 ) -> SkyMatch:
-    """Identify two catalogues.
+    """Crossmatch of two catalogues.
 
     Parameters
     ----------
     first, second : the catalogues.
-    options : what is known beforehand. progress : called with the name of what is being done.
-    tuning : from where the result is refused or doubted.
+    options : given values. progress : called with the name of the current stage.
+    tuning : thresholds for refusing or doubting the result.
 
     Raises
     ------
@@ -223,53 +225,53 @@ def match(
     options = MatchOptions() if options is None else options
     progress("motion")
     (first, second), assumed = completed((first, second), options.epoch_jyr)
-    epoch, words, one, two = brought_together(first, second, options.epoch_jyr)
-    if tuning.by_place:
-        one, two = threads.each([partial(by_place, records) for records in (one, two)], len(one) + len(two))
-    _refuse_blur(one, two, tuning)
+    epoch, epoch_note, one, two = at_common_epoch(first, second, options.epoch_jyr)
+    if tuning.sort_by_position:
+        one, two = threads.each([partial(by_position, records) for records in (one, two)], len(one) + len(two))
+    _refuse_large_errors(one, two, tuning)
     search = find_rotation(one, two, progress) if options.offset == "find" else None
     rotation = None if search is None or search.by_chance else search
     if rotation is not None:
         two = rotation.of(two)
-    identified = partial(
-        estimated, errors=options.errors(), gate=options.gate(), density=options.density(),
+    run_match = partial(
+        estimate_match, errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=magnitudes_of(first, second, options.magnitudes), precision=options.precision,
         evidence=columns_of(first, second, options.evidence, options.magnitudes), progress=progress,
     )  # fmt: skip
-    result, estimate = identified(one, two)
+    result, estimate = run_match(one, two)
     warp: Warp | None = None
     for _ in range(WARP_TUNING.passes if search is not None else 0):
         progress("warp")
-        found = find_warp(result, warp)
-        if found is None:
+        next_warp = find_warp(result, warp)
+        if next_warp is None:
             break
-        warp = found
-        result, estimate = identified(one, warp.of(two))
+        warp = next_warp
+        result, estimate = run_match(one, warp.of(two))
     doubts = assumed + density_doubts(estimate.coverage, options, tuning)
     doubts += _error_doubts(result, estimate, tuning) + _near_miss_doubts(result, estimate, tuning)
-    apart = apart_doubts(first, second, one, two) if _next_to_nothing(result, estimate, tuning) else ()
-    late, explained = epoch_doubt(first, second, epoch, result, estimate.typical_scale)
-    doubts += (*apart, late) if late else apart
+    field_doubts = disjoint_doubt(first, second, one, two) if _hardly_any_common(result, estimate, tuning) else ()
+    epoch_line, offset_explained = epoch_doubt(first, second, epoch, result, estimate.typical_scale)
+    doubts += (*field_doubts, epoch_line) if epoch_line else field_doubts
     if search is not None:
         doubts += _search_doubts(search, warp)
-    elif not apart and not explained:
+    elif not field_doubts and not offset_explained:
         doubts += _offset_doubts(result, estimate, tuning)
-    doubts += _blend_doubts(result, estimate) + _twice_doubts(result, estimate, tuning)
-    return SkyMatch(first, second, epoch, words, result, estimate, doubts, rotation, warp)
+    doubts += _blend_doubts(result, estimate) + _duplicate_doubts(result, estimate, tuning)
+    return SkyMatch(first, second, epoch, epoch_note, result, estimate, doubts, rotation, warp)
 
 
-def brought_together(
+def at_common_epoch(
     first: Catalogue, second: Catalogue, epoch_jyr: float | None = None
 ) -> tuple[float | None, str, Records, Records]:
-    """The common epoch, the sentence that says so, and both catalogues' records at it.
+    """The common epoch, a sentence that explains it, and the records of both catalogues at this epoch.
 
     Raises
     ------
     InputError : no usable rows; a common epoch is needed and not known.
     """
-    epoch, words = common_epoch(first, second, epoch_jyr)
-    works = [partial(catalogue.records, epoch) for catalogue in (first, second)]
-    one, two = threads.each(works, len(first) + len(second))
+    epoch, note = common_epoch(first, second, epoch_jyr)
+    calls = [partial(catalogue.records, epoch) for catalogue in (first, second)]
+    one, two = threads.each(calls, len(first) + len(second))
     for catalogue, records in ((first, one), (second, two)):
         if not len(records):
             counts = records.set_aside.counts()
@@ -277,17 +279,16 @@ def brought_together(
             remedy = naming("an error of 0 counts as none: give {sigma:ARCSEC}") if "no error" in counts else ""
             message = f"{catalogue.name}: none of its {len(catalogue)} rows can be used: {reasons}"
             raise InputError(message, remedy, source=catalogue.name)
-    return epoch, words, one, two
+    return epoch, note, one, two
 
 
-#: Mean number of records to a ring of equal height for each of the rings: a ring is so high that some ten records lie
-#: in a square of it. Bits of the number of a ring.
+#: Records in a square as high as a ring (sets the number of rings); bits of a ring number.
 _IN_SQUARE, _RING_BITS = 10.0, 12
 
 
-def by_place(records: Records) -> Records:
-    """The records ring of declination by ring, along each ring from west to east."""
-    lon, lat = (np.ascontiguousarray(of) for of in records.features.T)
+def by_position(records: Records) -> Records:
+    """The records sorted by rings of declination from south to north, each ring by increasing right ascension."""
+    lon, lat = (np.ascontiguousarray(angle) for angle in records.features.T)
     n, south, north = len(records), float(lat.min()), float(lat.max())
     rings = min(math.ceil(math.sqrt(n / _IN_SQUARE)), 2**_RING_BITS)
     row_bits = n.bit_length()
@@ -297,21 +298,21 @@ def by_place(records: Records) -> Records:
         lon = np.mod(lon, 360.0)
     along = (lon * ((2.0**along_bits - 1.0) / 360.0)).astype(np.uint64)
     key = ring << np.uint64(along_bits + row_bits) | along << np.uint64(row_bits) | np.arange(n, dtype=np.uint64)
-    key.sort()  # of numbers NumPy sorts many at a time; their order it finds one by one
+    key.sort()  # NumPy sorts integers faster than it finds their order (argsort), so the row is part of the key
     return records.part((key & np.uint64(2**row_bits - 1)).astype(np.intp))
 
 
-def _refuse_blur(one: Records, two: Records, tuning: CrossmatchTuning) -> None:
-    """Refuses errors so large that all records are candidates of all others: their unit is wrong."""
+def _refuse_large_errors(one: Records, two: Records, tuning: CrossmatchTuning) -> None:
+    """Refuses errors so large that every record is a candidate for every other: their unit is wrong."""
     n = len(one) + len(two)
     sigmas = threads.each([partial(_typical_sigma, records) for records in (one, two)], n)
     sigma = math.hypot(*sigmas)
-    works = [partial(_records_per_cell, records.features, sigma, tuning) for records in (one, two)]
-    crowd = min(threads.each(works, n))
-    if crowd > tuning.most_records_per_error:
+    calls = [partial(_records_per_cell, records.features, sigma, tuning) for records in (one, two)]
+    crowding = min(threads.each(calls, n))
+    if crowding > tuning.most_records_per_error:
         worst = (one, two)[int(sigmas[1] > sigmas[0])].source
         raise InputError(
-            f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowd:.0f} records lie "
+            f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowding:.0f} records lie "
             "within it in either catalogue",
             naming("are the errors in another unit? give {sigma_unit:UNIT}"),
             source=worst,
@@ -319,29 +320,29 @@ def _refuse_blur(one: Records, two: Records, tuning: CrossmatchTuning) -> None:
 
 
 def _typical_sigma(records: Records) -> float:
-    """The median of the errors, each the root of the mean variance of both axes."""
+    """The median over the records of the root mean variance of both axes, arcsec."""
     return math.sqrt(float(np.median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1]))))
 
 
 def _records_per_cell(position_deg: FloatArray, side_arcsec: float, tuning: CrossmatchTuning) -> float:
-    """Mean number of records in the occupied cells of this size."""
+    """Mean number of records per occupied cell of this side."""
     lon, lat = position_deg.T
     side = side_arcsec / 3600.0
     ring = np.floor(lat / side)
     if len(ring) > tuning.sampled_from_rows:
-        some = np.flatnonzero(np.mod(ring - ring[np.argmin(lat)], tuning.sampled_rings) == 0.0)
-        lon, ring = lon[some], ring[some]
+        sampled = np.flatnonzero(np.mod(ring - ring[np.argmin(lat)], tuning.sampled_rings) == 0.0)
+        lon, ring = lon[sampled], ring[sampled]
     along = np.floor(lon * np.cos(np.radians(ring * side)) / side)
-    # Doubles hold whole numbers up to 2⁵³: rings of cells smaller than 5 mas would be taken together here and there.
+    # Doubles hold integers up to 2⁵³: with cells below 5 mas some cells of different rings get the same number.
     cell = np.sort(ring * np.floor(360.0 / side + 2.0) + along)
     return len(lon) / (int(np.count_nonzero(np.diff(cell))) + 1)
 
 
 def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -> tuple[float | None, str]:
-    """The epoch to bring both catalogues to, None for no motion at all, and a sentence that says so.
+    """The common epoch, None if no positions are moved, and a sentence that explains it.
 
-    A catalogue without proper motions stays at its own epoch and the other one moves; where both can move, the
-    second one's epoch is taken.
+    A catalogue without proper motions stays at its epoch and the other one is moved; if both have proper motions, the
+    epoch of the second is used.
     """
     if epoch_jyr is not None:
         return epoch_jyr, f"both catalogues moved to {epoch_jyr:g} (option)"
@@ -349,11 +350,11 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
     if epoch_1 is None or epoch_2 is None:
         if not first.has_motion and not second.has_motion:
             return None, "neither catalogue has proper motions, and not both epochs are known: no positions are moved"
-        still = first if epoch_1 is None else second
+        without_epoch = first if epoch_1 is None else second
         raise InputError(
-            f"{still.name}: its epoch is not known, so the other catalogue cannot be moved to it",
+            f"{without_epoch.name}: its epoch is not known, so the other catalogue cannot be moved to it",
             naming("give {epoch:YEAR}"),
-            source=still.name,
+            source=without_epoch.name,
         )
     mover, target = (second, first) if second.has_motion and not first.has_motion else (first, second)
     epoch = target.epoch_jyr
@@ -369,7 +370,7 @@ def common_epoch(first: Catalogue, second: Catalogue, epoch_jyr: float | None) -
 
 
 def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
-    """Area where both catalogues look, deg², and mean densities there of all their records, per deg²."""
+    """Area covered by both catalogues, deg², and the mean density of each catalogue there, per deg²."""
     area_deg2 = coverage.common_volume / ARCSEC2_PER_DEG2
     count_1, count_2 = (int(np.count_nonzero(covered)) for covered in coverage.covered)
     if not area_deg2 > 0.0:
@@ -378,7 +379,7 @@ def area_and_densities(coverage: Coverage) -> tuple[float, float, float]:
 
 
 def density_doubts(coverage: Coverage, options: MatchOptions, tuning: CrossmatchTuning = TUNING) -> tuple[str, ...]:
-    """Doubts of densities that the user gave and the data contradict."""
+    """Doubts about given densities that the data contradict."""
     if options.density_per_deg2 is None:
         return ()
     _, *observed = area_and_densities(coverage)
@@ -396,10 +397,10 @@ def density_doubts(coverage: Coverage, options: MatchOptions, tuning: Crossmatch
 
 
 def _error_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """Doubts of the errors' unit, and the notes of the estimate."""
+    """The notes of the estimate, and doubts about the unit of the errors and large groups."""
     doubts = list(estimate.notes)
-    works = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
-    sigma = [math.sqrt(float(median)) for median in threads.each(works, len(result.first))]
+    calls = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
+    sigma = [math.sqrt(float(median)) for median in threads.each(calls, len(result.first))]
     spacing = 0.5 * math.sqrt(estimate.coverage.common_volume / max(len(result.first), len(result.second)))
     widest = max(range(2), key=lambda k: sigma[k])
     if sigma[widest] > spacing > 0.0:
@@ -411,8 +412,8 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
     scale = estimate.typical_scale
     least, largest = tuning.usual_scale
     if scale > largest or scale < least:
-        asked = "is one a copy of the other, or are their units wrong?" if scale < least else "are their units right?"
-        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: {asked}")
+        hint = "is one a copy of the other, or are their units wrong?" if scale < least else "are their units right?"
+        doubts.append(f"the residuals are {scale:.2g} times what the quoted errors say: {hint}")
     if result.approximate_pairs:
         count = result.approximate_pairs
         doubts.append(f"{count} candidates lie in large groups; their probabilities are approximate")
@@ -420,29 +421,29 @@ def _error_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
 
 
 def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]:
-    """A doubt of one-to-one where records of one catalogue seem to be two objects of the other."""
+    """A doubt about one-to-one matching if records of one catalogue seem to be blends of two of the other."""
     doubts = []
     for coarse, fine in ((result.first, result.second), (result.second, result.first)):
-        seen = suspected(result, estimate.errors, estimate.coverage, 0 if coarse is result.first else 1)
-        if seen is not None:
-            number, within, sigmas = seen
+        blends = suspected(result, estimate.errors, estimate.coverage, 0 if coarse is result.first else 1)
+        if blends is not None:
+            count, within, sigmas = blends
             one, other = coarse.source, fine.source
             first = "" if coarse is result.first else f", {one} given first,"
             doubts.append(
-                f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {number} of its pairs "
+                f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {count} of its pairs "
                 f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
                 f"`blends`{first} lists them, given the resolution of {one}"
             )
     return tuple(doubts)
 
 
-def _twice_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """A doubt of records that seem to be of one object of the same catalogue."""
+def _duplicate_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
+    """A doubt about records of one catalogue that seem to be the same object."""
     found, doubts = close_couples(Setting.whole(result.pairs, estimate.coverage)), []
     for records, close in zip((result.first, result.second), found or (), strict=False):
-        beyond = close.couples - close.by_chance
-        significant = tuning.twice_sigmas * math.sqrt(close.by_chance + tuning.twice_sigmas)
-        if beyond > max(significant, tuning.twice_share * close.records):
+        excess = close.couples - close.by_chance
+        significant = tuning.duplicate_sigmas * math.sqrt(close.by_chance + tuning.duplicate_sigmas)
+        if excess > max(significant, tuning.duplicate_share * close.records):
             doubts.append(
                 f"in {records.source} {close.couples} couples of records lie within their errors of each other, where "
                 f"chance makes {close.by_chance:.0f}: if they are one object given twice (two exposures, a deblender), "
@@ -452,15 +453,15 @@ def _twice_doubts(result: Identification, estimate: Estimate, tuning: Crossmatch
 
 
 def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
-    """Doubts of a rotation that was looked for."""
+    """Doubts about a rotation that was searched for."""
     if not search.by_chance:
         return search.notes
     return (*search.notes, "no offset was removed" if warp is None else "no shift or rotation was removed")
 
 
 def _offset_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """A doubt of the frames where the pairs are offset on the average, or there are no pairs."""
-    if _next_to_nothing(result, estimate, tuning):
+    """A doubt about the frames if the pairs have a mean offset, or there are hardly any pairs."""
+    if _hardly_any_common(result, estimate, tuning):
         few = (
             f"{result.first.source} and {result.second.source} have hardly any objects in common "
             f"({estimate.quantities['common']} objects); one may be offset from the other by more than their errors: "
@@ -475,15 +476,15 @@ def _offset_doubts(result: Identification, estimate: Estimate, tuning: Crossmatc
     return (Message(off, naming("give {offset:'find'} to remove it")),)
 
 
-def _next_to_nothing(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> bool:
-    """Whether the common objects are few, and no more than their standard error lets chance give."""
+def _hardly_any_common(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> bool:
+    """Whether the number of common objects is small and consistent with zero by its standard error."""
     if estimate.common > tuning.least_common_share * min(len(result.first), len(result.second)):
         return False
     return estimate.common <= max(0.5, tuning.least_common_sigmas * estimate.quantities["common"].standard_error)
 
 
 def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
-    """A doubt of the errors where the records coincide, but not within their errors."""
+    """A doubt about the errors if records lie close to each other, but not within their errors."""
     first, second = result.first, result.second
     _, _, density_2 = area_and_densities(estimate.coverage)
     if estimate.common > tuning.least_common_share * min(len(first), len(second)) or not density_2:
@@ -500,8 +501,9 @@ def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: Crossm
 
 
 def _unmoved(records: Records, catalogue: Catalogue) -> Records:
-    at = catalogue.astrometry
-    position = np.column_stack([at.ra_deg, at.dec_deg])[records.rows]
+    """The records at the positions of the catalogue's own epochs."""
+    astrometry = catalogue.astrometry
+    position = np.column_stack([astrometry.ra_deg, astrometry.dec_deg])[records.rows]
     return Records(position, records.covariance, records.rows, records.ids, records.space, records.source)
 
 
@@ -513,6 +515,6 @@ def _number(value: float | str) -> float | None:
 
 
 __all__ = [
-    "MatchOptions", "SkyMatch", "area_and_densities", "brought_together", "by_place", "common_epoch",
+    "MatchOptions", "SkyMatch", "area_and_densities", "at_common_epoch", "by_position", "common_epoch",
     "density_doubts", "match",
 ]  # fmt: skip

@@ -1,20 +1,20 @@
-"""Doubts of a match: what was assumed of a catalogue, fields that do not meet, an epoch that the residuals contradict.
+"""Doubts about a match: assumed errors, units and epochs, disjoint fields, an epoch that the residuals contradict.
 
-What a catalogue does not say is taken from the other: a common position error, the unit of the errors, an epoch.
-Nothing of it is certain; each assumption is a doubt of the match, with its value and how to say it better. The common
-error s of a catalogue without errors follows from the distances r of nearest neighbours: where a share f of the records
-has its partner in the other catalogue, and other records lie about with the local density ρ,
+Values missing in one catalogue are assumed from the others: a common position error, the unit of the errors, an epoch
+(:func:`completed`). Each assumption is reported as a doubt with its value and the option to give instead. The common
+error s of a catalogue without errors is estimated from the distances r to the nearest neighbours in the other one. With
+a fraction f of records that have a partner, and unrelated records of local density ρ,
 
-    p(r) = exp(−π ρ r²) { f exp(−r²/2σ²) [r/σ² + 2π ρ r] + (1 − f) 2π ρ r },   σ² = s² + the other's error².
+    p(r) = exp(−π ρ r²) { f exp(−r²/2σ²) [r/σ² + 2π ρ r] + (1 − f) 2π ρ r },   σ² = s² + (error of the other)².
 
-s and f are those of the largest posterior on a grid, with a wide prior of s. The estimate of the match scales it.
+s and f maximise the posterior on a grid, with a wide prior of s. The match then estimates a scale of this error.
 
-Where fields do not meet, :func:`apart_doubts` looks for what would make them: hours taken for degrees, columns
-exchanged.
+If the fields are disjoint, :func:`disjoint_doubt` tests misreadings that would explain it: hours read as degrees,
+swapped columns.
 
-With a wrong epoch (:func:`epoch_doubt`) residuals grow along the proper motions. The catalogue with motions μ was
-carried to an epoch T. Where the other one was observed at T + δ, each pair misses what its object moves in δ years, −μ
-δ, beside a common offset. Both are fitted by least squares.
+With a wrong epoch (:func:`epoch_doubt`) residuals grow along the proper motions. The catalogue with proper motions μ
+was moved to an epoch T. If the other one was observed at T + δ, each pair has a residual −μ δ, plus a common offset.
+Both are fitted by least squares.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class CommonErrorTuning:
 
     Attributes
     ----------
-    usual_arcsec, spread_log : median and standard deviation of the logarithm of the prior of s.
-    least_arcsec, largest_arcsec : of the grid. steps, share_steps : of the grid of s and of f.
-    neighbours : the distance to this one, the nearest apart, tells the local density.
-    copied_arcsec : records are copies where most lie no farther than this from the nearest.
-    most_records : so many are looked at, drawn evenly.
-    most_rows, strips : of larger catalogues about so many are looked at, in so many strips of declination.
-    most_products : up to so many distances are computed at once, and all of them; of more those of records next along
-        an axis, ``window`` at first (a tree would take 0.15 to 0.5 s to import).
+    usual_arcsec, spread_log : median of the prior of s, and standard deviation of its natural logarithm.
+    least_arcsec, largest_arcsec : range of the grid of s. steps, share_steps : grid points of s and of f.
+    neighbours : the local density is taken from the distance to the neighbour of this rank.
+    copied_arcsec : the catalogues are copies if the median nearest-neighbour distance is at most this.
+    most_records : maximum number of records used, evenly sampled.
+    most_rows, strips : larger catalogues are reduced to about ``most_rows`` rows, in this many strips of declination.
+    most_products : all distances are computed if they are at most this many; else only those to records close along one
+        axis, ``window`` of them at first (importing a k-d tree would take 0.15 to 0.5 s).
     """
 
     usual_arcsec: float = 0.3
@@ -75,36 +75,36 @@ _UNITS = ("mas", "arcsec", "deg")
 def completed(
     catalogues: Sequence[Catalogue], epoch_jyr: float | None = None, tuning: CommonErrorTuning = COMMON_ERROR
 ) -> tuple[list[Catalogue], tuple[str, ...]]:
-    """The catalogues with what they did not say, and the doubts that say what was assumed.
+    """The catalogues with missing epochs, errors and units assumed, and one doubt per assumption.
 
-    epoch_jyr : that all will be moved to, None where that is not said.
+    epoch_jyr : common epoch of the match, None if not given.
     """
-    made = list(catalogues)
+    result = list(catalogues)
     doubts: list[str] = []
-    for k, catalogue in enumerate(made):
-        epoch = _epoch_of_others(made, k, epoch_jyr)
+    for k, catalogue in enumerate(result):
+        epoch = _epoch_of_others(result, k, epoch_jyr)
         if epoch is not None:
-            made[k] = catalogue.with_epoch(epoch, "assumed")
+            result[k] = catalogue.with_epoch(epoch, "assumed")
             text = f"{catalogue.name}: its epoch is not known; {epoch:g} was assumed, so its positions are not moved; "
             doubts.append(Message(text, naming(f"give {{epoch{k + 1}:YEAR}}")))
-    before = tuple(made)
-    for k, catalogue in enumerate(before):
+    with_epochs = tuple(result)
+    for k, catalogue in enumerate(with_epochs):
         if catalogue.error_is_unknown:
-            sigma, source = _error_against_others(before, k, tuning)
+            sigma, source = _error_against_others(with_epochs, k, tuning)
             text = (
                 f"{catalogue.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, {source}; "
             )
             doubts.append(Message(text, naming(f"give {{sigma{k + 1}:ARCSEC}} or {{sigma{k + 1}:COLUMN}}")))
-            made[k] = catalogue.with_error(PositionError("number", sigma_arcsec=sigma, reason="assumed"))
-    for k, catalogue in enumerate(made):
+            result[k] = catalogue.with_error(PositionError("number", sigma_arcsec=sigma, reason="assumed"))
+    for k, catalogue in enumerate(result):
         if catalogue.choice.error.guessed_unit:
-            made[k], doubt = _with_likelier_unit(made, k, tuning)
+            result[k], doubt = _with_likelier_unit(result, k, tuning)
             doubts += [doubt] if doubt else []
-    return made, tuple(doubts)
+    return result, tuple(doubts)
 
 
 def _epoch_of_others(catalogues: Sequence[Catalogue], k: int, epoch_jyr: float | None) -> float | None:
-    """The epoch to assume for a catalogue without one, None where none is needed."""
+    """The epoch to assume for catalogue ``k`` if it has none; None if no epoch is needed."""
     others = [c for c in (*catalogues[:k], *catalogues[k + 1 :]) if c.epoch_jyr is not None]
     if catalogues[k].epoch_jyr is not None:
         return None
@@ -115,7 +115,7 @@ def _epoch_of_others(catalogues: Sequence[Catalogue], k: int, epoch_jyr: float |
 
 
 def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: CommonErrorTuning) -> tuple[float, str]:
-    """The common error of catalogue ``k`` in arcsec, and in words where it is from."""
+    """The common error of catalogue ``k``, arcsec, and a text on its origin."""
     found = []
     for other, catalogue in enumerate(catalogues):
         if other != k:
@@ -129,28 +129,28 @@ def _error_against_others(catalogues: Sequence[Catalogue], k: int, tuning: Commo
 
 
 def _with_likelier_unit(catalogues: Sequence[Catalogue], k: int, tuning: CommonErrorTuning) -> tuple[Catalogue, str]:
-    """The catalogue with its errors in the unit that fits the distances best, and a doubt where that is another."""
+    """Catalogue ``k`` with its errors in the unit that fits the distances best, and a doubt if the unit changed."""
     catalogue, error = catalogues[k], catalogues[k].choice.error
     others = [other for j, other in enumerate(catalogues) if j != k and other.choice.error.reason != "assumed"]
     if not others:
         return catalogue, ""
-    found = [common_error(catalogue, other, tuning=tuning) for other in others]
-    sigma, share = max(found, key=lambda one: one[1])
+    estimates = [common_error(catalogue, other, tuning=tuning) for other in others]
+    sigma, share = max(estimates, key=lambda estimate: estimate[1])
     quoted = _median_sigma_arcsec(catalogue)
     if share <= 0.0 or not quoted > 0.0:
         return catalogue, ""
     in_arcsec = {"mas": 1e-3, "arcsec": 1.0, "deg": 3600.0}
-    own = in_arcsec[error.columns[0].unit]
-    best = min(_UNITS, key=lambda unit: abs(np.log(quoted * in_arcsec[unit] / own / sigma)))
-    if best == error.columns[0].unit:
+    current = in_arcsec[error.columns[0].unit]
+    unit = min(_UNITS, key=lambda candidate: abs(np.log(quoted * in_arcsec[candidate] / current / sigma)))
+    if unit == error.columns[0].unit:
         return catalogue, ""
-    angles = tuple(replace(column, unit=best) if _is_guessed(column) else column for column in error.columns)
-    names = ", ".join(column.name for column in angles if _is_guessed(column))
+    columns = tuple(replace(column, unit=unit) if _is_guessed(column) else column for column in error.columns)
+    names = ", ".join(column.name for column in columns if _is_guessed(column))
     text = (
-        f"{catalogue.name}: the unit of {names} is not stated; {best} fits the distances to the other catalogue best, "
+        f"{catalogue.name}: the unit of {names} is not stated; {unit} fits the distances to the other catalogue best, "
     )
     doubt = Message(f"{text}so it was assumed; ", naming(f"give {{sigma_unit{k + 1}:UNIT}}"))
-    return catalogue.with_error(replace(error, columns=angles, guessed_unit=False)), doubt
+    return catalogue.with_error(replace(error, columns=columns, guessed_unit=False)), doubt
 
 
 def _is_guessed(column: Column) -> bool:
@@ -166,46 +166,51 @@ def _median_sigma_arcsec(catalogue: Catalogue) -> float:
 def common_error(
     catalogue: Catalogue, other: Catalogue, *, shared: bool = False, tuning: CommonErrorTuning = COMMON_ERROR
 ) -> tuple[float, float]:
-    """One position error an axis, arcsec, that explains the distances to another catalogue, and the share of partners.
+    """The position error per axis, arcsec, from the distances to another catalogue, and the share of partners.
 
-    A copy of the same records tells nothing, so its share is 0.
+    The share is 0 where nothing can be estimated: no records, or a copy of the same records.
 
-    shared : the other catalogue's errors are not known either, and taken to be the same.
+    shared : the errors of the other catalogue are unknown too, and assumed equal.
     """
     position, variances = _positions(*_in_strips(catalogue, other, tuning), shared)
     if not len(position[0]) or not len(position[1]):
         return tuning.usual_arcsec, 0.0
-    # From the side of fewer records: of those of a deep catalogue next to none have a partner in a sparse one.
+    # Start from the smaller catalogue: hardly any records of a deep one have a partner in a sparse one.
     if len(position[1]) < len(position[0]):
-        distance, density, rows, partner = _neighbours(position[1], position[0], tuning)
+        distance, density, row, partner_row = _neighbours(position[1], position[0], tuning)
     else:
-        distance, density, partner, rows = _neighbours(*position, tuning)
+        distance, density, partner_row, row = _neighbours(*position, tuning)
     if np.median(distance) <= tuning.copied_arcsec:
         return tuning.usual_arcsec, 0.0
-    known = variances[0][rows] + variances[1][partner]
+    quoted_variance = variances[0][row] + variances[1][partner_row]
     s = np.geomspace(tuning.least_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
-    variance = s**2 * (2.0 if shared else 1.0) + known
+    variance = s**2 * (2.0 if shared else 1.0) + quoted_variance
     chance = 2.0 * np.pi * density * distance
     near = np.exp(-0.5 * distance**2 / variance) * (distance / variance + chance)
     prior = -0.5 * (np.log(s[:, 0] / tuning.usual_arcsec) / tuning.spread_log) ** 2
     shares = np.linspace(0.0, 1.0, tuning.share_steps + 1)[:-1]
     log_chance = np.log(np.maximum(chance, 1e-300))
-    fit = [(np.log(np.maximum(f * near + (1.0 - f) * chance, 1e-300)) - log_chance).sum(axis=1) + prior for f in shares]
-    at_share, at_s = np.unravel_index(int(np.argmax(fit)), (len(shares), len(s)))
-    return float(s[at_s, 0]), float(shares[at_share])
+    log_posterior = [
+        (np.log(np.maximum(f * near + (1.0 - f) * chance, 1e-300)) - log_chance).sum(axis=1) + prior for f in shares
+    ]
+    best_share, best_s = np.unravel_index(int(np.argmax(log_posterior)), (len(shares), len(s)))
+    return float(s[best_s, 0]), float(shares[best_share])
 
 
 def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tuple[Catalogue, Catalogue]:
-    """Both catalogues, large ones in strips of declination alone; the larger's are twice as high, so that the partners
-    and neighbours of what lies at the border of a strip are there."""
+    """Both catalogues, large ones reduced to strips of declination.
+
+    The strips of the larger catalogue are twice as high, so that records at the edge of a strip keep their partners and
+    neighbours.
+    """
     share = tuning.most_rows / max(len(one), len(two))
     if share >= 1.0:
         return one, two
-    fewer = min(one, two, key=len)
-    dec_deg = fewer.astrometry.dec_deg[np.isfinite(fewer.astrometry.dec_deg)]
+    smaller = min(one, two, key=len)
+    dec_deg = smaller.astrometry.dec_deg[np.isfinite(smaller.astrometry.dec_deg)]
     middle, half = (np.arange(tuning.strips) + 0.5) / tuning.strips, 0.25 * share / tuning.strips
-    places = (np.array([middle - half, middle + half]) * (len(dec_deg) - 1)).round().astype(np.intp)
-    low, high = np.partition(dec_deg, places.ravel())[places]
+    ranks = (np.array([middle - half, middle + half]) * (len(dec_deg) - 1)).round().astype(np.intp)
+    low, high = np.partition(dec_deg, ranks.ravel())[ranks]
     margin = 0.5 * (high - low)
 
     def part(catalogue: Catalogue, low: FloatArray, high: FloatArray) -> Catalogue:
@@ -214,89 +219,95 @@ def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tup
         return catalogue.alike(catalogue.table[np.flatnonzero(within)])
 
     wide = (low - margin, high + margin)
-    return (part(one, low, high), part(two, *wide)) if fewer is one else (part(one, *wide), part(two, low, high))
+    return (part(one, low, high), part(two, *wide)) if smaller is one else (part(one, *wide), part(two, low, high))
 
 
 def _positions(
     catalogue: Catalogue, other: Catalogue, shared: bool
 ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-    """(n, 3) and (m, 3) directions at the other's epoch; (n,) and (m,) variances an axis in arcsec², by the motions of
-    what has no error of its own."""
-    placed = [c.with_error(PositionError("number", sigma_arcsec=1e-3)) for c in (catalogue, other)]
+    """(n, 3) and (m, 3) directions at a common epoch; (n,) and (m,) variances per axis, arcsec².
+
+    The variance of a catalogue without errors is that of its propagated motions only.
+    """
+    with_errors = [c.with_error(PositionError("number", sigma_arcsec=1e-3)) for c in (catalogue, other)]
     if not shared and not other.error_is_unknown:
-        placed[1] = other
-    epochs = [c.epoch_jyr for c in placed]
-    epoch = None if None in epochs else epochs[0] if placed[1].has_motion else epochs[1]
-    one, two = (c.records(epoch) for c in placed)
-    known = [0.5 * (records.covariance[:, 0] + records.covariance[:, -1]) for records in (one, two)]
-    return (unit_vectors(*one.features.T), unit_vectors(*two.features.T)), (known[0], known[1])
+        with_errors[1] = other
+    epochs = [c.epoch_jyr for c in with_errors]
+    epoch = None if None in epochs else epochs[0] if with_errors[1].has_motion else epochs[1]
+    one, two = (c.records(epoch) for c in with_errors)
+    variances = [0.5 * (records.covariance[:, 0] + records.covariance[:, -1]) for records in (one, two)]
+    return (unit_vectors(*one.features.T), unit_vectors(*two.features.T)), (variances[0], variances[1])
 
 
 def _neighbours(
     one: FloatArray, two: FloatArray, tuning: CommonErrorTuning
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    """(k,) distances to the nearest in arcsec, local densities per arcsec², which the nearest is, and whose it is."""
-    own = np.arange(0, len(one), max(1, len(one) // tuning.most_records))
-    some = one[own]
+    """(k,) distances to the nearest, arcsec, local densities per arcsec², its row in ``two``, the row in ``one``."""
+    sampled = np.arange(0, len(one), max(1, len(one) // tuning.most_records))
+    directions = one[sampled]
     count = min(tuning.neighbours, len(two))
-    chord, which = _nearest(some, two, count, tuning)
-    apart = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
-    # The nearest may be the partner; of those beyond it the density follows. A lone record's is that of its distance.
-    density = max(count - 1, 1) / (np.pi * np.maximum(apart[:, -1], 1e-3) ** 2)
-    return np.maximum(apart[:, 0], tuning.copied_arcsec), density, which[:, 0], own
+    chord, rows = _nearest(directions, two, count, tuning)
+    separation = 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) * ARCSEC_PER_RADIAN
+    # The nearest may be the partner, so it is excluded from the density (unless it is the only one).
+    density = max(count - 1, 1) / (np.pi * np.maximum(separation[:, -1], 1e-3) ** 2)
+    return np.maximum(separation[:, 0], tuning.copied_arcsec), density, rows[:, 0], sampled
 
 
-def _nearest(some: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning) -> tuple[FloatArray, IntArray]:
-    """(k, count) chords from some directions to the nearest of others, ascending, and which these are."""
-    if len(some) * len(two) > tuning.most_products:
-        return _nearest_along(some, two, count, tuning)
-    which = np.argpartition(some @ -two.T, count - 1, axis=1)[:, :count]
-    # The product tells which are nearest; the chord itself is taken from the differences, which lose no digits.
-    return _by_chord(some, two, which)
+def _nearest(one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning) -> tuple[FloatArray, IntArray]:
+    """(k, count) chords to the nearest directions in ``two``, ascending, and their rows."""
+    if len(one) * len(two) > tuning.most_products:
+        return _nearest_along(one, two, count, tuning)
+    rows = np.argpartition(one @ -two.T, count - 1, axis=1)[:, :count]
+    # The scalar product finds the nearest; the chord is computed from differences, without cancellation.
+    return _by_chord(one, two, rows)
 
 
 def _nearest_along(
-    some: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning
+    one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning
 ) -> tuple[FloatArray, IntArray]:
-    """The same, sought among those next along the axis on which they lie farthest apart, in ever wider windows, until
-    whatever lies outside must be farther away."""
+    """The same as :func:`_nearest`, searched in windows along the axis of largest extent.
+
+    Windows are doubled until every direction outside must be farther away than the ``count`` found.
+    """
     axis, n = int(np.argmax(np.ptp(two, axis=0))), len(two)
     order = np.argsort(two[:, axis], kind="stable")
     along = np.concatenate([[-np.inf], two[order, axis], [np.inf]])
-    chord, which = np.empty((len(some), count)), np.empty((len(some), count), np.intp)
-    unsure, width = np.arange(len(some)), min(max(tuning.window, count), n)
-    while len(unsure):
-        settled = np.zeros(len(unsure), np.bool_)
-        block = max(tuning.most_products // width, 1)
-        for at in (slice(low, low + block) for low in range(0, len(unsure), block)):
-            one = some[unsure[at]]
-            low = np.clip(np.searchsorted(along[1:-1], one[:, axis]) - width // 2, 0, n - width)
-            within = order[low[:, None] + np.arange(width)]
-            apart_sq = np.square(one[:, None] - two[within]).sum(axis=2)
-            near = np.argpartition(apart_sq, count - 1, axis=1)[:, :count]
-            chord[unsure[at]], which[unsure[at]] = _by_chord(one, two, np.take_along_axis(within, near, axis=1))
-            beyond = np.minimum(one[:, axis] - along[low], along[low + width + 1] - one[:, axis])
-            settled[at] = chord[unsure[at], -1] <= beyond
-        unsure, width = unsure[~settled], min(2 * width, n)
-    return chord, which
+    chord, rows = np.empty((len(one), count)), np.empty((len(one), count), np.intp)
+    pending, width = np.arange(len(one)), min(max(tuning.window, count), n)
+    while len(pending):
+        complete = np.zeros(len(pending), np.bool_)
+        chunk_size = max(tuning.most_products // width, 1)
+        for chunk in (slice(low, low + chunk_size) for low in range(0, len(pending), chunk_size)):
+            part = one[pending[chunk]]
+            low = np.clip(np.searchsorted(along[1:-1], part[:, axis]) - width // 2, 0, n - width)
+            window_rows = order[low[:, None] + np.arange(width)]
+            chord_sq = np.square(part[:, None] - two[window_rows]).sum(axis=2)
+            nearest = np.argpartition(chord_sq, count - 1, axis=1)[:, :count]
+            chord[pending[chunk]], rows[pending[chunk]] = _by_chord(
+                part, two, np.take_along_axis(window_rows, nearest, axis=1)
+            )
+            reach = np.minimum(part[:, axis] - along[low], along[low + width + 1] - part[:, axis])
+            complete[chunk] = chord[pending[chunk], -1] <= reach
+        pending, width = pending[~complete], min(2 * width, n)
+    return chord, rows
 
 
-def _by_chord(some: FloatArray, two: FloatArray, which: IntArray) -> tuple[FloatArray, IntArray]:
-    """(k, c) chords from some directions to those of others that are theirs, (k, c), ascending, and which these are."""
-    chord = np.sqrt(np.square(some[:, None] - two[which]).sum(axis=2))
+def _by_chord(one: FloatArray, two: FloatArray, rows: IntArray) -> tuple[FloatArray, IntArray]:
+    """The chords from each direction to its rows (k, c) of ``two``, ascending, and the rows in this order."""
+    chord = np.sqrt(np.square(one[:, None] - two[rows]).sum(axis=2))
     order = np.argsort(chord, axis=1, kind="stable")
-    return np.take_along_axis(chord, order, axis=1), np.take_along_axis(which, order, axis=1)
+    return np.take_along_axis(chord, order, axis=1), np.take_along_axis(rows, order, axis=1)
 
 
-#: Records that a field is judged by, at most: its outline moves by little with more.
-_ENOUGH = 10_000
-#: Radii below this, in degrees, count as this: of a catalogue of one row (chosen).
+#: Maximum number of records that determine a field: more hardly change its outline.
+_MOST_RECORDS = 10_000
+#: Minimum radius of a field, degrees, as for a catalogue of one row (chosen).
 _LEAST_RADIUS_DEG = 0.05
 
 
 @dataclass(frozen=True)
 class _Field:
-    """A circle on the sky that holds all records. centre (3,) : unit vector. radius_deg : to the farthest record."""
+    """A circle on the sky around all records. centre (3,) : unit vector. radius_deg : to the farthest record."""
 
     centre: FloatArray
     radius_deg: float
@@ -307,7 +318,7 @@ class _Field:
         centre = mean_direction(vectors)
         return cls(centre, max(float(_degrees(vectors @ centre).max()), _LEAST_RADIUS_DEG))
 
-    def to(self, other: _Field) -> float:
+    def distance_deg(self, other: _Field) -> float:
         """Degrees from centre to centre."""
         return float(_degrees(self.centre @ other.centre))
 
@@ -320,41 +331,40 @@ def _degrees(cosine: FloatArray) -> FloatArray:
     return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
 
 
-def apart_doubts(first: Catalogue, second: Catalogue, one: Records, two: Records) -> tuple[str, ...]:
-    """One line where no record of one catalogue lies in the field of the other, with a misreading that explains it.
+def disjoint_doubt(first: Catalogue, second: Catalogue, one: Records, two: Records) -> tuple[str, ...]:
+    """One line if the fields of the catalogues do not overlap, with a misreading that would explain it.
 
-    one, two : their records.
+    one, two : the records of the catalogues.
     """
-    positions = [records.features[:: max(1, len(records) // _ENOUGH)] for records in (one, two)]
+    positions = [records.features[:: max(1, len(records) // _MOST_RECORDS)] for records in (one, two)]
     fields = [_Field.of(position) for position in positions]
-    if fields[0].to(fields[1]) <= fields[0].radius_deg + fields[1].radius_deg:
+    if fields[0].distance_deg(fields[1]) <= fields[0].radius_deg + fields[1].radius_deg:
         return ()
-    said = f"the fields lie apart: {first.name} {fields[0]}, {second.name} {fields[1]}"
+    text = f"the fields lie apart: {first.name} {fields[0]}, {second.name} {fields[1]}"
     sides = (2, second, positions[1], fields[0], first), (1, first, positions[0], fields[1], second)
     for side, catalogue, position, field, other in sides:
         for misread in _MISREADINGS:
-            if misread.fits(catalogue.choice, position):
-                meant = _Field.of(misread.correct(position))
-                if meant.to(field) <= max(meant.radius_deg, field.radius_deg):
+            if misread.possible(catalogue.choice, position):
+                corrected_field = _Field.of(misread.corrected(position))
+                if corrected_field.distance_deg(field) <= max(corrected_field.radius_deg, field.radius_deg):
                     of = f"of {catalogue.name} would lie in the field of {other.name}: "
                     ra, dec = catalogue.choice.ra.name, catalogue.choice.dec.name
-                    return (
-                        Message(f"{said}; {misread.meant.format(ra=ra, dec=dec)} {of}", misread.remedy(ra, dec, side)),
-                    )
-    return (f"{said}: do they show the same part of the sky?",)
+                    meaning = misread.meaning.format(ra=ra, dec=dec)
+                    return (Message(f"{text}; {meaning} {of}", misread.remedy(ra, dec, side)),)
+    return (f"{text}: do they show the same part of the sky?",)
 
 
 @dataclass(frozen=True)
 class _Misreading:
-    """What a table may mean instead.
+    """One possible misreading of the position columns.
 
-    fits : whether it may, by its columns and positions. correct : the positions if so. meant : in words.
-    remedy : what to do, for the columns of right ascension and declination of a side.
+    possible : whether the columns and positions allow it. corrected : the positions after correction. meaning : text.
+    remedy : what to do, given the names of the two columns and the side (1 or 2).
     """
 
-    fits: Callable[[ColumnChoice, FloatArray], bool]
-    correct: Callable[[FloatArray], FloatArray]
-    meant: str
+    possible: Callable[[ColumnChoice, FloatArray], bool]
+    corrected: Callable[[FloatArray], FloatArray]
+    meaning: str
     remedy: Callable[[str, str, int], str]
 
 
@@ -362,12 +372,12 @@ def _no_unit(choice: ColumnChoice) -> bool:
     return choice.frame == "icrs" and choice.ra.unit == "deg" and choice.ra.reason == "by convention"
 
 
-def _of_galactic(position_deg: FloatArray) -> FloatArray:
+def _from_galactic(position_deg: FloatArray) -> FloatArray:
     ra, dec, _ = to_icrs("galactic", *position_deg.T)
     return np.column_stack([ra, dec])
 
 
-def _exchanged(position_deg: FloatArray) -> FloatArray:
+def _swapped(position_deg: FloatArray) -> FloatArray:
     return np.column_stack([position_deg[:, 1], (position_deg[:, 0] + 180.0) % 360.0 - 180.0])
 
 
@@ -391,8 +401,8 @@ _MISREADINGS = (
         lambda ra, dec, side: "give the column its unit, deg",
     ),
     _Misreading(
-        lambda choice, at: bool((np.abs(_exchanged(at)[:, 1]) <= 90.0).all()),
-        _exchanged,
+        lambda choice, at: bool((np.abs(_swapped(at)[:, 1]) <= 90.0).all()),
+        _swapped,
         "exchanged, {ra} and {dec}",
         lambda ra, dec, side: Message("give ", Argument(f"ra{side}", dec), " ", Argument(f"dec{side}", ra)),
     ),
@@ -404,7 +414,7 @@ _MISREADINGS = (
     ),
     _Misreading(
         lambda choice, at: choice.frame == "icrs",
-        _of_galactic,
+        _from_galactic,
         "as galactic longitude and latitude, {ra} and {dec}",
         lambda ra, dec, side: "call them l and b",
     ),
@@ -413,12 +423,12 @@ _MISREADINGS = (
 
 @dataclass(frozen=True)
 class EpochTuning:
-    """From where an epoch is doubted; all chosen.
+    """Thresholds for doubting an epoch; all chosen.
 
-    least_p_pair : pairs less probable are not used; nor are those with residuals of more than ``largest_sigmas``.
-    fewest, most_pairs : with fewer pairs nothing is said, of more a regular sample is used.
-    significant_sigmas : what motion, and what an offset beside it, must explain. significant_years : of δ, at least.
-    significant_share : the fastest twentieth of the objects moves by this part of its error in δ years, at least.
+    least_p_pair, largest_sigmas : pairs with a lower probability or a larger residual are not used.
+    fewest, most_pairs : with fewer pairs no doubt is reported; more are sampled regularly.
+    significant_sigmas : minimum significance of δ, and of an offset in addition. significant_years : minimum of |δ|.
+    significant_share : the fastest 5 % of the objects must move by at least this fraction of their errors in δ years.
     """
 
     least_p_pair: float = 0.9
@@ -441,53 +451,52 @@ def epoch_doubt(
     scale: float,
     tuning: EpochTuning = EPOCH,
 ) -> tuple[str, bool]:
-    """A doubt of the epoch that one catalogue was taken to have, empty where there is none, and whether it explains an
-    offset of the pairs too.
+    """A doubt about the epoch of one catalogue (empty if none), and whether that epoch also explains a common offset.
 
-    epoch_jyr : that both were brought to. scale : residuals over quoted errors.
+    epoch_jyr : common epoch of the match. scale : ratio of residuals to quoted errors.
     """
     side = _questioned(first, second)
     if side is None or epoch_jyr is None:
         return "", False
     questioned, other = (first, second) if side == 1 else (second, first)
-    carried = questioned if questioned.has_motion else other
-    records, at = (answer.first, answer.pairs.i) if carried is first else (answer.second, answer.pairs.j)
+    moved = questioned if questioned.has_motion else other
+    records, index = (answer.first, answer.pairs.i) if moved is first else (answer.second, answer.pairs.j)
     use = np.flatnonzero(answer.p_pair > tuning.least_p_pair)
     use = use[:: -(-len(use) // tuning.most_pairs) or 1]
-    of = carried.astrometry[records.rows[at[use]]]
-    motion = 1e-3 * np.column_stack([of.pm_ra_mas_per_yr, of.pm_dec_mas_per_yr])
-    # Residuals are first minus second; what was carried from a later epoch than was assumed was carried too far, what
-    # was carried to an earlier one than it should, not far enough.
-    sign = (1.0 if carried is first else -1.0) * (1.0 if carried is questioned else -1.0)
+    astrometry = moved.astrometry[records.rows[index[use]]]
+    motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
+    # Residuals are first minus second. A catalogue moved from a later epoch than assumed was moved too far; one moved
+    # to an earlier epoch than it should, not far enough.
+    sign = (1.0 if moved is first else -1.0) * (1.0 if moved is questioned else -1.0)
     residual, precision = answer.pairs.residual[use], inverse(answer.pairs.covariance_of(use)) / scale**2
-    near = np.einsum("mv,mvw,mw->m", residual, precision, residual) < tuning.largest_sigmas**2
-    known = near & np.isfinite(motion).all(axis=1)
-    if np.count_nonzero(known) < tuning.fewest:
+    usable = np.einsum("mv,mvw,mw->m", residual, precision, residual) < tuning.largest_sigmas**2
+    used = usable & np.isfinite(motion).all(axis=1)
+    if np.count_nonzero(used) < tuning.fewest:
         return "", False
-    motion, residual, precision = sign * motion[known], residual[known], precision[known]
-    slope = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
-    years, error, gain = _fitted(slope, residual, precision)
-    alone, error_alone, gain_alone = _fitted(slope[:, :, :1], residual, precision)
-    least = tuning.significant_sigmas**2
-    fast = np.sqrt(np.einsum("mv,mvw,mw->m", motion, precision, motion))
+    motion, residual, precision = sign * motion[used], residual[used], precision[used]
+    design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
+    years, error, gain = _fitted(design, residual, precision)
+    years_only, error_only, gain_only = _fitted(design[:, :, :1], residual, precision)
+    significant_gain = tuning.significant_sigmas**2
+    motion_sigmas = np.sqrt(np.einsum("mv,mvw,mw->m", motion, precision, motion))
     if abs(years) < max(tuning.significant_years, tuning.significant_sigmas * error):
         return "", False
-    if np.quantile(fast, 0.95) * abs(years) < tuning.significant_share:
+    if np.quantile(motion_sigmas, 0.95) * abs(years) < tuning.significant_share:
         return "", False
-    explains = gain - gain_alone < least
-    years, error = (alone, error_alone) if explains else (years, error)
-    was = questioned.epoch_jyr
-    assert was is not None
+    explains = gain - gain_only < significant_gain
+    years, error = (years_only, error_only) if explains else (years, error)
+    assumed_jyr = questioned.epoch_jyr
+    assert assumed_jyr is not None
     decimals = max(0, math.ceil(-math.log10(error)))
     text = (
-        f"residuals follow the proper motions of {carried.name}, as if the epoch of {questioned.name} were "
-        f"{was + years:.{decimals}f} ± {error:.{decimals}f}, not {in_years(was)}: "
+        f"residuals follow the proper motions of {moved.name}, as if the epoch of {questioned.name} were "
+        f"{assumed_jyr + years:.{decimals}f} ± {error:.{decimals}f}, not {in_years(assumed_jyr)}: "
     )
     return Message(text, naming(f"give {{epoch{side}:YEAR}}")), explains
 
 
 def _questioned(first: Catalogue, second: Catalogue) -> int | None:
-    """Whose epoch residuals can tell: of the catalogue whose epoch was assumed, or of the one without motions."""
+    """The side whose epoch the residuals test: the one with an assumed epoch, or the one without motions; or None."""
     assumed = [catalogue.choice.epoch.reason == "assumed" for catalogue in (first, second)]
     moving = [catalogue.has_motion for catalogue in (first, second)]
     if first.epoch_jyr is None or second.epoch_jyr is None or not any(moving):
@@ -499,16 +508,16 @@ def _questioned(first: Catalogue, second: Catalogue) -> int | None:
     return None
 
 
-def _fitted(slope: FloatArray, residual: FloatArray, precision: FloatArray) -> tuple[float, float, float]:
-    """The first of the parameters with its standard error, and by how much all of them lower χ².
+def _fitted(design: FloatArray, residual: FloatArray, precision: FloatArray) -> tuple[float, float, float]:
+    """Least squares: the first parameter, its standard error, and the decrease of χ² by all parameters.
 
-    slope (m, 2, k), residual (m, 2), precision (m, 2, 2).
+    design (m, 2, k), residual (m, 2), precision (m, 2, 2).
     """
-    pull = np.einsum("mvw,mwk->mvk", precision, slope)
-    information = np.einsum("mvk,mvl->kl", pull, slope) + 1e-12 * np.eye(slope.shape[2])
-    force = np.einsum("mvk,mv->k", pull, residual)
-    found = np.linalg.solve(information, force)
-    return float(found[0]), math.sqrt(float(np.linalg.inv(information)[0, 0])), float(found @ force)
+    weighted = np.einsum("mvw,mwk->mvk", precision, design)
+    information = np.einsum("mvk,mvl->kl", weighted, design) + 1e-12 * np.eye(design.shape[2])
+    projection = np.einsum("mvk,mv->k", weighted, residual)
+    solution = np.linalg.solve(information, projection)
+    return float(solution[0]), math.sqrt(float(np.linalg.inv(information)[0, 0])), float(solution @ projection)
 
 
 __all__ = ["EpochTuning", "epoch_doubt"]

@@ -1,13 +1,13 @@
-"""Motion: catalogue astrometry carried to another epoch, with its errors.
+"""Epoch propagation: catalogue astrometry and its covariance moved to another epoch.
 
-Objects move uniformly in space: the standard model of stellar motion (The Hipparcos and Tycho Catalogues,
-ESA SP-1200, vol. 1, sect. 1.5.5; Butkevich & Lindegren 2014, A&A 570, A62), in which radial motion changes
-the proper motion. Light-time is neglected, as in EPOCH_PROP of the Gaia archive; astropy has it, and differs
-after 50 years by 0.3 mas for Barnard's star, by less than 0.0001 mas for most. Directions are barycentric:
-the annual parallax of an observer on the Earth is not added.
+Objects move uniformly in space: the standard model of stellar motion (The Hipparcos and Tycho Catalogues, ESA SP-1200,
+vol. 1, sect. 1.5.5; Butkevich & Lindegren 2014, A&A 570, A62), in which radial motion changes the proper motion.
+Light-time is neglected, as in EPOCH_PROP of the Gaia archive; astropy includes it: the difference after 50 years is
+0.3 mas for Barnard's star, less than 0.0001 mas for most. Directions are barycentric: the annual parallax of an
+observer on the Earth is not added.
 
 Make an :class:`Astrometry` with :meth:`Astrometry.of`, which fills in missing parameters. Use :func:`position_at` for
-the position and its error at the new epoch (a match), :func:`propagate` for all six parameters.
+the position and its covariance at the new epoch (as a match does), :func:`propagate` for all six parameters.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sameas.space import ARCSEC_PER_RADIAN
 @in_short
 @dataclass(frozen=True)
 class Variances:
-    """(n,) variances of parameters that are not correlated; one number for all rows takes no memory.
+    """(n,) variances of uncorrelated parameters; a constant column takes no memory (broadcast).
 
     >>> Variances((np.array([1.0, 4.0]), np.broadcast_to(9.0, 2))).matrices(2)[1]
     array([[4., 0.],
@@ -41,7 +41,7 @@ class Variances:
 
     @classmethod
     def of(cls, sigmas: tuple[FloatArray, ...]) -> Variances:
-        """The squares of standard deviations (n,); one number for all rows stays one."""
+        """The squares of standard deviations (n,); a broadcast constant stays broadcast."""
         return cls(tuple(_squared(sigma) for sigma in sigmas))
 
     def __getitem__(self, rows: Any) -> Variances:
@@ -65,7 +65,7 @@ def _squared(sigma: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class MissingMotion:
-    """Prior of a motion that was not measured: normal with mean zero and these standard deviations, uncorrelated.
+    """Prior of an unmeasured motion: uncorrelated normal distributions, mean zero, with these standard deviations.
 
     The defaults are for a faint field star. Michalik et al. 2015 (A&A 583, A68) give the prior that Gaia
     uses for its two-parameter solutions: at G = 20 a parallax scatter of 0.4 mas (galactic plane) to 1.1 mas
@@ -85,15 +85,14 @@ class MissingMotion:
     def __call__(
         self, parameter: int, value: FloatArray | None, error: FloatArray | None, n: int
     ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """(n,) values and errors of a parameter with NaN where unknown, or None, filled; and where they were filled.
+        """(n,) values and errors of a parameter with unknown ones (NaN or None) filled, and the mask of filled rows.
 
-        Positions are not filled. A value without an error keeps its value and gets the error of a missing one.
-        An error without a value is replaced.
+        Positions are not filled. A value without an error keeps its value and gets the prior's error. An error without
+        a value is replaced by the prior's.
         """
         pm = self.pm_sigma_mas_per_yr
         prior = (np.nan, np.nan, self.parallax_sigma_mas, pm, pm, self.radial_velocity_sigma_km_per_s)[parameter]
         if value is None:
-            # One number for all rows takes no memory.
             return np.broadcast_to(0.0, n), np.broadcast_to(prior, n), np.broadcast_to(True, n)
         error = np.broadcast_to(np.nan, n) if error is None else error
         if parameter < 2:
@@ -108,25 +107,25 @@ FloatTriple = tuple[FloatArray, FloatArray, FloatArray]
 #: One astronomical unit per Julian year in km/s (IAU 2012 resolution B2).
 AU_KM_PER_S_YR = 149597870.7 / (365.25 * 86400.0)
 _RADIAN_PER_MAS = 1e-3 / ARCSEC_PER_RADIAN
-#: Latest Julian year that is accepted; an MJD or JD given as an epoch lies beyond.
+#: Limit of Julian years, so that an MJD or JD given as an epoch is refused.
 _FARTHEST_JYR = 10_000.0
-#: Rows worked on at a time: intermediate arrays stay in the processor's cache (timed).
+#: Rows per chunk: intermediate arrays stay in the processor's cache (timed).
 _CHUNK = 8192
 
 
 @in_short
 @dataclass(frozen=True)
 class Astrometry:
-    """Six parameters of each object at an epoch, and their errors. Make it with :meth:`Astrometry.of`.
+    """Six astrometric parameters of each object at an epoch, with covariances. Make it with :meth:`Astrometry.of`.
 
     Attributes
     ----------
     ra_deg, dec_deg : (n,) ICRS, NaN where there is no position.
-    parallax_mas : (n,) may be zero or negative, as measured.
+    parallax_mas : (n,) as measured; may be zero or negative.
     pm_ra_mas_per_yr, pm_dec_mas_per_yr : (n,) proper motion; ``pm_ra`` includes cos(dec).
     radial_velocity_km_per_s : (n,) barycentric, positive for a receding object.
     packed : covariances in the order of ``PARAMETERS``: ra·cos(dec) and dec [mas], parallax [mas], proper motions
-        [mas/yr], radial velocity [km/s]; (n, 6, 6), or their ``Variances`` where nothing is correlated.
+        [mas/yr], radial velocity [km/s]; (n, 6, 6), or ``Variances`` if uncorrelated.
     epoch_jyr : (n,) Julian year of each row.
     """
 
@@ -178,29 +177,29 @@ class Astrometry:
         missing: MissingMotion | None = None,
         source: str = "source",
     ) -> Astrometry:
-        """Astrometry from the columns of a catalogue, checked, ``missing`` in place of what was not measured.
+        """Astrometry from the columns of a catalogue, checked; unmeasured parameters get the prior ``missing``.
 
         Parameters
         ----------
-        ra_deg, dec_deg : (n,). A row without a position or its error (NaN or masked) has none later.
+        ra_deg, dec_deg : (n,). A missing position or error (NaN or masked) stays missing at other epochs.
         epoch_jyr : Julian year, one for all or (n,).
         sigma : (n, k) standard deviations of the first k of ``PARAMETERS``, 2 ≤ k ≤ 6, in the units of
             :class:`Astrometry`; NaN or masked where unknown.
-        correlation : (n, k, k) coefficients; zero where not given, NaN, or of a parameter that was filled.
+        correlation : (n, k, k) coefficients; zero where not given, NaN, or if a parameter was filled.
         parallax_mas, pm_ra_mas_per_yr, pm_dec_mas_per_yr, radial_velocity_km_per_s : (n,); NaN, masked or not
             given where not measured.
-        missing : prior of unmeasured motion, by default ``MissingMotion()``, which also says how a value without an
-            error is treated.
+        missing : prior of unmeasured motion, ``MissingMotion()`` by default; it also defines the error of a value
+            without an error.
         source : name used in messages.
 
         Raises
         ------
         InputError : columns of different lengths, dec beyond ±90°, negative errors, correlations beyond ±1,
-            an epoch that is no Julian year.
+            an epoch that is not a Julian year.
 
         Example
         -------
-        A star measured to ±0.05" in 2000, of unknown proper motion, is known to ±0.17" in 2016:
+        A position with an error of 0.05" in 2000 and unknown proper motion has an error of 0.17" in 2016:
 
         >>> star = Astrometry.of([10.0], [20.0], epoch_jyr=2000.0, sigma=[[50.0, 50.0]])
         >>> position_at(star, 2016.0).covariance_arcsec2.round(4)
@@ -233,10 +232,10 @@ class Position(NamedTuple):
 
 
 def position_at(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Position:
-    """Positions at another epoch, with their covariance east and north at the new place.
+    """Positions at another epoch, with covariances along east and north at the new position.
 
     The same numbers as the first two parameters of :func:`propagate`, in less time.
-    ``epoch_jyr`` is one Julian year for all, or (n,).
+    epoch_jyr : one Julian year for all rows, or (n,).
     """
     n = len(astrometry)
     epochs = _epochs(epoch_jyr, n, "position_at")
@@ -247,23 +246,23 @@ def position_at(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Position:
         part = astrometry[rows]
         path = _path(part, epochs[rows])
         ra[rows], dec[rows] = path.ra_deg, path.dec_deg
-        covariance[rows] = 1e-6 * _carried(part, _position_derivatives(path))
+        covariance[rows] = 1e-6 * _propagated_covariance(part, _position_derivatives(path))
     return Position(ra, dec, covariance)
 
 
 def propagate(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Astrometry:
-    """The six parameters at another epoch, with their full covariance along the axes at the new place.
+    """The six parameters at another epoch, with their full covariance along the axes at the new position.
 
-    ``epoch_jyr`` is one Julian year for all, or (n,). Back at the old epoch everything is as it was, but for
-    the second-order term below, which is added once more.
+    epoch_jyr : one Julian year for all rows, or (n,). Propagating back restores everything except the second-order term
+    below, which is added twice.
 
-    The covariance is J C Jᵀ with the derivatives J of SP-1200 sect. 1.5.5: errors of position and motion are
-    vectors on the sky, carried parallel, so that nothing depends on where the pole is. The product of the
-    errors of parallax and radial velocity, neglected there, adds its variance to that of the radial motion
+    The covariance is J C Jᵀ with the derivatives J of SP-1200 sect. 1.5.5. Errors of position and motion are vectors on
+    the sky and are transported parallel, so the result does not depend on the position of the pole. The variance of the
+    product of the errors of parallax and radial velocity, neglected there, is added to that of the radial motion
     (Michalik et al. 2014, A&A 571, A85, eq. 17).
 
-    A zero or negative parallax acts as the formulae have it: the radial motion v π / A is none, or reversed.
-    Where the parallax is exactly zero, the radial velocity, which would run away, stays as it was.
+    Zero and negative parallaxes are used as they are: the radial motion v π / A is zero or reversed. Where the parallax
+    is exactly zero, the radial velocity is kept (its formula diverges).
     """
     n = len(astrometry)
     epochs = _epochs(epoch_jyr, n, "propagate")
@@ -272,16 +271,16 @@ def propagate(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Astrometry:
         part = astrometry[rows]
         path = _path(part, epochs[rows])
         values[:, rows] = _end_values(part, path)
-        covariance[rows] = _carried(part, _derivatives(part, path, values[5, rows]))
+        covariance[rows] = _propagated_covariance(part, _derivatives(part, path, values[5, rows]))
     columns = dict(zip(PARAMETERS, values, strict=True))
     return Astrometry(**columns, packed=covariance, epoch_jyr=epochs)
 
 
 class _GreatCircle(NamedTuple):
-    """The great circle from one epoch to the other, each (n,) or (n, 2), from which the derivatives follow.
+    """The great circle from one epoch to the other, each field (n,) or (n, 2), used by the derivatives.
 
-    With the radial and transverse motion ζ = v π / A and μ, the distance grows by 1/f while the direction
-    turns by θ: (cos θ, sin θ) = f (1 + ζt, μt). So z = ζ + iμ becomes z / (1 + zt), derivative (f exp(-iθ))².
+    With radial and transverse motion ζ = v π / A and μ, the distance grows by the factor 1/f and the direction moves by
+    the angle θ: (cos θ, sin θ) = f (1 + ζt, μt). So z = ζ + iμ becomes z / (1 + zt), derivative (f exp(-iθ))².
     """
 
     ra_deg: FloatArray
@@ -289,38 +288,38 @@ class _GreatCircle(NamedTuple):
     span_yr: FloatArray
     transverse: FloatArray  # μ, mas/yr
     radial: FloatArray  # ζ, mas/yr
-    nearer: FloatArray  # f
+    distance_ratio: FloatArray  # f, old over new distance
     cos: FloatArray
     sin: FloatArray
-    start: FloatArray  # the unit vector along the motion, east and north at the old place
-    end: FloatArray  # the same at the new place
+    start: FloatArray  # unit vector along the motion, east and north at the old position
+    end: FloatArray  # the same at the new position
 
 
 def _path(part: Astrometry, epochs: FloatArray) -> _GreatCircle:
     span = epochs - part.epoch_jyr
     transverse = np.hypot(part.pm_ra_mas_per_yr, part.pm_dec_mas_per_yr)
-    resting = transverse == 0.0
-    start = np.stack([part.pm_ra_mas_per_yr, np.where(resting, 1.0, part.pm_dec_mas_per_yr)], axis=1)
-    start /= np.where(resting, 1.0, transverse)[:, None]
+    at_rest = transverse == 0.0
+    start = np.stack([part.pm_ra_mas_per_yr, np.where(at_rest, 1.0, part.pm_dec_mas_per_yr)], axis=1)
+    start /= np.where(at_rest, 1.0, transverse)[:, None]
     radial = part.radial_velocity_km_per_s * part.parallax_mas / AU_KM_PER_S_YR
-    onward, aside = 1.0 + _RADIAN_PER_MAS * radial * span, _RADIAN_PER_MAS * transverse * span
-    nearer = 1.0 / np.sqrt(onward * onward + aside * aside)
-    cos, sin = nearer * onward, nearer * aside
-    turn, dec, end = _arc(np.radians(part.dec_deg), cos, sin, start)
-    ra_deg = np.mod(part.ra_deg + np.degrees(turn), 360.0)
-    return _GreatCircle(ra_deg, np.degrees(dec), span, transverse, radial, nearer, cos, sin, start, end)
+    ahead, across = 1.0 + _RADIAN_PER_MAS * radial * span, _RADIAN_PER_MAS * transverse * span
+    distance_ratio = 1.0 / np.sqrt(ahead * ahead + across * across)
+    cos, sin = distance_ratio * ahead, distance_ratio * across
+    change_of_ra, dec, end = _arc(np.radians(part.dec_deg), cos, sin, start)
+    ra_deg = np.mod(part.ra_deg + np.degrees(change_of_ra), 360.0)
+    return _GreatCircle(ra_deg, np.degrees(dec), span, transverse, radial, distance_ratio, cos, sin, start, end)
 
 
 def _arc(dec: FloatArray, cos: FloatArray, sin: FloatArray, start: FloatArray) -> FloatTriple:
-    """θ along the great circle from ``dec`` in the direction ``start``: change of ra, new dec, ``end``."""
+    """Change of ra, new dec and end direction after the angle θ along the great circle from ``dec`` along ``start``."""
     east, north = start.T
-    # Axes whose x lies on the meridian of the old place, z at the pole.
+    # Cartesian axes: x on the meridian of the old position, z at the pole.
     sin_dec, cos_dec = np.sin(dec), np.cos(dec)
     x, y, z = cos * cos_dec - sin * north * sin_dec, sin * east, cos * sin_dec + sin * north * cos_dec
     ahead_x, ahead_y = -cos * north * sin_dec - sin * cos_dec, cos * east
     ahead_z = cos * north * cos_dec - sin * sin_dec
     off_axis = np.hypot(x, y)
-    at_pole = off_axis == 0.0  # exactly: keep the meridian
+    at_pole = off_axis == 0.0  # exactly at the pole the meridian is kept
     scale = 1.0 / np.where(at_pole, 1.0, off_axis)
     cos_turn, sin_turn = np.where(at_pole, 1.0, x * scale), y * scale
     end_east = ahead_y * cos_turn - ahead_x * sin_turn
@@ -330,7 +329,7 @@ def _arc(dec: FloatArray, cos: FloatArray, sin: FloatArray, start: FloatArray) -
 
 def _end_values(part: Astrometry, path: _GreatCircle) -> FloatArray:
     """(6, n) the parameters at the new epoch."""
-    f, parallax, velocity = path.nearer, part.parallax_mas, part.radial_velocity_km_per_s
+    f, parallax, velocity = path.distance_ratio, part.parallax_mas, part.radial_velocity_km_per_s
     motion = f * f * path.transverse
     # v₁ = A ζ₁ / π₁, without the quotient ζ / π
     gained = _RADIAN_PER_MAS * path.span_yr * (path.transverse**2 + path.radial**2)
@@ -341,25 +340,27 @@ def _end_values(part: Astrometry, path: _GreatCircle) -> FloatArray:
 
 
 def _position_derivatives(path: _GreatCircle) -> FloatArray:
-    """(n, 2, 7) ∂(east, north at the new place) by the six old parameters and, apart, by ζ.
+    """(n, 2, 7) ∂(east, north at the new position) by the six old parameters and, separately, by ζ.
 
     Along the motion  a₁ = a + f t (cos θ μ_a - sin θ ζ),  across it  b₁ = cos θ b + f t μ_b.
     """
-    reach = path.nearer * path.span_yr
+    scaled_span = path.distance_ratio * path.span_yr
     derivatives = np.zeros((len(path.cos), 2, 7))
-    derivatives[:, :, 0:2] = _turned(path, 1.0, path.cos)
-    derivatives[:, :, 3:5] = _turned(path, reach * path.cos, reach)
-    derivatives[:, :, 6] = -(reach * path.sin)[:, None] * path.end
+    derivatives[:, :, 0:2] = _along_and_across(path, 1.0, path.cos)
+    derivatives[:, :, 3:5] = _along_and_across(path, scaled_span * path.cos, scaled_span)
+    derivatives[:, :, 6] = -(scaled_span * path.sin)[:, None] * path.end
     return derivatives
 
 
 def _derivatives(part: Astrometry, path: _GreatCircle, velocity: FloatArray) -> FloatArray:
-    """(n, 6, 7) ∂(new parameters) by the six old parameters and, apart, by ζ; ``velocity`` is the new one.
+    """(n, 6, 7) ∂(new parameters) by the six old parameters and, separately, by ζ.
+
+    velocity : the new radial velocity, km/s.
 
     π₁ = f π;  along the motion  f² (cos 2θ μ_a - sin 2θ ζ),  across it  f² (cos θ μ_b - μ sin θ b),
     radially  ζ₁ = f² (sin 2θ μ_a + cos 2θ ζ),  v₁ = A ζ₁ / π₁.
     """
-    f, cos, sin = path.nearer, path.cos, path.sin
+    f, cos, sin = path.distance_ratio, path.cos, path.sin
     f2, cos2, sin2 = f * f, cos * cos - sin * sin, 2.0 * sin * cos
     shrink = -_RADIAN_PER_MAS * part.parallax_mas * f2 * path.span_yr
     derivatives = np.zeros((len(f), 6, 7))
@@ -367,11 +368,11 @@ def _derivatives(part: Astrometry, path: _GreatCircle, velocity: FloatArray) -> 
     derivatives[:, 2, 2] = f
     derivatives[:, 2, 3:5] = (shrink * sin)[:, None] * path.start
     derivatives[:, 2, 6] = shrink * cos
-    derivatives[:, 3:5, 0:2] = _turned(path, 0.0, -_RADIAN_PER_MAS * path.transverse * f2 * sin)
-    derivatives[:, 3:5, 3:5] = _turned(path, f2 * cos2, f2 * cos)
+    derivatives[:, 3:5, 0:2] = _along_and_across(path, 0.0, -_RADIAN_PER_MAS * path.transverse * f2 * sin)
+    derivatives[:, 3:5, 3:5] = _along_and_across(path, f2 * cos2, f2 * cos)
     derivatives[:, 3:5, 6] = -(f2 * sin2)[:, None] * path.end
 
-    # v₁ by its parameters directly: through ζ the derivative is undefined where the parallax is zero.
+    # v₁ directly by its parameters: the derivative through ζ is undefined at zero parallax.
     no_parallax = part.parallax_mas == 0.0
     parallax = np.where(no_parallax, np.inf, f * part.parallax_mas)
     by_transverse = (AU_KM_PER_S_YR * f2 * sin2 - velocity * shrink * sin) / parallax
@@ -382,22 +383,22 @@ def _derivatives(part: Astrometry, path: _GreatCircle, velocity: FloatArray) -> 
     return derivatives
 
 
-def _carried(part: Astrometry, derivatives: FloatArray) -> FloatArray:
-    """(n, k, k) covariances at the new epoch, by the ``derivatives`` (n, k, 7) of k new parameters."""
-    radially = derivatives[:, :, 6]
+def _propagated_covariance(part: Astrometry, derivatives: FloatArray) -> FloatArray:
+    """(n, k, k) covariances at the new epoch, from the ``derivatives`` (n, k, 7) of k new parameters."""
+    by_radial = derivatives[:, :, 6]
     jacobian = derivatives[:, :, :6].copy()
-    jacobian[:, :, 2] += radially * (part.radial_velocity_km_per_s / AU_KM_PER_S_YR)[:, None]
-    jacobian[:, :, 5] += radially * (part.parallax_mas / AU_KM_PER_S_YR)[:, None]
+    jacobian[:, :, 2] += by_radial * (part.radial_velocity_km_per_s / AU_KM_PER_S_YR)[:, None]
+    jacobian[:, :, 5] += by_radial * (part.parallax_mas / AU_KM_PER_S_YR)[:, None]
     old = part.covariance
     new = propagated(jacobian, old)
-    # The variance of v π beyond the first order: Michalik et al. 2014 eq. 17, with v and π correlated.
+    # The second-order variance of v π: Michalik et al. 2014 eq. 17, with v and π correlated.
     product = (old[:, 2, 2] * old[:, 5, 5] + old[:, 2, 5] ** 2) / AU_KM_PER_S_YR**2
-    new += product[:, None, None] * (radially[:, :, None] * radially[:, None, :])
+    new += product[:, None, None] * (by_radial[:, :, None] * by_radial[:, None, :])
     return new
 
 
-def _turned(path: _GreatCircle, along: FloatArray | float, across: FloatArray) -> FloatArray:
-    """(n, 2, 2) matrices that scale along and across the motion, from the old place's axes to the new."""
+def _along_and_across(path: _GreatCircle, along: FloatArray | float, across: FloatArray) -> FloatArray:
+    """(n, 2, 2) matrices from old to new axes (east, north) that scale along and across the motion."""
     (east, north), (end_east, end_north) = path.start.T, path.end.T
     matrices = np.empty((len(east), 2, 2))
     matrices[:, 0, 0] = along * end_east * east + across * end_north * north
@@ -412,7 +413,7 @@ def _chunks(n: int) -> Iterator[slice]:
 
 
 def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:
-    """Standard deviations (n,) of the first parameters, NaN where unknown."""
+    """Standard deviations of the first k parameters, each (n,), NaN where unknown."""
     k = np.shape(sigma)[-1] if np.ndim(sigma) == 2 else 0
     if not 2 <= k <= 6:
         raise InputError(f"{source}: sigma has shape {np.shape(sigma)}; give ({n}, 2) up to ({n}, 6)")
@@ -422,33 +423,33 @@ def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:
 
 
 def _packed(
-    sigmas: tuple[FloatArray, ...], fill: tuple[BoolArray, ...], given: ArrayLike | None, source: str
+    sigmas: tuple[FloatArray, ...], filled: tuple[BoolArray, ...], correlation: ArrayLike | None, source: str
 ) -> FloatArray | Variances:
-    """Variances, or (n, 6, 6) covariances where correlations are ``given``."""
-    if given is None:
+    """Variances, or (n, 6, 6) covariances if correlations are given. filled : mask of filled values per parameter."""
+    if correlation is None:
         return Variances.of(sigmas)
     n, errors = len(sigmas[0]), np.column_stack(sigmas)
-    filled, covariance = np.stack(fill, axis=1), np.empty((n, 6, 6))
-    k = min(np.shape(given)[-1], 6) if np.ndim(given) == 3 else 6
-    rho = _floats(given, (n, k, k), f"{source}: correlations")
-    beyond, lopsided = np.zeros(n, bool), np.zeros(n, bool)
+    is_filled, covariance = np.stack(filled, axis=1), np.empty((n, 6, 6))
+    k = min(np.shape(correlation)[-1], 6) if np.ndim(correlation) == 3 else 6
+    rho = _floats(correlation, (n, k, k), f"{source}: correlations")
+    beyond, asymmetric = np.zeros(n, bool), np.zeros(n, bool)
     for rows in _chunks(n):
-        turned = rho[rows].swapaxes(1, 2)
+        transposed = rho[rows].swapaxes(1, 2)
         beyond[rows] = np.any(np.abs(rho[rows]) > 1.0 + 1e-6, axis=(1, 2))  # a float32 may be rounded up
-        lopsided[rows] = np.any(np.abs(rho[rows] - turned) > 1e-6, axis=(1, 2))
-        unknown = np.isnan(rho[rows]) | filled[rows, :k, None] | filled[rows, None, :k]
+        asymmetric[rows] = np.any(np.abs(rho[rows] - transposed) > 1e-6, axis=(1, 2))
+        unknown = np.isnan(rho[rows]) | is_filled[rows, :k, None] | is_filled[rows, None, :k]
         product = errors[rows, :, None] * errors[rows, None, :]
         coefficient = np.zeros(product.shape)
         coefficient[:, :k, :k] = np.where(unknown, 0.0, rho[rows])
         coefficient[:, np.arange(6), np.arange(6)] = 1.0
         covariance[rows] = product * coefficient
     _refuse(beyond, f"{source}: correlations beyond ±1", "give coefficients")
-    _refuse(lopsided, f"{source}: correlations that are not symmetric", "give both halves")
+    _refuse(asymmetric, f"{source}: correlations that are not symmetric", "give both halves")
     return covariance
 
 
 def _floats(values: ArrayLike | None, shape: tuple[int, ...], what: str) -> FloatArray:
-    """A new array of floats, NaN where there is no finite value; one value does for all."""
+    """Floats of the shape, NaN where masked or not finite; a scalar is broadcast. Refused: other shapes, text."""
     try:
         column = np.ma.masked_array(np.nan if values is None else values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -467,7 +468,7 @@ def _epochs(epoch_jyr: ArrayLike, n: int, source: str) -> FloatArray:
     return epochs
 
 
-def _refuse(wrong: NDArray[Any], what: str, remedy: str) -> None:
-    rows = np.flatnonzero(wrong)
+def _refuse(invalid: NDArray[Any], what: str, remedy: str) -> None:
+    rows = np.flatnonzero(invalid)
     if len(rows):
         raise InputError(f"{what} in {counted(len(rows), 'row')} (first: row {rows[0]}); {remedy}")

@@ -33,7 +33,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import MatchOptions, SkyMatch, brought_together, by_place
+from sameas.sky.crossmatch import MatchOptions, SkyMatch, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.doubts import completed
 from sameas.sky.many.population import (
@@ -323,7 +323,7 @@ def match_many(
         ordered, searches = _on_one_frame(ordered, progress)
     matches = _two_by_two(ordered, options, progress)
     progress("candidates of all")
-    records = [by_place(catalogue.records(epoch)) for catalogue in ordered]
+    records = [by_position(catalogue.records(epoch)) for catalogue in ordered]
     astrometric = tuple(AstrometricRecords.of(c, r, epoch) for c, r in zip(ordered, records, strict=True))
     candidates = Candidates.of(matches, records, astrometric)
     given = [records[order.index(k)] for k in range(len(order))]
@@ -352,7 +352,7 @@ def _on_one_frame(
     while waiting:
         tries = ((k, reference) for k in waiting for reference in placed.values())
         for k, reference in tries:
-            _, _, one, two = brought_together(reference, catalogues[k])
+            _, _, one, two = at_common_epoch(reference, catalogues[k])
             rotation = find_rotation(one, two, partial(_stage, progress, f"{reference.name} and {catalogues[k].name}"))
             found[catalogues[k].name] = rotation
             if not rotation.by_chance:
