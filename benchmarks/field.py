@@ -248,7 +248,7 @@ def growing(options: argparse.Namespace) -> Iterator[Table]:
             for by, brightness in (("positions", None), ("magnitudes", (Magnitudes(one), Magnitudes(two)))):
                 for how, second, grown in (("one error for all", scene.second, False), ("sameas", scene.second, True),
                                            ("errors told", told, False)):  # fmt: skip
-                    tuning = replace(DEFAULT_MATCH, growing=grown)
+                    tuning = replace(DEFAULT_MATCH, fits_trends=grown)
                     answer, _ = match(scene.first, second, brightness=brightness, tuning=tuning)
                     tallies.setdefault(f"{by}, {how}", Tally()).add_answer(answer, scene)
         for title, tally in tallies.items():

@@ -8,7 +8,7 @@ import naive
 from problems import shuffled
 from sameas import InputError, Records, Sphere
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorAverage, GridTuning, scanned
+from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorAverage, GridTuning, scan_errors
 from sameas.estimate.match import match
 from sameas.evidence import Errors
 from sameas.gate import Radius
@@ -136,7 +136,7 @@ def test_where_nothing_is_common_nothing_stands_out():
         Records.of(np.column_stack([rng.uniform(20, 20.3, 400), rng.uniform(0, 0.3, 400)]), sigma=0.2, space=Sphere())
         for _ in range(2)
     )
-    assert scanned(Coverage.of(first, second)).contrast < 6.0
+    assert scan_errors(Coverage.of(first, second)).contrast < 6.0
     answer, _ = match(first, second)
     assert len(answer.matches) < 4
 
@@ -144,7 +144,7 @@ def test_where_nothing_is_common_nothing_stands_out():
 def test_records_too_close_to_widen_their_errors_are_not_scanned():
     rng = np.random.default_rng(13)
     first, second = (Records.of(rng.uniform(0, 1, (300, 2)), sigma=0.05) for _ in range(2))
-    assert scanned(Coverage.of(first, second)) is None
+    assert scan_errors(Coverage.of(first, second)) is None
 
 
 @pytest.mark.parametrize("apart_deg", [1.0, 60.0])
@@ -157,20 +157,20 @@ def test_fields_apart_are_not_scanned(apart_deg):
         )
         for at in (0.0, apart_deg)
     )
-    assert scanned(Coverage.of(first, second)) is None
+    assert scan_errors(Coverage.of(first, second)) is None
     answer, estimate = match(first, second)
     assert len(answer.matches) == 0 and estimate.common < 1.0
 
 
 def test_the_grid_gets_finer_where_the_records_tell_more():
     scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
-    coarse, fine = (scanned(Coverage.of(s.first, s.second)) for s in scenes)
+    coarse, fine = (scan_errors(Coverage.of(s.first, s.second)) for s in scenes)
     for scan in (coarse, fine):
         assert DEFAULT_GRID.points <= len(scan.errors) <= DEFAULT_GRID.most_points
         assert scan.weight.sum() == pytest.approx(1.0) and scan.gain > 0.0
     spread = [np.std(np.log([e.factor_1 for e in scan.errors])) for scan in (coarse, fine)]
     assert spread[1] < spread[0]
-    one = scanned(Coverage.of(scenes[0].first, scenes[0].second), tuning=GridTuning(most_points=5))
+    one = scan_errors(Coverage.of(scenes[0].first, scenes[0].second), tuning=GridTuning(most_points=5))
     assert len(one.errors) <= 5
 
 

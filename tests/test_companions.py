@@ -9,7 +9,7 @@ import pytest
 from scipy import special
 
 from sameas import ChiSquare, Identification, InputError, Records
-from sameas.estimate.companions import Companions, close_couples, clustering, ring, scaled_i0, within
+from sameas.estimate.companions import Companions, close_neighbours, clustering, ring, scaled_i0, share_within
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.estimate.sample import Setting
@@ -35,7 +35,7 @@ def test_the_share_within_reach_is_a_noncentral_chi_square(d):
     variance = np.geomspace(1e-4, 2.0, 40)
     for radius in (0.0, 0.5, 2.75, 5.5):
         expected = chndtr(49.0 / variance, d, radius**2 / variance)
-        assert np.allclose(within(7.0, radius, variance, d), expected, rtol=0, atol=2e-5)
+        assert np.allclose(share_within(7.0, radius, variance, d), expected, rtol=0, atol=2e-5)
 
 
 def test_a_wide_ring_of_two_dimensions_is_scaled_before_it_overflows():
@@ -88,7 +88,7 @@ def test_a_ring_is_what_points_on_a_sphere_blurred_are(d: int) -> None:
 def test_companions_are_as_many_as_there_are(share: float, separation: float) -> None:
     scenes = fields(1, 4, share=share, separation=separation, missing=0.2)
     seen = [clustering(setting_of(scene)) for scene in scenes]
-    numbers = [known.volume.sum() * np.mean(known.mean) for known in seen if known is not None]
+    numbers = [known.volume.sum() * np.mean(known.mean_densities) for known in seen if known is not None]
     assert len(numbers) == len(scenes)
     # Of the companions that objects have, each source shows 0.8.
     assert np.mean(numbers) == pytest.approx(0.8 * share, rel=0.15)
@@ -156,7 +156,7 @@ def test_which_of_two_is_which_is_open_where_separations_are_those_of_errors() -
     whole = Setting.whole(pairs, Coverage.of(one, two))
     said = Companions.of(known, whole)
     swap = np.zeros(len(pairs))
-    swap[said.at] = said.swap
+    swap[said.index] = said.log_swap
     n = len(one)
     by = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs.i, pairs.j, strict=True))}
     a, b, x, y = (by[i, j] for i, j in ((n - 2, n - 2), (n - 1, n - 1), (n - 2, n - 1), (n - 1, n - 2)))
@@ -172,14 +172,14 @@ def test_records_within_their_errors_of_each_other_are_counted() -> None:
     again = scene.second.part(np.arange(0, len(scene.second), 5))
     place = np.vstack([scene.second.features, again.features])
     twice = Records.of(place, sigma=0.1, space=scene.second.space, source="second")
-    counted = close_couples(Setting.whole(ChiSquare()(scene.first, twice), Coverage.of(scene.first, twice)))
+    counted = close_neighbours(Setting.whole(ChiSquare()(scene.first, twice), Coverage.of(scene.first, twice)))
     assert counted is not None
     one, two = counted
-    assert (one.records, two.records) == (len(scene.first), len(twice))
-    assert abs(one.couples - one.by_chance) < 4.0 * one.by_chance**0.5
+    assert (one.n_records, two.n_records) == (len(scene.first), len(twice))
+    assert abs(one.n_pairs - one.by_chance) < 4.0 * one.by_chance**0.5
     # All couples of a record and its copy; chance makes more of them than densities without copies say.
-    assert two.couples - len(again) - one.couples > -4.0 * one.couples**0.5
-    assert two.couples - two.by_chance > 0.6 * len(again)
+    assert two.n_pairs - len(again) - one.n_pairs > -4.0 * one.n_pairs**0.5
+    assert two.n_pairs - two.by_chance > 0.6 * len(again)
 
 
 def test_numbers_out_of_range_are_refused() -> None:

@@ -65,11 +65,11 @@ def test_a_tail_is_believed_where_it_stands_out():
     # Chance candidates are rare: hardly one in 3000 within 12 standard deviations.
     core, odds = rng.chisquare(2, 3000), np.full(3000, np.log(2e5))
     without = fit_errors(core, odds, 2, Errors())
-    assert max(without.errors.scales) < 2.0 and without.tail < DEFAULT_SCALES.standing_out
+    assert max(without.errors.scales) < 2.0 and without.tail_gain < DEFAULT_SCALES.standing_out
     far = np.concatenate([core, 25.0 * rng.chisquare(2, 60)])
     found = fit_errors(far, np.full(3060, np.log(2e5)), 2, Errors())
     tail = sum(share for scale, share in zip(found.errors.scales, found.errors.shares, strict=True) if scale > 2.0)
-    assert found.tail > DEFAULT_SCALES.standing_out and tail == pytest.approx(0.02, abs=0.008)
+    assert found.tail_gain > DEFAULT_SCALES.standing_out and tail == pytest.approx(0.02, abs=0.008)
 
 
 def test_pairs_of_no_odds_and_no_pairs_say_nothing():

@@ -37,7 +37,7 @@ def test_a_sample_holds_every_candidate_of_its_records_and_what_competes_with_th
     made = field(0)
     whole = setting(made.first, made.second)
     part = whole.sample(FEW)
-    n1, n2 = part.numbers
+    n1, n2 = part.n_counted
     assert 700 <= n1 < 0.25 * len(made.first) and 700 <= n2 < 0.25 * len(made.second)
     inside = [np.zeros(len(records), np.bool_) for records in (made.first, made.second)]
     for k in range(2):
@@ -97,7 +97,7 @@ def test_a_sample_that_misleads_is_followed_by_rounds_over_all():
     made = field(5, extent=75.0)
     _, believed = match(made.first, made.second, sampling=FEW)
     # No sample is as expected.
-    _, found = match(made.first, made.second, sampling=FEW, tuning=MatchTuning(misled=-1e3))
+    _, found = match(made.first, made.second, sampling=FEW, tuning=MatchTuning(max_sample_error=-1e3))
     assert max(believed.learned_from) < len(made.first)
     assert found.learned_from == (len(made.first), len(made.second)) and found.rounds > believed.rounds
     true = len(made.true_pairs()[0])

@@ -168,7 +168,7 @@ class ColumnEvidence:
         one, two = (cell.astype(np.int64) % self.tuning.folds for cell in (level.of_first, level.of_second))
         return replace(self, folds=(one, two))
 
-    def at(self, setting: Setting, columns: ColumnEvidence) -> ColumnEvidence:
+    def for_setting(self, setting: Setting, columns: ColumnEvidence) -> ColumnEvidence:
         """The same where other records take part, whose ``columns`` are given."""
         folds = columns.in_folds(setting).folds
         assert folds is not None

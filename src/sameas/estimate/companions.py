@@ -1,16 +1,16 @@
-"""Companions: objects lie nearer to each other than a Poisson field has them, as binaries and members of groups do.
+"""Companions: binaries and groups, whose objects lie nearer to each other than those of a Poisson field.
 
-A record whose object the other source misses has, where a companion of it was shown, a record beside it that looks
-like its partner. How many companions objects have, and how far away, each source tells by itself: by couples of its own
-records nearer than its densities let expect. The density of companions of an object, at a displacement u, is
+If the other source misses a record's object but shows its companion, that companion looks like the record's partner.
+Each source measures the number and distances of companions from the excess of close neighbours among its own records
+over their density. The density of companions of an object, at a displacement u, is
 
     n κ(u),   κ = Σ_m share_m K(|u|; s_m, v),
 
-with K a ring of radius s_m blurred by the variance v of both errors; the same for both sources but for the shares c₁,
-c₂ of objects that they show. With k other companions shown and x = 1 − q₁q₂ the chance that one is shown at all, the
-density of different objects near a record, ρ for a Poisson field, is ρ + G⁽ᵏ⁺¹⁾/G⁽ᵏ⁾ κ, where G is the generating
-function of the number of companions at q₁q₂ = 1 − x: binomial where few have more than one, else of Poisson numbers
-that a part of the objects have.
+with K a ring of radius s_m blurred by the variance v of both errors. It is the same for both sources, except for the
+shares c₁, c₂ of objects that they show. With k other companions shown, and x = 1 − q₁q₂ the probability that one is
+shown at all, the density of different objects near a record (ρ for a Poisson field) is ρ + G⁽ᵏ⁺¹⁾/G⁽ᵏ⁾ κ, where G is
+the generating function of the number of companions at q₁q₂ = 1 − x: binomial if few objects have more than one
+companion, else Poisson for a part of the objects.
 """
 
 from __future__ import annotations
@@ -34,55 +34,57 @@ from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
 
 @dataclass(frozen=True)
 class CompanionsTuning:
-    """When companions are believed.
+    """Sample sizes and limits for companions.
 
     Attributes
     ----------
-    radii : of the rings, in typical standard deviations of a residual. reach : so far companions are counted, in the
-        same unit.
-    records : of each source tell, about. couples : of them, about. iterations : of the fit.
-    most_records : of both sources for which they are asked. most_dimensions : of the space.
-    score : standard deviations by which couples at one distance must be more than a Poisson field has, for a fit.
-    gain : ln of the likelihood of the couples by which companions must better it.
-    mistaken : where a larger part of what looks like a companion is there by chance, the field is crowded, and
-    most : where records have more companions than this, it has clumps: of both the local densities tell.
-    significant : standard deviations by which records must have more than one companion, for that to be believed.
-    least_void : probability at least that no companion of an object is shown.
-    near : squares of normalised distances within which records compete for a couple.
-    beside : records of one source nearer than this, in the unit of ``radii``, may be of one object.
+    radii : of the rings, in typical standard deviations of a residual. reach : greatest distance of neighbours, same
+        unit.
+    n_records : approximate number of records used, of each source. n_neighbours : of their neighbour pairs.
+    iterations : of the fits.
+    max_records : of both sources; with more, companions are ignored. max_dimensions : of the space.
+    min_excess_sigmas : excess of neighbours at some distance over a Poisson field, in standard deviations, for a fit.
+    min_gain : gain in ln likelihood of the neighbour pairs to accept the fit.
+    max_chance_share : share of chance pairs among apparent companions; above it the field is crowded, and companions
+        are ignored.
+    max_companions : per record; above it the field has clumps, which the local densities describe, and companions are
+        ignored.
+    min_multiple_sigmas : significance, in standard deviations, of records with several companions.
+    min_void : lower limit of the probability that no companion of an object is shown.
+    competing_sq : squared normalised distance within which records compete for a pair of companions.
+    same_object_radius : records of one source nearer than this, in the unit of ``radii``, may be one object.
     """
 
     radii: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 2.75, 3.5, 4.5, 5.5)
     reach: float = 7.0
-    records: int = 8_000
-    couples: int = 30_000
+    n_records: int = 8_000
+    n_neighbours: int = 30_000
     iterations: int = 100
-    most_records: int = 200_000
-    most_dimensions: int = 3
-    score: float = 2.5
-    gain: float = 8.0
-    mistaken: float = 0.7
-    most: float = 1.2
-    significant: float = 2.5
-    least_void: float = 0.02
-    near: float = 25.0
-    beside: float = 2.0
+    max_records: int = 200_000
+    max_dimensions: int = 3
+    min_excess_sigmas: float = 2.5
+    min_gain: float = 8.0
+    max_chance_share: float = 0.7
+    max_companions: float = 1.2
+    min_multiple_sigmas: float = 2.5
+    min_void: float = 0.02
+    competing_sq: float = 25.0
+    same_object_radius: float = 2.0
 
 
 DEFAULT_COMPANIONS = CompanionsTuning()
-#: Records of both sources in a cell that is drawn, on average, and the seed of the draw.
+#: Mean number of records of both sources in a sampled cell, and the seed of the sample.
 CELL, SEED = 1_000, 20_063
-#: Pairs in strips along one axis that are measured all; where there are more, the gate finds those that count.
+#: Up to this many pairs in strips along one axis, all distances are computed; with more, the gate finds the near ones.
 STRIP = 1_000_000
-#: Quantiles of the variances that stand for all.
+#: Quantiles of the variances at which averages over records are taken.
 VARIANCES = np.linspace(0.01, 0.99, 50)
-#: By how much of r/L fewer couples at a distance r a box of side L has than it would have without edges, in one, two
-#: and three dimensions.
+#: A box of side L has the fraction (this · r/L) fewer pairs at distance r than without edges, in 1, 2 and 3 dimensions.
 EDGES = (1.0, 4.0 / math.pi, 1.5)
 
 
-#: Coefficients of √(2πx) e⁻ˣ I₀(x) in powers of 1/x (Abramowitz & Stegun 9.7.1), and the x from which so many give
-#: it to 1e-15.
+#: Coefficients of √(2πx) e⁻ˣ I₀(x) in powers of 1/x (Abramowitz & Stegun 9.7.1), and the x from which they are exact to
+#: 1e-15.
 _EXPANSION, _LARGE = [math.prod((2 * j - 1) ** 2 / (8 * j) for j in range(1, k + 1)) for k in range(16)], 30.0
 
 
@@ -101,7 +103,7 @@ def scaled_i0(x: FloatArray) -> FloatArray:
 
 
 def ring(distance: FloatArray, radius: float, variance: FloatArray, d: int) -> FloatArray:
-    """(m,) density of points at a distance, that lie on a sphere of a radius blurred by a variance per axis."""
+    """(m,) density, at distance from the centre, of points on a sphere of ``radius`` blurred by a variance per axis."""
     with np.errstate(over="ignore"):
         x = distance * radius / variance
     peak = (2.0 * math.pi * variance) ** (-0.5 * d) * np.exp(-0.5 * (distance - radius) ** 2 / variance)
@@ -112,8 +114,8 @@ def ring(distance: FloatArray, radius: float, variance: FloatArray, d: int) -> F
     return np.asarray(peak * np.where(x > 1e-6, -np.expm1(-2.0 * x) / np.maximum(2.0 * x, 1e-300), 1.0))
 
 
-def within(reach: float, radius: float, variance: FloatArray, d: int) -> FloatArray:
-    """(m,) share of such points nearer than ``reach`` (which is larger than the radius) to the middle."""
+def share_within(reach: float, radius: float, variance: FloatArray, d: int) -> FloatArray:
+    """(m,) share of the points of :func:`ring` that lie within ``reach``, which must exceed the radius."""
     steps = np.linspace(0.0, 10.0, 401)
     distance = reach + steps * np.sqrt(variance)[:, None]
     surface = (2.0, 2.0 * math.pi * distance, 4.0 * math.pi * distance**2)[d - 1]
@@ -124,27 +126,28 @@ def within(reach: float, radius: float, variance: FloatArray, d: int) -> FloatAr
 @in_short
 @dataclass(frozen=True)
 class Clustering:
-    """The excess of close couples: 1 + w(u) times as many as a Poisson field has.
+    """The excess of close neighbours: 1 + w(u) times as many pairs as in a Poisson field.
 
-    unit : (d,) typical standard deviation of a residual, in which all lengths are. radii : (r,) of the rings.
-    volume : (r,) ∫ w of each. further : how many times as many companions an object has that has one.
-    mean : (ρ₁, ρ₂) mean densities. shares : of the records of either source that have a partner, by how many of the
-        other lie near; 0 where not asked.
+    unit : (d,) typical standard deviation of a residual; unit of all lengths. radii : (r,) of the rings.
+    volume : (r,) ∫ w of each ring. multiplicity : mean number of pairs of companions of an object over the squared mean
+        number of companions (⟨n(n − 1)⟩/⟨n⟩²); 0 where not significant.
+    mean_densities : (ρ₁, ρ₂). shares : of the records of each source that have a partner, from the number of close
+        records of the other; 0 if not estimated.
     """
 
     unit: FloatArray
     radii: FloatArray
     volume: FloatArray
-    further: float
-    mean: tuple[float, float]
+    multiplicity: float
+    mean_densities: tuple[float, float]
     shares: tuple[float, float] = (0.0, 0.0)
 
     @property
     def d(self) -> int:
         return len(self.unit)
 
-    def at(self, distance: FloatArray, variance: FloatArray) -> FloatArray:
-        """(m,) w at a distance, blurred."""
+    def excess_at(self, distance: FloatArray, variance: FloatArray) -> FloatArray:
+        """(m,) w at a distance, blurred by a variance per axis."""
         total = np.zeros(len(distance))
         for radius, volume in zip(self.radii, self.volume, strict=True):
             if volume > 0.0:
@@ -155,23 +158,25 @@ class Clustering:
 @in_short
 @dataclass(frozen=True)
 class _Source:
-    """Records of one source in typical errors. points : (n, …) where they are. evenly : they with errors all the same,
-    by which the gate measures distances."""
+    """Records of one source in units of typical errors.
+
+    points : (n, …) positions. even_records : the records with equal errors, for distances by the gate.
+    """
 
     points: FloatArray
-    evenly: Records
+    even_records: Records
     variance: FloatArray
     density: FloatArray
     counted: BoolArray
 
     def part(self, rows: IntArray) -> _Source:
-        """Some of its records."""
+        """The source with these rows only."""
         return _Source(
-            self.points[rows], self.evenly.part(rows), self.variance[rows], self.density[rows], self.counted[rows]
+            self.points[rows], self.even_records.part(rows), self.variance[rows], self.density[rows], self.counted[rows]
         )
 
     def near(self, other: _Source, reach: float) -> tuple[IntArray, IntArray, FloatArray]:
-        """(m,) pairs of a record of this and one of the other, and how far apart they are."""
+        """(m,) i, k and distance of pairs of a record of this source and one of the other within ``reach``."""
         axis = int(np.argmax(np.ptp(other.points, axis=0)))
         order = np.argsort(other.points[:, axis], kind="stable")
         along = other.points[order, axis]
@@ -180,20 +185,21 @@ class _Source:
             i, place = ranges(low, high - low)
             k = order[place]
             distance = np.sqrt(((self.points[i] - other.points[k]) ** 2).sum(axis=1))
-            found = distance <= reach
-            return i[found], k[found], distance[found]
-        pairs = Radius(reach)(self.evenly, other.evenly)
+            near = distance <= reach
+            return i[near], k[near], distance[near]
+        pairs = Radius(reach)(self.even_records, other.even_records)
         return pairs.i.astype(np.int64), pairs.j.astype(np.int64), np.sqrt(pairs.mahalanobis_sq)
 
-    def couples(self, reach: float, centres: IntArray | None = None) -> tuple[IntArray, IntArray, FloatArray]:
-        """(c,) couples of its records, seen from each, or from some."""
+    def neighbours(self, reach: float, centres: IntArray | None = None) -> tuple[IntArray, IntArray, FloatArray]:
+        """(c,) i, k and distance of neighbours within the source; i runs over ``centres``, or over all records."""
         i, k, distance = (self if centres is None else self.part(centres)).near(self, reach)
         i = i if centres is None else centres[i]
-        other = i != k
-        return i[other], k[other], distance[other]
+        distinct = i != k
+        return i[distinct], k[distinct], distance[distinct]
 
 
 def _unit(setting: Setting) -> FloatArray:
+    """(d,) typical standard deviation of a residual."""
     one, two = setting.pairs.first, setting.pairs.second
     variance = np.median(one.variances, axis=0) + np.median(two.variances, axis=0)
     if isinstance(one.space, Sphere):
@@ -202,12 +208,14 @@ def _unit(setting: Setting) -> FloatArray:
 
 
 def _points(records: Records, unit: FloatArray) -> FloatArray:
+    """(n, d) positions in ``unit``, or (n, 3) on a sphere."""
     if isinstance(records.space, Sphere):
         return np.asarray(unit_vectors(*records.features.T) * (ARCSEC_PER_RADIAN / unit[0]))
     return np.asarray(records.features / unit)
 
 
-def _evenly(records: Records, unit: FloatArray) -> Records:
+def _with_equal_errors(records: Records, unit: FloatArray) -> Records:
+    """The records with errors such that normalised distances are distances in ``unit``."""
     variance = 0.5 * (unit[:1] if isinstance(records.space, Sphere) else unit) ** 2
     return replace(records, covariance=np.tile(variance, (len(records), 1)))
 
@@ -217,7 +225,7 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
     one, two = (
         _Source(
             _points(records, unit),
-            _evenly(records, unit),
+            _with_equal_errors(records, unit),
             (records.variances / unit**2).mean(axis=1),
             density * scale,
             seen & counted,
@@ -229,290 +237,299 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
     return one, two
 
 
-def _drawn(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, IntArray]:
-    """Records of either source in cells that hold enough of both; all, where these are hardly fewer."""
+def _sampled_rows(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, IntArray]:
+    """Rows of both sources in sampled cells with enough records of both; all rows if a sample were hardly smaller."""
     n1, n2 = len(levels[0].of_first), len(levels[0].of_second)
     if min(n1, n2) <= 2 * enough:
         return np.arange(n1), np.arange(n2)
     level = finest(levels, (n1 + n2) / CELL)
-    drawn = level.drawn((level.count(1), level.count(2)), enough, SEED)
-    return np.flatnonzero(drawn[level.of_first]), np.flatnonzero(drawn[level.of_second])
+    sampled = level.drawn((level.count(1), level.count(2)), enough, SEED)
+    return np.flatnonzero(sampled[level.of_first]), np.flatnonzero(sampled[level.of_second])
 
 
-def _asked(setting: Setting, tuning: CompanionsTuning) -> tuple[_Source, _Source] | None:
-    """The records of either source that are asked of couples; None where there are too many, or dimensions."""
-    if setting.pairs.d > tuning.most_dimensions or not 0 < sum(setting.numbers) <= tuning.most_records:
+def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[_Source, _Source] | None:
+    """Both sources, sampled; None with too many records or dimensions."""
+    if setting.pairs.d > tuning.max_dimensions or not 0 < sum(setting.n_counted) <= tuning.max_records:
         return None
-    rows = _drawn(setting.levels, tuning.records)
+    rows = _sampled_rows(setting.levels, tuning.n_records)
     one, two = (s.part(some) for s, some in zip(_sources(setting, _unit(setting)), rows, strict=True))
     return one, two
 
 
-def _some_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
+def _sampled_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
+    """Counted rows, sampled by a hash of their position so that about ``most`` neighbours are expected."""
     rows = np.flatnonzero(source.counted)
-    due = float(source.density[rows].sum()) * ball_volume(d) * reach**d + len(rows)
-    if due <= most:
+    expected = float(source.density[rows].sum()) * ball_volume(d) * reach**d + len(rows)
+    if expected <= most:
         return rows
     bits = np.ascontiguousarray(source.points[rows, 0]).view(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
-    return rows[bits < np.uint64(int(most / due * 2.0**64))]
+    return rows[bits < np.uint64(int(most / expected * 2.0**64))]
 
 
-def _edge(source: _Source, d: int) -> float:
-    """By which share fewer couples there are at a distance of 1."""
+def _edge_loss(source: _Source, d: int) -> float:
+    """The fraction of pairs at a distance of 1 that the edges of the field remove."""
     return EDGES[d - 1] * math.pow(float(source.density.mean()) / len(source.points), 1.0 / d)
 
 
 @in_short
 @dataclass(frozen=True)
-class _Couples:
-    """Couples of one source's records, c of them, each from either of its records.
+class _Neighbours:
+    """Neighbour pairs of one source, c of them, each counted from both of its records.
 
-    first : (c,) the record that it is seen from. background : (c,) density of couples of a Poisson field there, and
-    expected : how many of them are due. table : (r, c) what a ring of unit volume adds, (r,) due : how many that is.
-    centres : records that couples are seen from, size : records of them all, density : their mean one.
+    first : (c,) record that the pair is counted from. background : (c,) density of pairs of a Poisson field there;
+    expected : their number. ring_density : (r, c) density added by a ring of unit volume; ring_expected : (r,) number.
+    n_centres : records that pairs are counted from. n_records : all records. density : mean density at the centres.
     """
 
     first: IntArray
     background: FloatArray
     expected: float
-    table: FloatArray
-    due: FloatArray
-    centres: int
-    size: int
+    ring_density: FloatArray
+    ring_expected: FloatArray
+    n_centres: int
+    n_records: int
     density: float
 
     @classmethod
-    def of(cls, source: _Source, d: int, tuning: CompanionsTuning) -> _Couples | None:
-        """Those of some records; None where there is none."""
-        reach, centres = tuning.reach, _some_centres(source, tuning.reach, d, tuning.couples)
+    def of(cls, source: _Source, d: int, tuning: CompanionsTuning) -> _Neighbours | None:
+        """The neighbour pairs of sampled records; None without any."""
+        reach, centres = tuning.reach, _sampled_centres(source, tuning.reach, d, tuning.n_neighbours)
         if len(centres) < 2:
             return None
-        i, k, distance = source.couples(reach, centres)
+        i, k, distance = source.neighbours(reach, centres)
         if not len(i):
             return None
         density, variance = float(source.density[centres].mean()), source.variance[i] + source.variance[k]
-        table = density * np.array([ring(distance, radius, variance, d) for radius in tuning.radii])
+        ring_density = density * np.array([ring(distance, radius, variance, d) for radius in tuning.radii])
         typical = 2.0 * np.quantile(source.variance[centres], VARIANCES)
-        due = [float(within(reach, radius, typical, d).mean()) for radius in tuning.radii]
-        # Near its edge a field has fewer at a distance: of a box of side L, a share 1 − c r/L of all couples.
-        edge = _edge(source, d)
+        share = [float(share_within(reach, radius, typical, d).mean()) for radius in tuning.radii]
+        # In a box of side L, pairs at distance r are 1 − c r/L of those without edges.
+        edge = _edge_loss(source, d)
         background = 0.5 * (source.density[i] + source.density[k]) * np.maximum(1.0 - edge * distance, 0.1)
         inside = max(1.0 - edge * reach * d / (d + 1.0), 0.1)
         expected = float(source.density[centres].sum()) * ball_volume(d) * reach**d * inside
-        due_of_all = density * len(centres) * np.array(due)
-        return cls(i, background, expected, table, due_of_all, len(centres), len(source.points), density)
+        ring_expected = density * len(centres) * np.array(share)
+        return cls(i, background, expected, ring_density, ring_expected, len(centres), len(source.points), density)
 
     def log_likelihood(self, volume: FloatArray, level: float) -> float:
-        """ln of that of the couples, each counted once."""
-        density = level * self.background + volume @ self.table
-        return 0.5 * (float(np.log(density).sum()) - level * self.expected - float(volume @ self.due))
+        """ln likelihood of the pairs, each counted once; ``level`` multiplies the background."""
+        density = level * self.background + volume @ self.ring_density
+        return 0.5 * (float(np.log(density).sum()) - level * self.expected - float(volume @ self.ring_expected))
 
     def companions(self, volume: FloatArray, level: float) -> FloatArray:
-        """(c,) how probable it is that a couple is one of companions."""
-        excess = volume @ self.table
+        """(c,) probability that a pair is two companions."""
+        excess = volume @ self.ring_density
         return np.asarray(excess / (level * self.background + excess))
 
 
 def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Clustering | None:
-    """The excess of close couples in both sources; None where there is none to be seen."""
-    asked = None if sum(setting.numbers) < sum(map(len, setting.counted)) else _asked(setting, tuning)
-    if asked is None:
+    """The excess of close neighbours in both sources; None without a significant excess."""
+    sampled = None if sum(setting.n_counted) < sum(map(len, setting.counted)) else _sampled_sources(setting, tuning)
+    if sampled is None:
         return None
-    d, unit, (one, two) = setting.pairs.d, _unit(setting), asked
-    of_1, of_2 = _Couples.of(one, d, tuning), _Couples.of(two, d, tuning)
+    d, unit, (one, two) = setting.pairs.d, _unit(setting), sampled
+    of_1, of_2 = _Neighbours.of(one, d, tuning), _Neighbours.of(two, d, tuning)
     if of_1 is None or of_2 is None:
         return None
-    volume, levels, gain = _fitted((of_1, of_2), tuning)
-    if not gain > tuning.gain or float(volume.sum()) * max(of_1.density, of_2.density) > tuning.most:
+    volume, levels, gain = _fit_rings((of_1, of_2), tuning)
+    if not gain > tuning.min_gain or float(volume.sum()) * max(of_1.density, of_2.density) > tuning.max_companions:
         return None
-    squares, firsts, noise = 0.0, 0.0, 1.0
-    for couples, level in zip((of_1, of_2), levels, strict=True):
-        p = couples.companions(volume, level)
-        several = float((np.bincount(couples.first, p, couples.size) ** 2).sum() - (p**2).sum())
-        ours, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
-        if chance > tuning.mistaken * (chance + ours):
+    multiple, squared_mean, noise = 0.0, 0.0, 1.0
+    for neighbours, level in zip((of_1, of_2), levels, strict=True):
+        p = neighbours.companions(volume, level)
+        several = float((np.bincount(neighbours.first, p, neighbours.n_records) ** 2).sum() - (p**2).sum())
+        true, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
+        if chance > tuning.max_chance_share * (chance + true):
             return None
-        # What is there by chance may be a couple itself.
-        squares += several - (chance**2 + 3.0 * chance * ours) / couples.centres
-        firsts += ours**2 / couples.centres
+        # A chance neighbour may itself be one of two companions.
+        multiple += several - (chance**2 + 3.0 * chance * true) / neighbours.n_centres
+        squared_mean += true**2 / neighbours.n_centres
         noise += 2.0 * several
-    further = squares / firsts if squares > tuning.significant * math.sqrt(noise) else 0.0
-    known = Clustering(unit, np.array(tuning.radii), volume, further, (of_1.density, of_2.density))
-    return replace(known, shares=_shares(known, (one, two), tuning))
+    multiplicity = multiple / squared_mean if multiple > tuning.min_multiple_sigmas * math.sqrt(noise) else 0.0
+    excess = Clustering(unit, np.array(tuning.radii), volume, multiplicity, (of_1.density, of_2.density))
+    return replace(excess, shares=_fit_shares(excess, (one, two), tuning))
 
 
 @in_short
 @dataclass(frozen=True)
-class CloseCouples:
-    """Records of one source nearer to each other than their errors.
+class CloseNeighbours:
+    """Neighbour pairs of one source within their errors.
 
-    records : that were looked at. couples : of them, nearer than twice the typical error of a residual. by_chance : as
-    many are due by the local densities.
+    n_records : records searched. n_pairs : pairs nearer than twice the typical error of a residual. by_chance : number
+    expected from the local densities.
     """
 
-    records: int
-    couples: int
+    n_records: int
+    n_pairs: int
     by_chance: float
 
 
-def close_couples(
+def close_neighbours(
     setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS
-) -> tuple[CloseCouples, CloseCouples] | None:
-    """How many records of either source lie nearer to each other than their errors; None where not asked."""
-    asked = _asked(setting, tuning)
-    if asked is None:
+) -> tuple[CloseNeighbours, CloseNeighbours] | None:
+    """Neighbour pairs of each source within their errors; None with too many records or dimensions."""
+    sampled = _sampled_sources(setting, tuning)
+    if sampled is None:
         return None
-    one, two = (_close_couples(source, tuning.beside, setting.pairs.d) for source in asked)
+    one, two = (_close_neighbours(source, tuning.same_object_radius, setting.pairs.d) for source in sampled)
     return one, two
 
 
-def _close_couples(source: _Source, reach: float, d: int) -> CloseCouples:
-    first, _, _ = source.couples(reach)
+def _close_neighbours(source: _Source, reach: float, d: int) -> CloseNeighbours:
+    first, _, _ = source.neighbours(reach)
     by_chance = 0.5 * float(source.density.sum()) * ball_volume(d) * reach**d
-    return CloseCouples(len(source.points), len(first) // 2, by_chance)
+    return CloseNeighbours(len(source.points), len(first) // 2, by_chance)
 
 
-def _fitted(
-    sources: tuple[_Couples, _Couples], tuning: CompanionsTuning
+def _fit_rings(
+    sources: tuple[_Neighbours, _Neighbours], tuning: CompanionsTuning
 ) -> tuple[FloatArray, tuple[float, float], float]:
-    """(r,) ∫ w of each ring, how many times as many other couples there are as densities say, and by how much that
-    betters ln of the likelihood without companions: by EM, couple by couple; none where no distance has more."""
-    due = sources[0].due + sources[1].due
-    levels = [len(couples.background) / couples.expected for couples in sources]
-    ratios = [couples.table / (level * couples.background) for couples, level in zip(sources, levels, strict=True)]
-    more = ratios[0].sum(axis=1) + ratios[1].sum(axis=1) - due
-    spread = np.sqrt((ratios[0] ** 2).sum(axis=1) + (ratios[1] ** 2).sum(axis=1))
-    if not (more > tuning.score * spread).any():
-        return np.zeros(len(due)), (1.0, 1.0), 0.0
-    none = sum(x.log_likelihood(np.zeros(len(due)), level) for x, level in zip(sources, levels, strict=True))
-    volume = np.full(len(due), 0.1 * sum(len(couples.background) for couples in sources) / due.sum() / len(due))
+    """(r,) ∫ w of each ring, factors on the background of both sources, and the gain in ln likelihood, by EM.
+
+    All zero, 1 and 0 if no ring has significantly more pairs than the background.
+    """
+    expected = sources[0].ring_expected + sources[1].ring_expected
+    levels = [len(source.background) / source.expected for source in sources]
+    ratios = [source.ring_density / (level * source.background) for source, level in zip(sources, levels, strict=True)]
+    excess = ratios[0].sum(axis=1) + ratios[1].sum(axis=1) - expected
+    sigma = np.sqrt((ratios[0] ** 2).sum(axis=1) + (ratios[1] ** 2).sum(axis=1))
+    if not (excess > tuning.min_excess_sigmas * sigma).any():
+        return np.zeros(len(expected)), (1.0, 1.0), 0.0
+    without = sum(x.log_likelihood(np.zeros(len(expected)), level) for x, level in zip(sources, levels, strict=True))
+    n_pairs = sum(len(source.background) for source in sources)
+    volume = np.full(len(expected), 0.1 * n_pairs / expected.sum() / len(expected))
     for _ in range(tuning.iterations):
-        seen = np.zeros(len(due))
-        for s, couples in enumerate(sources):
-            density = levels[s] * couples.background + volume @ couples.table
-            seen += couples.table @ (1.0 / density)
-            levels[s] *= float((couples.background / density).sum()) / couples.expected
-        volume = volume * seen / due
-    found = sum(x.log_likelihood(volume, level) for x, level in zip(sources, levels, strict=True))
-    return volume, (levels[0], levels[1]), found - none
+        slope = np.zeros(len(expected))
+        for s, source in enumerate(sources):
+            density = levels[s] * source.background + volume @ source.ring_density
+            slope += source.ring_density @ (1.0 / density)
+            levels[s] *= float((source.background / density).sum()) / source.expected
+        volume = volume * slope / expected
+    fitted = sum(x.log_likelihood(volume, level) for x, level in zip(sources, levels, strict=True))
+    return volume, (levels[0], levels[1]), fitted - without
 
 
-def _shares(known: Clustering, sources: tuple[_Source, _Source], tuning: CompanionsTuning) -> tuple[float, float]:
-    """Of the records of either source that have a partner, by how many of the other lie near beside companions of
-    theirs; too low where errors are larger than thought."""
+def _fit_shares(
+    clustering: Clustering, sources: tuple[_Source, _Source], tuning: CompanionsTuning
+) -> tuple[float, float]:
+    """Shares of the records of both sources that have a partner, from the number of close records of the other source
+    in addition to companions; too low if the errors are larger than quoted."""
     one, two = sources
     i, k, distance = one.near(two, tuning.reach)
     n1, n2 = (int(np.count_nonzero(source.counted)) for source in sources)
     if not len(i):
         return 0.0, 0.0
-    v = one.variance[i] + two.variance[k]
-    # Per unit of volume about all records: pairs there by chance, and of companions.
-    scale = math.sqrt(n1 * n2 * known.mean[0] * known.mean[1])
-    inside = np.maximum(1.0 - 0.5 * (_edge(one, known.d) + _edge(two, known.d)) * distance, 0.1)
-    background = scale * inside * np.sqrt(one.density[i] * two.density[k] / (known.mean[0] * known.mean[1]))
-    companions, same = scale * known.at(distance, v), ring(distance, 0.0, v, known.d)
-    due, most = scale * ball_volume(known.d) * tuning.reach**known.d, float(min(n1, n2))
+    d, variance, (mean_1, mean_2) = clustering.d, one.variance[i] + two.variance[k], clustering.mean_densities
+    # Densities of pairs, summed over all records: by chance, of companions and of common objects.
+    scale = math.sqrt(n1 * n2 * mean_1 * mean_2)
+    inside = np.maximum(1.0 - 0.5 * (_edge_loss(one, d) + _edge_loss(two, d)) * distance, 0.1)
+    background = scale * inside * np.sqrt(one.density[i] * two.density[k] / (mean_1 * mean_2))
+    companions, same = scale * clustering.excess_at(distance, variance), ring(distance, 0.0, variance, d)
+    expected, most = scale * ball_volume(d) * tuning.reach**d, float(min(n1, n2))
     common, level = 0.5 * most, 1.0
     for _ in range(tuning.iterations):
         total = common * same + companions + level * background
         common = min(common * float((same / total).sum()), most)
-        level *= float((background / total).sum()) / due
+        level *= float((background / total).sum()) / expected
     return common / n1, common / n2
 
 
 @in_short
 @dataclass(frozen=True)
 class CompanionsRule(Rule):
-    """What companions say of pairs."""
+    """The rule whose evidence for the pairs at ``index`` is ``term`` (q,), and 0 for the others."""
 
-    at: IntArray
+    index: IntArray
     term: FloatArray
 
     def __call__(self, pairs: Pairs) -> Evidence:
         out = np.zeros(len(pairs))
-        out[self.at] = self.term
+        out[self.index] = self.term
         return Evidence({"companions": out})
 
 
 @in_short
 @dataclass(frozen=True)
 class Companions:
-    """What is known of companions, for one list of candidates.
+    """Companions among one list of candidates.
 
-    at : (q,) pairs that it matters for. excess : (q,) w of their residuals, by the densities there.
-    shown : (2, q) odds that their record of either source has a companion there, if objects had no more than a Poisson
-        field has. swap : (q,) ln of what the separations of couples say of which of two is which.
+    index : (q,) pairs that companions matter for. excess : (q,) w at their residuals, by the local densities.
+    companion_odds : (2, q) odds, in a Poisson field, that their record of each source has a companion at its position.
+    log_swap : (q,) evidence from the separations of companions for which record is which.
     """
 
     clustering: Clustering
-    at: IntArray
+    index: IntArray
     excess: FloatArray
-    shown: FloatArray
-    swap: FloatArray = field(repr=False)
+    companion_odds: FloatArray
+    log_swap: FloatArray = field(repr=False)
     tuning: CompanionsTuning = DEFAULT_COMPANIONS
 
     @classmethod
     def of(cls, clustering: Clustering, setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) -> Companions:
-        """For all candidates of a setting."""
+        """The companions among all candidates of a setting."""
         pairs, unit = setting.pairs, clustering.unit
         one, two = _sources(setting, unit)
         residual = pairs.residual / unit
-        local = clustering.mean[0] / one.density, clustering.mean[1] / two.density
-        excess = clustering.at(np.sqrt((residual**2).sum(axis=1)), one.variance[pairs.i] + two.variance[pairs.j])
+        local = clustering.mean_densities[0] / one.density, clustering.mean_densities[1] / two.density
+        excess = clustering.excess_at(np.sqrt((residual**2).sum(axis=1)), one.variance[pairs.i] + two.variance[pairs.j])
         excess *= np.sqrt(local[0][pairs.i] * local[1][pairs.j])
-        numbers, companion = [], []
+        odds, companion = [], []
         for source, relative in zip((one, two), local, strict=True):
-            i, k, distance = source.couples(tuning.reach)
-            w = clustering.at(distance, source.variance[i] + source.variance[k]) * np.sqrt(relative[i] * relative[k])
-            numbers.append(np.bincount(i, w, len(source.points)))
-            companion.append(_companion(i, k, w / (1.0 + w), len(source.points)))
-        swap = _swaps(clustering, setting, (one, two), residual, companion, tuning.near)
-        at = np.flatnonzero((excess > 1e-3) | (swap != 0.0))
-        shown = np.array([numbers[0][pairs.i[at]], numbers[1][pairs.j[at]]], np.float64)
-        return cls(clustering, at, excess[at], shown, swap[at], tuning)
+            i, k, distance = source.neighbours(tuning.reach)
+            variance = source.variance[i] + source.variance[k]
+            w = clustering.excess_at(distance, variance) * np.sqrt(relative[i] * relative[k])
+            odds.append(np.bincount(i, w, len(source.points)))
+            companion.append(_mutual_companions(i, k, w / (1.0 + w), len(source.points)))
+        log_swap = _log_swaps(clustering, setting, (one, two), residual, companion, tuning.competing_sq)
+        index = np.flatnonzero((excess > 1e-3) | (log_swap != 0.0))
+        companion_odds = np.array([odds[0][pairs.i[index]], odds[1][pairs.j[index]]], np.float64)
+        return cls(clustering, index, excess[index], companion_odds, log_swap[index], tuning)
 
     @property
     def share(self) -> float:
-        """Of source 1's records that have a partner, as close pairs beyond chance and companions show."""
+        """Share of source 1's records that have a partner, from close pairs and companions."""
         return self.clustering.shares[0]
 
     @property
     def rule(self) -> CompanionsRule:
-        """What the separations of couples say of which is which."""
-        return CompanionsRule(self.at, self.swap)
+        """Evidence from the separations of companions."""
+        return CompanionsRule(self.index, self.log_swap)
 
-    def log_beside(self, n: int, share_1: float, share_2: float) -> FloatArray:
-        """(n,) ln of the odds of pairs, before one-to-one, to be an object and a companion of it, each missed by the
-        other source, against objects that have nothing to do with each other.
+    def companion_log_odds(self, n: int, share_1: float, share_2: float) -> FloatArray:
+        """(n,) ln of the odds, before one-to-one, that a pair is an object and its companion, each missed by the other
+        source, against two unrelated objects; −∞ where companions do not matter.
 
-        share_1, share_2 : of the records of either source that have a partner.
+        share_1, share_2 : of the records of each source that have a partner.
         """
-        known, least = self.clustering, self.tuning.least_void
-        # Shares that are still being estimated must not fall because companions seem to be many, nor these grow by it.
-        c1, c2 = max(share_2, known.shares[1], 1e-3), max(share_1, known.shares[0], 1e-3)
-        number = float(known.volume.sum()) * math.sqrt(known.mean[0] * known.mean[1] / (c1 * c2))
-        # Of whole numbers n with the mean N, the mean of n (n − 1) is not below N (N − 1).
-        x, t = 1.0 - (1.0 - c1) * (1.0 - c2), max(known.further, 1.0 - 1.0 / max(number, 1e-9))
+        clustering, least = self.clustering, self.tuning.min_void
+        (mean_1, mean_2), (known_1, known_2) = clustering.mean_densities, clustering.shares
+        # At least the shares from close pairs: the shares of early EM iterations are too low, which would make
+        # companions seem numerous, and that would keep the shares low.
+        c1, c2 = max(share_2, known_2, 1e-3), max(share_1, known_1, 1e-3)
+        number = float(clustering.volume.sum()) * math.sqrt(mean_1 * mean_2 / (c1 * c2))
+        # For integers n with mean N, the mean of n (n − 1) is at least N (N − 1).
+        x, t = 1.0 - (1.0 - c1) * (1.0 - c2), max(clustering.multiplicity, 1.0 - 1.0 / max(number, 1e-9))
         if t < 1.0:
             p = number * (1.0 - t)
             void = max(1.0 - p * x, least)
             none, one = 1.0 / void, t / void
-            here = 1.0 / max(1.0 - p * c1, least), 1.0 / max(1.0 - p * c2, least)
+            per_odds = 1.0 / max(1.0 - p * c1, least), 1.0 / max(1.0 - p * c2, least)
         else:
             unseen = math.exp(-number * t * x)
             none, one = unseen / (1.0 - 1.0 / t + unseen / t), t
-            here = none, none
-        alone = 1.0 / ((1.0 + here[0] * self.shown[0]) * (1.0 + here[1] * self.shown[1]))
+            per_odds = none, none
+        alone = 1.0 / ((1.0 + per_odds[0] * self.companion_odds[0]) * (1.0 + per_odds[1] * self.companion_odds[1]))
         out = np.full(n, -np.inf)
         with np.errstate(divide="ignore"):
-            out[self.at] = np.log((one + (none - one) * alone) * self.excess)
+            out[self.index] = np.log((one + (none - one) * alone) * self.excess)
         return out
 
 
-def _companion(i: IntArray, k: IntArray, p: FloatArray, n: int) -> IntArray:
-    """(n,) the companion of each record, mutually the likeliest and likelier than not; −1 where there is none."""
-    sure = np.flatnonzero(p > 0.5)
-    order = sure[np.argsort(p[sure], kind="stable")]
+def _mutual_companions(i: IntArray, k: IntArray, p: FloatArray, n: int) -> IntArray:
+    """(n,) the companion of each record: mutually the likeliest, with p > 0.5; −1 if none."""
+    likely = np.flatnonzero(p > 0.5)
+    order = likely[np.argsort(p[likely], kind="stable")]
     likeliest = np.full(n, -1)
     likeliest[i[order]] = k[order]
     has = np.flatnonzero(likeliest >= 0)
@@ -522,94 +539,95 @@ def _companion(i: IntArray, k: IntArray, p: FloatArray, n: int) -> IntArray:
     return out
 
 
-def _swaps(
+def _log_swaps(
     clustering: Clustering,
     setting: Setting,
     sources: tuple[_Source, _Source],
     residual: FloatArray,
     companion: list[IntArray],
-    nearest: float,
+    competing_sq: float,
 ) -> FloatArray:
-    """(m,) what the separations of couples say of pairs, where two records of a source compete for one or two of the
-    other, and for no more."""
+    """(m,) evidence of pairs from the separation of companions, where two companions of one source compete for one or
+    two records of the other source, and for no more."""
     pairs = setting.pairs
     i, j = pairs.i.astype(np.int64), pairs.j.astype(np.int64)
-    near = pairs.mahalanobis_sq < nearest
-    found = _Lookup.of(i, j, len(pairs.second))
+    near = pairs.mahalanobis_sq < competing_sq
+    pair_of = _PairIndex.of(i, j, len(pairs.second))
     v1, v2 = sources[0].variance, sources[1].variance
-    two_of_both, two_of_one = np.zeros((2, len(pairs))), np.zeros((2, len(pairs)))
+    two_to_two, two_to_one = np.zeros((2, len(pairs))), np.zeros((2, len(pairs)))
 
-    def log_w(apart: FloatArray, variance: FloatArray) -> FloatArray:
-        return np.log1p(clustering.at(np.sqrt((apart**2).sum(axis=1)), variance))
+    def log_w(separation: FloatArray, variance: FloatArray) -> FloatArray:
+        return np.log1p(clustering.excess_at(np.sqrt((separation**2).sum(axis=1)), variance))
 
-    def fused(of: IntArray) -> tuple[FloatArray, FloatArray]:
-        total = v1[i[of]] + v2[j[of]]
-        return (v1[i[of]] / total)[:, None] * residual[of], v1[i[of]] * v2[j[of]] / total
+    def fused(e: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Fused position of each pair relative to its record 1, and its variance."""
+        total = v1[i[e]] + v2[j[e]]
+        return (v1[i[e]] / total)[:, None] * residual[e], v1[i[e]] * v2[j[e]] / total
 
-    for source, (mine, theirs) in enumerate(((i, j), (j, i))):
+    for source, (own_row, other_row) in enumerate(((i, j), (j, i))):
         mate = companion[source]
         one = np.flatnonzero(mate > np.arange(len(mate)))
         two = mate[one]
         number = np.full(len(mate), -1)
         number[one] = number[two] = np.arange(len(one))
-        # Records of the other source that either could have.
-        e = np.flatnonzero(near & (number[mine] >= 0))
-        known = np.unique(np.column_stack([number[mine[e]], theirs[e]]), axis=0)
-        count = np.bincount(known[:, 0], minlength=len(one))
+        # Records of the other source that either companion could have as partner.
+        e = np.flatnonzero(near & (number[own_row] >= 0))
+        competing = np.unique(np.column_stack([number[own_row[e]], other_row[e]]), axis=0)
+        count = np.bincount(competing[:, 0], minlength=len(one))
         start = np.concatenate([[0], np.cumsum(count)])[:-1]
 
         def pair(a: IntArray, b: IntArray, source: int = source) -> IntArray:
-            return found(a, b) if source == 0 else found(b, a)
+            return pair_of(a, b) if source == 0 else pair_of(b, a)
 
         c = np.flatnonzero(count == 2)
-        r, q = known[start[c], 1], known[start[c] + 1, 1]
+        r, q = competing[start[c], 1], competing[start[c] + 1, 1]
         four = np.array([pair(one[c], r), pair(two[c], q), pair(one[c], q), pair(two[c], r)])
         a, b, x, y = four[:, (four >= 0).all(axis=0)]
         if len(a):
-            # From the first of source 1 to its second, by way of the record of source 2 that both pairs have.
+            # Separation of the two records of source 1, from the residuals of two pairs with one record of source 2.
             (at_a, v_a), (at_b, v_b), (at_x, v_x), (at_y, v_y) = map(fused, (a, b, x, y))
             if source == 0:
-                apart = residual[y] - residual[a]
-                straight, crossed = apart - at_b + at_a, apart - at_y + at_x
+                separation = residual[y] - residual[a]
+                straight, crossed = separation - at_b + at_a, separation - at_y + at_x
             else:
-                apart = residual[x] - residual[a]
-                straight, crossed = apart - at_b + at_a, apart - at_x + at_y
-            says = 0.25 * (log_w(straight, v_a + v_b) - log_w(crossed, v_x + v_y))
-            for of, sign in ((a, 1.0), (b, 1.0), (x, -1.0), (y, -1.0)):
-                two_of_both[source, of] = sign * says
+                separation = residual[x] - residual[a]
+                straight, crossed = separation - at_b + at_a, separation - at_x + at_y
+            term = 0.25 * (log_w(straight, v_a + v_b) - log_w(crossed, v_x + v_y))
+            for e, sign in ((a, 1.0), (b, 1.0), (x, -1.0), (y, -1.0)):
+                two_to_two[source, e] = sign * term
         c = np.flatnonzero(count == 1)
-        r = known[start[c], 1]
+        r = competing[start[c], 1]
         both = np.array([pair(one[c], r), pair(two[c], r)])
         a, b = both[:, (both >= 0).all(axis=0)]
         if len(a):
             own, other = (v1, v2) if source == 0 else (v2, v1)
             sign = 1.0 if source == 0 else -1.0
-            apart = sign * (residual[b] - residual[a])
-            w_a, w_b = (own[mine[of]] / (own[mine[of]] + other[theirs[of]]) for of in (a, b))
-            with_a = log_w(apart + sign * residual[a] * w_a[:, None], w_a * other[theirs[a]] + own[mine[b]])
-            with_b = log_w(-apart + sign * residual[b] * w_b[:, None], w_b * other[theirs[b]] + own[mine[a]])
-            says = 0.5 * (with_a - with_b)
-            two_of_one[source, a], two_of_one[source, b] = says, -says
-    said = np.count_nonzero(two_of_both, axis=0)
-    both = two_of_both.sum(axis=0) / np.maximum(said, 1)
-    return np.asarray(np.where(said > 0, both, two_of_one.sum(axis=0)))
+            separation = sign * (residual[b] - residual[a])
+            w_a, w_b = (own[own_row[e]] / (own[own_row[e]] + other[other_row[e]]) for e in (a, b))
+            with_a = log_w(separation + sign * residual[a] * w_a[:, None], w_a * other[other_row[a]] + own[own_row[b]])
+            with_b = log_w(-separation + sign * residual[b] * w_b[:, None], w_b * other[other_row[b]] + own[own_row[a]])
+            term = 0.5 * (with_a - with_b)
+            two_to_one[source, a], two_to_one[source, b] = term, -term
+    n_terms = np.count_nonzero(two_to_two, axis=0)
+    mean = two_to_two.sum(axis=0) / np.maximum(n_terms, 1)
+    return np.asarray(np.where(n_terms > 0, mean, two_to_one.sum(axis=0)))
 
 
 @dataclass(frozen=True)
-class _Lookup:
-    """Where a pair of two records stands."""
+class _PairIndex:
+    """Index of a pair by its two records."""
 
     order: IntArray
     key: IntArray
     n2: int
 
     @classmethod
-    def of(cls, i: IntArray, j: IntArray, n2: int) -> _Lookup:
+    def of(cls, i: IntArray, j: IntArray, n2: int) -> _PairIndex:
         key = i * n2 + j
         order = np.argsort(key)
         return cls(order, key[order], n2)
 
     def __call__(self, i: IntArray, j: IntArray) -> IntArray:
-        """(k,) positions of pairs; −1 of those that are none."""
+        """(k,) indices of pairs; −1 if not a candidate."""
         place = places_in(self.key, i * self.n2 + j)
         return np.asarray(np.where(place >= 0, self.order[place], -1))

@@ -193,7 +193,7 @@ class ErrorScan:
         return ErrorAverage(self.errors, self.log_prior, ChiSquare().limit(d) * reach**2)
 
 
-def scanned(
+def scan_errors(
     coverage: Coverage, density: tuple[float, float] | None = None, tuning: GridTuning = DEFAULT_GRID
 ) -> ErrorScan | None:
     """What candidates say of the errors; None where they can say nothing.
@@ -462,7 +462,7 @@ class Average:
         seen: tuple[int, int],
         *,
         exact: bool = False,
-        beside: FloatArray | None = None,
+        companion_log_odds: FloatArray | None = None,
     ) -> tuple[Average, Averaged]:
         """The weights, and the probabilities of the pairs, when all other evidence of these is ``others`` (m,).
 
@@ -475,7 +475,7 @@ class Average:
         shift = _shift(expected, seen)
         for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.numbers, strict=True):
             here = _shift(number, seen)
-            solved = Solved.of(pairs, others + log_density + (here.odds - shift.odds), solver, beside)
+            solved = Solved.of(pairs, others + log_density + (here.odds - shift.odds), solver, companion_log_odds)
             p_pairs.append(solved.p_pair)
             log_weight.append(log_prior + solved.log_evidence + here.log_records)
             # A share of which nothing is known before lies between none and all.
@@ -521,7 +521,7 @@ class Solved:
         pairs: Pairs,
         log_same: FloatArray,
         solver: Solver,
-        beside: FloatArray | None = None,
+        companion_log_odds: FloatArray | None = None,
         least: float = IMPOSSIBLE,
     ) -> Solved:
         """By ln of the odds of the pairs (m,), before one-to-one, to be one object, and ``beside``, if any, to be
@@ -529,13 +529,13 @@ class Solved:
 
         No pair is more probable than these odds say: those below ``least`` are left out, and at zero.
         """
-        log_ratio = log_same if beside is None else np.logaddexp(log_same, beside)
+        log_ratio = log_same if companion_log_odds is None else np.logaddexp(log_same, companion_log_odds)
         kept = np.flatnonzero(log_ratio > least)
         places = pairs.place_1[kept], pairs.place_2[kept], pairs.i[kept], pairs.j[kept]
         grouped = laid_out(*places, len(pairs.first), len(pairs.second))
         best = assign(grouped, log_ratio[kept], PerPair()(grouped.sizes_1, grouped.sizes_2))
         p, p_pair = solver(grouped, best).p_pair, np.zeros(len(pairs))
-        p_pair[kept] = p if beside is None else p * np.exp(log_same[kept] - log_ratio[kept])
+        p_pair[kept] = p if companion_log_odds is None else p * np.exp(log_same[kept] - log_ratio[kept])
         return cls(p_pair, grouped, best, p)
 
     @property
@@ -580,13 +580,13 @@ class Averaged:
         return cls(p, np.maximum(log_ratio, -1e4))
 
 
-def identified(
+def identify_averaged(
     average: Average | None,
     pairs: Pairs,
     rule: Rule,
     expected: float,
     seen: tuple[int, int],
-    beside: FloatArray | None = None,
+    companion_log_odds: FloatArray | None = None,
 ) -> Identification:
     """The identification of these candidates, averaged; ``rule`` gives all evidence, of which the term of the positions
     is replaced, or that of companions where errors are known.
@@ -596,10 +596,10 @@ def identified(
     evidence = rule(pairs)
     if average is None:
         changed, rest, log_ratio = "companions", but(evidence, "companions"), evidence.log_ratio
-        averaged = Averaged.one(pairs, Solved.of(pairs, log_ratio, posterior, beside).p_pair, log_ratio)
+        averaged = Averaged.one(pairs, Solved.of(pairs, log_ratio, posterior, companion_log_odds).p_pair, log_ratio)
     else:
         changed, rest = "position", but_positions(evidence)
-        _, averaged = average.posterior(pairs, rest, expected, seen, exact=True, beside=beside)
+        _, averaged = average.posterior(pairs, rest, expected, seen, exact=True, companion_log_odds=companion_log_odds)
     terms = {**evidence.terms, changed: averaged.log_ratio - rest}
     grouped = groups(pairs)
     best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))

@@ -147,7 +147,7 @@ def _probable(p_pair: FloatArray, most: int) -> IntArray:
     return probable[:: max(1, -(-len(probable) // most))]
 
 
-def bettered(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
+def better_model(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
     """Errors of the model that these pairs (m,) show, and by how much it betters ln of their likelihood.
 
     errors : the model to be bettered. Either has the tail that suits it best.
@@ -507,7 +507,7 @@ class ScalesTuning:
     across: int = 43
     settled: float = 1e-2
     steps: int = 40
-    tail: float = 2.0
+    tail_scale: float = 2.0
     standing_out: float = 8.0
     spread: float = 1e-3
     shortest: float = 1e-3
@@ -525,7 +525,7 @@ class ErrorFit:
     """
 
     errors: Errors
-    tail: float
+    tail_gain: float
     log_likelihood: float
 
 
@@ -578,7 +578,7 @@ def _on_ladder(
     nearest = np.round(np.log(np.asarray(start.scales)) / math.log(tuning.rung) - steps[0])
     at = nearest.clip(0, len(scales) - 1).astype(np.int64)
     shares = np.asarray(np.bincount(at, start.shares, len(scales)), np.float64)
-    core, pseudo = int(np.searchsorted(scales, tuning.tail, side="right")), np.zeros(len(scales))
+    core, pseudo = int(np.searchsorted(scales, tuning.tail_scale, side="right")), np.zeros(len(scales))
     pseudo[np.argmin(np.abs(np.log(scales)))] = 2.0
     search = tuning.spread, tuning.steps, tuning.settled, tuning.shortest, tuning.ridge
     shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, tuning.standing_out, search)

@@ -120,7 +120,7 @@ class Grades:
     @classmethod
     def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
         """Nothing learned yet; None where records are too few, or the errors of either source all alike."""
-        number = min(int(math.sqrt(min(setting.numbers) / PER_TWO_GRADES)), MOST)
+        number = min(int(math.sqrt(min(setting.n_counted) / PER_TWO_GRADES)), MOST)
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         if number < 2 or all(volume.max() < ALIKE * volume.min() for volume in volumes):
             return None
@@ -131,7 +131,7 @@ class Grades:
         placed = _placed((one, two), volumes, setting, photometry)
         return cls((one, two), *placed, by_magnitude=photometry is not None)
 
-    def at(self, setting: Setting, photometry: Photometry | None) -> Grades:
+    def for_setting(self, setting: Setting, photometry: Photometry | None) -> Grades:
         """The same where other records take part, with the magnitudes of these."""
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
         grades, cells = _placed(self.scales, volumes, setting, photometry if self.by_magnitude else None)
@@ -211,7 +211,7 @@ def _placed(
     scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
 ) -> tuple[BothGrades, BothGrades]:
     """The grades of either source's records, with errors of these volumes, and their cells."""
-    most = min(setting.numbers) / CELL
+    most = min(setting.n_counted) / CELL
     one, two = (
         scale.grades(volume, magnitude)
         for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)

@@ -1,15 +1,14 @@
-"""What is not known in advance, estimated from the data: densities, shares in common, the spread of the errors.
+"""Crossmatch of two sources with everything unknown estimated from the data: densities, shares in common, errors.
 
-Identification and maximum likelihood take turns, with every pair weighted by its posterior (METHOD 6), until the
-expected number of common objects settles:
+EM iterations alternate between identification and maximum likelihood, with every pair weighted by its posterior
+probability (METHOD 6), until the expected number of common objects converges. Estimated are
 
 - the local densities of common objects and of records that only one source shows (``coverage.py``);
-- how residuals spread about the quoted errors: a mixture of normals over a ladder of error scales, whose shares have
-  one maximum of the likelihood, so that errors quoted too small and heavy tails come out of the same estimate;
-- what errors grow with: magnitude, or the distance from the field's centre (``error_trends.py``);
-- where magnitudes are given, how those of one source follow the other's, and how the shares in common depend on them
-  (``photometry.py``);
-- how wide the gate must be: it opens while its outermost part still holds true pairs.
+- the distribution of residuals relative to the quoted errors: a mixture of normals over a ladder of error scales. Its
+  likelihood in the shares has one maximum, and covers both underestimated errors and heavy tails;
+- growth of errors with magnitude or with the distance from the field's centre (``error_trends.py``);
+- relations between the magnitudes of both sources, and the shares in common by magnitude (``photometry.py``);
+- the width of the gate: it is widened while its outer part still contains true pairs.
 """
 
 from __future__ import annotations
@@ -25,13 +24,19 @@ from sameas._identify import identify
 from sameas.arrays import FloatArray
 from sameas.assignment import refuse_crowds
 from sameas.errors import InputError
-from sameas.estimate import em as going
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates
-from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorScan, GridTuning, LeftOpen, scanned
-from sameas.estimate.error_grid import identified as averaged
-from sameas.estimate.error_model import ErrorModel, Tail, bettered, error_model, over_quoted, spread, tail
+from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates, iterate
+from sameas.estimate.error_grid import (
+    DEFAULT_GRID,
+    Average,
+    ErrorScan,
+    GridTuning,
+    LeftOpen,
+    identify_averaged,
+    scan_errors,
+)
+from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, over_quoted, spread, tail
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
@@ -51,57 +56,54 @@ COLUMN_TERMS = ("columns", "prior odds", "relations")
 @in_short
 @dataclass(frozen=True)
 class MatchTuning:
-    """When the gate opens, and when what was estimated is believed.
+    """Limits for widening the gate and for accepting estimates.
 
     Attributes
     ----------
-    opening : the gate opens when this share of the expected true pairs lies beyond 0.7 of its radius (honest errors:
-        4e-5).
-    widest_sigmas : so far.
-    exceeded : so far the typical errors may exceed the modelled ones before the gate opens for it; it then still loses
-        only 2e-6.
-    crowded : the gate does not open for a tail when a record would have more candidates by chance than this, on
-        average,
-    most_crowded : nor for errors that are too small when it would have more than this.
-    suspected, suspected_crowded : a tail of the errors that betters ln of the likelihood by so much, but does not stand
-        out, is looked for farther out. Then, and where one stands out, a record may have this many candidates by
-        chance.
-    widening : the gate opens by this factor to see whether what looks like the beginning of a tail is one: where it is
-        ``suspected``, or this share of the pairs, ``suspected_share``, has errors 1.4 times the typical ones. Then
-        ``seed`` is tried as its scale, in typical ones, and its share, and it is one if it then betters ln of the
-        likelihood by ``borne_out`` (fields without a tail, but with clusters, ghosts or blends: 0.4 at most).
-    modelled : pairs from which the error model of the evidence is learned. bettering : ln of the likelihood by which
-        another model must be better, or be better than the quoted errors, or common objects stand out from chance.
-    significant : standard deviations by which close candidates must exceed what chance gives, for their errors to be
-        judged.
-    misled : a sample has misled where it lets expect another number of common objects, by more than this share beyond
-        chance.
-    growing : whether it is asked what errors grow with. growing_fits : so often, at most, and
-        growing_settled : while another fit of it betters ln of the likelihood by so much.
-    unrelated : from this share of pairs on whose magnitudes follow no relation, that is said.
-    em : of the EM iterations. trends : of errors that grow. grid : of the errors that are thought of before any are
-        believed.
+    min_outer_share : the gate is widened when this share of the expected true pairs lies beyond 0.7 of its radius
+        (4e-5 where errors are as quoted).
+    max_gate_sigmas : greatest radius of the gate.
+    max_scale_excess : the gate is widened when the typical errors exceed those it was made for by this factor; up to
+        there it loses only 2e-6 of the pairs.
+    max_chance_tail, max_chance_scale : the gate is not widened for a tail, or for underestimated errors, when a record
+        would have on average more chance candidates than this.
+    suspect_tail_gain, max_chance_suspected : a tail with this gain in ln likelihood that is not yet significant is
+        looked for in a wider gate. Then, and with a significant tail, a record may have this many chance candidates.
+    gate_step : the gate is widened by this factor to test for a tail that begins at its edge: after
+        ``suspect_tail_gain``, or where ``suspect_wide_share`` of the pairs has errors above 1.4 typical ones.
+    tail_seed : scale (in typical errors) and share of the tail that this test starts from.
+    min_tail_gain : gain in ln likelihood for the test to accept the tail (fields without a tail, but with clusters,
+        ghosts or blends: at most 0.4).
+    n_model_pairs : pairs from which the error model of the evidence is fitted.
+    min_gain : gain in ln likelihood for another error model, over the quoted errors, or of common objects over chance.
+    min_significance : excess of close candidates over chance, in standard deviations, from which errors are fitted.
+    max_sample_error : a sample is rejected when the number of common objects differs from its prediction by more than
+        this share and the statistical error.
+    fits_trends : whether growth of the errors is fitted, at most ``max_trend_fits`` times, while a further fit gains
+        ``min_trend_gain`` in ln likelihood.
+    max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
+    em : tuning of EM iterations. trends : of growing errors. grid : of the scan of error models before any iteration.
     """
 
-    opening: float = 6e-5
-    widest_sigmas: float = 400.0
-    exceeded: float = 1.25
-    crowded: float = 0.5
-    most_crowded: float = 8.0
-    suspected: float = 1.0
-    suspected_crowded: float = 2.0
-    widening: float = 1.5
-    suspected_share: float = 0.1
-    seed: tuple[float, float] = (3.375, 0.1)
-    borne_out: float = 4.0
-    modelled: int = 3_000
-    bettering: float = 8.0
-    significant: float = 4.0
-    misled: float = 0.02
-    growing: bool = True
-    growing_fits: int = 3
-    growing_settled: float = 2.0
-    unrelated: float = 0.5
+    min_outer_share: float = 6e-5
+    max_gate_sigmas: float = 400.0
+    max_scale_excess: float = 1.25
+    max_chance_tail: float = 0.5
+    max_chance_scale: float = 8.0
+    suspect_tail_gain: float = 1.0
+    max_chance_suspected: float = 2.0
+    gate_step: float = 1.5
+    suspect_wide_share: float = 0.1
+    tail_seed: tuple[float, float] = (3.375, 0.1)
+    min_tail_gain: float = 4.0
+    n_model_pairs: int = 3_000
+    min_gain: float = 8.0
+    min_significance: float = 4.0
+    max_sample_error: float = 0.02
+    fits_trends: bool = True
+    max_trend_fits: int = 3
+    min_trend_gain: float = 2.0
+    max_unrelated: float = 0.5
     em: EMTuning = DEFAULT_EM
     trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
@@ -113,25 +115,25 @@ DEFAULT_MATCH = MatchTuning()
 @in_short
 @dataclass(frozen=True)
 class Estimate:
-    """What was found, and how.
+    """The estimates of a crossmatch and the options they were made with.
 
     Attributes
     ----------
-    common, share_1, share_2 : expected number of common objects, and what share of the covered records they are.
-    errors : the errors of the evidence: the model S of the covariances, and the spread of the residuals about it.
+    common, share_1, share_2 : expected number of common objects, and their shares of the covered records.
+    errors : the errors of the evidence: model S of the covariances, and distribution of the residuals relative to S.
     gate_sigmas : radius of the gate, in quoted standard deviations of the typical pair.
-    coverage : where both look.
-    rounds, settled : rounds of identification, and whether they settled.
-    learned_from : records of either source that the rounds went over: all of them, or a sample that stands for them.
-    notes : what a user should know.
-    photometry : how the magnitudes of both sources are related, None where they were not given or told nothing.
-    precision : what the sizes of the quoted errors say, None where they were not asked or told nothing.
-    columns : what other columns say, None where none were given.
-    trends : what errors grow with beside what is quoted; they are in ``errors``.
-    answer : the identification. judged : whether the spread of the errors was learned from its pairs.
-    left_open : what few pairs leave open of the errors; probabilities are averages over it. None where they are many.
+    coverage : where both sources observe.
+    rounds, settled : number of EM iterations, and whether they converged.
+    learned_from : records of each source that were used: all, or those of a sample.
+    notes : remarks for the user.
+    photometry : relations of the magnitudes of both sources; None if not given or not informative.
+    precision : evidence of the sizes of the quoted errors; None if not used or not informative.
+    columns : evidence of other columns; None if not given.
+    trends : growth of the errors in addition to the quoted ones; included in ``errors``.
+    answer : the identification. judged : whether the distribution of the errors was estimated from its pairs.
+    left_open : ranges of the errors over which probabilities are averaged with few pairs; None with many.
 
-    What follows from these is computed when it is asked for.
+    The properties are computed when first used.
     """
 
     common: float
@@ -154,7 +156,7 @@ class Estimate:
 
     @cached_property
     def quantities(self) -> Mapping[str, Quantity]:
-        """All that is a number, by name, with its standard error; see ``sameas.estimate.quantity.quantities``."""
+        """All numbers by name, with standard errors; see ``sameas.estimate.quantity.quantities``."""
         return quantities(
             self.answer, self.coverage, self.photometry, errors=self.judged, learned_from=self.learned_from
         )
@@ -180,42 +182,42 @@ class Estimate:
 
     @cached_property
     def changed_by_brightness(self) -> int:
-        """How many records of source 1 positions alone would identify otherwise."""
+        """Number of records of source 1 that positions alone would identify differently."""
         return changed_without(self.answer, BRIGHTNESS_TERMS)
 
     @cached_property
     def changed_by_precision(self) -> int:
-        """How many records of source 1 would be identified otherwise without the sizes of the quoted errors."""
+        """Number of records of source 1 identified differently without the sizes of the quoted errors."""
         return changed_without(self.answer, PRECISION_TERMS)
 
     @cached_property
     def changed_by_columns(self) -> int:
-        """How many records of source 1 would be identified otherwise without the columns that were evidence."""
+        """Number of records of source 1 identified differently without the other columns."""
         return changed_without(self.answer, COLUMN_TERMS)
 
     @cached_property
     def tail(self) -> Tail | None:
-        """The share of the pairs whose errors are far larger than the typical ones; None where there is none."""
+        """Share of pairs with errors far larger than the typical ones; None without a tail."""
         return tail(self.answer, self.errors)
 
     @cached_property
     def error_model(self) -> ErrorModel | None:
-        """Which source's errors are too small, where that can be told; None where errors were not judged."""
+        """Factors and floor of each source's errors, as far as distinguishable; None if errors were not estimated."""
         return error_model(self.answer) if self.judged else None
 
     @cached_property
     def spread(self) -> Errors:
-        """How residuals spread about the quoted covariances alone, whatever the model of the errors."""
+        """Distribution of the residuals relative to the quoted covariances, whatever the error model."""
         return spread(self.answer.pairs, self.answer.p_pair) if self.errors.as_modelled else self.errors
 
     @property
     def typical_scale(self) -> float:
-        """The factor by which the quoted errors must be multiplied for the typical pair."""
-        return self.errors.typical_scale * self._modelled
+        """Factor on the quoted errors for the typical pair."""
+        return self.errors.typical_scale * self._model_factor
 
     @cached_property
-    def _modelled(self) -> float:
-        """The same of the error model without its mixture: the median over the probable pairs."""
+    def _model_factor(self) -> float:
+        """Median over the probable pairs of modelled over quoted errors, without the mixture."""
         return over_quoted(self.errors, self.answer.pairs, self.answer.p_pair)
 
 
@@ -234,20 +236,24 @@ def match(
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> tuple[Identification, Estimate]:
-    """Identify two sources of which nothing is known but their records, and say what was estimated.
+    """The identification of two sources, with everything unknown estimated, and the estimates.
 
     Parameters
     ----------
-    errors : the spread of the residuals; estimated if not given. ``Errors()`` believes the quoted errors.
-    gate : the gate; if not given, as wide as the errors turn out to need.
+    errors : distribution of the residuals; estimated if not given. ``Errors()`` assumes the quoted errors.
+    gate : the gate; widened as the estimated errors need if not given.
     density : (ρ₁, ρ₂) of all records of each source per (residual unit)^d, instead of local ones from the data.
-    brightness : magnitudes of every row of both tables, which are then evidence too; None leaves it to the positions.
-    precision : whether the sizes of the quoted errors are evidence too: of faint objects they are larger.
-    evidence : columns of either source that are evidence too, alone or as related to one of the other.
-    rounds : at most so many rounds of identification.
-    sampling : how a part of large sources is drawn, from which is estimated.
-    tuning : when what is believed, such as with how few pairs probabilities are averaged.
-    progress : called with the name of what is being done.
+    brightness : magnitudes of every row of both tables, as evidence; None uses positions only.
+    precision : whether the sizes of the quoted errors are evidence: faint objects have larger ones.
+    evidence : columns used as evidence, of one source or related columns of both.
+    rounds : greatest number of EM iterations.
+    sampling : size of the sample of large sources from which estimates are made.
+    tuning : limits, such as the number of pairs below which probabilities are averaged over errors.
+    progress : called with the name of each step.
+
+    Raises
+    ------
+    InputError : a source has no records.
     """
     for records in (first, second):
         if not len(records):
@@ -256,26 +262,26 @@ def match(
     seen, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
     columns = ColumnEvidence.of(first, second, evidence)
     search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
-    scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
-    if scan is not None and scan.contrast > tuning.bettering and scan.common < tuning.grid.many:
-        return search.averaged(scan, rounds)
-    search, found, remarks = _converged(search, scan, errors, rounds)
-    answer, found = search.identified(found, rounds)
-    return answer, replace(_estimate_of(answer, search.coverage, found, remarks), trends=search.trends)
+    scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
+    if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.many:
+        return search.match_averaged(scan, rounds)
+    search, result, remarks = _fit(search, scan, errors, rounds)
+    answer, result = search.identify_all(result, rounds)
+    return answer, replace(_to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
 
 
 @in_short
 @dataclass(frozen=True)
 class SampleMatch:
-    """What a sample of two sources says of all of them: made by :func:`match_sample`.
+    """Estimates from a sample of two sources, for use on all records. Made by :func:`match_sample`.
 
-    estimate : as of :func:`match`, of the sample. known : where its rounds ended. start : the errors by which the gate
-    measures, gate_sigmas : its radius in these.
+    estimate : as of :func:`match`, of the sample. estimates : after the last EM iteration. gate_errors, gate_sigmas :
+    errors of the gate's distances, and its radius in these.
     """
 
     estimate: Estimate
-    known: Estimates = field(repr=False)
-    start: Errors
+    estimates: Estimates = field(repr=False)
+    gate_errors: Errors
     gate_sigmas: float
 
 
@@ -292,102 +298,110 @@ def match_sample(
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> SampleMatch:
-    """What is not known of two sources, estimated from a sample that somebody else has drawn.
+    """The estimates from a sample drawn by the caller.
 
-    coverage : of the sample, with which of its records count. The others are those of :func:`match`; the likeliest
-    errors are taken, however few the pairs are. columns : of its records, that are evidence too.
+    coverage : of the sample, with its counted records. columns : of its records, as evidence. Other arguments as of
+    :func:`match`. The likeliest errors are taken, however few the pairs are.
     """
     seen = _photometry(coverage.first, coverage.second, brightness)
-    every = Sampling(enough=2**62)
-    # What errors grow with would hold for the records of the sample alone; companions are asked of all records.
-    tuning = replace(tuning, growing=False, em=replace(tuning.em, companions=None))
-    search = _GateSearch(coverage, seen, precision, density, gate, every, progress, tuning=tuning, columns=columns)
-    scan = scanned(coverage, density, tuning.grid) if errors is None and gate is None else None
-    search, found, remarks = _converged(search, scan, errors, rounds)
-    answer, found = search.identified(found, rounds)
-    estimate = _estimate_of(answer, coverage, found, remarks)
-    (one, two), common = found.known.setting.numbers, found.known.common
+    all_records = Sampling(enough=2**62)
+    # Trends would apply to the records of the sample only; companions need all records.
+    tuning = replace(tuning, fits_trends=False, em=replace(tuning.em, companions=None))
+    search = _GateSearch(
+        coverage, seen, precision, density, gate, all_records, progress, tuning=tuning, columns=columns
+    )
+    scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
+    search, result, remarks = _fit(search, scan, errors, rounds)
+    answer, result = search.identify_all(result, rounds)
+    estimate = _to_estimate(answer, coverage, result, remarks)
+    (one, two), common = result.estimates.setting.n_counted, result.estimates.n_common
     share_1, share_2 = (min(1.0, common / max(n, 1)) for n in (one, two))
     estimate = replace(estimate, common=common, share_1=share_1, share_2=share_2)
-    return SampleMatch(estimate, found.known, search.start, found.gate_sigmas)
+    return SampleMatch(estimate, result.estimates, search.gate_errors, result.gate_sigmas)
 
 
-def _converged(
-    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, rounds: int
-) -> tuple[_GateSearch, _Converged, list[str]]:
-    """Where the rounds end, with the errors that the records show, and what is to be said of it."""
+def _fit(
+    search: _GateSearch, scan: ErrorScan | None, errors: Errors | None, max_iterations: int
+) -> tuple[_GateSearch, _GateResult, list[str]]:
+    """The search with the fitted error model, its result, and remarks for the user."""
     tuning = search.tuning
-    if scan is not None and scan.contrast > tuning.bettering and scan.gain > tuning.bettering:
-        search = replace(search, start=scan.likeliest)
-    found, remarks = search.settled(errors, rounds), []
-    while errors is None and found.rounds < rounds:
-        model, gain = found.bettered()
-        if gain < tuning.bettering:
+    if scan is not None and scan.contrast > tuning.min_gain and scan.gain > tuning.min_gain:
+        search = replace(search, gate_errors=scan.likeliest)
+    result, remarks = search.run(errors, max_iterations), []
+    while errors is None and result.iterations < max_iterations:
+        model, gain = result.better_model()
+        if gain < tuning.min_gain:
             break
-        search = replace(search, start=model)
-        again = search.settled(None, max(rounds - found.rounds, 5))
-        found = replace(again, rounds=found.rounds + again.rounds)
+        search = replace(search, gate_errors=model)
+        result = _rerun(search, result, None, max_iterations)
     if errors is None:
-        search, found = _with_tail(search, found, rounds)
-    if tuning.growing and errors is None and found.settled:
-        search, found = _with_trends(search, found, rounds)
-    if found.has_learned and not _stands_out(search.start.pairs(found.whole.pairs), found.gate_sigmas, tuning):
+        search, result = _fit_tail(search, result, max_iterations)
+    if tuning.fits_trends and errors is None and result.converged:
+        search, result = _fit_trends(search, result, max_iterations)
+    if result.has_learned and not _has_excess(search.gate_errors.pairs(result.whole.pairs), result.gate_sigmas, tuning):
         more = search.photometry is not None or search.columns is not None
-        believed = "positions and quoted errors alone" if more else "the quoted errors"
+        assumed = "positions and quoted errors alone" if more else "the quoted errors"
         given = search.columns and search.columns.given_only
         search = replace(
-            search, photometry=None, precision=False, columns=given, trends=(), tailed=None, least_sigmas=0.0
+            search, photometry=None, precision=False, columns=given, trends=(), seed_errors=None, min_sigmas=0.0
         )
-        again = search.settled(errors or Errors(), max(rounds - found.rounds, 5))
-        found = replace(again, rounds=found.rounds + again.rounds)
-        remarks.append(f"close candidates do not exceed what chance gives; {believed} are used")
-    return search, found, remarks
+        result = _rerun(search, result, errors or Errors(), max_iterations)
+        remarks.append(f"close candidates do not exceed what chance gives; {assumed} are used")
+    return search, result, remarks
 
 
-def _with_tail(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
-    """Where the rounds end with a gate that shows the tail of the errors, if there is one.
+def _rerun(search: _GateSearch, result: _GateResult, errors: Errors | None, max_iterations: int) -> _GateResult:
+    """The result of a changed search with the remaining iterations, at least 5; all iterations are counted."""
+    again = search.run(errors, max(max_iterations - result.iterations, 5))
+    return replace(again, iterations=result.iterations + again.iterations)
 
-    Within the gate of honest errors, displaced pairs are hard to tell from the many that chance makes, and what they
-    would add to the number of common objects is missing; farther out, only a tail has more pairs than chance.
+
+def _fit_tail(search: _GateSearch, result: _GateResult, max_iterations: int) -> tuple[_GateSearch, _GateResult]:
+    """The search and result with a gate wide enough for the tail of the errors, if there is one.
+
+    Within a gate for quoted errors, pairs of the tail are hidden among chance candidates, and their number is missing
+    from the number of common objects; farther out, only a tail gives more pairs than chance.
     """
     tuning, scales = search.tuning, search.tuning.em.scales
-    # It is judged when the rounds have ended, not in each of them: what it adds grows with the common objects.
-    patient = replace(tuning, em=replace(tuning.em, scales=replace(scales, standing_out=tuning.suspected)))
-    while search.gate is None and found.suspects_tail() and found.rounds < rounds:
-        least_sigmas, tailed = tuning.widening * found.gate_sigmas, _tailed(found.known.errors, tuning)
-        wider = replace(search, least_sigmas=least_sigmas, tailed=tailed, tuning=patient)
-        again = wider.settled(None, max(rounds - found.rounds, 5))
-        if again.known.tail < tuning.borne_out:
+    # Accepted after the last iteration, not in each: the gain of a tail grows with the number of common objects.
+    late = replace(tuning, em=replace(tuning.em, scales=replace(scales, standing_out=tuning.suspect_tail_gain)))
+    while search.gate is None and result.suspects_tail() and result.iterations < max_iterations:
+        min_sigmas = tuning.gate_step * result.gate_sigmas
+        seed_errors = _with_tail_seed(result.estimates.errors, tuning)
+        wider = replace(search, min_sigmas=min_sigmas, seed_errors=seed_errors, tuning=late)
+        wider_result = _rerun(wider, result, None, max_iterations)
+        if wider_result.estimates.tail_gain < tuning.min_tail_gain:
             break
-        search, found = wider, replace(again, rounds=found.rounds + again.rounds)
-    return search, found
+        search, result = wider, wider_result
+    return search, result
 
 
-def _tailed(errors: Errors, tuning: MatchTuning) -> Errors:
-    """The same errors with the beginning of a tail, unless they have one."""
-    scale, share = tuning.seed
+def _with_tail_seed(errors: Errors, tuning: MatchTuning) -> Errors:
+    """The errors with a tail added, unless they have one."""
+    scale, share = tuning.tail_seed
     wide = scale * errors.typical_scale
     if max(errors.scales) >= wide:
         return errors
     return replace(errors, scales=(*errors.scales, wide), shares=(*((1.0 - share) * x for x in errors.shares), share))
 
 
-def _with_trends(search: _GateSearch, found: _Converged, rounds: int) -> tuple[_GateSearch, _Converged]:
-    """Where the rounds end with errors that grow with magnitude or place, if the pairs show that they do."""
-    known = covariates(search.coverage, search.photometry, search.tuning.trends)
-    for _ in range(search.tuning.growing_fits):
-        if found.rounds >= rounds or not found.known.learns_errors or found.known.common < search.tuning.em.fewest:
+def _fit_trends(search: _GateSearch, result: _GateResult, max_iterations: int) -> tuple[_GateSearch, _GateResult]:
+    """The search and result with errors that grow with magnitude or position, if the pairs show such growth."""
+    tuning, quantities = search.tuning, covariates(search.coverage, search.photometry, search.tuning.trends)
+    for _ in range(tuning.max_trend_fits):
+        estimates = result.estimates
+        few = estimates.n_common < tuning.em.min_pairs
+        if result.iterations >= max_iterations or not estimates.fits_errors or few:
             break
         model, trends, gain = with_trends(
-            found.known.errors, found.known.setting.pairs, found.p_counted, known, search.tuning.modelled,
-            search.trends, search.tuning.trends,
+            estimates.errors, estimates.setting.pairs, result.p_counted, quantities, tuning.n_model_pairs,
+            search.trends, tuning.trends,
         )  # fmt: skip
-        if gain < (search.tuning.growing_settled if search.trends else search.tuning.bettering):
+        if gain < (tuning.min_trend_gain if search.trends else tuning.min_gain):
             break
-        search = replace(search, start=model, trends=trends)
-        again = search.settled(None, max(rounds - found.rounds, 5))
-        found = replace(again, rounds=found.rounds + again.rounds)
-    return search, found
+        search = replace(search, gate_errors=model, trends=trends)
+        result = _rerun(search, result, None, max_iterations)
+    return search, result
 
 
 def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, Magnitudes] | None) -> Photometry | None:
@@ -399,93 +413,97 @@ def _photometry(first: Records, second: Records, brightness: tuple[Magnitudes, M
 
 @in_short
 @dataclass(frozen=True)
-class _Converged:
-    """Where the rounds ended, for one gate.
+class _GateResult:
+    """The state after the EM iterations with one gate.
 
-    whole : all candidates. known : what is known, of all or of a sample. p_counted : (m,) probabilities of its pairs.
+    whole : all candidates. estimates : of all or of a sample. p_counted : (m,) probabilities of their pairs.
     """
 
     whole: Setting
-    known: Estimates
+    estimates: Estimates
     p_counted: FloatArray
     gate_sigmas: float
-    rounds: int
-    settled: bool
+    iterations: int
+    converged: bool
     learned_from: tuple[int, int]
     tuning: MatchTuning
 
     @property
     def sampled(self) -> bool:
-        """Whether a sample stood for all."""
-        return self.known.setting is not self.whole
+        """Whether the estimates are those of a sample."""
+        return self.estimates.setting is not self.whole
 
     @property
     def has_learned(self) -> bool:
-        """Whether errors, their sizes or magnitudes have been learned from the pairs."""
-        graded = self.known.grades is not None and self.known.grades.rule is not None
-        learned = self.known.errors.scales != (1.0,) or self.known.errors.as_modelled
-        return (self.known.learns_errors and learned) or self.known.times_learned > 0 or graded
+        """Whether errors, their sizes, magnitudes or columns were estimated from the pairs."""
+        graded = self.estimates.grades is not None and self.estimates.grades.rule is not None
+        learned = self.estimates.errors.scales != (1.0,) or self.estimates.errors.as_modelled
+        return (self.estimates.fits_errors and learned) or self.estimates.n_evidence_fits > 0 or graded
 
-    def bettered(self) -> tuple[Errors, float]:
-        """The error model that the pairs show, and by how much it betters ln of their likelihood."""
-        known = self.known
-        if not known.learns_errors or known.common < self.tuning.em.fewest:
-            return known.errors, 0.0
-        return bettered(known.errors, known.setting.pairs, self.p_counted, self.tuning.modelled)
+    def better_model(self) -> tuple[Errors, float]:
+        """The error model that the pairs support, and its gain in ln likelihood."""
+        estimates = self.estimates
+        if not estimates.fits_errors or estimates.n_common < self.tuning.em.min_pairs:
+            return estimates.errors, 0.0
+        return better_model(estimates.errors, estimates.setting.pairs, self.p_counted, self.tuning.n_model_pairs)
 
-    def must_open(self) -> bool:
-        """Whether the outermost part of the gate still holds true pairs, and opening it is affordable."""
+    def must_widen(self) -> bool:
+        """Whether the outer part of the gate still contains true pairs, and a wider gate is affordable."""
         limit, tuning, standing_out = self.gate_sigmas, self.tuning, self.tuning.em.scales.standing_out
-        if limit >= tuning.widest_sigmas or not self.known.learns_errors:
+        if limit >= tuning.max_gate_sigmas or not self.estimates.fits_errors:
             return False
-        if _is_narrow(self.known, self.p_counted, limit, tuning):
+        if _is_narrow(self.estimates, self.p_counted, limit, tuning):
             return True
-        chance = _chance(self.known, self.p_counted, 2.0)
-        if tuning.suspected < self.known.tail < standing_out and chance < tuning.suspected_crowded:
-            return True  # what lies farther out decides whether it is one
-        if chance > (tuning.suspected_crowded if self.known.tail >= standing_out else tuning.crowded):
+        chance = _chance_candidates(self.estimates, self.p_counted, 2.0)
+        if tuning.suspect_tail_gain < self.estimates.tail_gain < standing_out and chance < tuning.max_chance_suspected:
+            return True  # pairs farther out decide whether the tail is real
+        significant = self.estimates.tail_gain >= standing_out
+        if chance > (tuning.max_chance_suspected if significant else tuning.max_chance_tail):
             return False
-        return self._reaches_farther()
+        return self._extends_to_edge()
 
     def suspects_tail(self) -> bool:
-        """Whether errors look as if they had a tail beyond the gate, and opening this a little is affordable."""
-        known, tuning = self.known, self.tuning
-        wider = tuning.widening * self.gate_sigmas
-        if not known.learns_errors or known.common < tuning.em.fewest or wider > tuning.widest_sigmas:
+        """Whether errors may have a tail beyond the gate, and a slightly wider gate is affordable."""
+        estimates, tuning = self.estimates, self.tuning
+        wider = tuning.gate_step * self.gate_sigmas
+        if not estimates.fits_errors or estimates.n_common < tuning.em.min_pairs or wider > tuning.max_gate_sigmas:
             return False
-        if _chance(known, self.p_counted, tuning.widening) > tuning.most_crowded:
+        if _chance_candidates(estimates, self.p_counted, tuning.gate_step) > tuning.max_chance_scale:
             return False
-        if known.tail >= tuning.em.scales.standing_out:
-            return self._reaches_farther()
-        typical = 1.4 * known.errors.typical_scale
-        wide = sum(x for scale, x in zip(known.errors.scales, known.errors.shares, strict=True) if scale > typical)
-        return known.tail > tuning.suspected or wide > tuning.suspected_share
+        if estimates.tail_gain >= tuning.em.scales.standing_out:
+            return self._extends_to_edge()
+        errors = estimates.errors
+        typical = 1.4 * errors.typical_scale
+        wide = sum(x for scale, x in zip(errors.scales, errors.shares, strict=True) if scale > typical)
+        return estimates.tail_gain > tuning.suspect_tail_gain or wide > tuning.suspect_wide_share
 
-    def _reaches_farther(self) -> bool:
+    def _extends_to_edge(self) -> bool:
         """Whether true pairs lie in the outer part of the gate."""
-        square = self.known.errors.pairs(self.known.setting.pairs).mahalanobis_sq
+        square = self.estimates.errors.pairs(self.estimates.setting.pairs).mahalanobis_sq
         beyond = float(self.p_counted[square > (0.7 * self.gate_sigmas) ** 2].sum())
-        return beyond > 1.0 + self.tuning.opening * float(self.p_counted.sum())
+        return beyond > 1.0 + self.tuning.min_outer_share * float(self.p_counted.sum())
 
 
-def _chance(known: Estimates, p_counted: FloatArray, wider: float) -> float:
-    """Candidates of a record that are there by chance, if the gate were so many times as wide."""
-    return known.setting.by_chance(p_counted) * wider**known.setting.pairs.d
+def _chance_candidates(estimates: Estimates, p_counted: FloatArray, wider: float) -> float:
+    """Mean number of chance candidates of a record in a gate ``wider`` times as wide."""
+    return estimates.setting.by_chance(p_counted) * wider**estimates.setting.pairs.d
 
 
-def _is_narrow(known: Estimates, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
-    """Whether a gate of so many sigmas is too narrow for the typical errors, and opening it is affordable."""
-    if limit >= tuning.widest_sigmas or not known.learns_errors:
+def _is_narrow(estimates: Estimates, p_counted: FloatArray, limit: float, tuning: MatchTuning) -> bool:
+    """Whether a gate of ``limit`` sigmas is too narrow for the typical errors, and a wider gate is affordable."""
+    if limit >= tuning.max_gate_sigmas or not estimates.fits_errors:
         return False
-    needed = _radius(None, known.setting.pairs.d) * known.errors.typical_scale
-    return tuning.exceeded * limit < needed and _chance(known, p_counted, 2.0) < tuning.most_crowded
+    needed = _radius(None, estimates.setting.pairs.d) * estimates.errors.typical_scale
+    chance = _chance_candidates(estimates, p_counted, 2.0)
+    return tuning.max_scale_excess * limit < needed and chance < tuning.max_chance_scale
 
 
 @dataclass(frozen=True)
 class _GateSearch:
-    """Rounds with one gate after another, each twice as wide as the one before, until it is wide enough.
+    """EM iterations with a gate that is doubled until it is wide enough.
 
-    tailed, least_sigmas : the errors, and the radius of the gate, that the rounds begin with where a tail was seen.
+    gate_errors : errors of the gate's distances and of the residuals' model. seed_errors, min_sigmas : errors and gate
+    radius of the first iteration, where a tail is tested.
     """
 
     coverage: Coverage
@@ -495,145 +513,155 @@ class _GateSearch:
     gate: ChiSquare | Radius | None
     sampling: Sampling
     progress: Callable[[str], None]
-    start: Errors = AS_QUOTED
+    gate_errors: Errors = AS_QUOTED
     tuning: MatchTuning = DEFAULT_MATCH
     columns: ColumnEvidence | None = None
     trends: tuple[Trend, ...] = ()
-    tailed: Errors | None = None
-    least_sigmas: float = 0.0
+    seed_errors: Errors | None = None
+    min_sigmas: float = 0.0
 
-    def settled(self, errors: Errors | None, most: int) -> _Converged:
-        """The end of at most so many rounds; ``errors`` are estimated if not given."""
+    def run(self, errors: Errors | None, max_iterations: int) -> _GateResult:
+        """The result after at most ``max_iterations``; ``errors`` are estimated if not given."""
         first, second = self.coverage.first, self.coverage.second
-        limit, total, known, whole = max(_radius(self.gate, first.d), self.least_sigmas), 0, None, None
+        limit, iterations = max(_radius(self.gate, first.d), self.min_sigmas), 0
+        estimates, whole = None, None
         while True:
             self.progress("gate")
-            pairs = (self.gate or Radius(limit))(*self.start.records(first, second))
+            pairs = (self.gate or Radius(limit))(*self.gate_errors.records(first, second))
             refuse_crowds(pairs)
             near = pairs
-            if self.start.as_modelled:
+            if self.gate_errors.as_modelled:
                 pairs = pairs.of(first, second)
             whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
             part = whole.sample(self.sampling)
             seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
             columns = self.columns if part is whole or self.columns is None else self.columns.part(*part.rows)
-            if known is None:
-                # More close candidates than chance gives are common objects.
-                inner, by_chance = _halves(near, limit)
+            if estimates is None:
+                # Close candidates in excess of chance are common objects.
+                inner, by_chance = _inner_counts(near, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
-                known = Estimates.nothing(
+                estimates = Estimates.initial(
                     part, errors, seen, self.density, excess, self.precision, self.tuning.em, columns
                 )
-                known = replace(known, errors=errors or self.start.with_mixture(self.tailed or self.start))
+                initial_errors = errors or self.gate_errors.with_mixture(self.seed_errors or self.gate_errors)
+                estimates = replace(estimates, errors=initial_errors)
             else:
-                known = known.at(part, seen, columns)
-            found = self._in_gate(known, whole, limit, most - total)
-            found = replace(found, rounds=total + found.rounds)
-            known, p_counted, total = found.known, found.p_counted, found.rounds
-            if self.gate is not None or total >= most or not found.must_open():
-                return replace(found, known=known.with_evidence(p_counted, last=True))
-            known = known.with_evidence(p_counted)
-            limit = min(2.0 * limit, self.tuning.widest_sigmas)
+                estimates = estimates.for_setting(part, seen, columns)
+            result = self._run_gate(estimates, whole, limit, max_iterations - iterations)
+            result = replace(result, iterations=iterations + result.iterations)
+            estimates, p_counted, iterations = result.estimates, result.p_counted, result.iterations
+            if self.gate is not None or iterations >= max_iterations or not result.must_widen():
+                return replace(result, estimates=estimates.with_evidence(p_counted, last=True))
+            estimates = estimates.with_evidence(p_counted)
+            limit = min(2.0 * limit, self.tuning.max_gate_sigmas)
 
-    def _in_gate(self, known: Estimates, whole: Setting, limit: float, most: int) -> _Converged:
-        """The end of at most so many rounds with one gate; of the first where it shows that the gate is too narrow."""
+    def _run_gate(self, estimates: Estimates, whole: Setting, limit: float, max_iterations: int) -> _GateResult:
+        """The result with one gate; after one iteration if that shows the gate to be too narrow."""
 
-        def narrow(known: Estimates, p_counted: FloatArray) -> bool:
-            return self.gate is None and _is_narrow(known, p_counted, limit, self.tuning)
+        def narrow(estimates: Estimates, p_counted: FloatArray) -> bool:
+            return self.gate is None and _is_narrow(estimates, p_counted, limit, self.tuning)
 
-        known, p_counted, number, settled = going.settled(known, most, self.progress, narrow)
-        return _Converged(whole, known, p_counted, limit, number, settled, known.setting.numbers, self.tuning)
+        estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress, narrow)
+        return _GateResult(whole, estimates, p_counted, limit, n, converged, estimates.setting.n_counted, self.tuning)
 
-    def averaged(self, scan: ErrorScan, most: int) -> tuple[Identification, Estimate]:
-        """All records identified, averaged over the errors that few pairs leave open."""
+    def match_averaged(self, scan: ErrorScan, max_iterations: int) -> tuple[Identification, Estimate]:
+        """All records identified, averaged over the errors that few pairs do not rule out."""
         first, second = self.coverage.first, self.coverage.second
         self.progress("gate")
-        left = scan.average(first.d)
-        pairs = left.candidates(first, second)
+        error_average = scan.average(first.d)
+        pairs = error_average.candidates(first, second)
         refuse_crowds(pairs)
         whole = Setting.whole(pairs, self.coverage)
         share = scan.common / min(len(first), len(second))
-        known = Estimates.nothing(
+        estimates = Estimates.initial(
             whole, AS_QUOTED, self.photometry, self.density, share, self.precision, self.tuning.em, self.columns
         )
-        known = replace(known, average=Average.of(left, pairs, scan.weight, scan.common))
-        known, p_counted, number, settled = going.settled(known, most, self.progress)
-        known = known.with_evidence(p_counted, last=True)
+        estimates = replace(estimates, average=Average.of(error_average, pairs, scan.weight, scan.common))
+        estimates, p_counted, n, converged = iterate(estimates, max_iterations, self.progress)
+        estimates = estimates.with_evidence(p_counted, last=True)
         self.progress("identification")
-        assert known.average is not None
-        answer = averaged(known.average, pairs, known.rule(), *known.numbers(), known.log_beside())
-        typical = known.average.typical
-        limit = math.sqrt(left.limit)
-        known = replace(known, errors=typical, learns_errors=True)
-        found = _Converged(whole, known, p_counted, limit, number, settled, whole.numbers, self.tuning)
-        estimate = _estimate_of(answer, self.coverage, found, [])
-        assert known.average is not None
-        return answer, replace(estimate, left_open=left.left_open(known.average.weight))
-
-    def identified(self, found: _Converged, most: int) -> tuple[Identification, _Converged]:
-        """All records identified with what is known; with rounds over all of them, where a sample misled."""
-        known = found.known.at(found.whole, self.photometry, self.columns) if found.sampled else found.known
-        answer = self._identified(known)
-        if not found.sampled or _as_expected(
-            float(answer.p_pair.sum()), known.expected(), float(found.p_counted.sum()), self.tuning
-        ):
-            return answer, replace(found, known=known)
-        known = known.learned(answer.p_pair, answer.evidence.log_ratio)
-        known, p_counted, done, settled = going.settled(known, max(most - found.rounds, 5), self.progress)
-        total, known = found.rounds + done, known.with_evidence(p_counted, last=True)
-        found = _Converged(
-            found.whole, known, p_counted, found.gate_sigmas, total, settled, found.whole.numbers, self.tuning
+        average = estimates.average
+        assert average is not None
+        answer = identify_averaged(
+            average, pairs, estimates.rule(), *estimates.expected_counts(), estimates.companion_log_odds()
         )
-        return self._identified(known), found
+        estimates = replace(estimates, errors=average.typical, fits_errors=True)
+        limit = math.sqrt(error_average.limit)
+        result = _GateResult(whole, estimates, p_counted, limit, n, converged, whole.n_counted, self.tuning)
+        estimate = _to_estimate(answer, self.coverage, result, [])
+        return answer, replace(estimate, left_open=error_average.left_open(average.weight))
 
-    def _identified(self, known: Estimates) -> Identification:
+    def identify_all(self, result: _GateResult, max_iterations: int) -> tuple[Identification, _GateResult]:
+        """All records identified; after further iterations over all of them if a sample was not representative."""
+        estimates = result.estimates
+        if result.sampled:
+            estimates = estimates.for_setting(result.whole, self.photometry, self.columns)
+        answer = self._identify(estimates)
+        if not result.sampled or _agrees_with_sample(
+            float(answer.p_pair.sum()), estimates.expected_common(), float(result.p_counted.sum()), self.tuning
+        ):
+            return answer, replace(result, estimates=estimates)
+        estimates = estimates.maximization(answer.p_pair, answer.evidence.log_ratio)
+        remaining = max(max_iterations - result.iterations, 5)
+        estimates, p_counted, n, converged = iterate(estimates, remaining, self.progress)
+        iterations, estimates = result.iterations + n, estimates.with_evidence(p_counted, last=True)
+        whole = result.whole
+        result = _GateResult(
+            whole, estimates, p_counted, result.gate_sigmas, iterations, converged, whole.n_counted, self.tuning
+        )
+        return self._identify(estimates), result
+
+    def _identify(self, estimates: Estimates) -> Identification:
         self.progress("identification")
-        pairs, beside = known.setting.pairs, known.log_beside()
-        if beside is not None:
-            return averaged(None, pairs, known.rule(), *known.numbers(), beside)
-        return identify(pairs.first, pairs.second, rule=known.rule(), gate=lambda first, second: pairs)
+        pairs, companion_log_odds = estimates.setting.pairs, estimates.companion_log_odds()
+        if companion_log_odds is not None:
+            return identify_averaged(None, pairs, estimates.rule(), *estimates.expected_counts(), companion_log_odds)
+        return identify(pairs.first, pairs.second, rule=estimates.rule(), gate=lambda first, second: pairs)
 
 
-def _as_expected(common: float, expected: float, sampled: float, tuning: MatchTuning) -> bool:
-    """Whether as many are common as a sample with so many common objects lets expect."""
-    return abs(common - expected) <= (tuning.misled + tuning.significant / math.sqrt(max(sampled, 1.0))) * expected
+def _agrees_with_sample(common: float, expected: float, sampled: float, tuning: MatchTuning) -> bool:
+    """Whether the number of common objects is the one expected from a sample with ``sampled`` common objects."""
+    error = tuning.max_sample_error + tuning.min_significance / math.sqrt(max(sampled, 1.0))
+    return abs(common - expected) <= error * expected
 
 
-def _estimate_of(answer: Identification, coverage: Coverage, found: _Converged, remarks: list[str]) -> Estimate:
-    """What was found, as it stands in the last identification."""
-    known, common = found.known, float(answer.p_pair.sum())
+def _to_estimate(answer: Identification, coverage: Coverage, result: _GateResult, remarks: list[str]) -> Estimate:
+    """The estimates as of the last identification."""
+    estimates, common = result.estimates, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
-    photometry = known.photometry if known.photometry is not None and known.photometry.tells else None
-    precision = None if known.grades is None else known.grades.rule
+    photometry = estimates.photometry if estimates.photometry is not None and estimates.photometry.tells else None
+    precision = None if estimates.grades is None else estimates.grades.rule
     estimate = Estimate(
-        common, min(1.0, common / seen_1), min(1.0, common / seen_2), known.errors, found.gate_sigmas, coverage,
-        found.rounds, found.settled, found.learned_from, tuple(remarks) + _notes(found, common), photometry, precision,
-        answer,
-        known.learns_errors and common >= found.tuning.em.fewest, columns=known.columns,
+        common, min(1.0, common / seen_1), min(1.0, common / seen_2), estimates.errors, result.gate_sigmas, coverage,
+        result.iterations, result.converged, result.learned_from, tuple(remarks) + _notes(result, common), photometry,
+        precision, answer,
+        estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns,
     )  # fmt: skip
-    if not known.errors.as_modelled:
+    if not estimates.errors.as_modelled:
         return estimate
-    return replace(estimate, gate_sigmas=found.gate_sigmas * estimate.typical_scale / known.errors.typical_scale)
+    return replace(estimate, gate_sigmas=result.gate_sigmas * estimate.typical_scale / estimates.errors.typical_scale)
 
 
-def _notes(found: _Converged, common: float) -> tuple[str, ...]:
-    """What a user should know."""
-    notes, known = [], found.known
-    if not found.settled:
+def _notes(result: _GateResult, common: float) -> tuple[str, ...]:
+    """Remarks for the user."""
+    notes, estimates = [], result.estimates
+    if not result.converged:
         notes.append("the estimates had not converged at the last iteration")
     if common < 0.5:
         notes.append("no common object is expected: the sources seem to have no object in common")
-    if known.learns_errors and common < found.tuning.em.fewest:
-        believed = (
-            "probabilities are averaged over what they leave open" if known.average else "the quoted errors are used"
+    if estimates.fits_errors and common < result.tuning.em.min_pairs:
+        consequence = (
+            "probabilities are averaged over what they leave open"
+            if estimates.average
+            else "the quoted errors are used"
         )
-        notes.append(f"too few pairs ({common:.1f}) to judge the errors; {believed}")
-    if known.photometry is not None and known.photometry.chains is None:
+        notes.append(f"too few pairs ({common:.1f}) to judge the errors; {consequence}")
+    if estimates.photometry is not None and estimates.photometry.chains is None:
         few = f"too few pairs with magnitudes of both (of {common:.1f})"
         notes.append(f"{few} to fit the magnitudes; they are not used")
-    relation = None if known.photometry is None else known.photometry.first_relation
-    if known.photometry is not None and relation is not None and relation.unrelated > found.tuning.unrelated:
-        error, spread_mag = known.photometry.quoted_and_spread(known.setting.pairs, found.p_counted)
+    relation = None if estimates.photometry is None else estimates.photometry.first_relation
+    if estimates.photometry is not None and relation is not None and relation.unrelated > result.tuning.max_unrelated:
+        error, spread_mag = estimates.photometry.quoted_and_spread(estimates.setting.pairs, result.p_counted)
         notes.append(
             f"the quoted errors of the magnitudes, {error:.2g} mag, are larger than the spread of those of the pairs, "
             f"{spread_mag:.2g} mag: they have hardly any weight"
@@ -645,17 +673,17 @@ def _notes(found: _Converged, common: float) -> tuple[str, ...]:
 
 
 def _radius(gate: ChiSquare | Radius | None, d: int) -> float:
-    """Radius of a gate, or of the default one, in d features, in standard deviations."""
+    """Radius of a gate, or of the default gate, in d features, in standard deviations."""
     return gate.sigmas if isinstance(gate, Radius) else math.sqrt((gate or ChiSquare()).limit(d))
 
 
-def _halves(pairs: Pairs, limit: float) -> tuple[float, float]:
-    """Candidates in the inner half of the gate, and as many as the density of its outer part lets expect there."""
+def _inner_counts(pairs: Pairs, limit: float) -> tuple[float, float]:
+    """Candidates in the inner half of the gate, and the number expected there from the density in its outer part."""
     inner = int(np.count_nonzero(pairs.mahalanobis_sq < (0.5 * limit) ** 2))
     return float(inner), (len(pairs) - inner) / (2.0**pairs.d - 1.0)
 
 
-def _stands_out(pairs: Pairs, limit: float, tuning: MatchTuning) -> bool:
-    """Whether the inner half of the gate holds more candidates than its outer part, at chance, lets expect."""
-    inner, by_chance = _halves(pairs, limit)
-    return inner - by_chance > tuning.significant * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))
+def _has_excess(pairs: Pairs, limit: float, tuning: MatchTuning) -> bool:
+    """Whether the inner half of the gate has significantly more candidates than the outer part's density predicts."""
+    inner, by_chance = _inner_counts(pairs, limit)
+    return inner - by_chance > tuning.min_significance * math.sqrt(inner + by_chance / (2.0**pairs.d - 1.0))

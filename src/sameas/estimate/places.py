@@ -335,7 +335,7 @@ class Learned:
             self.density,
         )  # fmt: skip
         if self.grades is not None:
-            known = replace(known, grades=self.grades.at(setting, photometry))
+            known = replace(known, grades=self.grades.for_setting(setting, photometry))
         if self.columns is not None and columns is not None:
             known = replace(known, columns=self.columns.over(columns, self.places.folds(cells)))
         return known.rule()
@@ -394,12 +394,12 @@ def learn(
         coverage, errors=errors, gate=gate, density=density, brightness=brightness, precision=precision,
         columns=columns, tuning=tuning, progress=progress,
     )  # fmt: skip
-    known = found.known
+    known = found.estimates
     weights = [(s & c).astype(np.float64) for s, c in zip(seen, known.counted, strict=True)]
-    part = [p * w for p, w in zip(known.partner, weights, strict=True)]
+    part = [p * w for p, w in zip(known.p_partner, weights, strict=True)]
     places = places.with_shares(cells, part, weights)
     return Learned(
-        known.errors, found.start, found.gate_sigmas, known.means, _without_records(known.photometry),
+        known.errors, found.gate_errors, found.gate_sigmas, known.mean_shares, _without_records(known.photometry),
         None if known.grades is None or known.grades.rule is None else _without_grades(known.grades),
         known.columns and known.columns.without_records(), density, places,
         found.estimate,

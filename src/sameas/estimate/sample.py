@@ -68,7 +68,7 @@ class Setting:
         return cls(pairs, rows, coverage.levels, coverage.covered, coverage.counted, (density_1, density_2))
 
     @property
-    def numbers(self) -> tuple[int, int]:
+    def n_counted(self) -> tuple[int, int]:
         """How many records of either source are counted."""
         one, two = (int(np.count_nonzero(counted)) for counted in self.counted)
         return one, two
@@ -80,7 +80,7 @@ class Setting:
     def by_chance(self, p_counted: FloatArray) -> float:
         """Mean number of candidates of a record that are there by chance, with these probabilities (m,)."""
         candidates = np.count_nonzero(self.counted[0][self.pairs.i])
-        return max(int(candidates) - float(p_counted.sum()), 0.0) / min(self.numbers)
+        return max(int(candidates) - float(p_counted.sum()), 0.0) / min(self.n_counted)
 
     def sample(self, sampling: Sampling) -> Setting:
         """Enough of it: itself where it is not large."""

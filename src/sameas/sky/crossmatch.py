@@ -16,7 +16,7 @@ import numpy as np
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected
-from sameas.estimate.companions import close_couples
+from sameas.estimate.companions import close_neighbours
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.estimate.match import match as estimate_match
@@ -439,13 +439,13 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
 
 def _duplicate_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
     """A doubt about records of one catalogue that seem to be the same object."""
-    found, doubts = close_couples(Setting.whole(result.pairs, estimate.coverage)), []
+    found, doubts = close_neighbours(Setting.whole(result.pairs, estimate.coverage)), []
     for records, close in zip((result.first, result.second), found or (), strict=False):
-        excess = close.couples - close.by_chance
+        excess = close.n_pairs - close.by_chance
         significant = tuning.duplicate_sigmas * math.sqrt(close.by_chance + tuning.duplicate_sigmas)
-        if excess > max(significant, tuning.duplicate_share * close.records):
+        if excess > max(significant, tuning.duplicate_share * close.n_records):
             doubts.append(
-                f"in {records.source} {close.couples} couples of records lie within their errors of each other, where "
+                f"in {records.source} {close.n_pairs} couples of records lie within their errors of each other, where "
                 f"chance makes {close.by_chance:.0f}: if they are one object given twice (two exposures, a deblender), "
                 "its probability is divided between the two; give each object once, or add p_second to p_match"
             )

@@ -299,7 +299,7 @@ class Population:
         spread = dict(self.spread)
         for pattern, errors in self.spread.items():
             here = np.flatnonzero((patterns == pattern) & (probability > tuning.least_p_set))
-            if probability[here].sum() < DEFAULT_EM.fewest:
+            if probability[here].sum() < DEFAULT_EM.min_pairs:
                 continue
             # The odds of these sets by everything but their residuals.
             p, d = np.minimum(probability[here], tuning.largest_p_set), freedom(pattern)
