@@ -45,7 +45,7 @@ def both(monkeypatch):
     ran, different, calls = set(), set(), Counter()
 
     def run(kernel, *arguments):
-        twice = kernel.few and kernel.work(*arguments) <= kernel.few and calls[kernel] < 6
+        twice = kernel.limit and kernel.work(*arguments) <= kernel.limit and calls[kernel] < 6
         again = copied(arguments) if twice else ()
         answer = kernel.compiled(*arguments)
         if twice:
@@ -205,12 +205,12 @@ if "numba" in sys.modules:  # and for others numba is what it was
 def test_what_is_interpreted_is_soon_compiled(monkeypatch):
     """When as much time has gone into interpreting as loading the compiler takes."""
     loop = compiled.small(_doubled)
-    loop._seems_cached = False
-    monkeypatch.setattr(compiled, "_spent", 0.0)
+    loop._is_cached = False
+    monkeypatch.setattr(compiled, "_interpreting_s", 0.0)
     assert loop(np.arange(3.0)) == 6.0 and loop._dispatcher is None
-    monkeypatch.setattr(compiled, "_spent", compiled.PATIENCE_S)
+    monkeypatch.setattr(compiled, "_interpreting_s", compiled.INTERPRETING_LIMIT_S)
     assert loop.interprets  # it would have to be compiled for the first time
-    loop._seems_cached = True
+    loop._is_cached = True
     assert not loop.interprets and loop(np.arange(3.0)) == 6.0 and loop._dispatcher is not None
 
 
@@ -224,7 +224,7 @@ def _doubled(values):
 def test_that_kernels_are_compiled_is_said_once(monkeypatch, capsys, tmp_path):
     begun = []
     monkeypatch.setattr(compiled, "_announced", False)
-    monkeypatch.setattr(compiled, "beginnings", [compiled.say, begun.append])
+    monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce, begun.append])
     monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path))
     for _ in range(2):
         _ = compiled.Kernel(_fresh(), 0, compiled.items).compiled
@@ -245,16 +245,16 @@ def test_a_large_entangled_group_is_compiled_however_few_its_records():
     start, start_1 = np.array([0, 2 * n]), np.array([0, n])
     alone = np.arange(0, 3 * n, 1)
     for kernel in (assign_linear, assign_counted):
-        assert kernel.work(0, 1, start, start_1, start_1) > compiled.FEW
-        assert kernel.work(0, n, 2 * alone, alone, alone) < compiled.FEW
+        assert kernel.work(0, 1, start, start_1, start_1) > compiled.MAX_INTERPRETED
+        assert kernel.work(0, n, 2 * alone, alone, alone) < compiled.MAX_INTERPRETED
 
 
 def test_beside_a_loaded_compiler_what_is_cached_is_not_interpreted_at_length(monkeypatch):
     some = compiled.small(lambda values: float(values.sum()))
     monkeypatch.setattr(compiled, "_dispatchers", {})
-    some._seems_cached = True
-    assert some.most == compiled.FEW
+    some._is_cached = True
+    assert some.max_interpreted == compiled.MAX_INTERPRETED
     monkeypatch.setattr(compiled, "_dispatchers", {some.function: None})
-    assert some.most == compiled.FEW_BESIDE
-    some._seems_cached = False
-    assert some.most == compiled.FEW
+    assert some.max_interpreted == compiled.MAX_INTERPRETED_IF_LOADED
+    some._is_cached = False
+    assert some.max_interpreted == compiled.MAX_INTERPRETED

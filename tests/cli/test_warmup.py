@@ -33,10 +33,10 @@ def test_sums_compiled_beforehand_are_found(tmp_path):
 @pytest.mark.parametrize(("quiet", "said"), [(False, 1), (True, 0)])
 def test_compilation_is_said_and_shared(quiet, said, monkeypatch, capsys, tmp_path):
     begun = []
-    monkeypatch.setattr(compiled, "beginnings", [compiled.say])
+    monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce])
     monkeypatch.setattr("sameas.cli.warmup.beside", begun.append)
     terminal.share_compilation(quiet)
-    for begin in compiled.beginnings:
+    for begin in compiled.on_first_compilation:
         begin(tmp_path)
     assert begun == [tmp_path] and capsys.readouterr().err.count("compiling kernels") == said
 

@@ -134,4 +134,4 @@ def share_compilation(quiet: bool) -> None:
 
         warmup.beside(cache)
 
-    compiled.beginnings[:] = [beside] if quiet else [compiled.say, beside]
+    compiled.on_first_compilation[:] = [beside] if quiet else [compiled.announce, beside]

@@ -1,12 +1,16 @@
-"""How kernels run: compiled, once for a machine, without the interpreter's lock; interpreted where they are given few
-items, since the compiler takes a second to load, and half a minute to compile everything for the first time.
+"""Kernels: loops over arrays, compiled by numba (cached on disk, without the GIL) or interpreted for small inputs.
 
-``kernel`` is called from Python; ``part`` only from kernels, which saves compiling its wrappers; ``inlined`` is written
-out where it is called, for what innermost loops call with many arrays: handing these over takes longer than the work.
-``small`` is a kernel that gives the same answer, to the last bit, interpreted: it adds, multiplies and compares in the
-same order, sums in loops, takes squares by multiplication, and logarithms and exponentials from ``math`` (NumPy has
-others), so that it does not matter which of the two runs.
-Divisions follow floating point (a zero divisor gives infinity or not-a-number), so that no loop has to look for them.
+Small inputs are interpreted because numba takes a second to load, and half a minute to compile every kernel for the
+first time. Decorators:
+
+- ``kernel``: called from Python, always compiled.
+- ``small``, ``small_by``: called from Python, interpreted for small inputs. The interpreted result is the same to the
+  last bit: the function adds, multiplies and compares in the same order, sums in loops, squares by multiplication, and
+  takes logarithms and exponentials from ``math`` (NumPy's differ).
+- ``part``: called from kernels only, which saves compiling its wrappers.
+- ``inlined``: inserted at the call, for innermost loops, where passing many arrays takes longer than the work.
+
+Division by zero gives infinity or not-a-number, so that no loop has to test for it.
 """
 
 from __future__ import annotations
@@ -23,48 +27,46 @@ from typing import Any
 
 import numpy as np
 
-#: Kernels that are given more items than this are compiled: interpreted, an item takes about a microsecond, so that
-#: loading the compiler costs less.
-FEW = 100_000
-#: The same where the compiler is loaded already and the machine has compiled the kernel before: reading it takes a
-#: millisecond or two.
-FEW_BESIDE = 2_000
-#: When so many seconds of the processor have gone into interpreting, the compiler would have been loaded, or would have
-#: compiled for the first time on this machine: all is compiled from then on.
-PATIENCE_S, PATIENCE_AT_FIRST_S = 2.0, 15.0
-#: The newest numba whose cache is known to be read by what :func:`_read_without_the_compiler` calls; the oldest is that
-#: of our requirements.
-NEWEST_KNOWN = (0, 68)
+#: Most items that are interpreted: an item takes about 1 µs, so that more would take longer than loading the compiler.
+MAX_INTERPRETED = 100_000
+#: The same where the compiler is loaded and the kernel is in the cache: reading it takes 1 to 2 ms.
+MAX_INTERPRETED_IF_LOADED = 2_000
+#: CPU seconds of interpreting after which everything is compiled: with the kernel in the cache, and without (there the
+#: first compilation on this machine has to pay).
+INTERPRETING_LIMIT_S, INTERPRETING_LIMIT_UNCACHED_S = 2.0, 15.0
+#: Newest numba whose cache is known to have what :func:`_read_cache_first` calls; the oldest is the required one.
+NEWEST_KNOWN_NUMBA = (0, 68)
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _PART: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True}
 _INLINED: dict[str, Any] = {"nogil": True, "error_model": "numpy", "inline": "always"}
-#: The functions that kernels call, and how they are compiled.
+#: Options of the functions that only kernels call.
 _parts: dict[FunctionType, dict[str, Any]] = {}
 _kernels: set[FunctionType] = set()
-_plains: dict[FunctionType, FunctionType] = {}
+_python_versions: dict[FunctionType, FunctionType] = {}
 _dispatchers: dict[FunctionType, Any] = {}
 _lock = threading.RLock()
-_spent = float("inf") if os.environ.get("SAMEAS_COMPILE") == "1" else 0.0
+#: CPU seconds spent interpreting in this process.
+_interpreting_s = float("inf") if os.environ.get("SAMEAS_COMPILE") == "1" else 0.0
 _announced = False
 
 
-def say(cache: Path) -> None:
-    """One line on stderr."""
+def announce(cache: Path) -> None:
+    """Write one line to stderr."""
     sys.stderr.write("sameas: compiling kernels for this machine, once; it takes some seconds\n")
 
 
-#: Called once, with the folder of the cache, when something is compiled that this machine has not compiled before.
-beginnings: list[Callable[[Path], object]] = [say]
+#: Called once in a process, with the cache folder, before the first kernel that is not in the cache is compiled.
+on_first_compilation: list[Callable[[Path], object]] = [announce]
 
 
 class Kernel:
-    """A loop over arrays.
+    """A loop over arrays, interpreted or compiled at each call.
 
-    function : what it was written as. few : interpreted up to so many items. work : counts them in the arguments.
+    function : the Python source. limit : most items to interpret, 0 for never. work : counts items in the arguments.
     """
 
-    def __init__(self, function: FunctionType, few: int, work: Callable[..., float]) -> None:
-        self.function, self.few, self.work = function, few, work
+    def __init__(self, function: FunctionType, limit: int, work: Callable[..., float]) -> None:
+        self.function, self.limit, self.work = function, limit, work
         self._dispatcher: Any = None
         _kernels.add(function)
         self.__name__, self.__doc__, self.__module__ = function.__name__, function.__doc__, function.__module__
@@ -72,50 +74,52 @@ class Kernel:
     def __call__(self, *arguments: Any) -> Any:
         dispatcher = self._dispatcher
         if dispatcher is None:
-            if self.interprets and self.work(*arguments) <= self.most:
+            if self.interprets and self.work(*arguments) <= self.max_interpreted:
                 return self.interpreted(*arguments)
             dispatcher = self.compiled
         return dispatcher(*arguments)
 
     @property
     def interprets(self) -> bool:
-        """Whether it would still be interpreted, if it were given few items."""
-        if self.few == 0 or self._dispatcher is not None:
+        """Whether a small input would be interpreted now."""
+        if self.limit == 0 or self._dispatcher is not None:
             return False
-        return _spent < PATIENCE_S or (_spent < PATIENCE_AT_FIRST_S and not self._seems_cached)
+        if _interpreting_s < INTERPRETING_LIMIT_S:
+            return True
+        return _interpreting_s < INTERPRETING_LIMIT_UNCACHED_S and not self._is_cached
 
     @property
-    def most(self) -> int:
-        """The most items for which it would be interpreted now."""
-        return min(self.few, FEW_BESIDE) if _dispatchers and self._seems_cached else self.few
+    def max_interpreted(self) -> int:
+        """The most items that would be interpreted now."""
+        return min(self.limit, MAX_INTERPRETED_IF_LOADED) if _dispatchers and self._is_cached else self.limit
 
     @cached_property
-    def _seems_cached(self) -> bool:
-        """Whether this machine has compiled it before, as far as can be told without the compiler."""
+    def _is_cached(self) -> bool:
+        """Whether the cache has an index file of this kernel; numba is not asked, so the file may be out of date."""
         home = Path(self.function.__code__.co_filename)
-        given, index = os.environ.get("NUMBA_CACHE_DIR"), f"{home.stem}.{self.function.__qualname__}-*.nbi"
-        return any(Path(given).glob(f"*/{index}") if given else (home.parent / "__pycache__").glob(index))
+        cache, index = os.environ.get("NUMBA_CACHE_DIR"), f"{home.stem}.{self.function.__qualname__}-*.nbi"
+        return any(Path(cache).glob(f"*/{index}") if cache else (home.parent / "__pycache__").glob(index))
 
     @property
     def compiled(self) -> Any:
-        """The function as numba has it; it is compiled, or read from the cache, when it is called."""
+        """numba's dispatcher; a call compiles the function or reads it from the cache."""
         with _lock:
             if self._dispatcher is None:
                 dispatcher = _dispatcher(self.function)
                 if not _announced:
-                    _tell(dispatcher)
+                    _announce_compilation(dispatcher)
                 self._dispatcher = dispatcher
         return self._dispatcher
 
     def interpreted(self, *arguments: Any) -> Any:
-        """The answer without the compiler."""
-        global _spent
-        plain = _plains.get(self.function) or _plain(self.function)
+        """The result in Python."""
+        global _interpreting_s
+        function = _python_versions.get(self.function) or _python_version(self.function)
         begin = time.thread_time()
         with np.errstate(all="ignore"):
-            answer = plain(*arguments)
-        _spent += time.thread_time() - begin
-        return answer
+            result = function(*arguments)
+        _interpreting_s += time.thread_time() - begin
+        return result
 
 
 def kernel(function: Any) -> Any:
@@ -124,40 +128,40 @@ def kernel(function: Any) -> Any:
 
 
 def small(function: Any) -> Any:
-    """A kernel that is interpreted for arguments of few elements."""
-    return function if _switched_off() else Kernel(function, FEW, items)
+    """A kernel that is interpreted for at most :data:`MAX_INTERPRETED` array elements."""
+    return function if _switched_off() else Kernel(function, MAX_INTERPRETED, items)
 
 
 def small_by(work: Callable[..., float]) -> Callable[[Any], Any]:
-    """A kernel that is interpreted for few items, which ``work`` counts in its arguments."""
-    return lambda function: function if _switched_off() else Kernel(function, FEW, work)
+    """A kernel that is interpreted for at most :data:`MAX_INTERPRETED` items, counted by ``work(*arguments)``."""
+    return lambda function: function if _switched_off() else Kernel(function, MAX_INTERPRETED, work)
 
 
 def part(function: Any) -> Any:
-    """A function that kernels call; as it stands it is the interpreted one."""
+    """A function that kernels call; called from Python it is interpreted."""
     _parts[function] = _PART
     return function
 
 
 def inlined(function: Any) -> Any:
-    """A function that is written out where kernels call it."""
+    """A function that is inserted where kernels call it."""
     _parts[function] = _INLINED
     return function
 
 
 def compile_all() -> None:
-    """From now on nothing is interpreted in this process."""
-    global _spent
-    _spent = float("inf")
+    """Interpret nothing from now on in this process."""
+    global _interpreting_s
+    _interpreting_s = float("inf")
 
 
 def runs_compiled(function: Any) -> bool:
-    """Whether a kernel would run compiled whatever it is given: what arrays do nearly as fast asks before it calls."""
+    """Whether a kernel would run compiled for any input; callers with a NumPy equivalent use that one otherwise."""
     return isinstance(function, Kernel) and not function.interprets
 
 
 def items(*arguments: Any) -> int:
-    """Number of elements of all arrays among the arguments, and in tuples of them."""
+    """Number of elements of all arrays among the arguments and in tuples of them."""
     total = 0
     for argument in arguments:
         if isinstance(argument, np.ndarray):
@@ -168,123 +172,123 @@ def items(*arguments: Any) -> int:
 
 
 def _called(function: FunctionType) -> dict[str, FunctionType]:
-    """The kernels and parts that a function calls, by the names that it has for them."""
-    found = {}
+    """The kernels and parts that a function calls, by their names in it."""
+    called = {}
     for name in function.__code__.co_names:
         value = function.__globals__.get(name)
         value = value.function if isinstance(value, Kernel) else value
         if isinstance(value, FunctionType) and (value in _parts or value in _kernels):
-            found[name] = value
-    return found
+            called[name] = value
+    return called
 
 
-def _with(function: FunctionType, instead: dict[str, Any]) -> FunctionType:
-    """The same function, with other things of these names."""
-    twin = FunctionType(
+def _with_globals(function: FunctionType, names: dict[str, Any]) -> FunctionType:
+    """A copy of the function in which these global names have other values."""
+    copy = FunctionType(
         function.__code__,
-        {**function.__globals__, **instead},
+        {**function.__globals__, **names},
         function.__name__,
         function.__defaults__,
         function.__closure__,
     )
-    twin.__module__, twin.__qualname__, twin.__doc__ = function.__module__, function.__qualname__, function.__doc__
-    return twin
+    copy.__module__, copy.__qualname__, copy.__doc__ = function.__module__, function.__qualname__, function.__doc__
+    return copy
 
 
-def _plain(function: FunctionType) -> FunctionType:
-    """The function as it is interpreted: it calls no kernel, but what that was written as."""
-    if function not in _plains:
-        instead = {name: _plain(value) for name, value in _called(function).items()}
-        _plains[function] = _with(function, instead) if instead else function
-    return _plains[function]
+def _python_version(function: FunctionType) -> FunctionType:
+    """The function with the kernels that it calls replaced by their Python sources."""
+    if function not in _python_versions:
+        called = {name: _python_version(value) for name, value in _called(function).items()}
+        _python_versions[function] = _with_globals(function, called) if called else function
+    return _python_versions[function]
 
 
-def _without_linear_algebra() -> None:
-    """Imports what numba compiles with, but not ``scipy.linalg`` with it.
+def _import_compiler_without_scipy_linalg() -> None:
+    """Import numba's compiler, but not ``scipy.linalg``, which is slow to load.
 
-    numba imports that only to see whether it is there (it is: SciPy is one of our dependencies); what is compiled with
-    linear algebra still looks for it then.
+    numba imports it only to test that it exists, which our requirement of SciPy ensures; kernels that use linear
+    algebra still import it when they are compiled.
     """
     try:
         from numba.np import linalg
 
-        look, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+        ensure_blas, linalg.ensure_blas = linalg.ensure_blas, lambda: None
         try:
             from numba.np import arraymath
         finally:
-            linalg.ensure_blas = look
-        arraymath.ensure_blas = look  # type: ignore[attr-defined]
-    except (ImportError, AttributeError):  # another numba, which looks elsewhere
+            linalg.ensure_blas = ensure_blas
+        arraymath.ensure_blas = ensure_blas  # type: ignore[attr-defined]
+    except (ImportError, AttributeError):  # a numba version with another layout
         pass
 
 
 def _dispatcher(function: FunctionType) -> Any:
-    """The function as numba has it, with those it calls."""
+    """numba's dispatcher of the function, which calls the dispatchers of its parts."""
     from numba import njit
 
     if function not in _dispatchers:
-        instead = {name: _dispatcher(value) for name, value in _called(function).items()}
+        called = {name: _dispatcher(value) for name, value in _called(function).items()}
         options = _parts.get(function, _OPTIONS)
-        _dispatchers[function] = njit(**options)(_with(function, instead) if instead else function)
+        _dispatchers[function] = njit(**options)(_with_globals(function, called) if called else function)
         if "cache" in options:
-            _read_without_the_compiler(_dispatchers[function])
+            _read_cache_first(_dispatchers[function])
     return _dispatchers[function]
 
 
-def _read_without_the_compiler(dispatcher: Any) -> None:
-    """Lets the dispatcher look into the cache before numba has loaded all that it compiles with, which takes longer
-    than to read every kernel of a match; what is not in the cache is compiled as ever.
+def _read_cache_first(dispatcher: Any) -> None:
+    """Make the dispatcher read the cache before numba loads its compiler, which takes longer than reading every kernel
+    of a match; a kernel that is not in the cache is compiled as usual.
 
-    A kernel that is read needs numba's memory manager, and nothing else: none of ours hashes, which would.
+    A kernel from the cache needs only numba's memory manager; one that hashes would need more, and none of ours does.
     """
     import numba
 
-    if not hasattr(numba, "version_info") or numba.version_info.full[:2] > NEWEST_KNOWN:
+    if not hasattr(numba, "version_info") or numba.version_info.full[:2] > NEWEST_KNOWN_NUMBA:
         return
     from numba.core.runtime.nrt import rtsys
 
     cache = dispatcher._cache
-    compiled_or_read = cache.load_overload
+    load_with_compiler = cache.load_overload
 
-    def read(signature: Any, context: Any) -> Any:
+    def load(signature: Any, context: Any) -> Any:
         rtsys.initialize(context)
         with cache._guard_against_spurious_io_errors():
-            found = cache._load_overload(signature, context)
-        if found is None:
-            _without_linear_algebra()
-            found = compiled_or_read(signature, context)
-        return found
+            overload = cache._load_overload(signature, context)
+        if overload is None:
+            _import_compiler_without_scipy_linalg()
+            overload = load_with_compiler(signature, context)
+        return overload
 
-    cache.load_overload = read
-    # Other packages' additions to the compiler, which it looks for when it is loaded.
+    cache.load_overload = load
+    # The hook would search for other packages' extensions of the compiler.
     dispatcher._compilation_chain_init_hook = lambda: None
 
 
-def _tell(dispatcher: Any) -> None:
-    """Say once that something is going to be compiled, where this machine has not done so yet."""
+def _announce_compilation(dispatcher: Any) -> None:
+    """Call :data:`on_first_compilation` if the kernel is not in the cache."""
     global _announced
     folder, function = Path(str(dispatcher.stats.cache_path)), dispatcher.py_func
     if not any(folder.glob(f"{function.__module__.rsplit('.', 1)[-1]}.{function.__qualname__}-*.nbi")):
         _announced = True
-        for begin in beginnings:
-            begin(folder)
+        for callback in on_first_compilation:
+            callback(folder)
 
 
 def _switched_off() -> bool:
-    """Whether numba has been told not to compile."""
+    """Whether the environment switches numba off."""
     return os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("0", "")
 
 
 __all__ = [
     "Kernel",
-    "beginnings",
+    "announce",
     "compile_all",
     "inlined",
     "items",
     "kernel",
+    "on_first_compilation",
     "part",
     "runs_compiled",
-    "say",
     "small",
     "small_by",
 ]
