@@ -478,12 +478,12 @@ class _Thinned:
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
         from sameas.kernels.balls import Graph, balls, by_columns, rank_rivals
-        from sameas.kernels.posterior import DEEPEST
+        from sameas.kernels.posterior import MAX_DEPTH
 
         g, best = self.groups, self.best
         column, claim = g.places[1].astype(np.int32), claims[g.order]
         reduced = np.maximum(best.weight - best.dual_1[g.places[0]] - best.dual_2[column], -700.0)
-        none, free = (np.exp(np.maximum(-dual, -DEEPEST)) for dual in (best.dual_1, best.dual_2))
+        none, free = (np.exp(np.maximum(-dual, -MAX_DEPTH)) for dual in (best.dual_1, best.dual_2))
         odds = np.exp(reduced)
         start, rival, rival_claim, rival_odds = by_columns(len(free), g.edges_1, column, claim, odds)
         graph = Graph(g.edges_1, column, odds, claim, start, rival, rival_claim, rival_odds, none, free)

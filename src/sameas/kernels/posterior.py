@@ -1,7 +1,11 @@
 """Compiled posterior probabilities of groups that can be summed exactly.
 
-Weights are *reduced* by the duals of the best hypothesis, w − u − v ≤ 0: that hypothesis then weighs 1 and every
-other one at most 1, so that nothing overflows and what underflows is truly negligible.
+Weights are reduced by the duals of the best hypothesis, w − u − v ≤ 0. That hypothesis then weighs 1 and every other
+one at most 1: nothing overflows, and what underflows is negligible.
+
+Without a prior of the count, a group is summed in closed form where one record has all pairs, by folding leaves where
+it is a tree, and by eliminating the records of its core one by one elsewhere. With a prior of the count, rows are
+eliminated by :mod:`sameas.kernels.eliminate`.
 """
 
 from __future__ import annotations
@@ -17,38 +21,44 @@ from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small_by
 from sameas.kernels.eliminate import eliminate, scratch
 
-# Compiled exact sums over a graph of which few records are open at a time: records are eliminated one by one.
+# Exact sums by eliminating records one by one.
 #
-# A record is *open* from when the first of its neighbours is eliminated until it is so itself; whether it has a partner
-# by then is one bit. The sums over what was eliminated stand in an array by the bits of the open records, one array for
-# each step. To eliminate a record that is not taken yet is to leave it alone or to give it a neighbour that is left.
-# Either source's records come in the order that keeps few open.
+# A record is *open* from the elimination of its first neighbour until its own; one bit says whether it has a partner by
+# then. Every step has an array of partial sums, indexed by the bits of the open records. Eliminating a record that has
+# no partner yet either leaves it alone or pairs it with a neighbour that is not eliminated. The order of elimination,
+# through records of both sources, keeps few records open.
 
-#: Most sums of one problem.
-SUMS = 1 << 22
-#: More records than this, open at a time, need more sums; far more would not fit into the bits of a word.
-MOST_OPEN = 22
-#: Problems of more sums than this are laid out from as many records, spread over all, and the least is taken.
-MANY, TRIALS = 2048, 8
-#: After so many steps sums are divided by their largest where that is not within this factor of 1.
-EVERY, TREE_GREAT = 4, 1e60
-#: Groups of two records of one source and so few of the other are summed hypothesis by hypothesis.
-FEW_BESIDE_TWO = 4
-UNTOUCHED, BESIDE, OPEN, GONE = 0, 1, 2, 3
+#: Most partial sums of one group.
+MAX_SUMS = 1 << 22
+#: Most open records: their sums fill MAX_SUMS, and far more would not fit into the bits of a word.
+MAX_OPEN = 22
+#: A group of more than RETRY_ABOVE sums is ordered from STARTS different first records, and the fewest sums are taken.
+RETRY_ABOVE, STARTS = 2048, 8
+#: Every RESCALE_EVERY steps, sums are divided by their largest if that is not within this factor of 1.
+RESCALE_EVERY, RESCALE_BEYOND = 4, 1e60
+#: Groups of two records of one source and at most this many of the other are summed hypothesis by hypothesis.
+MAX_RECORDS_AGAINST_TWO = 4
+#: States of a record while the order is found; ADJACENT: not open, but next to an open record.
+UNTOUCHED, ADJACENT, OPEN, DONE = 0, 1, 2, 3
 
-#: The graph: CSR starts by record, of the neighbours and the pairs with them. The order: the records, their bits, the
-#: starts and sizes of the sums before them, CSR starts of the choices left to them: their bits, pairs and
-#: odds. By record, while the order is found, its state, its bit, how many neighbours are left, and how many more
-#: records are open after it; a list of records. The sums.
-Narrow = namedtuple(
-    "Narrow", "start near pair order own begin size first bit choice odds state bits left more active sum"
+#: Workspace of the elimination.
+#:
+#: The graph: ``start`` CSR by record, of its ``neighbour`` records and the ``pair`` with each.
+#: By step: ``order`` the record eliminated, ``own_bit`` its bit, ``sum_start`` and ``sum_size`` the partial sums before
+#: it, ``choice_start`` CSR of its choices: the ``choice_bit`` of the neighbour, ``choice_pair``, ``choice_odds``.
+#: By record, while the order is found: ``state``, ``bit``, ``n_left`` neighbours not eliminated, ``growth`` how many
+#: more records would be open after it; ``active`` lists the candidates of the next step. ``sum``: the partial sums.
+Elimination = namedtuple(
+    "Elimination",
+    "start neighbour pair order own_bit sum_start sum_size choice_start choice_bit choice_pair choice_odds "
+    "state bit n_left growth active sum",
 )
 
 
 @part
-def narrow(records: int, pairs: int) -> Narrow:
-    """Room for groups of at most so many records and pairs; every problem that SUMS allows fits."""
-    return Narrow(
+def elimination(records: int, pairs: int) -> Elimination:
+    """A workspace for groups of at most this many records and pairs, and of at most MAX_SUMS partial sums."""
+    return Elimination(
         np.empty(records + 1, np.int64),
         np.empty(2 * pairs, np.int64),
         np.empty(2 * pairs, np.int64),
@@ -65,242 +75,249 @@ def narrow(records: int, pairs: int) -> Narrow:
         np.empty(records, np.int64),
         np.empty(records, np.int64),
         np.empty(records, np.int64),
-        np.empty(min(SUMS, (records + 2) << min(records, 22))),
+        np.empty(min(MAX_SUMS, (records + 2) << min(records, 22))),
     )
 
 
 @part
-def arranged(n: int, room: Narrow) -> bool:
-    """Find an order that needs few sums, and lay them out; False where there is no room for them."""
-    most = len(room.sum)
-    best = np.int64(0)  # not a literal: numba would compile for it apart
+def plan_elimination(n: int, work: Elimination) -> bool:
+    """Find an order of few partial sums for the n records of the graph; False if every order found needs too many."""
+    most = len(work.sum)
+    best = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
     last = best
-    least = _laid_out_from(best, n, most, room)
-    if least > MANY:
-        for trial in range(1, TRIALS):
-            last = n * trial // TRIALS
-            sums = _laid_out_from(last, n, least, room)
-            if sums < least:
-                best, least = last, sums
-        if best != last and least < most:
-            _laid_out_from(best, n, most, room)
-    return least < most
+    fewest = _plan_from(best, n, most, work)
+    if fewest > RETRY_ABOVE:
+        for trial in range(1, STARTS):
+            last = n * trial // STARTS
+            sums = _plan_from(last, n, fewest, work)
+            if sums < fewest:
+                best, fewest = last, sums
+        if best != last and fewest < most:
+            _plan_from(best, n, most, work)
+    return fewest < most
 
 
 @part
-def _laid_out_from(first: int, n: int, limit: int, room: Narrow) -> int:
-    """Order the n records from ``first`` on and lay the sums out; returns their number, ``limit`` where not fewer."""
+def _plan_from(first: int, n: int, limit: int, work: Elimination) -> int:
+    """Order the n records, beginning with ``first``; the number of partial sums, or ``limit`` if not fewer."""
     for x in range(n):
-        room.state[x] = UNTOUCHED
-        room.bits[x] = 0
-        room.left[x] = room.start[x + 1] - room.start[x]
-        room.more[x] = room.left[x]
-    room.active[0] = first
-    actives, used, chosen = np.int64(1), np.int64(0), np.int64(0)
-    room.begin[0], room.size[0], room.first[0] = 0, 1, 0
+        work.state[x] = UNTOUCHED
+        work.bit[x] = 0
+        work.n_left[x] = work.start[x + 1] - work.start[x]
+        work.growth[x] = work.n_left[x]
+    work.active[0] = first
+    n_active, used_bits, n_choices = np.int64(1), np.int64(0), np.int64(0)
+    work.sum_start[0], work.sum_size[0], work.choice_start[0] = 0, 1, 0
     for t in range(n):
-        at = _next(actives, room)
-        x = room.active[at]
-        if room.left[x] > MOST_OPEN:
+        at = _next_record(n_active, work)
+        x = work.active[at]
+        if work.n_left[x] > MAX_OPEN:
             return limit
-        actives -= 1
-        room.active[at] = room.active[actives]
-        room.order[t], room.own[t] = x, room.bits[x]
-        used &= ~room.bits[x]
-        actives, used, chosen = _eliminated(x, actives, used, chosen, room)
-        room.first[t + 1] = chosen
-        room.begin[t + 1] = room.begin[t] + room.size[t]
+        n_active -= 1
+        work.active[at] = work.active[n_active]
+        work.order[t], work.own_bit[t] = x, work.bit[x]
+        used_bits &= ~work.bit[x]
+        n_active, used_bits, n_choices = _eliminate_record(x, n_active, used_bits, n_choices, work)
+        work.choice_start[t + 1] = n_choices
+        work.sum_start[t + 1] = work.sum_start[t] + work.sum_size[t]
         size = np.int64(1)
-        while size <= used:
+        while size <= used_bits:
             size <<= 1
-        room.size[t + 1] = size
-        if room.begin[t + 1] + size >= limit:
+        work.sum_size[t + 1] = size
+        if work.sum_start[t + 1] + size >= limit:
             return limit
-    return room.begin[n] + 1
+    return work.sum_start[n] + 1
 
 
 @part
-def _eliminated(x: int, actives: int, used: int, chosen: int, room: Narrow) -> tuple[int, int, int]:
-    """Note the choices that record x has left, and open its neighbours; returns the three counters anew."""
-    # It counted for its neighbours: as one to be opened, or as one that closes with the last of them.
-    step = (1 if room.left[x] == 1 else 0) if room.state[x] == OPEN else -1
-    room.state[x] = GONE
-    for q in range(room.start[x], room.start[x + 1]):
-        y = room.near[q]
-        if room.state[y] == GONE:
+def _eliminate_record(x: int, n_active: int, used_bits: int, n_choices: int, work: Elimination) -> tuple[int, int, int]:
+    """List the choices of record x and open its neighbours; returns the three counters, updated."""
+    # Change of the neighbours' growth: x no longer has to be opened (−1), or no longer closes with its last one (+1).
+    step = (1 if work.n_left[x] == 1 else 0) if work.state[x] == OPEN else -1
+    work.state[x] = DONE
+    for q in range(work.start[x], work.start[x + 1]):
+        y = work.neighbour[q]
+        if work.state[y] == DONE:
             continue
-        room.more[y] += step
-        room.left[y] -= 1
-        if room.state[y] != OPEN:
-            if room.state[y] == UNTOUCHED:
-                room.active[actives] = y
-                actives += 1
-            room.state[y] = OPEN
-            room.more[y] -= 1
-            actives = _beside(y, actives, room)
-            room.bits[y] = ~used & (used + 1)  # the lowest that is free
-            used |= room.bits[y]
-        if room.left[y] == 1:
-            for p in range(room.start[y], room.start[y + 1]):
-                if room.state[room.near[p]] != GONE:
-                    room.more[room.near[p]] -= 1
-        room.bit[chosen] = room.bits[y]
-        room.choice[chosen] = room.pair[q]
-        chosen += 1
-    return actives, used, chosen
+        work.growth[y] += step
+        work.n_left[y] -= 1
+        if work.state[y] != OPEN:
+            if work.state[y] == UNTOUCHED:
+                work.active[n_active] = y
+                n_active += 1
+            work.state[y] = OPEN
+            work.growth[y] -= 1
+            n_active = _mark_adjacent(y, n_active, work)
+            work.bit[y] = ~used_bits & (used_bits + 1)  # the lowest free bit
+            used_bits |= work.bit[y]
+        if work.n_left[y] == 1:
+            for p in range(work.start[y], work.start[y + 1]):
+                if work.state[work.neighbour[p]] != DONE:
+                    work.growth[work.neighbour[p]] -= 1
+        work.choice_bit[n_choices] = work.bit[y]
+        work.choice_pair[n_choices] = work.pair[q]
+        n_choices += 1
+    return n_active, used_bits, n_choices
 
 
 @part
-def _beside(y: int, actives: int, room: Narrow) -> int:
-    """List the untouched neighbours of a record that opens as next to what is open, for which it opens no more."""
-    for p in range(room.start[y], room.start[y + 1]):
-        z = room.near[p]
-        room.more[z] -= 1
-        if room.state[z] == UNTOUCHED:
-            room.state[z] = BESIDE
-            room.active[actives] = z
-            actives += 1
-    return actives
+def _mark_adjacent(y: int, n_active: int, work: Elimination) -> int:
+    """Mark the untouched neighbours of the newly open record y as candidates; returns the number of candidates."""
+    for p in range(work.start[y], work.start[y + 1]):
+        z = work.neighbour[p]
+        work.growth[z] -= 1
+        if work.state[z] == UNTOUCHED:
+            work.state[z] = ADJACENT
+            work.active[n_active] = z
+            n_active += 1
+    return n_active
 
 
 @part
-def _next(actives: int, room: Narrow) -> int:
-    """Place of the listed record after which fewest are open; of those, with fewest choices, then the first."""
+def _next_record(n_active: int, work: Elimination) -> int:
+    """Position in ``active`` of the record after which fewest are open; ties by fewest choices, then lowest number."""
     best, least = np.int64(0), np.int64(1) << 60
-    for k in range(actives):
-        x = room.active[k]
-        score = 1024 * room.more[x] + min(room.left[x], 1000)
-        if score < least or (score == least and x < room.active[best]):
+    for k in range(n_active):
+        x = work.active[k]
+        score = 1024 * work.growth[x] + min(work.n_left[x], 1000)
+        if score < least or (score == least and x < work.active[best]):
             best, least = k, score
     return best
 
 
 @part
-def sum_narrow(
-    n: int, odds: FloatArray, loose: FloatArray, room: Narrow, share: FloatArray, open_: FloatArray, taken: FloatArray
-) -> None:
-    """Exact probabilities: ``share`` of every pair, of every record to be left ``open_`` or ``taken``; arranged before.
+def sum_core(
+    n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimination, p_pair: FloatArray, p_alone: FloatArray,
+    p_taken: FloatArray,
+) -> None:  # fmt: skip
+    """Write exact probabilities: of every pair, and of every record to have no partner or one, after
+    :func:`plan_elimination`.
 
-    odds of the pairs, ``loose`` of every record to be left alone.
+    odds, odds_alone : odds of the pairs, and of every record to have no partner.
     """
-    for k in range(room.first[n]):
-        room.odds[k] = odds[room.choice[k]]
-    room.sum[0] = 1.0
+    for k in range(work.choice_start[n]):
+        work.choice_odds[k] = odds[work.choice_pair[k]]
+    work.sum[0] = 1.0
     for t in range(n):
-        _forwards(t, loose[room.order[t]], room)
-        if t % EVERY == 0:
-            _settle(room.begin[t + 1], room.size[t + 1], room)
-    room.sum[room.begin[n]] = 1.0
+        _forward(t, odds_alone[work.order[t]], work)
+        if t % RESCALE_EVERY == 0:
+            _rescale(work.sum_start[t + 1], work.sum_size[t + 1], work)
+    work.sum[work.sum_start[n]] = 1.0
     for t in range(n - 1, -1, -1):
-        _backwards(t, room.order[t], loose, room, share, open_, taken)
-        if t % EVERY == 0:
-            _settle(room.begin[t], room.size[t], room)
+        _backward(t, work.order[t], odds_alone, work, p_pair, p_alone, p_taken)
+        if t % RESCALE_EVERY == 0:
+            _rescale(work.sum_start[t], work.sum_size[t], work)
 
 
 @part
-def _forwards(t: int, alone: float, room: Narrow) -> None:
-    value, bit, odds = room.sum, room.bit, room.odds
-    now, then, own = room.begin[t], room.begin[t + 1], room.own[t]
-    low, high = room.first[t], room.first[t + 1]
-    for s in range(then, then + room.size[t + 1]):
+def _forward(t: int, alone: float, work: Elimination) -> None:
+    """Write the partial sums after step t from those before it; ``alone`` : odds that its record has no partner."""
+    value, bit, odds = work.sum, work.choice_bit, work.choice_odds
+    now, then, own = work.sum_start[t], work.sum_start[t + 1], work.own_bit[t]
+    low, high = work.choice_start[t], work.choice_start[t + 1]
+    for s in range(then, then + work.sum_size[t + 1]):
         value[s] = 0.0
-    for s in range(room.size[t]):
-        so_far = value[now + s]
-        if so_far == 0.0:
+    for s in range(work.sum_size[t]):
+        prefix = value[now + s]
+        if prefix == 0.0:
             continue
         if s & own:
-            value[then + (s ^ own)] += so_far
+            value[then + (s ^ own)] += prefix
             continue
-        value[then + s] += so_far * alone
+        value[then + s] += prefix * alone
         for k in range(low, high):
             if s & bit[k] == 0:
-                value[then + (s | bit[k])] += so_far * odds[k]
+                value[then + (s | bit[k])] += prefix * odds[k]
 
 
 @part
-def _backwards(
-    t: int, x: int, loose: FloatArray, room: Narrow, share: FloatArray, open_: FloatArray, taken: FloatArray
-) -> None:
-    """The sums ahead in the place of those so far; probabilities of the record's pairs, and of being open or taken."""
-    value, bit, odds = room.sum, room.bit, room.odds
-    now, then, own = room.begin[t], room.begin[t + 1], room.own[t]
-    low, high = room.first[t], room.first[t + 1]
+def _backward(
+    t: int, x: int, odds_alone: FloatArray, work: Elimination, p_pair: FloatArray, p_alone: FloatArray,
+    p_taken: FloatArray,
+) -> None:  # fmt: skip
+    """Replace the partial sums before step t by the sums over all later steps, and write the probabilities of the
+    choices of its record x."""
+    value, bit, odds = work.sum, work.choice_bit, work.choice_odds
+    now, then, own = work.sum_start[t], work.sum_start[t + 1], work.own_bit[t]
+    low, high = work.choice_start[t], work.choice_start[t + 1]
     for k in range(low, high):
-        share[room.choice[k]] = 0.0
-    alone, before = 0.0, 0.0
-    for s in range(room.size[t]):
-        so_far = value[now + s]
-        if so_far == 0.0:
+        p_pair[work.choice_pair[k]] = 0.0
+    alone, taken = 0.0, 0.0
+    for s in range(work.sum_size[t]):
+        prefix = value[now + s]
+        if prefix == 0.0:
             continue
         if s & own:
-            ahead = value[then + (s ^ own)]
-            before += so_far * ahead
+            suffix = value[then + (s ^ own)]
+            taken += prefix * suffix
         else:
-            ahead = loose[x] * value[then + s]
-            alone += so_far * ahead
+            suffix = odds_alone[x] * value[then + s]
+            alone += prefix * suffix
             for k in range(low, high):
                 if s & bit[k] == 0:
-                    more = odds[k] * value[then + (s | bit[k])]
-                    share[room.choice[k]] += so_far * more
-                    ahead += more
-        value[now + s] = ahead
+                    paired = odds[k] * value[then + (s | bit[k])]
+                    p_pair[work.choice_pair[k]] += prefix * paired
+                    suffix += paired
+        value[now + s] = suffix
     for k in range(low, high):
-        before += share[room.choice[k]]
+        taken += p_pair[work.choice_pair[k]]
     for k in range(low, high):
-        share[room.choice[k]] /= alone + before
-    open_[x], taken[x] = alone / (alone + before), before / (alone + before)
+        p_pair[work.choice_pair[k]] /= alone + taken
+    p_alone[x], p_taken[x] = alone / (alone + taken), taken / (alone + taken)
 
 
 @part
-def _settle(begin: int, size: int, room: Narrow) -> float:
-    """Divide sums by the largest where that gets out of hand; returns by what they were divided."""
+def _rescale(begin: int, size: int, work: Elimination) -> float:
+    """Divide partial sums by the largest if that is beyond RESCALE_BEYOND; returns the divisor, else 1."""
     largest = 0.0
     for s in range(begin, begin + size):
-        largest = max(largest, room.sum[s])
-    if largest > TREE_GREAT or 0.0 < largest < 1.0 / TREE_GREAT:
+        largest = max(largest, work.sum[s])
+    if largest > RESCALE_BEYOND or 0.0 < largest < 1.0 / RESCALE_BEYOND:
         for s in range(begin, begin + size):
-            room.sum[s] /= largest
+            work.sum[s] /= largest
         return largest
     return 1.0
 
 
 @part
-def log_sum_narrow(n: int, odds: FloatArray, loose: FloatArray, room: Narrow) -> float:
-    """ln of the sum over all hypotheses; ``odds`` and ``loose`` as in :func:`sum_narrow`, arranged before."""
-    for k in range(room.first[n]):
-        room.odds[k] = odds[room.choice[k]]
-    room.sum[0] = 1.0
-    divided = 0.0
+def log_sum_core(n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimination) -> float:
+    """ln of the sum over all hypotheses; arguments as :func:`sum_core`, after :func:`plan_elimination`."""
+    for k in range(work.choice_start[n]):
+        work.choice_odds[k] = odds[work.choice_pair[k]]
+    work.sum[0] = 1.0
+    log_scale = 0.0
     for t in range(n):
-        _forwards(t, loose[room.order[t]], room)
-        if t % EVERY == 0:
-            divided += math.log(_settle(room.begin[t + 1], room.size[t + 1], room))
-    return divided + math.log(room.sum[room.begin[n]])
+        _forward(t, odds_alone[work.order[t]], work)
+        if t % RESCALE_EVERY == 0:
+            log_scale += math.log(_rescale(work.sum_start[t + 1], work.sum_size[t + 1], work))
+    return log_scale + math.log(work.sum[work.sum_start[n]])
 
 
-# Compiled folding of leaves: a record with one pair left is summed over into its partner, until none is left.
+# Exact sums by folding leaves: a record with one pair left is summed over into its partner, until no such record is
+# left.
 #
-# A record that stays without partner counts ``loose``, a pair its odds times the ``scale`` of both records. Where
-# record x has one pair left, with y, what is summed over x leaves y the same choices as before, with other numbers,
+# A record without partner counts ``odds_alone``, a pair its odds times the ``scale`` of both records. Summing over a
+# record x whose only pair left is with y leaves y the same choices, with
 #
-#     loose_y ← loose_y loose_x + odds_xy scale_x scale_y,   scale_y ← scale_y loose_x.
+#     alone_y ← alone_y alone_x + odds_xy scale_x scale_y,   scale_y ← scale_y alone_x.
 #
-# Trees vanish by that: their probabilities are products on the way back. What remains are the records on cycles and
-# between them, the *core*. Everything is a sum or product of what is not negative: small probabilities keep their
+# A tree is summed completely; its probabilities are products on the way back. Elsewhere the *core* remains: the records
+# on cycles and between them. All terms are sums and products of nonnegative numbers, so small probabilities keep their
 # digits.
 
-#: Numbers of a record are divided by the greater one where that is above this.
-GREAT = 1e15
+#: ``odds_alone`` and ``scale`` of a record are divided by the larger if that is above this.
+FOLD_RESCALE_ABOVE = 1e15
 
-#: By record, source 1 first: pairs left, exclusive or of their numbers, loose, scale, and the probability of having
-#: a partner nearer to the core, or none. By folded leaf: record, pair, and how the partner's ``loose`` divides in two.
-#: (1,) ln of what all sums were divided by.
-Forest = namedtuple("Forest", "degree pairs loose scale taken open leaf through joint apart divided")
+#: Workspace of the folding. By record, source 1 first: ``degree`` pairs left, ``pair_xor`` exclusive or of their
+#: numbers, ``odds_alone``, ``scale``, and the probabilities of having a partner nearer to the core (``p_taken``) and no
+#: partner yet (``p_alone``). By folded leaf: ``leaf`` its record, ``leaf_pair``, and the shares ``joint`` and ``apart``
+#: of both terms of alone_y. ``log_scale`` (1,): ln of what all sums were divided by.
+Forest = namedtuple("Forest", "degree pair_xor odds_alone scale p_taken p_alone leaf leaf_pair joint apart log_scale")
 
 
 @part
 def forest(records: int) -> Forest:
-    """Room for groups of at most so many records."""
+    """A workspace for groups of at most this many records."""
     return Forest(
         np.empty(records, np.int64),
         np.empty(records, np.int64),
@@ -317,67 +334,67 @@ def forest(records: int) -> Forest:
 
 
 @part
-def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, room: Forest) -> int:
-    """Fold the leaves of n₁ + n₂ records whose ``loose`` is filled in; returns the number of leaves.
+def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, work: Forest) -> int:
+    """Fold the leaves of n₁ + n₂ records, whose ``odds_alone`` must be set; returns the number of leaves.
 
-    first, second : (m,) numbers of the records of each pair in their sources. Records that remain have a ``degree``.
+    first, second : (m,) each pair's records, numbered in their sources. Records of the core keep a ``degree`` > 0.
     """
-    degree, pairs, loose, scale = room.degree, room.pairs, room.loose, room.scale
-    room.divided[0] = 0.0
+    degree, pair_xor, odds_alone, scale = work.degree, work.pair_xor, work.odds_alone, work.scale
+    work.log_scale[0] = 0.0
     for x in range(n1 + n2):
         degree[x] = 0
-        pairs[x] = 0
+        pair_xor[x] = 0
         scale[x] = 1.0
-        room.taken[x] = 0.0
-        room.open[x] = 1.0
+        work.p_taken[x] = 0.0
+        work.p_alone[x] = 1.0
     for e in range(len(odds)):
         x, y = np.int64(first[e]), n1 + second[e]
         degree[x] += 1
         degree[y] += 1
-        pairs[x] ^= e
-        pairs[y] ^= e
+        pair_xor[x] ^= e
+        pair_xor[y] ^= e
     leaves = 0
     for x in range(n1 + n2):
-        at = x
-        while degree[at] == 1:
-            e = pairs[at]
-            other = n1 + second[e] if at < n1 else np.int64(first[e])
-            joint = odds[e] * scale[at] * scale[other]
-            apart = loose[other] * loose[at]
+        leaf = x
+        while degree[leaf] == 1:
+            e = pair_xor[leaf]
+            other = n1 + second[e] if leaf < n1 else np.int64(first[e])
+            joint = odds[e] * scale[leaf] * scale[other]
+            apart = odds_alone[other] * odds_alone[leaf]
             total = joint + apart
-            room.leaf[leaves] = at
-            room.through[leaves] = e
-            room.joint[leaves] = joint / total if total > 0.0 else 0.0
-            room.apart[leaves] = apart / total if total > 0.0 else 0.0
+            work.leaf[leaves] = leaf
+            work.leaf_pair[leaves] = e
+            work.joint[leaves] = joint / total if total > 0.0 else 0.0
+            work.apart[leaves] = apart / total if total > 0.0 else 0.0
             leaves += 1
-            loose[other] = total
-            scale[other] *= loose[at]
+            odds_alone[other] = total
+            scale[other] *= odds_alone[leaf]
             greater = max(total, scale[other])
-            if greater > GREAT:
-                loose[other] /= greater
+            if greater > FOLD_RESCALE_ABOVE:
+                odds_alone[other] /= greater
                 scale[other] /= greater
-                room.divided[0] += math.log(greater)
-            degree[at] = 0
+                work.log_scale[0] += math.log(greater)
+            degree[leaf] = 0
             degree[other] -= 1
-            pairs[other] ^= e
-            at = other
+            pair_xor[other] ^= e
+            leaf = other
     return leaves
 
 
 @part
-def unfold(leaves: int, n1: int, first: Int32Array, second: Int32Array, room: Forest, share: FloatArray) -> None:
-    """Fill ``share`` of the pairs by which leaves were folded, from ``open`` and ``taken`` of the core's records."""
-    taken, open_ = room.taken, room.open
+def unfold(leaves: int, n1: int, first: Int32Array, second: Int32Array, work: Forest, p_pair: FloatArray) -> None:
+    """Write ``p_pair`` of the leaves' pairs, from ``p_alone`` and ``p_taken`` of the core's records."""
+    p_taken, p_alone = work.p_taken, work.p_alone
     for k in range(leaves - 1, -1, -1):
-        x = room.leaf[k]
-        e = room.through[k]
+        x = work.leaf[k]
+        e = work.leaf_pair[k]
         other = n1 + second[e] if x < n1 else np.int64(first[e])
-        p = open_[other] * room.joint[k]
-        share[e] = p
-        open_[other] *= room.apart[k]
-        taken[x] = p
-        open_[x] = taken[other] + open_[other]
-        taken[other] += p
+        p = p_alone[other] * work.joint[k]
+        p_pair[e] = p
+        p_alone[other] *= work.apart[k]
+        p_taken[x] = p
+        p_alone[x] = p_taken[other] + p_alone[other]
+        p_taken[other] += p
 
 
 @part
@@ -387,46 +404,47 @@ def core_of(
     first: Int32Array,
     second: Int32Array,
     odds: FloatArray,
-    room: Forest,
+    folded: Forest,
     record: IntArray,
-    graph: Narrow,
+    graph: Elimination,
     core_odds: FloatArray,
 ) -> int:
-    """Lay the records that remain out as a graph (``narrow``), with the ``odds`` of its pairs; returns their number.
+    """Write the core as the graph of the elimination, with the odds of its pairs; returns its number of records.
 
-    ``record`` is filled with the graph's records' numbers among the n₁ + n₂.
+    record : receives the number of each of the graph's records among the n₁ + n₂.
     """
     n = np.int64(0)
+    number, fill = folded.pair_xor, graph.n_left
     graph.start[0] = 0
     for x in range(n1 + n2):
-        if room.degree[x] > 0:
-            room.pairs[x] = n
+        if folded.degree[x] > 0:
+            number[x] = n
             record[n] = x
-            graph.start[n + 1] = graph.start[n] + room.degree[x]
-            graph.left[n] = graph.start[n]
+            graph.start[n + 1] = graph.start[n] + folded.degree[x]
+            fill[n] = graph.start[n]
             n += 1
     for e in range(len(first)):
         x, y = np.int64(first[e]), n1 + second[e]
-        if room.degree[x] > 0 and room.degree[y] > 0:
-            core_odds[e] = odds[e] * room.scale[x] * room.scale[y]
-            a, b = room.pairs[x], room.pairs[y]
-            graph.near[graph.left[a]], graph.near[graph.left[b]] = b, a
-            graph.pair[graph.left[a]], graph.pair[graph.left[b]] = e, e
-            graph.left[a] += 1
-            graph.left[b] += 1
+        if folded.degree[x] > 0 and folded.degree[y] > 0:
+            core_odds[e] = odds[e] * folded.scale[x] * folded.scale[y]
+            a, b = number[x], number[y]
+            graph.neighbour[fill[a]], graph.neighbour[fill[b]] = b, a
+            graph.pair[fill[a]], graph.pair[fill[b]] = e, e
+            fill[a] += 1
+            fill[b] += 1
     return n
 
 
+#: How a group was solved: in closed form, exactly by folding and elimination, or not here.
 CLOSED, ELIMINATED, LOCAL = 0, 1, 2
-#: Reduced log weights below this are as good as impossible; priors this far above the best count are left out.
-DEEPEST = 600.0
-HIGHEST = 300.0
+#: Reduced log weights are at least −MAX_DEPTH; counts with a log factor of MAX_LOG_PRIOR or more are excluded.
+MAX_DEPTH, MAX_LOG_PRIOR = 600.0, 300.0
 
 
 @part
 def bounded_exp(x: float) -> float:
-    """exp(x) for x ≤ 0, never quite zero."""
-    return math.exp(max(x, -DEEPEST))
+    """exp(x) for x ≤ 0, at least exp(−MAX_DEPTH), so never 0."""
+    return math.exp(max(x, -MAX_DEPTH))
 
 
 @part
@@ -445,10 +463,14 @@ def by_row(
     column: Int32Array,
     pair: IntArray,
     odds: FloatArray,
-    none: FloatArray,
-    unused: FloatArray,
+    row_alone: FloatArray,
+    column_alone: FloatArray,
 ) -> tuple[int, int]:
-    """The reduced problem of one group, its rows being source 1 or, ``flipped``, source 2."""
+    """Write the reduced problem of one group as CSR by row, rows being source 1 or, if ``flipped``, source 2.
+
+    low, high : its pairs. start, column, pair, odds : the CSR. row_alone, column_alone : odds of having no partner.
+    Returns the numbers of rows and columns.
+    """
     n = n2 if flipped else n1
     nc = n1 if flipped else n2
     row_of = local2 if flipped else local1
@@ -469,15 +491,15 @@ def by_row(
         start[r] = start[r - 1]
     start[0] = 0
     for r in range(n1):
-        (unused if flipped else none)[r] = bounded_exp(-u[r])
+        (column_alone if flipped else row_alone)[r] = bounded_exp(-u[r])
     for c in range(n2):
-        (none if flipped else unused)[c] = bounded_exp(-v[c])
+        (row_alone if flipped else column_alone)[c] = bounded_exp(-v[c])
     return n, nc
 
 
 @part
 def star(low: int, high: int, weight: FloatArray, share: FloatArray) -> None:
-    """Closed form where one record has all the pairs of the group: a softmax with the null."""
+    """Write ``share`` where one record has all the pairs of the group: the softmax of their weights and 0 (alone)."""
     top = 0.0
     for e in range(low, high):
         top = max(top, weight[e])
@@ -491,34 +513,38 @@ def star(low: int, high: int, weight: FloatArray, share: FloatArray) -> None:
 
 @part
 def count_factors(prior: FloatArray, slope: float, size: int) -> FloatArray:
-    """exp(ln P(k) − μ (k − k₀)) relative to the best hypothesis' k₀ = ``size``; 0 where out of reach."""
+    """exp(ln P(k) − ln P(k₀) − μ (k − k₀)), k₀ = ``size`` the number of pairs of the best hypothesis; 0 where the
+    logarithm is MAX_LOG_PRIOR or more."""
     factors = np.zeros(len(prior))
     for k in range(len(prior)):
         x = prior[k] - prior[size] - slope * (k - size)
-        if x < HIGHEST:
+        if x < MAX_LOG_PRIOR:
             factors[k] = math.exp(max(x, -700.0))
     return factors
 
 
 def _sums(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
-    """Sums over a group double with each record that may be open at a time, and every pair counts in each."""
+    """Upper bound of the work: sums double with each record of the smaller side, and every pair is added in each."""
     pairs, one, two = (np.diff(starts[first : last + 1]) for starts in (start, start1, start2))
     return 10.0 * float(np.sum(pairs * 2.0 ** (np.minimum(np.minimum(one, two), 50) - 1)))
 
 
 @part
 def two_at_most(
-    n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, loose: FloatArray, share: FloatArray
-) -> None:
-    """Fill ``share`` (m,) of a group in which no hypothesis has more than two pairs, hypothesis by hypothesis: to lay
-    out the elimination of two records takes ten times as long. loose : (n₁ + n₂,) odds of records without a partner."""
+    n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, odds_alone: FloatArray,
+    share: FloatArray,
+) -> None:  # fmt: skip
+    """Write ``share`` (m,) of a group whose hypotheses have at most two pairs, summed hypothesis by hypothesis.
+
+    Planning an elimination would take ten times as long. odds_alone : (n₁ + n₂,) odds of having no partner.
+    """
     total = 1.0
     for x in range(n1 + n2):
-        total *= loose[x]
+        total *= odds_alone[x]
     for e in range(len(first)):
         value = odds[e]
         for x in range(n1 + n2):
-            value *= 1.0 if x == first[e] or x == n1 + second[e] else loose[x]
+            value *= 1.0 if x == first[e] or x == n1 + second[e] else odds_alone[x]
         share[e] = value
         total += value
     for e in range(len(first)):
@@ -528,7 +554,7 @@ def two_at_most(
             value = odds[e] * odds[f]
             for x in range(n1 + n2):
                 taken = x == first[e] or x == first[f] or x == n1 + second[e] or x == n1 + second[f]
-                value *= 1.0 if taken else loose[x]
+                value *= 1.0 if taken else odds_alone[x]
             share[e] += value
             share[f] += value
             total += value
@@ -537,7 +563,7 @@ def two_at_most(
 
 
 def _sums_of_small(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
-    """The same over the groups that are not too large to be summed at all."""
+    """The same, with 1 item for each group of more than ``most`` records on both sides, which is skipped."""
     most = rest[5]
     pairs, one, two = (np.diff(starts[first : last + 1]) for starts in (start, start1, start2))
     records = np.minimum(one, two)
@@ -560,10 +586,10 @@ def exact(
     share: FloatArray,
     method: NDArray[np.int8],
 ) -> None:
-    """Posterior ``share`` (m,) of the pairs of the groups first … last − 1 under a linear prior, where it can be exact.
+    """Write the exact posterior ``share`` (m,) of the pairs of the groups first … last − 1, under a linear prior.
 
-    method (g,) receives CLOSED, ELIMINATED or, with nothing filled in, LOCAL: where both sides have more than ``most``
-    records, or too many are open at a time (:mod:`narrow`).
+    method (g,) receives CLOSED, ELIMINATED or LOCAL. LOCAL groups have no share written: both sides have more than
+    ``most`` records, or the elimination needs too many sums.
     """
     records, pairs = np.int64(2), np.int64(1)
     for g in range(first, last):
@@ -571,10 +597,10 @@ def exact(
         if 1 < min(n1, n2) <= most:
             records = max(records, n1 + n2)
             pairs = max(pairs, start[g + 1] - start[g])
-    tree, graph = forest(records), narrow(records, pairs)
+    tree, graph = forest(records), elimination(records, pairs)
     odds, core_odds = np.empty(pairs), np.empty(pairs)
     record = np.empty(records, np.int64)
-    loose, open_, taken = np.empty(records), np.empty(records), np.empty(records)
+    core_alone, p_alone, p_taken = np.empty(records), np.empty(records), np.empty(records)
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
@@ -586,27 +612,27 @@ def exact(
         if min(n1, n2) > most:
             continue
         for r in range(n1):
-            tree.loose[r] = bounded_exp(-u[start1[g] + r])
+            tree.odds_alone[r] = bounded_exp(-u[start1[g] + r])
         for c in range(n2):
-            tree.loose[n1 + c] = bounded_exp(-v[start2[g] + c])
-        one, two, of_pair = local1[low:high], local2[low:high], share[low:high]
+            tree.odds_alone[n1 + c] = bounded_exp(-v[start2[g] + c])
+        one, two, p_pair = local1[low:high], local2[low:high], share[low:high]
         for e in range(low, high):
             odds[e - low] = math.exp(max(weight[e] - u[start1[g] + local1[e]] - v[start2[g] + local2[e]], -700.0))
-        if min(n1, n2) == 2 and max(n1, n2) <= FEW_BESIDE_TWO:
-            two_at_most(n1, n2, one, two, odds, tree.loose, of_pair)
+        if min(n1, n2) == 2 and max(n1, n2) <= MAX_RECORDS_AGAINST_TWO:
+            two_at_most(n1, n2, one, two, odds, tree.odds_alone, p_pair)
             method[g] = ELIMINATED
             continue
         leaves = fold(n1, n2, one, two, odds[: high - low], tree)
         if leaves < n1 + n2 - 1:
             n = core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
-            if not arranged(n, graph):
+            if not plan_elimination(n, graph):
                 continue
             for x in range(n):
-                loose[x] = tree.loose[record[x]]
-            sum_narrow(n, core_odds, loose, graph, of_pair, open_, taken)
+                core_alone[x] = tree.odds_alone[record[x]]
+            sum_core(n, core_odds, core_alone, graph, p_pair, p_alone, p_taken)
             for x in range(n):
-                tree.open[record[x]], tree.taken[record[x]] = open_[x], taken[x]
-        unfold(leaves, n1, one, two, tree, of_pair)
+                tree.p_alone[record[x]], tree.p_taken[record[x]] = p_alone[x], p_taken[x]
+        unfold(leaves, n1, one, two, tree, p_pair)
         method[g] = ELIMINATED
 
 
@@ -624,44 +650,44 @@ def log_sums(
     v: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (g,) with ln Σ over the hypotheses of exp(Σ weight) of the groups first … last − 1, the sum that
-    :func:`exact` divides by; NaN where too many records are open at a time."""
+    """Write to ``out`` (g,) ln Σ over hypotheses of exp(Σ weight) of the groups first … last − 1, the sum that
+    :func:`exact` divides by; NaN where the elimination needs too many partial sums."""
     records, pairs = np.int64(2), np.int64(1)
     for g in range(first, last):
         records = max(records, start1[g + 1] - start1[g] + start2[g + 1] - start2[g])
         pairs = max(pairs, start[g + 1] - start[g])
-    tree, graph = forest(records), narrow(records, pairs)
+    tree, graph = forest(records), elimination(records, pairs)
     odds, core_odds = np.empty(pairs), np.empty(pairs)
-    record, loose = np.empty(records, np.int64), np.empty(records)
+    record, core_alone = np.empty(records, np.int64), np.empty(records)
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
-        # Every hypothesis is reduced by the duals, which the best one weighs.
+        # The sum of the duals, by which every hypothesis is reduced, is the weight of the best one.
         total = 0.0
         for r in range(n1):
             total += u[start1[g] + r]
-            tree.loose[r] = bounded_exp(-u[start1[g] + r])
+            tree.odds_alone[r] = bounded_exp(-u[start1[g] + r])
         for c in range(n2):
             total += v[start2[g] + c]
-            tree.loose[n1 + c] = bounded_exp(-v[start2[g] + c])
+            tree.odds_alone[n1 + c] = bounded_exp(-v[start2[g] + c])
         one, two = local1[low:high], local2[low:high]
         for e in range(low, high):
             odds[e - low] = math.exp(max(weight[e] - u[start1[g] + local1[e]] - v[start2[g] + local2[e]], -700.0))
         leaves = fold(n1, n2, one, two, odds[: high - low], tree)
-        total += tree.divided[0]
+        total += tree.log_scale[0]
         if leaves == n1 + n2 - 1:
-            # A tree: all of it is summed over into the partner of the last leaf.
-            x, e = tree.leaf[leaves - 1], tree.through[leaves - 1]
+            # A tree is summed into the partner of its last leaf.
+            x, e = tree.leaf[leaves - 1], tree.leaf_pair[leaves - 1]
             root = n1 + two[e] if x < n1 else np.int64(one[e])
-            out[g] = total + math.log(tree.loose[root])
+            out[g] = total + math.log(tree.odds_alone[root])
             continue
         n = core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
-        if not arranged(n, graph):
+        if not plan_elimination(n, graph):
             out[g] = np.nan
             continue
         for x in range(n):
-            loose[x] = tree.loose[record[x]]
-        out[g] = total + log_sum_narrow(n, core_odds, loose, graph)
+            core_alone[x] = tree.odds_alone[record[x]]
+        out[g] = total + log_sum_core(n, core_odds, core_alone, graph)
 
 
 @small_by(_sums)
@@ -684,23 +710,23 @@ def exact_counted(
     share: FloatArray,
     method: NDArray[np.int8],
 ) -> None:
-    """The same as :func:`exact` under any prior of the count: weight excludes it (see ``assign_counted``).
+    """:func:`exact` under any prior of the count: ``weight`` excludes it (see ``assign_counted``).
 
-    table[table_start[g] + k] : ln P of k pairs.
+    table[table_start[g] + k] : ln P of k pairs. slope : (g,) its multiplier μ at the best hypothesis.
     """
-    widest, longest, narrowest = np.int64(1), np.int64(1), np.int64(1)
+    max_rows, max_pairs, max_columns = np.int64(1), np.int64(1), np.int64(1)
     for g in range(first, last):
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
         if 1 < min(n1, n2) <= most:
-            widest = max(widest, n1, n2)
-            longest = max(longest, start[g + 1] - start[g])
-            narrowest = max(narrowest, min(n1, n2))
-    work = scratch(longest, widest, narrowest)
-    row_start = np.empty(widest + 2, np.int64)
-    column, pair = np.empty(longest, np.int32), np.empty(longest, np.int64)
-    odds, part = np.empty(longest), np.empty(longest)
-    none, unused, alone = np.empty(widest), np.empty(widest), np.empty(widest)
-    stamp = np.int64(0)  # not a literal: numba would compile for it apart
+            max_rows = max(max_rows, n1, n2)
+            max_pairs = max(max_pairs, start[g + 1] - start[g])
+            max_columns = max(max_columns, min(n1, n2))
+    work = scratch(max_pairs, max_rows, max_columns)
+    row_start = np.empty(max_rows + 2, np.int64)
+    column, pair = np.empty(max_pairs, np.int32), np.empty(max_pairs, np.int64)
+    odds, p_pair = np.empty(max_pairs), np.empty(max_pairs)
+    row_alone, column_alone, p_alone = np.empty(max_rows), np.empty(max_rows), np.empty(max_rows)
+    stamp = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
@@ -720,13 +746,14 @@ def exact_counted(
             share[e] = weight[e] + slope[g]
         ug, vg = u[start1[g] : start1[g + 1]], v[start2[g] : start2[g + 1]]
         n, nc = by_row(n1, n2, low, high, local1, local2, share, ug, vg, n2 > n1, row_start, column, pair, odds,
-                       none, unused)  # fmt: skip
+                       row_alone, column_alone)  # fmt: skip
         prior = count_factors(log_p, slope[g], size)
-        after = eliminate(n, nc, row_start[: n + 1], column, odds, none, unused, prior, part, alone, stamp, work)
+        after = eliminate(n, nc, row_start[: n + 1], column, odds, row_alone, column_alone, prior, p_pair, p_alone,
+                          stamp, work)  # fmt: skip
         if after < 0:
             stamp += n + 1
             continue
         stamp = after
         method[g] = ELIMINATED
         for t in range(high - low):
-            share[pair[t]] = part[t]
+            share[pair[t]] = p_pair[t]
