@@ -12,6 +12,7 @@ from problems import KINDS, by_id, plane_records, shuffled, sky_records
 from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere
 from sameas.gate import Tuning
 from sameas.kernels import threads
+from sameas.kernels.compiled import Kernel
 from sameas.space import Plane, sphere_offset
 
 GATES = {
@@ -39,7 +40,7 @@ def test_more_pairs_than_the_memory_holds_are_refused_before_it_is_full():
 
 def laid_out(first, second, gate):
     """The candidates as the search of many records finds them, which lays both sources out first."""
-    return replace(gate, tuning=Tuning(each_with_each=0))(first, second)
+    return replace(gate, tuning=Tuning(each_with_each=0, most_by_arrays=0))(first, second)
 
 
 def brute_force(first, second, gate, definition):
@@ -74,6 +75,31 @@ def _judged(pairs, expected):
         np.testing.assert_allclose(pairs.covariance[e], cov, rtol=1e-9, atol=1e-12 * size**2)
         assert pairs.determinant[e] == pytest.approx(np.linalg.det(cov), rel=1e-9)
         assert pairs.mahalanobis_sq[e] == pytest.approx(naive.mahalanobis(delta, cov), rel=1e-8, abs=1e-9)
+
+
+@pytest.mark.parametrize("sigma", ["circles", "ellipses"])
+@pytest.mark.parametrize("lon, lat", [(10.0, -30.0), (0.0, 5.0), (200.0, 88.0)])
+def test_few_records_on_the_sky_give_by_arrays_what_the_kernel_gives(monkeypatch, sigma, lon, lat):
+    rng = np.random.default_rng(8)
+
+    def records(source):
+        at = np.column_stack([rng.normal(lon, 0.01 / math.cos(math.radians(lat)), 300), rng.normal(lat, 0.01, 300)])
+        error = np.exp(rng.normal(0.0, 0.3, 300))
+        if sigma == "ellipses":
+            turn, size = rng.uniform(0, math.pi, 300), np.column_stack([error, 2.0 * error])
+            axes = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], axis=1).reshape(-1, 2, 2)
+            covariance = np.einsum("nij,nj,nkj->nik", axes, size**2, axes)
+            return Records.of(at, covariance=covariance, space=Sphere(), source=source)
+        return Records.of(at, sigma=error, space=Sphere(), source=source)
+
+    first, second = records("a"), records("b")
+    monkeypatch.setattr(Kernel, "interprets", property(lambda self: True))
+    for gate in (ChiSquare(), Radius(2.0), Box(3.0)):
+        by_arrays, by_kernel = gate(first, second), laid_out(first, second, gate)
+        assert 100 < len(by_kernel) < 20_000
+        for name in ("place_1", "place_2", "i", "j", "residual", "mahalanobis_sq", "determinant"):
+            column, expected = getattr(by_arrays, name), getattr(by_kernel, name)
+            assert column.dtype == expected.dtype and np.array_equal(column, expected), name
 
 
 # ---- in a plane ----

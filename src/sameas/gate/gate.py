@@ -32,6 +32,7 @@ from sameas.errors import InputError
 from sameas.gate.zones import DEFAULT_TUNING, Extent, Geometry, Layout, Source, Tuning
 from sameas.gaussian import distance_and_log_determinant
 from sameas.kernels import threads
+from sameas.ragged import ranges
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane, Sphere
@@ -131,6 +132,12 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
     gate: tuple[Any, ...] = geometry.limit, geometry.box
     if geometry.sphere:
         from sameas.kernels.sphere import sweep_sphere as kernel
+
+        if getattr(kernel, "interprets", False) and not len(wide):
+            columns = _few_on_sphere(one, two, geometry)
+            if columns is not None:
+                allowed.take(len(columns[0]))
+                return columns
     else:
         from sameas.kernels.plane import sweep_plane as kernel
 
@@ -155,6 +162,42 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
     bounds = threads.even(n)
     starts = [math.ceil(each * k) + (int(np.searchsorted(wide, k << 32)) if len(wide) else 0) for k in bounds]
     return _gathered(sweep, bounds, starts, partial(_room, d), len(two.side.rows), replace(allowed, count=0))
+
+
+def _few_on_sphere(one: Layout, two: Layout, geometry: Geometry) -> Columns | None:
+    """What ``sweep_sphere`` lists, to the last bit, by arrays: faster than the kernel as long as it is interpreted.
+
+    None where pairs are too many, or reach so far or so near a pole that the kernel measures them by other series.
+    """
+    from sameas.kernels.sphere import CLOSE_DEG, close_residual, shorter_ways, spreads
+
+    guard_1, guard_2 = one.side.guard, two.side.guard
+    order = np.argsort(guard_2[:, 1], kind="stable")
+    latitude = guard_2[order, 1]
+    reach = np.sqrt(geometry.opening * (1.0 + 1e-6) * (guard_1[:, 3] + guard_2[:, 3].max()))
+    highest = max(float(np.abs(guard[:, 1]).max()) for guard in (guard_1, guard_2))
+    if reach.max() > 0.1 * CLOSE_DEG * math.cos(math.radians(min(highest, 90.0))):
+        return None
+    low = np.searchsorted(latitude, guard_1[:, 1] - reach)
+    size = np.searchsorted(latitude, guard_1[:, 1] + reach, side="right") - low
+    if size.sum() > geometry.tuning.most_by_arrays:
+        return None
+    k, at = ranges(low, size)
+    q = order[at]
+    dlon = shorter_ways(guard_1[k, 0] - guard_2[q, 0])
+    near = np.flatnonzero(np.abs(dlon) * math.cos(math.radians(highest)) <= reach[k])
+    near = near[np.lexsort((q[near], k[near]))]
+    k, q, dlon = k[near], q[near], dlon[near]
+    east, north = close_residual(dlon, guard_1[k, 1] - guard_2[q, 1], guard_1[k, 2] + guard_2[q, 2])
+    xx, xy, yy = spreads(one.side, two.side, k, q, dlon)
+    determinant = xx * yy - xy * xy
+    squared = (east * east * yy - 2.0 * east * north * xy + north * north * xx) / determinant
+    limit = geometry.limit
+    inside = (east * east <= limit * xx) & (north * north <= limit * yy) if geometry.box else squared <= limit
+    kept = np.flatnonzero(inside)
+    places = k[kept].astype(np.int32), q[kept].astype(np.int32)
+    rows = one.side.rows[places[0]], two.side.rows[places[1]]
+    return (*places, *rows, np.stack([east[kept], north[kept]], axis=1), squared[kept], determinant[kept])
 
 
 def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed) -> IntArray:
@@ -361,7 +404,10 @@ class Pairs:
     def _covariance(self, i: NDArray[np.int32], j: NDArray[np.int32]) -> FloatArray:
         out = np.empty((len(i), self.d, self.d))
         a, b = self.first, self.second
-        if isinstance(a.space, Sphere):
+        if isinstance(a.space, Sphere) and a.covariance.shape[1] == b.covariance.shape[1] == 1:
+            out[:] = 0.0
+            out[:, 0, 0] = out[:, 1, 1] = a.covariance[i, 0] + b.covariance[j, 0]  # circles have no axes to be turned
+        elif isinstance(a.space, Sphere):
             from sameas.kernels.sphere import sphere_covariances
 
             sphere_covariances(a.features, a.covariance, b.features, b.covariance, i, j, out)

@@ -32,6 +32,8 @@ class Tuning:
     Attributes
     ----------
     each_with_each : up to this many records of both sources together on a plane are compared each with each.
+    most_by_arrays : up to this many pairs in the same strip of latitude are tested by arrays while the kernel would be
+        interpreted.
     one_zone : up to this many records are laid out in one zone: more zones cost as much as to test them all.
     square : a zone is as high as a square that holds this many records: to look up a stretch costs as much as some
         tests.
@@ -45,6 +47,7 @@ class Tuning:
     """
 
     each_with_each: int = 512
+    most_by_arrays: int = 1_000_000
     one_zone: int = 512
     square: float = 8.0
     few_tests: float = 4.0

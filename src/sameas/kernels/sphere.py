@@ -115,6 +115,29 @@ def sphere_spread(
     return ax + bx, axy + bxy, ay + by
 
 
+def shorter_ways(dlon: FloatArray) -> FloatArray:
+    """:func:`shorter_way` of arrays."""
+    return dlon - np.where(dlon > 180.0, 360.0, np.where(dlon < -180.0, -360.0, 0.0))
+
+
+def spreads(
+    one: Side, two: Side, k: IntArray, q: IntArray, dlon: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(m,) each: xx, xy, yy of the sums of both covariances, as the sweep has them, of pairs of close records."""
+    if not len(one.content):
+        xx = one.guard[k, 3] + two.guard[q, 3]
+        return xx, np.zeros(len(xx)), xx
+    latitude_1, latitude_2 = one.guard[k, 1], two.guard[q, 1]
+    sin_lon, cos_lon, _, cos_lat = close_series(dlon, latitude_1 - latitude_2)
+    middle = 0.5 * (latitude_1 + latitude_2)
+    turn = sin_lon * np.copysign(sine(np.abs(middle)), middle) / (cos_lon * cos_lat)
+    c = 1.0 / np.sqrt(1.0 + turn * turn)
+    s = turn * c
+    ax, axy, ay = turned(*spread_2d(one.content, k, 0), c, s)
+    bx, bxy, by = turned(*spread_2d(two.content, q, 0), c, -s)
+    return ax + bx, axy + bxy, ay + by
+
+
 @small
 def sweep_sphere(
     one: Side,
