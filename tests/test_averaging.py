@@ -166,11 +166,11 @@ def test_the_grid_gets_finer_where_the_records_tell_more():
     scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
     coarse, fine = (scan_errors(Coverage.of(s.first, s.second)) for s in scenes)
     for scan in (coarse, fine):
-        assert DEFAULT_GRID.points <= len(scan.errors) <= DEFAULT_GRID.most_points
+        assert DEFAULT_GRID.min_points <= len(scan.errors) <= DEFAULT_GRID.max_points
         assert scan.weight.sum() == pytest.approx(1.0) and scan.gain > 0.0
     spread = [np.std(np.log([e.factor_1 for e in scan.errors])) for scan in (coarse, fine)]
     assert spread[1] < spread[0]
-    one = scan_errors(Coverage.of(scenes[0].first, scenes[0].second), tuning=GridTuning(most_points=5))
+    one = scan_errors(Coverage.of(scenes[0].first, scenes[0].second), tuning=GridTuning(max_points=5))
     assert len(one.errors) <= 5
 
 

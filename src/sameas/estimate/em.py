@@ -18,7 +18,7 @@ from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.companions import DEFAULT_COMPANIONS, Companions, CompanionsTuning, clustering
 from sameas.estimate.coverage import local_share
-from sameas.estimate.error_grid import Average, Averaged, Solved, but_positions
+from sameas.estimate.error_grid import Average, Averaged, Solution, without_positions
 from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
 from sameas.estimate.photometry import LearningPairs, Photometry
@@ -244,12 +244,12 @@ class Estimates:
         evidence = self.rule()(pairs)
         if self.average is None:
             log_ratio = evidence.log_ratio
-            p_pair = Solved.of(pairs, log_ratio, by_messages, companion_log_odds, self.tuning.min_log_odds).p_pair
+            p_pair = Solution.of(pairs, log_ratio, by_messages, companion_log_odds, self.tuning.min_log_odds).p_pair
             if companion_log_odds is not None:
                 log_ratio = Averaged.one(pairs, p_pair, log_ratio).log_ratio
             return self, p_pair, log_ratio
         average, averaged = self.average.posterior(
-            pairs, but_positions(evidence), *self.expected_counts(), companion_log_odds=companion_log_odds
+            pairs, without_positions(evidence), *self.expected_counts(), companion_log_odds=companion_log_odds
         )
         return replace(self, average=average), averaged.p_pair, averaged.log_ratio
 

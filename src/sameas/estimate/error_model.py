@@ -1,21 +1,20 @@
-"""Error model: which source's quoted errors are too small, and by how much; a diagnostic, from identified pairs.
+"""Error model: factors on the quoted errors of each source and a common floor, fitted to identified pairs.
 
-With the covariance of a pair modelled as
+The covariance of a pair is modelled as
 
-    S = a₁² Σ₁ + a₂² Σ₂ + f² 1
+    S = a₁² Σ₁ + a₂² Σ₂ + f² 1.
 
-the factors a₁, a₂ and the floor f are found by maximum likelihood over the pairs, weighted by their posterior. Some
-pairs may be of a tail: normals several times wider than S, whose shares are found with them. What is beyond the model
-is then told by the model itself, not by the quoted errors, of which a floor makes any multiple.
+The factors a₁, a₂ and the floor f maximize the likelihood of the pairs, weighted by their posterior probability. A part
+of the pairs may belong to a tail: normals several times wider than S, whose shares are fitted too. So outliers are
+defined relative to the model, not to the quoted errors, which a floor may exceed by any factor.
 
-Only the variation of Σ₁, Σ₂ from pair to pair tells the terms apart. Where the information says that it does not, the
-direction in which it is weakest says which terms look alike: a factor that looks like the floor, or that hardly
-matters, is held at 1; two factors that look alike become one of both sources; and where one number is all that can be
-told, either of the two that it may be is given. Two floors, one of each source, look the same as one of both.
+The terms can be distinguished only by the variation of Σ₁, Σ₂ from pair to pair. Where that is too small, the direction
+of least information shows which terms are degenerate: a factor that is degenerate with the floor, or has hardly any
+effect, is fixed at 1; two degenerate factors become one for both sources; if only one number can be determined, both
+alternatives (factor or floor) are given. Separate floors of the two sources are always degenerate.
 
-Error scales (:func:`fit_errors`): by how much residuals spread more or less than their quoted errors, found from pairs.
-The spread is a mixture of normals over a ladder of error scales. Its shares have one maximum of the likelihood, so that
-errors quoted too small and heavy tails come out of the same estimate.
+:func:`fit_errors` fits the distribution of residuals relative to their errors: a mixture of normals over a ladder of
+error scales. Its likelihood in the shares has one maximum, and it covers both underestimated errors and heavy tails.
 """
 
 from __future__ import annotations
@@ -37,38 +36,38 @@ from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.result import Identification
 
-#: Pairs learned from: at least, in expectation, and at most.
-FEWEST, ENOUGH = 200.0, 5_000
-#: Pairs less probable than this tell nothing of errors.
-TELLING_P = 0.05
-#: The core and the normals of the tail, in units of the modelled error; shares that the search begins with.
-SCALES, FIRST_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
-#: A normal that has fewer pairs than this tells nothing of the errors, and takes nothing from what is known of them.
-NO_PAIRS = 0.5
-STEPS, SETTLED = 300, 1e-5
-#: Standard errors to either side of an estimate, with 95 % between.
+#: Pairs needed for a fit (expected number), and pairs used at most.
+MIN_PAIRS, MAX_PAIRS = 200.0, 5_000
+#: Pairs less probable than this are not used.
+MIN_P = 0.05
+#: Scales of the core and the normals of the tail, in units of the modelled error, and their initial shares.
+SCALES, INITIAL_SHARES = np.array([1.0, 3.0, 6.0, 12.0]), np.array([0.97, 0.01, 0.01, 0.01])
+#: Normals of the tail with fewer pairs than this are excluded from the information matrix.
+MIN_TAIL_PAIRS = 0.5
+MAX_STEPS, TOLERANCE = 300, 1e-5
+#: Standard errors on either side of an estimate that enclose 95 %.
 INTERVAL = 1.96
-#: A factor whose standard error is larger than this share of it is not told from the others.
-TELLING = 0.25
-#: Least eigenvalue of the information beside its greatest: less is none.
-NONE = 1e-10
-#: Less information of a term is taken for this, of which the inverse is still a number.
-NOTHING = 1e-200
-#: Two factors are exchanged for each other, not one of them for the floor, from this ratio of their changes on.
-EXCHANGED = 0.5
-#: ln of the likelihood by which a floor must be better or worse than a common factor (three standard errors).
-BETTER = 4.5
+#: A factor is determined if its standard error is below this share of it (or of 1, if larger).
+MAX_RELATIVE_ERROR = 0.25
+#: Lower limit of the eigenvalues of the information matrix, relative to the largest.
+MIN_EIGENVALUE_RATIO = 1e-10
+#: Lower limit of the information on a term, so that its inverse is finite.
+MIN_INFORMATION = 1e-200
+#: The factors are degenerate with each other, not one with the floor, from this ratio of their changes on.
+EXCHANGE_RATIO = 0.5
+#: Gain in ln likelihood by which a floor must be better or worse than a common factor (three standard errors).
+MIN_GAIN = 4.5
 
 
 @dataclass(frozen=True)
 class ErrorModel:
     """Factors on the quoted errors of either source and a floor of both together, in the unit of the residuals.
 
-    factor_1, factor_2 : None where the data cannot tell them; 1 is then taken for them, unless there is ``both``.
-    both : one factor on the errors of both, where the two cannot be told apart.
-    floor : None where it cannot be told from a factor.
+    factor_1, factor_2 : None if not determined, then 1 unless ``both`` is given.
+    both : one factor on the errors of both sources, if the two are degenerate.
+    floor : None if degenerate with a factor.
     floor_instead : the floor that explains the residuals as well as ``both`` does.
-    note : what could not be told and why, "" where all could.
+    note : what is not determined and why; "" if everything is.
     """
 
     factor_1: Quantity | None = None
@@ -80,7 +79,7 @@ class ErrorModel:
 
     @property
     def terms(self) -> Mapping[str, Quantity]:
-        """What could be told, by its name here.
+        """The determined terms by name.
 
         >>> list(ErrorModel(both=Quantity(1.7, 0.1), floor_instead=Quantity(0.2, 0.1)).terms)
         ['both', 'floor_instead']
@@ -89,11 +88,11 @@ class ErrorModel:
 
     @property
     def is_estimated(self) -> bool:
-        """Whether anything was."""
+        """Whether any term is determined."""
         return bool(self.terms)
 
     def variance(self, quoted_1: FloatArray, quoted_2: FloatArray) -> FloatArray:
-        """Variances (n,) of pairs, on an axis, from the quoted ones of both sides.
+        """(n,) modelled variances of pairs along an axis, from the quoted ones of both sources.
 
         >>> ErrorModel(factor_1=Quantity(2.0, 0.1), floor=Quantity(3.0, 0.1)).variance(np.ones(1), np.ones(1))
         array([14.])
@@ -106,7 +105,7 @@ class ErrorModel:
 
     @property
     def errors(self) -> Errors:
-        """The same as evidence."""
+        """The model as errors of the evidence."""
         one, two = (self.factor_1 or self.both or AS_QUOTED), (self.factor_2 or self.both or AS_QUOTED)
         floor = 0.0 if self.floor is None else self.floor.value
         return Errors(factor_1=max(one.value, 1e-3), factor_2=max(two.value, 1e-3), floor=floor)
@@ -123,184 +122,186 @@ def error_model(answer: Identification) -> ErrorModel:
     >>> error_model(match(plate, gaia)[0]).factor_1  # doctest: +SKIP
     Quantity(value=1.68, standard_error=0.04, unit='')
     """
-    return model_of(answer.pairs, answer.p_pair, ENOUGH)
+    return fit_error_model(answer.pairs, answer.p_pair, MAX_PAIRS)
 
 
-def model_of(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
-    """The error model of pairs with these probabilities (m,), learned from ``most`` of them."""
-    probable = _probable(p_pair, most)
+def fit_error_model(pairs: Pairs, p_pair: FloatArray, most: int) -> ErrorModel:
+    """The error model of pairs with these (m,) probabilities, fitted to at most ``most`` of them."""
+    probable = _sample(p_pair, most)
     weight = p_pair[probable]
-    if weight.sum() < FEWEST:
-        return ErrorModel(note=f"fewer than {FEWEST:.0f} pairs: too few to judge the sources' errors apart")
+    if weight.sum() < MIN_PAIRS:
+        return ErrorModel(note=f"fewer than {MIN_PAIRS:.0f} pairs: too few to judge the sources' errors apart")
     one = unpack(pairs.first.covariance[pairs.i[probable]], pairs.d)
     two = unpack(pairs.second.covariance[pairs.j[probable]], pairs.d)
     names = pairs.first.source, pairs.second.source
-    return _Judgement(pairs.residual[probable], weight, one, two, names).model()
+    return _PairErrors(pairs.residual[probable], weight, one, two, names).model()
 
 
-def _probable(p_pair: FloatArray, most: int) -> IntArray:
-    """Pairs that tell of errors; every second, third, … where there are more than ``most``.
+def _sample(p_pair: FloatArray, most: int) -> IntArray:
+    """Indices of probable pairs; every second, third, … if there are more than ``most``.
 
-    Not only those more probable than not: where large errors meet many neighbours, these have small residuals.
+    Pairs below 0.5 are included: where large errors have many candidates, only the smallest residuals exceed 0.5.
     """
-    probable = np.flatnonzero(p_pair > TELLING_P)
+    probable = np.flatnonzero(p_pair > MIN_P)
     return probable[:: max(1, -(-len(probable) // most))]
 
 
 def better_model(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
-    """Errors of the model that these pairs (m,) show, and by how much it betters ln of their likelihood.
+    """The errors of the model fitted to these (m,) pairs, and its gain in ln likelihood over ``errors``.
 
-    errors : the model to be bettered. Either has the tail that suits it best.
+    Both get the likeliest mixture of error scales. The gain is infinite where a single factor replaces ``errors``.
     """
-    probable = _probable(p_pair, most)
-    model = model_of(pairs, p_pair, most)
+    probable = _sample(p_pair, most)
+    model = fit_error_model(pairs, p_pair, most)
     if not model.is_estimated:
         return errors, 0.0
     some, weight = pairs.part(probable), p_pair[probable]
-    now, there = (log_likelihood(each, some, weight) for each in (errors, model.errors))
+    old, new = (log_likelihood(each, some, weight) for each in (errors, model.errors))
     if np.any(errors.floor) or errors.factor_1 != errors.factor_2:
-        factor = over_quoted(errors, pairs, p_pair) * errors.typical_scale
-        factor = factor if abs(math.log(factor)) > ABOUT_QUOTED else 1.0
+        factor = factor_on_quoted(errors, pairs, p_pair) * errors.typical_scale
+        factor = factor if abs(math.log(factor)) > MAX_MIXTURE_LOG_FACTOR else 1.0
         plain = Errors(factor_1=factor, factor_2=factor)
-        if log_likelihood(plain, some, weight) > max(now, there) - BETTER:
+        if log_likelihood(plain, some, weight) > max(old, new) - MIN_GAIN:
             return plain, math.inf
-    return model.errors, there - now
+    return model.errors, new - old
 
 
-#: A factor on all errors that is no farther from 1 than this, in ln, is left to the mixture.
-ABOUT_QUOTED = 0.3
-#: Scales of the normals that a spread about a modelled error is mixed of, to compare models; steps of EM.
+#: A common factor within this of 1, in ln, is left to the mixture of scales.
+MAX_MIXTURE_LOG_FACTOR = 0.3
+#: Scales of the mixture with which models are compared, and EM steps of its fit.
 LADDER, LADDER_STEPS = 1.5 ** np.arange(-5.0, 8.0), 30
 
 
 def log_likelihood(errors: Errors, pairs: Pairs, weight: FloatArray) -> float:
-    """ln of the likelihood of pairs with these weights (m,), the mixture of scales being the likeliest."""
-    return float(weight @ with_spread(errors, pairs, weight).log_density(pairs))
+    """ln likelihood of pairs with these (m,) weights, by S with the likeliest mixture of scales."""
+    return float(weight @ with_fitted_mixture(errors, pairs, weight).log_density(pairs))
 
 
-def with_spread(errors: Errors, pairs: Pairs, weight: FloatArray) -> Errors:
-    """The same S with the mixture of scales that is likeliest for pairs (m,) with these weights."""
-    return errors.with_mixture(_mixture(errors.pairs(pairs).mahalanobis_sq, pairs.d, weight, LADDER))
+def with_fitted_mixture(errors: Errors, pairs: Pairs, weight: FloatArray) -> Errors:
+    """S with the likeliest mixture of scales for pairs with these (m,) weights."""
+    return errors.with_mixture(_fit_mixture(errors.pairs(pairs).mahalanobis_sq, pairs.d, weight, LADDER))
 
 
-def _mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales: FloatArray) -> Errors:
-    """The likeliest mixture of these scales for pairs (m,) with these weights, by EM."""
+def _fit_mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales: FloatArray) -> Errors:
+    """The likeliest mixture of these scales for pairs with these (m,) weights, by EM."""
     exponent = -0.5 * mahalanobis_sq[:, None] / scales**2
     density = np.exp(exponent - exponent.max(axis=1, keepdims=True)) / scales**d
     shares = np.full(len(scales), 1.0 / len(scales))
     for _ in range(LADDER_STEPS):
-        member = density * shares
-        shares = (weight / member.sum(axis=1)) @ member / weight.sum()
+        p_component = density * shares
+        shares = (weight / p_component.sum(axis=1)) @ p_component / weight.sum()
     shares = np.where(shares > 1e-6, shares, 0.0)
     return Errors(tuple(scales.tolist()), tuple((shares / shares.sum()).tolist()))
 
 
-def over_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
-    """The modelled error of the typical probable pair over that quoted, the mixture left aside."""
+def factor_on_quoted(errors: Errors, pairs: Pairs, p_pair: FloatArray) -> float:
+    """Median over the probable pairs of modelled over quoted error, without the mixture."""
     if not errors.as_modelled or not len(pairs):
         return 1.0
-    probable = _probable(p_pair, ENOUGH)
+    probable = _sample(p_pair, MAX_PAIRS)
     some = pairs.part(probable) if len(probable) else pairs
     ratio = errors.pairs(some).determinant / some.determinant
     return float(np.median(ratio) ** (0.5 / pairs.d))
 
 
-def spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
-    """How the residuals of pairs (m,) spread about their quoted covariances."""
-    probable = _probable(p_pair, ENOUGH)
+def fit_spread(pairs: Pairs, p_pair: FloatArray) -> Errors:
+    """Distribution of the residuals of pairs (m,) relative to their quoted covariances: a mixture of scales."""
+    probable = _sample(p_pair, MAX_PAIRS)
     if not len(probable):
         return Errors()
     square = pairs.mahalanobis_sq[probable]
     farthest = max(math.sqrt(float(square.max())), 2.0)
     rungs = math.ceil(math.log(farthest) / math.log(1.5)) + 1
-    mixture = _mixture(square, pairs.d, p_pair[probable], 1.5 ** np.arange(-5.0, rungs))
+    mixture = _fit_mixture(square, pairs.d, p_pair[probable], 1.5 ** np.arange(-5.0, rungs))
     kept = [(scale, share) for scale, share in zip(mixture.scales, mixture.shares, strict=True) if share > 0.0]
     scales, shares = zip(*kept, strict=True)
     return Errors(scales, shares)
 
 
 def fit_variances(residual: FloatArray, weight: FloatArray, parts: FloatArray) -> FloatArray:
-    """(k,) the θ ≥ 0 of greatest likelihood of residuals (m, d) whose covariances are Σ θ_k parts_k, (k, m, d, d).
+    """(k,) the θ ≥ 0 of greatest likelihood for residuals (m, d) of covariance Σ θ_k parts_k, parts (k, m, d, d).
 
-    Where the parts do not tell them apart, they are any of the likeliest: their sum is known.
+    For degenerate parts only the sum of their terms is determined.
     """
     return _fit(residual, weight, parts, np.zeros_like(parts[0])).theta
 
 
 @in_short
 @dataclass(frozen=True)
-class _Judgement:
-    """Residuals (m, d) of pairs, their weights (m,), the quoted covariances (m, d, d) of both sides, their names."""
+class _PairErrors:
+    """Residuals (m, d) of pairs, weights (m,), quoted covariances (m, d, d) of both sources, names of the sources."""
 
     residual: FloatArray
     weight: FloatArray
-    one: FloatArray
-    two: FloatArray
+    quoted_1: FloatArray
+    quoted_2: FloatArray
     names: tuple[str, str]
 
     @property
     def unit(self) -> float:
-        """A typical variance of the pairs, which the floor is counted in."""
-        return float(np.median(np.einsum("mvv->m", self.one + self.two)) / self.residual.shape[1])
+        """Typical variance of the pairs per axis; unit of the floor's variance."""
+        return float(np.median(np.einsum("mvv->m", self.quoted_1 + self.quoted_2)) / self.residual.shape[1])
 
     @property
-    def level(self) -> FloatArray:
-        """(m, d, d) the covariance of a floor of that variance."""
-        return np.broadcast_to(self.unit * np.eye(self.residual.shape[1]), self.one.shape)
+    def floor_covariance(self) -> FloatArray:
+        """(m, d, d) covariance of a floor of one ``unit``."""
+        return np.broadcast_to(self.unit * np.eye(self.residual.shape[1]), self.quoted_1.shape)
 
     def model(self) -> ErrorModel:
-        """All three terms where they can be told apart, else the two or the one that can."""
-        fit = self._fit((self.one, self.two, self.level))
-        if all(fit.tells(k) for k in (0, 1)):
+        """The model with all three terms if they can be distinguished, else with two or one."""
+        fit = self._fit((self.quoted_1, self.quoted_2, self.floor_covariance))
+        if all(fit.is_determined(k) for k in (0, 1)):
             return ErrorModel(fit.root(0), fit.root(1), floor=self._floor(fit, 2))
         change = np.abs(fit.weakest)
         more = int(change[1] > change[0])
-        if change[1 - more] > max(EXCHANGED * change[more], change[2]):
-            return self._common()
-        return self._held(more)
+        if change[1 - more] > max(EXCHANGE_RATIO * change[more], change[2]):
+            return self._with_common_factor()
+        return self._with_one_as_quoted(more)
 
-    def _held(self, source: int) -> ErrorModel:
-        """With the errors of this source as quoted."""
-        held, free = (self.one, self.two) if source == 0 else (self.two, self.one)
-        fit = self._fit((free, self.level), held)
-        if not fit.tells(0):
-            return self._one_number()
-        name, bare = self.names[source], self._fit((self.one, self.two))
-        if bare.log_likelihood - fit.log_likelihood > BETTER and all(bare.tells(k) for k in (0, 1)):
-            return ErrorModel(
-                bare.root(0), bare.root(1), note=f"a floor cannot be distinguished from the errors of {name}"
-            )
+    def _with_one_as_quoted(self, source: int) -> ErrorModel:
+        """The model with the errors of ``source`` (0 or 1) as quoted."""
+        fixed, free = (self.quoted_1, self.quoted_2) if source == 0 else (self.quoted_2, self.quoted_1)
+        fit = self._fit((free, self.floor_covariance), fixed)
+        if not fit.is_determined(0):
+            return self._with_one_term()
+        name, no_floor = self.names[source], self._fit((self.quoted_1, self.quoted_2))
+        gain = no_floor.log_likelihood - fit.log_likelihood
+        if gain > MIN_GAIN and all(no_floor.is_determined(k) for k in (0, 1)):
+            note = f"a floor cannot be distinguished from the errors of {name}"
+            return ErrorModel(no_floor.root(0), no_floor.root(1), note=note)
         note = f"those of {name} taken as quoted: too small or too uniform to be distinguished from a floor"
         factor, floor = fit.root(0), self._floor(fit, 1)
         first, second = (None, factor) if source == 0 else (factor, None)
         return ErrorModel(first, second, floor=floor, note=note)
 
-    def _common(self) -> ErrorModel:
-        """With one factor on the errors of both."""
-        fit = self._fit((self.one + self.two, self.level))
-        if not fit.tells(0):
-            return self._one_number()
+    def _with_common_factor(self) -> ErrorModel:
+        """The model with one factor on the errors of both sources."""
+        fit = self._fit((self.quoted_1 + self.quoted_2, self.floor_covariance))
+        if not fit.is_determined(0):
+            return self._with_one_term()
         note = "the quoted errors of the two are correlated from pair to pair: which are too small cannot be determined"
         return ErrorModel(both=fit.root(0), floor=self._floor(fit, 1), note=note)
 
-    def _one_number(self) -> ErrorModel:
-        """A factor on both, or a floor, or either where both explain the residuals."""
-        both = self._fit((self.one + self.two,))
-        raised = self._fit((self.level,), self.one + self.two)
-        gain = raised.log_likelihood - both.log_likelihood
+    def _with_one_term(self) -> ErrorModel:
+        """The model with a factor on both or a floor, or with both alternatives if they are equally likely."""
+        factor = self._fit((self.quoted_1 + self.quoted_2,))
+        floor = self._fit((self.floor_covariance,), self.quoted_1 + self.quoted_2)
+        gain = floor.log_likelihood - factor.log_likelihood
         alike = "the quoted errors vary too little from pair to pair to determine"
-        if gain > BETTER:
-            return ErrorModel(floor=self._floor(raised, 0), note=f"{alike} whether their own sizes are right too")
-        if gain < -BETTER:
-            return ErrorModel(both=both.root(0), note=f"{alike} which source's are wrong, or whether there is a floor")
+        if gain > MIN_GAIN:
+            return ErrorModel(floor=self._floor(floor, 0), note=f"{alike} whether their own sizes are right too")
+        if gain < -MIN_GAIN:
+            note = f"{alike} which source's are wrong, or whether there is a floor"
+            return ErrorModel(both=factor.root(0), note=note)
         note = f"{alike} a factor from a floor, or which source's errors are wrong"
-        return ErrorModel(both=both.root(0), floor_instead=self._floor(raised, 0), note=note)
+        return ErrorModel(both=factor.root(0), floor_instead=self._floor(floor, 0), note=note)
 
-    def _fit(self, parts: Sequence[FloatArray], held: FloatArray | None = None) -> _VarianceFit:
-        return _fit(self.residual, self.weight, np.stack(parts), np.zeros_like(self.one) if held is None else held)
+    def _fit(self, parts: Sequence[FloatArray], fixed: FloatArray | None = None) -> _VarianceFit:
+        fixed = np.zeros_like(self.quoted_1) if fixed is None else fixed
+        return _fit(self.residual, self.weight, np.stack(parts), fixed)
 
     def _floor(self, fit: _VarianceFit, k: int) -> Quantity:
-        """The root of term k, in the unit of the residuals."""
+        """The root of term k as a floor, in the unit of the residuals."""
         root, sigma = fit.root(k), float(np.sqrt(self.unit))
         return Quantity(sigma * root.value, sigma * root.standard_error)
 
@@ -308,7 +309,7 @@ class _Judgement:
 @in_short
 @dataclass(frozen=True)
 class _VarianceFit:
-    """Factors (k,) of variances, their covariance (k, k), the direction (k,) that is known least, the likelihood."""
+    """Factors (k,) of variances, their covariance (k, k), direction (k,) of least information, and ln likelihood."""
 
     theta: FloatArray
     covariance: FloatArray
@@ -316,44 +317,45 @@ class _VarianceFit:
     log_likelihood: float
 
     def root(self, k: int) -> Quantity:
-        """√θ and its standard error, from that of θ ≥ 0: how far the root moves when θ moves across its 95 % interval.
+        """√θ and its standard error: the change of the root across the 95 % interval of θ ≥ 0, over 1.96.
 
-        Where θ is zero within its error its root is not normal, and to first order its error would be nearly none. So
-        the root is within 1.96 errors of zero where θ is within 1.96 of its own.
+        First-order error propagation would fail where θ is zero within its error: the root is not normal there, and its
+        error would be nearly zero.
         """
         theta, error = float(self.theta[k]), INTERVAL * float(np.sqrt(self.covariance[k, k]))
         value = float(np.sqrt(theta))
         ends = np.sqrt(np.maximum([theta - error, theta + error], 0.0))
         return Quantity(value, float(np.abs(ends - value).max()) / INTERVAL)
 
-    def tells(self, k: int) -> bool:
-        """Whether a factor is known well enough to speak of it."""
+    def is_determined(self, k: int) -> bool:
+        """Whether a factor is known well enough to be reported."""
         root = self.root(k)
-        return root.standard_error < TELLING * max(root.value, 1.0)
+        return root.standard_error < MAX_RELATIVE_ERROR * max(root.value, 1.0)
 
 
-def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, held: FloatArray) -> _VarianceFit:
-    """S = ``held`` + Σ θ_k parts_k of greatest likelihood, by EM over core and tail.
+def _fit(residual: FloatArray, weight: FloatArray, parts: FloatArray, fixed: FloatArray) -> _VarianceFit:
+    """S = ``fixed`` + Σ θ_k parts_k of greatest likelihood, by EM over core and tail.
 
-    residual (m, d), weight (m,), parts (k, m, d, d), held (m, d, d).
+    residual (m, d), weight (m,), parts (k, m, d, d), fixed (m, d, d).
     """
-    # Pairs last: every product runs along them.
-    residual, parts, held = residual.T.copy(), _pairs_last(parts), _pairs_last(held)
-    theta, shares, damping = np.full(len(parts), 0.5), FIRST_SHARES, 0.5
-    for _ in range(STEPS):
-        state = _State.of(residual, parts, held, theta, shares)
-        core = weight * state.member[0]
-        score = state.slope @ core
+    # The axis of pairs is last, so that products are contiguous.
+    residual, parts, fixed = residual.T.copy(), _pairs_last(parts), _pairs_last(fixed)
+    theta, shares, damping = np.full(len(parts), 0.5), INITIAL_SHARES, 0.5
+    for _ in range(MAX_STEPS):
+        state = _PairTerms.of(residual, parts, fixed, theta, shares)
+        core = weight * state.p_component[0]
+        score = state.score @ core
         flat = len(parts), -1
-        information = 0.5 * (state.along * core).reshape(flat) @ state.along.swapaxes(1, 2).reshape(flat).T
+        along = state.precision_parts
+        information = 0.5 * (along * core).reshape(flat) @ along.swapaxes(1, 2).reshape(flat).T
         free = (theta > 1e-9) | (score > 0.0)
         step = np.zeros(len(theta))
         step[free] = np.linalg.lstsq(information[np.ix_(free, free)], score[free], rcond=1e-9)[0]
-        before, theta = theta, np.maximum(theta + damping * step, 1e-9)
-        shares, damping = state.member @ weight / weight.sum(), 1.0
-        if np.abs(theta - before).max() < SETTLED * max(1.0, float(theta.max())):
+        previous, theta = theta, np.maximum(theta + damping * step, 1e-9)
+        shares, damping = state.p_component @ weight / weight.sum(), 1.0
+        if np.abs(theta - previous).max() < TOLERANCE * max(1.0, float(theta.max())):
             break
-    return _judged(_State.of(residual, parts, held, theta, shares), weight, theta, shares)
+    return _with_covariance(_PairTerms.of(residual, parts, fixed, theta, shares), weight, theta, shares)
 
 
 def _pairs_last(matrices: FloatArray) -> FloatArray:
@@ -363,154 +365,151 @@ def _pairs_last(matrices: FloatArray) -> FloatArray:
 
 @in_short
 @dataclass(frozen=True)
-class _State:
-    """What a model says of every pair.
+class _PairTerms:
+    """Terms of every pair by one model.
 
-    along : (k, d, d, m) S⁻¹ parts. slope : (k, m) of ln N(residual; 0, S) with θ. member : (n, m) the probabilities of
-    core and tail. log_density : (m,) of the residual.
+    precision_parts : (k, d, d, m) S⁻¹ parts. score : (k, m) derivative of ln N(residual; 0, S) with θ.
+    p_component : (n, m) probabilities of core and tail. log_density : (m,) of the residual.
     """
 
-    along: FloatArray
-    slope: FloatArray
-    member: FloatArray
+    precision_parts: FloatArray
+    score: FloatArray
+    p_component: FloatArray
     log_density: FloatArray
 
     @classmethod
     def of(
-        cls, residual: FloatArray, parts: FloatArray, held: FloatArray, theta: FloatArray, shares: FloatArray
-    ) -> _State:
-        """Of residuals (d, m), parts (k, d, d, m) and held (d, d, m)."""
-        covariance = np.moveaxis(held + np.tensordot(theta, parts, 1), -1, 0)
+        cls, residual: FloatArray, parts: FloatArray, fixed: FloatArray, theta: FloatArray, shares: FloatArray
+    ) -> _PairTerms:
+        """From residuals (d, m), parts (k, d, d, m) and fixed (d, d, m)."""
+        covariance = np.moveaxis(fixed + np.tensordot(theta, parts, 1), -1, 0)
         precision = _pairs_last(inverse(covariance))
         scaled = np.einsum("vwm,wm->vm", precision, residual)
-        along = np.einsum("vwm,kwxm->kvxm", precision, parts)
+        precision_parts = np.einsum("vwm,kwxm->kvxm", precision, parts)
         slope = 0.5 * np.einsum("vwm,kvwm->km", scaled[:, None] * scaled - precision, parts)
         square = (scaled * residual).sum(axis=0)
         with np.errstate(divide="ignore"):
             log_share = np.log(shares) - len(residual) * np.log(SCALES)
         log_member = log_share[:, None] - 0.5 * square / SCALES[:, None] ** 2
         greatest = log_member.max(axis=0)
-        member = np.exp(log_member - greatest)
-        total = member.sum(axis=0)
+        p_component = np.exp(log_member - greatest)
+        total = p_component.sum(axis=0)
         log_density = greatest + np.log(total) - 0.5 * log_determinant(covariance)
-        return cls(along, slope, member / total, log_density)
+        return cls(precision_parts, slope, p_component / total, log_density)
 
 
-def _judged(state: _State, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _VarianceFit:
-    """What was found, with the covariance from the squares of the pairs' scores; the shares of the tail take part.
+def _with_covariance(state: _PairTerms, weight: FloatArray, theta: FloatArray, shares: FloatArray) -> _VarianceFit:
+    """The fit, with the covariance from the outer products of the pairs' scores, including the shares of the tail.
 
-    A term that is held at zero takes nothing from what is known of the others.
+    Terms at zero are excluded from the covariance of the others.
     """
-    core = state.member[0]
-    tail = np.flatnonzero(shares[1:] * weight.sum() > NO_PAIRS) + 1
-    scores = np.vstack([state.slope * core, state.member[tail] / shares[tail, None] - core / shares[0]])
+    core = state.p_component[0]
+    tail = np.flatnonzero(shares[1:] * weight.sum() > MIN_TAIL_PAIRS) + 1
+    scores = np.vstack([state.score * core, state.p_component[tail] / shares[tail, None] - core / shares[0]])
     information = np.einsum("m,am,bm->ab", weight, scores, scores)
     k = len(theta)
-    open_ = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
+    free = np.concatenate([theta > 1e-6, np.ones(len(tail), np.bool_)])
     covariance = np.diag(np.diag(_bounded_inverse(information)))[:k, :k]
-    held = _bounded_inverse(information[np.ix_(open_, open_)])
-    inside = np.flatnonzero(open_[:k])
-    covariance[np.ix_(inside, inside)] = held[: len(inside), : len(inside)]
+    of_free = _bounded_inverse(information[np.ix_(free, free)])
+    index = np.flatnonzero(free[:k])
+    covariance[np.ix_(index, index)] = of_free[: len(index), : len(index)]
     weakest = np.linalg.eigh(_bounded_inverse(information)[:k, :k])[1][:, -1]
     return _VarianceFit(theta, covariance, weakest, float(weight @ state.log_density))
 
 
 def _bounded_inverse(information: FloatArray) -> FloatArray:
-    """Its inverse; where there is no information, a variance that is larger than any."""
-    size = np.sqrt(np.maximum(np.diag(information), NOTHING))
+    """The inverse, with a very large variance where there is no information."""
+    size = np.sqrt(np.maximum(np.diag(information), MIN_INFORMATION))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
-    scaled = (vectors / np.maximum(values, NONE * values.max(initial=0.0))) @ vectors.T
+    scaled = (vectors / np.maximum(values, MIN_EIGENVALUE_RATIO * values.max(initial=0.0))) @ vectors.T
     return np.asarray(scaled / np.outer(size, size))
 
 
-# Tails: the small share of the pairs that lie much farther apart than the typical one, and how sure that share is.
-#
-# The spread of the errors is a mixture of normals (:class:`sameas.evidence.Errors`); its components far wider than the
-# typical error are the tail: outliers, binaries, blends. That the quoted errors are too small for all makes no tail.
+# The tail: pairs with residuals far larger than the typical ones (outliers, binaries, blends). It consists of the
+# components of the error mixture (:class:`sameas.evidence.Errors`) that are far wider than the typical error; a common
+# underestimation of all errors is no tail.
 
-#: A component is of the tail when it is so many times wider than the typical error.
-FAR = 2.5
-#: Pairs less probable than this do not tell of it. A smaller share than the second is none.
-TAILS_TELLING, LEAST_SHARE = 1e-3, 1e-4
+#: Components this many times wider than the typical error belong to the tail.
+TAIL_FACTOR = 2.5
+#: Pairs less probable than this are not used. A smaller share than the second is no tail.
+MIN_TAIL_P, MIN_TAIL_SHARE = 1e-3, 1e-4
 
 
 @dataclass(frozen=True)
 class Tail:
-    """``share`` of the pairs in the tail, and the ``factor`` (geometric mean) of their errors over those quoted."""
+    """``share`` of the pairs in the tail, and the ``factor`` (geometric mean) of their errors over the quoted ones."""
 
     share: Quantity
     factor: float
 
 
 def tail(answer: Identification, errors: Errors) -> Tail | None:
-    """The tail of the errors of the pairs of an answer; None where there is none.
+    """The tail of the errors of the pairs of an answer; None without a tail.
 
-    The standard error is that of the share in a mixture of tail and core of known forms: its information is
+    The standard error is that of the share in a mixture of tail and core of known shape, with the information
     Σ p [(f_tail − f_core) / f]².
 
     Example
     -------
-    >>> found, told = match(plate, gaia)  # doctest: +SKIP
-    >>> tail(found, told.errors).share  # doctest: +SKIP
+    >>> answer, estimate = match(plate, gaia)  # doctest: +SKIP
+    >>> tail(answer, estimate.errors).share  # doctest: +SKIP
     Quantity(value=0.021, standard_error=0.0018, unit='')
     """
     scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
-    far = scales > FAR * errors.typical_scale
+    far = scales > TAIL_FACTOR * errors.typical_scale
     share = float(shares[far].sum())
-    if not LEAST_SHARE < share < 1.0:
+    if not MIN_TAIL_SHARE < share < 1.0:
         return None
     d, weight = answer.pairs.d, answer.p_pair
-    probable = weight > TAILS_TELLING
-    # Densities but for what all components have in common.
+    probable = weight > MIN_TAIL_P
+    # Densities without the factor that all components share.
     square = errors.pairs(answer.pairs.part(probable)).mahalanobis_sq[:, None]
     density = shares * np.exp(-0.5 * square / scales**2) / scales**d
     outer, core = density[:, far].sum(axis=1) / share, density[:, ~far].sum(axis=1) / (1.0 - share)
     slope = (outer - core) / np.maximum(share * outer + (1.0 - share) * core, np.finfo(float).tiny)
     information = float(np.sum(weight[probable] * slope**2))
     factor = math.exp(float(shares[far] @ np.log(scales[far])) / share)
-    factor *= over_quoted(errors, answer.pairs, answer.p_pair)
+    factor *= factor_on_quoted(errors, answer.pairs, answer.p_pair)
     return Tail(Quantity(share, 1.0 / math.sqrt(max(information, np.finfo(float).tiny))), factor)
 
 
 @dataclass(frozen=True)
 class ScalesTuning:
-    """How the mixture of error scales is found.
+    """How the mixture of error scales is fitted.
 
     Attributes
     ----------
-    rung, lowest : the step of the ladder, as a factor, fine enough for any smooth spread to be mixed from it; and how
-        many steps below 1 it begins.
-    as_quoted, shifts : where typical errors are not within this of those quoted, in ln, ladders shifted by these parts
-        of a rung are tried.
-    bins, nearest : pairs of like distance are counted together, in so many bins from this distance on, in standard
-        deviations.
-    least_log_odds, most_log_odds, across : pairs of smaller log odds say nothing of the errors, whatever these are;
-        greater are as sure as can be; in so many steps.
-    settled, steps : the search for the shares stops when ln of the likelihood grows by less than this, or after so many
-        steps.
-    tail, standing_out : errors larger than so many times the quoted ones are a tail. It must better ln of the
-        likelihood by so much, four standard errors: what chance pairs look like feeds on itself, as more of them are
-        then believed.
-    spread : what every share begins with besides its own: EM never revives one that is zero.
-    shortest, ridge : least part of a step, and what is added to the curvature, of its trace: neighbouring normals are
-        much alike.
+    rung, lowest : step of the ladder of scales, as a factor, fine enough for any smooth distribution; and its lowest
+        rung, in steps from 1.
+    max_log_scale, shifts : if the typical scale differs from 1 by more than this, in ln, ladders shifted by these
+        fractions of a rung are tried too.
+    bins, min_distance : pairs are binned by distance, from this distance on, in standard deviations.
+    min_log_odds, max_log_odds, log_odds_bins : pairs below these log odds are ignored; larger odds are clipped; number
+        of bins.
+    tolerance, max_steps : the fit ends when ln likelihood grows by less than this, or after this many steps.
+    tail_scale, significant_tail_gain : errors larger than this scale are a tail, and it must gain this in ln likelihood
+        (four standard errors). A tail with chance pairs in it would grow from step to step, as it makes more of them
+        probable.
+    initial_share : added to every share at the beginning, since EM never changes a share of zero.
+    min_step, ridge : smallest fraction of a step; and the addition to the curvature, relative to its trace, because
+        neighbouring normals are nearly degenerate.
     """
 
     rung: float = 1.5
     lowest: float = -5.0
-    as_quoted: float = 0.1
+    max_log_scale: float = 0.1
     shifts: tuple[float, ...] = (1.0 / 3.0, 2.0 / 3.0)
     bins: int = 160
-    nearest: float = 1e-2
-    least_log_odds: float = -12.0
-    most_log_odds: float = 30.0
-    across: int = 43
-    settled: float = 1e-2
-    steps: int = 40
+    min_distance: float = 1e-2
+    min_log_odds: float = -12.0
+    max_log_odds: float = 30.0
+    log_odds_bins: int = 43
+    tolerance: float = 1e-2
+    max_steps: int = 40
     tail_scale: float = 2.0
-    standing_out: float = 8.0
-    spread: float = 1e-3
-    shortest: float = 1e-3
+    significant_tail_gain: float = 8.0
+    initial_share: float = 1e-3
+    min_step: float = 1e-3
     ridge: float = 1e-10
 
 
@@ -519,7 +518,7 @@ DEFAULT_SCALES = ScalesTuning()
 
 @dataclass(frozen=True)
 class ErrorFit:
-    """The errors, and by how much a tail of them would better ln of the likelihood, whether it stands out or not.
+    """The fitted errors, and the gain in ln likelihood from a tail, whether significant or not.
 
     log_likelihood : of the errors, up to a constant of the pairs.
     """
@@ -538,22 +537,21 @@ def fit_errors(
     widest: float = math.inf,
     tuning: ScalesTuning = DEFAULT_SCALES,
 ) -> ErrorFit:
-    """The mixture of error scales of greatest likelihood for pairs that are true with odds of exp(log_odds) · f.
+    """The mixture of error scales of greatest likelihood for pairs that are true with odds exp(log_odds) · f.
 
-    f = Σ share scale^(−d) exp(−m²/(2 scale²)) is what the mixture says of a pair (``Errors.log_profile``), ``log_odds``
-    what everything else does. The scales are a ladder from 0.13 upwards as far as the residuals reach, and not beyond
-    ``widest``; a pseudo-count on the scale nearest to 1 keeps a few pairs from saying much. Where errors are typically
-    not as quoted, ladders that begin between its rungs are tried too: mixed from two neighbours, one normal would have
-    too long a tail, which chance pairs fill.
+    f = Σ share scale^(−d) exp(−m²/(2 scale²)) is the mixture's factor for a pair (``Errors.log_profile``); ``log_odds``
+    contains all other evidence. The ladder of scales reaches from 0.13 to the largest residual, or to ``widest``; a
+    pseudo-count on the scale nearest to 1 limits the effect of few pairs. If the typical scale is not near 1, shifted
+    ladders are tried too: one normal mixed from two neighbouring rungs has too long a tail, which chance pairs fill.
 
     Parameters
     ----------
     mahalanobis_sq, log_odds : (m,) squared normalised distances m² in d features, and ln of the odds.
-    start : where the search begins.
+    start : initial mixture.
     """
-    reach, cells = _cells(mahalanobis_sq, log_odds, tuning)
+    reach, cells = _binned(mahalanobis_sq, log_odds, tuning)
     fit = _on_ladder(reach, cells, d, start, widest, 0.0, tuning)
-    if abs(math.log(fit.errors.typical_scale)) < tuning.as_quoted:
+    if abs(math.log(fit.errors.typical_scale)) < tuning.max_log_scale:
         return fit
     others = [_on_ladder(reach, cells, d, fit.errors, widest, shift, tuning) for shift in tuning.shifts]
     return max(fit, *others, key=lambda fit: fit.log_likelihood)
@@ -568,7 +566,7 @@ def _on_ladder(
     shift: float,
     tuning: ScalesTuning,
 ) -> ErrorFit:
-    """The likeliest mixture of one ladder, whose rungs stand ``shift`` of one higher than 1, 1.5, …"""
+    """The likeliest mixture of one ladder, with rungs ``shift`` of a step above 1, 1.5, …"""
     from sameas.kernels.mixture import fit
 
     rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(tuning.rung)) + 1)
@@ -580,19 +578,25 @@ def _on_ladder(
     shares = np.asarray(np.bincount(at, start.shares, len(scales)), np.float64)
     core, pseudo = int(np.searchsorted(scales, tuning.tail_scale, side="right")), np.zeros(len(scales))
     pseudo[np.argmin(np.abs(np.log(scales)))] = 2.0
-    search = tuning.spread, tuning.steps, tuning.settled, tuning.shortest, tuning.ridge
-    shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, tuning.standing_out, search)
+    search = tuning.initial_share, tuning.max_steps, tuning.tolerance, tuning.min_step, tuning.ridge
+    shares, tail, likelihood = fit(*cells, d, scales, core, pseudo, shares, tuning.significant_tail_gain, search)
     kept = shares > 1e-6
     errors = Errors(tuple(scales[kept].tolist()), tuple((shares[kept] / shares[kept].sum()).tolist()))
     return ErrorFit(errors, tail, likelihood)
 
 
-def _cells(z2: FloatArray, log_odds: FloatArray, tuning: ScalesTuning) -> tuple[float, tuple[NDArray[Any], ...]]:
-    """How far the pairs (m,) reach, but for those of too little odds, and these in cells of like distance and odds."""
+def _binned(z2: FloatArray, log_odds: FloatArray, tuning: ScalesTuning) -> tuple[float, tuple[NDArray[Any], ...]]:
+    """The largest normalised distance of pairs (m,) with sufficient odds, and pairs binned by distance and odds."""
     from sameas.kernels.mixture import cells
 
-    furthest = float(z2.max(initial=1.0, where=log_odds > tuning.least_log_odds))
-    reach = max(math.sqrt(furthest), 2.0)
+    farthest = float(z2.max(initial=1.0, where=log_odds > tuning.min_log_odds))
+    reach = max(math.sqrt(farthest), 2.0)
     return reach, cells(
-        z2, log_odds, tuning.least_log_odds, tuning.most_log_odds, tuning.nearest, reach, (tuning.bins, tuning.across)
+        z2,
+        log_odds,
+        tuning.min_log_odds,
+        tuning.max_log_odds,
+        tuning.min_distance,
+        reach,
+        (tuning.bins, tuning.log_odds_bins),
     )

@@ -1,13 +1,12 @@
-"""What errors grow with beside what is quoted: the magnitude of either source, the distance from the field's centre.
+"""Growth of errors beyond the quoted ones with magnitude (of either source) or distance from the field's centre.
 
 The covariance of a pair becomes
 
-    S = a₁² Σ₁ + a₂² Σ₂ + t(x)² 1
+    S = a₁² Σ₁ + a₂² Σ₂ + t(x)² 1,
 
-with t² piecewise linear in x, its values at the knots found by maximum likelihood as the floor is in
-:mod:`~sameas.estimate.error_model`, of which it is the floor that is not the same everywhere. A score test says first
-whether residuals over their modelled errors change with x at all; a trend is believed where it betters the likelihood
-by more than its parameters do by chance.
+with t² piecewise linear in x. Its values at the knots are fitted by maximum likelihood like the floor in
+:mod:`~sameas.estimate.error_model`, which it generalizes. First a score test decides whether normalised residuals
+change with x at all; a trend is accepted if its gain in likelihood exceeds what its parameters gain by chance.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_model import FEWEST, fit_variances, log_likelihood, with_spread
+from sameas.estimate.error_model import MIN_PAIRS, fit_variances, log_likelihood, with_fitted_mixture
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
@@ -31,28 +30,27 @@ from sameas.space import Plane, unit_vectors
 
 @dataclass(frozen=True)
 class TrendTuning:
-    """When errors are believed to grow; all chosen.
+    """Limits for trends of errors; all chosen.
 
     Attributes
     ----------
-    telling, rising : pairs less probable than this tell nothing; less than the second, not by other errors either.
-    knots, per_knot : knots of a trend at most, and pairs to each at least.
-    promising : ln of the likelihood that a score test must promise, and a trend better, beside what chance gives.
-    refining, refined : fits of a trend with the probabilities by it, at most, and ln of the likelihood that the last is
-        worth.
-    least_factor : quoted errors count for this part of themselves at least.
-    widest_deg : a field that reaches farther from its middle, in degrees, has no centre.
+    min_p, min_p_other : pairs less probable than this are not used; below the second, not by other errors either.
+    max_knots, pairs_per_knot : number of knots of a trend, limited by the number of pairs.
+    min_gain : gain in ln likelihood, beyond chance, for the score test and for a trend.
+    max_refits, min_refit_gain : number of fits with updated probabilities; they end when one gains less.
+    min_factor : lower limit of the factors on quoted errors.
+    max_radius_deg : a field of a larger radius has no centre.
     """
 
-    telling: float = 0.05
-    rising: float = 1e-4
-    knots: int = 7
-    per_knot: float = 60.0
-    promising: float = 6.0
-    refining: int = 12
-    refined: float = 0.5
-    least_factor: float = 1e-3
-    widest_deg: float = 20.0
+    min_p: float = 0.05
+    min_p_other: float = 1e-4
+    max_knots: int = 7
+    pairs_per_knot: float = 60.0
+    min_gain: float = 6.0
+    max_refits: int = 12
+    min_refit_gain: float = 0.5
+    min_factor: float = 1e-3
+    max_radius_deg: float = 20.0
 
 
 DEFAULT_TRENDS = TrendTuning()
@@ -60,11 +58,11 @@ DEFAULT_TRENDS = TrendTuning()
 
 @dataclass(frozen=True)
 class Trend:
-    """How errors change with a quantity, beside what is quoted.
+    """Growth of errors beyond the quoted ones with a quantity x.
 
-    source : 0 or 1, whose records it is told by. quantity : "magnitude" or "distance from the centre". unit : of it.
-    at : (k,) knots. added : (k,) variance there per axis, in the unit of the residuals squared, beside what is quoted;
-    linear between knots and constant beyond. sigma : (k,) all of the error of pairs about there, per axis.
+    source : 0 or 1, the source that has the quantity. quantity : "magnitude" or "distance from the centre"; unit of it.
+    at : (k,) knots. added : (k,) added variance there per axis, in squared units of the residuals; linear between knots
+    and constant beyond. sigma : (k,) total error of pairs near the knot, per axis.
     """
 
     source: int
@@ -75,12 +73,12 @@ class Trend:
     sigma: FloatArray
 
     def variance(self, x: FloatArray) -> FloatArray:
-        """(n,) variances per axis; where ``x`` (n,) is not known, that of the middle knot."""
-        known = np.where(np.isfinite(x), x, self.at[len(self.at) // 2])
-        return np.asarray(np.interp(known, self.at, self.added))
+        """(n,) added variances per axis; that of the middle knot where x (n,) is unknown."""
+        x = np.where(np.isfinite(x), x, self.at[len(self.at) // 2])
+        return np.asarray(np.interp(x, self.at, self.added))
 
     def words(self, name: str, scale: float = 1.0) -> str:
-        """The error at the first, the middle and the last knot, by a source of this name, ``scale`` times as large.
+        """The error at the first, middle and last knot as text, times ``scale``; ``name`` is the source's.
 
         >>> at, sigma = np.array([15.0, 19.0, 21.5]), np.array([0.02, 0.1, 0.4])
         >>> Trend(0, "magnitude", "", at, sigma**2, sigma).words("plate")
@@ -95,7 +93,7 @@ class Trend:
 @in_short
 @dataclass(frozen=True)
 class Covariate:
-    """A quantity that errors may grow with: ``values`` (n_table,) by the rows of a source's table, NaN if unknown."""
+    """A quantity that errors may depend on: ``values`` (n_table,) by the rows of a source's table, NaN if unknown."""
 
     source: int
     quantity: str
@@ -103,7 +101,7 @@ class Covariate:
     values: FloatArray
 
     def of(self, pairs: Pairs) -> FloatArray:
-        """(m,) of pairs."""
+        """(m,) values of pairs."""
         records, at = (pairs.first, pairs.i) if self.source == 0 else (pairs.second, pairs.j)
         return self.values[records.rows[at]]
 
@@ -111,7 +109,7 @@ class Covariate:
 def covariates(
     coverage: Coverage, photometry: Photometry | None, tuning: TrendTuning = DEFAULT_TRENDS
 ) -> list[Covariate]:
-    """What the errors of these records may grow with."""
+    """The quantities that the errors of these records may depend on."""
     found, sides = [], (coverage.first, coverage.second)
     if photometry is not None:
         for source, (records, side) in enumerate(zip(sides, photometry.sides, strict=True)):
@@ -119,103 +117,108 @@ def covariates(
             band = int(np.argmax(measured.sum(axis=0)))
             values = _by_row(records, side.measured.values[:, band])
             found.append(Covariate(source, "magnitude", "", values))
-    distance = _from_centre(coverage.first, tuning.widest_deg)
+    distance = _distance_from_centre(coverage.first, tuning.max_radius_deg)
     if distance is not None:
         found.append(Covariate(0, "distance from the centre", "°", _by_row(coverage.first, distance)))
     return found
 
 
 def _by_row(records: Records, values: FloatArray) -> FloatArray:
+    """(n_table,) values of records (n,) by the rows of their table, NaN for other rows."""
     by_row = np.full(records.n_table, np.nan)
     by_row[records.rows] = values
     return by_row
 
 
-def _from_centre(records: Records, widest_deg: float) -> FloatArray | None:
-    """(n,) distance from the middle of a field on the sky, degrees; None where it is too wide to be one field."""
-    if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * widest_deg:
+def _distance_from_centre(records: Records, max_radius_deg: float) -> FloatArray | None:
+    """(n,) distance from the centre of a field on the sky in degrees; None if it is too wide to be one field."""
+    if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * max_radius_deg:
         return None
     place = unit_vectors(*records.features.T).T
     middle = np.array([0.5 * (x.min() + x.max()) for x in place])
     length = max(float(np.linalg.norm(middle)), 1e-9)
     chord_sq = sum((x - m) ** 2 for x, m in zip(place, middle / length, strict=True))
     distance = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(chord_sq), 1.0)))
-    return distance if float(distance.max()) < widest_deg else None
+    return distance if float(distance.max()) < max_radius_deg else None
 
 
 def with_trends(
     errors: Errors,
     pairs: Pairs,
     p_pair: FloatArray,
-    known: Sequence[Covariate],
+    quantities: Sequence[Covariate],
     most: int,
-    believed: Sequence[Trend] = (),
+    previous: Sequence[Trend] = (),
     tuning: TrendTuning = DEFAULT_TRENDS,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
-    """Errors that grow with what these pairs show them to grow with, and by how much ln of their likelihood betters.
+    """The errors with trends that these pairs support, the trends, and the gain in ln likelihood.
 
-    errors : the model to be bettered. p_pair : (m,) probabilities. most : pairs learned from, at most. believed :
-    trends that these errors have already: they are fitted again.
+    errors : the present model. p_pair : (m,) probabilities. most : greatest number of pairs used. previous : trends
+    included in ``errors``, which are fitted again.
 
     Source: METHOD 11.1.
     """
-    telling = np.flatnonzero(p_pair > tuning.telling)
-    telling = telling[:: max(1, -(-len(telling) // most))]
-    some, weight = pairs.part(telling), p_pair[telling]
-    if float(weight.sum()) < FEWEST:
+    likely = np.flatnonzero(p_pair > tuning.min_p)
+    likely = likely[:: max(1, -(-len(likely) // most))]
+    some, weight = pairs.part(likely), p_pair[likely]
+    if float(weight.sum()) < MIN_PAIRS:
         return errors, (), 0.0
-    number = int(min(tuning.knots, float(weight.sum()) / tuning.per_knot))
+    n_knots = int(min(tuning.max_knots, float(weight.sum()) / tuning.pairs_per_knot))
     score = _score(errors, errors.pairs(some).mahalanobis_sq, pairs.d)
-    had = {(trend.source, trend.quantity) for trend in believed}
-    asked = [hats for one in known if (hats := _Hats.of(one, some, weight, number)) is not None]
-    asked = [hats for hats in asked if hats.key in had or hats.promise(score, weight) > tuning.promising]
-    if not asked:
+    fitted_before = {(trend.source, trend.quantity) for trend in previous}
+    all_hats = [hats for one in quantities if (hats := _Hats.of(one, some, weight, n_knots)) is not None]
+    candidates = [
+        hats for hats in all_hats if hats.key in fitted_before or hats.expected_gain(score, weight) > tuning.min_gain
+    ]
+    if not candidates:
         return errors, (), 0.0
-    now = log_likelihood(errors, some, weight)
-    best: tuple[float, Errors, tuple[Trend, ...]] = (now if not believed else -math.inf, errors, ())
-    taken: list[_Hats] = []
-    while len(taken) < len(asked):
-        fits = [(hats, *_fitted(some, weight, [*taken, hats], tuning)) for hats in asked if hats not in taken]
-        hats, there, model, trends = max(fits, key=lambda fit: fit[1])
-        if there - best[0] < tuning.promising + 0.5 * number * math.log(float(weight.sum())):
+    present = log_likelihood(errors, some, weight)
+    best: tuple[float, Errors, tuple[Trend, ...]] = (present if not previous else -math.inf, errors, ())
+    chosen: list[_Hats] = []
+    while len(chosen) < len(candidates):
+        fits = [
+            (hats, *_fit_trends(some, weight, [*chosen, hats], tuning)) for hats in candidates if hats not in chosen
+        ]
+        hats, value, model, trends = max(fits, key=lambda fit: fit[1])
+        if value - best[0] < tuning.min_gain + 0.5 * n_knots * math.log(float(weight.sum())):
             break
-        best = there, model, trends
-        taken.append(hats)
-    if not taken:
+        best = value, model, trends
+        chosen.append(hats)
+    if not chosen:
         return errors, (), 0.0
     competing = _Competing.of(errors, pairs, p_pair, most, tuning)
-    before = competing.under(with_spread(errors, some, weight))[1]
-    model, trends, there = _refined(competing, best, taken, tuning)
-    return model, trends, there - before
+    without = competing.reweighted(with_fitted_mixture(errors, some, weight))[1]
+    model, trends, fitted = _refit(competing, best, chosen, tuning)
+    return model, trends, fitted - without
 
 
-def _refined(
+def _refit(
     competing: _Competing,
-    begin: tuple[float, Errors, tuple[Trend, ...]],
-    taken: Sequence[_Hats],
+    initial: tuple[float, Errors, tuple[Trend, ...]],
+    chosen: Sequence[_Hats],
     tuning: TrendTuning,
 ) -> tuple[Errors, tuple[Trend, ...], float]:
-    """The same fitted again and again, with the probabilities that candidates have by it, and ln of the likelihood."""
-    (_, errors, trends), all_hats = begin, [each.at(competing.pairs) for each in taken]
+    """The trends fitted repeatedly with updated probabilities of the candidates, and the gain in ln likelihood."""
+    (_, errors, trends), all_hats = initial, [each.at(competing.pairs) for each in chosen]
     weight, gain = competing.p, -math.inf
-    for _ in range(tuning.refining):
-        telling = weight > tuning.telling
-        some = competing.pairs.part(np.flatnonzero(telling))
-        weight, better = competing.under(with_spread(errors, some, weight[telling]))
-        if better - gain < tuning.refined:
+    for _ in range(tuning.max_refits):
+        likely = weight > tuning.min_p
+        some = competing.pairs.part(np.flatnonzero(likely))
+        weight, new_gain = competing.reweighted(with_fitted_mixture(errors, some, weight[likely]))
+        if new_gain - gain < tuning.min_refit_gain:
             break
-        gain, telling = better, weight > tuning.telling
-        some, hats = competing.pairs.part(np.flatnonzero(telling)), [each.part(telling) for each in all_hats]
-        _, errors, trends = _fitted(some, weight[telling], hats, tuning)
+        gain, likely = new_gain, weight > tuning.min_p
+        some, hats = competing.pairs.part(np.flatnonzero(likely)), [each.part(likely) for each in all_hats]
+        _, errors, trends = _fit_trends(some, weight[likely], hats, tuning)
     return errors, trends, gain
 
 
 @in_short
 @dataclass(frozen=True)
 class _Competing:
-    """All candidates of some records of source 1, of which each has one or none.
+    """All candidates of some records of source 1; each record has at most one partner among them.
 
-    p, log_density : (m,) the probabilities of the pairs, and ln of the density of their residuals in these.
+    p, log_density : (m,) probabilities of the pairs, and the ln density of residuals that they were computed with.
     """
 
     pairs: Pairs
@@ -224,16 +227,16 @@ class _Competing:
 
     @classmethod
     def of(cls, errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int, tuning: TrendTuning) -> _Competing:
-        """Of so many records, at most, that probably have a partner."""
+        """The candidates of at most ``most`` records with a possible partner."""
         some = np.zeros(len(pairs.first), np.bool_)
-        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > tuning.telling)
+        has = np.flatnonzero(np.bincount(pairs.i, p_pair, len(some)) > tuning.min_p)
         some[has[:: max(1, -(-len(has) // most))]] = True
-        kept = np.flatnonzero(some[pairs.i] & (p_pair > tuning.rising))
+        kept = np.flatnonzero(some[pairs.i] & (p_pair > tuning.min_p_other))
         part = pairs.part(kept)
         return cls(part, p_pair[kept], errors.log_density(part))
 
-    def under(self, errors: Errors) -> tuple[FloatArray, float]:
-        """(m,) probabilities by other errors, and by how much ln of the likelihood of all that is seen betters."""
+    def reweighted(self, errors: Errors) -> tuple[FloatArray, float]:
+        """(m,) probabilities by other errors, and the change of ln likelihood of the records' candidates."""
         n = len(self.pairs.first)
         odds = self.p * np.exp(np.clip(errors.log_density(self.pairs) - self.log_density, -50.0, 50.0))
         none = np.maximum(1.0 - np.bincount(self.pairs.i, self.p, n), 1e-9)
@@ -244,20 +247,20 @@ class _Competing:
 @in_short
 @dataclass(frozen=True, eq=False)
 class _Hats:
-    """Piecewise linear functions of a covariate x: (k, m) ``hats`` of pairs, one at each of the ``knots`` (k,)."""
+    """Piecewise linear basis of a covariate x: ``hats`` (k, m) of pairs, one for each of the ``knots`` (k,)."""
 
     covariate: Covariate
     knots: FloatArray
     hats: FloatArray
 
     def at(self, pairs: Pairs) -> _Hats:
-        """The same functions of other pairs."""
+        """The basis evaluated for other pairs."""
         x = self.covariate.of(pairs)
-        known = np.where(np.isfinite(x), x, self.knots[len(self.knots) // 2])
-        return replace(self, hats=np.array([np.interp(known, self.knots, one) for one in np.eye(len(self.knots))]))
+        x = np.where(np.isfinite(x), x, self.knots[len(self.knots) // 2])
+        return replace(self, hats=np.array([np.interp(x, self.knots, one) for one in np.eye(len(self.knots))]))
 
     def part(self, some: BoolArray) -> _Hats:
-        """Of some pairs."""
+        """The basis for some of the pairs."""
         return replace(self, hats=self.hats[:, some])
 
     @property
@@ -265,62 +268,62 @@ class _Hats:
         return self.covariate.source, self.covariate.quantity
 
     @classmethod
-    def of(cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, number: int) -> _Hats | None:
-        """Knots with as many pairs between each two; None where x is hardly known, or hardly varies."""
+    def of(cls, covariate: Covariate, pairs: Pairs, weight: FloatArray, n_knots: int) -> _Hats | None:
+        """The basis with equal weights of pairs between knots; None if x is mostly unknown or hardly varies."""
         x = covariate.of(pairs)
         finite = np.isfinite(x)
-        if float(weight[finite].sum()) < max(FEWEST, 0.5 * float(weight.sum())):
+        if float(weight[finite].sum()) < max(MIN_PAIRS, 0.5 * float(weight.sum())):
             return None
         order = np.flatnonzero(finite)[np.argsort(x[finite], kind="stable")]
         cumulated = np.cumsum(weight[order])
-        at = np.searchsorted(cumulated, np.linspace(0.02, 0.98, number) * cumulated[-1])
+        at = np.searchsorted(cumulated, np.linspace(0.02, 0.98, n_knots) * cumulated[-1])
         knots = np.unique(x[order][np.minimum(at, len(order) - 1)])
         if len(knots) < 3:
             return None
         return cls(covariate, knots, np.empty(0)).at(pairs)
 
-    def promise(self, score: FloatArray, weight: FloatArray) -> float:
-        """What changes with x promise ln of the likelihood to better by, but for what chance gives, to second order."""
+    def expected_gain(self, score: FloatArray, weight: FloatArray) -> float:
+        """Expected gain in ln likelihood from errors that change with x, less that of chance, to second order."""
         slope = self.hats @ (weight * score)
         information = (self.hats * (weight * score**2)) @ self.hats.T
         gain = 0.5 * float(slope @ np.linalg.lstsq(information, slope, rcond=1e-9)[0])
         return gain - 0.5 * len(slope)
 
-    def trend(self, added: FloatArray, all_of_it: FloatArray, weight: FloatArray) -> Trend:
-        """With these variances (k,) at the knots, where all that of the pairs is (m,)."""
+    def trend(self, added: FloatArray, total_variance: FloatArray, weight: FloatArray) -> Trend:
+        """The trend with these (k,) variances at the knots; ``total_variance`` (m,) of pairs."""
         one, shares = self.covariate, self.hats * weight
-        sigma = np.sqrt(shares @ all_of_it / shares.sum(axis=1))
+        sigma = np.sqrt(shares @ total_variance / shares.sum(axis=1))
         return Trend(one.source, one.quantity, one.unit, self.knots, added, sigma)
 
 
 def _score(errors: Errors, square: FloatArray, d: int) -> FloatArray:
-    """(m,) how ln of the density of residuals changes with ln of all errors. square : (m,) normalised, by the model."""
+    """(m,) derivative of the ln density of residuals with ln of all errors; square : (m,) squared normalised."""
     scales, shares = np.asarray(errors.scales), np.asarray(errors.shares)
-    member = np.log(np.maximum(shares, 1e-300)) - d * np.log(scales) - 0.5 * square[:, None] / scales**2
-    member = np.exp(member - member.max(axis=1, keepdims=True))
-    member /= member.sum(axis=1, keepdims=True)
-    return np.asarray(square * (member / scales**2).sum(axis=1) - d)
+    p_component = np.log(np.maximum(shares, 1e-300)) - d * np.log(scales) - 0.5 * square[:, None] / scales**2
+    p_component = np.exp(p_component - p_component.max(axis=1, keepdims=True))
+    p_component /= p_component.sum(axis=1, keepdims=True)
+    return np.asarray(square * (p_component / scales**2).sum(axis=1) - d)
 
 
-def _fitted(
+def _fit_trends(
     pairs: Pairs, weight: FloatArray, hats: Sequence[_Hats], tuning: TrendTuning
 ) -> tuple[float, Errors, tuple[Trend, ...]]:
-    """ln of the likelihood of pairs with errors that grow with all of these, the errors, and how they grow."""
+    """ln likelihood of pairs with errors that grow with all these quantities, the errors, and their trends."""
     one, two = (unpack(of.covariance[at], pairs.d) for of, at in ((pairs.first, pairs.i), (pairs.second, pairs.j)))
     unit = float(np.median(np.einsum("mvv->m", one + two))) / pairs.d
-    level = unit * np.eye(pairs.d)
-    parts = np.stack([one, two, *(hat[:, None, None] * level for each in hats for hat in each.hats)])
+    floor_covariance = unit * np.eye(pairs.d)
+    parts = np.stack([one, two, *(hat[:, None, None] * floor_covariance for each in hats for hat in each.hats)])
     theta = fit_variances(pairs.residual, weight, parts)
-    all_of_it = np.einsum("k,kmvv->m", theta, parts) / pairs.d
+    total_variance = np.einsum("k,kmvv->m", theta, parts) / pairs.d
     ends = np.cumsum([2, *(len(each.hats) for each in hats)])
     trends = tuple(
-        each.trend(unit * theta[begin:end], all_of_it, weight)
+        each.trend(unit * theta[begin:end], total_variance, weight)
         for each, begin, end in zip(hats, ends, ends[1:], strict=False)
     )
     added: list[FloatArray | None] = [None, None]
     for trend, each in zip(trends, hats, strict=True):
-        more, before = trend.variance(each.covariate.values), added[trend.source]
-        added[trend.source] = more if before is None else before + more
-    factors = np.maximum(np.sqrt(theta[:2]), tuning.least_factor).tolist()
+        variance, other = trend.variance(each.covariate.values), added[trend.source]
+        added[trend.source] = variance if other is None else other + variance
+    factors = np.maximum(np.sqrt(theta[:2]), tuning.min_factor).tolist()
     errors = Errors(factor_1=factors[0], factor_2=factors[1], added=(added[0], added[1]))
     return log_likelihood(errors, pairs, weight), errors, trends

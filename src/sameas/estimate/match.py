@@ -30,13 +30,13 @@ from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates, iterate
 from sameas.estimate.error_grid import (
     DEFAULT_GRID,
     Average,
+    ErrorRanges,
     ErrorScan,
     GridTuning,
-    LeftOpen,
     identify_averaged,
     scan_errors,
 )
-from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, over_quoted, spread, tail
+from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, factor_on_quoted, fit_spread, tail
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
 from sameas.estimate.photometry import Photometry
 from sameas.estimate.quantity import Quantity, changed_without, decisive, quantities
@@ -150,7 +150,7 @@ class Estimate:
     precision: Precision | None
     answer: Identification = field(repr=False)
     judged: bool
-    left_open: LeftOpen | None = None
+    left_open: ErrorRanges | None = None
     columns: ColumnEvidence | None = None
     trends: tuple[Trend, ...] = ()
 
@@ -208,7 +208,7 @@ class Estimate:
     @cached_property
     def spread(self) -> Errors:
         """Distribution of the residuals relative to the quoted covariances, whatever the error model."""
-        return spread(self.answer.pairs, self.answer.p_pair) if self.errors.as_modelled else self.errors
+        return fit_spread(self.answer.pairs, self.answer.p_pair) if self.errors.as_modelled else self.errors
 
     @property
     def typical_scale(self) -> float:
@@ -218,7 +218,7 @@ class Estimate:
     @cached_property
     def _model_factor(self) -> float:
         """Median over the probable pairs of modelled over quoted errors, without the mixture."""
-        return over_quoted(self.errors, self.answer.pairs, self.answer.p_pair)
+        return factor_on_quoted(self.errors, self.answer.pairs, self.answer.p_pair)
 
 
 def match(
@@ -263,7 +263,7 @@ def match(
     columns = ColumnEvidence.of(first, second, evidence)
     search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
-    if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.many:
+    if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
         return search.match_averaged(scan, rounds)
     search, result, remarks = _fit(search, scan, errors, rounds)
     answer, result = search.identify_all(result, rounds)
@@ -364,7 +364,9 @@ def _fit_tail(search: _GateSearch, result: _GateResult, max_iterations: int) -> 
     """
     tuning, scales = search.tuning, search.tuning.em.scales
     # Accepted after the last iteration, not in each: the gain of a tail grows with the number of common objects.
-    late = replace(tuning, em=replace(tuning.em, scales=replace(scales, standing_out=tuning.suspect_tail_gain)))
+    late = replace(
+        tuning, em=replace(tuning.em, scales=replace(scales, significant_tail_gain=tuning.suspect_tail_gain))
+    )
     while search.gate is None and result.suspects_tail() and result.iterations < max_iterations:
         min_sigmas = tuning.gate_step * result.gate_sigmas
         seed_errors = _with_tail_seed(result.estimates.errors, tuning)
@@ -449,15 +451,22 @@ class _GateResult:
 
     def must_widen(self) -> bool:
         """Whether the outer part of the gate still contains true pairs, and a wider gate is affordable."""
-        limit, tuning, standing_out = self.gate_sigmas, self.tuning, self.tuning.em.scales.standing_out
+        limit, tuning, significant_tail_gain = (
+            self.gate_sigmas,
+            self.tuning,
+            self.tuning.em.scales.significant_tail_gain,
+        )
         if limit >= tuning.max_gate_sigmas or not self.estimates.fits_errors:
             return False
         if _is_narrow(self.estimates, self.p_counted, limit, tuning):
             return True
         chance = _chance_candidates(self.estimates, self.p_counted, 2.0)
-        if tuning.suspect_tail_gain < self.estimates.tail_gain < standing_out and chance < tuning.max_chance_suspected:
+        if (
+            tuning.suspect_tail_gain < self.estimates.tail_gain < significant_tail_gain
+            and chance < tuning.max_chance_suspected
+        ):
             return True  # pairs farther out decide whether the tail is real
-        significant = self.estimates.tail_gain >= standing_out
+        significant = self.estimates.tail_gain >= significant_tail_gain
         if chance > (tuning.max_chance_suspected if significant else tuning.max_chance_tail):
             return False
         return self._extends_to_edge()
@@ -470,7 +479,7 @@ class _GateResult:
             return False
         if _chance_candidates(estimates, self.p_counted, tuning.gate_step) > tuning.max_chance_scale:
             return False
-        if estimates.tail_gain >= tuning.em.scales.standing_out:
+        if estimates.tail_gain >= tuning.em.scales.significant_tail_gain:
             return self._extends_to_edge()
         errors = estimates.errors
         typical = 1.4 * errors.typical_scale
@@ -589,7 +598,7 @@ class _GateSearch:
         limit = math.sqrt(error_average.limit)
         result = _GateResult(whole, estimates, p_counted, limit, n, converged, whole.n_counted, self.tuning)
         estimate = _to_estimate(answer, self.coverage, result, [])
-        return answer, replace(estimate, left_open=error_average.left_open(average.weight))
+        return answer, replace(estimate, left_open=error_average.ranges(average.weight))
 
     def identify_all(self, result: _GateResult, max_iterations: int) -> tuple[Identification, _GateResult]:
         """All records identified; after further iterations over all of them if a sample was not representative."""
