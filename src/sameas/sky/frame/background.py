@@ -1,8 +1,8 @@
-"""Background: the level of the sky and its noise, anywhere on a frame, and how the noise hangs together.
+"""Background: the sky level of a frame, its noise, and the correlation of the noise between pixels.
 
-Level and noise come from photutils (meshes of clipped pixels, the mode as SExtractor estimates it). Scanned plates
-and resampled images have noise that neighbouring pixels share; its correlation is measured here, for it makes a
-centroid several times less certain than independent pixels would.
+Level and noise come from photutils (meshes of clipped pixels, mode as in SExtractor). Scanned plates and resampled
+images have correlated noise; the correlation is measured here because it can make the variance of a centroid several
+times larger than with independent pixels.
 """
 
 from __future__ import annotations
@@ -25,11 +25,10 @@ class Background:
     Attributes
     ----------
     level : (rows, columns) the sky, in the unit of the frame.
-    variance : (rows, columns) of one pixel without a star; infinite where there is no usable pixel.
-    inverse_gain : units of the frame per electron: variance that a unit of star light adds; 0 if not known, or if
-        the frame brings its own plane of errors.
-    correlation : (2k + 1, 2k + 1) of the noise of two pixels by their offset, from −k to k along both axes; 1 in the
-        middle.
+    variance : (rows, columns) of a pixel without a star; infinite for unusable pixels.
+    inverse_gain : units of the frame per electron: the variance added per unit of star light; 0 if not known, or if the
+        frame has its own error plane.
+    correlation : (2k + 1, 2k + 1) of the noise of two pixels by their offset, −k … k along both axes; 1 in the middle.
     """
 
     level: Image
@@ -61,7 +60,7 @@ class Background:
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """By how much correlation grows the variance of a flux and of a centroid in Gaussian windows of these widths.
+        """(n,) factors on the variance of a flux and of a centroid by noise correlation, in Gaussian windows (n,).
 
         Σ ρ(Δ) A(Δ)/A(0), A the autocorrelation of the window w, and of w·x for the centroid.
         """
@@ -69,13 +68,13 @@ class Background:
         s2 = np.asarray(sigma_px, float)[:, None, None] ** 2
         x2 = (lags**2)[None, None, :]
         near = np.exp(-(x2 + (lags**2)[None, :, None]) / (4 * s2)) * self.correlation
-        # The mean of both axes: the matrices differ by little, and the sum must not be below that of one pixel.
+        # Mean over both axes, which differ little; the factor is at least that of independent pixels.
         mean_axis = 1 - (x2 + (lags**2)[None, :, None]) / (4 * s2)
         return np.maximum(near.sum((1, 2)), 1.0), np.maximum((near * mean_axis).sum((1, 2)), 1.0)
 
 
 def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
-    """Level and standard deviation of the sky."""
+    """Level and standard deviation of the sky, (rows, columns) each."""
     try:
         from photutils.background import Background2D, SExtractorBackground, StdBackgroundRMS
     except ImportError as error:
@@ -100,7 +99,7 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
-    """Correlation of the noise at small offsets, from pixels without stars."""
+    """The noise correlation at small offsets, from normalised pixels without stars."""
     reach, half = tuning.noise_reach_px, tuning.noise_side_px // 2
     independent = np.zeros((2 * reach + 1, 2 * reach + 1))
     independent[reach, reach] = 1
@@ -112,7 +111,7 @@ def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
     if not usable.any():
         return independent
     smooth = uniform_filter(np.nan_to_num(part), 3)
-    # Masked pixels have no noise and do not count in the scatter. Stars are left out with their surroundings.
+    # Masked pixels have no noise and are excluded from the scatter; stars are excluded with their surroundings.
     limit = tuning.star_sigmas * 1.4826 * np.median(np.abs(smooth[usable]))
     bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright

@@ -1,20 +1,20 @@
-"""Centroids: windowed positions, shapes and covariances of many stars at once, and the profile that stars have (PSF).
+"""Centroids: windowed positions, shapes and covariances of many stars at once, and the PSF of a frame.
 
-The windowed centroid c is where the first moment in a Gaussian window vanishes (SExtractor's XWIN, YWIN):
+The windowed centroid c is the zero of the first moment in a Gaussian window (SExtractor's XWIN, YWIN):
 
     F(c) = Σ w(d) I d = 0,   d = x − c,   w = exp(−½ dᵀ S⁻¹ d).
 
-With S the matrix of the star it is the maximum of the matched filter, hence as good as fitting a Gaussian. Noise
-of variance v per pixel moves it by −F'⁻¹ δF, so that
+With S the matrix of the star it is the maximum of the matched filter, as precise as fitting a Gaussian. Noise of
+variance v per pixel shifts it by −F'⁻¹ δF, so its covariance is
 
     C = J⁻¹ N J⁻ᵀ,   N = Σ w² v d dᵀ,   J = −F' = Σ w I (1 − d dᵀ S⁻¹).
 
-v is the sky's, its correlation between pixels included, and the star's own photons. J is that of the mean star of
-the frame, scaled to the light of this one: its own would be as noisy as its position.
+v includes the sky, with its correlation between pixels, and the star's photons. J is the mean over the frame's stars,
+scaled to the flux of the star: an individual J would be as noisy as the position.
 
-The point spread function (PSF) is the mean profile of a frame's stars, measured on the frame itself. A matrix of second
-moments (the size, and where the frame is trailed its direction) sets the windows and the matched filter; a Moffat
-profile of that shape stands for the light of a neighbour that is to be taken away.
+The point spread function (PSF) is the mean profile of the frame's stars. Its matrix of second moments (size, and
+direction of a trail) defines the windows and the matched filter; a Moffat profile of this shape is subtracted for
+neighbouring stars.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from sameas.sky.frame.background import Background
 from sameas.sky.frame.measurements import TUNING, DetectionTuning
 
 FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
-#: Standard deviation of the narrowest PSF: a star within one pixel, averaged over it, is not narrower.
+#: Minimum standard deviation of the PSF: averaging over a pixel makes a star at least this wide.
 _SMALLEST_SIGMA_PX = 0.5
-#: Standard deviation of the narrowest window: whole pixels do not sample a narrower Gaussian.
+#: Minimum standard deviation of a window: pixels do not sample a narrower Gaussian.
 _FINEST_WINDOW_PX = 1.2
-#: The Moffat profile is fitted to at most about this many pixels; more change nothing (timed).
+#: Approximate maximum number of pixels in the fit of the Moffat profile; more do not change it (timed).
 _PIXELS_FITTED = 12_000
 
 
 @dataclass(frozen=True)
 class PSF:
-    """The mean star.
+    """The mean profile of a frame's stars.
 
-    matrix : (2, 2) of its Gaussian core in px², averaging over the pixel included. beta : exponent of the Moffat
-    profile of the same full width at half maximum; it is infinite for a Gaussian.
+    matrix : (2, 2) of the Gaussian core in px², including the average over a pixel. beta : exponent of the Moffat
+    profile of the same full width at half maximum; infinite for a Gaussian.
     """
 
     matrix: FloatArray
@@ -60,7 +60,7 @@ class PSF:
         return FWHM_PER_SIGMA * self.sigma_px
 
     def window(self) -> FloatArray:
-        """(2, 2) matrix of the window of centroids: the star's, but never finer than the pixels can carry."""
+        """(2, 2) matrix of the centroid window: that of the star, limited by the pixel size."""
         return (
             self.matrix
             if self.sigma_px >= _FINEST_WINDOW_PX
@@ -68,7 +68,7 @@ class PSF:
         )
 
     def light(self, dx: Any, dy: Any) -> Any:
-        """Share of a star's light in pixels at (dx, dy) px from its centre."""
+        """Fraction of a star's flux in pixels at (dx, dy) px from its centre."""
         inverse = np.linalg.inv(self.matrix)
         r2 = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2
         # Both profiles fall to half their peak at r² = 2 ln 2.
@@ -76,8 +76,8 @@ class PSF:
         norm = (self.beta - 1) * scale / (math.pi * math.sqrt(float(np.linalg.det(self.matrix))))
         return norm * (1 + scale * r2) ** -self.beta
 
-    def collected(self) -> float:
-        """Share of a star's light that its window collects, Σ w I over the flux."""
+    def window_fraction(self) -> float:
+        """Fraction of a star's flux within its window, Σ w I over the flux."""
         inverse = np.linalg.inv(self.window())
         reach = np.arange(-60, 61) * max(self.sigma_px / 6, 0.1)
         dx, dy = np.meshgrid(reach, reach)
@@ -85,52 +85,52 @@ class PSF:
         return float((w * self.light(dx, dy)).sum() * (reach[1] - reach[0]) ** 2)
 
     def phase_error_px(self) -> float:
-        """Root mean square error along an axis of a centroid, by the place of the star within its pixel.
+        """Root mean square centroid error per axis by the subpixel position of the star.
 
-        Where pixels are wide, Σ w I d does not vanish at the centre: 0.01 px at a full width of 1.5 px, nothing at 3.
+        With coarse sampling Σ w I d does not vanish at the centre: 0.01 px at a FWHM of 1.5 px, nothing at 3.
         """
         inverse, phases = np.linalg.inv(self.window()), (np.arange(8) + 0.5) / 8 - 0.5
         reach = np.arange(-int(np.ceil(4 * math.sqrt(np.trace(self.window())))) - 1, 0)
         grid = np.concatenate([reach, [0], -reach[::-1]])
-        square = 0.0
+        sum_of_squares = 0.0
         for phase_x, phase_y in ((x, y) for x in phases for y in phases):
             dx, dy = np.meshgrid(grid - phase_x, grid - phase_y)
             w = np.exp(-0.5 * (inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2))
             wi = w * self.light(dx, dy)
             first = np.array([(wi * dx).sum(), (wi * dy).sum()])
             second = np.array([[(wi * a * b).sum() for b in (dx, dy)] for a in (dx, dy)])
-            off = np.linalg.solve(wi.sum() * np.eye(2) - second @ inverse, first)
-            square += float(off @ off) / 2
-        return math.sqrt(square / len(phases) ** 2)
+            error = np.linalg.solve(wi.sum() * np.eye(2) - second @ inverse, first)
+            sum_of_squares += float(error @ error) / 2
+        return math.sqrt(sum_of_squares / len(phases) ** 2)
 
     @classmethod
     def from_stars(cls, matrices: FloatArray, pixels: list[tuple[FloatArray, FloatArray, FloatArray]]) -> PSF:
-        """The profile of most of the stars.
+        """The typical profile of the stars.
 
-        matrices : (n, 2, 2) of the Gaussians that fit them. pixels : of each star (dx, dy, share of its light).
+        matrices : (n, 2, 2) Gaussian fits. pixels : for each star (dx, dy, fraction of its flux).
         """
         areas = np.sqrt(np.linalg.det(matrices))
-        usual = _mode(np.log(areas))
-        near = np.flatnonzero(np.abs(np.log(areas) - usual) < 0.35)
-        matrix = _at_least(np.median(matrices[near], axis=0), _SMALLEST_SIGMA_PX**2)
-        chosen = [pixels[k] for k in near]
-        dx, dy, share = (np.concatenate([each[axis].ravel() for each in chosen]) for axis in range(3))
-        narrower, beta = _profile(matrix, dx, dy, share)
-        return cls(matrix * narrower, beta)
+        typical = _mode(np.log(areas))
+        rows = np.flatnonzero(np.abs(np.log(areas) - typical) < 0.35)
+        matrix = _at_least(np.median(matrices[rows], axis=0), _SMALLEST_SIGMA_PX**2)
+        chosen = [pixels[k] for k in rows]
+        dx, dy, fraction = (np.concatenate([each[axis].ravel() for each in chosen]) for axis in range(3))
+        factor, beta = _profile(matrix, dx, dy, fraction)
+        return cls(matrix * factor, beta)
 
 
-def _profile(matrix: FloatArray, dx: FloatArray, dy: FloatArray, share: FloatArray) -> tuple[float, float]:
-    """Factor of the matrix and exponent of the Moffat profile that fit the pixels best."""
+def _profile(matrix: FloatArray, dx: FloatArray, dy: FloatArray, fraction: FloatArray) -> tuple[float, float]:
+    """Best-fitting factor of the matrix and exponent of the Moffat profile."""
     from scipy.optimize import least_squares
 
     inverse = np.linalg.inv(matrix)
     near = inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2 < 20
     step = 1 + int(near.sum()) // _PIXELS_FITTED
-    dx, dy, share = (each[near][::step] for each in (dx, dy, share))
+    dx, dy, fraction = (each[near][::step] for each in (dx, dy, fraction))
 
     def misfit(values: FloatArray) -> FloatArray:
         model = PSF(matrix * math.exp(values[0]), math.exp(values[1]) + 1.2).light(dx, dy)
-        return np.asarray((math.exp(values[2]) * model - share) * math.sqrt(float(np.linalg.det(matrix))))
+        return np.asarray((math.exp(values[2]) * model - fraction) * math.sqrt(float(np.linalg.det(matrix))))
 
     fit = least_squares(misfit, [0.0, 1.0, 0.0], loss="soft_l1", f_scale=0.01, bounds=([-1.5, -1, -1], [0.5, 3, 1]))
     return math.exp(fit.x[0]), math.exp(fit.x[1]) + 1.2
@@ -142,7 +142,7 @@ def _at_least(matrix: FloatArray, variance: float) -> FloatArray:
 
 
 def _mode(values: FloatArray) -> float:
-    """Middle of the shortest interval that holds half of the values."""
+    """Median of the shortest interval with half of the values."""
     ordered = np.sort(values)
     half = len(ordered) // 2
     if half < 2:
@@ -152,8 +152,11 @@ def _mode(values: FloatArray) -> float:
 
 
 class Stamps(NamedTuple):
-    """Square cuts of one size. light : (n, k, k) above the sky, 0 where not usable. variance : (n, k, k) of the sky,
-    0 there. usable : (n, k, k). x, y : (n, 1, k), (n, k, 1) pixels of the frame. at_edge : (n,)."""
+    """Square cutouts of equal size.
+
+    light : (n, k, k) above the sky, 0 where unusable. variance : (n, k, k) of the sky, 0 there. usable : (n, k, k).
+    x, y : (n, 1, k), (n, k, 1) pixels of the frame. at_edge : (n,) mask.
+    """
 
     light: FloatArray
     variance: FloatArray
@@ -165,12 +168,11 @@ class Stamps(NamedTuple):
 
 @dataclass(frozen=True)
 class Centroids:
-    """Positions and moments, one row a star.
+    """Positions and moments, one row per star.
 
     xy : (n, 2) px. weight : (n,) Σ w I. weight_variance : (n,). jacobian : (n, 2, 2) J / Σ w I.
     moment_covariance : (n, 2, 2) N. moments : (n, 2, 2) second moments in the window.
-    wide : (n,) Σ w' I in a window of twice the matrix. usable : (n,) share of the window that is usable.
-    at_edge, settled : (n,) masks.
+    usable : (n,) usable fraction of the window. at_edge, converged : (n,) masks.
     """
 
     xy: FloatArray
@@ -179,10 +181,9 @@ class Centroids:
     jacobian: FloatArray
     moment_covariance: FloatArray
     moments: FloatArray
-    wide: FloatArray
     usable: FloatArray
     at_edge: BoolArray
-    settled: BoolArray
+    converged: BoolArray
 
     def covariance(self, jacobian: FloatArray) -> FloatArray:
         """(n, 2, 2) of the positions in px²; ``jacobian`` (n, 2, 2) or (2, 2), J over Σ w I."""
@@ -192,15 +193,15 @@ class Centroids:
 
 
 @dataclass(frozen=True)
-class Own:
-    """The light of the stars themselves where it was taken off the frame: positions (n, 2), fluxes (n,), profile."""
+class Subtracted:
+    """The stars whose light was subtracted from the frame: positions (n, 2), fluxes (n,), profile."""
 
     xy: FloatArray
     flux: FloatArray
     psf: PSF
 
-    def back(self, stamps: Stamps, rows: IntArray) -> Stamps:
-        """The stamps of some stars with their own light put back: what is left out is that of all others."""
+    def add_back(self, stamps: Stamps, rows: IntArray) -> Stamps:
+        """The stamps of some stars with their own light added back; all other stars stay subtracted."""
         dx, dy = stamps.x - self.xy[rows, 0, None, None], stamps.y - self.xy[rows, 1, None, None]
         light = stamps.light + self.flux[rows, None, None] * self.psf.light(dx, dy) * stamps.usable
         return stamps._replace(light=light)
@@ -211,17 +212,17 @@ def centroids(
     background: Background,
     xy: FloatArray,
     windows: FloatArray,
-    own: Own | None = None,
+    subtracted: Subtracted | None = None,
     tuning: DetectionTuning = TUNING,
 ) -> Centroids:
     """Windowed centroids near ``xy`` (n, 2) in windows (n, 2, 2).
 
-    light : (rows, columns) above the sky; with ``own``, that of the stars was taken away from it.
+    light : (rows, columns) above the sky. subtracted : the stars already subtracted from it, if any.
     """
     n = len(xy)
     largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
     half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.widest_px)
-    # Stamps have a few sizes only: the half-width is rounded up to the next of a geometric series.
+    # Half-widths are rounded up to a geometric series, so that stamps have few sizes.
     half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.widest_px)
     parts: list[tuple[IntArray, Centroids]] = []
     for size in np.unique(half):
@@ -229,13 +230,13 @@ def centroids(
         step = max(1, tuning.pixels_at_once // (2 * size + 1) ** 2)
         for first in range(0, len(members), step):
             rows = members[first : first + step]
-            stamps = cut(light, background, np.rint(xy[rows]).astype(int), int(size))
-            stamps = stamps if own is None else own.back(stamps, rows)
-            parts.append((rows, settle(stamps, xy[rows], windows[rows], background, tuning)))
-    return _together(n, parts)
+            stamps = cut_stamps(light, background, np.rint(xy[rows]).astype(int), int(size))
+            stamps = stamps if subtracted is None else subtracted.add_back(stamps, rows)
+            parts.append((rows, _iterated(stamps, xy[rows], windows[rows], background, tuning)))
+    return _concatenated(n, parts)
 
 
-def cut(light: FloatArray, background: Background, centre: IntArray, half: int) -> Stamps:
+def cut_stamps(light: FloatArray, background: Background, centre: IntArray, half: int) -> Stamps:
     """Stamps of 2·half + 1 pixels around whole pixels (n, 2)."""
     rows, columns = light.shape
     reach = np.arange(-half, half + 1)
@@ -254,15 +255,15 @@ def cut(light: FloatArray, background: Background, centre: IntArray, half: int) 
     )
 
 
-def settle(
+def _iterated(
     stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background, tuning: DetectionTuning
 ) -> Centroids:
-    """The centroids of stamps, from a start (n, 2): x ← x + 2 Σ w I d / Σ w I until a step is short enough."""
+    """The centroids of stamps from a start (n, 2) by the iteration x ← x + 2 Σ w I d / Σ w I."""
     inverse = np.asarray(np.linalg.inv(windows), float)
     limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))[:, None]
-    reach = 0.5 + 0.8 * limit  # a centroid farther off has slid onto another star
+    reach = 0.5 + 0.8 * limit  # a centroid farther from its start has moved to another star
     xy, moving = start.copy(), np.arange(len(start))
-    settled = np.zeros(len(start), bool)
+    converged = np.zeros(len(start), bool)
     for _ in range(tuning.centroid_steps):
         part = Stamps(*(plane[moving] for plane in stamps))  # type: ignore[arg-type]
         dx, dy, w = _window(part, xy[moving], inverse[moving])
@@ -271,18 +272,18 @@ def settle(
         first = np.stack([(wi * dx).sum((1, 2)), (wi * dy).sum((1, 2))], axis=1)
         with np.errstate(divide="ignore", invalid="ignore"):
             step = 2 * first / total[:, None]
-        good = np.isfinite(step).all(axis=1) & (total > 0)
-        step = np.where(good[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
+        valid = np.isfinite(step).all(axis=1) & (total > 0)
+        step = np.where(valid[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
         xy[moving] += step
-        still = (np.abs(step) < tuning.settled_px).all(axis=1)
-        astray = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
-        settled[moving[still & good]] = True
-        moving = moving[~still & ~astray]
+        short = (np.abs(step) < tuning.converged_px).all(axis=1)
+        diverged = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
+        converged[moving[short & valid]] = True
+        moving = moving[~short & ~diverged]
         if not len(moving):
             break
-    astray = (np.abs(xy - start) > reach).any(axis=1)
-    xy = np.where(astray[:, None], start, xy)
-    return _measured(stamps, xy, windows, inverse, settled & ~astray, background)
+    diverged = (np.abs(xy - start) > reach).any(axis=1)
+    xy = np.where(diverged[:, None], start, xy)
+    return _measured(stamps, xy, windows, inverse, converged & ~diverged, background)
 
 
 def _window(stamps: Stamps, xy: FloatArray, inverse: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -296,7 +297,7 @@ def _measured(
     xy: FloatArray,
     windows: FloatArray,
     inverse: FloatArray,
-    settled: BoolArray,
+    converged: BoolArray,
     background: Background,
 ) -> Centroids:
     dx, dy, w = _window(stamps, xy, inverse)
@@ -305,38 +306,39 @@ def _measured(
     safe = np.where(np.abs(total) > 0, total, 1.0)
     moments = _matrix(wi, dx, dy) / safe[:, None, None]
     jacobian = np.eye(2) - moments @ inverse
-    # The star's photons add in proportion to its light, as observed: the sum over a window is hardly noisy.
+    # Photon noise from the observed light: its sum over a window is hardly noisy.
     flux_factor, centroid_factor = background.factor(np.linalg.det(windows) ** 0.25)
     sky = w**2 * stamps.variance
-    own = w**2 * stamps.light * background.inverse_gain
-    noise = _matrix(sky, dx, dy) * centroid_factor[:, None, None]
-    photons = _matrix(own, dx, dy)
-    noise = noise + np.where((np.linalg.eigvalsh(photons)[:, 0] > 0)[:, None, None], photons, 0.0)
-    variance = sky.sum((1, 2)) * flux_factor + np.maximum(own.sum((1, 2)), 0.0)
-    wide = np.sqrt(w)
+    photon_variance = w**2 * stamps.light * background.inverse_gain
+    moment_covariance = _matrix(sky, dx, dy) * centroid_factor[:, None, None]
+    photon_covariance = _matrix(photon_variance, dx, dy)
+    moment_covariance = moment_covariance + np.where(
+        (np.linalg.eigvalsh(photon_covariance)[:, 0] > 0)[:, None, None], photon_covariance, 0.0
+    )
+    variance = sky.sum((1, 2)) * flux_factor + np.maximum(photon_variance.sum((1, 2)), 0.0)
     return Centroids(
         xy=xy,
         weight=total,
         weight_variance=variance,
         jacobian=jacobian,
-        moment_covariance=noise,
+        moment_covariance=moment_covariance,
         moments=moments,
-        wide=(wide * stamps.light).sum((1, 2)),
         usable=(w**2 * stamps.usable).sum((1, 2)) / (w**2).sum((1, 2)),
         at_edge=stamps.at_edge,
-        settled=settled,
+        converged=converged,
     )
 
 
 def _matrix(weights: FloatArray, dx: FloatArray, dy: FloatArray) -> FloatArray:
-    """(n, 2, 2) Σ weights d dᵀ."""
+    """(n, 2, 2) Σ weight d dᵀ."""
     xx, xy, yy = ((weights * product).sum((1, 2)) for product in (dx * dx, dx * dy, dy * dy))
     return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
 
 
-def _together(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
+def _concatenated(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
+    """The centroids of n stars from parts with their rows."""
     shapes = {"xy": (n, 2), "jacobian": (n, 2, 2), "moment_covariance": (n, 2, 2), "moments": (n, 2, 2)}
-    kinds = {"at_edge": bool, "settled": bool}
+    kinds = {"at_edge": bool, "converged": bool}
     names = Centroids.__dataclass_fields__
     whole = {name: np.zeros(shapes.get(name, (n,)), kinds.get(name, float)) for name in names}
     for rows, part in parts:
@@ -350,16 +352,16 @@ def adaptive(
     background: Background,
     xy: FloatArray,
     start: FloatArray,
-    own: Own | None = None,
+    subtracted: Subtracted | None = None,
     tuning: DetectionTuning = TUNING,
 ) -> tuple[Centroids, FloatArray]:
-    """Centroids in windows that take the shape of each star, and these matrices (n, 2, 2).
+    """Centroids in windows adapted to the shape of each star, and the window matrices (n, 2, 2).
 
-    A Gaussian of matrix P shows (P⁻¹ + S⁻¹)⁻¹ in a window S: P is solved for and becomes the next window
+    A Gaussian of matrix P has moments (P⁻¹ + S⁻¹)⁻¹ in a window S: P is solved for and becomes the next window
     (Bernstein & Jarvis 2002, AJ 123, 583, sect. 3.1).
     """
     windows = start.copy()
-    measured = centroids(light, background, xy, windows, own, tuning)
+    measured = centroids(light, background, xy, windows, subtracted, tuning)
     for _ in range(tuning.shape_steps):
         with np.errstate(all="ignore"):
             values, vectors = np.linalg.eigh(np.nan_to_num(measured.moments, posinf=1.0, neginf=1.0))
@@ -371,5 +373,5 @@ def adaptive(
         low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
         values = np.clip(values, np.maximum(low, 1 / (tuning.widest_px / 3) ** 2), np.minimum(high, 1 / 0.2))
         windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-        measured = centroids(light, background, measured.xy, windows, own, tuning)
+        measured = centroids(light, background, measured.xy, windows, subtracted, tuning)
     return measured, windows

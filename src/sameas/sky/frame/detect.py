@@ -1,10 +1,10 @@
-"""Detect: the stars of a frame, measured; the way from pixels to :class:`Measurements`.
+"""Star detection on a frame: from pixels to :class:`Measurements`.
 
-Background and peaks come from photutils (BSD-3), centroids and their covariance are our own. On simulated frames
-(``scripts/bench centroids``) the windowed centroids of ``sep`` and of photutils are as good as ours for single
-well-sampled stars, twice as far off for bright stars 1.5 px wide, a third farther off where the frame is trailed; and
-neither gives their covariance, takes the light of neighbours away before it measures, or allows for pixels that share
-their noise. ``sep`` is much the fastest, but LGPL; photutils' deblending takes longer than all that is done here.
+Background and peaks come from photutils (BSD-3); centroids and their covariances are our own. On simulated frames
+(``scripts/bench centroids``) the windowed centroids of ``sep`` and photutils are as good as ours for single
+well-sampled stars; their errors are twice ours for bright stars with a FWHM of 1.5 px, and a third larger on trailed
+frames. Neither gives a covariance, subtracts neighbours before measuring, or allows for correlated pixel noise. ``sep``
+is by far the fastest, but LGPL; photutils' deblending takes longer than everything done here.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.centroid import FWHM_PER_SIGMA, PSF, Centroids, Own, adaptive, centroids, cut
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA, PSF, Centroids, Subtracted, adaptive, centroids, cut_stamps
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Detection, DetectionTuning, Flag, Measurements
 
 _AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
-def marked(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
+def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
     """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows.
 
-    A defect is found by its sharpness: no star exceeds its neighbours more than one that is centred on a pixel. Single
-    pixels are HOT, several that touch are COSMIC; one frame cannot tell a short hit of a particle from a hot pixel,
-    darks can (:mod:`sameas.sky.frame.image`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because
-    its sharpness is not compared with the frame's own stars: it flags the cores of stars 1.5 px wide.
+    A defect is sharper than any star: the limit is the contrast of a star centred on a pixel. Single pixels are HOT,
+    connected ones COSMIC; a single frame cannot separate a short cosmic ray hit from a hot pixel, darks can
+    (:mod:`sameas.sky.frame.image`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because it does not
+    compare the sharpness with the frame's stars: it flags the cores of stars with a FWHM of 1.5 px.
     """
-    lines = _lines(frame, background, tuning)
-    sharp = _sharp(frame, background, psf, tuning) & ~lines
+    lines = _bad_lines(frame, background, tuning)
+    sharp = _too_sharp(frame, background, psf, tuning) & ~lines
     from scipy.ndimage import label
 
     parts, _ = label(sharp, np.ones((3, 3)))
@@ -44,8 +44,8 @@ def marked(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuni
     return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
 
 
-def _sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> BoolArray:
-    """(rows, columns) pixels that are sharper than any star."""
+def _too_sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> BoolArray:
+    """(rows, columns) mask of the pixels that are sharper than any star."""
     from scipy.ndimage import binary_dilation
 
     around = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
@@ -55,18 +55,18 @@ def _sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuni
     variance = np.where(usable, background.variance, 0.0)
     defect = np.zeros(frame.shape, bool)
     saturated = (frame.flags & Flag.SATURATED) != 0
-    # Bleeding and diffraction of a saturated star may be sharper than stars are.
-    saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_alone(saturated)
+    # Bleeding and diffraction of saturated stars may be sharper than stars.
+    saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_isolated(saturated)
     near_saturated = binary_dilation(saturated, np.ones((3, 3)), iterations=2)
     rows, columns = np.nonzero((light > tuning.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
     work = np.pad(np.where(usable, light, 0.0), 1, mode="reflect")
-    own, sky2 = light[rows, columns], variance[rows, columns]
+    central, sky_variance = light[rows, columns], variance[rows, columns]
     for _ in range(tuning.defect_passes):
         shifted = [work[rows + 1 + y, columns + 1 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
         neighbours = np.maximum(np.median(shifted, axis=0), 0.0)
         photons = neighbours * contrast * (1 + 0.2 * contrast)
-        noise = np.sqrt(sky2 * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
-        sharp = own - contrast * neighbours > tuning.defect_sigmas * noise
+        noise = np.sqrt(sky_variance * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
+        sharp = central - contrast * neighbours > tuning.defect_sigmas * noise
         if not (sharp & ~defect[rows, columns]).any():
             break
         defect[rows[sharp], columns[sharp]] = True
@@ -74,15 +74,15 @@ def _sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuni
     return defect
 
 
-def _alone(mask: BoolArray) -> BoolArray:
-    """The pixels of a mask that touch no other."""
+def _isolated(mask: BoolArray) -> BoolArray:
+    """The pixels of a mask without neighbours in it."""
     from scipy.ndimage import convolve
 
     return np.asarray(mask & (convolve(mask.astype(np.int8), _AROUND.astype(np.int8), mode="constant") == 0))
 
 
-def _lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
-    """(rows, columns) the columns and rows whose median is far from that of their neighbours."""
+def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
+    """(rows, columns) mask of the columns and rows whose median differs from their neighbours' by far."""
     from scipy.ndimage import median_filter
 
     bad = np.zeros(frame.shape, bool)
@@ -90,19 +90,19 @@ def _lines(frame: Frame, background: Background, tuning: DetectionTuning) -> Boo
     normal = np.where(usable, (frame.image - background.level) / np.sqrt(np.where(usable, background.variance, 1)), 0)
     for axis in (0, 1):
         # Half of the pixels are enough for a median.
-        middle = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
-        off = np.abs(middle - median_filter(middle, 15, mode="reflect"))
-        limit = max(tuning.least_line, tuning.line_sigmas * 1.4826 * float(np.median(off)))
-        line = off > limit
+        median = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
+        deviation = np.abs(median - median_filter(median, 15, mode="reflect"))
+        limit = max(tuning.least_line, tuning.line_sigmas * 1.4826 * float(np.median(deviation)))
+        line = deviation > limit
         if line.mean() < 0.05:
             bad |= line[None, :] if axis == 0 else line[:, None]
     return bad
 
 
 def significance(light: FloatArray, background: Background, psf: PSF, tuning: DetectionTuning) -> FloatArray:
-    """(rows, columns) signal to noise ratio of a star in the middle of each pixel; 0 where most is masked.
+    """(rows, columns) signal to noise ratio of a star at the centre of each pixel; 0 where most of it is masked.
 
-    Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky; a missing pixel has infinite variance.
+    Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky, infinite for unusable pixels.
     """
     from scipy.signal import oaconvolve
 
@@ -113,28 +113,28 @@ def significance(light: FloatArray, background: Background, psf: PSF, tuning: De
     kernel = np.exp(-0.5 * (inverse[0, 0] * dx**2 + 2 * inverse[0, 1] * dx * dy + inverse[1, 1] * dy**2))
     kernel = kernel.astype(np.float32)
     weight = np.where(np.isfinite(background.variance), 1 / background.variance, 0).astype(np.float32)
-    usual = float(np.median(weight[weight > 0]))
-    weight /= usual
+    typical_weight = float(np.median(weight[weight > 0]))
+    weight /= typical_weight
     signal = oaconvolve((light * weight).astype(np.float32), kernel, mode="same")
-    noise2 = oaconvolve(weight, kernel**2, mode="same")
+    noise_sq = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
     usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
     enough = usable > tuning.least_usable * float((kernel**2).sum())
-    return np.where(enough, signal * np.sqrt(usual / factor) / np.sqrt(np.maximum(noise2, 1e-12)), 0.0)
+    return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
 
 
 def photon_noise(light: FloatArray, background: Background) -> FloatArray:
-    """(rows, columns) noise of a pixel, the photons of the stars included, over that of the sky alone."""
+    """(rows, columns) noise of a pixel with the photons of the stars, relative to that of the sky alone."""
     return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
 
 
 def peaks(
     snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float, tuning: DetectionTuning
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) pixels (x, y) of the stars, the most significant first, and their (n,) significance.
+    """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,).
 
-    Stars are the maxima of the significance; two maxima that no saddle divides are one star.
-    noise : (rows, columns) of :func:`photon_noise`: a saddle must be deeper than the photons of a star make it.
+    Stars are maxima of the significance; two maxima without a saddle between them are one star.
+    noise : (rows, columns) from :func:`photon_noise`: a saddle must be deeper than photon noise can make it.
     """
     try:
         from photutils.detection import find_peaks
@@ -142,7 +142,7 @@ def peaks(
         raise InputError("finding stars on frames needs photutils: pip install 'sameas[frames]'") from error
     box = 2 * max(1, round(psf.sigma_px)) + 1
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # photutils warns of no peaks; the caller refuses them with a remedy
+        warnings.simplefilter("ignore")  # photutils warns if there are no peaks; the caller refuses with a remedy
         table = find_peaks(snr, threshold_sigmas, box_size=box)
     if table is None or not len(table):
         return np.empty((0, 2)), np.empty(0)
@@ -150,14 +150,14 @@ def peaks(
     x, y, value = (np.asarray(table[name], float) for name in names)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _divided(snr, noise, xy, value, tuning.saddle_widths * psf.fwhm_px, tuning)
+    keep = _separated(snr, noise, xy, value, tuning.saddle_widths * psf.fwhm_px, tuning)
     return xy[keep], value[keep]
 
 
-def _divided(
+def _separated(
     snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float, tuning: DetectionTuning
 ) -> IntArray:
-    """Rows of the peaks that a saddle divides from every higher peak near them."""
+    """Rows of the peaks with a saddle between them and every higher peak within reach."""
     from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
 
@@ -165,22 +165,22 @@ def _divided(
     if not len(pairs):
         return np.arange(len(xy))
     higher, lower = pairs.min(axis=1), pairs.max(axis=1)
-    along = np.linspace(0, 1, 2 + int(np.ceil(reach_px)))[1:-1]
-    way = xy[higher][:, None, :] + along[:, None] * (xy[lower] - xy[higher])[:, None, :]
-    # A ridge may pass half a pixel beside the pixels of its ends: the best of three parallel lines counts.
-    towards = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
-    aside = np.column_stack([-towards[:, 1], towards[:, 0]])[:, None, :]
-    lines = [way + offset * aside for offset in (-tuning.ridge_px, 0.0, tuning.ridge_px)]
-    along_lines = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
-    saddle = np.max(along_lines, axis=0).min(axis=1)
+    fraction = np.linspace(0, 1, 2 + int(np.ceil(reach_px)))[1:-1]
+    segment = xy[higher][:, None, :] + fraction[:, None] * (xy[lower] - xy[higher])[:, None, :]
+    # A ridge may pass half a pixel from the centres of its end pixels: the best of three parallel lines is used.
+    direction = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
+    normal = np.column_stack([-direction[:, 1], direction[:, 0]])[:, None, :]
+    lines = [segment + offset * normal for offset in (-tuning.ridge_px, 0.0, tuning.ridge_px)]
+    profiles = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
+    saddle = np.max(profiles, axis=0).min(axis=1)
     x, y = xy[lower].astype(int).T
-    random = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
-    depth = np.maximum(random, tuning.saddle_share * value[lower])
+    random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
     return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
 
 
 def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
-    """The stars of a frame, brightest first.
+    """The stars of a frame, measured, brightest first.
 
     Raises
     ------
@@ -206,12 +206,12 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas, tuning)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
-    stars = _neighbours_apart(light, background, psf, xy, snr, detection)
+    stars = _deblended(light, background, psf, xy, snr, detection)
     return _measurements(frame, background, psf, stars, detection)
 
 
 def _above_sky(frame: Frame, background: Background) -> FloatArray:
-    """(rows, columns) light above the sky, 0 where no pixel is usable."""
+    """(rows, columns) light above the sky, 0 where unusable."""
     return np.where(np.isfinite(background.variance), frame.image - background.level, 0.0)
 
 
@@ -226,13 +226,13 @@ def _without_defects(
     frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning
 ) -> tuple[Frame, Background]:
     """The frame with its defects flagged, and the background with infinite variance there."""
-    frame = marked(frame, background, psf, tuning)
+    frame = flag_defects(frame, background, psf, tuning)
     unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
     return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
 
 
 def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
-    """The PSF of bright stars that are single and not saturated, measured by a first guess, then by the result."""
+    """The PSF of bright, single, unsaturated stars, measured twice: from a first guess, then from the result."""
     tuning, light = detection.tuning, _above_sky(frame, background)
     psf = PSF(tuning.first_sigma_px**2 * np.eye(2))
     for _ in range(2):
@@ -242,93 +242,93 @@ def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF
             return psf
         start = np.broadcast_to(psf.matrix, (len(xy), 2, 2))
         stars, windows = adaptive(light, background, xy, start, tuning=tuning)
-        good = stars.settled & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
+        good = stars.converged & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
         if good.sum() < 3:
             return psf
         half = int(np.ceil(2.2 * psf.fwhm_px))
-        stamps = cut(light, background, np.rint(stars.xy[good]).astype(int), half)
+        stamps = cut_stamps(light, background, np.rint(stars.xy[good]).astype(int), half)
         dx, dy = stamps.x - stars.xy[good, 0, None, None], stamps.y - stars.xy[good, 1, None, None]
-        share = stamps.light / (2 * stars.weight[good])[:, None, None]
-        pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, share, strict=True)]
+        fraction = stamps.light / (2 * stars.weight[good])[:, None, None]
+        pixels = [tuple(np.broadcast_arrays(*each)) for each in zip(dx, dy, fraction, strict=True)]
         psf = PSF.from_stars(windows[good], pixels)  # type: ignore[arg-type]
     return psf
 
 
 def _single(frame: Frame, xy: FloatArray, snr: FloatArray, reach_px: float) -> FloatArray:
-    """Peaks without a comparable neighbour and without saturated pixels."""
+    """The peaks without a comparable neighbour and without saturated pixels; all unsaturated ones if too few."""
     if not len(xy):
         return xy
     from scipy.spatial import cKDTree
 
-    crowd = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
+    pairs = cKDTree(xy).query_pairs(reach_px, output_type="ndarray")
     disturbed = np.zeros(len(xy), bool)
-    disturbed[crowd.max(axis=1)] = True  # the fainter of the two
-    strong = snr[crowd.max(axis=1)] > 0.05 * snr[crowd.min(axis=1)]
-    disturbed[crowd.min(axis=1)[strong]] = True
+    disturbed[pairs.max(axis=1)] = True  # the fainter of the two
+    comparable = snr[pairs.max(axis=1)] > 0.05 * snr[pairs.min(axis=1)]
+    disturbed[pairs.min(axis=1)[comparable]] = True
     saturated = (_flags_near(frame, xy, reach_px / 4) & Flag.SATURATED) != 0
     single = xy[~disturbed & ~saturated]
     return np.asarray(single if len(single) >= 10 else xy[~saturated])
 
 
 @dataclass(frozen=True)
-class _Blended:
-    """Centroids in the common window with the neighbours' light taken away.
+class _Deblended:
+    """Centroids in the common window after subtraction of all neighbours.
 
-    snr : (n,) significance of the peaks. before : (n, 2) centroids with the neighbours' light. residual : (rows,
-    columns) light without that of the stars, which is ``own``.
+    snr : (n,) significance of the peaks. blended_xy : (n, 2) centroids before the subtraction. residual : (rows,
+    columns) light without the stars, which are in ``subtracted``.
     """
 
     centroids: Centroids
     flux: FloatArray
     snr: FloatArray
-    before: FloatArray
+    blended_xy: FloatArray
     residual: FloatArray
-    own: Own
+    subtracted: Subtracted
 
 
-def _neighbours_apart(
+def _deblended(
     light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, detection: Detection
-) -> _Blended:
-    """Measures, takes all stars off the frame, puts each one back alone, measures again."""
-    tuning, collected = detection.tuning, psf.collected()
+) -> _Deblended:
+    """The stars measured in passes: subtract all stars, add each one back alone, measure it again."""
+    tuning, window_fraction = detection.tuning, psf.window_fraction()
     windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))
     stars = centroids(light, background, xy, windows, tuning=tuning)
-    before = stars.xy
+    blended_xy = stars.xy
     for _ in range(tuning.neighbour_passes):
-        own = Own(stars.xy, np.maximum(stars.weight, 0) / collected, psf)
-        residual = light - _model(own, light.shape, tuning)
-        stars = centroids(residual, background, xy, windows[: len(xy)], own, tuning)
-        remains = _remains(stars, snr, detection.threshold_sigmas, psf)
-        if not remains.all():
-            stars = Centroids(**{name: value[remains] for name, value in vars(stars).items()})
-            snr, before, xy = snr[remains], before[remains], xy[remains]
-    flux = np.maximum(stars.weight, 0) / collected
-    own = Own(stars.xy, flux, psf)
-    return _Blended(stars, flux, snr, before, light - _model(own, light.shape, tuning), own)
+        subtracted = Subtracted(stars.xy, np.maximum(stars.weight, 0) / window_fraction, psf)
+        residual = light - _model(subtracted, light.shape, tuning)
+        stars = centroids(residual, background, xy, windows[: len(xy)], subtracted, tuning)
+        is_star = _is_star(stars, snr, detection.threshold_sigmas, psf)
+        if not is_star.all():
+            stars = Centroids(**{name: value[is_star] for name, value in vars(stars).items()})
+            snr, blended_xy, xy = snr[is_star], blended_xy[is_star], xy[is_star]
+    flux = np.maximum(stars.weight, 0) / window_fraction
+    subtracted = Subtracted(stars.xy, flux, psf)
+    return _Deblended(stars, flux, snr, blended_xy, light - _model(subtracted, light.shape, tuning), subtracted)
 
 
-def _remains(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
-    """(n,) without the stars that vanish with the light of a neighbour, and those that have slid onto one."""
+def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
+    """(n,) mask of the stars that neither vanish with their neighbours' light nor have moved onto a neighbour."""
     from scipy.spatial import cKDTree
 
-    remains = stars.weight > 0.75 * threshold * np.sqrt(stars.weight_variance)
+    is_star = stars.weight > 0.75 * threshold * np.sqrt(stars.weight_variance)
     pairs = cKDTree(stars.xy).query_pairs(0.6 * psf.fwhm_px, output_type="ndarray")
     if len(pairs):
-        remains[pairs.max(axis=1)] = False  # rows are ordered by significance
-    return np.asarray(remains | (np.arange(len(snr)) == 0))
+        is_star[pairs.max(axis=1)] = False  # rows are ordered by significance
+    return np.asarray(is_star | (np.arange(len(snr)) == 0))
 
 
-def _model(own: Own, shape: tuple[int, ...], tuning: DetectionTuning) -> FloatArray:
-    """(rows, columns) light of all stars."""
+def _model(subtracted: Subtracted, shape: tuple[int, ...], tuning: DetectionTuning) -> FloatArray:
+    """(rows, columns) model light of all stars."""
     model = np.zeros(shape)
-    half = int(np.ceil(4 * own.psf.fwhm_px))
+    half = int(np.ceil(4 * subtracted.psf.fwhm_px))
     reach = np.arange(-half, half + 1)
     step = max(1, tuning.pixels_at_once // len(reach) ** 2)
-    for first in range(0, len(own.xy), step):
-        xy, flux = own.xy[first : first + step], own.flux[first : first + step]
+    for first in range(0, len(subtracted.xy), step):
+        xy, flux = subtracted.xy[first : first + step], subtracted.flux[first : first + step]
         centre = np.rint(xy).astype(int)
         x, y = centre[:, 0, None, None] + reach[None, None, :], centre[:, 1, None, None] + reach[None, :, None]
-        light = flux[:, None, None] * own.psf.light(x - xy[:, 0, None, None], y - xy[:, 1, None, None])
+        light = flux[:, None, None] * subtracted.psf.light(x - xy[:, 0, None, None], y - xy[:, 1, None, None])
         inside = (x >= 0) & (x < shape[1]) & (y >= 0) & (y < shape[0])
         cell = (np.clip(y, 0, shape[0] - 1) * shape[1] + np.clip(x, 0, shape[1] - 1)).ravel()
         model += np.bincount(cell, np.where(inside, light, 0).ravel(), minlength=model.size).reshape(shape)
@@ -337,7 +337,7 @@ def _model(own: Own, shape: tuple[int, ...], tuning: DetectionTuning) -> FloatAr
 
 @dataclass(frozen=True)
 class _Shapes:
-    """The shapes of bright stars: rows (k,), their matrices (k, 2, 2) and centroids in windows of that shape."""
+    """Shapes of bright stars: rows (k,), matrices (k, 2, 2) and centroids in windows of this shape."""
 
     rows: IntArray
     matrices: FloatArray
@@ -345,23 +345,23 @@ class _Shapes:
     tuning: DetectionTuning
 
     @classmethod
-    def of(cls, background: Background, psf: PSF, stars: _Blended, tuning: DetectionTuning) -> _Shapes:
+    def of(cls, background: Background, psf: PSF, stars: _Deblended, tuning: DetectionTuning) -> _Shapes:
         common = stars.centroids
         snr = np.minimum(common.weight / np.sqrt(common.weight_variance), stars.snr)
         rows = np.flatnonzero(snr > tuning.shape_snr)
-        own = Own(stars.own.xy[rows], stars.own.flux[rows], psf)
+        subtracted = Subtracted(stars.subtracted.xy[rows], stars.subtracted.flux[rows], psf)
         start = np.broadcast_to(psf.matrix, (len(rows), 2, 2))
-        own_windows, matrices = adaptive(stars.residual, background, common.xy[rows], start, own, tuning)
-        return cls(rows, matrices, own_windows, tuning)
+        own_centroids, matrices = adaptive(stars.residual, background, common.xy[rows], start, subtracted, tuning)
+        return cls(rows, matrices, own_centroids, tuning)
 
     def wider(self, psf: PSF, snr: FloatArray) -> BoolArray:
-        """(k,) where the common window is too narrow by more than noise may do."""
+        """(k,) mask of the stars that are significantly wider than the common window."""
         mean = np.sqrt(np.linalg.det(psf.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
-        return np.asarray(self.centroids.settled & (area > mean * self.tuning.wider**2 * (1 + 4 / snr[self.rows])))
+        return np.asarray(self.centroids.converged & (area > mean * self.tuning.wider**2 * (1 + 4 / snr[self.rows])))
 
     def trailed(self, psf: PSF) -> BoolArray:
-        """(k,) longer than the mean star, and not as much wider."""
+        """(k,) mask of the stars that are longer than the mean star, and not wider by the same factor."""
         values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(psf.matrix)
         longer = self.tuning.longer
         return np.asarray(
@@ -369,60 +369,63 @@ class _Shapes:
         )
 
     def extended(self, psf: PSF) -> BoolArray:
-        """(k,) wider along both axes."""
+        """(k,) mask of the stars that are wider along both axes."""
         wider = self.tuning.wider
         return np.asarray(np.linalg.eigvalsh(self.matrices)[:, 0] > wider**2 * np.linalg.eigvalsh(psf.matrix)[0])
 
 
 def _measurements(
-    frame: Frame, background: Background, psf: PSF, stars: _Blended, detection: Detection
+    frame: Frame, background: Background, psf: PSF, stars: _Deblended, detection: Detection
 ) -> Measurements:
-    """Positions and errors: in the common window, or in that of the star where it is of another shape."""
+    """Positions and errors in the common window, or in the star's own window if its shape differs."""
     common, tuning = stars.centroids, detection.tuning
-    bright = (common.weight > 30 * np.sqrt(common.weight_variance)) & common.settled
-    usual = np.median(common.jacobian[bright], axis=0) if bright.sum() >= 5 else _theory(psf)
-    xy, covariance = common.xy.copy(), common.covariance(np.where(common.weight[:, None, None] > 0, usual, np.eye(2)))
-    flux, flux_err = stars.flux.copy(), np.sqrt(common.weight_variance) / psf.collected()
+    bright = (common.weight > 30 * np.sqrt(common.weight_variance)) & common.converged
+    jacobian = np.median(common.jacobian[bright], axis=0) if bright.sum() >= 5 else _gaussian_jacobian(psf)
+    xy, covariance = (
+        common.xy.copy(),
+        common.covariance(np.where(common.weight[:, None, None] > 0, jacobian, np.eye(2))),
+    )
+    flux, flux_err = stars.flux.copy(), np.sqrt(common.weight_variance) / psf.window_fraction()
     flags = _flags_near(frame, xy, psf.fwhm_px)
     matrices = np.full((len(xy), 2, 2), np.nan)
     shapes = _Shapes.of(background, psf, stars, tuning)
     if len(shapes.rows):
         matrices[shapes.rows] = shapes.matrices
         wider, trailed = shapes.wider(psf, stars.snr), shapes.trailed(psf)
-        other = wider & (trailed | shapes.extended(psf) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
-        rows = shapes.rows[other]
+        own_shape = wider & (trailed | shapes.extended(psf) | ((flags[shapes.rows] & Flag.SATURATED) != 0))
+        rows = shapes.rows[own_shape]
         own = shapes.centroids
-        xy[rows] = own.xy[other]
-        covariance[rows] = own.covariance(_bounded(own.jacobian))[other]
-        flux[rows] = 2 * own.weight[other]
-        flux_err[rows] = 2 * np.sqrt(own.weight_variance[other])
-        flags[rows] |= _flags_near(frame, xy[rows], 1.0, shapes.matrices[other])
-        flags[shapes.rows[other & trailed]] |= np.uint16(Flag.TRAILED)
-        # Longer without being a trail: two stars too near to be told apart, of which neither may be in the middle.
-        pairs = shapes.rows[wider & ~other]
-        flags[pairs] |= np.uint16(Flag.BLENDED)
-        covariance[pairs] += tuning.pair_share * (shapes.matrices[wider & ~other] - psf.matrix)
-    covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)
+        xy[rows] = own.xy[own_shape]
+        covariance[rows] = own.covariance(_bounded(own.jacobian))[own_shape]
+        flux[rows] = 2 * own.weight[own_shape]
+        flux_err[rows] = 2 * np.sqrt(own.weight_variance[own_shape])
+        flags[rows] |= _flags_near(frame, xy[rows], 1.0, shapes.matrices[own_shape])
+        flags[shapes.rows[own_shape & trailed]] |= np.uint16(Flag.TRAILED)
+        # Longer, but not a trail: an unresolved pair, whose stars may both be off the centroid.
+        unresolved = shapes.rows[wider & ~own_shape]
+        flags[unresolved] |= np.uint16(Flag.BLENDED)
+        covariance[unresolved] += tuning.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
+    covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)  # also sets flags
     order = np.argsort(-flux, kind="stable")
     return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order, tuning)
 
 
 def _with_systematic_errors(
-    covariance: FloatArray, stars: _Blended, psf: PSF, flags: NDArray[np.uint16], detection: Detection
+    covariance: FloatArray, stars: _Deblended, psf: PSF, flags: NDArray[np.uint16], detection: Detection
 ) -> FloatArray:
-    """Covariances with the errors of neighbours, pixels and saturation; sets the flags that go with them."""
+    """Covariances with the errors by neighbours, sampling and saturation; sets their bits in ``flags``."""
     common = stars.centroids
-    pull = common.xy - stars.before
+    shift = common.xy - stars.blended_xy
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 2)
-    flags[np.hypot(*pull.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
+    flags[np.hypot(*shift.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
     flags[common.at_edge] |= np.uint16(Flag.EDGE)
-    flags[~common.settled] |= np.uint16(Flag.POOR)
-    covariance = covariance + detection.tuning.pull_share**2 * pull[:, :, None] * pull[:, None, :]
+    flags[~common.converged] |= np.uint16(Flag.POOR)
+    covariance = covariance + detection.tuning.shift_share**2 * shift[:, :, None] * shift[:, None, :]
     floor = detection.floor_px**2 + psf.phase_error_px() ** 2
     saturated = (flags & Flag.SATURATED) != 0
     covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)
-    covariance[~common.settled] = psf.matrix
-    # A pair of stars is wider along one axis only: the excess along the other may be negative.
+    covariance[~common.converged] = psf.matrix
+    # An unresolved pair is wider along one axis only: the excess along the other may be negative.
     values, vectors = np.linalg.eigh((covariance + covariance.transpose(0, 2, 1)) / 2)
     return np.asarray((vectors * np.maximum(values, floor + 1e-12)[:, None, :]) @ vectors.transpose(0, 2, 1))
 
@@ -465,7 +468,7 @@ def _table(
 
 
 def _blind(frame: Frame, psf: PSF) -> BoolArray | None:
-    """(rows, columns) where most of a star's pixels are masked; None without a mask."""
+    """(rows, columns) mask where most pixels of a star are masked; None without masked pixels."""
     if not frame.masked.any():
         return None
     from scipy.ndimage import uniform_filter
@@ -491,8 +494,8 @@ def _notes(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuni
     return tuple(notes)
 
 
-def _theory(psf: PSF) -> FloatArray:
-    """J over Σ w I for a Gaussian star."""
+def _gaussian_jacobian(psf: PSF) -> FloatArray:
+    """J / Σ w I of a Gaussian star."""
     window = psf.window()
     return np.asarray(
         np.eye(2) - np.linalg.inv(np.linalg.inv(psf.matrix) + np.linalg.inv(window)) @ np.linalg.inv(window)
@@ -500,7 +503,7 @@ def _theory(psf: PSF) -> FloatArray:
 
 
 def _bounded(jacobian: FloatArray) -> FloatArray:
-    """Jacobians of single stars with eigenvalues of 0.15 … 1: flat tops have singular ones."""
+    """Jacobians of individual stars with eigenvalues limited to 0.15 … 1: flat tops have singular ones."""
     symmetric = (jacobian + jacobian.transpose(0, 2, 1)) / 2
     values, vectors = np.linalg.eigh(np.nan_to_num(symmetric))
     return np.asarray((vectors * np.clip(values, 0.15, 1.0)[:, None, :]) @ vectors.transpose(0, 2, 1))
@@ -509,7 +512,7 @@ def _bounded(jacobian: FloatArray) -> FloatArray:
 def _flags_near(
     frame: Frame, xy: FloatArray, radius_px: float, windows: FloatArray | None = None
 ) -> NDArray[np.uint16]:
-    """(n,) flags of the pixels within a radius, in units of the windows (n, 2, 2) where they are given."""
+    """(n,) combined flags of the pixels within a radius, in units of the windows (n, 2, 2) if given."""
     if windows is None:
         windows = np.broadcast_to(np.eye(2), (len(xy), 2, 2))
     if not len(xy):

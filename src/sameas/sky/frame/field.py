@@ -19,17 +19,15 @@ from sameas.sky.column_values import numbers
 from sameas.sky.doubts import COMMON_ERROR
 from sameas.space import sphere_offset, unit_vectors
 
-# Stars: the catalogue's directions and magnitudes that a frame is placed by.
-
 
 @dataclass(frozen=True)
 class Stars:
-    """Catalogue stars where they are at the frame's epoch.
+    """Catalogue stars at the frame's epoch, for plate solving.
 
     Attributes
     ----------
     ra_deg, dec_deg : (m,) ICRS. sigma_arcsec : (m,) error per axis, or one number. magnitude : (m,) in any band near
-        that of the frame; a star without one (NaN) counts as faintest.
+        that of the frame; stars without one (NaN) are sorted last.
     """
 
     ra_deg: FloatArray
@@ -54,7 +52,7 @@ class Stars:
         return np.argsort(np.where(np.isnan(self.magnitude), np.inf, self.magnitude), kind="stable")
 
 
-#: Columns that hold a colour, and pairs of magnitudes whose difference is one, in the order of the search.
+#: Colour columns, and pairs of magnitudes whose difference is a colour, in order of preference.
 COLOURS = ("bp_rp", "BP-RP", "b_v", "B-V", "g_r", "J-K")
 DIFFERENCES = (
     ("phot_bp_mean_mag", "phot_rp_mean_mag"),
@@ -69,7 +67,7 @@ DIFFERENCES = (
 
 @dataclass(frozen=True)
 class Cone:
-    """A piece of sky: all directions within a radius of one."""
+    """A cone: all directions within a radius of a centre."""
 
     ra_deg: float
     dec_deg: float
@@ -81,9 +79,11 @@ class Cone:
         return unit_vectors(self.ra_deg, self.dec_deg)
 
     def holds(self, other: Cone) -> bool:
-        """Whether all of another cone lies in this one."""
-        apart = math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(self.direction - other.direction)) / 2)))
-        return apart + other.radius_deg <= self.radius_deg + 1e-9
+        """Whether another cone lies entirely within this one."""
+        distance_deg = math.degrees(
+            2 * math.asin(min(1.0, float(np.linalg.norm(self.direction - other.direction)) / 2))
+        )
+        return distance_deg + other.radius_deg <= self.radius_deg + 1e-9
 
 
 @in_short
@@ -93,11 +93,11 @@ class StarField:
 
     Attributes
     ----------
-    name : of the catalogue. epoch_jyr : of the positions, None where each is of the star's own epoch.
-    rows : (n,) of the catalogue's table. ids : (n,) its identifiers.
+    name : of the catalogue. epoch_jyr : of the positions, None if each is at the star's own epoch.
+    rows : (n,) rows of the catalogue's table. ids : (n,) its identifiers.
     ra_deg, dec_deg : (n,) ICRS. covariance_arcsec : (n, 3) east-east, east-north, north-north in arcsec².
     magnitude, colour : (n,), NaN where not known. colour_name : column or difference of columns, empty if none.
-    moved_arcsec : (n, 2) east and north from the catalogue's own epoch to this one.
+    moved_arcsec : (n, 2) displacement east and north from the catalogue's epoch to this one.
     """
 
     name: str
@@ -118,13 +118,14 @@ class StarField:
     ) -> StarField:
         """The catalogue's usable stars at an epoch.
 
-        epoch_jyr : Julian year of the frame, None if it is not known. motion : False leaves every star at its own
-        epoch, for comparison. near : only stars in this cone. Stars of a catalogue without position errors get a usual
-        one, to start with.
+        epoch_jyr : Julian year of the frame, None if it is not known. motion : False keeps every star at its own epoch,
+        for comparison. near : only stars in this cone. Stars of a catalogue without position errors get an initial
+        typical one.
 
         Raises
         ------
-        InputError : the catalogue moves, but either epoch is not known; no row has a position and an error.
+        InputError : the catalogue has proper motions, but the epoch of the frame is not known; no row has a position
+            and an error.
         """
         known = catalogue.epoch_jyr is not None
         if epoch_jyr is None and known and motion and catalogue.has_motion:
@@ -182,24 +183,24 @@ class StarField:
         return unit_vectors(self.ra_deg, self.dec_deg)
 
     def within(self, cone: Cone) -> BoolArray:
-        """(n,) which stars lie in a cone."""
+        """(n,) mask of the stars in a cone."""
         return np.asarray(self.vectors @ cone.direction >= math.cos(math.radians(min(cone.radius_deg, 180.0))))
 
     def stars(self) -> Stars:
-        """The stars as :func:`sameas.sky.frame.place.place` takes them; the error is the mean of both axes."""
+        """The stars for :func:`sameas.sky.frame.place.place`; the error is the root mean variance of both axes."""
         sigma = np.sqrt(np.trace(unpack(self.covariance_arcsec, 2), axis1=1, axis2=2) / 2.0)
         return Stars(self.ra_deg, self.dec_deg, sigma, self.magnitude, self.name)
 
 
 def _near(catalogue: Catalogue, cone: Cone, epoch_jyr: float | None) -> IntArray:
-    """Rows of the catalogue that are in a cone, or may have moved into it."""
+    """Rows of the catalogue that are in a cone, or may have moved into it by the epoch."""
     a = catalogue.astrometry
     chord = np.linalg.norm(unit_vectors(a.ra_deg, a.dec_deg) - cone.direction, axis=1)
-    apart_deg = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)))
+    distance_deg = np.degrees(2 * np.arcsin(np.clip(chord / 2, 0.0, 1.0)))
     years = 0.0 if epoch_jyr is None else np.nan_to_num(epoch_jyr - a.epoch_jyr)
     moved_deg = np.abs(years) * np.hypot(a.pm_ra_mas_per_yr, a.pm_dec_mas_per_yr) / 3.6e6
     with np.errstate(invalid="ignore"):
-        return np.flatnonzero(apart_deg <= cone.radius_deg + 1.1 * moved_deg)
+        return np.flatnonzero(distance_deg <= cone.radius_deg + 1.1 * moved_deg)
 
 
 def _only(catalogue: Catalogue, rows: IntArray) -> Catalogue:
@@ -216,7 +217,7 @@ def _only(catalogue: Catalogue, rows: IntArray) -> Catalogue:
 
 
 def _colour(catalogue: Catalogue) -> tuple[FloatArray, str]:
-    """(n,) colours of the catalogue's rows and their name; NaN and empty where it has none."""
+    """(n,) colours of the catalogue's rows and the name of the colour; NaN and empty if there is none."""
     table = catalogue.table
     known = {name.lower(): name for name in table.colnames}
     for name in COLOURS:
@@ -232,6 +233,6 @@ def _colour(catalogue: Catalogue) -> tuple[FloatArray, str]:
 
 
 def _plausible(colour: FloatArray) -> FloatArray:
-    """Colours; NaN for the numbers that surveys write where there is none."""
+    """Colours, NaN for placeholders (20 or more)."""
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(colour) < 20.0, colour, np.nan)

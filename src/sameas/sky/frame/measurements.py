@@ -1,7 +1,7 @@
 """Measurements: position, light and shape of every star on a frame, each with its error.
 
-Pixels are counted from 0 and a whole number is the middle of a pixel, as in NumPy: the lower left pixel reaches
-from −0.5 to 0.5. FITS headers, DS9 and SExtractor count from 1.
+Pixels are counted from 0 and integers are pixel centres, as in NumPy: the lower left pixel extends from −0.5 to 0.5.
+FITS headers, DS9 and SExtractor count from 1.
 """
 
 from __future__ import annotations
@@ -21,44 +21,42 @@ from sameas.representation import in_short
 if TYPE_CHECKING:
     from astropy.table import Table
 
-# How stars are looked for on a frame: what a user chooses (:class:`Detection`), and what was tuned once for all.
-
 
 @dataclass(frozen=True)
 class DetectionTuning:
-    """Numbers of the detection of stars, chosen on simulated frames (``scripts/bench centroids`` and ``crowded``).
+    """Parameters of star detection, tuned on simulated frames (``scripts/bench centroids`` and ``crowded``).
 
     Attributes
     ----------
-    noise_side_px : the correlation of the noise is measured in a square of this side, in the middle of the frame.
-    noise_reach_px : largest distance along an axis at which it is measured.
-    star_sigmas : means of 3 × 3 pixels farther than this from the sky are stars; the noise is measured without them.
-    fewest_noise_pixels : with fewer pixels left the noise counts as independent.
-    least_correlation : correlations below this are zero: they are noise of their estimate.
-    centroid_steps : most steps of a centroid. settled_px : it has settled when a step is shorter than this.
-    stamp_sigmas : half-width of a stamp in standard deviations of its window. widest_px : largest half-width.
-    pixels_at_once : stamps are measured in batches of this many pixels, which bounds the memory.
-    shape_steps : steps in which a window takes the shape of its star.
-    defect_sigmas : a pixel is a defect when it exceeds the sharpest star by this many standard deviations.
-    defect_passes : most passes; in each the defects found before are replaced by their neighbours.
-    sharpness_margin : stars differ in sharpness by less than this factor.
-    line_sigmas : a column or row is bad when it differs from its neighbours by this many standard deviations of lines.
-    least_line : and by more than this, in standard deviations of a pixel; weaker lines do no harm.
-    least_usable : no star is looked for where less than this share of its pixels is usable.
-    saddle_sigmas : two peaks are two stars when the saddle between them is this many standard deviations of the sky
-        deep. saddle_photons : the same for the noise of the star's photons, larger because the saddle is the lowest of
-        many places along a trail.
-    saddle_share : a saddle is at least this share of the lower peak deep.
-    saddle_widths : peaks farther apart than this are two stars, in full widths of a star; longer trails come in parts.
-    ridge_px : the saddle is the best of three lines this far apart: a ridge passes the pixels of its ends beside them.
-    first_sigma_px : standard deviation of the first guess at the PSF.
-    sharpest_sigma_px : of the sharpest star that is thought possible before the PSF is measured (1.3 px full width).
-    psf_stars : the PSF is measured on at most this many stars.
-    shape_snr : fainter stars, by their signal to noise ratio, have no shape of their own.
-    wider : a star wider than the PSF by this factor gets its own window. longer : beyond this factor it is trailed.
-    neighbour_passes : how many times the light of all neighbours is taken away and every star measured again.
-    pull_share : share of a neighbour's pull that taking its light away leaves.
-    pair_share : part of the excess second moment of two stars in one by which their position may be off, squared.
+    noise_side_px : the noise correlation is measured in a square of this side in the middle of the frame.
+    noise_reach_px : maximum offset along an axis for the noise correlation.
+    star_sigmas : 3 × 3 means farther than this from the sky are stars, and excluded from the noise measurement.
+    fewest_noise_pixels : with fewer pixels the noise is assumed independent.
+    least_correlation : smaller correlations are set to zero, as noise of the estimate.
+    centroid_steps : maximum number of centroid iterations. converged_px : step length for convergence.
+    stamp_sigmas : half-width of a stamp in standard deviations of its window. widest_px : maximum half-width.
+    pixels_at_once : pixels per batch of stamps, which bounds the memory.
+    shape_steps : iterations that adapt a window to the shape of its star.
+    defect_sigmas : a pixel is a defect if it exceeds the sharpest star by this many standard deviations.
+    defect_passes : maximum number of passes; in each, known defects are replaced by their neighbours.
+    sharpness_margin : maximum ratio of sharpness among stars.
+    line_sigmas : a column or row is bad if it differs from its neighbours by this many standard deviations of lines.
+    least_line : minimum difference of a bad line, in standard deviations of a pixel; weaker lines are harmless.
+    least_usable : no star is detected where less than this share of its pixels is usable.
+    saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
+    saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points
+        along a trail.
+    saddle_share : minimum depth of the saddle as a share of the lower peak.
+    saddle_widths : peaks farther apart than this many FWHM are always two stars; longer trails are split.
+    ridge_px : offset of the three parallel lines on which the saddle is measured; a ridge may miss the pixel centres.
+    first_sigma_px : standard deviation of the initial PSF.
+    sharpest_sigma_px : standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px).
+    psf_stars : maximum number of stars for the PSF.
+    shape_snr : stars below this signal to noise ratio get no individual shape.
+    wider : a star wider than the PSF by this factor gets its own window. longer : trailed if longer by this factor.
+    neighbour_passes : number of passes that subtract all neighbours and remeasure every star.
+    shift_share : share of the shift by neighbours that remains after their subtraction.
+    pair_share : position variance of an unresolved pair, as a share of its excess second moment.
     """
 
     noise_side_px: int = 600
@@ -67,7 +65,7 @@ class DetectionTuning:
     fewest_noise_pixels: int = 1000
     least_correlation: float = 0.02
     centroid_steps: int = 25
-    settled_px: float = 2e-4
+    converged_px: float = 2e-4
     stamp_sigmas: float = 3.5
     widest_px: int = 48
     pixels_at_once: int = 4_000_000
@@ -90,7 +88,7 @@ class DetectionTuning:
     wider: float = 1.3
     longer: float = 2.0
     neighbour_passes: int = 3
-    pull_share: float = 0.25
+    shift_share: float = 0.25
     pair_share: float = 0.1
 
 
@@ -99,10 +97,10 @@ TUNING = DetectionTuning()
 
 @dataclass(frozen=True)
 class Detection:
-    """How stars are looked for.
+    """How stars are detected.
 
-    threshold_sigmas : lowest significance in the matched filter. box_px : mesh of the background. defects : look for
-    hot pixels, particles and bad columns on the frame itself. floor_px : error that no centroid is below.
+    threshold_sigmas : minimum significance in the matched filter. box_px : mesh of the background. defects : whether to
+    detect hot pixels, cosmic rays and bad columns on the frame. floor_px : minimum error of a centroid.
     """
 
     threshold_sigmas: float = 4.0
@@ -120,16 +118,16 @@ class Detection:
 
 
 class Flag(IntFlag):
-    """What is doubtful about a measurement; the first five also mark single pixels of a frame."""
+    """Quality flags of a measurement; the first four also flag single pixels of a frame."""
 
-    SATURATED = 1  # some of its pixels have reached the limit of the detector
-    HOT = 2  # it is, or covers, a pixel that is bright without light
-    COSMIC = 4  # it is, or covers, the hit of a cosmic ray
-    MASKED = 8  # some of its pixels are not usable: no number, marked bad, a dead column
-    EDGE = 16  # the frame ends within its window
-    BLENDED = 32  # a neighbour's light was taken away before it was measured
-    TRAILED = 64  # it is longer than the stars of the frame
-    POOR = 128  # the centroid did not settle; the position is that of the brightest pixel of the smoothed frame
+    SATURATED = 1  # has pixels at the limit of the detector
+    HOT = 2  # is, or covers, a hot pixel
+    COSMIC = 4  # is, or covers, a cosmic ray hit
+    MASKED = 8  # has unusable pixels: not a number, marked bad, a dead column
+    EDGE = 16  # the window extends beyond the frame
+    BLENDED = 32  # the light of a neighbour was subtracted
+    TRAILED = 64  # longer than the stars of the frame
+    POOR = 128  # the centroid did not converge; the position is the brightest pixel of the smoothed frame
 
     @classmethod
     def words(cls, bits: int) -> str:
@@ -143,27 +141,26 @@ PIXEL_FLAGS = Flag.SATURATED | Flag.HOT | Flag.COSMIC | Flag.MASKED
 @in_short
 @dataclass(frozen=True)
 class Measurements:
-    """The stars and other marks of one frame, brightest first.
+    """The detections of one frame, brightest first.
 
     Attributes
     ----------
-    x_px, y_px : (n,) windowed centroids, 0-based, whole numbers in the middle of pixels.
+    x_px, y_px : (n,) windowed centroids, 0-based, integers at pixel centres.
     covariance : (n, 3) of the centroid in px²: xx, xy, yy.
     flux, flux_err : (n,) in the unit of the frame (ADU of the calibrated frame): the total light of a star with
         the mean profile of the frame, and its standard deviation.
-    background : (n,) level of the sky below it, the same unit per pixel.
-    a_px, b_px, theta_deg : (n,) standard deviations of its light along its long and short axis, and the angle of the
-        long axis from +x to +y; NaN where the light is too faint to tell.
-    fwhm_px : (n,) full width at half maximum of the circle of the same area; NaN with them.
+    background : (n,) level of the sky at the star, the same unit per pixel.
+    a_px, b_px, theta_deg : (n,) standard deviations of the light along the long and short axis, and the angle of the
+        long axis from +x to +y; NaN where too faint.
+    fwhm_px : (n,) full width at half maximum of the circle of the same area; NaN likewise.
     snr : (n,) peak of the matched filter over its noise: the significance of the detection.
-    peak : (n,) highest pixel above the sky.
+    peak : (n,) value of the central pixel above the sky.
     flags : (n,) bits of :class:`Flag`.
     shape : (rows, columns) of the frame.
     psf_fwhm_px : full width at half maximum of the frame's stars.
     name : of the frame.
-    notes : what was assumed or is doubtful, in words.
-    blind : (rows, columns) where a star could not be measured because most pixels around are not usable; None where the
-        whole frame can be.
+    notes : assumptions and doubts, as text.
+    blind : (rows, columns) mask where no star can be measured because most pixels are unusable; None without one.
     """
 
     x_px: FloatArray
@@ -194,7 +191,7 @@ class Measurements:
         return replace(self, **columns)
 
     def clean(self, but: Flag = Flag.BLENDED | Flag.TRAILED | Flag.SATURATED) -> BoolArray:
-        """(n,) mask of those that carry no flag, those in ``but`` excepted."""
+        """(n,) mask of the measurements without flags other than ``but``."""
         return np.asarray((self.flags & ~np.uint16(but)) == 0)
 
     def sigma_px(self) -> FloatArray:
@@ -202,14 +199,14 @@ class Measurements:
         return np.sqrt(self.covariance[:, [0, 2]])
 
     def records(self) -> Records:
-        """The positions in pixels, ready to be identified in the plane of the frame."""
+        """The positions in pixels as records in the plane of the frame."""
         xy = np.column_stack([self.x_px, self.y_px])
         xx, cross, yy = self.covariance.T
         full = np.stack([np.stack([xx, cross], -1), np.stack([cross, yy], -1)], -2)
         return Records.of(xy, covariance=full, source=self.name)
 
     def table(self) -> Table:
-        """One row a measurement, with units; flags also in words."""
+        """A table with one row per measurement, with units; flags also as text."""
         from astropy.table import QTable
 
         units = {"x_px": "pix", "y_px": "pix", "a_px": "pix", "b_px": "pix", "fwhm_px": "pix", "theta_deg": "deg"}

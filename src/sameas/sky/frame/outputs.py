@@ -370,7 +370,7 @@ def _plate(identification: FrameIdentification) -> dict[str, Any]:
     return {
         "order": plate.order,
         "bic": {str(order): float(value) for order, value in plate.bic.items()},
-        "left_out": {str(order): float(value) for order, value in plate.left_out.items()},
+        "left_out": {str(order): float(value) for order, value in plate.leave_one_out.items()},
         "effective_pairs": plate.effective_pairs,
         "error_scale": plate.error_scale,
         "tangent_ra_deg": float(ra),

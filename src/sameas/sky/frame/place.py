@@ -1,13 +1,13 @@
-"""Where a frame points: from its header, an aim, or nothing but a range of scales.
+"""The pointing of a frame (plate solving): from its header, an approximate direction, or a range of scales only.
 
-:func:`place` tries the hints in the order given and returns the first placement whose odds against all chance, and
-against the next best, are high enough; else it refuses with the best odds of every hint.
+:func:`place` tries the hints in the given order and returns the first placement whose odds against chance, and against
+the next best placement, are high enough; else it refuses with the best odds of each hint.
 
-- :class:`ApproximateWcs`: a plate solution that is nearly right, with any distortion that astropy reads (SIP, TPV,
-  DSS). Shift and rotation are found by correlation.
-- :class:`Aim`: a direction, how far off it may be, and a range of scales. Any orientation, mirrored or not.
-- :class:`AllSky`: a range of scales only. For fields that hold a dozen of the catalogue's brighter stars; the index
-  (:func:`sky_index`) takes seconds and serves every frame of the same camera.
+- :class:`ApproximateWcs`: an approximate plate solution, with any distortion that astropy reads (SIP, TPV, DSS). Shift
+  and rotation are found by correlation.
+- :class:`Aim`: a direction, its uncertainty and a range of scales; any orientation and parity.
+- :class:`AllSky`: a range of scales only. For fields with a dozen of the catalogue's brighter stars; the index
+  (:func:`sky_index`) takes seconds and can be reused for all frames of a camera.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sameas.errors import InputError
 from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.sky.frame.field import Stars
-from sameas.sky.frame.odds import PlateProblem, Verdict, on_pixels, verify
+from sameas.sky.frame.odds import PlateProblem, Verdict, refitted_on, verify
 from sameas.sky.frame.pointing_hints import (
     TUNING,
     Aim,
@@ -38,12 +38,12 @@ from sameas.sky.frame.pointing_hints import (
 from sameas.sky.frame.tangent import Pointing, sky_of
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
-#: Least odds of a placement that is accepted (chosen).
+#: Minimum odds of an accepted placement (chosen).
 DEFAULT_ODDS = 1e6
 
 
 class MeasuredStars(Protocol):
-    """Measurements as :func:`place` takes them: pixels from 0, covariances (xx, xy, yy in px²), fluxes, shape."""
+    """Measurements for :func:`place`: 0-based pixels, covariances (xx, xy, yy in px²), fluxes, shape of the frame."""
 
     @property
     def x_px(self) -> FloatArray: ...
@@ -62,16 +62,16 @@ class MeasuredStars(Protocol):
 @in_short
 @dataclass(frozen=True)
 class Placement:
-    """Where a frame points.
+    """The pointing of a frame with its odds.
 
     Attributes
     ----------
     wcs : the linear plate solution (TAN, ICRS) as an astropy WCS.
-    pointing : the same as plain numbers. log_odds : natural, that it is right against all chance.
+    pointing : the same as numbers. log_odds : natural logarithm of its odds against chance.
     runner_up_log_odds : of the next best, different placement, −inf if there is none.
-    rows_measured, rows_stars : (k,) the pairs that it is fitted to, rows of the caller's tables.
-    residual_px : (k, 2) measured minus predicted. rms_arcsec : root mean square of them per axis.
-    hint : the hint that it was found by, in words.
+    rows_measured, rows_stars : (k,) the fitted pairs, as rows of the caller's tables.
+    residual_px : (k, 2) measured minus predicted. rms_arcsec : their root mean square per axis.
+    hint : text of the successful hint.
     """
 
     wcs: Any
@@ -86,7 +86,7 @@ class Placement:
 
     @property
     def n_matched(self) -> int:
-        """Number of its pairs."""
+        """Number of fitted pairs."""
         return len(self.rows_stars)
 
     @property
@@ -124,16 +124,16 @@ def place(
     odds: float = DEFAULT_ODDS,
     tuning: SearchTuning = TUNING,
 ) -> Placement:
-    """Where a frame points, by the first hint whose best placement has high enough odds.
+    """The placement of a frame by the first hint whose best placement has high enough odds.
 
     Parameters
     ----------
     measured : the frame's measurements; up to half of the brighter ones may be spurious.
     stars : the catalogue at the frame's epoch, of the field or (for :class:`AllSky`) of the whole sky.
     hints : one or several of :class:`ApproximateWcs`, :class:`Aim`, :class:`AllSky`, tried in this order.
-    index : of :func:`sky_index` for an :class:`AllSky` hint, to be reused for every frame; else it is made here.
-    odds : a placement is refused below these odds against all chance, and against the next best placement.
-    tuning : numbers of the search.
+    index : :func:`sky_index` for :class:`AllSky` hints, reusable between frames; built if not given.
+    odds : minimum odds of a placement against chance, and against the next best placement.
+    tuning : parameters of the search.
 
     Raises
     ------
@@ -147,17 +147,17 @@ def place(
     if not hints or not odds > 1:
         raise InputError("place: give at least one hint, and odds above 1")
     problem, order_1, order_2 = problem_of(measured, stars)
-    refused = []
+    refusals = []
     for hint in hints:
         best, second = _best_verdict(problem, hint, index, math.log(odds), tuning)
         if best is not None and _is_established(best, second, math.log(odds)):
             return _placement(problem, best, second, hint, measured, (order_1, order_2))
-        refused.append(_refusal(hint, best, second))
-    raise InputError(f"{measured.name}: no solution: {'; '.join(refused)}; {_advice(hints)}")
+        refusals.append(_refusal(hint, best, second))
+    raise InputError(f"{measured.name}: no solution: {'; '.join(refusals)}; {_advice(hints)}")
 
 
 def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, IntArray, IntArray]:
-    """Both lists brightest first, and the rows that they had."""
+    """The plate problem, both lists brightest first, and their rows in the caller's tables."""
     px = np.column_stack([measured.x_px, measured.y_px]).astype(np.float64)
     usable = np.isfinite(px).all(axis=1) & np.isfinite(measured.covariance).all(axis=1) & np.isfinite(measured.flux)
     order_1 = np.argsort(np.where(usable, -measured.flux, np.inf), kind="stable")[: int(usable.sum())]
@@ -178,28 +178,28 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
 def _best_verdict(
     problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, tuning: SearchTuning
 ) -> tuple[Verdict | None, float]:
-    """The best verdict under one hint, and the log-odds of the next best that is a different one."""
-    own = _straightened(problem, hint)
-    volume, tolerance = hint.search_volume(own), 0.01 * own.half_diagonal_px
+    """The best verdict under one hint, and the log-odds of the next best, different one."""
+    undistorted = _undistorted(problem, hint)
+    volume, tolerance = hint.search_volume(undistorted), 0.01 * undistorted.half_diagonal_px
     best, second = None, -math.inf
-    for pointings in candidates(own, hint, index, tuning):
-        for pointing in _different(pointings, own, tuning.verified):
-            verdict = verify(own, pointing, volume, tolerance, tuning.odds)
-            if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, own):
+    for pointings in candidates(undistorted, hint, index, tuning):
+        for pointing in _different(pointings, undistorted, tuning.verified):
+            verdict = verify(undistorted, pointing, volume, tolerance, tuning.odds)
+            if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, undistorted):
                 continue
             if best is None or verdict.log_odds > best.log_odds:
-                if best is not None and not _same(best.pointing, verdict.pointing, own):
+                if best is not None and not _same(best.pointing, verdict.pointing, undistorted):
                     second = max(second, best.log_odds)
                 best = verdict
-            elif not _same(best.pointing, verdict.pointing, own):
+            elif not _same(best.pointing, verdict.pointing, undistorted):
                 second = max(second, verdict.log_odds)
         if _is_established(best, second, least_log_odds):
             break
     return best, second
 
 
-def _straightened(problem: PlateProblem, hint: Hint) -> PlateProblem:
-    """The problem with the header's distortion taken out of its measurements."""
+def _undistorted(problem: PlateProblem, hint: Hint) -> PlateProblem:
+    """The problem with the distortion of the header's WCS removed from the measurements."""
     if not isinstance(hint, ApproximateWcs):
         return problem
     linear = Pointing.of_wcs(hint.wcs, problem.shape)
@@ -208,33 +208,33 @@ def _straightened(problem: PlateProblem, hint: Hint) -> PlateProblem:
 
 
 def _different(pointings: Iterator[Pointing], problem: PlateProblem, most: int) -> Iterator[Pointing]:
-    """The first of every cluster of nearly equal pointings, at most ``most``."""
+    """The first of each cluster of nearly equal pointings, at most ``most`` of them."""
     proposed = list(pointings)
     if not proposed:
         return
     corners = np.stack([pointing.to_sky(_corners(problem)) for pointing in proposed])
-    left = np.ones(len(proposed), bool)
+    remaining = np.ones(len(proposed), bool)
     for _ in range(most):
-        if not left.any():
+        if not remaining.any():
             return
-        first = int(np.argmax(left))
-        apart = np.linalg.norm(corners - corners[first], axis=2).max(axis=1)
-        left &= apart > 0.03 * np.linalg.norm(corners[first, 2] - corners[first, 1])
-        left[first] = False
+        first = int(np.argmax(remaining))
+        distance = np.linalg.norm(corners - corners[first], axis=2).max(axis=1)
+        remaining &= distance > 0.03 * np.linalg.norm(corners[first, 2] - corners[first, 1])
+        remaining[first] = False
         yield proposed[first]
 
 
 def _corners(problem: PlateProblem) -> FloatArray:
-    """(3, 2) three corners of the frame, the last two opposite each other."""
-    high, wide = problem.shape
-    return np.array([[0.0, 0.0], [wide - 1.0, 0.0], [0.0, high - 1.0]])
+    """(3, 2) three corners of the frame, the last two on a diagonal."""
+    rows, columns = problem.shape
+    return np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0]])
 
 
 def _same(one: Pointing, other: Pointing, problem: PlateProblem) -> bool:
-    """Whether two pointings put the corners of the frame in the same places, to a hundredth of its diagonal."""
-    apart = one.to_sky(_corners(problem)) - other.to_sky(_corners(problem))
+    """Whether the corners of the frame agree for two pointings, to 1 % of its diagonal."""
+    difference = one.to_sky(_corners(problem)) - other.to_sky(_corners(problem))
     size = 2 * problem.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN
-    return bool(np.linalg.norm(apart, axis=1).max() < 0.01 * size)
+    return bool(np.linalg.norm(difference, axis=1).max() < 0.01 * size)
 
 
 def _is_established(best: Verdict | None, second: float, least_log_odds: float) -> bool:
@@ -251,7 +251,7 @@ def _placement(
 ) -> Placement:
     rms_px = math.sqrt(np.mean(best.residual_px**2))
     if isinstance(hint, ApproximateWcs):
-        best = on_pixels(best, problem, problem.px)
+        best = refitted_on(best, problem, problem.px)
     return Placement(
         wcs=best.pointing.to_wcs(problem.shape),
         pointing=best.pointing,
@@ -266,7 +266,7 @@ def _placement(
 
 
 def odds_in_words(log_odds: float) -> str:
-    """Odds as people write them: 250:1, 1:30, 10^45:1."""
+    """Odds as text: 250:1, 1:30, 10^45:1."""
     if log_odds == -math.inf:
         return "none"
     size = abs(log_odds)

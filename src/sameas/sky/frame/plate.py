@@ -1,12 +1,12 @@
-"""The plate model: from pixels to the sky by a polynomial, fitted to identified stars, with its covariance.
+"""The plate model: a polynomial from pixels to the sky, fitted to identified stars, with its covariance.
 
     (ξ, η) = Σ_{a+b ≤ p} c_ab uᵃ vᵇ,   (u, v) = (x − middle) / half diagonal,
 
-ξ east and η north on the tangent plane, arcsec. Every pair counts with its probability; its error is that of the
-measurement, brought to the plane, and that of the star. The order p is given, or the one that foretells each star best
-from the others (leave-one-out), no higher than the one of least BIC, and such that its WCS can be inverted.
-:meth:`PlateModel.predict` gives the pixel of a star with its covariance, :meth:`PlateModel.to_sky` the
-reverse, :meth:`PlateModel.to_wcs` gives an astropy WCS (TAN, or TAN-SIP: Shupe et al. 2005, ASP 347, 491).
+ξ east and η north on the tangent plane, arcsec. Each pair is weighted by its probability; its covariance is the sum of
+the measurement's, transformed to the plane, and the star's. The order p is given, or chosen by leave-one-out
+likelihood, at most the order of least BIC, and such that its WCS can be inverted. :meth:`PlateModel.predict` gives the
+pixel of a star with its covariance, :meth:`PlateModel.to_sky` the inverse, :meth:`PlateModel.to_wcs` an astropy WCS
+(TAN, or TAN-SIP: Shupe et al. 2005, ASP 347, 491).
 """
 
 from __future__ import annotations
@@ -36,17 +36,18 @@ HIGHEST_ORDER = 5
 
 @dataclass(frozen=True)
 class PlateTuning:
-    """Numbers of the fit of a plate, all chosen.
+    """Parameters of the plate fit, all chosen.
 
     Attributes
     ----------
-    iterations : of fitting, weighing down and bringing the errors to the plane.
-    tail_sigmas : the weight of a residual beyond this falls as its inverse square: a wrong pair does not pull.
-    quoted_weight : prior weight, in residuals, of a scale of 1 of the quoted errors.
-    reverse_px : the reverse of a SIP polynomial is approximated until its largest error over the frame is below this,
-        or by the order ``reverse_order`` at most. An order whose reverse errs by more than ``most_reverse_px`` there is
-        not taken, unless it was asked for.
-    foretelling : a higher order must better −2 ln L of stars foretold by the others by more than this.
+    iterations : number of iterations of the fit, its weights and the transformed errors.
+    tail_sigmas : the weight of larger residuals falls with their inverse square, so that wrong pairs have little
+        influence.
+    quoted_weight : prior weight, in residuals, of an error scale of 1.
+    reverse_px, reverse_order : the order of the inverse SIP polynomial is raised until its largest error over the frame
+        is below ``reverse_px``, at most to ``reverse_order``.
+    most_reverse_px : orders whose inverse has a larger error are not chosen, unless given.
+    least_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
     """
 
     iterations: int = 8
@@ -55,14 +56,14 @@ class PlateTuning:
     reverse_px: float = 0.002
     reverse_order: int = 9
     most_reverse_px: float = 0.01
-    foretelling: float = 8.0
+    least_gain: float = 8.0
 
 
 TUNING = PlateTuning()
 
 
 def terms(order: int) -> list[tuple[int, int]]:
-    """The exponents (a, b) of uᵃ vᵇ up to an order: (0, 0), (1, 0), (0, 1), (2, 0), …"""
+    """The exponents (a, b) of uᵃ vᵇ with a + b ≤ order: (0, 0), (1, 0), (0, 1), (2, 0), …"""
     return [(total - b, b) for total in range(order + 1) for b in range(total + 1)]
 
 
@@ -77,7 +78,7 @@ class Polynomial:
 
     @classmethod
     def linear(cls, pointing: Pointing, middle_px: FloatArray, unit_px: float, order: int) -> Polynomial:
-        """A pointing as a polynomial, arcsec; the higher terms are zero."""
+        """The linear polynomial of a pointing, arcsec; higher terms are zero."""
         coefficients = np.zeros((2, len(terms(order))))
         cd = pointing.cd * ARCSEC_PER_RADIAN
         coefficients[:, 0] = cd @ (middle_px - pointing.origin_px)
@@ -89,7 +90,7 @@ class Polynomial:
         return replace(self, coefficients=coefficients)
 
     def basis(self, px: FloatArray) -> FloatArray:
-        """(n, q) the terms at pixels (n, 2)."""
+        """(n, q) the terms uᵃ vᵇ at pixels (n, 2)."""
         u, v = ((px - self.middle_px) / self.unit_px).T
         return np.stack([u**a * v**b for a, b in terms(self.order)], axis=1)
 
@@ -105,43 +106,43 @@ class Polynomial:
         return np.stack([along_u @ self.coefficients.T, along_v @ self.coefficients.T], axis=2) / self.unit_px
 
     def inverse(self, plane: FloatArray) -> FloatArray:
-        """(n, 2) the pixels of points ξ, η by Newton's method; NaN where there is none within reach."""
+        """(n, 2) the pixels of points ξ, η by Newton's method; NaN if it does not converge near the frame."""
         linear = self.coefficients[:, 1:3] / self.unit_px
         px = self.middle_px + (plane - self.coefficients[:, 0]) @ np.linalg.inv(linear).T
         if self.order == 1:
             return np.asarray(px)
-        # Far outside the frame a polynomial folds back: points two frames away have no pixel.
-        reached = np.flatnonzero(np.abs(px - self.middle_px).max(axis=1) < 4 * self.unit_px)
-        at = px[reached]
+        # Far outside the frame the polynomial folds back: points about two frames away have no pixel.
+        rows = np.flatnonzero(np.abs(px - self.middle_px).max(axis=1) < 4 * self.unit_px)
+        pixels = px[rows]
         for _ in range(20):
-            slope = self.slope(at)
-            good = np.abs(slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]) > 1e-12
-            reached, at = reached[good], at[good]
-            step = np.linalg.solve(slope[good], (self(at) - plane[reached])[:, :, None])[:, :, 0]
-            # Steps are not longer than half the frame, so that none diverges.
-            at = at - np.clip(step, -self.unit_px, self.unit_px)
+            slope = self.slope(pixels)
+            regular = np.abs(slope[:, 0, 0] * slope[:, 1, 1] - slope[:, 0, 1] * slope[:, 1, 0]) > 1e-12
+            rows, pixels = rows[regular], pixels[regular]
+            step = np.linalg.solve(slope[regular], (self(pixels) - plane[rows])[:, :, None])[:, :, 0]
+            # Steps are limited to half the diagonal against divergence.
+            pixels = pixels - np.clip(step, -self.unit_px, self.unit_px)
             if np.abs(step).max(initial=0.0) < 1e-9:
                 break
-        converged = np.abs(self(at) - plane[reached]).max(axis=1) < 1e-4
+        converged = np.abs(self(pixels) - plane[rows]).max(axis=1) < 1e-4
         px = np.full_like(px, np.nan)
-        px[reached[converged]] = at[converged]
+        px[rows[converged]] = pixels[converged]
         return np.asarray(px)
 
     def about(self, origin_px: FloatArray) -> FloatArray:
-        """(2, q) coefficients of powers of pixels from another origin: Σ d_ab (x − x₀)ᵃ (y − y₀)ᵇ."""
+        """(2, q) coefficients d_ab about another origin, in pixels: Σ d_ab (x − x₀)ᵃ (y − y₀)ᵇ."""
         shift = (origin_px - self.middle_px) / self.unit_px
-        place = {term: i for i, term in enumerate(terms(self.order))}
-        moved = np.zeros_like(self.coefficients)
+        column = {term: i for i, term in enumerate(terms(self.order))}
+        about_origin = np.zeros_like(self.coefficients)
         for i, (a, b) in enumerate(terms(self.order)):
             for k in range(a + 1):
                 for l in range(b + 1):
-                    share = math.comb(a, k) * math.comb(b, l) * shift[0] ** (a - k) * shift[1] ** (b - l)
-                    moved[:, place[k, l]] += share * self.coefficients[:, i] / self.unit_px ** (k + l)
-        return moved
+                    factor = math.comb(a, k) * math.comb(b, l) * shift[0] ** (a - k) * shift[1] ** (b - l)
+                    about_origin[:, column[k, l]] += factor * self.coefficients[:, i] / self.unit_px ** (k + l)
+        return about_origin
 
 
 def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuning: PlateTuning = TUNING) -> WCS:
-    """An astropy WCS of a polynomial (arcsec) on the plane at ``centre``: TAN, or TAN-SIP with both directions."""
+    """The astropy WCS of a polynomial (arcsec) on the plane at ``centre``: TAN, or TAN-SIP with its inverse."""
     from astropy.wcs import WCS, Sip
 
     origin = polynomial.inverse(np.zeros((1, 2)))[0]
@@ -153,8 +154,8 @@ def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuni
     wcs.wcs.crval, wcs.wcs.crpix = [float(angle) for angle in directions_deg(centre)], list(origin + 1.0)
     wcs.wcs.cd = cd / 3600.0
     if polynomial.order > 1:
-        bent = np.linalg.solve(cd, coefficients)
-        forward = [_table(bent[axis], polynomial.order) for axis in range(2)]
+        distortion = np.linalg.solve(cd, coefficients)
+        forward = [_table(distortion[axis], polynomial.order) for axis in range(2)]
         wcs.sip = Sip(*forward, *_reverse(polynomial, origin, cd, shape, tuning)[:2], origin + 1.0)
     wcs.wcs.set()
     wcs.array_shape = shape
@@ -162,7 +163,7 @@ def sip(polynomial: Polynomial, centre: FloatArray, shape: tuple[int, int], tuni
 
 
 def _table(row: FloatArray, order: int, least: int = 2) -> FloatArray:
-    """SIP's square table A[a, b] of a row of coefficients, from the order ``least`` on."""
+    """The square table A[a, b] of SIP from a row of coefficients, terms of order ``least`` and higher."""
     table = np.zeros((order + 1, order + 1))
     for value, (a, b) in zip(row, terms(order), strict=True):
         if a + b >= least:
@@ -173,18 +174,16 @@ def _table(row: FloatArray, order: int, least: int = 2) -> FloatArray:
 def _reverse(
     polynomial: Polynomial, origin: FloatArray, cd: FloatArray, shape: tuple[int, int], tuning: PlateTuning
 ) -> tuple[FloatArray, FloatArray, float]:
-    """The tables AP and BP, from linear pixels back to those of the frame, and their largest error over it, px."""
+    """The inverse tables AP and BP, from linear to frame pixels, and their largest error over the frame, px."""
     n = 4 * tuning.reverse_order
     x, y = np.meshgrid(np.linspace(-0.5, shape[1] - 0.5, n), np.linspace(-0.5, shape[0] - 0.5, n))
     px = np.column_stack([x.ravel(), y.ravel()])
-    straight = polynomial(px) @ np.linalg.inv(cd).T
-    unit = np.abs(straight).max()
+    linear = polynomial(px) @ np.linalg.inv(cd).T
+    unit = np.abs(linear).max()
     for order in range(polynomial.order, tuning.reverse_order + 1):
-        powers = np.stack(
-            [(straight[:, 0] / unit) ** a * (straight[:, 1] / unit) ** b for a, b in terms(order)], axis=1
-        )
-        fit = np.linalg.lstsq(powers, px - origin - straight, rcond=None)[0]
-        worst = float(np.abs(powers @ fit - (px - origin - straight)).max())
+        powers = np.stack([(linear[:, 0] / unit) ** a * (linear[:, 1] / unit) ** b for a, b in terms(order)], axis=1)
+        fit = np.linalg.lstsq(powers, px - origin - linear, rcond=None)[0]
+        worst = float(np.abs(powers @ fit - (px - origin - linear)).max())
         if worst < tuning.reverse_px:
             break
     fit = fit / unit ** np.array([a + b for a, b in terms(order)])[:, None]
@@ -193,11 +192,11 @@ def _reverse(
 
 @dataclass(frozen=True)
 class MatchedStars:
-    """Measurements and the catalogue stars that they are.
+    """Pairs of measurements and catalogue stars.
 
     Attributes
     ----------
-    px : (n, 2) 0-based pixels. covariance_px : (n, 3) of them: xx, xy, yy in px².
+    px : (n, 2) 0-based pixels. covariance_px : (n, 3) their covariances: xx, xy, yy in px².
     ra_deg, dec_deg : (n,) of the stars at the frame's epoch. covariance_arcsec : (n, 3) east-east, east-north,
         north-north in arcsec². p_match : (n,) the probability of each pair.
     """
@@ -230,12 +229,12 @@ class PlateModel:
 
     Attributes
     ----------
-    centre : (3,) where the tangent plane touches the sphere. polynomial : pixels → ξ, η in arcsec.
-    covariance : (2q, 2q) of the coefficients (those of ξ, then those of η), arcsec², grown by ``error_scale``².
-    error_scale : residuals over quoted errors; never below 1.
+    centre : (3,) tangent point. polynomial : pixels → ξ, η in arcsec.
+    covariance : (2q, 2q) of the coefficients (those of ξ, then those of η), arcsec², multiplied by ``error_scale``².
+    error_scale : ratio of residuals to quoted errors, at least 1.
     shape : (rows, columns) of the frame.
-    effective_pairs : the sum of the probabilities. bic, left_out : of every order that was tried, the criterion of
-        Bayes, and −2 ln L of the stars, each by a fit to the others.
+    effective_pairs : the sum of the probabilities. bic : by order. leave_one_out : −2 ln L by order, each star
+        predicted by a fit to the others.
     residual_arcsec : (n, 2) star minus model. weight : (n,) of each pair in the fit.
     """
 
@@ -246,7 +245,7 @@ class PlateModel:
     shape: tuple[int, int]
     effective_pairs: float
     bic: Mapping[int, float]
-    left_out: Mapping[int, float]
+    leave_one_out: Mapping[int, float]
     residual_arcsec: FloatArray = field(repr=False)
     weight: FloatArray = field(repr=False)
 
@@ -265,55 +264,55 @@ class PlateModel:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Right ascension, declination (degrees) and covariance (n, 3: east-east, east-north, north-north, arcsec²).
 
-        The covariance is the model's alone, or with ``covariance_px`` (n, 3) that of a measurement's position.
+        The covariance is the model's; with ``covariance_px`` (n, 3) the measurement's covariance is added.
         """
         px = np.column_stack([np.ravel(x_px), np.ravel(y_px)]).astype(np.float64)
         plane = self.polynomial(px)
-        spread = self._spread(px)
+        covariance = self._plane_covariance(px)
         if covariance_px is not None:
             slope = self.polynomial.slope(px)
-            spread += propagated(slope, unpack(np.asarray(covariance_px, dtype=np.float64), 2))
+            covariance += propagated(slope, unpack(np.asarray(covariance_px, dtype=np.float64), 2))
         vectors = from_plane(plane / ARCSEC_PER_RADIAN, self.centre)
         to_sky = sky_axes(vectors, self.centre)
-        return (*directions_deg(vectors), _packed(propagated(to_sky, spread)))
+        return (*directions_deg(vectors), _packed(propagated(to_sky, covariance)))
 
     def predict(
         self, ra_deg: ArrayLike, dec_deg: ArrayLike, covariance_arcsec: ArrayLike | None = None
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Pixels of stars, x and y, and their covariance (n, 3: xx, xy, yy in px²).
 
-        The covariance is the model's alone, or with ``covariance_arcsec`` (n, 3) the star's position error too.
-        NaN for stars that the model cannot see (the other half of the sky, or far outside a strongly curved frame).
+        The covariance is the model's; with ``covariance_arcsec`` (n, 3) the star's covariance is added. NaN for stars
+        without a pixel (on the opposite half of the sky, or far outside a strongly distorted frame).
         """
         vectors = unit_vectors(np.ravel(ra_deg), np.ravel(dec_deg))
         px = self.polynomial.inverse(to_plane(vectors, self.centre) * ARCSEC_PER_RADIAN)
-        spread = self._spread(px)
+        covariance = self._plane_covariance(px)
         if covariance_arcsec is not None:
             to_local = np.linalg.inv(sky_axes(vectors, self.centre))
-            star = unpack(np.asarray(covariance_arcsec, dtype=np.float64), 2)
-            spread += propagated(to_local, star)
+            star_covariance = unpack(np.asarray(covariance_arcsec, dtype=np.float64), 2)
+            covariance += propagated(to_local, star_covariance)
         visible = np.isfinite(px).all(axis=1)
         to_px = np.linalg.inv(self.polynomial.slope(px[visible]))
         packed = np.full((len(px), 3), np.nan)
-        packed[visible] = _packed(propagated(to_px, spread[visible]))
+        packed[visible] = _packed(propagated(to_px, covariance[visible]))
         return px[:, 0], px[:, 1], packed
 
     def to_wcs(self) -> WCS:
-        """The same as an astropy WCS: TAN for order 1, else TAN-SIP with both directions."""
+        """The model as an astropy WCS: TAN for order 1, else TAN-SIP with its inverse."""
         return sip(self.polynomial, self.centre, self.shape)
 
     def describe(self) -> str:
         """One line to print."""
         rms = self.rms_arcsec
-        tried = ", ".join(f"{order}: {value:.1f}" for order, value in self.bic.items())
+        bic_of_orders = ", ".join(f"{order}: {value:.1f}" for order, value in self.bic.items())
         return (
             f"plate model of order {self.order} on {self.effective_pairs:.1f} pairs, "
             f"rms {rms[0]:.3f}″ × {rms[1]:.3f}″, errors {self.error_scale:.2f} times those quoted "
-            f"(BIC of each order: {tried})"
+            f"(BIC of each order: {bic_of_orders})"
         )
 
-    def _spread(self, px: FloatArray) -> FloatArray:
-        """(n, 2, 2) covariance of ξ, η by the model's own uncertainty, arcsec²."""
+    def _plane_covariance(self, px: FloatArray) -> FloatArray:
+        """(n, 2, 2) covariance of ξ, η from the coefficients, arcsec²."""
         basis = self.polynomial.basis(px)
         q = basis.shape[1]
         blocks = self.covariance.reshape(2, q, 2, q)
@@ -333,13 +332,13 @@ def fit_plate(
     Parameters
     ----------
     stars : the pairs with their errors and probabilities.
-    start : a linear solution near enough to bring the stars' errors to pixels; its plane is kept.
-    shape : (rows, columns) of the frame. order : 1 … 5, or None for the one of least BIC.
-    tuning : numbers of the fit.
+    start : a linear solution, accurate enough to transform the errors; its tangent point is kept.
+    shape : (rows, columns) of the frame. order : 1 … 5, or None to choose it.
+    tuning : parameters of the fit.
 
     Raises
     ------
-    InputError : too few pairs for the order (an order of q terms needs (q + 1) pairs, three at least).
+    InputError : too few pairs for the order (order 1 needs three, an order of q terms q + 1).
 
     Example
     -------
@@ -350,7 +349,7 @@ def fit_plate(
     if order is not None and not (isinstance(order, int) and 1 <= order <= HIGHEST_ORDER):
         raise InputError(f"plate: order is {order}; give 1 … {HIGHEST_ORDER}, or None")
     orders = [order] if order else list(range(1, HIGHEST_ORDER + 1))
-    # One pair more than terms: without a residual orders cannot be compared.
+    # Orders above 1 need one pair more than terms: without residuals orders cannot be compared.
     possible = [p for p in orders if effective >= len(terms(p)) + (1 if p > 1 else 0) - 1e-9]
     if not possible:
         need = len(terms(orders[0])) + (1 if orders[0] > 1 else 0)
@@ -363,18 +362,18 @@ def fit_plate(
         raise InputError(f"plate: the star of pair {behind[0]} is 90° or more from the frame; check the pairs")
     fits = {p: _fitted(stars, start, shape, p, tuning) for p in possible}
     bic = {p: model.bic[p] for p, model in fits.items()}
-    left_out = {p: model.left_out[p] for p, model in fits.items()}
+    leave_one_out = {p: model.leave_one_out[p] for p, model in fits.items()}
     best = min(bic, key=lambda p: (bic[p], p))
     supported = [p for p in possible if p <= best]
     if order is None:
         supported = [p for p in supported if p == possible[0] or _invertible(fits[p], tuning)]
-    least = min(left_out[p] for p in supported)
-    best = min(p for p in supported if left_out[p] <= least + tuning.foretelling)
-    return replace(fits[best], bic=bic, left_out=left_out)
+    least = min(leave_one_out[p] for p in supported)
+    best = min(p for p in supported if leave_one_out[p] <= least + tuning.least_gain)
+    return replace(fits[best], bic=bic, leave_one_out=leave_one_out)
 
 
 def _invertible(model: PlateModel, tuning: PlateTuning) -> bool:
-    """Whether the WCS of a model leads from the sky back to the pixels it came from, all over the frame."""
+    """Whether the inverse of the model's WCS is accurate over the whole frame."""
     if model.order == 1:
         return True
     origin = model.polynomial.inverse(np.zeros((1, 2)))[0]
@@ -385,103 +384,106 @@ def _invertible(model: PlateModel, tuning: PlateTuning) -> bool:
 def _fitted(
     stars: MatchedStars, start: Pointing, shape: tuple[int, int], order: int, tuning: PlateTuning
 ) -> PlateModel:
-    """The model of one order."""
+    """The plate model of one order, by iteratively reweighted least squares."""
     middle = np.array([(shape[1] - 1) / 2.0, (shape[0] - 1) / 2.0])
     polynomial = Polynomial.linear(start, middle, 0.5 * math.hypot(*shape), order)
     vectors = unit_vectors(stars.ra_deg, stars.dec_deg)
     plane = to_plane(vectors, start.centre) * ARCSEC_PER_RADIAN
     to_local = np.linalg.inv(sky_axes(vectors, start.centre))
-    star = propagated(to_local, unpack(stars.covariance_arcsec, 2))
-    basis, down = polynomial.basis(stars.px), np.ones(len(plane))
+    star_covariance = propagated(to_local, unpack(stars.covariance_arcsec, 2))
+    basis, tail_weight = polynomial.basis(stars.px), np.ones(len(plane))
     q = basis.shape[1]
     for _ in range(tuning.iterations):
         slope = polynomial.slope(stars.px)
-        total = star + propagated(slope, unpack(stars.covariance_px, 2))
+        total = star_covariance + propagated(slope, unpack(stars.covariance_px, 2))
         precision = inverse(total + 1e-12 * np.eye(2))
-        information, right = _normal_equations(basis, precision, plane, stars.p_match * down)
-        solution = _solved(information, right)
+        information, right_side = _normal_equations(basis, precision, plane, stars.p_match * tail_weight)
+        solution = _solve_normal(information, right_side)
         polynomial = polynomial.with_coefficients(solution.reshape(2, q))
-        left = plane - basis @ polynomial.coefficients.T
-        square = np.einsum("ni,nij,nj->n", left, precision, left)
-        scale_sq = _scale_squared(square, stars.p_match, down, 2 * q, tuning.quoted_weight)
-        down = np.minimum(1.0, tuning.tail_sigmas**2 * scale_sq / np.maximum(square, 1e-300))
-    grown = max(1.0, scale_sq)
-    covariance = grown * _solved(_normal_equations(basis, precision, plane, stars.p_match * down)[0], np.eye(2 * q))
+        residual = plane - basis @ polynomial.coefficients.T
+        normalised_sq = np.einsum("ni,nij,nj->n", residual, precision, residual)
+        scale_sq = _scale_squared(normalised_sq, stars.p_match, tail_weight, 2 * q, tuning.quoted_weight)
+        tail_weight = np.minimum(1.0, tuning.tail_sigmas**2 * scale_sq / np.maximum(normalised_sq, 1e-300))
+    covariance_scale = max(1.0, scale_sq)
+    covariance = covariance_scale * _solve_normal(
+        _normal_equations(basis, precision, plane, stars.p_match * tail_weight)[0], np.eye(2 * q)
+    )
     return PlateModel(
         centre=start.centre,
         polynomial=polynomial,
         covariance=symmetric(covariance),
-        error_scale=math.sqrt(grown),
+        error_scale=math.sqrt(covariance_scale),
         shape=shape,
         effective_pairs=float(stars.p_match.sum()),
-        bic={order: _bic(square / scale_sq, scale_sq, down, stars.p_match, 2 * q, tuning)},
-        left_out={order: _left_out(basis, precision, left, stars.p_match, down, tuning)},
-        residual_arcsec=left,
-        weight=stars.p_match * down,
+        bic={order: _bic(normalised_sq / scale_sq, scale_sq, tail_weight, stars.p_match, 2 * q, tuning)},
+        leave_one_out={order: _leave_one_out(basis, precision, residual, stars.p_match, tail_weight, tuning)},
+        residual_arcsec=residual,
+        weight=stars.p_match * tail_weight,
     )
 
 
 def _bic(
-    square: FloatArray,
+    normalised_sq: FloatArray,
     scale_sq: float,
-    down: FloatArray,
+    tail_weight: FloatArray,
     p_match: FloatArray,
     parameters: int,
     tuning: PlateTuning,
 ) -> float:
-    """−2 ln L + parameters · ln(effective pairs), the scale of the errors being unknown.
+    """−2 ln L + parameters · ln(effective pairs), with an unknown error scale.
 
-    ``square`` (n,) residuals squared in units of their scaled errors; beyond the tail a residual costs its logarithm.
+    normalised_sq : (n,) squared residuals over scaled variances; beyond the tail the loss grows logarithmically.
     """
     n, prior = 2.0 * float(p_match.sum()), tuning.quoted_weight
-    loss = np.where(down < 1.0, tuning.tail_sigmas**2 * (1.0 - np.log(down)), square)
-    # From the scale with as many degrees of freedom as are left to that of greatest likelihood.
-    share = max(n - parameters + prior, 1.0) / (n + prior)
-    return n * math.log(scale_sq * share) + float(p_match @ loss) / share + parameters * math.log(n / 2.0)
+    loss = np.where(tail_weight < 1.0, tuning.tail_sigmas**2 * (1.0 - np.log(tail_weight)), normalised_sq)
+    # Ratio of the maximum-likelihood scale to the one by degrees of freedom.
+    ratio = max(n - parameters + prior, 1.0) / (n + prior)
+    return n * math.log(scale_sq * ratio) + float(p_match @ loss) / ratio + parameters * math.log(n / 2.0)
 
 
-def _left_out(
+def _leave_one_out(
     basis: FloatArray,
     precision: FloatArray,
-    left: FloatArray,
+    residual: FloatArray,
     p_match: FloatArray,
-    down: FloatArray,
+    tail_weight: FloatArray,
     tuning: PlateTuning,
 ) -> float:
-    """−2 ln L of the residuals ``left`` (n, 2) of every star from a fit to the others, the scale being unknown.
+    """Leave-one-out −2 ln L: each star predicted by a fit to the others, with an unknown error scale.
 
-    Of a linear fit these follow without fitting again: (1 − H)⁻¹ of the residual, H = w X (Σ w Xᵀ P X)⁻¹ Xᵀ P.
+    For a linear fit these residuals follow without refitting: (1 − H)⁻¹ r, H = w X (Σ w Xᵀ P X)⁻¹ Xᵀ P.
+    residual : (n, 2) of the fit to all stars.
     """
-    q, weight = basis.shape[1], p_match * down
-    information = _normal_equations(basis, precision, left, weight)[0]
-    blocks = _solved(information, np.eye(2 * q)).reshape(2, q, 2, q)
-    spread = np.einsum("nq,aqbr,nr->nab", basis, blocks, basis)
-    leverage = weight[:, None, None] * spread @ precision
-    # A star that the model follows wherever it goes is foretold by nothing.
-    foretold = np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - leverage, left[:, :, None])[:, :, 0]
-    square = np.einsum("ni,nij,nj->n", foretold, precision, foretold)
-    scale_sq = max(float(weight @ square), 1e-300) / max(2.0 * float(weight.sum()), 1e-300)
-    far = square / scale_sq > tuning.tail_sigmas**2
-    ratio = np.maximum(square / scale_sq, 1e-300)
-    loss = np.where(far, tuning.tail_sigmas**2 * (1.0 + np.log(ratio / tuning.tail_sigmas**2)), ratio)
+    q, weight = basis.shape[1], p_match * tail_weight
+    information = _normal_equations(basis, precision, residual, weight)[0]
+    blocks = _solve_normal(information, np.eye(2 * q)).reshape(2, q, 2, q)
+    covariance = np.einsum("nq,aqbr,nr->nab", basis, blocks, basis)
+    leverage = weight[:, None, None] * covariance @ precision
+    # 1e-9 keeps the matrix regular for a star that determines the model alone (leverage 1).
+    predicted_residual = np.linalg.solve(np.eye(2) * (1.0 + 1e-9) - leverage, residual[:, :, None])[:, :, 0]
+    normalised_sq = np.einsum("ni,nij,nj->n", predicted_residual, precision, predicted_residual)
+    scale_sq = max(float(weight @ normalised_sq), 1e-300) / max(2.0 * float(weight.sum()), 1e-300)
+    in_tail = normalised_sq / scale_sq > tuning.tail_sigmas**2
+    ratio = np.maximum(normalised_sq / scale_sq, 1e-300)
+    loss = np.where(in_tail, tuning.tail_sigmas**2 * (1.0 + np.log(ratio / tuning.tail_sigmas**2)), ratio)
     return float(2.0 * p_match.sum() * math.log(scale_sq) + p_match @ loss)
 
 
 def _normal_equations(
     basis: FloatArray, precision: FloatArray, plane: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Σ w Xᵀ Σ⁻¹ X (2q, 2q) and Σ w Xᵀ Σ⁻¹ y (2q,), X = diag(basis, basis)."""
+    """Σ w Xᵀ P X (2q, 2q) and Σ w Xᵀ P y (2q,), X = diag(basis, basis), P the precision, y the plane coordinates."""
     q = basis.shape[1]
     scaled = precision * weight[:, None, None]
-    # Matrix products are many times faster here than einsum over five indices (timed).
-    across, cross, along = (basis.T @ (scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1)))
-    information = np.block([[across, cross], [cross.T, along]])
-    right = basis.T @ np.einsum("nab,nb->na", scaled, plane)
-    return information, right.T.reshape(2 * q)
+    # Matrix products are many times faster than einsum over five indices (timed).
+    xi_xi, xi_eta, eta_eta = (basis.T @ (scaled[:, a, b, None] * basis) for a, b in ((0, 0), (0, 1), (1, 1)))
+    information = np.block([[xi_xi, xi_eta], [xi_eta.T, eta_eta]])
+    right_side = basis.T @ np.einsum("nab,nb->na", scaled, plane)
+    return information, right_side.T.reshape(2 * q)
 
 
-def _solved(information: FloatArray, right: FloatArray) -> FloatArray:
-    """The solution of the normal equations; refused where stars on a line or in a corner leave them singular."""
+def _solve_normal(information: FloatArray, right_side: FloatArray) -> FloatArray:
+    """The solution of the normal equations; refused if they are singular (stars on a line or in one place)."""
     unit = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
     scaled = information * unit[:, None] * unit
     if np.linalg.cond(scaled) > 1e12:
@@ -489,33 +491,35 @@ def _solved(information: FloatArray, right: FloatArray) -> FloatArray:
             "plate: the identified stars do not determine the model (they lie on a line or in one place); "
             "give a lower order or a deeper catalogue"
         )
-    solution = np.linalg.solve(scaled, right * (unit if right.ndim == 1 else unit[:, None]))
-    return np.asarray(solution * (unit if right.ndim == 1 else unit[:, None]))
+    solution = np.linalg.solve(scaled, right_side * (unit if right_side.ndim == 1 else unit[:, None]))
+    return np.asarray(solution * (unit if right_side.ndim == 1 else unit[:, None]))
 
 
-def _scale_squared(square: FloatArray, p_match: FloatArray, down: FloatArray, parameters: int, prior: float) -> float:
-    """Mean square of the residuals over their errors; that of the first iteration is robust against tails."""
-    weight = p_match * down
-    if np.all(down == 1.0):
-        order = np.argsort(square)
+def _scale_squared(
+    normalised_sq: FloatArray, p_match: FloatArray, tail_weight: FloatArray, parameters: int, prior: float
+) -> float:
+    """Mean square of residuals over errors; robust against outliers in the first iteration, before any weighting."""
+    weight = p_match * tail_weight
+    if np.all(tail_weight == 1.0):
+        order = np.argsort(normalised_sq)
         share = np.cumsum(p_match[order]) / p_match.sum()
         n = 2.0 * p_match.sum()
-        median = float(square[order][np.searchsorted(share, 0.5)]) / (2 * math.log(2.0))
-        mean = (float(weight @ square) + prior) / (max(n - parameters, 0.0) + prior)
-        # Of right pairs the mean is the better estimate; a few wrong pairs make it many times the median.
+        median = float(normalised_sq[order][np.searchsorted(share, 0.5)]) / (2 * math.log(2.0))
+        mean = (float(weight @ normalised_sq) + prior) / (max(n - parameters, 0.0) + prior)
+        # The mean is the better estimate without wrong pairs; a few wrong pairs make it many times the median.
         return mean if mean < 3.0 * max(median, 1e-300) else median
     freedom = max(2.0 * weight.sum() - parameters, 0.0)
-    return float((float(weight @ square) + prior) / (freedom + prior))
+    return float((float(weight @ normalised_sq) + prior) / (freedom + prior))
 
 
 def sky_axes(vectors: FloatArray, centre: FloatArray) -> FloatArray:
-    """(n, 2, 2) by how much a step in ξ, η moves a direction (n, 3) to its own east and north."""
+    """(n, 2, 2) ∂(local east, north)/∂(ξ, η) at directions (n, 3)."""
     east, north = axes(np.broadcast_to(centre, vectors.shape))
     depth = np.sum(vectors * centre, axis=1)
-    own = np.stack(axes(vectors), axis=1)
-    # v = (c + ξe + ηn)/|…|, |…| = 1/depth; the part of the step along v drops out, as own axes are orthogonal to v.
+    local = np.stack(axes(vectors), axis=1)
+    # v = (c + ξe + ηn)/|…|, |…| = 1/depth; the component of the step along v is orthogonal to the local axes.
     step = np.stack([east, north], axis=2) * depth[:, None, None]
-    return np.asarray(own @ step)
+    return np.asarray(local @ step)
 
 
 def _packed(full: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
 """The tangent plane of a frame, and the linear map between its pixels and the sky.
 
-Directions are unit vectors (n, 3), so that nothing happens at the poles or at 0/360. The plane's ξ points east and η
-north, in radians: ξ = (v·east)/(v·centre), η = (v·north)/(v·centre). Pixels count from 0, and (0, 0) is the middle of
-the first.
+Directions are unit vectors (n, 3), so that poles and 0°/360° are no special cases. On the plane ξ points east and η
+north, in radians: ξ = (v·east)/(v·centre), η = (v·north)/(v·centre). Pixels are 0-based; (0, 0) is the centre of the
+first.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ def directions_deg(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def axes(centre: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The unit vectors east and north, (..., 3) each, of the plane that touches the sphere at ``centre`` (..., 3)."""
+    """The unit vectors east and north, (..., 3) each, of the tangent plane at ``centre`` (..., 3)."""
     lon = np.arctan2(centre[..., 1], centre[..., 0])
     return local_axes(lon, np.arctan2(centre[..., 2], np.hypot(centre[..., 0], centre[..., 1])))
 
 
 def to_plane(vectors: FloatArray, centre: FloatArray) -> FloatArray:
-    """(..., 2) ξ, η of ``vectors`` on the plane at ``centre``; NaN for those 90° or more away."""
+    """(..., 2) ξ, η of ``vectors`` on the tangent plane at ``centre``; NaN at 90° or more."""
     east, north = axes(centre)
     depth = np.sum(vectors * centre, axis=-1)
     depth = np.where(depth > 0.0, depth, np.nan)
@@ -42,7 +42,7 @@ def to_plane(vectors: FloatArray, centre: FloatArray) -> FloatArray:
 
 
 def from_plane(plane: FloatArray, centre: FloatArray) -> FloatArray:
-    """(..., 3) unit vectors of the points ξ, η of the plane at ``centre``."""
+    """(..., 3) unit vectors of points ξ, η on the tangent plane at ``centre``."""
     east, north = axes(centre)
     vectors = centre + plane[..., :1] * east + plane[..., 1:] * north
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
@@ -55,7 +55,7 @@ class Pointing:
 
     Attributes
     ----------
-    centre : (3,) the direction at which the plane touches the sphere.
+    centre : (3,) direction of the tangent point.
     cd : (2, 2) radians per pixel. origin_px : (2,) the pixel of ``centre``.
     """
 
@@ -64,7 +64,7 @@ class Pointing:
     origin_px: FloatArray
 
     def to_px(self, vectors: FloatArray) -> FloatArray:
-        """(n, 2) pixels of directions; NaN for those on the other half of the sky."""
+        """(n, 2) pixels of directions; NaN at 90° or more from the centre."""
         return self.origin_px + to_plane(vectors, self.centre) @ np.linalg.inv(self.cd).T
 
     def to_sky(self, px: FloatArray) -> FloatArray:
@@ -79,7 +79,7 @@ class Pointing:
 
     @property
     def scale_arcsec(self) -> float:
-        """The side of a pixel, arcsec: the root of its area."""
+        """The scale, arcsec per pixel: the root of the area of a pixel."""
         return math.sqrt(abs(np.linalg.det(self.cd))) * ARCSEC_PER_RADIAN
 
     @property
@@ -89,11 +89,11 @@ class Pointing:
 
     @property
     def parity(self) -> int:
-        """−1 where the frame shows the sky as seen from inside, +1 where it is mirrored: the sign of |cd|."""
+        """The sign of |cd|: −1 for the sky as seen from inside, +1 if mirrored."""
         return 1 if np.linalg.det(self.cd) > 0 else -1
 
     def to_wcs(self, shape: tuple[int, int] | None = None) -> WCS:
-        """The same as an astropy WCS (TAN, ICRS); ``shape`` is (rows, columns) of the frame."""
+        """The pointing as an astropy WCS (TAN, ICRS). shape : (rows, columns) of the frame."""
         from astropy.wcs import WCS
 
         wcs = WCS(naxis=2)
@@ -108,7 +108,7 @@ class Pointing:
 
     @classmethod
     def of_wcs(cls, wcs: Any, shape: tuple[int, int]) -> Pointing:
-        """The linear map nearest to any astropy WCS over a frame of ``shape`` (rows, columns)."""
+        """The linear least-squares fit to an astropy WCS over a frame of ``shape`` (rows, columns)."""
         rows, columns = shape
         middle = np.array([(columns - 1) / 2.0, (rows - 1) / 2.0])
         x, y = np.meshgrid(np.linspace(0, columns - 1, 9), np.linspace(0, rows - 1, 9))
@@ -121,7 +121,7 @@ class Pointing:
 
 
 def sky_of(wcs: Any, px: FloatArray) -> FloatArray:
-    """(n, 3) directions that any celestial astropy WCS, distorted or not, gives to 0-based pixels (n, 2)."""
+    """(n, 3) directions of 0-based pixels (n, 2) by a celestial astropy WCS, with its distortion."""
     world = wcs.celestial if wcs.naxis > 2 else wcs
     sky = world.pixel_to_world(px[:, 0], px[:, 1]).icrs
     return unit_vectors(sky.ra.deg, sky.dec.deg)
@@ -137,27 +137,27 @@ def design(offset_px: FloatArray) -> FloatArray:
 def similarities(
     px: FloatArray, vectors: FloatArray, mirrored: BoolArray, origin_px: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The least-squares shift, rotation and scale of c sets of k pixels (c, k, 2) on k directions (c, k, 3).
+    """Least-squares similarity transforms of c sets of k pixels (c, k, 2) to k directions (c, k, 3).
 
-    Returns the directions of ``origin_px`` (c, 3) and the matrices cd (c, 2, 2) of the planes touching there.
-    ``mirrored`` (c,) : x runs east when y runs north.
+    mirrored : (c,) whether x points east when y points north. Returns the directions of ``origin_px`` (c, 3) and the
+    matrices cd (c, 2, 2) on the tangent planes there.
     """
-    # Unless mirrored, x runs west: the offset becomes (−x) + iy before it is compared with ξ + iη.
-    hand = np.where(mirrored, 1.0, -1.0)[:, None]
-    offset = hand * (px[..., 0] - origin_px[0]) + 1j * (px[..., 1] - origin_px[1])
+    # Unless mirrored, x points west: the offset becomes (−x) + iy before it is compared with ξ + iη.
+    sign = np.where(mirrored, 1.0, -1.0)[:, None]
+    offset = sign * (px[..., 0] - origin_px[0]) + 1j * (px[..., 1] - origin_px[1])
     centre = vectors.sum(axis=1)
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
-    # Each iteration fits on the plane that touches the sphere at the middle of the frame found before.
+    # Each iteration fits on the tangent plane at the previous estimate of the middle of the frame.
     for _ in range(3):
         plane = to_plane(vectors, centre[:, None, :])
         offset_mean, sky = offset.mean(axis=1, keepdims=True), plane[..., 0] + 1j * plane[..., 1]
         sky_mean, spread = sky.mean(axis=1, keepdims=True), np.abs(offset - offset_mean) ** 2
         factor = np.sum(np.conj(offset - offset_mean) * (sky - sky_mean), axis=1) / np.sum(spread, axis=1)
-        at = sky_mean[:, 0] - factor * offset_mean[:, 0]
-        centre = from_plane(np.stack([at.real, at.imag], axis=-1), centre)
-    hand = hand[:, 0]
+        origin = sky_mean[:, 0] - factor * offset_mean[:, 0]
+        centre = from_plane(np.stack([origin.real, origin.imag], axis=-1), centre)
+    sign = sign[:, 0]
     cd = np.stack(
-        [np.stack([hand * factor.real, -factor.imag], axis=-1), np.stack([hand * factor.imag, factor.real], axis=-1)],
+        [np.stack([sign * factor.real, -factor.imag], axis=-1), np.stack([sign * factor.imag, factor.real], axis=-1)],
         axis=-2,
     )
     return centre, cd
