@@ -133,7 +133,8 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
     if geometry.sphere:
         from sameas.kernels.sphere import sweep_sphere as kernel
 
-        if getattr(kernel, "interprets", False) and not len(wide):
+        few = len(one.side.rows) + len(two.side.rows) <= geometry.tuning.few_rows
+        if few and getattr(kernel, "interprets", False) and not len(wide):
             columns = _few_on_sphere(one, two, geometry)
             if columns is not None:
                 allowed.take(len(columns[0]))
