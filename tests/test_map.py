@@ -438,6 +438,15 @@ def test_thousands_of_ships_thin_out_and_come_back_whole_when_one_zooms_in(tmp_p
         browser.js("mapPage.paint()")
         assert browser.js("mapPage.crowd.radius") == 8 and browser.js("mapPage.crowd.details")
         assert browser.js(marks) > 5
+        # However many are in sight, a frame strokes few paths: symbols are copied, and lines of one kind are one path.
+        count = (
+            "(() => { const canvas = CanvasRenderingContext2D.prototype, own = canvas.stroke; let n = 0;"
+            "canvas.stroke = function (...path) { n++; return own.apply(this, path); };"
+            "mapPage.paint(); canvas.stroke = own; return n; })()"
+        )
+        for key_ in ("whole", *["closer"] * 6):
+            browser.js(f"document.getElementById('{key_}').click(); mapPage.paint()")
+            assert browser.js(count) < 120
         # The chosen row is in the middle of the chart, wherever it was.
         browser.click(*centre_of(browser, "#rows tr[data-number='4']"))
         assert place_of(browser, 4) == pytest.approx(centre_of(browser, "#chart"), abs=2.0)
@@ -454,6 +463,7 @@ def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) ->
     first = int(np.flatnonzero(several & (sheet.instant_of(sheet.objects) == 3) & (sheet.objects["object"] != 1))[0])
     number, sources = int(sheet.objects["object"][first]), int(sheet.objects["n_sources"][first])
     sheet.objects["probability"][first] = 0.00005
+    sheet.objects["probability"][sheet.instant_of(sheet.objects) == 4] = 0.3
     write_map_page(sheet, tmp_path / "map.html")
     browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
     try:
@@ -464,11 +474,14 @@ def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) ->
         assert f"\n{sources} sources" not in told and "These records are one object" not in told
         row = f"document.querySelector('#rows tr[data-number=\"{number}\"]')"
         assert browser.js(f"{row}.querySelector('.sources').textContent") == "?"
-        # Nothing of a number is cut off.
-        cut = "[...document.querySelectorAll('#rows td.number')].filter(td => td.scrollWidth > td.clientWidth).length"
+        # Nothing of a number or of the sources is cut off.
+        cells = "[...document.querySelectorAll('#rows td.number, #rows td.sources')]"
+        cut = f"{cells}.filter(td => td.scrollWidth > td.clientWidth).length"
         assert browser.js(cut) == 0
         seen = int(np.sum(several & (sheet.instant_of(sheet.objects) == 3))) - 1
         assert f"{seen} seen by two or more sources" in words(browser, "counts")
+        browser.js("mapPage.show(4)")
+        assert browser.js("document.querySelectorAll('#rows .unsure').length") > 1 and browser.js(cut) == 0
         assert not browser.errors
     finally:
         browser.close()

@@ -108,15 +108,14 @@ function paint() {
         inside: u > -60 && v > -60 && u < w + 60 && v < h + 60,
       };
     });
-  trails(c, drawn);
   crowd = crowding(drawn);
+  trails(c, w, h, drawn);
   if (shown.ellipses) ellipses(c, drawn);
   hits = [];
   marks(c, w, h);
   if (shown.members) memberLines(c, drawn);
   markSymbols(c);
-  // What matters lies on top.
-  for (const d of drawn.filter(d => d.inside).sort((a, b) => rank(b) - rank(a))) symbol(c, d, matters(d.n) ? 8 : crowd.radius);
+  symbols(c, drawn);
   if (shown.labels)
     labels(
       c,
@@ -129,80 +128,101 @@ function paint() {
   document.body.dataset.drawn = String(now.k);
 }
 
-// How far apart objects are where they are, px, and what room that leaves: symbols of many shrink to dots, and what hangs
-// on them comes back when one zooms in. What is picked, ambiguous or alarmed is drawn whole always.
-let crowd = { radius: 8, details: true };
+// The distance between neighbours, px, where there are objects, decides what is drawn: dots, then rings with vectors, then
+// also trails, records, ellipses and member lines. What is picked, ambiguous or alarmed is always drawn whole.
+const CELL = 64,
+  VECTORS_FROM = 22,
+  DETAILS_FROM = 44,
+  MOST_RAYS = 30;
+let crowd = { radius: 8, vectors: true, details: true, cells: new Map() };
+const cellOf = (u, v) => Math.floor(u / CELL) * 4096 + Math.floor(v / CELL);
 function crowding(drawn) {
-  const cell = 40,
-    cells = new Set();
+  const cells = new Map(),
+    inside = drawn.filter(d => d.inside);
+  for (const d of inside) cells.set(cellOf(d.u, d.v), (cells.get(cellOf(d.u, d.v)) || 0) + 1);
+  const spacing = inside.length > 60 ? CELL * Math.sqrt(cells.size / inside.length) : Infinity;
+  return {
+    // In steps of half a pixel, or symbols would breathe while the chart is moved.
+    radius: Math.min(8, Math.max(2, Math.round(spacing / 2) / 2)),
+    vectors: spacing > VECTORS_FROM,
+    details: spacing > DETAILS_FROM,
+    cells,
+  };
+}
+// Whether an object has few others around it.
+function isApart(d) {
   let n = 0;
-  for (const d of drawn)
-    if (d.inside) {
-      n++;
-      cells.add(Math.floor(d.u / cell) * 4096 + Math.floor(d.v / cell));
-    }
-  const spacing = n > 60 ? Math.sqrt((cells.size * cell * cell) / n) : Infinity;
-  return { radius: Math.min(8, Math.max(2, spacing / 4)), details: spacing > 22 };
+  for (const u of [d.u - CELL, d.u, d.u + CELL])
+    for (const v of [d.v - CELL, d.v, d.v + CELL]) n += crowd.cells.get(cellOf(u, v)) || 0;
+  return n <= 6;
 }
 function matters(n) {
   return n === picked || now.alarmed.has(n) || !!objects.ambiguous[now.rowOf.get(n)];
 }
 const drawnWhole = n => crowd.details || matters(n);
 
-function trails(c, drawn) {
+function trails(c, w, h, drawn) {
   const back = +el("trail").value;
   if (!back) return;
-  c.setLineDash([]);
-  c.lineWidth = 1.3;
-  c.lineJoin = "bevel";
+  const kinds = new Map();
   for (const d of drawn) {
-    c.strokeStyle = d.n === picked ? colour.accent : colour.old;
-    c.beginPath();
-    // Newest first; points nearer than four pixels to the one before are left out, as nobody sees them.
+    if (!drawnWhole(d.n)) continue;
+    const ink = d.n === picked ? colour.accent : colour.old,
+      path = groupPath(kinds, ink, { ink }),
+      first = rowsOf.get(d.n)[0];
+    // Newest first; a point nearer than four pixels to the previous one is not drawn.
     let [x, y] = [d.u, d.v],
       before = d.r;
-    c.moveTo(x, y);
-    for (let r = d.r - 1; r >= rowsOf.get(d.n)[0] && data.instants[objects.t[r]] >= now.time - back; r--) {
+    path.moveTo(x, y);
+    for (let r = d.r - 1; r >= first && data.instants[objects.t[r]] >= now.time - back; r--) {
       if (!Number.isFinite(objects.x[r])) continue;
       const [u, v] = toScreen(objects.x[r], objects.y[r]),
         gap = objects.t[before] - objects.t[r] > 20;
       before = r;
       if (!gap && Math.abs(u - x) + Math.abs(v - y) < 4) continue;
-      if (gap) c.moveTo(u, v);
-      else c.lineTo(u, v);
+      const beyond = (u < 0 && x < 0) || (v < 0 && y < 0) || (u > w && x > w) || (v > h && y > h);
+      if (gap || beyond) path.moveTo(u, v);
+      else path.lineTo(u, v);
       [x, y] = [u, v];
     }
-    c.stroke();
+  }
+  c.setLineDash([]);
+  c.lineWidth = 1.3;
+  c.lineJoin = "bevel";
+  for (const { path, ink } of kinds.values()) {
+    c.strokeStyle = ink;
+    c.stroke(path);
   }
 }
 
-function traceEllipse(c, table, row, u, v, sigmas) {
-  const major = table.major[row] * sigmas * view.scale,
-    minor = table.minor[row] * sigmas * view.scale;
-  if (!(major < 5000)) return false;
-  c.beginPath();
-  c.ellipse(u, v, Math.max(major, 0.5), Math.max(minor, 0.5), -table.angle[row] * RAD, 0, 2 * Math.PI);
-  return true;
+function addEllipse(path, table, row, u, v) {
+  const major = 2 * table.major[row] * view.scale,
+    minor = Math.max(2 * table.minor[row] * view.scale, 0.5),
+    angle = -table.angle[row] * RAD;
+  // One that is smaller than the symbol would only blot it.
+  if (!(major < 5000) || major < crowd.radius) return;
+  path.moveTo(u + major * Math.cos(angle), v + major * Math.sin(angle));
+  path.ellipse(u, v, major, minor, angle, 0, 2 * Math.PI);
 }
 function ellipses(c, drawn) {
-  c.setLineDash([]);
-  c.lineWidth = 1.2;
+  const kinds = new Map();
   for (const d of drawn) {
-    const stage = objects.stage[d.r];
-    if (!d.inside || stage === STAGE.ended || !drawnWhole(d.n) || !traceEllipse(c, objects, d.r, d.u, d.v, 2)) continue;
-    c.strokeStyle = objects.ambiguous[d.r] ? colour.warn : d.n === picked ? colour.accent : colour.dim;
-    c.stroke();
+    if (!d.inside || objects.stage[d.r] === STAGE.ended || !drawnWhole(d.n)) continue;
+    const ink = objects.ambiguous[d.r] ? colour.warn : d.n === picked ? colour.accent : colour.dim;
+    addEllipse(groupPath(kinds, ink, { ink, dash: [] }), objects, d.r, d.u, d.v);
   }
-  if (!shown.records) return;
-  for (const r of now.marks) {
-    if (!shown.source[records.source[r]] || !Number.isFinite(records.x[r]) || records.n[r] !== picked) continue;
-    if (traceEllipse(c, records, r, ...toScreen(records.x[r], records.y[r]), 2)) {
-      c.strokeStyle = colourOf(records.source[r]);
-      c.setLineDash([2, 3]);
-      c.stroke();
-      c.setLineDash([]);
-    }
+  for (const r of (shown.records && now.members.get(picked)) || []) {
+    if (!shown.source[records.source[r]] || !Number.isFinite(records.x[r])) continue;
+    const ink = colourOf(records.source[r]);
+    addEllipse(groupPath(kinds, "record" + ink, { ink, dash: [2, 3] }), records, r, ...toScreen(records.x[r], records.y[r]));
   }
+  c.lineWidth = 1.2;
+  for (const { path, ink, dash } of kinds.values()) {
+    c.strokeStyle = ink;
+    c.setLineDash(dash);
+    c.stroke(path);
+  }
+  c.setLineDash([]);
 }
 
 // The record where it is drawn: its position, or for a direction the point of the ray nearest to the object.
@@ -217,19 +237,24 @@ function markPlace(r) {
 }
 function marks(c, w, h) {
   if (!shown.records) return;
+  const directions = [];
   for (const r of now.marks) {
     if (!shown.source[records.source[r]] || !drawnWhole(records.n[r])) continue;
     const place = rowsOf.has(records.n[r]) && markPlace(r),
-      [u, v] = place ? toScreen(...place) : [NaN, NaN];
-    // Of directions to what is out of sight none is drawn: of hundreds they would cover the chart.
-    const unseen = place && (u < -10 || v < -10 || u > w + 10 || v > h + 10);
-    if (Number.isFinite(records.bearing[r]) && Number.isFinite(records.sx[r]) && (!unseen || matters(records.n[r]))) ray(c, r, w, h);
-    if (!place) continue;
-    if (u > -10 && v > -10 && u < w + 10 && v < h + 10) hits.push({ u, v, r, n: records.n[r], record: true });
+      [u, v] = place ? toScreen(...place) : [NaN, NaN],
+      inside = u > -10 && v > -10 && u < w + 10 && v < h + 10;
+    if (Number.isFinite(records.bearing[r]) && Number.isFinite(records.sx[r])) directions.push({ r, placed: !!place, inside });
+    if (inside) hits.push({ u, v, r, n: records.n[r], record: true });
   }
+  // Many directions would cover the chart: then, and to what is out of sight, only those of objects that matter are drawn.
+  // A direction that no object explains has no other mark.
+  const few = directions.filter(d => d.inside).length <= MOST_RAYS;
+  for (const { r, placed, inside } of directions) if (!placed || (inside && few) || matters(records.n[r])) ray(c, r, w, h);
 }
 function markSymbols(c) {
-  for (const hit of hits) if (hit.record) drawMark(c, records.source[hit.r], hit.u, hit.v, hit.n === picked ? 5 : 3.6);
+  withSprites(c, copy => {
+    for (const hit of hits) if (hit.record) copy(markSprite(records.source[hit.r], hit.n === picked ? 5 : 3.6), hit.u, hit.v);
+  });
 }
 function ray(c, r, w, h) {
   const [u, v] = toScreen(records.sx[r], records.sy[r]),
@@ -258,48 +283,70 @@ function ray(c, r, w, h) {
 }
 
 function memberLines(c, drawn) {
+  const kinds = new Map();
+  const join = (d, r, ink, width, dash) => {
+    const place = shown.source[records.source[r]] && markPlace(r);
+    if (!place) return;
+    const [u, v] = toScreen(...place);
+    if (Math.hypot(u - d.u, v - d.v) < 2) return;
+    const path = groupPath(kinds, ink + width, { ink, width, dash });
+    path.moveTo(d.u, d.v);
+    path.lineTo(u, v);
+  };
   for (const d of drawn) {
     if (!drawnWhole(d.n)) continue;
-    c.setLineDash([]);
-    c.lineWidth = d.n === picked ? 2 : 1;
-    for (const r of now.members.get(d.n)) join(c, d, r, colourOf(records.source[r]));
+    for (const r of now.members.get(d.n)) join(d, r, colourOf(records.source[r]), d.n === picked ? 2 : 1, []);
     if (!objects.ambiguous[d.r] && d.n !== picked) continue;
-    c.setLineDash([5, 4]);
-    c.lineWidth = 1.4;
-    for (const r of rivalsOf(d.r)) if (records.n[r] !== d.n) join(c, d, r, colour.warn);
+    for (const r of rivalsOf(d.r)) if (records.n[r] !== d.n) join(d, r, colour.warn, 1.4, [5, 4]);
+  }
+  for (const { path, ink, width, dash } of kinds.values()) {
+    c.strokeStyle = ink;
+    c.lineWidth = width;
+    c.setLineDash(dash);
+    c.stroke(path);
   }
   c.setLineDash([]);
 }
-function join(c, d, r, ink) {
-  const place = shown.source[records.source[r]] && markPlace(r);
-  if (!place) return;
-  const [u, v] = toScreen(...place);
-  if (Math.hypot(u - d.u, v - d.v) < 2) return;
-  c.strokeStyle = ink;
-  c.beginPath();
-  c.moveTo(d.u, d.v);
-  c.lineTo(u, v);
-  c.stroke();
-}
 
-function symbol(c, d, radius) {
-  const stage = objects.stage[d.r];
-  if (d.ahead && drawnWhole(d.n)) {
-    const [u, v] = d.ahead;
-    c.setLineDash(stage === STAGE.coasting || stage === STAGE.tentative ? [6, 4] : []);
-    const path = new Path2D();
-    path.moveTo(d.u, d.v);
-    path.lineTo(u, v);
-    strokeOnHalo(c, path, objects.ambiguous[d.r] ? colour.warn : colour.ink, 1.7);
-  }
-  drawSymbol(c, stage, d.u, d.v, {
-    several: isSeveral(d.r),
-    ambiguous: !!objects.ambiguous[d.r],
-    alarmed: now.alarmed.has(d.n),
-    r: radius,
+function symbols(c, drawn) {
+  const inside = drawn.filter(d => d.inside);
+  vectors(c, inside);
+  withSprites(c, copy => {
+    // What matters lies on top.
+    for (const d of inside.sort((a, b) => rank(b) - rank(a))) {
+      const how = {
+        several: isSeveral(d.r),
+        ambiguous: !!objects.ambiguous[d.r],
+        alarmed: now.alarmed.has(d.n),
+        r: matters(d.n) ? 8 : crowd.radius,
+      };
+      copy(symbolSprite(objects.stage[d.r], how), d.u, d.v);
+      hits.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
+    }
   });
-  if (d.n === picked) drawCorners(c, d.u, d.v, 17);
-  hits.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
+  const d = inside.find(d => d.n === picked);
+  if (d) drawCorners(c, d.u, d.v, 17);
+}
+function vectors(c, inside) {
+  const kinds = new Map();
+  for (const d of inside) {
+    if (!d.ahead || !(crowd.vectors || matters(d.n))) continue;
+    const stage = objects.stage[d.r],
+      dashed = stage === STAGE.coasting || stage === STAGE.tentative,
+      ink = objects.ambiguous[d.r] ? colour.warn : colour.ink;
+    const path = groupPath(kinds, ink + dashed, { ink, dashed });
+    path.moveTo(d.u, d.v);
+    path.lineTo(...d.ahead);
+  }
+  for (const { path, ink, dashed } of kinds.values()) {
+    c.setLineDash(dashed ? [6, 4] : []);
+    strokeOnHalo(c, path, ink, 1.7, crowd.details ? 4.2 : 0);
+  }
+}
+// The path of all lines of one kind, which are stroked together.
+function groupPath(kinds, key, kind) {
+  if (!kinds.has(key)) kinds.set(key, { ...kind, path: new Path2D() });
+  return kinds.get(key).path;
 }
 
 // Where the vector of an object ends on the screen, or null.

@@ -1,38 +1,61 @@
 // ---- labels beside their symbols: the important ones first; one that finds no free place is left out ----
 const LINE_HEIGHT = 14;
 
-// Which parts of the chart are taken, by cells so that few boxes [left, top, right, bottom] are compared.
+// The boxes [left, top, right, bottom] of the chart that are taken, by cells so that few are compared.
 function takenRoom() {
   const size = 40,
-    boxes = new Map();
-  const cells = box => {
-    const all = [];
+    cells = new Map();
+  // Calls visit for the boxes of each cell that a box touches, until it returns true.
+  const some = (box, visit) => {
     for (let i = Math.floor(box[0] / size); i <= Math.floor(box[2] / size); i++)
-      for (let j = Math.floor(box[1] / size); j <= Math.floor(box[3] / size); j++) all.push(i * 4096 + j);
-    return all;
+      for (let j = Math.floor(box[1] / size); j <= Math.floor(box[3] / size); j++) if (visit(i * 4096 + j)) return true;
+    return false;
   };
-  const apart = (a, b) => a[0] >= b[2] || a[2] <= b[0] || a[1] >= b[3] || a[3] <= b[1];
-  const free = box => cells(box).every(k => (boxes.get(k) || []).every(other => apart(box, other)));
+  const overlap = (a, b) => a[0] < b[2] && a[2] > b[0] && a[1] < b[3] && a[3] > b[1];
+  const free = box => !some(box, cell => cells.has(cell) && cells.get(cell).some(other => overlap(box, other)));
   const take = box => {
-    for (const k of cells(box)) {
-      if (!boxes.has(k)) boxes.set(k, []);
-      boxes.get(k).push(box);
-    }
+    some(box, cell => {
+      if (cells.has(cell)) cells.get(cell).push(box);
+      else cells.set(cell, [box]);
+    });
   };
   return { free, take };
+}
+// Widths of texts in the font of the labels.
+const textWidths = new Map();
+function textWidth(c, words) {
+  if (!textWidths.has(words)) textWidths.set(words, c.measureText(words).width);
+  return textWidths.get(words);
 }
 function takeSymbols(room, drawn) {
   for (const d of drawn) {
     // Dots of a crowd may lie under labels, or it would have none.
-    if (!drawnWhole(d.n)) continue;
-    room.take([d.u - 7, d.v - 7, d.u + 7, d.v + 7]);
-    const steps = d.ahead ? Math.min(12, Math.hypot(d.ahead[0] - d.u, d.ahead[1] - d.v) / 9) : 0;
+    const half = crowd.vectors || matters(d.n) ? 7 : isApart(d) ? 4 : 0;
+    if (!half) continue;
+    room.take([d.u - half, d.v - half, d.u + half, d.v + half]);
+    const steps = d.ahead && drawnWhole(d.n) ? Math.min(12, Math.hypot(d.ahead[0] - d.u, d.ahead[1] - d.v) / 9) : 0;
     for (let k = 1; k <= steps; k++) {
       const u = d.u + ((d.ahead[0] - d.u) * k) / steps;
       const v = d.v + ((d.ahead[1] - d.v) * k) / steps;
       room.take([u - 2, v - 2, u + 2, v + 2]);
     }
   }
+}
+// What lies over the chart, and what is written on it before the labels.
+function takeFurniture(room, w, h) {
+  for (const id of ["tools", "legend"]) {
+    const box = el(id);
+    room.take([box.offsetLeft - 2, box.offsetTop - 2, box.offsetLeft + box.offsetWidth + 2, box.offsetTop + box.offsetHeight + 2]);
+  }
+  room.take([w - 54, 4, w - 14, 76]); // the compass
+  room.take([w - 20 - Math.min(150, w / 3.4), h - 64, w, h - 20]); // the scale bars
+  if (el("credit").offsetWidth) room.take([w - el("credit").offsetWidth - 8, h - 22, w, h]);
+  data.sensors.forEach((sensor, k) => {
+    if (!sensor.site || !shown.source[k]) return;
+    const [u, v] = toScreen(...sensor.site),
+      half = 3.2 * sensor.name.length;
+    room.take([u - half, v - 8, u + half, v + 22]);
+  });
 }
 const spotsAround = (wide, high) => [
   [14, -high / 2],
@@ -54,14 +77,14 @@ function labelInk(d) {
   if (now.alarmed.has(d.n)) return colour.alarm;
   return objects.ambiguous[d.r] ? colour.warn : colour.ink;
 }
-// Draws the lines at the first free place around the symbol; says whether there was one.
+// Draws the lines at the first free place around the symbol; returns its box, or undefined.
 function placed(c, room, d, lines, w) {
-  const wide = Math.max(...lines.map(t => c.measureText(t).width)) + 4;
+  const wide = Math.max(...lines.map(t => textWidth(c, t))) + 4;
   const high = LINE_HEIGHT * lines.length;
   const spot = spotsAround(wide, high)
     .map(([u, v]) => [d.u + u, d.v + v, d.u + u + wide, d.v + v + high])
     .find(box => box[0] > 2 && box[2] < w - 2 && room.free(box));
-  if (!spot) return false;
+  if (!spot) return undefined;
   room.take(spot);
   c.lineWidth = 3.5;
   c.strokeStyle = colour.halo;
@@ -71,14 +94,14 @@ function placed(c, room, d, lines, w) {
     c.fillStyle = k ? colour.dim : labelInk(d);
     c.fillText(t, spot[0] + 2, v);
   });
-  return true;
+  return spot;
 }
 function labels(c, w, h, drawn) {
   const named = drawn.filter(d => objects.stage[d.r] !== STAGE.ended).sort((a, b) => rank(a) - rank(b) || a.n - b.n);
-  const room = takenRoom();
+  const room = takenRoom(),
+    others = takenRoom();
+  takeFurniture(room, w, h);
   takeSymbols(room, drawn);
-  // In a crowd labels stand so far apart that they are read as some of many.
-  const spread = crowd.details ? 0 : 46;
   c.font = "12px system-ui, 'DejaVu Sans', sans-serif";
   c.textBaseline = "middle";
   c.textAlign = "left";
@@ -88,7 +111,9 @@ function labels(c, w, h, drawn) {
     const full = Number.isFinite(objects.speed[d.r]) && (named.length < 60 || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
     const moving = `${knots(objects.speed[d.r])} ${course(courseOf(d.r))}${high}`;
-    if (spread && !matters(d.n) && !room.free([d.u - 2 * spread, d.v - spread, d.u + 2 * spread, d.v + spread])) continue;
-    if (!full || !placed(c, room, d, [name, moving], w)) placed(c, room, d, [name], w);
+    // Labels of dots are so far apart that they are read as some of many.
+    if (!crowd.vectors && !matters(d.n) && !isApart(d) && !others.free([d.u - 92, d.v - 46, d.u + 92, d.v + 46])) continue;
+    const box = (full && placed(c, room, d, [name, moving], w)) || placed(c, room, d, [name], w);
+    if (box) others.take(box);
   }
 }

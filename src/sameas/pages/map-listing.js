@@ -17,6 +17,8 @@ const order = { key: "number", down: false };
 // Only the rows in sight are in the page: a picture may have thousands of objects.
 const ROW_HEIGHT = 25,
   MARGIN = 4;
+// Icons of sources in a row; of more sources the rest is a number.
+const MOST_ICONS = 4;
 const lines = [],
   spacers = [0, 1].map(() => {
     const tr = document.createElement("tr");
@@ -33,6 +35,8 @@ function heads() {
       th.scope = "col";
       if (column.number) th.className = "number";
       th.dataset.key = column.key;
+      // Icons are 19 pixels wide, a question mark after them 13.
+      if (column.key === "sources") th.style.width = `${Math.max(68, 25 + 19 * Math.min(data.sensors.length, MOST_ICONS))}px`;
       button.addEventListener("click", () => {
         order.down = order.key === column.key && !order.down;
         order.key = column.key;
@@ -145,8 +149,12 @@ function fill(tr, r) {
     td.dataset.seen = key;
     td.title = (unsure ? "perhaps " : "") + seen.map(s => data.sensors[s].name).join(", ");
     td.setAttribute("aria-label", td.title || "none now");
+    const icons = seen.length > MOST_ICONS ? seen.slice(0, MOST_ICONS - 1) : seen;
     td.replaceChildren(
-      ...(seen.length ? [...seen.map(s => sourceIcon(s)), ...(unsure ? [text("span", "?", "unsure")] : [])] : [text("span", data.stages[objects.stage[r]], "hint")]),
+      ...icons.map(s => sourceIcon(s)),
+      ...(icons.length < seen.length ? [text("span", `+${seen.length - icons.length}`)] : []),
+      ...(unsure ? [text("span", "?", "unsure")] : []),
+      ...(seen.length ? [] : [text("span", data.stages[objects.stage[r]], "hint")]),
     );
   });
 }
