@@ -20,7 +20,7 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
     scene = Scene.of([told(rng, describe("one", kind), times, x, v, tau_s, [str(k) for k in range(40)])])
     past = Past(correlation_s=given or {})
     for time_s in times:
-        past = past.on(Scan.of(scene.at(time_s)))
+        past = past.advance(Scan.of(scene.at(time_s)))
     return float(past.tracks.error_correlation.correlation(np.zeros(1, np.int64), np.array([every_s]))[0])
 
 
@@ -42,7 +42,7 @@ def test_before_any_look_the_kind_decides():
     rng = np.random.default_rng(2)
     x, v = straight([[0.0, 0.0]], [[4.0, 0.0]], np.zeros(1))
     scene = Scene.of([told(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
-    lasting = Past().on(Scan.of(scene.at(0.0))).tracks.error_correlation
+    lasting = Past().advance(Scan.of(scene.at(0.0))).tracks.error_correlation
     ais, radar = (
         lasting.correlation(np.array([lasting.names.index(n)]), np.array([10.0]))[0] for n in ("ais", "air radar")
     )

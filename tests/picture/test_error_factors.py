@@ -76,7 +76,7 @@ def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs
     x, v = straight([[0.0, 0.0], [900.0, 0.0]], [[4.0, 0.0], [0.0, 3.0]], times)
     scene = Scene.of([told(rng, describe("radar", "tracks", 20.0), times, x, v, 0.0, ["1", "2"])])
     before = Scan.of(scene.at(35.0))
-    after = ErrorFactors(("radar",), factor=np.array([2.0]), sigma=np.array([0.1])).on(before)
+    after = ErrorFactors(("radar",), factor=np.array([2.0]), sigma=np.array([0.1])).applied(before)
     assert after.reported_covariance[:, :2, :2] == pytest.approx(4.0 * before.reported_covariance[:, :2, :2])
     assert after.reported_covariance[:, 2:, 2:] == pytest.approx(before.reported_covariance[:, 2:, 2:])
     grown = after.covariance - before.covariance
@@ -95,7 +95,7 @@ def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
         factors = factors.with_shifts(
             np.zeros(len(k), np.int64), shift[k], (2.0 * stated[k], stated[k]), (carried[k], carried[k])
         )
-    return float(factors._averaged(DEFAULT_TUNING).factor[0])
+    return float(factors._with_posterior(DEFAULT_TUNING).factor[0])
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -39,12 +39,12 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
     tuning = Tuning(parted_chi_sq=np.inf)
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
-        past = past.on(scan)
+        past = past.advance(scan)
         if time_s == 0.0:
             past = replace(past, track_pairs=_all_pairs(scan, past.tracks.track_of_record))
             # Tracks are numbered in the order of the scan.
             order = scan.track[:n].astype(int)
-    return same[order], past.rule().log_ratio, past.track_pairs.now + 2.0 * np.log(box_m)
+    return same[order], past.rule().log_ratio, past.track_pairs.log_now + 2.0 * np.log(box_m)
 
 
 def _all_pairs(scan, number):
@@ -83,7 +83,7 @@ def test_memory_is_bounded_by_what_numbers_are_worth():
     past, tuning = Past(reassigned=0.01), Tuning(parted_chi_sq=np.inf)
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Scan.of(now, tuning))
+        past = past.advance(Scan.of(now, tuning))
         found = identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region)
         past = past.with_pairs(found.pooled)
         assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
@@ -97,13 +97,13 @@ def test_what_is_said_twice_is_no_evidence():
     past = Past()
     for time_s in (0.0, 10.0, 20.0):
         now = scene.at(time_s)
-        past = past.on(Scan.of(now))
+        past = past.advance(Scan.of(now))
         past = past.with_pairs(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).pooled)
-    said = np.asarray(past.rule().log_ratio) + past.track_pairs.now
+    said = np.asarray(past.rule().log_ratio) + past.track_pairs.log_now
     for time_s in (21.0, 24.0, 29.0):
-        past = past.on(Scan.of(scene.at(time_s)))
+        past = past.advance(Scan.of(scene.at(time_s)))
         # Now and past together say what they did; the reports have only grown older.
-        np.testing.assert_allclose(np.asarray(past.rule().log_ratio) + past.track_pairs.now, said, atol=1e-9)
+        np.testing.assert_allclose(np.asarray(past.rule().log_ratio) + past.track_pairs.log_now, said, atol=1e-9)
 
 
 def test_a_track_that_jumps_begins_anew():
@@ -117,7 +117,7 @@ def test_a_track_that_jumps_begins_anew():
     past = Past()
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Scan.of(now))
+        past = past.advance(Scan.of(now))
         if time_s == 40.0:
             assert not len(past.track_pairs)
         past = past.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
@@ -132,7 +132,7 @@ def test_records_without_names_have_no_past():
     scene, past = Scene.of([told(rng, radar, times, x, v, 0.0), told(rng, ais, times, x, v, 600.0, ["a", "b"])]), Past()
     for time_s in times:
         now = scene.at(time_s)
-        past = past.on(Scan.of(now))
+        past = past.advance(Scan.of(now))
         past = past.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
     assert not len(past.track_pairs) and past.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
 
@@ -157,7 +157,7 @@ def test_what_cannot_be_is_refused():
         Past(reassigned=0.0)
     scene, _ = two_meet(1, 200.0)
     with pytest.raises(InputError, match="instants in the order of time"):
-        Past().on(Scan.of(scene.at(20.0))).on(Scan.of(scene.at(10.0)))
+        Past().advance(Scan.of(scene.at(20.0))).advance(Scan.of(scene.at(10.0)))
 
 
 def two_tracks(seed, same, looks=6, every_s=10.0, sigma=(20.0, 8.0)):
@@ -212,7 +212,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
     scene, past = Scene.of(sources), Past(reassigned=1e-300)
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
-        past = past.on(scan)
+        past = past.advance(scan)
         if time_s == 0.0:
             state, covariance, lasting = scan.state[:, :2], scan.covariance[:, :2, :2], past.tracks.lasting
             fresh = TrackPairs.of(
@@ -224,7 +224,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
     # Of any distance, an area of (1e5 m)²: the density of a pair is per m² of it.
     due = brute_force(x, sigma, rho, True) - brute_force(x, sigma, rho, False) - np.log(2.0 * np.pi * 1e10)
     pairs = past.track_pairs
-    assert pairs.log_ratio[0] + pairs.at_scan[0] == pytest.approx(due, abs=1e-3)
+    assert pairs.log_ratio[0] + pairs.log_reported[0] == pytest.approx(due, abs=1e-3)
 
 
 @pytest.mark.slow
@@ -241,7 +241,7 @@ def test_pairs_that_passed_each_other_long_ago_are_not_compared_for_ever():
         for time_s in times:
             state = watch.advance(scene.at(time_s))
             watch = state.watch
-        counts.append(len(watch.past.track_pairs) + len(watch.past.track_pairs.parted))
+        counts.append(len(watch.past.track_pairs) + len(watch.past.track_pairs.distant))
         shown = np.append(state.scan.track, "")[state.members]
         assert sorted(shown.tolist()) == [[k, k] for k in names[: len(shown)]]
     # Each ship's own two tracks, and with all that met before.

@@ -6,7 +6,7 @@ from modelled_scenes import describe, straight, told
 
 from sameas.errors import InputError
 from sameas.picture import Picture, Stages, Watch
-from sameas.picture.memory import Mixture
+from sameas.picture.memory import DurationMixture
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 
@@ -55,7 +55,7 @@ def test_a_mixture_of_lives_is_found():
     life = np.where(real, rng.exponential(900.0, n), rng.exponential(12.0, n))
     limit = rng.uniform(0.0, 600.0, n)
     ended, life = life < limit, np.minimum(life, limit)
-    mixture, source, later = Mixture().with_sources(np.array([3.0])), np.zeros(n, np.int64), np.ones(n, bool)
+    mixture, source, later = DurationMixture().with_sources(np.array([3.0])), np.zeros(n, np.int64), np.ones(n, bool)
     for _ in range(60):
         mixture = mixture.fitted(source, later, life, ended, np.zeros(n, bool))
     assert abs(mixture.false_s[0] - 12.0) < 2.0 and abs(mixture.share[0, 1] - 0.2) < 0.04

@@ -13,7 +13,7 @@ from sameas.tracks.scene import Scene
 def shown(history, instant_s, number):
     """One track, of an object."""
     one = np.ones(1, np.int64)
-    return history.on(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
+    return history.advance(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
 
 
 def test_shares_sum_to_one_and_go_over_in_minutes():

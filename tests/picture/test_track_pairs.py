@@ -7,7 +7,7 @@ from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symm
 from sameas.kernels.kalman import best_others, swap_evidence
 from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_factors import LEAST_M2, error_update
-from sameas.picture.named import with_lasting
+from sameas.picture.named_tracks import prior_covariance
 
 WAYS = ("interpreted", "compiled")
 
@@ -47,7 +47,7 @@ def without_past(delta, covariances, lasting):
     """By the conditional of (e_a, z_a, z_b) given δ."""
     k, total = len(delta), covariances[0] + covariances[1]
     mean, covariance, onto = np.zeros((k, 2, 8)), np.zeros((k, 2, 8, 8)), np.zeros((k, 6, 2))
-    covariance[..., :4, :4] = with_lasting(covariances[0], lasting[0])[:, None]
+    covariance[..., :4, :4] = prior_covariance(covariances[0], lasting[0])[:, None]
     covariance[..., 4:6, 4:6] = np.eye(2)
     onto[:, :4], onto[:, 4:] = covariance[:, 0, :4, :2], -lasting[1].transpose(0, 2, 1)
     one = Gaussian(mean[:, 0, :6], covariance[:, 0, :6, :6]).conditional(onto, delta, total)

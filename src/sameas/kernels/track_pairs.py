@@ -33,10 +33,10 @@ def pairs_stepped(
     track, then by that of the second.
 
     errors, met : (n, WIDTH), (m, WIDTH). rows : (k,) of both, one below the other, that go on. first, second : (k,)
-    their tracks, rows of the step, of which ``last`` … ``new_report`` are columns (:class:`sameas.picture.named.Step`).
-    total : (m, 2, 2) covariance of each track's position at the instant. least_m2 : what keeps certain steps
-    invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of the reports under both. now, chi_sq : (k,)
-    ln N(δ; 0, P_a + P_b) and its χ².
+    their tracks, rows of the step, of which ``last`` … ``new_report`` are columns
+    (:class:`sameas.picture.named_tracks.Step`). total : (m, 2, 2) covariance of each track's position at the instant.
+    least_m2 : what keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of the reports
+    under both. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
     """
     one, other, h, gain = np.empty(CONVOY), np.empty(CONVOY), np.empty((2, 6)), np.empty((2, 2))
     mean_one, covariance_one = np.empty(ONE), np.empty((ONE, ONE))

@@ -1,5 +1,5 @@
 """Compiled loops over states and named tracks from one instant to the next (:mod:`sameas.tracks.alignment`,
-:mod:`sameas.picture.named`)."""
+:mod:`sameas.picture.named_tracks`)."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def errors_forgotten(
     root_before: FloatArray, root: FloatArray, old: FloatArray, new: FloatArray, share: FloatArray,
     forgotten: FloatArray, slope: FloatArray, noise: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes H (m, 2, 4) and the covariance (m, 2, 2) of n in ν = H (e, z) + n (:mod:`sameas.picture.named`).
+    """Writes H (m, 2, 4) and the covariance (m, 2, 2) of n in ν = H (e, z) + n (:mod:`sameas.picture.named_tracks`).
 
     root_before, root : (m, 2, 2) L, L′. old, new : (m, 2, 2) P before and after the report. share : (m,) s. forgotten :
     (m,) ρ (1 − s).

@@ -39,7 +39,7 @@ ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
 #: Where the disk refuses them, so many rows wait in memory; the oldest go first.
 WAITING_ROWS = 4 * ARCHIVE_ROWS
 #: Number of what a state holds; raised with every change of it (``tests/live/test_keeper.py`` notices).
-LAYOUT = 3
+LAYOUT = 4
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 

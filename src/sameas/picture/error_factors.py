@@ -1,44 +1,44 @@
-"""Error factors: by how much the errors that a source states, or that are assumed for its kind, are too small.
+"""Error factors and error correlation: how wrong a source's stated position errors are, and for how long they persist.
 
-The positions of two tracks that are surely one object differ by δ ~ N(0, f_a² R_a + f_b² R_b + D), with R as stated,
-f the factors of their sources, and D the motion since the reports. So pairs of every two sources weigh every pair of
-factors, and all sources have
+Error factors (:class:`ErrorFactors`) multiply the σ that a source states or that is assumed for its kind. The positions
+of two tracks that are surely one object differ by δ ~ N(0, f_a² R_a + f_b² R_b + D), with R as stated, f the factors of
+their sources, and D the covariance of the motion since the reports. The posterior of all factors is
 
     p(f_1 … f_S) ∝ Π_a p(f_a) exp Σ_{a<b} L_ab(f_a, f_b),
 
-L_ab the log-likelihood of all differences of the two sources; p(f) is log-normal about 1, but for a share of sources
-whose f is 1. More sources than ``BLOCK`` are taken in blocks, each in the mean field of the others. A difference that
-is correlated with the last one of its pair by ρ counts as 1 − ρ² of one. One in a hundred may be of anything within
-``factor_outlier`` times the errors: a stamp, a mast, a pair that was none.
+L_ab the log-likelihood of all differences of the two sources. The prior p(f) is log-normal about 1, plus a point mass
+at f = 1. More than ``BLOCK`` sources are split into blocks, each in the mean field of the others. A difference that is
+correlated by ρ with the previous one of its pair has the weight 1 − ρ². A share ``factor_outliers`` (1 %) of the
+differences are outliers with ``factor_outlier`` times the errors: a wrong time stamp, an antenna far from the centre, a
+false pair.
 
-Sure pairs are those that are near each other, so where none is sure but by chance factors come out small. The ways of
-tracks from one report to the next, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as
-below, know nothing of pairs: whatever the correlation ρ, errors are no smaller than ν
-shows. ρ is any, as probable, one for all of a source; so is whether of D the errors of velocities are as stated, or a
-share κ of them as of the rest. So ways speak against small factors and not for them: by a log-normal prior alone the
-mean of what they leave over is 1.2 to 1.4 where 1 is true, and a source that is precise beside others has no other
-evidence.
+Sure pairs are selected for being near, so where pairs are sure only by chance, factors come out too small. The
+residuals of single tracks from report to report, ν ~ N(0, f² (R + R′ − ρ (L L′ᵀ + L′ Lᵀ)) + κ D) as below, do not
+depend on pairs and bound the errors from below, whatever ρ. Each source has one unknown ρ with a uniform prior. The
+motion's share κ is unknown as well; whether it applies to the errors of measured velocities too is a second unknown.
+Residuals count against small factors and not in favour of them: with a log-normal prior alone the mean of the factors
+that they allow would be 1.2 to 1.4 where 1 is true, and a source more precise than others has no other evidence.
 
-What several reports of one source have in common, its offset, is not in it; see :mod:`sameas.tracks.registration`.
+A source's offset, which its reports have in common, is not included; see :mod:`sameas.tracks.registration`.
 
 Source: mean-field approximation as in Bishop, Pattern Recognition and Machine Learning, section 10.1.
 
-The correlation time of a source's position errors is estimated from its own tracks (:class:`ErrorCorrelation`). A
-tracker's errors last as long as it smooths, a receiver's for minutes, and a plot's are independent at every scan. A
-second report with the same error adds no information. Where the errors of two reports of a track are correlated by
-ρ = exp(−Δt/τ), the second differs from the prediction of the first by
+Error correlation (:class:`ErrorCorrelation`) is estimated from a source's own tracks. The errors of a tracker are
+correlated over its smoothing time, those of a receiver over minutes; those of plots are independent. A second report
+with the same error adds no information. If the errors of two reports of a track are correlated by ρ = exp(−Δt/τ), the
+second differs from the prediction of the first by
 
     ν ~ N(0, R + R′ − C − Cᵀ + κ D),   C = ρ L L′ᵀ,
 
 with R = L Lᵀ and R′ = L′ L′ᵀ the covariances of the two reports, and D the largest covariance of the motion between
-them. Most objects move far less, so κ is one of ``motion_shares``, each as probable. Every report so changes the
-probability of each τ (``correlation_s``). The prior of ln(τ + 1 s) is normal about that of the source's kind
-(:data:`sameas.tracks.kinds.KINDS`) with ``correlation_sigma``; after some dozens of reports the data dominate.
+them. Most objects move far less, so κ is one of ``motion_shares``, equally probable. Each report updates the
+probability of every τ (``correlation_s``). The prior of ln(τ + 1 s) is normal about that of the source's kind
+(:data:`sameas.tracks.kinds.KINDS`) with σ ``correlation_sigma``; after some dozens of reports the data dominate.
 
-A share s of the variance of a source's errors is *lasting*: the antenna's place on the hull, the rest of a bias. Such
-an error is one vector z ~ N(0, 1) for all reports of a track, e = √s L z + f, and only f is forgotten after τ: ρ above
-is s + (1 − s) exp(−Δt/τ). A track alone cannot tell an error that lasts from a place, so s is estimated from pairs of
-tracks that are surely one object: of their positions' differences δ and δ′ some time apart,
+A share s of the error variance is *lasting*, that is constant for a track: the antenna's place on the hull, a residual
+bias. It is one vector z ~ N(0, 1) for all reports of a track, e = √s L z + f; only f decorrelates with τ, and ρ above
+is s + (1 − s) exp(−Δt/τ). A single track cannot separate a constant error from its position, so s is estimated from
+pairs of tracks that are surely one object, by their differences δ and δ′ some time apart:
 
     δ′ ~ N(M δ, S − M S Mᵀ),   M = C S⁻¹,   S = P_a + P_b,   C = Σ_{a,b} [s + (1 − s) exp(−Δt/τ)] R.
 
@@ -63,16 +63,16 @@ from sameas.ragged import ordered_by
 from sameas.tracks.alignment import moved
 from sameas.tracks.kinds import KINDS
 
-#: Least variance of a step, m²: it keeps the covariance of a certain step invertible.
+#: Smallest variance of a step, m²: keeps the covariance of a step without errors invertible.
 LEAST_M2 = 1e-6
 
 
 def error_update(
     mean: FloatArray, covariance: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Mean and covariance of x by ν = H x + n, ln p(ν), and χ² of ν.
+    """The Kalman update by ν = H x + n: mean and covariance of x, ln p(ν), and χ² of ν.
 
-    mean, covariance : (k, d), (k, d, d) of x, errors and what lasts of them, before a report that moved a track by ν.
+    mean, covariance : (k, d), (k, d, d) of x, the errors of tracks and their constant part, before a report.
     slope, noise : (k, 2, d), (k, 2, 2) H and the covariance of n. shift : (k, 2) ν.
     """
     out = np.empty(mean.shape), np.empty(covariance.shape), np.empty(len(mean)), np.empty(len(mean))
@@ -81,7 +81,7 @@ def error_update(
 
 
 def growth(change: FloatArray) -> FloatArray:
-    """(n, 2, 2) the positive part of changes of covariances.
+    """(n, 2, 2) the positive semidefinite part of changes of covariances.
 
     >>> growth(np.array([[[0.0, 1.0], [1.0, 0.0]], [[-2.0, 0.0], [0.0, 3.0]]])).tolist()
     [[[0.5, 0.5], [0.5, 0.5]], [[0.0, 0.0], [0.0, 3.0]]]
@@ -89,7 +89,7 @@ def growth(change: FloatArray) -> FloatArray:
     mean = 0.5 * (change[:, 0, 0] + change[:, 1, 1])
     half, cross = 0.5 * (change[:, 0, 0] - change[:, 1, 1]), 0.5 * (change[:, 0, 1] + change[:, 1, 0])
     radius = np.hypot(half, cross)
-    # Eigenvalues are m ± r; the part of m + r is ½ [1 + D / r] of it, D the change without its mean.
+    # The eigenvalues are m ± r; the projector of m + r is ½ [1 + D / r], D the traceless part of the change.
     high, low = np.maximum(mean + radius, 0.0), np.maximum(mean - radius, 0.0)
     level, slope = 0.5 * (high + low), 0.5 * (high - low) / np.where(radius > 0.0, radius, 1.0)
     out = np.empty(change.shape)
@@ -98,17 +98,16 @@ def growth(change: FloatArray) -> FloatArray:
     return out
 
 
-#: Correlations of two reports at which likelihoods are computed; between them they are interpolated.
+#: Correlations of two reports at which likelihoods are computed; interpolated between.
 CORRELATIONS = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 1.0])
 
 
 @dataclass(frozen=True)
 class ErrorCorrelation:
-    """The correlation times of the errors of sources.
+    """The estimated correlation times and lasting shares of the errors of sources.
 
-    names : of the sources so far. log_probable : (S, s, τ) ln of the probability of each lasting share and each τ, up
-    to a constant.
-    fixed_s : τ that the user gives, by name; these are not estimated, and nothing of such errors lasts.
+    names : of the sources. log_probable : (S, s, τ) ln of the probability of each lasting share and each τ, up to a
+    constant. fixed_s : τ by source where the user gives it; these are not estimated, and have no lasting share.
     """
 
     names: tuple[str, ...] = ()
@@ -116,34 +115,34 @@ class ErrorCorrelation:
     fixed_s: Mapping[str, float] = field(default_factory=dict)
 
     def of_sources(self, scan: Scan) -> ErrorCorrelation:
-        """The same with the new sources of a scan."""
+        """The estimate with the new sources of a scan at their prior."""
         new = [d for d in scan.now.descriptions if d.name not in self.names]
         if self.names and not new:
             return self
         kind_s = np.array([KINDS[description.kind].correlation_s for description in new], np.float64)
-        away = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
-        prior = -0.5 * (away / scan.tuning.correlation_sigma) ** 2
+        log_change = np.log(np.array(scan.tuning.correlation_s) + 1.0) - np.log(kind_s[:, None] + 1.0)
+        prior = -0.5 * (log_change / scan.tuning.correlation_sigma) ** 2
         prior = np.repeat(prior[:, None], len(scan.tuning.lasting_shares), axis=1)
         log_probable = np.concatenate([self.log_probable, prior]) if self.names else prior
         return ErrorCorrelation((*self.names, *(description.name for description in new)), log_probable, self.fixed_s)
 
     def numbers(self, scan: Scan) -> IntArray:
-        """(S,) the place in ``names`` of each source of a scan."""
+        """(S,) the index in ``names`` of each source of a scan."""
         return np.array([self.names.index(d.name) for d in scan.now.descriptions], dtype=np.int64)
 
     def lasting(self, source: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(n,) mean s of tracks of the sources."""
+        """(n,) mean s of the sources."""
         mean = np.einsum("nst,s->n", self._weights, np.array(tuning.lasting_shares))
         return np.where(np.isfinite(self._fixed_s), 0.0, mean)[source]
 
     def correlation(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(n,) mean correlation s + (1 − s) exp(−Δt/τ) of two reports of tracks of the sources, ``elapsed_s`` apart."""
-        return self.lasting(source, tuning) + self.forgotten(source, elapsed_s, tuning)
+        return self.lasting(source, tuning) + self.decaying(source, elapsed_s, tuning)
 
-    def forgotten(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(n,) the part of it that is not lasting, mean (1 − s) exp(−Δt/τ)."""
+    def decaying(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(n,) the part of the correlation that decays, mean (1 − s) exp(−Δt/τ)."""
         of_tau = np.einsum("nst,s->nt", self._weights, 1.0 - np.array(tuning.lasting_shares))
-        # Most sources have few different Δt.
+        # Sources have few distinct Δt.
         elapsed_s, at = np.unique(elapsed_s, return_inverse=True)
         mean = np.einsum("st,nt->ns", of_tau, _rho(elapsed_s, np.array(tuning.correlation_s)))[at, source]
         fixed_s = self._fixed_s
@@ -153,16 +152,16 @@ class ErrorCorrelation:
         return np.where(np.isfinite(fixed_s)[source], given, mean)
 
     def of_mean(self, source: IntArray, every_s: float, count: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(n,) the share of the variance of a report that is left in the mean of ``count`` (n,), ``every_s`` apart."""
+        """(n,) variance of the mean of ``count`` (n,) reports ``every_s`` apart, relative to that of one report."""
         steps = np.arange(1, int(count.max(initial=1)))
         correlation = self.correlation(
             np.repeat(np.arange(len(self.names)), len(steps)), np.tile(every_s * steps, len(self.names)), tuning
         ).reshape(len(self.names), len(steps))
-        # The mean over all couples of n reports, of which 2 (n − k) are k steps apart.
+        # The mean correlation over all ordered pairs of n reports; 2 (n − k) of the pairs are k steps apart.
         sums = [np.cumsum(np.pad(part, ((0, 0), (1, 0))), axis=1) for part in (correlation, steps * correlation)]
         n = np.maximum(count, 1)
-        each, stepped = (part[source, n - 1] for part in sums)
-        return np.asarray((n + 2.0 * (n * each - stepped)) / n**2)
+        total, weighted = (part[source, n - 1] for part in sums)
+        return np.asarray((n + 2.0 * (n * total - weighted)) / n**2)
 
     @cached_property
     def _weights(self) -> FloatArray:
@@ -172,7 +171,7 @@ class ErrorCorrelation:
 
     @cached_property
     def _fixed_s(self) -> FloatArray:
-        """(S,) τ that the user gives, NaN for others."""
+        """(S,) τ where the user gives it, else NaN."""
         return np.array([self.fixed_s.get(name, np.nan) for name in self.names], np.float64)
 
     def updated(
@@ -184,7 +183,7 @@ class ErrorCorrelation:
         motion: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorCorrelation:
-        """After new reports of tracks.
+        """The estimate after new reports of tracks; reports after a manoeuvre are ignored.
 
         Parameters
         ----------
@@ -193,9 +192,9 @@ class ErrorCorrelation:
         """
         steady = mahalanobis_sq(shift, errors[0] + motion) <= tuning.manoeuvre_chi_sq
         source, elapsed_s, shift, motion = source[steady], elapsed_s[steady], shift[steady], motion[steady]
-        both, shared = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
+        total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
         log_p = np.empty((len(source), len(CORRELATIONS)))
-        correlated_shifts(shift, both, shared, motion, CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p)
+        correlated_shifts(shift, total, common, motion, CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p)
         return self._with_evidence(source, elapsed_s, log_p, tuning)
 
     def with_sure_pairs(
@@ -207,7 +206,7 @@ class ErrorCorrelation:
         total: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorCorrelation:
-        """After pairs of tracks that are surely one object have been compared with what they were some time ago.
+        """The estimate after comparing the differences of sure pairs with earlier ones of the same pairs.
 
         Parameters
         ----------
@@ -216,12 +215,12 @@ class ErrorCorrelation:
         """
         if not len(elapsed_s):
             return self
-        out, spread = self, inverse(total)
-        usual = [self.correlation(source, elapsed_s, tuning)[:, None, None] for source in sources]
+        out, precision = self, inverse(total)
+        mean_rho = [self.correlation(source, elapsed_s, tuning)[:, None, None] for source in sources]
         for own, other in ((0, 1), (1, 0)):
-            # All correlations at once, (c, n, 2, 2).
-            common = CORRELATIONS[:, None, None, None] * reported[own] + usual[other] * reported[other]
-            slope = common @ spread
+            # (c, n, 2, 2): each possible correlation of one source, the present mean of the other.
+            common = CORRELATIONS[:, None, None, None] * reported[own] + mean_rho[other] * reported[other]
+            slope = common @ precision
             innovation = differences[1] - np.einsum("cnvw,nw->cnv", slope, differences[0])
             log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + LEAST_M2 * np.eye(2)).T
             out = out._with_evidence(sources[own], elapsed_s, log_p, tuning)
@@ -230,9 +229,10 @@ class ErrorCorrelation:
     def _with_evidence(
         self, source: IntArray, elapsed_s: FloatArray, log_p: FloatArray, tuning: Tuning
     ) -> ErrorCorrelation:
-        """After n independent values of which ln p is given for each of :data:`CORRELATIONS`, (n, k)."""
+        """The estimate after n independent observations; log_p : (n, k) their ln p for each of
+        :data:`CORRELATIONS`."""
         log_probable = self.log_probable.copy()
-        # Most sources have few different Δt: their values are added up first.
+        # Sources have few distinct Δt: log-likelihoods are summed per Δt first.
         elapsed_ms = np.rint(1e3 * elapsed_s).astype(np.int64)
         key, group = np.unique(source * (elapsed_ms.max(initial=0) + 1) + elapsed_ms, return_inverse=True)
         source_of, elapsed_ms = np.divmod(key, elapsed_ms.max(initial=0) + 1)
@@ -244,27 +244,27 @@ class ErrorCorrelation:
 
 
 def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:
-    """(n, τ) ρ, for τ (τ,) or (n, τ) in seconds."""
+    """(n, τ) ρ = exp(−Δt/τ), for τ (τ,) or (n, τ) in seconds; 0 where τ is 0."""
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         rho = np.exp(-np.maximum(elapsed_s, 0.0)[:, None] / tau_s)
     return np.where(tau_s > 0.0, rho, 0.0)
 
 
-#: Sources whose factors are weighed together, and steps of the mean field of blocks of them.
+#: Sources whose joint posterior is computed exactly, and mean-field iterations over blocks of that size.
 BLOCK, STEPS = 3, 5
-#: Pairs, and reports, of an instant that are looked at, for the time it takes; and reports of a source: more show
-#: nothing new.
+#: At most this many pairs and reports of an instant are used, to limit the time; and at most this many reports of a
+#: source: more add no information.
 MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 64, 32, 2000
 
 
 @dataclass(frozen=True)
 class ErrorFactors:
-    """The factors of the errors of sources.
+    """The estimated factors on the stated errors of sources.
 
-    names : of the sources so far. log_likely : (S, S, K, K) L of two sources a < b, by the factors of both.
-    log_shifts : (S, K, 2ρ) ln p of the ways of their tracks, with any share of the motion, and with all of what comes
-    of the errors of velocities. reports : (S,) of how many reports.
-    factor : (S,) mean of each source, geometric. sigma : (S,) 1σ of its logarithm.
+    names : of the sources. log_likely : (S, S, K, K) L_ab for a < b, by the factors of both.
+    log_shifts : (S, K, 2ρ) ln p of the residuals of their tracks, with κ on all of the motion, and with κ on all but
+    the errors of measured velocities. reports : (S,) how many reports these are from.
+    factor : (S,) geometric mean of each source's factor. sigma : (S,) 1σ of its logarithm.
     """
 
     names: tuple[str, ...] = ()
@@ -275,7 +275,7 @@ class ErrorFactors:
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def of_sources(self, names: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> ErrorFactors:
-        """The same with all of these sources, in their order; the first ones are here already."""
+        """The estimate with new sources at their prior; names : of all sources, those already known first."""
         if names == self.names:
             return self
         k, known = len(tuning.error_factors), len(self.names)
@@ -283,17 +283,17 @@ class ErrorFactors:
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
         log_shifts, reports = np.zeros((len(names), k, 2 * len(CORRELATIONS))), np.zeros(len(names))
         log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, 2 * len(CORRELATIONS)), self.reports
-        whole = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
-        return whole._averaged(tuning)
+        extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
+        return extended._with_posterior(tuning)
 
-    def telling(self, source: IntArray, place: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
-        """(k,) those of new reports (n,) at places (n, 2) that :meth:`with_shifts` is to look at, by R + R′ as stated
-        and D, (n, 2, 2).
+    def informative(self, source: IntArray, place: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
+        """(k,) the new reports, of (n,), that :meth:`with_shifts` should use.
 
-        Where motion is larger than errors its description would be judged.
+        source, place : (n,), (n, 2). stated, motion : (n, 2, 2) R + R′ as stated, and D. Where the motion is larger
+        than the errors, residuals would test the motion model instead.
         """
-        calm = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
-        which = np.flatnonzero(calm & (self.reports[source] < MOST_OF_SOURCE))
+        steady = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
+        which = np.flatnonzero(steady & (self.reports[source] < MOST_OF_SOURCE))
         return which[evenly(place[which], MOST_REPORTS)]
 
     def with_shifts(
@@ -304,37 +304,37 @@ class ErrorFactors:
         motion: tuple[FloatArray, FloatArray],
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
-        """After new reports of tracks, a few of those of an instant (:meth:`telling`).
+        """The estimate after new reports of tracks, those chosen by :meth:`informative`.
 
         Parameters
         ----------
-        source, shift : (n,), (n, 2) place in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated, motion : D and
-        what of it comes of the errors of measured velocities, (n, 2, 2) each.
+        source, shift : (n,), (n, 2) index in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated. motion : D, and its
+        part from the errors of measured velocities. (n, 2, 2) each.
         """
         n = len(source)
         if not n:
             return self
-        both, shared = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
-        log_out = log_density(shift, tuning.factor_outlier**2 * both) - np.log(1.0 / tuning.factor_outliers - 1.0)
-        # Once with any share of the motion, once with the errors of velocities as they are stated.
-        fixed, free = (
+        total, common = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
+        log_outlier = log_density(shift, tuning.factor_outlier**2 * total) - np.log(1.0 / tuning.factor_outliers - 1.0)
+        # Two cases: κ applies to all of the motion, or to all but the errors of velocities, which are as stated.
+        fixed, scaled = (
             np.concatenate([np.zeros_like(motion[1]), motion[1]]),
             np.concatenate([motion[0], growth(motion[0] - motion[1])]),
         )
         # All factors at once, (factors, twice n, …).
         sq = np.array(tuning.error_factors)[:, None, None, None] ** 2
-        stated, common = (sq * np.concatenate([one, one]) for one in (both, shared))
+        total, common = (sq * np.concatenate([each, each]) for each in (total, common))
         log_p = np.empty((len(sq) * 2 * n, len(CORRELATIONS)))
         correlated_shifts(
-            np.tile(shift, (2 * len(sq), 1)), (stated + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
-            np.tile(free, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p,
+            np.tile(shift, (2 * len(sq), 1)), (total + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
+            np.tile(scaled, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p,
         )  # fmt: skip
-        # Of two ways in succession the report between is in both.
-        both_ways = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
-        seen = 0.5 * np.logaddexp(both_ways, log_out[:, None])
+        both_cases = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
+        # Half weight: each report enters two successive residuals.
+        log_likely = 0.5 * np.logaddexp(both_cases, log_outlier[:, None])
         log_shifts = self.log_shifts.copy()
         for s in np.unique(source).tolist():
-            log_shifts[s] += seen[:, source == s].sum(axis=1)
+            log_shifts[s] += log_likely[:, source == s].sum(axis=1)
         reports = self.reports + np.bincount(source, minlength=len(self.names))
         return replace(self, log_shifts=log_shifts, reports=reports)
 
@@ -347,11 +347,11 @@ class ErrorFactors:
         weight: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
-        """After pairs of tracks that are surely one object, of an instant :data:`MOST_PAIRS` at most.
+        """The estimate after pairs of tracks that are surely one object, at most :data:`MOST_PAIRS` per instant.
 
         Parameters
         ----------
-        sources : places in ``names`` of both, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
+        sources : indices in ``names`` of both, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
         motion : (n, 2, 2) D. weight : (n,) 1 − ρ².
         """
         if not len(delta):
@@ -364,71 +364,72 @@ class ErrorFactors:
             self.log_likely.copy(),
         )
         np.add.at(log_likely, (first, second), log_p)
-        return replace(self, log_likely=log_likely)._averaged(tuning)
+        return replace(self, log_likely=log_likely)._with_posterior(tuning)
 
-    def on(self, scan: Scan) -> Scan:
-        """The scan with the errors of its records multiplied; velocities have their own, and keep them."""
+    def applied(self, scan: Scan) -> Scan:
+        """The scan with the position errors of its records multiplied by the factors; velocity errors stay."""
         names = {name: k for k, name in enumerate(self.names)}
-        factor = np.array([self.factor[names[d.name]] if d.name in names else 1.0 for d in scan.now.descriptions])
-        each = np.where(scan.placed, factor[scan.source], 1.0) if len(scan) else np.empty(0)
-        if np.all(np.abs(each - 1.0) < 1e-9):
+        of_source = np.array([self.factor[names[d.name]] if d.name in names else 1.0 for d in scan.now.descriptions])
+        factor = np.where(scan.placed, of_source[scan.source], 1.0) if len(scan) else np.empty(0)
+        if np.all(np.abs(factor - 1.0) < 1e-9):
             return scan
-        size = np.ones((len(scan), 4))
-        size[:, :2] = each[:, None]
-        reported = size[:, :, None] * scan.reported_covariance * size[:, None, :]
+        scale = np.ones((len(scan), 4))
+        scale[:, :2] = factor[:, None]
+        reported = scale[:, :, None] * scan.reported_covariance * scale[:, None, :]
         change = np.nan_to_num(reported - scan.reported_covariance)
         _, extra = moved(np.zeros((len(scan), 4)), change, scan.now.instant_s - scan.time_s, np.zeros(len(scan)))
-        return replace(scan.with_covariance(extra), reported_covariance=reported, error_factor=each)
+        return replace(scan.with_covariance(extra), reported_covariance=reported, error_factor=factor)
 
     def lines(self) -> list[str]:
-        """Printable lines on the sources whose errors surely are not as stated."""
+        """Printable lines on the sources whose errors differ from the stated ones by 3σ and by 25 % or more."""
         return [
             f"{name}: positions err by {factor:.2g} times what is stated or assumed (ln ± {sigma:.2g}); counted so"
             for name, factor, sigma in zip(self.names, self.factor.tolist(), self.sigma.tolist(), strict=True)
             if abs(np.log(factor)) > max(3.0 * sigma, np.log(1.25))
         ]
 
-    def _averaged(self, tuning: Tuning) -> ErrorFactors:
-        """With the mean factors by all that was seen."""
+    def _with_posterior(self, tuning: Tuning) -> ErrorFactors:
+        """The estimate with ``factor`` and ``sigma`` updated to all evidence."""
         logs, n = np.log(np.array(tuning.error_factors)), len(self.names)
         own = _log_prior(logs, tuning) + logsumexp(self.log_shifts, axis=2)
-        # L of every source with every other, by its own factor first.
-        both = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
+        # L symmetrised: by the factor of the first source, then of the second.
+        pairwise = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
         weight = np.exp(log_softmax(own, axis=1))
         blocks = [np.arange(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
         for _ in range(STEPS if len(blocks) > 1 else 1):
             for block in blocks:
-                beside = np.setdiff1d(np.arange(n), block)
-                alone = own[block] + np.einsum("stfg,tg->sf", both[np.ix_(block, beside)], weight[beside])
-                weight[block] = _marginals(alone, both[np.ix_(block, block)])
+                others = np.setdiff1d(np.arange(n), block)
+                field_ = np.einsum("stfg,tg->sf", pairwise[np.ix_(block, others)], weight[others])
+                weight[block] = _marginals(own[block] + field_, pairwise[np.ix_(block, block)])
         mean = weight @ logs
         return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))
 
 
 def evenly(place: FloatArray, most: int) -> IntArray:
-    """(k,) ascending, ``most`` of n places (n, 2), spread evenly in the order of their first coordinates: a choice that
-    does not depend on the order in which they are given."""
+    """(k,) rows, ascending, of at most ``most`` of n places (n, 2), spread evenly in the order of their coordinates, so
+    that the choice does not depend on the order of the rows."""
     if len(place) <= most:
         return np.arange(len(place))
     return np.sort(ordered_by(place.T)[np.linspace(0, len(place) - 1, most).astype(np.int64)])
 
 
 def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:
-    """(K,) ln of the prior probability of factors of these logarithms."""
-    broad = np.exp(-0.5 * (logs / tuning.error_factor_sigma) ** 2)
+    """(K,) ln of the prior probability of factors with these logarithms."""
+    log_normal = np.exp(-0.5 * (logs / tuning.error_factor_sigma) ** 2)
     as_stated = np.abs(logs) == np.abs(logs).min()
     share = tuning.errors_as_stated
-    return np.asarray(np.log((1.0 - share) * broad / broad.sum() + share * as_stated / as_stated.sum()))
+    return np.asarray(np.log((1.0 - share) * log_normal / log_normal.sum() + share * as_stated / as_stated.sum()))
 
 
-def _marginals(alone: FloatArray, both: FloatArray) -> FloatArray:
-    """(m, K) probabilities of the factors of m sources: ln of those of each alone (m, K), of each two (m, m, K, K)."""
-    m, k = alone.shape
+def _marginals(own: FloatArray, pairwise: FloatArray) -> FloatArray:
+    """(m, K) marginal probabilities of the factors of m sources, from the log-potentials of each (m, K) and of each two
+    (m, m, K, K)."""
+    m, k = own.shape
     total = np.zeros((k,) * m)
     for s in range(m):
-        total += alone[s].reshape([k if axis == s else 1 for axis in range(m)])
+        total += own[s].reshape([k if axis == s else 1 for axis in range(m)])
         for t in range(s + 1, m):
-            total += both[s, t].reshape([k if axis in (s, t) else 1 for axis in range(m)])
+            total += pairwise[s, t].reshape([k if axis in (s, t) else 1 for axis in range(m)])
     p = np.exp(total - total.max(initial=-np.inf))
     out = np.array([p.sum(axis=tuple(axis for axis in range(m) if axis != s)) for s in range(m)]).reshape(m, k)
     return np.asarray(out / out.sum(axis=1, keepdims=True))
@@ -437,7 +438,7 @@ def _marginals(alone: FloatArray, both: FloatArray) -> FloatArray:
 def _log_density(
     delta: FloatArray, one: FloatArray, other: FloatArray, motion: FloatArray, tuning: Tuning
 ) -> FloatArray:
-    """(n, K, K) ln p(δ) for every pair of factors."""
+    """(n, K, K) ln p(δ), up to a constant, for each pair of factors; one, other : (n, 2, 2) R_a and R_b."""
     sq = np.array(tuning.error_factors) ** 2
     xx, xy, yy = (
         sq[:, None] * one[:, v, w, None, None] + sq * other[:, v, w, None, None] + motion[:, v, w, None, None]
@@ -447,6 +448,6 @@ def _log_density(
     det = np.maximum(xx * yy - xy**2, LEAST_M2**2)
     x, y = delta[:, 0, None, None], delta[:, 1, None, None]
     chi_sq = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / det
-    far = tuning.factor_outlier**2
-    usual, outlier = -0.5 * chi_sq, -0.5 * chi_sq / far - np.log(far * (1.0 / tuning.factor_outliers - 1.0))
-    return np.asarray(np.logaddexp(usual, outlier) - 0.5 * np.log(det))
+    inflated = tuning.factor_outlier**2
+    inlier, outlier = -0.5 * chi_sq, -0.5 * chi_sq / inflated - np.log(inflated * (1.0 / tuning.factor_outliers - 1.0))
+    return np.asarray(np.logaddexp(inlier, outlier) - 0.5 * np.log(det))

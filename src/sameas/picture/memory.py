@@ -1,34 +1,35 @@
-"""Memory: the evidence of past scans that two named tracks are one object, beside that of the instant.
+"""Memory: the evidence of previous scans that two named tracks are one object.
 
-Two tracks that were together for ten minutes do not part because noise brings another nearer for one turn of the
-antenna. :class:`Past` goes from instant to instant; :meth:`Past.rule` is a rule for
+Two tracks that agreed for ten minutes are not separated because noise brings another track nearer for one antenna
+rotation. :class:`Past` is updated from instant to instant; :meth:`Past.rule` is a rule for
 :func:`sameas.many.identify_many`, to be added to those of the instant:
 
-    past = past.on(scan)
+    past = past.advance(scan)
     found = identify_many(now.sources, rule=now.rule() + now.identity() + past.rule(), region=now.region)
     past = past.with_pairs(found.pooled)
 
-Its logarithm is that of all reports (:mod:`sameas.picture.track_pairs`) less that of the two positions of the instant,
-so the sum of both counts every report once. It stays between −2b and b = ln((1−ε)/ε), with ε the probability that a
-report is of another object than its id says: ids are reused, and swapped where two targets cross. So a wrong picture
-corrects itself. What sensors state of errors that last is judged by the mean offsets of pairs that are surely one
-object (:meth:`sameas.picture.track_pairs.TrackPairs.with_offsets`). Records without an id have no past, and tracks that
-are not reported any more are forgotten.
+Its log-likelihood ratio is that of all reports (:mod:`sameas.picture.track_pairs`) minus that of the two positions of
+the instant, so the sum counts each report once. It is bounded by −2b and b = ln((1−ε)/ε), with ε the probability that a
+report is of another object than that of its id (ids are reused, and swapped where two targets cross), so that a wrong
+picture corrects itself. The stated lasting errors are checked against the mean offsets of pairs that are surely one
+object (:meth:`sameas.picture.track_pairs.TrackPairs.with_offsets`). Records without an id have no memory; that of a
+track ends with its reports.
 
-Track existence is the probability that a named track is of a real object, by its duration (:class:`TrackExistence`).
-False echoes make tracks too: a tracker that has seen the same patch of sea four times in a row gives it a number. They
-end soon, and tracks of real objects continue until the object is lost. The durations of a source's tracks are
-exponential with two means, T₀ of false and T₁ of real tracks; the real ones are a share w of those that begin (and
-another share of those that were there at the source's first scan). For a track that continues after a duration ℓ,
+Track existence (:class:`TrackExistence`) is the probability that a named track is of a real object, by its duration.
+False echoes start tracks too: a tracker that detects the same patch of sea four times in a row gives it a number. Such
+tracks end soon; tracks of real objects continue until the object is lost. The durations of a source's tracks are a
+mixture of two exponentials with means T₀ of false and T₁ of real tracks. The share of real tracks is w among those that
+begin later than the source's first scan, and another among those present at it. For a track that continues after a
+duration ℓ,
 
     ln P(real) / P(false) = ln w / (1 − w) + ℓ (1/T₀ − 1/T₁).
 
-That is Wald's sequential test: if durations are such, at most 1 − p of the tracks that it confirms at a probability p
-are false. The numbers are estimated per source by EM from all its tracks so far: tracks that continue are censored,
-those that another source has shown to be real are labelled. Before there are any, T₀ is ``false_scans`` scans with a
-weight of ``false_weight`` tracks (:class:`sameas.picture.tuning.Tuning`).
+This is Wald's sequential test: under the model, at most a share 1 − p of the tracks that it confirms at probability p
+are false. The parameters are estimated per source by EM from all its tracks: continuing tracks are censored, tracks
+that another source confirms as real are labelled. The prior of T₀ is ``false_scans`` scans with the weight of
+``false_weight`` tracks (:class:`sameas.picture.tuning.Tuning`).
 
-Source: Wald 1947, section 3; mixtures of lives with censoring as in McLachlan and Peel 2000, section 10.
+Source: Wald 1947, section 3; lifetime mixtures with censoring as in McLachlan and Peel 2000, section 10.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MOST_PAIRS, ErrorFactors, evenly
-from sameas.picture.named import NamedTracks
+from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan, objects_per_m2
 from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs, keys, with_manoeuvres
@@ -57,65 +58,72 @@ from sameas.representation import in_short
 
 
 @dataclass(frozen=True)
-class Mixture(ColumnTable):
-    """Per source (s,): T₀ and T₁ in seconds, and T₀ before any track ended; share : (s, 2) of the real among the
-    tracks that were there first, and among those that began later."""
+class DurationMixture(ColumnTable):
+    """The duration model of each source, (s,) each.
+
+    false_s, real_s : T₀ and T₁. share : (s, 2) of real tracks among those present at the first scan, and among those
+    that began later. prior_false_s : prior T₀.
+    """
 
     false_s: FloatArray = field(default_factory=lambda: np.empty(0))
     real_s: FloatArray = field(default_factory=lambda: np.empty(0))
     share: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    before_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    prior_false_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
-    def with_sources(self, period_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> Mixture:
-        """The same and new sources with these periods (k,)."""
-        before, n, prior = tuning.false_scans * period_s, len(period_s), np.array(tuning.prior_tracks)
-        share = np.tile(prior[0] / prior.sum(axis=0), (n, 1))
-        return self.stacked(Mixture(before, np.maximum(tuning.real_s, 10.0 * before), share, before))
+    def with_sources(self, period_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> DurationMixture:
+        """The model with new sources, (k,) with these scan periods, at their prior."""
+        false_s, n, tracks = tuning.false_scans * period_s, len(period_s), np.array(tuning.prior_tracks)
+        share = np.tile(tracks[0] / tracks.sum(axis=0), (n, 1))
+        return self.stacked(DurationMixture(false_s, np.maximum(tuning.real_s, 10.0 * false_s), share, false_s))
 
-    def log_odds(self, source: IntArray, began_later: BoolArray, life_s: FloatArray, ended: BoolArray) -> FloatArray:
-        """(n,) ln of the odds that tracks are real."""
+    def log_odds(
+        self, source: IntArray, began_later: BoolArray, duration_s: FloatArray, ended: BoolArray
+    ) -> FloatArray:
+        """(n,) log-odds that tracks are real."""
         rate_0, rate_1 = 1.0 / self.false_s[source], 1.0 / self.real_s[source]
         share = self.share[source, began_later.astype(np.int64)]
-        at_end = np.where(ended, np.log(rate_1 / rate_0), 0.0)
-        return np.asarray(np.log(share) - np.log1p(-share) + at_end + life_s * (rate_0 - rate_1))
+        log_end = np.where(ended, np.log(rate_1 / rate_0), 0.0)
+        return np.asarray(np.log(share) - np.log1p(-share) + log_end + duration_s * (rate_0 - rate_1))
 
     def fitted(
         self,
         source: IntArray,
         began_later: BoolArray,
-        life_s: FloatArray,
+        duration_s: FloatArray,
         ended: BoolArray,
         is_real: BoolArray,
         tuning: Tuning = DEFAULT_TUNING,
-    ) -> Mixture:
-        """One step of EM on tracks (n,); ``is_real``: those that another source has shown to be real."""
-        p_real = np.where(is_real, 1.0, expit(self.log_odds(source, began_later, life_s, ended)))
+    ) -> DurationMixture:
+        """The model after one EM iteration on tracks (n,); is_real : tracks that another source confirms as real."""
+        p_real = np.where(is_real, 1.0, expit(self.log_odds(source, began_later, duration_s, ended)))
 
         def sums(weight: FloatArray) -> FloatArray:
             return np.asarray(np.bincount(source, weight, len(self.false_s)), np.float64)
 
-        dead_0, dead_1 = sums((1.0 - p_real) * ended), sums(p_real * ended)
-        false_s = (sums((1.0 - p_real) * life_s) + tuning.false_weight * self.before_s) / (dead_0 + tuning.false_weight)
-        real_s = (sums(p_real * life_s) + tuning.real_weight * tuning.real_s) / (dead_1 + tuning.real_weight)
-        # The tracks that others have shown to be real do not count for the share of real ones among the rest.
-        undecided = [~is_real & (began_later == which) for which in (False, True)]
+        ended_0, ended_1 = sums((1.0 - p_real) * ended), sums(p_real * ended)
+        prior_weight = tuning.false_weight
+        false_s = (sums((1.0 - p_real) * duration_s) + prior_weight * self.prior_false_s) / (ended_0 + prior_weight)
+        real_s = (sums(p_real * duration_s) + tuning.real_weight * tuning.real_s) / (ended_1 + tuning.real_weight)
+        # Labelled tracks are excluded: they are all real and would bias the share of the others.
+        unlabelled = [~is_real & (began_later == later) for later in (False, True)]
         counts = np.array(tuning.prior_tracks)[:, :, None] + [
-            [sums(weight * some) for some in undecided] for weight in (p_real, 1.0 - p_real)
+            [sums(weight * which) for which in unlabelled] for weight in (p_real, 1.0 - p_real)
         ]
         share = (counts[0] / counts.sum(axis=0)).T
-        # Real tracks last longer: without that bound the two kinds could swap.
-        return Mixture(false_s, np.maximum(real_s, 2.0 * false_s), share, self.before_s)
+        # Without T₁ ≥ 2 T₀ the two components could exchange their roles.
+        return DurationMixture(false_s, np.maximum(real_s, 2.0 * false_s), share, self.prior_false_s)
 
 
 @dataclass(frozen=True)
 class TrackExistence(ColumnTable):
     """The durations of named tracks, (k,) each, by ascending number.
 
-    number, source : of the track, and the place of its source in ``NamedTracks.error_correlation.names``.
+    number, source : of the track, and the index of its source in ``NamedTracks.error_correlation.names``.
     began_later : whether it began after the source's first scan.
-    first_s, last_s : times of its first and its last report. last_scan_s : when it was last in a scan.
-    life_after_s : mean time that it may have continued after its last report.
-    is_real : whether another source has shown it to be real.
+    first_s, last_s : times of its first and last report. last_scan_s : instant of the last scan with the track.
+    after_s : mean time for which an ended track may have continued after its last report; 0 for the others.
+    is_real : whether another source confirms it as real.
+    mixture : the duration model of all sources.
     """
 
     WHOLE = frozenset({"mixture"})
@@ -125,15 +133,15 @@ class TrackExistence(ColumnTable):
     first_s: FloatArray = field(default_factory=lambda: np.empty(0))
     last_s: FloatArray = field(default_factory=lambda: np.empty(0))
     last_scan_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    life_after_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    after_s: FloatArray = field(default_factory=lambda: np.empty(0))
     is_real: BoolArray = field(default_factory=lambda: np.empty(0, bool))
-    mixture: Mixture = field(default_factory=Mixture)
+    mixture: DurationMixture = field(default_factory=DurationMixture)
 
     def __len__(self) -> int:
         return len(self.number)
 
-    def on(self, tracks: NamedTracks) -> TrackExistence:
-        """After the instant of these tracks."""
+    def advance(self, tracks: NamedTracks) -> TrackExistence:
+        """The durations and the model after the scan of ``tracks``."""
         assert tracks.scan is not None
         scan, now_s = tracks.scan, tracks.instant_s
         time_s = scan.time_s[tracks.place]
@@ -152,45 +160,43 @@ class TrackExistence(ColumnTable):
             tracks.number, tracks.source, began_later, first_s, last_s, np.full(n, now_s), np.zeros(n), is_real
         )
         ended_tracks = self._ended(np.flatnonzero(places_in(tracks.number, self.number) < 0), tracks, now_s)
-        every_track = ended_tracks.stacked(current)
-        tracks_now = replace(every_track.take(np.argsort(every_track.number)), mixture=self._mixture(tracks))
-        life_s, ended = tracks_now.last_s - tracks_now.first_s + tracks_now.life_after_s, tracks_now.last_scan_s < now_s
-        mixture = tracks_now.mixture
+        out = ended_tracks.stacked(current)
+        out = replace(out.take(np.argsort(out.number)), mixture=self._mixture(tracks))
+        duration_s, ended = out.last_s - out.first_s + out.after_s, out.last_scan_s < now_s
+        mixture = out.mixture
         for _ in range(scan.tuning.em_steps):
-            mixture = mixture.fitted(
-                tracks_now.source, tracks_now.began_later, life_s, ended, tracks_now.is_real, scan.tuning
-            )
-        return replace(tracks_now, mixture=mixture)
+            mixture = mixture.fitted(out.source, out.began_later, duration_s, ended, out.is_real, scan.tuning)
+        return replace(out, mixture=mixture)
 
     def with_real(self, number: IntArray) -> TrackExistence:
-        """The same, with tracks that another source has shown to be real."""
+        """The same, with tracks that another source confirms as real; number : theirs."""
         return replace(self, is_real=self.is_real | np.isin(self.number, number))
 
     def log_odds(self, number: IntArray) -> tuple[FloatArray, FloatArray]:
-        """ln of the odds that tracks are real when they began, and the gain by their duration since.
+        """The log-odds that tracks are real at their begin, and the gain by their duration since.
 
         number : of tracks, any shape. −∞ and 0 for −1.
         """
-        at, living = places_in(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
-        begun = self.mixture.log_odds(self.source, self.began_later, np.zeros(len(self)), living)
-        now = self.mixture.log_odds(self.source, self.began_later, self.last_s - self.first_s, living)
-        return np.append(begun, -math.inf)[at], np.append(now - begun, 0.0)[at]
+        at, ended = places_in(self.number, number.ravel()).reshape(number.shape), np.zeros(len(self), bool)
+        initial = self.mixture.log_odds(self.source, self.began_later, np.zeros(len(self)), ended)
+        now = self.mixture.log_odds(self.source, self.began_later, self.last_s - self.first_s, ended)
+        return np.append(initial, -math.inf)[at], np.append(now - initial, 0.0)[at]
 
     def _ended(self, which: IntArray, tracks: NamedTracks, now_s: float) -> TrackExistence:
-        """The tracks that are not in the scan, without those whose id has timed out."""
+        """The tracks ``which``, not in the scan, without those whose id has timed out."""
         assert tracks.scan is not None
         tuning = tracks.scan.tuning
         which = which[now_s - self.last_scan_s[which] <= tuning.id_timeout_s]
-        just_ended = np.flatnonzero(self.life_after_s[which] == 0.0)
-        life_after_s = self.life_after_s[which].copy()
-        # It ended between its last report and the next scan, or now less the track timeout.
+        just_ended = np.flatnonzero(self.after_s[which] == 0.0)
+        after_s = self.after_s[which].copy()
+        # The track ended between its last report and the later of the next scan and now minus the track timeout.
         timeout_s = _timeouts(tracks)[self.source[which[just_ended]]]
-        period_s = self.mixture.before_s[self.source[which[just_ended]]] / tuning.false_scans
-        life_after_s[just_ended] = 0.5 * np.maximum(now_s - timeout_s - self.last_s[which[just_ended]], period_s)
-        return replace(self.take(which), life_after_s=life_after_s)
+        period_s = self.mixture.prior_false_s[self.source[which[just_ended]]] / tuning.false_scans
+        after_s[just_ended] = 0.5 * np.maximum(now_s - timeout_s - self.last_s[which[just_ended]], period_s)
+        return replace(self.take(which), after_s=after_s)
 
-    def _mixture(self, tracks: NamedTracks) -> Mixture:
-        """The mixture of the last instant, with the new sources."""
+    def _mixture(self, tracks: NamedTracks) -> DurationMixture:
+        """The model of the previous instant, with the new sources at their prior."""
         assert tracks.scan is not None
         new = tracks.error_correlation.names[len(self.mixture.share) :]
         periods = {d.name: d.timing.period_s or tracks.scan.tuning.period_s for d in tracks.scan.now.descriptions}
@@ -204,19 +210,19 @@ def _timeouts(tracks: NamedTracks) -> FloatArray:
     return np.array([timeout_s.get(name, math.inf) for name in tracks.error_correlation.names])
 
 
-#: Default ε: one scan in ten thousand, which a radar of 20 rotations a minute has every eight hours (chosen).
+#: Default ε: one report in ten thousand, for a radar of 20 rotations a minute once in eight hours (chosen).
 REASSIGNED = 1e-4
 
 
 @in_short
 @dataclass(frozen=True)
 class Memory(Rule):
-    """The evidence of the past on pairs of named tracks; made by :meth:`Past.rule`.
+    """The evidence of previous scans on pairs of named tracks; made by :meth:`Past.rule`.
 
     Parameters
     ----------
-    numbers : per source, by its name, the number of the track of every row of its table, −1 for rows without an id.
-    first, second : (k,) numbers of tracks, first < second, in ascending order. log_ratio : (k,) ln r of the past.
+    numbers : by source name, the track number of each row of the source's table, −1 for rows without an id.
+    first, second : (k,) numbers of tracks, first < second, in ascending order. log_ratio : (k,) their ln r.
 
     Example
     -------
@@ -253,13 +259,13 @@ class Memory(Rule):
 @in_short
 @dataclass(frozen=True)
 class Past:
-    """The memory of named tracks, and of pairs of them that the gate has let through.
+    """The memory of named tracks and of the pairs of them that passed the gate.
 
     Parameters
     ----------
-    reassigned : ε of the module. correlation_s : by name of source the correlation time of its errors, where it is not
-        to be estimated (:mod:`sameas.picture.error_factors`); 0 where the errors of all reports are independent.
-    tracks, existence, track_pairs, swaps : filled in from instant to instant.
+    reassigned : ε of the module. correlation_s : by source name, the correlation time of its errors where it is given
+        rather than estimated (:mod:`sameas.picture.error_factors`); 0 for independent errors.
+    tracks, existence, track_pairs, swaps : the state, updated from instant to instant.
     """
 
     reassigned: float = REASSIGNED
@@ -275,17 +281,17 @@ class Past:
 
     @property
     def error_factors(self) -> ErrorFactors:
-        """By how much the errors that sources state are too small."""
+        """The estimated factors on the errors that sources state."""
         return self.tracks.error_factors
 
-    def on(self, scan: Scan, track_of_record: IntArray | None = None) -> Past:
-        """The past after the scan of a later instant.
+    def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> Past:
+        """The memory after the scan of a later instant.
 
-        track_of_record : (n,) ``tracks.numbers_on(scan)``, where it is known already.
+        track_of_record : (n,) ``tracks.numbers_on(scan)``, where already known.
 
         Raises
         ------
-        InputError : the scan is of an earlier instant than the last.
+        InputError : the scan is of an instant before the previous one.
         """
         if scan.now.instant_s < self.tracks.instant_s:
             raise InputError(
@@ -293,7 +299,7 @@ class Past:
                 "give instants in the order of time"
             )
         correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s)
-        tracks, step = replace(self.tracks, error_correlation=correlation).on(scan, track_of_record)
+        tracks, step = replace(self.tracks, error_correlation=correlation).advance(scan, track_of_record)
         kind = {description.name: description.kind for description in scan.now.descriptions}
         known = len(self.swaps.log_probable)
         swaps = self.swaps.of_sources(
@@ -303,45 +309,45 @@ class Past:
             step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning
         )
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
-        existence = self.existence.on(tracks)
+        existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
     def rule(self) -> Memory:
-        """The rule of the past at the instant."""
+        """The rule of previous scans for the records of the instant."""
         scan, track_pairs, numbers = self.tracks.scan, self.track_pairs, {}
         for s, description in enumerate(() if scan is None else scan.now.descriptions):
             assert scan is not None
-            here = slice(scan.start[s], scan.start[s + 1])
-            numbers[description.name] = np.full(int(scan.table[here].max(initial=-1)) + 1, -1)
-            numbers[description.name][scan.table[here]] = self.tracks.track_of_record[here]
+            records = slice(scan.start[s], scan.start[s + 1])
+            numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, -1)
+            numbers[description.name][scan.table[records]] = self.tracks.track_of_record[records]
         return Memory(numbers, track_pairs.first, track_pairs.second, self._log_ratio())
 
     def _log_ratio(self) -> FloatArray:
-        """(k,) ln r of the pairs by the past."""
+        """(k,) ln r of the pairs, without the positions of the instant."""
         track_pairs, tracks = self.track_pairs, self.tracks
         first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
-        past = track_pairs.log_ratio + track_pairs.at_scan - track_pairs.now
+        log_ratio = track_pairs.log_ratio + track_pairs.log_reported - track_pairs.log_now
         chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
         agrees = track_pairs.chi_sq <= chi_sq
-        # Among rivals tracks may have been swapped since, and offsets are those of several objects.
+        # With an agreeing rival, ids may have been swapped: the mean offset may mix several objects.
         alone = rivals.most_other(np.where(agrees, 0.0, -np.inf)) < 0.0
-        past += np.where(alone, track_pairs.log_offset, 0.0)
-        return rivals.bounded(past, agrees, self.reassigned)
+        log_ratio += np.where(alone, track_pairs.log_offset, 0.0)
+        return rivals.bounded(log_ratio, agrees, self.reassigned)
 
     def with_real(self, track: IntArray) -> Past:
-        """The same, with tracks (any shape, −1 for none) that other sources show to be real."""
+        """The memory after other sources confirm tracks (any shape, −1 for none) as real."""
         return replace(self, existence=self.existence.with_real(track[track >= 0]))
 
     def with_manoeuvres(self, scan: Scan, track_of_record: IntArray, per_m2: float) -> Scan:
-        """A later instant's scan with larger covariances of the reports that a manoeuvre has made obsolete.
+        """The scan of a later instant with larger covariances for reports that a manoeuvre has made obsolete.
 
         track_of_record : (n,) ``tracks.numbers_on(scan)``.
         """
         return with_manoeuvres(scan, track_of_record, self.track_pairs, self._log_ratio(), per_m2)
 
     def with_pairs(self, pooled: PooledRecords) -> Past:
-        """The same with the pairs that the gate let through for the first time, which have no past yet."""
+        """The memory with the pairs that passed the gate for the first time; they have no history yet."""
         scan = self.tracks.scan
         if scan is None:
             return self
@@ -360,14 +366,16 @@ class Past:
             return self
         delta, covariance = scan.state[a, :2] - scan.state[b, :2], scan.covariance[:, :2, :2]
         lasting = self.tracks.lasting
-        fresh = TrackPairs.of(
+        new_pairs = TrackPairs.of(
             number[a], number[b], delta, (covariance[a], covariance[b]), (lasting[a], lasting[b]), scan.now.instant_s
         )
-        return replace(self, track_pairs=self.track_pairs.with_(fresh))
+        return replace(self, track_pairs=self.track_pairs.with_(new_pairs))
 
     def with_sure(self, members: IntArray, probability: FloatArray) -> Past:
-        """The same after objects of the instant, (n, S) places in the scan and their probabilities: what surely is one
-        object shows how long errors last."""
+        """The memory with error factors and correlations updated by the pairs that are surely one object.
+
+        members, probability : (n, S) records of the scan, −1 for none, and (n,) of the objects of the instant.
+        """
         tracks, scan = self.tracks, self.tracks.scan
         if scan is None or not len(members):
             return self
@@ -383,27 +391,27 @@ class Past:
         elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
         due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1))
-        # Pairs that met at one instant are due at one; those beyond some dozens wait for the next.
+        # Pairs added at one instant are due at one instant; beyond MOST_PAIRS they wait for the next.
         due = due[evenly(scan.state[places[due, 0], :2], MOST_PAIRS)]
         correlation = tracks.error_correlation
-        number_of = correlation.numbers(scan)[scan.source]
-        begin = np.isnan(elapsed)
-        begin[due] = True
-        track_pairs = self.track_pairs.anchored(at, begin, scan.now.instant_s, delta)
+        source = correlation.numbers(scan)[scan.source]
+        restart = np.isnan(elapsed)
+        restart[due] = True
+        track_pairs = self.track_pairs.anchored(at, restart, scan.now.instant_s, delta)
         a, b = places[due].T
         reported, total = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]
-        # Shares of a difference's variance that the last one of its pair has shown.
-        shown = sum(
-            (correlation.correlation(number_of[record], elapsed[due], scan.tuning) * _trace(reported[record])
+        # Correlation of a pair's difference with its previous one.
+        rho = sum(
+            (correlation.correlation(source[record], elapsed[due], scan.tuning) * _trace(reported[record])
              for record in (a, b)), np.zeros(len(a)),
         ) / _trace(total[a] + total[b])  # fmt: skip
         factors = self.error_factors.with_sure_pairs(
-            (number_of[a], number_of[b]), delta[due],
+            (source[a], source[b]), delta[due],
             tuple(reported[record] / scan.error_factor[record, None, None] ** 2 for record in (a, b)),
-            total[a] + total[b] - reported[a] - reported[b], 1.0 - shown**2, scan.tuning,
+            total[a] + total[b] - reported[a] - reported[b], 1.0 - rho**2, scan.tuning,
         )  # fmt: skip
         correlation = correlation.with_sure_pairs(
-            (number_of[a], number_of[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
+            (source[a], source[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
             (reported[a], reported[b]), total[a] + total[b], scan.tuning,
         )  # fmt: skip
         tracks = replace(tracks, error_correlation=correlation, error_factors=factors)

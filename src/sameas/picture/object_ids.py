@@ -163,7 +163,7 @@ class TrackHistory(ColumnTable):
     def __len__(self) -> int:
         return len(self.track)
 
-    def on(
+    def advance(
         self,
         instant_s: float,
         track: IntArray,
@@ -302,7 +302,7 @@ class NamedObjects(PictureObjects):
     speed_m_per_s: FloatArray = field(default_factory=lambda: np.empty(0))
     history: TrackHistory = field(default_factory=TrackHistory)
 
-    def on(
+    def advance(
         self,
         instant_s: float,
         detections: Detections,
@@ -448,7 +448,7 @@ class NamedObjects(PictureObjects):
         """The same with the objects that the tracks of the instant are of."""
         has_track = detections.tracks >= 0
         number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
-        after = before.history.on(
+        after = before.history.advance(
             self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive
         )
         return replace(self, history=after)

@@ -1,24 +1,27 @@
-"""Track pairs: two named tracks, and the evidence of their reports that they are one object.
+"""Track pairs: the likelihood ratio, from all their reports, that two named tracks are one object.
 
-Every new report of track a or b adds ln p(report | one object) − ln p(report | two objects), each given all reports
-before it. If they are one, their positions differ by their errors alone, δ = x_a − x_b = e_a − e_b; errors develop from
-report to report as in :mod:`sameas.picture.named`, so what a residual adds is what it is not by the residuals before
-it. If they are two, either each goes its own way, and a report is predicted by its own track; or they are in convoy,
-moored side by side or one behind the other, at a distance d that stays: δ = e_a − e_b + d. Then their motion tells
-nothing, and all that tells them from one object is how near 0 the reports show d to be. Both are weighed by the
-reports. Between reports nothing is added: a repeated report is no evidence.
+Each new report of track a or b adds ln p(report | one object) − ln p(report | two objects), each given all previous
+reports. A repeated report adds nothing. The hypotheses:
 
-Trackers swap near objects: after a report the ids of two tracks of a source that are χ² apart by their own positions
-have been exchanged with the probability h e^(−χ²/8), and with ε whatever their distance. A pair whose past is then
-that of its best rival begins anew, so its state is a mixture of its own and one without a past. h is estimated for
-every source (:class:`SwapRates`) by how probable the next reports are with and without a swap.
+- One object: the positions differ only by their errors, δ = x_a − x_b = e_a − e_b. The errors evolve from report to
+  report as in :mod:`sameas.picture.named_tracks`, so a residual counts only as far as previous residuals do not
+  predict it.
+- Two objects that move independently: each report is predicted by its own track.
+- Two objects in convoy, moored side by side or one behind the other, at a constant offset d: δ = e_a − e_b + d. Their
+  motion is the same; only an estimate of d different from 0 separates this hypothesis from one object.
 
-The state of a pair is the mean and covariance of (e_a, z_a, z_b) if they are one object, z what lasts of the errors,
-and of (e_a, z_a, z_b, d) in convoy.
+The reports also weight the last two hypotheses against each other.
 
-Pairs that have gone far apart are no longer compared (:class:`PartedPairs`): the positions of the instant tell them
-apart, and further reports tell nothing new. What their reports have told until then is kept for as long as they might
-meet again.
+Id swaps: after a report, two tracks of one source at distance χ² have exchanged their ids with probability
+h e^(−χ²/8), and with probability ε at any distance. A pair then has the history of its best rival and its errors are
+unknown, so its state is a mixture of its own and of a pair without history. h is estimated per source
+(:class:`SwapRates`) from the probabilities of the next reports with and without a swap.
+
+The state of a pair is the mean and covariance of (e_a, z_a, z_b) for one object, z the constant part of the errors, and
+of (e_a, z_a, z_b, d) for a convoy.
+
+Pairs that are far apart are no longer compared (:class:`DistantPairs`): their present positions rule out one object,
+and further reports add no information. Their ln r is kept while they may come near each other again.
 
 Source: METHOD 3.
 """
@@ -37,7 +40,7 @@ from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, 
 from sameas.kernels.kalman import best_others, swap_evidence
 from sameas.kernels.track_pairs import WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_factors import LEAST_M2, ErrorCorrelation
-from sameas.picture.named import Step
+from sameas.picture.named_tracks import Step
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
@@ -46,89 +49,91 @@ from sameas.tracks.kinds import KINDS
 
 
 def keys(first: IntArray, second: IntArray) -> IntArray:
-    """(k,) one number a pair, ascending as their tracks are."""
+    """(k,) one sort key per pair: ordered by the first track, then by the second."""
     return (first << 32) | second
 
 
 @dataclass(frozen=True)
-class PartedPairs(ColumnTable):
-    """Pairs of tracks that have gone far apart, (k,) each, by ascending numbers of their tracks.
+class DistantPairs(ColumnTable):
+    """Pairs of tracks that are far apart, (k,) each, ordered by :func:`keys`.
 
-    first, second : numbers of the tracks, first < second. log_ratio : ln r of their reports until then. near_s : when
-    their positions agreed last.
+    first, second : numbers of the tracks, first < second. log_ratio : ln r of their reports before they separated.
+    agreed_s : last time at which their positions agreed.
     """
 
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     second: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
-    near_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    agreed_s: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.first)
 
-    def on(self, step: Step, parting: PartedPairs, tuning: Tuning) -> PartedPairs:
-        """At an instant: with those that part now, without those whose tracks have gone or that parted long ago."""
-        every = self.stacked(parting) if len(parting) else self
-        if not len(every):
+    def advance(self, step: Step, new: DistantPairs, tuning: Tuning) -> DistantPairs:
+        """The pairs after a step: with ``new`` ones, without those whose tracks ended or that have timed out."""
+        pairs = self.stacked(new) if len(new) else self
+        if not len(pairs):
             return self
-        here = (step.find(every.first) >= 0) & (step.find(every.second) >= 0)
-        every = every.take(np.flatnonzero(here & (step.instant_s - every.near_s <= tuning.pair_timeout_s)))
-        return every.take(np.argsort(keys(every.first, every.second))) if len(parting) else every
+        continues = (step.find(pairs.first) >= 0) & (step.find(pairs.second) >= 0)
+        pairs = pairs.take(np.flatnonzero(continues & (step.instant_s - pairs.agreed_s <= tuning.pair_timeout_s)))
+        return pairs.take(np.argsort(keys(pairs.first, pairs.second))) if len(new) else pairs
 
-    def met(self, first: IntArray, second: IntArray) -> tuple[FloatArray, PartedPairs]:
-        """(k,) ln r of pairs that meet now, 0 for those that never parted, and the other parted pairs."""
+    def without(self, first: IntArray, second: IntArray) -> tuple[FloatArray, DistantPairs]:
+        """(k,) the ln r of the given pairs, 0 for pairs that are not in the table; and the table without them."""
         at = places_in(keys(self.first, self.second), keys(first, second))
-        left = np.ones(len(self), bool)
-        left[at[at >= 0]] = False
-        return np.append(self.log_ratio, 0.0)[at], self if left.all() else self.take(np.flatnonzero(left))
+        remains = np.ones(len(self), bool)
+        remains[at[at >= 0]] = False
+        return np.append(self.log_ratio, 0.0)[at], self if remains.all() else self.take(np.flatnonzero(remains))
 
 
 @dataclass(frozen=True)
 class TrackPairs(ColumnTable):
-    """Pairs of tracks at an instant, (k,) each, by ascending numbers of their tracks.
+    """Pairs of tracks at an instant, (k,) each, ordered by :func:`keys`.
 
     Attributes
     ----------
     first, second : numbers of the tracks, first < second.
-    errors, met : (n, WIDTH), (m, WIDTH) mean and covariance of (e_a, z_a, z_b) if they are one object, and of
-        (e_a, z_a, z_b, d) if they are in convoy, as :mod:`sameas.kernels.track_pairs` has them: of those that have gone
-        through a step, and of those that have met since. row : where each pair stands in both, one below the other.
-    log_convoy : log-odds that two objects, if they are two, are in convoy.
+    errors, new_errors : (n, WIDTH), (m, WIDTH) mean and covariance of (e_a, z_a, z_b) for one object and of
+        (e_a, z_a, z_b, d) for a convoy, in the layout of :mod:`sameas.kernels.track_pairs`: of the pairs of the last
+        step, and of the pairs added since. row : row of each pair in the two tables stacked.
+    log_convoy : log-odds of convoy against independent motion, given two objects.
     log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`.
-    at_scan : ln N(δ; 0, P_a + P_b) at the last report of either. now : the same at the instant. chi_sq : its χ².
-    anchor_s, anchor : (k,), (k, 2) when they were surely one object, and δ then; NaN before. anchor_new : (k, 2)
-        whether each track has a new report since. sure : whether they surely are one object.
-    offset, offsets : (k, 2), (k,) mean of δ at times ``lasting_s`` apart, and how many; offset_s : the last of them.
-    offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : (k,) its χ² by stated
-        errors, and what it adds to ln r; see :meth:`with_offsets`.
-    near_s : when their positions agreed last. Pairs of which that is long ago are forgotten: whoever passes another
-        once would else be compared with it for ever.
-    parted : the pairs that have gone far apart.
+    log_reported : ln N(δ; 0, P_a + P_b) at the last report of either track. log_now : the same at the instant.
+    chi_sq : χ² of δ at the instant.
+    anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
+        before.
+    anchor_new : (k, 2) whether each track has a new report since. sure : whether the pair is surely one object.
+    offset, n_offsets : (k, 2), (k,) mean and number of values of δ taken at least ``lasting_s`` apart. offset_s : time
+        of the last one. offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : χ²
+        of the mean by the stated errors, and its contribution to ln r; see :meth:`with_offsets`.
+    agreed_s : last time at which the positions agreed. Pairs are dropped ``pair_timeout_s`` later: else two objects
+        that pass once would be compared for ever.
+    distant : the pairs that are too far apart to be compared.
     """
 
-    WHOLE = frozenset({"errors", "met", "parted"})
+    WHOLE = frozenset({"errors", "new_errors", "distant"})
     first: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     second: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     row: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     log_convoy: FloatArray = field(default_factory=lambda: np.empty(0))
     log_ratio: FloatArray = field(default_factory=lambda: np.empty(0))
-    at_scan: FloatArray = field(default_factory=lambda: np.empty(0))
-    now: FloatArray = field(default_factory=lambda: np.empty(0))
+    log_reported: FloatArray = field(default_factory=lambda: np.empty(0))
+    log_now: FloatArray = field(default_factory=lambda: np.empty(0))
     chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     anchor_s: FloatArray = field(default_factory=lambda: np.empty(0))
     anchor: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     anchor_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
     sure: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     offset: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    offsets: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    n_offsets: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     offset_s: FloatArray = field(default_factory=lambda: np.empty(0))
     offset_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
     offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
-    near_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    agreed_s: FloatArray = field(default_factory=lambda: np.empty(0))
     errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
-    met: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
-    parted: PartedPairs = field(default_factory=PartedPairs)
+    new_errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
+    distant: DistantPairs = field(default_factory=DistantPairs)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -143,126 +148,134 @@ class TrackPairs(ColumnTable):
         lasting: tuple[FloatArray, FloatArray],
         instant_s: float,
     ) -> TrackPairs:
-        """Pairs that meet now: δ (k, 2), covariances P_a, P_b and roots B_a, B_b (k, 2, 2). They have no past."""
-        errors, total = _without_past(delta, covariances, lasting), covariances[0] + covariances[1]
-        density, chi_sq = _density_and_distance(delta, total)
-        never, none = np.full(len(first), np.nan), np.zeros(len(first))
+        """New pairs, without history: δ (k, 2), covariances P_a, P_b and roots B_a, B_b, (k, 2, 2) each."""
+        errors, total = _without_history(delta, covariances, lasting), covariances[0] + covariances[1]
+        log_n, chi_sq = _log_density_and_chi_sq(delta, total)
+        k = len(first)
+        zero = np.zeros(k)
         return cls(
-            first, second, np.arange(len(first)), none, none, density, density, chi_sq,
-            never, np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(len(first), bool),
-            np.zeros_like(delta), np.zeros(len(first), np.int64), np.full(len(first), -np.inf),
-            np.ones(delta.shape, bool), none, none, np.full(len(first), instant_s), errors,
+            first, second, np.arange(k), zero, zero, log_n, log_n, chi_sq,
+            np.full(k, np.nan), np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(k, bool),
+            np.zeros_like(delta), np.zeros(k, np.int64), np.full(k, -np.inf),
+            np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s), errors,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
-        """(k,) whether pairs are among these."""
+        """(k,) whether each of the given pairs is in the table."""
         return np.asarray(places_in(keys(self.first, self.second), keys(first, second)) >= 0)
 
     def with_(self, others: TrackPairs) -> TrackPairs:
-        """These and others that meet now, in order; of those that have parted before, what was known then counts."""
+        """The table with new pairs; pairs that were distant before have the ln r of then."""
         if not len(others):
             return self
-        log_ratio, parted = self.parted.met(others.first, others.second)
+        log_ratio, distant = self.distant.without(others.first, others.second)
         others = replace(others, log_ratio=others.log_ratio + log_ratio)
-        met = np.concatenate([self.met, others.errors, others.met])
-        both = self.stacked(replace(others, row=len(self.errors) + len(self.met) + others.row))
-        return replace(both.take(np.argsort(keys(both.first, both.second), kind="stable")), met=met, parted=parted)
+        new_errors = np.concatenate([self.new_errors, others.errors, others.new_errors])
+        both = self.stacked(replace(others, row=len(self.errors) + len(self.new_errors) + others.row))
+        both = both.take(np.argsort(keys(both.first, both.second), kind="stable"))
+        return replace(both, new_errors=new_errors, distant=distant)
 
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
     ) -> tuple[TrackPairs, SwapRates]:
-        """The pairs whose tracks are both in the step, after it, and what it shows of swaps.
+        """The pairs after a step, if both tracks are in it, and the updated swap rates.
 
-        ``now`` is subtracted from the evidence of all reports, so that both can be added. A report may be of another
-        object than its id says, with probability ε = ``reassigned``: x ← ln[(1−ε) eˣ + ε e^(best)], best that of the
-        best rival, or of an id that goes to any other object: ln of how probable an object anywhere (``per_m2``) makes
-        the report, by the track's own reports 1. Two tracks that keep apart are not one again for that reason.
+        ln r leaves out the present positions (``log_now`` is subtracted), so that the evidence of the instant can be
+        added. With probability ε = ``reassigned`` a report is of another object than that of its id:
+        x ← ln[(1−ε) eˣ + ε e^(best)]. best is the larger of two: ln r of the best rival, and the case that the id went
+        to any other object, ln of the probability of the report of an object anywhere (``per_m2``) relative to that by
+        the track's own reports. The second case cannot join two tracks that stay apart.
         """
         a, b = step.find(self.first), step.find(self.second)
-        unlike_s = step.instant_s - self.near_s
-        recent, far = unlike_s <= tuning.pair_timeout_s, self.chi_sq > tuning.parted_chi_sq
-        far &= unlike_s > tuning.parted_s
-        rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~far)
+        disagree_s = step.instant_s - self.agreed_s
+        recent, distant = disagree_s <= tuning.pair_timeout_s, self.chi_sq > tuning.parted_chi_sq
+        distant &= disagree_s > tuning.parted_s
+        rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~distant)
         a, b = a[rows], b[rows]
         updated, log_two = self._updated(step, rows, a, b, tuning)
-        parting = PartedPairs(self.first[far], self.second[far], self.log_ratio[far], self.near_s[far])
-        updated = replace(updated, parted=self.parted.on(step, parting, tuning))
+        newly_distant = DistantPairs(
+            self.first[distant], self.second[distant], self.log_ratio[distant], self.agreed_s[distant]
+        )
+        updated = replace(updated, distant=self.distant.advance(step, newly_distant, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
-        weight = self.log_ratio[rows] + self.at_scan[rows]
-        log_before, log_swapped, near = _swapped(self.log_ratio[rows], weight, log_two, step, (a, b), rivals, tuning)
+        log_weight = self.log_ratio[rows] + self.log_reported[rows]
+        log_rival, log_swapped, p_swap = _swap_hypotheses(
+            self.log_ratio[rows], log_weight, log_two, step, (a, b), rivals, tuning
+        )
         rate = np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)])
         for side, track in ((0, b), (1, a)):
-            weights = updated.log_ratio + updated.now, log_swapped[:, side] + updated.now
-            swaps = swaps.updated(rivals.sides[side], step.source[track], *weights, near[:, side], tuning)
-        # More than one may pass between two instants, and among more than two tracks.
-        swapped = log_before, np.minimum(tuning.swap_caution * rate, max(tuning.swap_rates)) * near
-        return updated._leaked(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
+            log_weights = updated.log_ratio + updated.log_now, log_swapped[:, side] + updated.log_now
+            swaps = swaps.updated(rivals.sides[side], step.source[track], *log_weights, p_swap[:, side], tuning)
+        # The factor allows for several swaps between two instants, and for swaps among more than two tracks.
+        swapped = log_rival, np.minimum(tuning.swap_caution * rate, max(tuning.swap_rates)) * p_swap
+        return updated._with_id_changes(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
 
     def _updated(
         self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning
     ) -> tuple[TrackPairs, FloatArray]:
-        """The pairs ``rows`` after the motion of their tracks, places a and b in the step, and after its new reports:
-        those of the first track, then of the second; and (k,) ln p of these if they are two objects."""
+        """The pairs ``rows``, whose tracks are rows a and b of the step, after the motion of the tracks and their new
+        reports, first those of track a, then those of b; and (k,) ln p of the reports given two objects."""
         k = len(rows)
-        errors, log_reports, now, chi_sq = np.empty((k, WIDTH)), np.empty((k, 2)), np.empty(k), np.empty(k)
+        errors, log_reports, log_now, chi_sq = np.empty((k, WIDTH)), np.empty((k, 2)), np.empty(k), np.empty(k)
         pairs_stepped(
-            self.errors, self.met, self.row[rows], a, b, step.last, step.moved, step.drift, step.slope, step.noise,
-            step.shift, step.new_report, step.covariance, LEAST_M2, errors, log_reports, now, chi_sq,
+            self.errors, self.new_errors, self.row[rows], a, b, step.last, step.moved, step.drift, step.slope,
+            step.noise, step.shift, step.new_report, step.covariance, LEAST_M2, errors, log_reports, log_now, chi_sq,
         )  # fmt: skip
-        # ln p of the reports if they are one object, in convoy, or each on its own way.
-        log_one, log_together = log_reports.T
-        log_apart, log_convoy = step.log_own[a] + step.log_own[b], self.log_convoy[rows]
-        log_two = np.logaddexp(log_together + log_convoy, log_apart) - np.logaddexp(log_convoy, 0.0)
+        log_one, log_in_convoy = log_reports.T
+        log_independent, log_convoy = step.log_own[a] + step.log_own[b], self.log_convoy[rows]
+        log_two = np.logaddexp(log_in_convoy + log_convoy, log_independent) - np.logaddexp(log_convoy, 0.0)
         gain, bound = log_one - log_two, tuning.convoy_log_odds
         is_new = np.column_stack([step.new_report[a], step.new_report[b]])
         new_report = is_new.any(axis=1)
-        before, at_scan = self.log_ratio[rows], self.at_scan[rows]
+        log_ratio, log_reported = self.log_ratio[rows], self.log_reported[rows]
         return TrackPairs(
             self.first[rows], self.second[rows], np.arange(k),
-            np.clip(log_convoy + log_together - log_apart, -bound, bound),
-            np.where(new_report, before + at_scan + gain - now, before), np.where(new_report, now, at_scan), now,
+            np.clip(log_convoy + log_in_convoy - log_independent, -bound, bound),
+            np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
+            np.where(new_report, log_now, log_reported), log_now,
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
-            self.offset[rows], self.offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
+            self.offset[rows], self.n_offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
-            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.near_s[rows]), errors,
+            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]), errors,
         ), log_two  # fmt: skip
 
-    def _leaked(
+    def _with_id_changes(
         self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
         swapped: tuple[FloatArray, FloatArray], log_density_anywhere: float, tuning: Tuning,
     ) -> TrackPairs:  # fmt: skip
-        """After reports that may be of another object than their ids say; swapped : ln r before and the probability of
-        a swap, (k, 2) each. The states are changed in place."""
+        """The pairs, allowing that new reports are of other objects than those of their ids.
+
+        swapped : (k, 2) each, ln r of the rivals before the step, and the probability of a swap with them. The states
+        are changed in place.
+        """
         new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
         agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
         best_rival = rivals.most_other(np.where(agrees, self.log_ratio, -np.inf))
         best = np.maximum(best_rival, step.log_elsewhere(tracks, log_density_anywhere))
-        log_stays = np.log1p(-reassigned - swapped[1].sum(axis=1)) + self.log_ratio
-        # ln r is bounded, and so are its exponentials.
-        log_changes = np.log(reassigned * np.exp(best) + (np.exp(swapped[0]) * swapped[1]).sum(axis=1))
-        leaked = rivals.bounded(np.logaddexp(log_stays, log_changes), agrees, reassigned)
-        anew = np.where(new_report, expit(log_changes - log_stays), 0.0)
-        at = np.flatnonzero(anew > 1e-3)
+        log_same = np.log1p(-reassigned - swapped[1].sum(axis=1)) + self.log_ratio
+        # ln r is bounded, so its exponential cannot overflow.
+        log_changed = np.log(reassigned * np.exp(best) + (np.exp(swapped[0]) * swapped[1]).sum(axis=1))
+        log_ratio = rivals.bounded(np.logaddexp(log_same, log_changed), agrees, reassigned)
+        p_changed = np.where(new_report, expit(log_changed - log_same), 0.0)
+        at = np.flatnonzero(p_changed > 1e-3)
         a, b = (track[at] for track in tracks)
-        # The share of states without a past: the mean and covariance of the mixture.
-        fresh = _without_past(
+        without_history = _without_history(
             step.here[a] - step.here[b], (step.covariance[a], step.covariance[b]), (step.lasting[a], step.lasting[b])
         )
-        mix(self.errors, at, anew[at], fresh)
-        self.log_convoy[at] *= 1.0 - anew[at]
-        # Offsets of another object are no longer theirs.
-        other = anew > tuning.offset_anew
-        self.offsets[other], self.offset[other], self.log_offset[other] = 0, 0.0, 0.0
-        return replace(self, log_ratio=np.where(new_report, leaked, self.log_ratio))
+        mix(self.errors, at, p_changed[at], without_history)
+        self.log_convoy[at] *= 1.0 - p_changed[at]
+        restart = p_changed > tuning.offset_anew
+        self.n_offsets[restart], self.offset[restart], self.log_offset[restart] = 0, 0.0, 0.0
+        return replace(self, log_ratio=np.where(new_report, log_ratio, self.log_ratio))
 
     def with_offsets(self, step: Step, correlation: ErrorCorrelation, tuning: Tuning = DEFAULT_TUNING) -> TrackPairs:
-        """After the step, with the mean offsets δ̄ of the pairs that are due, and what these tell beyond the reports.
+        """The pairs with their mean offsets δ̄ updated where due, and the contribution of δ̄ to ln r.
 
-        Errors that are stated, or assumed for a kind of sensor, are often too large: then any object that keeps beside
-        another is one with it. By the stated errors the offset δ̄ of one object is N(0, V). By those of the other n sure
-        pairs of its two sources V is κ times as large, κ unknown: δ̄ has Student's t, of ν = ν₀ + 2n degrees of freedom
-        and a scale matrix κ̂ V, κ̂ = (ν₀ + Σ δ̄ᵀ V⁻¹ δ̄) / ν; ν₀ stands for κ = 1. Only what makes δ̄ less probable counts:
-        that stated errors may be too small is no reason to join what they part.
+        Stated or assumed errors are often too large; then any two objects that stay close would pass as one. By the
+        stated errors, δ̄ of one object is N(0, V). The other n sure pairs of the two sources give a factor κ on V, with
+        uncertainty: δ̄ has Student's t with ν = ν₀ + 2n degrees of freedom and scale matrix κ̂ V,
+        κ̂ = (ν₀ + Σ δ̄ᵀ V⁻¹ δ̄) / ν; the prior, worth ν₀, is κ = 1. The contribution is at most 0: errors larger than
+        stated do not join two tracks.
 
         Source: a normal variance with its conjugate prior (Gelman et al., Bayesian Data Analysis, section 2.6).
         """
@@ -271,78 +284,84 @@ class TrackPairs(ColumnTable):
             return self
         out = replace(self, **{name: getattr(self, name).copy() for name in _OFFSETS})
         a, b = step.find(self.first), step.find(self.second)
-        out.offsets[due] += 1
-        out.offset[due] += (step.here[a[due]] - step.here[b[due]] - out.offset[due]) / out.offsets[due, None]
+        out.n_offsets[due] += 1
+        out.offset[due] += (step.here[a[due]] - step.here[b[due]] - out.offset[due]) / out.n_offsets[due, None]
         out.offset_s[due], out.offset_new[due] = step.instant_s, False
-        spread = LEAST_M2 * np.eye(2) + sum(
-            correlation.of_mean(step.source[track], tuning.lasting_s, out.offsets[due], tuning)[:, None, None]
+        covariance = LEAST_M2 * np.eye(2) + sum(
+            correlation.of_mean(step.source[track], tuning.lasting_s, out.n_offsets[due], tuning)[:, None, None]
             * step.reported[track]
             for track in (a[due], b[due])
         )
-        out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], spread)
-        # One that is no pair in truth does not speak for many.
-        votes = self.sure & (out.offsets >= tuning.known_offsets)
-        value = np.where(votes, np.minimum(out.offset_chi_sq, tuning.manoeuvre_chi_sq), 0.0)
-        sources = len(correlation.names)
-        couple = np.minimum(step.source[a], step.source[b]) * sources + np.maximum(step.source[a], step.source[b])
-        n = np.bincount(couple, votes, sources**2)[couple[due]] - votes[due]
-        total = np.bincount(couple, value, sources**2)[couple[due]] - value[due]
-        counted = np.minimum(1.0, tuning.most_offset_freedom / np.maximum(2.0 * n, 1.0))
-        freedom = tuning.offset_freedom + counted * 2.0 * n
-        kappa = (tuning.offset_freedom + counted * total) / freedom
+        out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], covariance)
+        # χ² is clipped so that one false pair cannot dominate the sum over sure pairs.
+        counts = self.sure & (out.n_offsets >= tuning.known_offsets)
+        clipped = np.where(counts, np.minimum(out.offset_chi_sq, tuning.manoeuvre_chi_sq), 0.0)
+        n_sources = len(correlation.names)
+        sources = np.minimum(step.source[a], step.source[b]) * n_sources + np.maximum(step.source[a], step.source[b])
+        n = np.bincount(sources, counts, n_sources**2)[sources[due]] - counts[due]
+        total = np.bincount(sources, clipped, n_sources**2)[sources[due]] - clipped[due]
+        discount = np.minimum(1.0, tuning.most_offset_freedom / np.maximum(2.0 * n, 1.0))
+        nu = tuning.offset_freedom + discount * 2.0 * n
+        kappa = (tuning.offset_freedom + discount * total) / nu
         chi_sq = out.offset_chi_sq[due]
-        student = -np.log(kappa) - 0.5 * (freedom + 2.0) * np.log1p(chi_sq / (freedom * kappa))
-        known = (out.offsets[due] >= tuning.known_offsets) & (n > 0)
+        student = -np.log(kappa) - 0.5 * (nu + 2.0) * np.log1p(chi_sq / (nu * kappa))
+        known = (out.n_offsets[due] >= tuning.known_offsets) & (n > 0)
         out.log_offset[due] = np.where(known, np.minimum(student + 0.5 * chi_sq, 0.0), 0.0)
         return out
 
-    def anchored(self, sure: IntArray, begin: BoolArray, instant_s: float, delta: FloatArray) -> TrackPairs:
-        """With pairs (places ``sure``) that are surely one object at the instant, δ (m, 2) apart; ``begin`` : (m,)
-        whether they are compared with what they are now."""
+    def anchored(self, sure: IntArray, restart: BoolArray, instant_s: float, delta: FloatArray) -> TrackPairs:
+        """The pairs with new anchors for later comparison.
+
+        sure : (m,) rows of the pairs that are surely one object at the instant. delta : (m, 2) their δ. restart : (m,)
+        whether the next comparison is with this δ.
+        """
         anchor_s, anchor, anchor_new = self.anchor_s.copy(), self.anchor.copy(), self.anchor_new.copy()
-        at, is_sure = sure[begin], np.zeros(len(self), bool)
-        anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta[begin], False
+        at, is_sure = sure[restart], np.zeros(len(self), bool)
+        anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta[restart], False
         is_sure[sure] = True
         return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new, sure=is_sure)
 
 
 #: Columns that :meth:`TrackPairs.with_offsets` changes.
-_OFFSETS = ("offset", "offsets", "offset_s", "offset_new", "offset_chi_sq", "log_offset")
+_OFFSETS = ("offset", "n_offsets", "offset_s", "offset_new", "offset_chi_sq", "log_offset")
 
 
-def _swapped(
-    log_ratio: FloatArray, weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray],
-    rivals: Rivals, tuning: Tuning,
+def _swap_hypotheses(
+    log_ratio: FloatArray, log_weight: FloatArray, log_two: FloatArray, step: Step,
+    tracks: tuple[IntArray, IntArray], rivals: Rivals, tuning: Tuning,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """(k, 2) ln r before the step of each pair's most probable rival, 0 for none, ln r of the pair itself if its ids
-    were swapped with the rival's, and the probability of that for h = 1: of rivals with the same first track, and with
-    the same second. log_ratio : (k,) before the step.
+    """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: ln r
+    of the rival before the step (0 without one), ln r of the pair if their ids were swapped, and the probability of a
+    swap for h = 1.
 
-    After a swap the past is the rival's, ``weight`` (k,) by all reports before the step, and the new report is where
-    the other track is, instead of where its own reports predict it: ``log_two`` (k,), less that of the other's report.
-    Both count, or a rival whose last report was far off is excused from it, and rates of swaps grow without any.
+    log_ratio : (k,) before the step. log_weight : (k,) with the positions of the last reports. log_two : (k,) ln p of
+    the new reports given two objects.
+
+    After a swap the pair has the rival's ``log_weight``, and its new report agrees with the other track rather than
+    with the prediction of its own: the subtracted term is ``log_two`` less that of the other track's report. Leaving
+    either out would excuse a rival whose last report was an outlier, and inflate the estimated swap rates.
     """
-    log_before, log_swapped, near_both = np.zeros((3, len(weight), 2))
+    log_rival, log_swapped, p_swap = np.zeros((3, len(log_weight), 2))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
-        best = rivals.best_other(weight, side)
+        best = rivals.best_other(log_weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
         one, other = track[at], track[best[at]]
-        apart = mahalanobis_sq(step.here[one] - step.here[other], step.covariance[one] + step.covariance[other])
-        near = np.zeros(len(weight))
-        near[at] = np.exp(-apart / tuning.swap_chi_sq)
-        # The most probable one of a set swaps with one of the others at most, and each of these with it.
-        leads = (best >= 0) & (weight >= weight[best])
-        total = np.bincount(rivals.sides[side], np.where(leads, 0.0, near))[rivals.sides[side]]
-        near_both[at, side] = np.where(leads, np.minimum(total, 1.0), near / np.maximum(total, 1.0))[at]
-        log_before[at, side] = log_ratio[best[at]]
-        log_swapped[at, side] = weight[best[at]] - (log_two - step.log_own[tracks[side]])[at]
-    return log_before, log_swapped, near_both
+        chi_sq = mahalanobis_sq(step.here[one] - step.here[other], step.covariance[one] + step.covariance[other])
+        p = np.zeros(len(log_weight))
+        p[at] = np.exp(-chi_sq / tuning.swap_chi_sq)
+        # The most probable pair of a set swaps with at most one of the others, and each of these only with it.
+        leads = (best >= 0) & (log_weight >= log_weight[best])
+        total = np.bincount(rivals.sides[side], np.where(leads, 0.0, p))[rivals.sides[side]]
+        p_swap[at, side] = np.where(leads, np.minimum(total, 1.0), p / np.maximum(total, 1.0))[at]
+        log_rival[at, side] = log_ratio[best[at]]
+        log_swapped[at, side] = log_weight[best[at]] - (log_two - step.log_own[tracks[side]])[at]
+    return log_rival, log_swapped, p_swap
 
 
-def _without_past(
+def _without_history(
     delta: FloatArray, covariances: tuple[FloatArray, FloatArray], lasting: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
-    """(k, WIDTH) errors of pairs by δ = e_a − e_b + d alone."""
+    """(k, WIDTH) errors of pairs given only δ = e_a − e_b + d of the instant."""
     out = np.empty((len(delta), WIDTH))
     pairs_anew(delta, *covariances, *lasting, out)
     return out
@@ -350,43 +369,44 @@ def _without_past(
 
 @dataclass(frozen=True)
 class Rivals:
-    """Pairs of which one at most is one object: a track with each of the tracks of one other source.
+    """Sets of mutually exclusive pairs: one track with each of the tracks of one other source.
 
-    sides : (k,) numbers of the two such sets that each pair is in.
+    sides : (k,), (k,) numbers of the two sets of each pair: with the same first track, and with the same second.
     """
 
     sides: tuple[IntArray, IntArray]
 
     @classmethod
     def of(cls, first: IntArray, second: IntArray, one: IntArray, other: IntArray) -> Rivals:
-        """Of tracks (k,), numbered from 0 without large gaps, and the sources that they are of (k,)."""
+        """first, second : (k,) numbers of the tracks, from 0 without large gaps. one, other : (k,) their sources."""
         sources = 1 + max(int(one.max(initial=0)), int(other.max(initial=0)))
         return cls((first * sources + other, second * sources + one))
 
     def best_other(self, values: FloatArray, side: int) -> IntArray:
-        """(k,) the pair of the highest value in the set of each, itself not among them; −1 where there is none."""
+        """(k,) the other pair with the highest value in each pair's set; −1 without one."""
         best = np.empty(len(values), np.int64)
         best_others(self.sides[side], values, best)
         return best
 
     def most_other(self, values: FloatArray) -> FloatArray:
-        """(k,) the highest value of any rival of each pair, itself not among them; −∞ without one."""
+        """(k,) the highest value of any rival of each pair; −∞ without one."""
         padded = np.append(values, -np.inf)
         best = [padded[self.best_other(values, side)] for side in range(2)]
         return np.asarray(np.maximum(*best))
 
     def most(self, values: FloatArray) -> FloatArray:
-        """(k,) the highest value of any rival of each pair, itself among them."""
+        """(k,) the highest value of each pair and its rivals."""
         out = values
-        for rivals in self.sides:
-            out = np.maximum(out, _most(rivals, values))
+        for side in self.sides:
+            out = np.maximum(out, _group_maximum(side, values))
         return out
 
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
-        """ln r between −2b and b = ln((1−ε)/ε), less the excess of the best rival, so that differences stay.
+        """(k,) ln r within −2b … b, b = ln((1−ε)/ε); the excess of the best rival over b is subtracted, which keeps
+        differences between rivals.
 
-        agrees : (k,) whether the positions of the instant agree. Where they contradict the past, ln r of the past is
-            large for that reason alone, and rivals do not pay for it.
+        agrees : (k,) whether the positions of the instant agree. Where they do not, ln r of the history is large only
+            because it leaves them out; such pairs do not lower their rivals.
         """
         bound = math.log((1.0 - reassigned) / reassigned)
         excess = np.maximum(self.most(np.where(agrees, log_ratio, -np.inf)) - bound, 0.0)
@@ -395,12 +415,18 @@ class Rivals:
 
 @dataclass(frozen=True)
 class SwapRates:
-    """How often trackers swap near objects; log_probable : (S, r) ln of the probability of each rate, by source."""
+    """The estimated rates at which trackers swap the ids of near objects.
+
+    log_probable : (S, r) ln of the probability of each of ``swap_rates``, per source, up to a constant.
+    """
 
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def of_sources(self, kinds: Sequence[str], tuning: Tuning = DEFAULT_TUNING) -> SwapRates:
-        """The same with the sources of these kinds, in their order; the first ones are here already."""
+        """The rates with new sources at their prior; kinds : of all sources, those already known first.
+
+        Sources that name themselves (AIS, ADS-B) have the lowest rate for certain.
+        """
         rates = np.log(np.array(tuning.swap_rates))
         prior = -0.5 * ((rates - math.log(tuning.swap_rate)) / tuning.swap_sigma) ** 2
         never = np.where(rates == rates.min(), 0.0, -np.inf)
@@ -410,7 +436,7 @@ class SwapRates:
         return SwapRates(np.concatenate([self.log_probable.reshape(-1, len(rates)), new]))
 
     def rate(self, source: IntArray, tuning: Tuning) -> FloatArray:
-        """(n,) mean h of sources."""
+        """(n,) mean h of each source."""
         if not len(source):
             return np.empty(0)
         weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
@@ -418,75 +444,79 @@ class SwapRates:
 
     def updated(
         self, rivals: IntArray, source: IntArray, log_stayed: FloatArray, log_swapped: FloatArray,
-        near: FloatArray, tuning: Tuning,
+        p_swap: FloatArray, tuning: Tuning,
     ) -> SwapRates:  # fmt: skip
-        """After new reports: rivals : (k,) set of each pair, source : (k,) whose tracks it compares, ln of the pairs'
-        weights by all reports, without a swap before the last one and with one, and its probability for h = 1."""
+        """The rates after new reports.
+
+        rivals : (k,) set of each pair. source : (k,) source of the tracks that differ within the set. log_stayed,
+        log_swapped : (k,) ln of the pairs' weights by all reports, without and with a swap before the last one.
+        p_swap : (k,) probability of a swap for h = 1.
+        """
         n = int(rivals.max(initial=-1)) + 1
-        sums, some, source_of = np.empty((3, n)), np.empty(n, bool), np.zeros(n, np.int64)
-        swap_evidence(rivals, log_stayed, log_swapped, near, *sums, some)
+        sums, can_swap, source_of = np.empty((3, n)), np.empty(n, bool), np.zeros(n, np.int64)
+        swap_evidence(rivals, log_stayed, log_swapped, p_swap, *sums, can_swap)
         source_of[rivals] = source
-        if not some.any():
+        if not can_swap.any():
             return self
-        most, stayed, change = sums[:, some]
-        # With probability p = h · near of a swap a pair weighs (1 − p) w + p w′, so the sum of a set is affine in h.
-        log_sum = most + np.log(stayed + np.array(tuning.swap_rates)[:, None] * change)
+        log_scale, stayed, change = sums[:, can_swap]
+        # With probability p = h · p_swap a pair weighs (1 − p) w + p w′, so the sum over a set is affine in h.
+        log_sum = log_scale + np.log(stayed + np.array(tuning.swap_rates)[:, None] * change)
         log_probable = self.log_probable.copy()
         for r in range(len(log_sum)):
-            log_probable[:, r] += np.bincount(source_of[some], log_sum[r], len(log_probable))
+            log_probable[:, r] += np.bincount(source_of[can_swap], log_sum[r], len(log_probable))
         return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
 
 
 def with_manoeuvres(
     scan: Scan, track_of_record: IntArray, track_pairs: TrackPairs, log_ratio: FloatArray, per_m2: float
 ) -> Scan:
-    """The scan with larger covariances of reports whose objects have made a manoeuvre since.
+    """The scan with larger covariances for reports whose objects have manoeuvred since.
 
-    A report is moved to the instant by a random walk of its velocity, which fits nearly all motion. A ferry that stops
-    at a pier is six of its σ away from the prediction within a minute; by the normal law her AIS report from before the
-    stop is then of no object, however long it was that of the radar's track. So each report of a named track may be
-    followed by a manoeuvre, one in ``manoeuvre_every_s`` on average: at an unknown time since, its velocity v became
-    that of any object, 0 ± s per axis, which adds the covariance
+    A report is moved to the instant by a random walk of its velocity, which fits nearly all motion. But a ferry that
+    stops at a pier is 6σ from her prediction within a minute; by the normal distribution her AIS report from before the
+    stop then matches no object, whatever its history with the radar's track. So a report of a named track may be
+    followed by a manoeuvre, on average one every ``manoeuvre_every_s``: at an unknown time since the report, the
+    velocity v changed to that of any object, 0 ± s per axis, which adds the covariance
 
         D = (s² I + v vᵀ) ⊗ [t²/3, t/2; t/2, 1],   t the report's age.
 
-    A manoeuvre is assumed where the report's partners, one track of each other source, are together more probable
-    with D than without, by more than the odds against a manoeuvre. A radar too coarse to see it does not outvote one
-    that does. The position stays as reported; only the covariance grows, for evidence, memory and fused states alike.
+    A manoeuvre is assumed where the report's partners, one track of each other source, are jointly more probable with D
+    than without by more than the prior odds against a manoeuvre. A radar too coarse to resolve the manoeuvre does not
+    outvote one that does. The position stays as reported; only the covariance grows, for evidence, memory and fused
+    states alike.
 
-    track_of_record : (n,) numbers of the records' tracks, −1 for those that are new. track_pairs : of the instant
-    before. log_ratio : (k,) ln r of the pairs then.
+    track_of_record : (n,) numbers of the records' tracks, −1 for new ones. track_pairs, log_ratio : the pairs of the
+    previous instant, and (k,) their ln r.
     """
     a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
-    partners = (
-        (a >= 0) & (b >= 0) & (log_ratio + track_pairs.now >= math.log(per_m2) - math.log(scan.tuning.partner_odds))
-    )
+    log_limit = math.log(per_m2) - math.log(scan.tuning.partner_odds)
+    partners = (a >= 0) & (b >= 0) & (log_ratio + track_pairs.log_now >= log_limit)
     a, b, log_ratio = a[partners], b[partners], log_ratio[partners]
     if not len(a):
         return scan
-    delta, spread = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
-    log_usual, chi_sq = _density_and_distance(delta, spread)
+    delta, total = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
+    log_steady, chi_sq = _log_density_and_chi_sq(delta, total)
     with np.errstate(divide="ignore"):
-        # ln of the odds that there was a manoeuvre since the report.
+        # ln of the prior odds of a manoeuvre since the report.
         log_odds = np.log(np.expm1(np.maximum(scan.now.instant_s - scan.time_s, 0.0) / scan.tuning.manoeuvre_every_s))
-    log_same = log_ratio + log_usual
-    best = Rivals.of(a, b, scan.source[a], scan.source[b]).most(log_same)
-    # Either of the two may have made the manoeuvre.
+    log_pair_steady = log_ratio + log_steady
+    best = Rivals.of(a, b, scan.source[a], scan.source[b]).most(log_pair_steady)
+    # Either of the two may have manoeuvred.
     own, other, k = np.append(a, b), np.append(b, a), np.tile(np.arange(len(a)), 2)
-    # No covariance adds more to ln p than χ²/2, so that most records are not looked at any further.
-    likely = np.bincount(own, 0.5 * chi_sq[k], len(scan)) + log_odds > 0.0
-    own, other, k = own[likely[own]], other[likely[own]], k[likely[own]]
+    # No covariance raises ln p by more than χ²/2, which excludes most records early.
+    possible = np.bincount(own, 0.5 * chi_sq[k], len(scan)) + log_odds > 0.0
+    own, other, k = own[possible[own]], other[possible[own]], k[possible[own]]
     if not len(own):
         return scan
     extra = manoeuvre_covariance(scan)
-    log_density_moved = log_density(delta[k], spread[k] + extra[own, :2, :2])
-    log_moved = log_odds[own] + log_ratio[k] + log_density_moved
-    most_likely = np.maximum(log_same[k], log_moved)
-    partner = most_likely == _most(own * len(scan.start) + scan.source[other], most_likely)
-    log_manoeuvre = np.bincount(own[partner], (log_density_moved - log_usual[k])[partner], len(scan)) + log_odds
+    log_with_d = log_density(delta[k], total[k] + extra[own, :2, :2])
+    log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
+    log_pair = np.maximum(log_pair_steady[k], log_pair_with_d)
+    is_partner = log_pair == _group_maximum(own * len(scan.start) + scan.source[other], log_pair)
+    log_manoeuvre = np.bincount(own[is_partner], (log_with_d - log_steady[k])[is_partner], len(scan)) + log_odds
     manoeuvred = np.zeros(len(scan), bool)
-    # No rival explains the other without a manoeuvre, and its partners in all sources together say that there was one.
-    manoeuvred[own[(log_moved > best[k]) & (log_manoeuvre[own] > 0.0)]] = True
+    # No rival explains the other record without a manoeuvre, and the partners of all sources jointly favour one.
+    manoeuvred[own[(log_pair_with_d > best[k]) & (log_manoeuvre[own] > 0.0)]] = True
     if not manoeuvred.any():
         return scan
     extra = np.where(manoeuvred[:, None, None], extra, 0.0)
@@ -494,7 +524,7 @@ def with_manoeuvres(
 
 
 def manoeuvre_covariance(scan: Scan) -> FloatArray:
-    """(n, 4, 4) D of every record; 0 where the speed of its objects is not known."""
+    """(n, 4, 4) D of each record; 0 where the speed of its objects is unknown."""
     age = np.maximum(scan.now.instant_s - scan.time_s, 0.0)
     speed = np.where(np.isfinite(scan.speed_m_per_s), scan.speed_m_per_s, 0.0)
     v = np.where(scan.moving[:, None], scan.state[:, 2:], 0.0)
@@ -508,20 +538,20 @@ def manoeuvre_covariance(scan: Scan) -> FloatArray:
 
 
 def _places(track_of_record: IntArray, number: IntArray) -> IntArray:
-    """(…) places of tracks in a new scan, −1 for those that are not in it; track_of_record : (n,) of that."""
+    """(…) the record of each track in a scan, −1 without one; track_of_record : (n,) of that scan."""
     order = np.argsort(track_of_record, kind="stable")
     at = places_in(track_of_record[order], number)
     return np.where(at >= 0, np.append(order, -1)[at], -1)
 
 
-def _density_and_distance(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _log_density_and_chi_sq(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(k,) ln N(Δ; 0, Σ) and χ²."""
     chi_sq, log_det = distance_and_log_determinant(delta, covariance)
     return -0.5 * (chi_sq + log_det + delta.shape[-1] * LOG_2PI), chi_sq
 
 
-def _most(group: IntArray, values: FloatArray) -> FloatArray:
-    """(k,) the highest value in the set of each."""
+def _group_maximum(group: IntArray, values: FloatArray) -> FloatArray:
+    """(k,) the highest value in each one's group."""
     best = np.full(int(group.max(initial=-1)) + 1, -np.inf)
     np.maximum.at(best, group, values)
     return best[group]

@@ -193,10 +193,10 @@ class Watch:
         InputError : the instant is before the last; a source lacks what its evidence needs.
         """
         with_records = now.with_records()
-        scan = self.past.error_factors.on(Scan.of(with_records, self.tuning))
+        scan = self.past.error_factors.applied(Scan.of(with_records, self.tuning))
         track_of_record = self.past.tracks.numbers_on(scan)
         scan = self.past.with_manoeuvres(scan, track_of_record, objects_per_m2(now))
-        with_records, past = scan.now, self.past.on(scan, track_of_record)
+        with_records, past = scan.now, self.past.advance(scan, track_of_record)
         identification = self._identify(with_records, past)
         by_hysteresis = np.zeros(0, bool)
         if identification is not None:
@@ -211,7 +211,7 @@ class Watch:
         if identification is not None:
             past = past.with_sure(members, identification.probability)
         past = past.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
-        objects = self.objects.on(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
+        objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = self._texts(scan, members, texts, objects)
         carried = replace(self, past=past, objects=objects, texts=object_texts)
         return PictureState(now, scan, objects_now, detections.states, carried)
