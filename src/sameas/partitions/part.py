@@ -1,4 +1,8 @@
-"""One part: the records of a cell and of a halo around it, decided, and whether the halo was wide enough."""
+"""One part of two partitioned catalogues: cells and a halo around them are identified, and the halo's width is tested.
+
+A part's own records are decided as in the whole catalogues if no group that contains one of them reaches the halo's
+edge (METHOD 11.5).
+"""
 
 from __future__ import annotations
 
@@ -41,21 +45,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PartTuning:
-    """When the halo of a part is wide enough.
+    """Numbers of the halo of a part and of the sums over its groups.
 
     Attributes
     ----------
-    competing : pairs of smaller ln of the odds carry no group on: others are never chosen (METHOD 11.5). What they move
-        probabilities by falls off over a gate or two: a halo of 32″ and one of 129″ gave the same to 1e-11 at λ 2.
-    certain_arcsec : the halo is widened no further than to this.
-    steps : probabilities are summed with the candidates of the records, with theirs, and so on, so many times, each
-        with its group; twice as many where the way of summing may depend on what lies beyond. With 2, 3 and 6 steps
-        they differ from those of a whole field by 6e-8, 7e-10 and 7e-10 at λ 2.
-    at_once : candidates of records whose probabilities are summed at once, about; each of them and of those around them
-        takes 250 bytes.
+    competing : only pairs of larger log odds extend a group, since others are never chosen (METHOD 11.5). The effect
+        of the others on probabilities falls off within one or two gates: halos of 32″ and of 129″ gave the same to
+        1e-11 at λ 2.
+    certain_arcsec : the widest halo.
+    steps : probabilities of records are summed over their groups and the groups of their candidates, of the candidates'
+        candidates, and so on, this many times; twice as many where the method of summing may depend on records farther
+        out. With 2, 3 and 6 steps they differ from those of a whole field by 6e-8, 7e-10 and 7e-10 at λ 2.
+    at_once : approximate candidates of the records whose probabilities are summed at once; 250 bytes for each of them
+        and of those around them.
     counted_at_once : rows of a partition that are counted at once; about 200 bytes each.
-    most_of_all : where that would be more than this share of all records, it is all of them.
-    finer : the halo's edge is followed by cells that are smaller than its own by so many orders.
+    most_of_all : if a sum needs more than this share of all records, it takes all of them.
+    finer : orders by which the cells along the halo's edge are finer than cells of the halo's width.
     """
 
     competing: float = 0.0
@@ -68,12 +73,12 @@ class PartTuning:
 
 
 DEFAULT_PART = PartTuning()
-#: (n₁,) and (n₂,) of the records of both catalogues.
+#: Masks (n₁,) and (n₂,) of the records of both catalogues.
 Both = tuple[BoolArray, BoolArray]
-#: A cell's middle to its farthest corner, over its side.
+#: Largest distance of a cell's centre from its corners, in units of its side.
 CORNER = 0.85
-#: A halo is made of rings of cells smaller by so many orders than one as wide as it: hardly wider than asked.
-THINNER = 3
+#: A halo consists of rings of cells this many orders finer than cells of its width: it is little wider than needed.
+RING_ORDERS = 3
 
 
 @in_short
@@ -81,9 +86,9 @@ THINNER = 3
 class Side:
     """One of the two catalogues, as every part reads it.
 
-    stored : its partitions. understood : its columns, without rows. epoch_jyr : to which it is moved, None: it is not.
-    cell_order : of the cells in which records are counted. far : its far records with all columns, None: not yet known.
-    far_place : (f, 3) directions where they are at that epoch; far_reach_arcsec : (f,).
+    stored : its partitions. understood : its recognised columns, without rows. epoch_jyr : to which it is moved, None
+    for not. cell_order : of the cells in which records are counted. far : its far records with all columns, None until
+    they are known. far_place : (f, 3) their directions at that epoch. far_reach_arcsec : (f,) 10σ of their errors.
     """
 
     stored: HatsCatalogue
@@ -96,24 +101,24 @@ class Side:
 
     def columns(self, magnitudes: str, evidence: Sequence[Column | Related] = ()) -> list[str]:
         """The columns that the identification needs."""
-        words = set(_words(self.understood.choice))
+        names = set(_texts(self.understood.choice))
         for one in evidence:
-            words |= {c.values for c in (one.columns if isinstance(one, Related) else (one,))}
-        named = {name.strip() for side in magnitudes.split(":") for name in side.split(",")}
-        named |= {way.format(name) for name in named for way in ERROR_NAMES}
-        known = {name.lower() for name in words | named}
-        return [name for name in self.stored.schema.names if name.lower() in known]
+            names |= {c.values for c in (one.columns if isinstance(one, Related) else (one,))}
+        bands = {name.strip() for side in magnitudes.split(":") for name in side.split(",")}
+        bands |= {pattern.format(name) for name in bands for pattern in ERROR_NAMES}
+        needed = {name.lower() for name in names | bands}
+        return [name for name in self.stored.schema.names if name.lower() in needed]
 
     def rows(self, table: pa.Table) -> Rows:
-        """Rows understood, and brought to the epoch."""
+        """The rows of a table with their records, moved to the epoch."""
         cells = numbers_of(table, CELL)
         catalogue = self.understood.alike(table_of(table.drop_columns([CELL])))
         choice = self.understood.choice
-        cut = (choice.ra.name, choice.dec.name) == self.stored.position and choice.frame == "icrs"
-        return Rows(catalogue, cells, self.records(catalogue), self.cell_order, cut)
+        by_position = (choice.ra.name, choice.dec.name) == self.stored.position and choice.frame == "icrs"
+        return Rows(catalogue, cells, self.records(catalogue), self.cell_order, by_position)
 
     def records(self, catalogue: Catalogue) -> Records:
-        """The records of some rows; with errors of 1 arcsec as long as nothing is known of them."""
+        """The records of some rows, with errors of 1 arcsec while the catalogue's are unknown."""
         if catalogue.error_is_unknown:
             catalogue = catalogue.with_error(PositionError("number", sigma_arcsec=1.0, reason="not known yet"))
         return catalogue.records(self.epoch_jyr)
@@ -124,8 +129,8 @@ class Side:
 class Rows:
     """Rows of a catalogue in memory.
 
-    stored : (n_table,) cells of order 29 by their stored positions; cut_by_position : whether these are the positions
-    of the records.
+    stored : (n_table,) cells of order 29 of the positions by which the catalogue is partitioned; cut_by_position :
+    whether these are the positions from which the records are made.
     """
 
     catalogue: Catalogue
@@ -136,7 +141,7 @@ class Rows:
 
     @cached_property
     def still(self) -> bool:
-        """Whether the records are where the catalogue has them."""
+        """Whether all records have the catalogue's positions, without motion."""
         at, rows, features = self.catalogue.astrometry, self.records.rows, self.records.features
         if len(rows) == len(at.ra_deg):
             return np.array_equal(features[:, 0], at.ra_deg) and np.array_equal(features[:, 1], at.dec_deg)
@@ -164,19 +169,19 @@ class Rows:
         return np.asarray(np.linalg.norm(self.place - stored, axis=1) * ARCSEC_PER_RADIAN)
 
     def moved_limit(self, far_arcsec: float) -> float:
-        """How far a record that is not far may have moved, arcsec."""
-        usual = self.moved_arcsec[self.moved_arcsec <= far_arcsec]
-        return far_arcsec if float(usual.max(initial=0.0)) > 1e-3 else 0.0
+        """Upper limit of the motion of records that are not far, arcsec: 0 if none of them moved."""
+        moved = self.moved_arcsec[self.moved_arcsec <= far_arcsec]
+        return far_arcsec if float(moved.max(initial=0.0)) > 1e-3 else 0.0
 
     @cached_property
     def sigma_arcsec(self) -> FloatArray:
-        """(n,) the larger of both errors, or more."""
+        """(n,) σ of the less certain component of each position."""
         return np.asarray(np.sqrt(self.records.variances.max(axis=1)))
 
 
 @dataclass(frozen=True)
 class Counted:
-    """What counting a partition tells: records in cells, rows, and the stored cells of those that reach far."""
+    """The counts of a partition: records by cell, number of rows, and the stored cells (f,) of its far records."""
 
     counts: Counts
     rows: int
@@ -186,12 +191,11 @@ class Counted:
 @in_short
 @dataclass(frozen=True)
 class Work:
-    """What is the same for all parts.
+    """The settings of all parts.
 
-    sides : both catalogues. learned : what is known; None as long as it is not. magnitudes, evidence, join,
-    nway_columns : as of ``sameas.match``. far_arcsec : records that move or whose errors reach farther are looked for
-    everywhere. halo_arcsec : with which a part is decided first; margin_arcsec : one that is wide enough for nearly
-    all parts.
+    sides : both catalogues. learned : the estimates, None before. magnitudes, evidence, join, nway_columns : as in
+    ``sameas.match``. far_arcsec : records whose motion or 10σ error is larger are far, and read for every part that
+    they may reach. halo_arcsec : the first halo of a part. margin_arcsec : a halo wide enough for nearly all parts.
     """
 
     sides: tuple[Side, Side]
@@ -210,40 +214,43 @@ class Work:
         return self.sides[side - 1].columns(self.magnitudes, self.evidence)
 
     def count(self, side: int, cell: Cell) -> Counted:
-        """The records of a partition of catalogue 1 or 2, counted."""
+        """The counts of a partition of catalogue 1 or 2."""
         one, none = self.sides[side - 1], np.empty(0, np.int64)
-        counts, number, beyond = [Counts.of(none, none)], 0, [none]
+        counts, number, far_cells = [Counts.of(none, none)], 0, [none]
         for table in one.stored.pieces(cell, self.columns(side), self.tuning.counted_at_once):
             rows = one.rows(table)
             far = (rows.moved_arcsec > self.far_arcsec) | (rows.sigma_arcsec * 10.0 > self.far_arcsec)
             counts.append(Counts.of(rows.cells, none) if side == 1 else Counts.of(none, rows.cells))
             number += len(rows.catalogue)
-            beyond.append(rows.stored[rows.records.rows[far]])
-        return Counted(Counts.sum(counts), number, np.sort(np.concatenate(beyond)))
+            far_cells.append(rows.stored[rows.records.rows[far]])
+        return Counted(Counts.sum(counts), number, np.sort(np.concatenate(far_cells)))
 
     def read(self, side: int, stretch: IntArray, near: FloatArray, columns: list[str] | None = None) -> Rows:
-        """The rows in stretches, and the far records that reach to within a distance of a direction.
+        """The rows in stretches of cells, and the far records whose errors reach a disc.
 
-        near : (4,) the direction and the distance, arcsec.
+        near : (4,) the disc's direction and radius in arcsec.
         """
         one = self.sides[side - 1]
         table = one.stored.rows(stretch, columns)
         if one.far is not None and len(one.far):
             import pyarrow as pa
 
-            apart = np.linalg.norm(one.far_place - near[:3], axis=1) * ARCSEC_PER_RADIAN
+            distance = np.linalg.norm(one.far_place - near[:3], axis=1) * ARCSEC_PER_RADIAN
             cells = numbers_of(one.far, CELL)
-            wanted = (apart <= near[3] + one.far_reach_arcsec) & ~healpix.within(stretch, cells)
-            if wanted.any():
+            added = (distance <= near[3] + one.far_reach_arcsec) & ~healpix.within(stretch, cells)
+            if added.any():
                 table = pa.concat_tables(
-                    [table, one.far.take(pa.array(np.flatnonzero(wanted))).select(table.column_names)],
+                    [table, one.far.take(pa.array(np.flatnonzero(added))).select(table.column_names)],
                     promote_options="permissive",
                 )
         return one.rows(table)
 
     def decided(self, cells: Sequence[Cell]) -> list[Part]:
-        """A piece of the sky, some cells of one order: it, but for the small cells of those whose groups come near its
-        halo's edge; these, with a halo twice as wide, but for those of theirs …"""
+        """The parts of a piece, some cells of one order.
+
+        The first part is the piece without the small cells of doubtful records; the next part has these cells and a
+        halo twice as wide, again without those of its doubtful records, and so on.
+        """
         patch = Patch(cells[0].order, np.array([cell.number for cell in cells]))
         parts = [self.within(patch, self.halo_arcsec)]
         order = max(patch.order, self.sides[0].cell_order)
@@ -254,10 +261,10 @@ class Work:
         return parts
 
     def within(self, patch: Patch, halo_arcsec: float) -> Part:
-        """Cells decided with a halo at least so wide."""
+        """The cells of a patch decided with a halo of at least this width."""
         halo = Halo.around(patch, halo_arcsec, self.tuning.finer)
-        near = halo.reach()
-        one, two = (self.read(side, halo.stretch, near) for side in (1, 2))
+        disc = halo.disc()
+        one, two = (self.read(side, halo.stretch, disc) for side in (1, 2))
         pairs, rule = self._evidence(one, two)
         evidence = rule(pairs)
         log_ratio = evidence.log_ratio
@@ -268,23 +275,23 @@ class Work:
         whole = groups(pairs)
         best = assign(whole, log_ratio, EVIDENCE_ALONE(whole.sizes_1, whole.sizes_2))
         p_pair = np.zeros(len(pairs))
-        left = np.zeros_like(own[0]), np.zeros_like(own[1])
-        for some in self._blocks(pairs, own, one, two):
-            more = self._sum(p_pair, pairs, log_ratio, (whole, best), competing, some, edge)
-            left = left[0] | more[0], left[1] | more[1]
-        sure = Posterior(p_pair, np.full(len(whole), APPROXIMATE, np.int8), np.zeros(len(whole)), 0.0)
-        result = Identification(pairs, whole, evidence, best, sure)
-        touching = competing.of_groups(competing.held(*edge))
-        doubtful = own[0] & (touching[0] | left[0]), own[1] & (touching[1] | left[1])
+        unsummed = np.zeros_like(own[0]), np.zeros_like(own[1])
+        for block in self._blocks(pairs, own, one, two):
+            more = self._sum(p_pair, pairs, log_ratio, (whole, best), competing, block, edge)
+            unsummed = unsummed[0] | more[0], unsummed[1] | more[1]
+        summed = Posterior(p_pair, np.full(len(whole), APPROXIMATE, np.int8), np.zeros(len(whole)), 0.0)
+        result = Identification(pairs, whole, evidence, best, summed)
+        touching = competing.in_groups(competing.groups_of(*edge))
+        doubtful = own[0] & (touching[0] | unsummed[0]), own[1] & (touching[1] | unsummed[1])
         return Part(halo.width_arcsec, one, two, result, stored, doubtful)
 
     def identified(self, one: Rows, two: Rows) -> Identification:
-        """All records of both, with what is known."""
+        """All records of both identified by the estimates, without parts."""
         pairs, rule = self._evidence(one, two)
         return identify(pairs.first, pairs.second, rule=rule, gate=lambda first, second: pairs)
 
     def _evidence(self, one: Rows, two: Rows) -> tuple[Pairs, Rule]:
-        """The candidates, and what weighs them."""
+        """The candidates and the rule that gives their evidence."""
         assert self.learned is not None
         learned, measured, columns = self.learned, None, None
         pairs = _by_cells(learned.pairs(one.records, two.records), one, two)
@@ -297,7 +304,7 @@ class Work:
         return pairs, learned.rule(pairs, (one.cells, two.cells), measured, columns)
 
     def _blocks(self, pairs: Pairs, own: Both, one: Rows, two: Rows) -> Iterator[Both]:
-        """The part's own records in stretches of the sky with about so many candidates as are summed at once."""
+        """The part's own records in stretches of the sky with about ``at_once`` candidates each."""
         stored = [rows.stored[rows.records.rows] for rows in (one, two)]
         number = math.ceil(np.count_nonzero(own[0][pairs.i]) / self.tuning.at_once)
         if number <= 1:
@@ -312,65 +319,65 @@ class Work:
         self, p_pair: FloatArray, pairs: Pairs, log_ratio: FloatArray, whole: tuple[Groups, Hypothesis],
         competing: Competing, wanted: Both, edge: Both,
     ) -> Both:  # fmt: skip
-        """Fill ``p_pair`` (m,) of the pairs of wanted records; returns which of these need more than lies within the
-        halo, at whose ``edge`` some records are. whole : all pairs.
+        """Write ``p_pair`` (m,) of the pairs of wanted records; returns those whose sums need records outside the halo.
 
-        What is some gates away moves a probability by less than rounding, but for one thing: whether a part of a group
-        is summed exactly depends on all of it. Where such a part goes on beyond, more is taken around its records.
+        whole : groups and best hypothesis of all pairs. edge : records at the halo's edge. Records a few gates away
+        change a probability by less than rounding, except that whether a component is summed exactly depends on all of
+        it: where a component continues outside the records taken, more are taken around it.
         """
-        steps, every = self.tuning.steps, len(wanted[0]) + len(wanted[1])
+        steps, n_records = self.tuning.steps, len(wanted[0]) + len(wanted[1])
         while True:
             near = competing.around(wanted, steps)
-            if sum(map(np.count_nonzero, near)) > self.tuning.most_of_all * every:
+            if sum(map(np.count_nonzero, near)) > self.tuning.most_of_all * n_records:
                 near = np.ones_like(near[0]), np.ones_like(near[1])
             of_1, of_2 = near[0][pairs.i], near[1][pairs.j]
-            part, beyond = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)
+            inside, severed = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)
             cut = edge[0].copy(), edge[1].copy()
-            cut[0][pairs.i[beyond]] = cut[1][pairs.j[beyond]] = True
-            i, j = pairs.i[part], pairs.j[part]
+            cut[0][pairs.i[severed]] = cut[1][pairs.j[severed]] = True
+            i, j = pairs.i[inside], pairs.j[inside]
             grouped, best = whole
-            if len(part) < len(pairs):
-                grouped = laid_out(pairs.place_1[part], pairs.place_2[part], i, j, len(cut[0]), len(cut[1]))
-                best = assign(grouped, log_ratio[part], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
-            sure = posterior(grouped, best, cut=cut)
-            asked = wanted[0][i] | wanted[1][j]
-            p_pair[part[asked]] = sure.p_pair[asked]
-            assert sure.open is not None
-            left = np.zeros_like(near[0]), np.zeros_like(near[1])
-            left[0][i[sure.open]] = left[1][j[sure.open]] = True
-            wanted = wanted[0] & left[0], wanted[1] & left[1]
-            if not len(beyond) or not (wanted[0].any() or wanted[1].any()):
+            if len(inside) < len(pairs):
+                grouped = laid_out(pairs.place_1[inside], pairs.place_2[inside], i, j, len(cut[0]), len(cut[1]))
+                best = assign(grouped, log_ratio[inside], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
+            summed = posterior(grouped, best, cut=cut)
+            written = wanted[0][i] | wanted[1][j]
+            p_pair[inside[written]] = summed.p_pair[written]
+            assert summed.open is not None
+            unsummed = np.zeros_like(near[0]), np.zeros_like(near[1])
+            unsummed[0][i[summed.open]] = unsummed[1][j[summed.open]] = True
+            wanted = wanted[0] & unsummed[0], wanted[1] & unsummed[1]
+            if not len(severed) or not (wanted[0].any() or wanted[1].any()):
                 return wanted
             steps *= 2
 
     def _edge(self, one: Rows, two: Rows, halo: Halo) -> Both:
-        """Whether a record comes so near to the halo's edge that others may be its candidates."""
+        """Whether records outside the halo may be candidates of a record."""
         assert self.learned is not None
         tuning, learned = self.tuning, self.learned
         sigma = [np.sqrt(records.variances.max(axis=1))
                  for records in learned.start.records(one.records, two.records)]  # fmt: skip
-        usual = [float(np.quantile(s, 0.999)) if len(s) else 0.0 for s in sigma]
+        largest = [float(np.quantile(s, 0.999)) if len(s) else 0.0 for s in sigma]
         moved = max((s.moved_limit(self.far_arcsec) for s in (one, two)), default=0.0)
 
-        def edge(rows: Rows, s: FloatArray, other: float) -> BoolArray:
+        def at_edge(rows: Rows, s: FloatArray, other: float) -> BoolArray:
             inside = healpix.within(halo.own, rows.stored[rows.records.rows])
             reach = np.minimum(learned.gate_sigmas * np.hypot(s, other), tuning.certain_arcsec)
             near = np.zeros(len(reach), np.bool_)
-            # A record of the cell itself that has hardly moved is farther from the edge than the halo is wide.
-            asked = np.flatnonzero(~inside | (reach + moved + rows.moved_arcsec > halo.width_arcsec))
-            near[asked] = halo.edge_arcsec(rows.place[asked], reach[asked] + moved) <= reach[asked] + moved
+            # A record of the patch that has hardly moved is farther from the edge than the halo's width.
+            tested = np.flatnonzero(~inside | (reach + moved + rows.moved_arcsec > halo.width_arcsec))
+            near[tested] = halo.edge_arcsec(rows.place[tested], reach[tested] + moved) <= reach[tested] + moved
             return near
 
-        return edge(one, sigma[0], usual[1]), edge(two, sigma[1], usual[0])
+        return at_edge(one, sigma[0], largest[1]), at_edge(two, sigma[1], largest[0])
 
 
 @in_short
 @dataclass(frozen=True)
 class Competing:
-    """Candidates, and the groups of those pairs that can be chosen.
+    """Candidates, and the groups of the competing pairs, those that can be chosen.
 
     i, j : (m,) records of the candidates. group_1, group_2 : (n₁,), (n₂,) numbers of the records' groups, −1 where a
-    record has none. groups : how many there are.
+    record has no competing pair. groups : number of groups.
     """
 
     i: NDArray[np.int32]
@@ -381,7 +388,7 @@ class Competing:
 
     @classmethod
     def of(cls, pairs: Pairs, log_ratio: FloatArray, least: float) -> Competing:
-        """Of pairs of which those can be chosen that weigh more than this."""
+        """From pairs, which compete if their log odds are above ``least``."""
         kept = np.flatnonzero(log_ratio > least)
         n_1, n_2 = len(pairs.first), len(pairs.second)
         i, j = pairs.i[kept], pairs.j[kept]
@@ -391,26 +398,26 @@ class Competing:
         group_1[i], group_2[j] = of_pairs, of_pairs
         return cls(pairs.i, pairs.j, group_1, group_2, len(grouped))
 
-    def held(self, some_1: BoolArray, some_2: BoolArray) -> BoolArray:
-        """(g + 1,) whether groups hold one of these records; the last one is none."""
-        held = np.zeros(self.groups + 1, np.bool_)
-        held[self.group_1[some_1]] = True
-        held[self.group_2[some_2]] = True
-        held[-1] = False
-        return held
+    def groups_of(self, records_1: BoolArray, records_2: BoolArray) -> BoolArray:
+        """(g + 1,) the groups that contain one of these records; the last element, for no group, is False."""
+        contains = np.zeros(self.groups + 1, np.bool_)
+        contains[self.group_1[records_1]] = True
+        contains[self.group_2[records_2]] = True
+        contains[-1] = False
+        return contains
 
-    def of_groups(self, held: BoolArray) -> Both:
-        """(n₁,), (n₂,) whether records are in these groups."""
-        return held[self.group_1], held[self.group_2]
+    def in_groups(self, groups: BoolArray) -> Both:
+        """(n₁,), (n₂,) the records in these groups."""
+        return groups[self.group_1], groups[self.group_2]
 
     def around(self, own: Both, steps: int) -> Both:
-        """(n₁,), (n₂,) some records with their groups, and so many times their candidates with theirs."""
-        one, two = (some | more for some, more in zip(own, self.of_groups(self.held(*own)), strict=True))
+        """(n₁,), (n₂,) some records and their groups, extended ``steps`` times by all candidates and their groups."""
+        one, two = (some | more for some, more in zip(own, self.in_groups(self.groups_of(*own)), strict=True))
         for _ in range(steps):
             more_1, more_2 = one.copy(), two.copy()
             more_1[self.i[two[self.j]]] = True
             more_2[self.j[one[self.i]]] = True
-            with_1, with_2 = self.of_groups(self.held(more_1, more_2))
+            with_1, with_2 = self.in_groups(self.groups_of(more_1, more_2))
             one, two = more_1 | with_1, more_2 | with_2
         return one, two
 
@@ -429,7 +436,7 @@ class Patch:
         return healpix.stretches(self.cells, self.order)
 
     def coarser(self, order: int) -> Patch:
-        """The cells of an order that hold them; itself, where that is not coarser."""
+        """The cells of a coarser order that contain the patch; itself if the order is not coarser."""
         if order >= self.order:
             return self
         return Patch(order, np.unique(self.cells >> 2 * (self.order - order)))
@@ -438,10 +445,12 @@ class Patch:
 @in_short
 @dataclass(frozen=True)
 class Halo:
-    """A patch and the cells around it. own : (o, 2) stretches of the patch, stretch : (k, 2) of all.
+    """A patch and the cells around it.
 
-    middle : (3,) a direction within. edges : (e, 3) directions outside, along the edge. width_arcsec : everything so
-    near to the patch is in it. side_arcsec : no point outside is farther from one of the edges than 0.85 of this.
+    own : (o, 2) stretches of the patch. stretch : (k, 2) of patch and halo. middle : (3,) a direction in the patch.
+    edges : (e, 3) centres of cells just outside, all along the edge. width_arcsec : the halo contains every point this
+    near to the patch. side_arcsec : of the cells along the edge: no point of them is farther than CORNER times this
+    from their centre.
     """
 
     own: IntArray
@@ -453,14 +462,14 @@ class Halo:
 
     @classmethod
     def around(cls, patch: Patch, width_arcsec: float, finer: int) -> Halo:
-        """At least so wide; everything where that is wider than a cell of order 0."""
+        """The halo of at least this width; the whole sky if that is wider than a cell of order 0."""
         order = healpix.order_of_width(width_arcsec)
         middle = healpix.centres(patch.cells, patch.order).sum(axis=0)
         middle /= max(float(np.linalg.norm(middle)), 1e-9)
         if width_arcsec > healpix.width_arcsec(0):
-            every = np.array([[0, 12 << 2 * healpix.FINEST]], np.int64)
-            return cls(patch.stretch, every, middle, np.empty((0, 3)), np.inf, 0.0)
-        coarse, thin = patch.coarser(order), order + THINNER
+            whole_sky = np.array([[0, 12 << 2 * healpix.FINEST]], np.int64)
+            return cls(patch.stretch, whole_sky, middle, np.empty((0, 3)), np.inf, 0.0)
+        coarse, thin = patch.coarser(order), order + RING_ORDERS
         rings = math.ceil(width_arcsec / healpix.width_arcsec(thin))
         stretch, ring = coarse.stretch, healpix.ring(coarse.cells, coarse.order, thin)
         for _ in range(rings - 1):
@@ -475,15 +484,15 @@ class Halo:
         centres = healpix.centres(border, finest)
         return cls(patch.stretch, stretch, middle, centres, rings * healpix.width_arcsec(thin), side)
 
-    def reach(self) -> FloatArray:
-        """(4,) a direction and a distance, arcsec, within which all of it lies."""
+    def disc(self) -> FloatArray:
+        """(4,) direction and radius, arcsec, of a disc that contains the halo."""
         if not len(self.edges):
             return np.append(self.middle, 2.0 * ARCSEC_PER_RADIAN)
         far = float(np.linalg.norm(self.edges - self.middle, axis=1).max()) * ARCSEC_PER_RADIAN
         return np.append(self.middle, far)
 
     def edge_arcsec(self, place: FloatArray, up_to: FloatArray) -> FloatArray:
-        """(n,) distances of directions from where it ends, or less; infinite where that is more than asked for."""
+        """(n,) lower bounds of the distances of directions from the edge; infinite if beyond the largest ``up_to``."""
         from scipy.spatial import cKDTree
 
         if not len(place) or not len(self.edges):
@@ -497,8 +506,11 @@ class Halo:
 @in_short
 @dataclass(frozen=True)
 class Part:
-    """Cells decided. own : (n_table,) of either whether a row is stored in them. open : (n,) of either whether the halo
-    may be too narrow for the answer of a record that is."""
+    """A decided part.
+
+    own : (n_table,) for either catalogue, the rows stored in the part's cells. open : (n,) for either, the records of
+    these rows whose answer a wider halo might change.
+    """
 
     halo_arcsec: float
     one: Rows
@@ -509,18 +521,18 @@ class Part:
 
     @property
     def doubtful(self) -> int:
-        """Records for whose answer the halo may be too narrow."""
+        """Number of records whose answer a wider halo might change."""
         return sum(int(np.count_nonzero(of)) for of in self.open)
 
     def doubtful_cells(self, order: int) -> IntArray:
-        """The cells of an order that hold these."""
+        """The cells of this order that contain doubtful records."""
         shift = 2 * (healpix.FINEST - order)
-        held = [rows.stored[rows.records.rows[of]] >> shift
+        cells = [rows.stored[rows.records.rows[of]] >> shift
                 for rows, of in zip((self.one, self.two), self.open, strict=True)]  # fmt: skip
-        return np.unique(np.concatenate(held))
+        return np.unique(np.concatenate(cells))
 
     def without(self, patch: Patch) -> Part:
-        """Less cells that are decided otherwise."""
+        """The part without the cells of a patch, and with no record doubtful: the patch has them all."""
         own_1, own_2 = (own & ~healpix.within(patch.stretch, rows.stored)
                         for own, rows in zip(self.own, (self.one, self.two), strict=True))  # fmt: skip
         none_1, none_2 = (np.zeros(len(of), np.bool_) for of in self.open)
@@ -537,7 +549,7 @@ class Part:
         return self.two.catalogue
 
     def table(self, work: Work) -> tuple[Table, IntArray]:
-        """The joined rows of the cell by their cells of order 29, and these."""
+        """The joined rows by ascending cell of order 29, and these cells."""
         assert work.learned is not None
         seen = [
             rows.records.over_table(work.learned.seen(rows.cells, k + 1)) for k, rows in enumerate((self.one, self.two))
@@ -552,7 +564,7 @@ class Part:
         if work.join in WITH_SECOND:
             one, two = self.first.astrometry, self.second.astrometry
             table["_ra"], table["_dec"] = rows.either(one.ra_deg, two.ra_deg), rows.either(one.dec_deg, two.dec_deg)
-        # A group's number and size depend on how far the halo reaches, and rows that are numbered on the part.
+        # A group's number and size depend on the halo, and row numbers used as ids on the part.
         numbered = any(c.choice.id is None for c in (self.first, self.second))
         table.remove_columns([name for name in ("group_id", "group_size", *["id_second"] * numbered)
                               if name in table.colnames])  # fmt: skip
@@ -560,7 +572,7 @@ class Part:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """What is added up over the parts."""
+        """The numbers that are summed over the parts (the maximum of ``halo_arcsec``)."""
         own = self.own[0][self.result.matches.rows_1]
         own_pairs = self.own[0][self.result.rows_1]
         p, chosen = self.result.p_pair[own_pairs], self.result.chosen[own_pairs]
@@ -588,34 +600,34 @@ WITH_SECOND = ("all2", "1or2", "2not1", "1xor2")
 
 
 def _by_cells(pairs: Pairs, one: Rows, two: Rows) -> Pairs:
-    """The candidates by the stored cells of their records: in which order a group is summed, and with it where sums are
-    approximated, does not depend on what else a part holds."""
+    """The candidates ordered by the stored cells of their records: the order of a group's sum, and where sums are
+    approximated, then do not depend on the other records of the part."""
     place_1, place_2 = (_places(rows)[k] for rows, k in ((one, pairs.i), (two, pairs.j)))
-    order = np.argsort(place_1.astype(np.int64) << 32 | place_2, kind="stable")  # of runs that rise
+    order = np.argsort(place_1.astype(np.int64) << 32 | place_2, kind="stable")  # merges ascending runs
     return replace(pairs.part(order), place_1=place_1[order], place_2=place_2[order])
 
 
 def _places(rows: Rows) -> NDArray[np.int32]:
-    """(n,) places of the records in the order of their stored cells."""
+    """(n,) ranks of the records by their stored cells."""
     place = np.empty(len(rows.records), np.int32)
     place[np.argsort(rows.stored[rows.records.rows], kind="stable")] = np.arange(len(place), dtype=np.int32)
     return place
 
 
 def brightness(first: Catalogue, second: Catalogue, magnitudes: str) -> tuple[Magnitudes, Magnitudes] | None:
-    """The magnitudes that are evidence, as ``sameas.match`` takes them."""
+    """The magnitudes used as evidence, as by ``sameas.match``; None for no such evidence."""
     return None if magnitudes == OFF else magnitudes_of(first, second, magnitudes)
 
 
 def without_rows(catalogue: Catalogue) -> Catalogue:
-    """What was understood of a catalogue, alone."""
+    """The catalogue's recognised columns, without its rows."""
     none = catalogue.table[:0]
     return replace(catalogue, table=none, ids=catalogue.ids[:0], magnitude=None, magnitude_error=None,
                    astrometry=None, doubts=())  # type: ignore[arg-type] # fmt: skip
 
 
 def table_of(table: pa.Table) -> Table:
-    """The astropy table of an Arrow table; columns that no cell can hold are left out."""
+    """The astropy table of an Arrow table, without structures and maps, which no astropy column can hold."""
     from astropy.table import Table
 
     columns = []
@@ -627,12 +639,12 @@ def table_of(table: pa.Table) -> Table:
     return Table(columns, copy=False)
 
 
-def _words(value: Any) -> list[str]:
-    """All texts in a value."""
+def _texts(value: Any) -> list[str]:
+    """All strings in a value, in the fields of its dataclasses and the items of its lists."""
     if isinstance(value, str):
         return [value]
     if hasattr(value, "__dataclass_fields__"):
-        return [word for name in value.__dataclass_fields__ for word in _words(getattr(value, name))]
+        return [text for name in value.__dataclass_fields__ for text in _texts(getattr(value, name))]
     if isinstance(value, list | tuple):
-        return [word for one in value for word in _words(one)]
+        return [text for one in value for text in _texts(one)]
     return []

@@ -1,7 +1,7 @@
-"""A run over all parts: side by side in processes, each part kept when it is done, gone on with after an interruption.
+"""A crossmatch of two partitioned catalogues: parts are decided in parallel processes, and a run can be resumed.
 
-Every worker reads the value that is the same for all parts (:class:`~sameas.partitions.part.Work`) from a folder beside
-the output; what a part gives is a file that is whole or absent, so that nothing but the folder is shared.
+Every worker reads the settings of all parts (:class:`~sameas.partitions.part.Work`) from a folder in the output, and
+writes each finished part as a file that is complete or absent. Workers share nothing but that folder.
 """
 
 from __future__ import annotations
@@ -69,51 +69,53 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RunTuning:
-    """How a run is cut and what it looks at; all chosen.
+    """Numbers of a run, all chosen.
 
     Attributes
     ----------
-    looked_at : rows of a partition by which its columns are understood. partitions : so many of them.
-    far_arcsec, far_sigmas : records that move, or whose errors reach, farther than this, and than so many usual
-        errors, are looked for everywhere.
-    chunks, in_chunk : so many times so many rows that follow each other on the sky tell how dense a catalogue is, and
-        its usual errors. Which these are does not depend on how it is cut.
-    in_cell : records in the cell of a record of the finest counts, on average in the densest chunk.
-    margin_gates : the margin of the sample, in gates that are as wide as the quoted errors let expect.
-    groups, nearly_all : the halo with which parts are decided first, and one that hardly any has to widen, are as wide
-        as groups that hold this share of the pairs of the sample. least_halo_arcsec : at least.
-    failures : a worker may die so often without anything being done meanwhile.
-    few_rows : so many rows are counted without workers, which take a second of the processor to start.
+    column_rows, column_partitions : rows of each partition, and partitions, from which columns are recognised.
+    far_arcsec, far_sigmas : a record is *far* if its motion or error reach exceeds the larger of far_arcsec and
+        far_sigmas median errors; far records are read for every part.
+    chunks, chunk_rows : number and size of runs of rows consecutive on the sky, from which a catalogue's density and
+        median error are measured. Their choice does not depend on the partitions.
+    records_per_cell : in the finest cells of the counts, the mean number of records in a record's cell, in the densest
+        chunk.
+    margin_gates : margin of the sample, in gates of the width expected from the quoted errors.
+    halo_share, margin_share : the first halo of a part, and one that is wide enough for nearly all parts, span the
+        groups that hold this share of the sample's pairs. min_halo_arcsec : lower limit of both.
+    max_failures : workers may die this many times in a row before the run stops, if no task ends in between.
+    max_rows_in_process : catalogues of at most this many rows are counted without workers, each of which takes a CPU
+        second to start.
     """
 
-    looked_at: int = 20_000
-    partitions: int = 3
+    column_rows: int = 20_000
+    column_partitions: int = 3
     far_arcsec: float = 10.0
     far_sigmas: float = 40.0
     chunks: int = 16
-    in_chunk: int = 4_000
-    in_cell: float = 8.0
+    chunk_rows: int = 4_000
+    records_per_cell: float = 8.0
     margin_gates: float = 8.0
-    groups: float = 0.8
-    nearly_all: float = 0.9999
-    least_halo_arcsec: float = 1.0
-    failures: int = 3
-    few_rows: int = 3_000_000
+    halo_share: float = 0.8
+    margin_share: float = 0.9999
+    min_halo_arcsec: float = 1.0
+    max_failures: int = 3
+    max_rows_in_process: int = 3_000_000
     sampling: Sampling = Sampling()  # noqa: RUF009
 
 
 DEFAULT_RUN = RunTuning()
-#: Records of both catalogues that are decided at once, and their candidates, of which each takes 0.4 kB: 0.6 GB of
-#: memory with what is loaded, and with what is summed. Fewer make halos a larger part of the work.
+#: Most records of both catalogues in a piece, and most candidates (0.4 kB each). A worker then takes 0.6 GB, with the
+#: libraries and the sums. Smaller pieces spend a larger part of the work on halos.
 PIECE_ROWS, PIECE_PAIRS = 300_000, 750_000
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a worker decides and writes at once.
+    """A unit of work: what one call of a worker decides and writes.
 
-    cells : of the output. pieces : what is decided at once, one after another, cells of one order: one that holds all
-    of the output's, or several that make up the one of the output.
+    cells : partitions of the output. pieces : decided one after another, each of cells of one order. Either one piece
+    covers all the partitions, or several pieces make up a single partition.
     """
 
     cells: tuple[Cell, ...]
@@ -121,18 +123,18 @@ class Task:
 
     @property
     def cell(self) -> Cell:
-        """The one that holds all."""
+        """The cell that contains the task."""
         return self.cells[0] if len(self.cells) == 1 else self.pieces[0][0]
 
 
 @in_short
 @dataclass(frozen=True)
 class Estimated:
-    """Two catalogues understood, and everything estimated: what every part is decided by.
+    """Two catalogues with their columns recognised, and all estimates: the input of every part.
 
-    work : the same for all parts. counts : of the records of both. catalogues : as understood, with a sample of their
-    rows. moved : one sentence on the common epoch. rows : of both. doubts : what looks wrong. sample : of both
-    catalogues, which was estimated from.
+    work : settings of all parts. counts : records of both by cell. catalogues : with a sample of their rows. moved :
+    one sentence on the common epoch. rows : numbers of rows. doubts : what looks wrong. sample : numbers of records
+    from which was estimated.
     """
 
     work: Work
@@ -145,12 +147,13 @@ class Estimated:
 
     @property
     def learned(self) -> Learned:
-        """What is known."""
+        """The estimates."""
         assert self.work.learned is not None
         return self.work.learned
 
     def rows_with_halo(self, pairs: int) -> int:
-        """Records of both in a square that has so many candidates with its halo; it is no narrower than its halo."""
+        """Records of both in a square that, with its halo, has this many candidates; its side is at least twice the
+        halo's width."""
         assert self.learned.estimate is not None
         answer, halo = self.learned.estimate.answer, self.work.halo_arcsec
         per_record = max(len(answer.pairs), 1) / (len(answer.first) + len(answer.second))
@@ -173,15 +176,15 @@ def estimate(
     part_tuning: PartTuning = DEFAULT_PART,
     scratch: Path,
 ) -> Estimated:
-    """Everything that is not known of two catalogues, estimated once, from all partitions.
+    """Everything that has to be estimated from two catalogues: once, from the counts of all partitions and a sample.
 
-    stored : the catalogues. columns : what the user says of their columns. options : of the match. join, nway_columns :
-    of the output. workers : processes; as many as there are processors if not given. executor : used instead of them.
-    scratch : a folder that workers see too.
+    stored : the catalogues. columns : the user's choice of their columns. options : of the match. join, nway_columns :
+    of the output. workers : number of processes, default one a processor. executor : used instead of own processes.
+    scratch : a folder that workers can read and write.
 
     Raises
     ------
-    InputError : columns that are not understood; no usable rows; a partition that cannot be read, by name.
+    InputError : columns that are not recognised; no usable rows; a partition that cannot be read, by name.
     """
     if options.offset != "none":
         raise InputError("offset: offsets are not fitted over partitions", "remove it before the import")
@@ -195,18 +198,18 @@ def estimate(
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
     progress("columns")
-    looks = tuple(_look(one, stated, tuning) for one, stated in zip(stored, columns, strict=True))
-    columns_of(looks[0], looks[1], options.evidence)  # that there are such
-    epochs = completed_epochs(looks, options.epoch_jyr)
+    samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
+    columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
+    epochs = completed_epochs(samples, options.epoch_jyr)
     epoch, moved = common_epoch(*epochs, options.epoch_jyr)
-    bare = tuple(Side(one, without_rows(look), epoch, 0) for one, look in zip(stored, epochs, strict=True))
+    bare = tuple(Side(one, without_rows(sample), epoch, 0) for one, sample in zip(stored, epochs, strict=True))
     work = Work(
         (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=part_tuning
     )
     chunks = [_Chunks.of(side, work.columns(k), tuning) for k, side in enumerate(bare, 1)]
     order = max(one.order for one in chunks)
     far = max(tuning.far_arcsec, tuning.far_sigmas * max(one.sigma_arcsec for one in chunks))
-    usual = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
+    sigma = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
     counted = _counted(work, scratch, workers, executor, progress, tuning)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
@@ -217,7 +220,7 @@ def estimate(
     places = Places.of(counts, healpix.area_arcsec2(order))
     steps, cells = drawn(counts, tuning.sampling)
     volume = places.within(counts, cells, steps)
-    sampled, learned, assumed = _learned(work, usual, places, steps, cells, volume, options, progress, tuning)
+    sampled, learned, assumed = _learned(work, sigma, places, steps, cells, volume, options, progress, tuning)
     final = tuple(replace(s, understood=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
     halo, margin = _halos(work, tuning)
@@ -227,39 +230,39 @@ def estimate(
                      (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
 
-def completed_epochs(looks: Sequence[Catalogue], epoch_jyr: float | None) -> tuple[Catalogue, Catalogue]:
-    """The catalogues with epochs that the other one tells; errors are completed later, where both overlap."""
-    known = [look for look in looks if not look.error_is_unknown and not look.choice.error.guessed_unit]
+def completed_epochs(catalogues: Sequence[Catalogue], epoch_jyr: float | None) -> tuple[Catalogue, Catalogue]:
+    """The catalogues with missing epochs taken from the other one; unknown errors are completed later, from the sample
+    where both overlap."""
+    known = [one for one in catalogues if not one.error_is_unknown and not one.choice.error.guessed_unit]
     if len(known) == 2:
-        made, _ = completed(looks, epoch_jyr)
+        made, _ = completed(catalogues, epoch_jyr)
         return made[0], made[1]
-    return looks[0], looks[1]
+    return catalogues[0], catalogues[1]
 
 
-def _look(stored: HatsCatalogue, stated: CatalogueOptions, tuning: RunTuning) -> Catalogue:
-    """A catalogue understood by some rows of some partitions."""
+def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:
+    """The first rows of some partitions, with columns recognised."""
     import pyarrow as pa
     from astropy.table import Table, vstack
     from pyarrow import parquet
 
-    places = sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, tuning.partitions)})
     tables = []
-    for k in places:
+    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, tuning.column_partitions)}):
         cell = stored.cells[k]
         for file in stored._files(cell)[:1]:
             try:
                 with parquet.ParquetFile(file) as opened:
-                    batch = next(opened.iter_batches(batch_size=tuning.looked_at, use_threads=False), None)
+                    batch = next(opened.iter_batches(batch_size=tuning.column_rows, use_threads=False), None)
             except MemoryError:
                 raise
-            except Exception as error:  # Arrow fails in many ways on what it did not foresee
+            except Exception as error:  # Arrow raises many types on damaged files
                 raise InputError(f"{file}: the partition {cell} cannot be read ({error})", "restore it") from error
             if batch is not None:
                 tables.append(_rows_of(pa.Table.from_batches([batch])))
     if not tables:
         raise InputError(f"{stored.name}: the catalogue has no rows")
     table = vstack(tables, metadata_conflicts="silent") if len(tables) > 1 else tables[0]
-    return Catalogue.of(Table(table, copy=False), stored.name, options=stated)
+    return Catalogue.of(Table(table, copy=False), stored.name, options=options)
 
 
 def _rows_of(table: Any) -> Any:
@@ -268,28 +271,29 @@ def _rows_of(table: Any) -> Any:
 
 @dataclass(frozen=True)
 class _Chunks:
-    """What some rows of a catalogue tell, which do not depend on how it is cut: the order of cells that hold a few
-    records where it is densest, and the usual error in arcsec, 0 where it has none."""
+    """Density and error of a catalogue, from runs of rows that do not depend on the partitions: the order of cells that
+    hold ``records_per_cell`` records in the densest run, and the median error in arcsec, 0 if it has no errors."""
 
     order: int
     sigma_arcsec: float
 
     @classmethod
     def of(cls, side: Side, columns: list[str], tuning: RunTuning) -> _Chunks:
-        chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.in_chunk, columns)]
-        order = max(_order_of(np.sort(chunk.stored), tuning.in_cell) for chunk in chunks)
+        chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.chunk_rows, columns)]
+        order = max(_order_of(np.sort(chunk.stored), tuning.records_per_cell) for chunk in chunks)
         if side.understood.error_is_unknown:
             return cls(order, 0.0)
         sigma = np.concatenate([chunk.sigma_arcsec for chunk in chunks])
         return cls(order, float(np.median(sigma)) if len(sigma) else 0.0)
 
 
-def _order_of(stored: IntArray, in_cell: float) -> int:
-    """The coarsest order in which no more records are in the cell of one on average; stored : (n,) rising cells."""
+def _order_of(stored: IntArray, records_per_cell: float) -> int:
+    """The coarsest order at which a record's cell holds at most this many records on average; stored : (n,) ascending
+    cells."""
     for order in range(3, 24):
         cells = stored >> 2 * (healpix.FINEST - order)
         count = np.diff(np.append(np.flatnonzero(np.append(True, cells[1:] != cells[:-1])), len(cells)))
-        if float(count @ count) <= in_cell * len(cells):
+        if float(count @ count) <= records_per_cell * len(cells):
             return order
     return 24
 
@@ -297,11 +301,12 @@ def _order_of(stored: IntArray, in_cell: float) -> int:
 def _counted(
     work: Work, scratch: Path, workers: int | None, executor: Executor | None, progress: Progress, tuning: RunTuning
 ) -> tuple[list[Counted], list[Counted]]:
-    """What every partition of both catalogues tells, counted side by side."""
+    """The counts of every partition of both catalogues, in parallel."""
     store(work, scratch)
     tasks = [(side, cell) for side in (1, 2) for cell in work.sides[side - 1].stored.cells]
     by_task: dict[tuple[int, Cell], Counted] = {}
-    if executor is None and sum(int(side.stored.partition_rows.sum()) for side in work.sides) <= tuning.few_rows:
+    rows = sum(int(side.stored.partition_rows.sum()) for side in work.sides)
+    if executor is None and rows <= tuning.max_rows_in_process:
         workers = 1
     with Workers(workers, executor, tuning) as pool:
         for n, (task, counted) in enumerate(pool.each(count_partition, str(scratch), tasks), 1):
@@ -312,7 +317,7 @@ def _counted(
 
 
 def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
-    """The side with its far records, where they are and how far they reach."""
+    """The side with its far records, their positions and their error reach."""
     cells = np.unique(np.concatenate([one.far for one in counted]))
     if not len(cells):
         return side
@@ -327,18 +332,22 @@ def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
 
 
 def _learned(
-    work: Work, usual: float, places: Places, steps: int, cells: IntArray, volume: float,
+    work: Work, sigma: float, places: Places, steps: int, cells: IntArray, volume: float,
     options: MatchOptions, progress: Progress, tuning: RunTuning,
 ) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:  # fmt: skip
-    """The sample's catalogues, completed; what they say; and the doubts of what was assumed."""
+    """The sample's catalogues with errors and epochs completed, the estimates, and doubts on what was assumed.
+
+    sigma : median error of a residual, arcsec. cells : (c,) of the sample, ``steps`` orders coarser than the counts;
+    volume : theirs.
+    """
     order = work.sides[0].cell_order - steps
-    margin = tuning.margin_gates * 6.4 * usual + 2.0 * _motion(work)
+    margin = tuning.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
     ring = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
     stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(ring, fine)]))
-    every = np.array([0.0, 0.0, 1.0, 2.0 * 206265.0])
-    rows = [work.read(side, stretch, every, work.columns(side)) for side in (1, 2)]
-    # The epoch is the same for all; errors and their units may follow from both together.
+    whole_sky = np.array([0.0, 0.0, 1.0, 2.0 * 206265.0])
+    rows = [work.read(side, stretch, whole_sky, work.columns(side)) for side in (1, 2)]
+    # The epoch is fixed by now; errors and their units may be inferred from both catalogues together.
     (one, two), assumed = completed([part.catalogue for part in rows], options.epoch_jyr)
     made = [replace(part, catalogue=c, records=c.records(side.epoch_jyr))
             for part, c, side in zip(rows, (one, two), work.sides, strict=True)]  # fmt: skip
@@ -361,8 +370,8 @@ def _motion(work: Work) -> float:
 
 
 def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
-    """The halo with which parts are decided first, and one that is wide enough for nearly all: it holds groups of the
-    sample, a gate around them, and what may have moved into it."""
+    """Width, arcsec, of the first halo of a part, and of one that is wide enough for nearly all parts: the extent of
+    the sample's groups, a gate on either side, and the motion of records."""
     from sameas.groups import laid_out
 
     assert work.learned is not None and work.learned.estimate is not None
@@ -379,15 +388,15 @@ def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
         lon = pairs.first.features[i, 0]
         extents = _extents(grouped.of_pairs().astype(np.int64), len(grouped), lon, lat)
 
-    def wide(share: float) -> float:
+    def width(share: float) -> float:
         extent = float(np.quantile(extents, share))
-        return max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.least_halo_arcsec) + _motion(work)
+        return max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.min_halo_arcsec) + _motion(work)
 
-    return wide(tuning.groups), wide(tuning.nearly_all)
+    return width(tuning.halo_share), width(tuning.margin_share)
 
 
 def _extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:
-    """(m,) arcsec, of the group of each pair, no less than between the two records farthest apart."""
+    """(m,) extent in arcsec of the group of each pair: an upper bound of the distance of any two of its records."""
     east = np.where(lon > 180.0, lon - 360.0, lon), np.mod(lon, 360.0)
     width = np.minimum(*(_spread(group, n, x) for x in east)) * np.cos(np.radians(_least(group, n, np.abs(lat))))
     return np.asarray(3600.0 * np.hypot(width, _spread(group, n, lat)))[group]
@@ -405,11 +414,11 @@ def _least(group: IntArray, n: int, values: FloatArray) -> FloatArray:
     return low
 
 
-# What workers are given: a folder and a task. What is the same for all is read once by each.
+# A worker's functions take a folder and a task; each worker reads the common settings once.
 
 
 def store(work: Work, folder: Path) -> None:
-    """Puts what is the same for all parts into a folder."""
+    """Write the common settings to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     if work.learned is not None:
         work.learned.places.write(folder / "places")
@@ -419,7 +428,7 @@ def store(work: Work, folder: Path) -> None:
 
 
 def stored_work(folder: str) -> Work:
-    """What :func:`store` put there."""
+    """The settings that :func:`store` wrote."""
     return _read_work(folder, (Path(folder) / "work.pickle").stat().st_mtime_ns)
 
 
@@ -434,12 +443,13 @@ def _read_work(folder: str, time_ns: int) -> Work:
 
 
 def count_partition(folder: str, task: tuple[int, Cell]) -> Counted:
-    """A partition counted."""
+    """The counts of a partition; task : catalogue 1 or 2, cell."""
     return stored_work(folder).count(*task)
 
 
 def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> dict[str, Any]:
-    """A part decided and written; its summary. given : the part, the catalogue's folder, how it was made."""
+    """Decide a task and write its partitions; returns the summary. given : the task, the output catalogue's folder, the
+    provenance."""
     task, catalogue, facts = given
     work = stored_work(folder)
     cpu = time.process_time()
@@ -460,7 +470,7 @@ def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> di
 
 
 def _decided(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
-    """The joined rows of a piece by their cells of order 29, as Arrow has them; ``summaries`` gets the summary."""
+    """The Arrow table of a piece's joined rows, by ascending cell of order 29; appends to ``summaries``."""
     import pyarrow as pa
 
     tables = []
@@ -474,7 +484,8 @@ def _decided(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], summari
 
 
 def margin_partition(folder: str, task: tuple[Cell, str, str, float]) -> int:
-    """A partition's margin written; its rows. task : cell, folders of the catalogue and of its margin, its width."""
+    """Write a partition's margin; returns its number of rows. task : the cell, the folders of the catalogue and of its
+    margins, the width in arcsec."""
     cell, catalogue, margin, arcsec = task
     return write_margin(_output(catalogue), cell, arcsec, Path(margin))
 
@@ -485,18 +496,18 @@ def _output(folder: str) -> HatsCatalogue:
 
 
 def summary_file(folder: Path, task: Task) -> Path:
-    """Where the summary of a part that is done lies."""
+    """The file of a finished task's summary."""
     return folder / "done" / f"{task.cell.order}-{task.cell.number}.json"
 
 
 class Workers:
-    """Processes that work on tasks, or an executor that somebody else brought; use it with ``with``."""
+    """A context manager of worker processes, or of the caller's executor."""
 
     def __init__(self, number: int | None, executor: Executor | None, tuning: RunTuning) -> None:
         self.number = threads.count() if number is None else number
         if self.number < 1:
             raise InputError(f"workers is {number}; give 1 or more")
-        self.given, self.tuning = executor, tuning
+        self.executor, self.tuning = executor, tuning
         self._own: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Workers:
@@ -507,13 +518,13 @@ class Workers:
             self._own.shutdown(wait=error[0] is None, cancel_futures=True)
 
     def each(self, work: Callable[[str, Any], Any], folder: str, tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        """Tasks and their results, in the order in which they are done.
+        """Tasks and their results, in the order of completion.
 
         Raises
         ------
-        InputError : what a task refuses; workers that keep dying, with the tasks that they were at.
+        InputError : raised by a task; or workers keep dying: names the tasks that they were at.
         """
-        if self.given is None and self.number == 1:
+        if self.executor is None and self.number == 1:
             for task in tasks:
                 yield task, work(folder, task)
             return
@@ -521,40 +532,43 @@ class Workers:
         while left:
             done = []
             try:
-                for task, result in self._round(work, folder, left):
+                for task, result in self._completed(work, folder, left):
                     done.append(task)
                     yield task, result
             except BrokenProcessPool as error:
                 failures = 1 if done else failures + 1
                 self._own = None
-                if failures >= self.tuning.failures:
+                if failures >= self.tuning.max_failures:
                     at = ", ".join(str(_cell_of(task)) for task in left[: len(done) + self.number][:3])
                     raise InputError(
                         f"workers died {failures} times, at one of the partitions {at} …; finished parts are kept",
                         "give fewer workers if memory ran out, and call again",
                     ) from error
-            gone = {id(task) for task in done}
-            left = [task for task in left if id(task) not in gone]
+            finished = {id(task) for task in done}
+            left = [task for task in left if id(task) not in finished]
 
-    def _round(self, work: Callable[[str, Any], Any], folder: str, tasks: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+    def _completed(
+        self, work: Callable[[str, Any], Any], folder: str, tasks: Sequence[Any]
+    ) -> Iterator[tuple[Any, Any]]:
+        """Tasks and their results, until a worker dies."""
         pool = self._pool()
-        with _nameless_main():
+        with _empty_main():
             futures: dict[Future[Any], Any] = {pool.submit(work, folder, task): task for task in tasks}
         for future in as_completed(futures):
             yield futures[future], future.result()
 
     def _pool(self) -> Executor:
-        if self.given is not None:
-            return self.given
+        if self.executor is not None:
+            return self.executor
         if self._own is None:
             import multiprocessing
 
-            # Where it can be, one process loads everything, and workers are copies of it.
-            copied = "forkserver" in multiprocessing.get_all_start_methods()
-            context: Any = multiprocessing.get_context("forkserver" if copied else "spawn")
-            if copied:
-                context.set_forkserver_preload(list(_LOADED))
-            self._own = ProcessPoolExecutor(self.number, mp_context=context, initializer=_begin)
+            # With a fork server, one process imports everything and workers are forked from it.
+            can_fork = "forkserver" in multiprocessing.get_all_start_methods()
+            context: Any = multiprocessing.get_context("forkserver" if can_fork else "spawn")
+            if can_fork:
+                context.set_forkserver_preload(list(_PRELOADED))
+            self._own = ProcessPoolExecutor(self.number, mp_context=context, initializer=_start_worker)
         return self._own
 
 
@@ -563,8 +577,8 @@ def _cell_of(task: Any) -> Any:
 
 
 @contextmanager
-def _nameless_main() -> Iterator[None]:
-    """Processes that start meanwhile do not run the caller's script again: a script needs no guard."""
+def _empty_main() -> Iterator[None]:
+    """Processes started within it do not import the caller's script: scripts need no ``if __name__ == "__main__"``."""
     main = sys.modules["__main__"]
     sys.modules["__main__"] = types.ModuleType("__main__")
     try:
@@ -573,16 +587,16 @@ def _nameless_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-#: What workers need.
-_LOADED = ("sameas.partitions.run", "sameas._identify", "numba", "pyarrow.parquet", "pyarrow.compute", "cdshealpix",
+#: Modules that the fork server imports.
+_PRELOADED = ("sameas.partitions.run", "sameas._identify", "numba", "pyarrow.parquet", "pyarrow.compute", "cdshealpix",
            "scipy.spatial", "astropy.table", "astropy.coordinates")  # fmt: skip
 
 
-def _begin() -> None:
-    """A worker uses one thread, and ends when the one who started it is gone."""
+def _start_worker() -> None:
+    """Let a worker use one thread, ignore Ctrl-C, and end with the process that started the run."""
     os.environ["SAMEAS_THREADS"] = "1"
-    # A terminal tells all processes of Ctrl-C: who started the run ends its workers. It is asked for by name, for the
-    # process that forks them lives on while they do.
+    # A terminal sends SIGINT to all processes; the main process ends its workers. The worker watches the main process
+    # and not its own parent, the fork server, which lives as long as its workers do.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
 
@@ -593,12 +607,13 @@ def _begin() -> None:
 @in_short
 @dataclass(frozen=True)
 class Written:
-    """What a run wrote.
+    """The output of a run.
 
-    path : the collection. rows : of the joined catalogue. partitions : of it. pairs : identified. expected_wrong,
-    expected_common : of them. doubtful : rows of both catalogues whose answer a wider halo might change. halo_arcsec :
-    the widest. decided : parts decided in this call, the others were there. cpu_seconds : of these. read : records that
-    were decided on, with halos, and again where a halo had to be widened.
+    path : the collection. rows, partitions : of the joined catalogue. pairs : identified. expected_wrong,
+    expected_common : expected numbers of wrong pairs among them and of common objects. doubtful : rows of both
+    catalogues whose answer a wider halo might change. halo_arcsec : the widest. decided : tasks decided in this call,
+    the others were already written. cpu_seconds : of these. read : records in all pieces and their halos, counted again
+    for each widened halo.
     """
 
     path: Path
@@ -626,15 +641,15 @@ def write(
     piece_rows: int = PIECE_ROWS,
     tuning: RunTuning = DEFAULT_RUN,
 ) -> Written:
-    """All parts decided and written as a HATS collection; parts that an interrupted run has written stay.
+    """Decide all parts and write them as a HATS collection; parts written by an interrupted run are kept.
 
-    path : the collection's folder. facts : how it is made; a folder that was begun otherwise is refused. piece_rows :
-    records of both catalogues that are decided at once, about; fewer where candidates are too many for it.
+    path : the collection's folder. facts : the provenance; an unfinished run with another one is refused. piece_rows :
+    approximate records of both catalogues in a piece; fewer where they would have too many candidates.
 
     Raises
     ------
-    InputError : the folder exists and is no unfinished match of the same; a partition cannot be read, by name; workers
-        keep dying; the disk is full.
+    InputError : the folder exists and is not an unfinished run with the same provenance; a partition cannot be read, by
+        name; workers keep dying; the disk is full.
     """
     try:
         return _written(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
@@ -663,7 +678,7 @@ def _written(
         begun = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else facts
     if begun != facts:
         raise InputError(f"{path}: was begun with other catalogues or options", "give another name, or remove it")
-    # One that was killed before it could say what it had begun has begun nothing.
+    # A scratch folder without the mark is of a run that was killed before it wrote anything else.
     if path.exists() and not mark.exists() and any(one != scratch for one in path.iterdir()):
         raise InputError(f"{path}: exists already, and is not an unfinished match", "give another name, or remove it")
     scratch.mkdir(parents=True, exist_ok=True)
@@ -684,9 +699,9 @@ def _all_written(
     estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
     executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning, last: Callable[[], None],
 ) -> Written:  # fmt: skip
-    """The collection, by a run that is alone in its folder and may go on where another has ended.
+    """Write the collection, by the only run in its folder, continuing what another run left.
 
-    last : called before the last step, which makes it whole.
+    last : called before the last step, which completes the collection.
     """
     work, name = estimated.work, path.name
     catalogue, scratch = path / name, path / ".sameas-run"
@@ -694,9 +709,9 @@ def _all_written(
     store(work, scratch)
     written_whole(mark, json.dumps(facts).encode())
     most = min(piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
-    every = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, most))
-    summaries = [_finished(scratch, catalogue, task) for task in every]
-    tasks = [(task, str(catalogue), facts) for task, there in zip(every, summaries, strict=True) if there is None]
+    planned = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, most))
+    summaries = [_summary_of(scratch, catalogue, task) for task in planned]
+    tasks = [(task, str(catalogue), facts) for task, one in zip(planned, summaries, strict=True) if one is None]
     done, cpu = [one for one in summaries if one is not None], 0.0
     with Workers(workers if len(tasks) > 1 else 1, executor, tuning) as pool:
         for n, (_, summary) in enumerate(pool.each(decide_partition, str(scratch), tasks), 1):
@@ -713,8 +728,8 @@ def _all_written(
             _write_margins(
                 pool, str(scratch), catalogue, path / margin, full, margin_arcsec, _properties(work, name), facts
             )
-    for left in path.rglob(".*.part"):  # of workers that died while they wrote
-        left.unlink(missing_ok=True)
+    for draft in path.rglob(".*.part"):  # of workers that died while writing
+        draft.unlink(missing_ok=True)
     last()
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
     sums = {key: sum(one[key] for one in sorted(done, key=lambda one: (one["order"], one["number"])))
@@ -724,20 +739,20 @@ def _all_written(
                    sums["doubtful"], widest, len(tasks), cpu, sums["read"])  # fmt: skip
 
 
-def _finished(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | None:
-    """The summary of a part that is done; None where it is not."""
+def _summary_of(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | None:
+    """The summary of a finished task whose files all exist, else None."""
     file = summary_file(scratch, task)
     if not file.exists():
         return None
     with reading(str(file), "is not as it was written"):
         summary: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-        there = all(partition_file(catalogue, Cell(*cell)).exists() for cell in summary["written"])
-    return summary if there else None
+        complete = all(partition_file(catalogue, Cell(*cell)).exists() for cell in summary["written"])
+    return summary if complete else None
 
 
 def _write_margins(
     pool: Workers, scratch: str, catalogue: Path, margin: Path, cells: Sequence[Cell], arcsec: float,
-    stated: dict[str, Any], facts: dict[str, Any],
+    properties: dict[str, Any], facts: dict[str, Any],
 ) -> None:  # fmt: skip
     _output.cache_clear()
     tasks = [(cell, str(catalogue), str(margin), arcsec) for cell in cells]
@@ -745,11 +760,11 @@ def _write_margins(
     if full:
         own = {"dataproduct_type": "margin", "obs_collection": margin.name, "hats_primary_table_url": catalogue.name,
                "hats_margin_threshold": f"{arcsec:g}"}  # fmt: skip
-        finish_catalogue(margin, full, {**stated, **own}, facts)
+        finish_catalogue(margin, full, {**properties, **own}, facts)
 
 
 def _properties(work: Work, name: str) -> dict[str, Any]:
-    """Properties of the output besides those that follow from its partitions."""
+    """HATS properties of the output, except those that its partitions determine."""
     ra, dec = position_columns(work)
     return {
         "obs_collection": name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
@@ -758,7 +773,7 @@ def _properties(work: Work, name: str) -> dict[str, Any]:
 
 
 def position_columns(work: Work) -> tuple[str, str]:
-    """The columns of positions in the output: those of the first catalogue, or of whichever a row has."""
+    """The output's columns of RA and Dec: those of the first catalogue, or ``_ra``, ``_dec`` if rows may lack it."""
     if work.join in WITH_SECOND:
         return "_ra", "_dec"
     schemas = [[name for name in side.stored.schema.names if name not in (CELL, "Norder", "Dir", "Npix")]
@@ -772,8 +787,8 @@ def position_columns(work: Work) -> tuple[str, str]:
 
 
 def output_cells(work: Work) -> list[Cell]:
-    """The cells of the output: the first catalogue's partitions, and where the join writes rows of the second alone,
-    what of its partitions these leave uncovered."""
+    """The output's partitions: those of the first catalogue, and, if the join writes rows of the second catalogue
+    alone, the part of its partitions outside them."""
     cells = list(work.sides[0].stored.cells)
     if work.join in WITH_SECOND:
         covered = healpix.joined(work.sides[0].stored.stretches)
@@ -783,18 +798,18 @@ def output_cells(work: Work) -> list[Cell]:
 
 
 def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Iterator[Task]:
-    """Cells of the output, by their place on the sky, in tasks of at most so many records of both catalogues, where the
-    cells that were counted, of an order, are smaller."""
+    """The output's cells in tasks of pieces of at most ``most`` records of both catalogues, in HEALPix order; a piece
+    may have more if it is as small as the cells of the counts, which are of ``order``."""
     begins = counts.cells << 2 * (healpix.FINEST - order)
     total = np.concatenate([[0], np.cumsum(counts.numbers.sum(axis=1))])
 
-    def few(*cells: Cell) -> bool:
+    def small_enough(*cells: Cell) -> bool:
         begin, end = np.searchsorted(begins, [cells[0].stretch[0, 0], cells[-1].stretch[0, 1]])
         return cells[0].order >= order or bool(total[end] - total[begin] <= most)
 
     def pieces(*cells: Cell) -> Iterator[tuple[Cell, ...]]:
-        """One cell, or two side by side, or what makes them up."""
-        if few(*cells):
+        """A cell or two adjacent ones if small enough, else pieces of them."""
+        if small_enough(*cells):
             yield cells
         elif len(cells) == 2:
             for cell in cells:
@@ -804,15 +819,15 @@ def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Ite
             yield from pieces(*cells[0].inner[2:])
 
     def tasks(cell: Cell, own: Sequence[Cell]) -> Iterator[Task]:
-        if len(own) == 1 and (own[0].order <= cell.order or not few(own[0])):
+        if len(own) == 1 and (own[0].order <= cell.order or not small_enough(own[0])):
             yield Task((own[0],), tuple(pieces(own[0])))
-        elif few(cell):
+        elif small_enough(cell):
             yield Task(tuple(own), ((common(own),),))
         else:
             for inner in cell.inner:
-                held = [one for one in own if one.order > cell.order and one.at(inner.order) == inner]
-                if held:
-                    yield from tasks(inner, held)
+                inside = [one for one in own if one.order > cell.order and one.at(inner.order) == inner]
+                if inside:
+                    yield from tasks(inner, inside)
 
     for k in range(12):
         own = [cell for cell in cells if cell.at(0) == Cell(0, k)]
@@ -821,7 +836,7 @@ def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Ite
 
 
 def common(cells: Sequence[Cell]) -> Cell:
-    """The smallest cell that holds all."""
+    """The smallest cell that contains all the cells."""
     order = min(cell.order for cell in cells)
     while len({cell.at(order) for cell in cells}) > 1:
         order -= 1
@@ -829,7 +844,7 @@ def common(cells: Sequence[Cell]) -> Cell:
 
 
 def _uncovered(cell: Cell, covered: IntArray) -> list[Cell]:
-    """The largest cells within one that a set of stretches does not touch."""
+    """The largest cells within a cell that are outside the ``covered`` (k, 2) stretches."""
     begin, end = cell.stretch[0]
     at = int(np.searchsorted(covered[:, 1], begin, side="right"))
     if at == len(covered) or covered[at, 0] >= end:
