@@ -27,8 +27,8 @@ from sameas.estimate.places import Counts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
-from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats
-from sameas.partitions.output import partition_file, write_hats
+from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats, partition_file
+from sameas.partitions.output import write_hats
 from sameas.partitions.part import DEFAULT_PART, Halo, PartTuning, Patch
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)

@@ -1,16 +1,15 @@
-"""Catalogues that outgrow one machine: one-to-one, with probabilities, over the partitions of two HATS catalogues.
+"""Crossmatch of two HATS catalogues larger than memory: one-to-one, with probabilities, partition by partition.
 
-Data passes: two :class:`~sameas.partitions.layout.HatsCatalogue` → counts of every partition, added up → a sample of
-cells, from which everything is estimated once → for every cell of the output its records with a halo, decided
-(``part.py``) → a HATS catalogue with its margin (``output.py``). ``run.py`` has the parts worked on side by side, and
-goes on where an earlier run ended.
+Two :class:`~sameas.partitions.layout.HatsCatalogue` → counts of every partition, summed → a sample of cells, from which
+everything is estimated once → for every cell of the output, its records and a halo are identified (``part.py``) → a
+HATS catalogue with a margin (``output.py``). ``run.py`` runs the parts in parallel and resumes an interrupted run.
 
-- *Owner.* A pair belongs to the cell that holds its first record's position as its catalogue has it; a record of the
-  second catalogue without a partner to that which holds its own. Every record of the first lies in one cell, so nothing
-  is written twice, and no record is claimed twice where both claims would be decided alike.
-- *Certain.* A record's answer depends on the group that can compete for it: pairs of positive log odds are the only
-  ones that can be chosen (METHOD 11.5). Where no such group comes within a gate of where the halo ends, a wider halo
-  changes nothing; else the part is decided again with twice the halo, until it is so.
-- *Far.* Records that have moved far since their catalogue's epoch, or whose errors reach far, are few; every part gets
-  those that reach into it, wherever they are stored.
+- *Owner.* A pair belongs to the cell of its first record's stored position; a record of the second catalogue without
+  partner to the cell of its own. Every record of the first catalogue is in one cell, so no row is written twice, and no
+  record is claimed twice where both parts decide alike.
+- *Halo.* A record's answer depends on the group that competes for it: only pairs of positive log odds can be chosen
+  (METHOD 11.5). If no such group comes within a gate of the halo's edge, a wider halo changes nothing. Otherwise the
+  doubtful cells are decided again with twice the halo, until none is doubtful or the halo has its largest width.
+- *Far.* Few records have a large motion since their catalogue's epoch, or large errors; every part reads those that may
+  reach it, wherever they are stored.
 """

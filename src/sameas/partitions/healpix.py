@@ -1,7 +1,7 @@
-"""Cells of HEALPix in nested numbering: those of positions, and the stretches around a cell that a halo fills.
+"""HEALPix cells in nested numbering: cells of positions, cells around cells, and stretches of cells.
 
 A stretch is a range [begin, end) of cell numbers at order 29, the order of the column ``_healpix_29`` of a HATS
-catalogue. A set of them is an (k, 2) array, rising and disjoint.
+catalogue. A set of stretches is a (k, 2) array, ascending and disjoint.
 """
 
 from __future__ import annotations
@@ -15,24 +15,24 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 
 FINEST = 29
-#: The mean side of a cell over the least distance across one; hats counts with the same number for its margins.
+#: Mean side of a cell over the smallest width of any cell; hats uses the same number for its margins.
 SIDE_OVER_WIDTH = 1.6
 #: Side of a cell of order 0, arcsec: the root of 4π/12 steradian.
 SIDE_ARCSEC = math.degrees(math.sqrt(math.pi / 3.0)) * 3600.0
 
 
 def area_arcsec2(order: int) -> float:
-    """Area of a cell."""
+    """Area of a cell, arcsec²."""
     return (SIDE_ARCSEC / 2.0**order) ** 2
 
 
 def width_arcsec(order: int) -> float:
-    """Least distance across a cell."""
+    """Smallest width of a cell, arcsec."""
     return SIDE_ARCSEC / 2.0**order / SIDE_OVER_WIDTH
 
 
 def order_of_width(arcsec: float) -> int:
-    """The finest order whose cells are at least so wide."""
+    """The finest order, at most 24, whose cells are at least this wide; 0 if none is."""
     return int(min(max(math.floor(math.log2(SIDE_ARCSEC / SIDE_OVER_WIDTH / max(arcsec, 1e-6))), 0), 24))
 
 
@@ -48,20 +48,20 @@ def cells_of(position_deg: FloatArray, order: int) -> IntArray:
 
 
 def centres(cells: IntArray, order: int) -> FloatArray:
-    """(n, 3) directions of the middles of cells."""
+    """(n, 3) unit vectors of the centres of cells."""
     lon, lat = _nested().healpix_to_lonlat(cells.astype(np.uint64), order, num_threads=1)
     lon, lat = np.asarray(lon.rad), np.asarray(lat.rad)
     return np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
 
 
 def stretches(cells: IntArray, order: int) -> IntArray:
-    """(k, 2) stretches of cells of one order, neighbours taken together."""
+    """(k, 2) stretches of cells of one order, consecutive cells joined."""
     cells = _distinct(np.asarray(cells, np.int64))
     return joined(np.column_stack([cells, cells + 1]) << (2 * (FINEST - order)))
 
 
 def joined(stretch: IntArray) -> IntArray:
-    """The same set, (k, 2), rising, and none touching the next."""
+    """The union of stretches as the fewest stretches (k, 2), ascending."""
     if not len(stretch):
         return stretch.reshape(0, 2)
     stretch = stretch[np.argsort(stretch[:, 0], kind="stable")]
@@ -73,7 +73,7 @@ def joined(stretch: IntArray) -> IntArray:
 
 
 def within(stretch: IntArray, cells: IntArray) -> BoolArray:
-    """(n,) whether cells of order 29 lie in a set of stretches."""
+    """(n,) whether cells of order 29 are in a set of stretches."""
     if not len(stretch):
         return np.zeros(len(cells), np.bool_)
     at = np.searchsorted(stretch[:, 0], cells, side="right") - 1
@@ -81,24 +81,24 @@ def within(stretch: IntArray, cells: IntArray) -> BoolArray:
 
 
 def ring(cells: IntArray, order: int, fine: int) -> IntArray:
-    """The cells of order ``fine`` around a set of cells of an order that is not finer, none of them inside."""
+    """The cells of order ``fine`` that touch a set of cells of the same or a coarser order from outside."""
     nested, fine = _nested(), max(fine, order)
     edges, corners = nested.external_neighbours(np.asarray(cells, np.uint64), order, fine - order, num_threads=1)
-    # Corners that do not exist are −1.
+    # −1 where a corner does not exist
     around = np.concatenate([np.ravel(edges).astype(np.int64), np.ravel(corners).astype(np.int64)])
     around = _distinct(around[around >= 0])
     return around[~np.isin(around >> (2 * (fine - order)), cells)]
 
 
 def around(cells: IntArray, order: int) -> IntArray:
-    """The cells of the same order that touch a set of cells, without these."""
+    """The cells of the same order that touch a set of cells from outside."""
     near = np.asarray(_nested().neighbours(np.asarray(cells, np.uint64), order, num_threads=1)).astype(np.int64)
     near = _distinct(near[near >= 0])
     return np.setdiff1d(near, cells, assume_unique=True)
 
 
 def _distinct(cells: IntArray) -> IntArray:
-    """The same, rising and each once; NumPy's own way is a table of hashes, five times as slow for numbers of cells."""
+    """The distinct cells, ascending; ``np.unique`` uses a hash table, five times as slow for cell numbers."""
     cells = np.sort(cells)
     return cells[np.append(True, cells[1:] != cells[:-1])] if len(cells) else cells
 

@@ -1,7 +1,7 @@
-"""A HATS catalogue on disk: which partitions it has, and its rows in a stretch of the sky, read with pyarrow alone.
+"""A HATS catalogue on disk: its partitions, and its rows in stretches of HEALPix cells, read with pyarrow alone.
 
-https://www.ivoa.net/documents/Notes/HATS/: a folder ``dataset`` with a Parquet file for each cell of HEALPix, whose
-rows have their cell of order 29 in ``_healpix_29``; a collection names the folder of its catalogue.
+https://www.ivoa.net/documents/Notes/HATS/: a folder ``dataset`` with a Parquet file for each HEALPix cell, whose rows
+have their cell of order 29 in the column ``_healpix_29``; a collection names the folder of its catalogue.
 """
 
 from __future__ import annotations
@@ -34,41 +34,52 @@ if TYPE_CHECKING:
 
 #: The column of the cell of order 29.
 CELL = "_healpix_29"
-#: Columns of HATS itself, which no catalogue is understood by.
+#: Columns of HATS itself, which are never a catalogue's positions, ids or magnitudes.
 OWN = (CELL, "_hipscat_index", "Norder", "Dir", "Npix")
 COLLECTION, PROPERTIES = "collection.properties", ("hats.properties", "properties")
-#: How files of partitions, or the names of their folders, may end: they lie in the catalogue, whatever properties say.
+#: Accepted suffixes of partitions; any other could lead to files outside the catalogue.
 _SUFFIX = re.compile(r"/|(\.\w{1,20}){1,3}")
 
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """A cell of HEALPix: order and number; of a partition, or of a piece of work."""
+    """A HEALPix cell: order and number."""
 
     order: int
     number: int
 
     @property
     def stretch(self) -> IntArray:
-        """(1, 2) its stretch."""
+        """(1, 2) its range of cells of order 29."""
         shift = 2 * (FINEST - self.order)
         return np.array([[self.number << shift, (self.number + 1) << shift]], np.int64)
 
     @property
     def inner(self) -> tuple[Cell, ...]:
-        """The four that make it up."""
+        """Its four cells of the next order."""
         return tuple(Cell(self.order + 1, 4 * self.number + k) for k in range(4))
 
     def at(self, order: int) -> Cell:
-        """The cell of a coarser order, or the same, that holds it."""
+        """The cell of this order, coarser or the same, that contains it."""
         return Cell(order, self.number >> 2 * (self.order - order))
 
     def __str__(self) -> str:
         return f"Norder={self.order}, Npix={self.number}"
 
 
+def sky_order(cell: Cell) -> tuple[int, int]:
+    """Sort key of cells along HEALPix' nested order."""
+    return int(cell.stretch[0, 0]), cell.order
+
+
+def partition_file(folder: Path, cell: Cell, suffix: str = ".parquet") -> Path:
+    """The file of a partition of the catalogue in a folder, or, for suffix "/", the folder of its files."""
+    place = folder / "dataset" / f"Norder={cell.order}" / f"Dir={cell.number // 10000 * 10000}"
+    return place / f"Npix={cell.number}{'' if suffix == '/' else suffix}"
+
+
 def numbers_of(table: pa.Table, column: str) -> NDArray[Any]:
-    """(n,) a column of numbers; Arrow's own way would import pandas, which takes a third of a second."""
+    """(n,) a column of numbers; ``to_numpy`` would import pandas, which takes a third of a second."""
     chunks = [numbers_in(chunk) for chunk in table.column(column).chunks]
     return chunks[0] if len(chunks) == 1 else np.concatenate([np.empty(0, np.int64), *chunks])
 
@@ -84,7 +95,7 @@ def is_hats(path: Any) -> bool:
 
 
 def properties(path: Path) -> dict[str, str]:
-    """The pairs of a file of properties."""
+    """The keys and values of a properties file."""
     lines = (line.partition("=") for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#"))
     return {_unescaped(key.strip()): _unescaped(value.strip()) for key, equals, value in lines if equals}
 
@@ -98,8 +109,8 @@ def _unescaped(text: str) -> str:
 class HatsCatalogue:
     """A catalogue in partitions. Make it with :meth:`open`.
 
-    path : the folder that holds ``dataset``. name : for messages. cells : of the partitions, by their place on the sky.
-    properties : what its properties say.
+    path : the folder that contains ``dataset``. name : for messages. cells : of the partitions, by :func:`sky_order`.
+    properties : of its properties file.
     """
 
     path: Path
@@ -109,11 +120,11 @@ class HatsCatalogue:
 
     @classmethod
     def open(cls, path: str | os.PathLike[str], name: str = "") -> HatsCatalogue:
-        """The catalogue of a folder, or that of a collection.
+        """The catalogue in a folder, or the primary one of a collection.
 
         Raises
         ------
-        InputError : no HATS catalogue; it has no partitions.
+        InputError : not a HATS catalogue; no partitions; partitions that overlap or are no HEALPix cells.
         """
         folder = Path(path)
         with reading(str(path), "its list of partitions or its properties cannot be read"):
@@ -130,7 +141,7 @@ class HatsCatalogue:
             for one in listed:
                 if not (0 <= one.order <= FINEST and 0 <= one.number < 12 * 4**one.order):
                     raise InputError(f"{path}: no cell of HEALPix is of order {one.order} and number {one.number}")
-            cells = sorted(listed, key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+            cells = sorted(listed, key=sky_order)
         if not cells:
             raise InputError(f"{path}: the catalogue has no partitions", "was it imported to the end?")
         for one, other in pairwise(cells):
@@ -140,23 +151,21 @@ class HatsCatalogue:
 
     @cached_property
     def stretches(self) -> IntArray:
-        """(p, 2) the partitions' own."""
+        """(p, 2) of the partitions."""
         return np.concatenate([cell.stretch for cell in self.cells])
 
     def file(self, cell: Cell) -> Path:
         """The file of a partition, or the folder of its files."""
-        place = self.path / "dataset" / f"Norder={cell.order}" / f"Dir={cell.number // 10000 * 10000}"
-        suffix = self.properties.get("hats_npix_suffix", ".parquet")
-        return place / f"Npix={cell.number}{'' if suffix == '/' else suffix}"
+        return partition_file(self.path, cell, self.properties.get("hats_npix_suffix", ".parquet"))
 
     @cached_property
     def schema(self) -> pa.Schema:
-        """The columns, as the first partition has them."""
+        """The schema of the first partition."""
         return _opened(self._files(self.cells[0])[0], self.cells[0]).schema_arrow
 
     @property
     def position(self) -> tuple[str, str]:
-        """The columns of right ascension and declination by which the catalogue is cut."""
+        """The columns of right ascension and declination by which the catalogue is partitioned."""
         return self.properties.get("hats_col_ra", "ra"), self.properties.get("hats_col_dec", "dec")
 
     def _files(self, cell: Cell) -> list[Path]:
@@ -167,17 +176,16 @@ class HatsCatalogue:
         return files
 
     def touching(self, stretch: IntArray) -> list[int]:
-        """The partitions that a set of stretches touches, rising."""
+        """The partitions that overlap a set of stretches, ascending."""
         own = self.stretches
         first = np.searchsorted(stretch[:, 1], own[:, 0], side="right")
-        touched = (first < len(stretch)) & (stretch[np.minimum(first, len(stretch) - 1), 0] < own[:, 1])
-        return [int(k) for k in np.flatnonzero(touched)] if len(stretch) else []
+        overlaps = (first < len(stretch)) & (stretch[np.minimum(first, len(stretch) - 1), 0] < own[:, 1])
+        return [int(k) for k in np.flatnonzero(overlaps)] if len(stretch) else []
 
     def rows(self, stretch: IntArray, columns: list[str] | None = None) -> pa.Table:
-        """The rows in a set of stretches by their place on the sky, with their cells in ``_healpix_29``.
+        """The rows in a set of stretches by ascending cell, with the cells in ``_healpix_29``.
 
-        columns : their names; None for all but those of HATS itself. Of a file only those row groups are read whose
-        statistics do not exclude it.
+        columns : names; None for all except those of HATS itself. Row groups that the statistics exclude are not read.
 
         Raises
         ------
@@ -203,7 +211,7 @@ class HatsCatalogue:
         return empty.append_column(CELL, pa.array([], pa.int64()))
 
     def pieces(self, cell: Cell, columns: list[str], most_rows: int) -> Iterator[pa.Table]:
-        """The rows of a partition as they are stored, at most so many at once, with their cells.
+        """The rows of a partition in their stored order, at most ``most_rows`` in a table, with their cells.
 
         Raises
         ------
@@ -223,8 +231,8 @@ class HatsCatalogue:
                     yield _with_cells_last(part, cells, names)
 
     def chunks(self, number: int, size: int, columns: list[str]) -> list[pa.Table]:
-        """So many tables of so many rows that follow each other on the sky, at equal distances among all rows, with
-        their cells; one of all rows where there are no more than that. Which they are does not depend on the cut."""
+        """``number`` tables of ``size`` rows consecutive on the sky, equally spaced among all rows, with their cells; a
+        single table of all rows if there are not more. They do not depend on the partitions."""
         import pyarrow as pa
 
         end = np.concatenate([[0], np.cumsum(self.partition_rows)])
@@ -236,29 +244,29 @@ class HatsCatalogue:
         for k, cell in enumerate(self.cells):
             for chunk in np.flatnonzero((begins < end[k + 1]) & (begins + size > end[k])):
                 low, high = max(int(begins[chunk] - end[k]), 0), int(min(begins[chunk] + size, end[k + 1]) - end[k])
-                parts[chunk].append(self._following(cell, low, high, columns))
-        return [pa.concat_tables(some, promote_options="permissive") for some in parts]
+                parts[chunk].append(self._consecutive(cell, low, high, columns))
+        return [pa.concat_tables(part, promote_options="permissive") for part in parts]
 
-    def _following(self, cell: Cell, low: int, high: int, columns: list[str]) -> pa.Table:
-        """Rows of a partition that follow each other on the sky: those from ``low`` to ``high``."""
+    def _consecutive(self, cell: Cell, low: int, high: int, columns: list[str]) -> pa.Table:
+        """The rows low … high − 1 of a partition, counted by ascending cell."""
         import pyarrow as pa
         from pyarrow import parquet
 
         files = self._files(cell)
         if len(files) == 1:
             with _naming(files[0], cell), parquet.ParquetFile(files[0], memory_map=True) as opened:
-                if _rising(opened.metadata):
+                if _groups_ascend(opened.metadata):
                     end = np.cumsum([0, *(opened.metadata.row_group(k).num_rows for k in range(opened.num_row_groups))])
-                    held = [int(k) for k in np.flatnonzero((end[:-1] < high) & (end[1:] > low))]
-                    part = pa.concat_tables([self._read(opened, k, columns) for k in held])
+                    groups = [int(k) for k in np.flatnonzero((end[:-1] < high) & (end[1:] > low))]
+                    part = pa.concat_tables([self._read(opened, k, columns) for k in groups])
                     place = numbers_of(part, CELL)
                     if np.all(place[1:] >= place[:-1]):
-                        return part.take(pa.array(np.arange(low, high) - end[held[0]]))
+                        return part.take(pa.array(np.arange(low, high) - end[groups[0]]))
         rows = self.rows(cell.stretch, columns)
-        return rows.take(pa.array(np.arange(low, high)))  # a slice would hold all of them
+        return rows.take(pa.array(np.arange(low, high)))  # a slice would keep all rows in memory
 
     def _part(self, file: Path, cell: Cell, stretch: IntArray, names: list[str]) -> list[pa.Table]:
-        """The rows of one file."""
+        """The rows of a file in a set of stretches, in pieces."""
         import pyarrow as pa
         from pyarrow import parquet
 
@@ -279,7 +287,7 @@ class HatsCatalogue:
         return parts
 
     def _read(self, opened: Any, number: int, names: list[str]) -> pa.Table:
-        """A row group, with the cells of its rows last."""
+        """A row group, with its rows' cells in the last column."""
         import pyarrow as pa
 
         stored = CELL in opened.schema_arrow.names
@@ -296,7 +304,7 @@ class HatsCatalogue:
 
     @cached_property
     def partition_rows(self) -> IntArray:
-        """(p,) rows of the partitions, by their footers.
+        """(p,) numbers of rows of the partitions, from their footers.
 
         Raises
         ------
@@ -306,7 +314,7 @@ class HatsCatalogue:
                          for cell in self.cells], np.int64)  # fmt: skip
 
     def fingerprint(self) -> str:
-        """SHA-256 of the names, sizes and times of its files: other contents have another."""
+        """SHA-256 of the names, sizes and modification times of the partitions' files."""
         files = [(str(file.relative_to(self.path)), file.stat().st_size, file.stat().st_mtime_ns)
                 for cell in self.cells for file in self._files(cell)]  # fmt: skip
         return hashlib.sha256(json.dumps(files).encode()).hexdigest()
@@ -322,11 +330,11 @@ def _with_cells_last(part: pa.Table, cells: Any, names: list[str]) -> pa.Table:
 
 @dataclass(frozen=True)
 class _Group:
-    """A row group. table : its rows, with their cells last. cells : (n,) these. rising : whether they rise."""
+    """A row group: its rows with their cells in the last column, these cells (n,), and whether they ascend."""
 
     table: pa.Table
     cells: IntArray
-    rising: bool
+    ascending: bool
 
     @classmethod
     def of(cls, table: pa.Table) -> _Group:
@@ -335,16 +343,16 @@ class _Group:
 
     def inside(self, stretch: IntArray) -> IntArray:
         """The rows in a set of stretches."""
-        if not self.rising:
+        if not self.ascending:
             return np.flatnonzero(within(stretch, self.cells))
-        touched = stretch[np.searchsorted(stretch[:, 1], self.cells[0], side="right") :]
-        touched = touched[: np.searchsorted(touched[:, 0], self.cells[-1], side="right")]
-        begin, end = np.searchsorted(self.cells, touched).T
+        overlap = stretch[np.searchsorted(stretch[:, 1], self.cells[0], side="right") :]
+        overlap = overlap[: np.searchsorted(overlap[:, 0], self.cells[-1], side="right")]
+        begin, end = np.searchsorted(self.cells, overlap).T
         return ranges(begin, end - begin)[1]
 
 
-def _rising(metadata: Any) -> bool:
-    """Whether the row groups of a file follow each other on the sky, by their statistics."""
+def _groups_ascend(metadata: Any) -> bool:
+    """Whether the cells of a file's row groups ascend without overlap, by their statistics."""
     last = -1
     for number in range(metadata.num_row_groups):
         limits = _limits(metadata.row_group(number))
@@ -355,7 +363,7 @@ def _rising(metadata: Any) -> bool:
 
 
 def _limits(group: Any) -> tuple[int, int] | None:
-    """The first and the last cell of a row group, by its statistics; None where it has none."""
+    """The lowest and highest cell of a row group, from its statistics; None without statistics."""
     for k in range(group.num_columns):
         column = group.column(k)
         if column.path_in_schema == CELL:
@@ -365,7 +373,7 @@ def _limits(group: Any) -> tuple[int, int] | None:
 
 
 def _outside(group: Any, stretch: IntArray) -> bool:
-    """Whether the statistics of a row group say that none of its rows lies in a set of stretches."""
+    """Whether the statistics of a row group exclude that a row is in a set of stretches."""
     limits = _limits(group)
     if limits is None:
         return False
@@ -383,12 +391,12 @@ def _opened(file: Path, cell: Cell) -> Any:
 
 @contextmanager
 def _naming(file: Path, cell: Cell) -> Iterator[None]:
-    """What fails while a file of a partition is read names it."""
+    """Errors while reading a partition's file become an InputError that names it."""
     try:
         yield
     except (InputError, MemoryError):
         raise
-    except Exception as error:  # Arrow fails in many ways on what it did not foresee
+    except Exception as error:  # Arrow raises many types on damaged files
         words = " ".join(str(error).split())[:160]
         raise InputError(
             f"{file}: the partition {cell} cannot be read ({words})", "restore it, and call again"
@@ -396,7 +404,7 @@ def _naming(file: Path, cell: Cell) -> Iterator[None]:
 
 
 def _listed(folder: Path, suffix: str) -> list[Cell]:
-    """The partitions that a catalogue says it has; those that are there where it does not say."""
+    """The partitions in ``partition_info.csv``, or, without that file, those found in the folder."""
     listing = folder / "partition_info.csv"
     if listing.is_file():
         with listing.open(encoding="utf-8", newline="") as lines:

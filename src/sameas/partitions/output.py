@@ -1,4 +1,4 @@
-"""The output: a HATS collection of the joined catalogue and its margin, each file whole or absent."""
+"""Writing a HATS collection of the joined catalogue and its margin; every file is complete or absent."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from sameas.arrays import IntArray
 from sameas.io.arrow import array_of
 from sameas.io.parquet import column_metadata
 from sameas.partitions import healpix
-from sameas.partitions.layout import CELL, COLLECTION, Cell, HatsCatalogue, numbers_of
+from sameas.partitions.layout import CELL, COLLECTION, Cell, HatsCatalogue, numbers_of, partition_file, sky_order
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Table
 
-#: Rows of a row group: a halo is read in pieces of these.
+#: Rows of a row group, the unit in which halos are read.
 GROUP_ROWS = 1 << 16
 
 
 @contextmanager
-def _whole(path: Path) -> Iterator[Path]:
-    """A file beside ``path`` that comes into its place when the block ends well, and vanishes otherwise."""
+def _draft(path: Path) -> Iterator[Path]:
+    """A draft file next to ``path``, which replaces it when the block ends and is removed if the block fails."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    draft = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        yield beside
-        os.replace(beside, path)
+        yield draft
+        os.replace(draft, path)
     finally:
-        beside.unlink(missing_ok=True)
+        draft.unlink(missing_ok=True)
 
 
 def written_whole(path: Path, content: bytes) -> None:
-    """Puts a file into its place, whole or not at all."""
-    with _whole(path) as beside:
-        beside.write_bytes(content)
+    """Write a file completely or not at all."""
+    with _draft(path) as draft:
+        draft.write_bytes(content)
 
 
 def write_rows(tables: Iterable[pa.Table], path: Path) -> int:
-    """Writes a partition's file, whole or not at all, and none where there are no rows; their number.
+    """Write a partition's file completely or not at all, and none without rows; returns the number of rows.
 
-    tables : its rows, one piece after another, with the columns of the first.
+    tables : its rows in pieces, with the columns of the first piece.
     """
     import pyarrow as pa
     from pyarrow import parquet
@@ -56,11 +56,11 @@ def write_rows(tables: Iterable[pa.Table], path: Path) -> int:
     first = next(pieces, None)
     if first is None:
         return 0
-    # A dictionary of numbers that are nearly all different costs two thirds of the writing and makes files larger.
+    # Dictionary encoding of numbers that are nearly all different takes two thirds of the time and enlarges files.
     texts = [field.name for field in first.schema if pa.types.is_string(field.type)]
     rows = 0
-    with _whole(path) as beside, parquet.ParquetWriter(
-        beside, first.schema, compression="zstd", use_dictionary=texts or False
+    with _draft(path) as draft, parquet.ParquetWriter(
+        draft, first.schema, compression="zstd", use_dictionary=texts or False
     ) as writer:  # fmt: skip
         for table in chain([first], pieces):
             writer.write_table(table.cast(first.schema), row_group_size=GROUP_ROWS)
@@ -69,7 +69,7 @@ def write_rows(tables: Iterable[pa.Table], path: Path) -> int:
 
 
 def arrow_of(table: Table, cells: IntArray, facts: Mapping[str, Any]) -> pa.Table:
-    """A joined table as a partition has it, with the cells of order 29 of its rows first."""
+    """The Arrow table of a partition's joined rows, the rows' cells of order 29 in its first column."""
     import pyarrow as pa
 
     arrays = [pa.array(cells, pa.int64()), *(array_of(table[name]) for name in table.colnames)]
@@ -79,22 +79,24 @@ def arrow_of(table: Table, cells: IntArray, facts: Mapping[str, Any]) -> pa.Tabl
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={b"sameas": json.dumps(facts).encode()}))
 
 
-def partition_file(folder: Path, cell: Cell) -> Path:
-    """Where a partition of a catalogue lies."""
-    place = folder / "dataset" / f"Norder={cell.order}" / f"Dir={cell.number // 10000 * 10000}"
-    return place / f"Npix={cell.number}.parquet"
+def catalogue_properties(name: str, ra: str, dec: str) -> dict[str, Any]:
+    """HATS properties of a catalogue, except those that its partitions determine. ra, dec : columns of positions."""
+    return {
+        "obs_collection": name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
+        "hats_col_healpix": CELL, "hats_col_healpix_order": healpix.FINEST, "hats_builder": "sameas",
+    }  # fmt: skip
 
 
 def finish_catalogue(
     folder: Path, cells: Iterable[Cell], properties: Mapping[str, Any], facts: Mapping[str, Any]
 ) -> int:
-    """Writes what a catalogue says of itself, from its partitions; the number of its rows.
+    """Write a catalogue's metadata, properties and list of partitions; returns its number of rows.
 
-    properties : properties besides those that follow from the partitions. facts : how it was made.
+    properties : those of :func:`catalogue_properties`. facts : the provenance.
     """
     from pyarrow import parquet
 
-    cells = sorted(cells, key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+    cells = sorted(cells, key=sky_order)
     collected, schema = [], None
     for cell in cells:
         path = partition_file(folder, cell)
@@ -121,7 +123,7 @@ def finish_catalogue(
 
 
 def write_collection(folder: Path, name: str, margin: str | None) -> None:
-    """Says which catalogue and margin a folder holds."""
+    """Write the properties of a collection: its catalogue and margin."""
     properties = {"obs_collection": name, "hats_primary_table_url": name}
     if margin is not None:
         properties |= {"all_margins": margin, "default_margin": margin}
@@ -129,7 +131,7 @@ def write_collection(folder: Path, name: str, margin: str | None) -> None:
 
 
 def _lines(properties: Mapping[str, Any]) -> bytes:
-    """Lines as Java's properties have them: what ends a line or does not show is \\uXXXX."""
+    """Lines of a Java properties file: line ends and unprintable characters as \\uXXXX."""
     return "".join(f"{_escaped(key)}={_escaped(str(value))}\n" for key, value in properties.items()).encode()
 
 
@@ -138,7 +140,7 @@ def _escaped(text: str) -> str:
 
 
 def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, folder: Path) -> int:
-    """Writes the rows around a partition that others hold, for the margin catalogue in a folder; their number."""
+    """Write a partition of the margin catalogue: the rows of other partitions around the cell; returns their number."""
     import pyarrow as pa
 
     order = max(healpix.order_of_width(margin_arcsec), cell.order)
@@ -157,31 +159,30 @@ def write_hats(
     table: Table, folder: Path, *, ra: str = "ra", dec: str = "dec", cells: Iterable[Cell] | None = None,
     most_rows: int = 1_000_000,
 ) -> list[Cell]:  # fmt: skip
-    """Writes a table as a HATS catalogue; its partitions.
+    """Write a table as a HATS catalogue; returns its partitions.
 
-    ra, dec : columns of positions, degrees. cells : the partitions; if not given, of at most ``most_rows`` rows each.
+    ra, dec : columns of positions, degrees. cells : the partitions; by default of at most ``most_rows`` rows each.
     """
     position = np.column_stack([np.asarray(table[ra], np.float64), np.asarray(table[dec], np.float64)])
     place = healpix.cells_of(position, healpix.FINEST)
     order = np.argsort(place, kind="stable")
     table, place = table[order], place[order]
-    wanted = [Cell(0, k) for k in range(12)] if cells is None else cells
-    chosen = [one for cell in wanted for one in (_parts(cell, place, most_rows) if cells is None else [cell])]
+    if cells is None:
+        cells = [one for k in range(12) for one in _split(Cell(0, k), place, most_rows)]
     full = []
-    for cell in chosen:
+    for cell in cells:
         begin, end = np.searchsorted(place, cell.stretch[0])
         if begin < end:
             write_rows([arrow_of(table[begin:end], place[begin:end], {})], partition_file(folder, cell))
             full.append(cell)
-    properties = {"obs_collection": folder.name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
-            "hats_col_healpix": CELL, "hats_col_healpix_order": healpix.FINEST, "hats_builder": "sameas"}  # fmt: skip
-    finish_catalogue(folder, full, properties, {})
+    finish_catalogue(folder, full, catalogue_properties(folder.name, ra, dec), {})
     return full
 
 
-def _parts(cell: Cell, place: IntArray, most_rows: int) -> list[Cell]:
-    """A cell, or those within it that hold no more rows than that."""
+def _split(cell: Cell, place: IntArray, most_rows: int) -> list[Cell]:
+    """The cell, or the largest cells within it, with at most ``most_rows`` of the ascending cells ``place``; those
+    without rows omitted."""
     begin, end = np.searchsorted(place, cell.stretch[0])
     if end - begin <= most_rows or cell.order == 20:
         return [cell] if begin < end else []
-    return [one for part in cell.inner for one in _parts(part, place, most_rows)]
+    return [one for part in cell.inner for one in _split(part, place, most_rows)]

@@ -35,11 +35,11 @@ from sameas.evidence import Related
 from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
 from sameas.kernels import threads
 from sameas.partitions import healpix
-from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of
+from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of, partition_file, sky_order
 from sameas.partitions.output import (  # fmt: skip
     arrow_of,
+    catalogue_properties,
     finish_catalogue,
-    partition_file,
     write_collection,
     write_margin,
     write_rows,
@@ -721,13 +721,12 @@ def _all_written(
         full = [Cell(*cell) for one in done for cell in one["written"]]
         if not full:
             raise InputError(f"{path}: the join {work.join} has no rows; nothing was written")
-        rows = finish_catalogue(catalogue, full, _properties(work, name), facts)
+        properties = catalogue_properties(name, *position_columns(work))
+        rows = finish_catalogue(catalogue, full, properties, facts)
         margin = f"{name}_{margin_arcsec:g}arcs" if margin_arcsec > 0.0 else None
         if margin is not None:
             progress("margin")
-            _write_margins(
-                pool, str(scratch), catalogue, path / margin, full, margin_arcsec, _properties(work, name), facts
-            )
+            _write_margins(pool, str(scratch), catalogue, path / margin, full, margin_arcsec, properties, facts)
     for draft in path.rglob(".*.part"):  # of workers that died while writing
         draft.unlink(missing_ok=True)
     last()
@@ -763,15 +762,6 @@ def _write_margins(
         finish_catalogue(margin, full, {**properties, **own}, facts)
 
 
-def _properties(work: Work, name: str) -> dict[str, Any]:
-    """HATS properties of the output, except those that its partitions determine."""
-    ra, dec = position_columns(work)
-    return {
-        "obs_collection": name, "dataproduct_type": "object", "hats_col_ra": ra, "hats_col_dec": dec,
-        "hats_col_healpix": CELL, "hats_col_healpix_order": healpix.FINEST, "hats_builder": "sameas",
-    }  # fmt: skip
-
-
 def position_columns(work: Work) -> tuple[str, str]:
     """The output's columns of RA and Dec: those of the first catalogue, or ``_ra``, ``_dec`` if rows may lack it."""
     if work.join in WITH_SECOND:
@@ -794,7 +784,7 @@ def output_cells(work: Work) -> list[Cell]:
         covered = healpix.joined(work.sides[0].stored.stretches)
         for cell in work.sides[1].stored.cells:
             cells += _uncovered(cell, covered)
-    return sorted(cells, key=lambda cell: (int(cell.stretch[0, 0]), cell.order))
+    return sorted(cells, key=sky_order)
 
 
 def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Iterator[Task]:
