@@ -1,6 +1,9 @@
-"""Any number of sources at once: every partition of their records into objects is a hypothesis.
+"""Identification of the records of any number of sources; a hypothesis is a partition of all records into objects.
 
-The way of the data: observations → joint densities → pooled records → terms → rules → sets → partition → marginals →
-objects → explanation. :func:`sameas.identify_many` walks it for all sources together,
-:func:`sameas.identify_sequentially` source after source; :mod:`~sameas.many.fusion` joins the positions of an object.
+- All sources jointly, independent of their order: :func:`sameas.identify_many`.
+- Source after source, for comparison: :func:`sameas.identify_sequentially`.
+- One position from several estimates of it: :mod:`sameas.many.fusion`.
+
+Stages: observations → joint densities → pooled records → rules and their terms → sets → partition and marginals →
+objects → explanation.
 """

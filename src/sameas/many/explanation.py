@@ -1,7 +1,7 @@
-"""Explanation: why certain records are one object, against every other set that one of them could be in.
+"""Explanation of an object: its terms against those of every other set that one of its records could belong to.
 
-:meth:`sameas.many.objects.Objects.explain` makes it. For two sources :mod:`sameas.result.explanation` has more: the
-cost of every other answer for the whole group.
+Made by :meth:`sameas.many.objects.Objects.explain`. For two sources, :mod:`sameas.result.explanation` also has the cost
+of every other answer for the whole group.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from sameas.many.sets import Sets
 from sameas.representation import in_short
 from sameas.result.explanation import probability_text
 
-#: Least probability of a rival (chosen).
-LEAST = 1e-9
+#: Least probability of a listed rival (chosen).
+MIN_PROBABILITY = 1e-9
 #: Most rivals in the text.
 MOST_RIVALS = 8
 
@@ -35,7 +35,7 @@ Name = tuple[str, Any]
 
 
 class Identified(Protocol):
-    """What of :class:`~sameas.many.objects.Objects` their explanation is made from."""
+    """The attributes of :class:`~sameas.many.objects.Objects` that an explanation needs."""
 
     @property
     def pooled(self) -> PooledRecords: ...
@@ -54,15 +54,15 @@ class Identified(Protocol):
 @in_short
 @dataclass(frozen=True)
 class Rival:
-    """A set of records that could be one object; the object itself is the one that is ``chosen``.
+    """A set of records that could be one object; the object itself is the ``chosen`` one.
 
     Attributes
     ----------
     members : the records, in the order in which the sources were given.
     probability : that exactly these records are one object.
-    log_odds : ln of their weight as one object over their weight as that many objects; 0 for one record.
+    log_odds : ln of the odds of one object against every record being a separate one; 0 for one record.
     terms : the parts of ``log_odds`` by name; none for one record.
-    taken : (record, number of the object that it is in) of those that the answer gives to another object.
+    taken : (record, number of its object) of the members that belong to another object of the answer.
     """
 
     members: tuple[Name, ...]
@@ -79,14 +79,14 @@ class Rival:
 @in_short
 @dataclass(frozen=True)
 class ObjectExplanation:
-    """What :meth:`sameas.many.objects.Objects.explain` gives; ``str()`` of it is a text for people.
+    """The result of :meth:`sameas.many.objects.Objects.explain`; ``str()`` of it is a readable text.
 
     Attributes
     ----------
-    number : of the object. group, records : the number of its group, and how many records that has.
+    number : of the object. group, records : number of its group, and of the records in it.
     exact : whether the probabilities are sums over all partitions of the group.
-    rivals : every set that has one of the object's records, itself among them, the most probable first.
-    stays : why it is the answer though another is more probable; "" where none is.
+    rivals : all sets that share a record with the object, including itself, the most probable first.
+    stays : why the object is the answer although a rival is more probable; "" if none is.
     """
 
     number: int
@@ -108,12 +108,12 @@ class ObjectExplanation:
 
     @property
     def against_runner_up(self) -> dict[str, float]:
-        """By name, each term of the object less that of its runner-up; their sum is the difference of ln w."""
+        """Each term of the object minus that of its runner-up, by name; they sum to the difference of ln w."""
         other = self.runner_up
         if other is None:
             return {}
-        mine, its = self.chosen.terms, other.terms
-        return {name: mine.get(name, 0.0) - its.get(name, 0.0) for name in {**mine, **its}}
+        one, two = self.chosen.terms, other.terms
+        return {name: one.get(name, 0.0) - two.get(name, 0.0) for name in {**one, **two}}
 
     def __str__(self) -> str:
         return "\n".join(_lines(self))
@@ -122,10 +122,10 @@ class ObjectExplanation:
 @in_short
 @dataclass(frozen=True)
 class Weights:
-    """The weight of every possible set of an answer, term by term.
+    """The terms of the probable sets of an answer.
 
-    kept : (r,) the sets that are no less probable than :data:`LEAST`, or chosen. terms : (r,) by name. sets_of : which
-    records (n) are in which of them (r). names : (n) of all records.
+    kept : (r,) the sets of a probability of at least :data:`MIN_PROBABILITY`, or chosen. terms : (r,) by name.
+    sets_of : (n, r) records in sets. names : (n) of all records.
     """
 
     objects: Identified
@@ -136,10 +136,10 @@ class Weights:
 
     @classmethod
     def of(cls, objects: Identified) -> Weights:
-        """Of the answer of ``identify_many``."""
+        """The weights of a result of ``identify_many``."""
         if objects.terms is None:
             raise InputError("only the objects of identify_many are explained: others have no candidate sets")
-        kept = np.flatnonzero((objects.answer.probability >= LEAST) | objects.answer.chosen)
+        kept = np.flatnonzero((objects.answer.probability >= MIN_PROBABILITY) | objects.answer.chosen)
         members = objects.sets.members[kept]
         at, source = np.nonzero(members != NO_RECORD)
         shape = (len(objects.pooled), len(kept))
@@ -149,13 +149,13 @@ class Weights:
         return cls(objects, kept, _terms(objects, objects.terms, kept), sets_of, names)
 
     def of_object(self, number: int) -> ObjectExplanation:
-        """Why the records of one object are it."""
+        """The explanation of one object."""
         objects = self.objects
         own = int(objects.set_of_object[number])
         records = objects.sets.members[own]
         indptr, indices = self.sets_of.indptr, self.sets_of.indices
         near = np.unique(np.concatenate([indices[indptr[r] : indptr[r + 1]] for r in records[records != NO_RECORD]]))
-        # Of equals the object itself comes first, then the first by content.
+        # Ties go to the object itself, then to the first by content.
         p, other = objects.answer.probability[self.kept[near]], self.kept[near] != own
         rivals = tuple(self._rival(at, number) for at in near[np.lexsort([near, other, -p])].tolist())
         group = int(objects.sets.group[own])
@@ -178,12 +178,12 @@ class Weights:
 
     @cached_property
     def _columns(self) -> IntArray:
-        """Columns of the sets' members in the order in which the sources were given."""
+        """Columns of the sets' members in the caller's order of sources."""
         return np.argsort(self.objects.pooled.given)
 
 
 def _terms(objects: Identified, terms: Terms, kept: IntArray) -> dict[str, FloatArray]:
-    """(r,) every term of the kept sets; that of position is ln w less the others."""
+    """(r,) every term of the kept sets by name; the position term is ln w minus the others."""
     pooled, sets = objects.pooled, objects.sets
     out: dict[str, FloatArray] = {"position": np.zeros(len(kept))}
     for size in np.unique(sets.size[kept]).tolist():
@@ -235,5 +235,5 @@ def _lines(x: ObjectExplanation) -> list[str]:
 
 
 def _in_words(terms: Mapping[str, float]) -> str:
-    """Terms in words, without those that round to zero."""
+    """Terms as text, without those that round to zero."""
     return ", ".join(f"{name} {value:+.2f}" for name, value in terms.items() if abs(value) >= 0.005) or "nothing"

@@ -1,11 +1,11 @@
-"""Fusion: one state from several estimates of it, by how their errors are correlated.
+"""Fusion: one state from several estimates, according to the correlation of their errors.
 
-- :func:`independent`: errors are independent; weights are inverse covariances.
-- :func:`bar_shalom_campo`: two estimates whose cross-covariance is known (common process noise, a shared sensor).
-- :func:`covariance_intersection`: the correlation is not known; the result is consistent for any.
+- :func:`independent`: independent errors; weights are inverse covariances.
+- :func:`bar_shalom_campo`: two estimates of known cross-covariance (common process noise, a shared sensor).
+- :func:`covariance_intersection`: unknown correlation; the result is consistent for any.
 
-The records of an object, each of which may be of its own part of the state, are fused by ``Objects.fused``. Estimates
-here are points of one flat space: bring periodic features within one period first.
+The records of an identified object, which may observe different parts of the state, are fused by ``Objects.fused``.
+Estimates here are points of one flat space: reduce periodic features to one period first.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane
 
-#: Most steps of the weights.
+#: Most iterations of the weights.
 STEPS = 5000
 #: Relative error of the optimality condition at which the weights have converged.
 OPTIMAL = 1e-7
-#: Halvings of a step of vertex exchange: to 2⁻⁴⁵ of it.
+#: Bisections of a step of vertex exchange: to 2⁻⁴⁵ of it.
 BISECTIONS = 45
 CRITERIA = ("determinant", "trace")
 
@@ -81,12 +81,11 @@ def bar_shalom_campo(
 def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criterion: str = "determinant") -> Fused:
     """A consistent estimate from k estimates whose errors may be correlated in any way.
 
-    P⁻¹ = Σ wᵢ Pᵢ⁻¹, x = P Σ wᵢ Pᵢ⁻¹ xᵢ, wᵢ ≥ 0, Σ wᵢ = 1 (Julier and Uhlmann 1997), with the weights of all estimates
-    together that make the ``criterion`` of P least: "determinant" or "trace". Both are convex problems of optimal
-    design. For the determinant, weight goes from the estimate of least gradient to that of greatest, as far as it helps
-    (vertex exchange, Böhning 1986: one step for two estimates); for the trace, all weights are multiplied by their
-    gradients (Silvey, Titterington and Torsney 1978). Both end where the equivalence theorem of Kiefer and Wolfowitz
-    holds.
+    P⁻¹ = Σ wᵢ Pᵢ⁻¹, x = P Σ wᵢ Pᵢ⁻¹ xᵢ, wᵢ ≥ 0, Σ wᵢ = 1 (Julier and Uhlmann 1997). The weights jointly minimise the
+    ``criterion`` of P, "determinant" or "trace"; both are convex problems of optimal design. For the determinant,
+    weight is moved from the estimate of smallest gradient to that of largest, by the best amount (vertex exchange,
+    Böhning 1986: one step for two estimates). For the trace, all weights are multiplied by the roots of their gradients
+    (Silvey, Titterington and Torsney 1978). Both stop when the equivalence theorem of Kiefer and Wolfowitz holds.
 
     states : (k, L), or (n, k, L) for n objects at once. covariances : (k, L, L) or (n, k, L, L).
     """
@@ -99,8 +98,8 @@ def covariance_intersection(states: ArrayLike, covariances: ArrayLike, *, criter
 
 
 def intersection_weights(information: FloatArray, *, criterion: str = "determinant") -> FloatArray:
-    """(n, k) the weights of :func:`covariance_intersection` for n objects with k estimates each, by their information
-    Pᵢ⁻¹ (n, k, L, L)."""
+    """(n, k) the weights of :func:`covariance_intersection` for n objects of k estimates, from their information
+    matrices Pᵢ⁻¹ (n, k, L, L)."""
     if criterion == "determinant":
         weights = np.empty(information.shape[:2])
         weights_of_least_determinant(np.ascontiguousarray(information), STEPS, OPTIMAL, BISECTIONS, weights)
@@ -109,25 +108,25 @@ def intersection_weights(information: FloatArray, *, criterion: str = "determina
 
 
 def _weights_of_least_trace(information: FloatArray) -> FloatArray:
-    """The same for the least trace, by multiplication with the roots of the slopes."""
+    """(n, k) the weights of least trace: each iteration multiplies them by the roots of their relative gradients."""
     n, k, _, _ = information.shape
-    weights, open_ = np.full((n, k), 1.0 / k), np.arange(n)
+    weights, active = np.full((n, k), 1.0 / k), np.arange(n)
     for _ in range(STEPS):
-        ours, w = information[open_], weights[open_]
-        covariance = inverse(np.einsum("nk,nkvw->nvw", w, ours))
-        slope = np.einsum("nuv,nkvw,nwu->nk", covariance, ours, covariance)
-        slope /= np.einsum("nvv->n", covariance)[:, None]
-        far = slope.max(axis=1, initial=0.0) > 1.0 + OPTIMAL
-        if not far.any():
+        part, w = information[active], weights[active]
+        covariance = inverse(np.einsum("nk,nkvw->nvw", w, part))
+        gradient = np.einsum("nuv,nkvw,nwu->nk", covariance, part, covariance)
+        gradient /= np.einsum("nvv->n", covariance)[:, None]
+        not_converged = gradient.max(axis=1, initial=0.0) > 1.0 + OPTIMAL
+        if not not_converged.any():
             break
-        open_, w, slope = open_[far], w[far], slope[far]
-        moved = w * np.sqrt(slope)
-        weights[open_] = moved / moved.sum(axis=1, keepdims=True)
+        active, w, gradient = active[not_converged], w[not_converged], gradient[not_converged]
+        scaled = w * np.sqrt(gradient)
+        weights[active] = scaled / scaled.sum(axis=1, keepdims=True)
     return weights
 
 
 def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """(n, k, L) and (n, k, L, L), checked."""
+    """States (n, k, L) and covariances (n, k, L, L), validated."""
     x, p = np.asarray(states, dtype=np.float64), np.asarray(covariances, dtype=np.float64)
     if x.ndim == 2:
         x, p = x[None], p[None]
@@ -136,7 +135,7 @@ def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, F
     if not (np.isfinite(x).all() and np.isfinite(p).all()):
         raise InputError("fusion: a state or covariance is not finite; leave out estimates that are not known")
     try:
-        # A root takes a fifth of the time that eigenvalues take.
+        # A Cholesky factorisation takes a fifth of the time of eigenvalues.
         np.linalg.cholesky(p)
     except np.linalg.LinAlgError:
         wrong = np.argwhere(np.linalg.eigvalsh(p)[..., 0] <= 0)
@@ -147,19 +146,19 @@ def _estimates(states: ArrayLike, covariances: ArrayLike) -> tuple[FloatArray, F
     return x, p
 
 
-# Sources with common errors: two filters that follow the same manoeuvre have correlated errors.
+# Correlated sources: two filters of the same target.
 #
-# Two tracks of one target share its process noise, so their errors are correlated even where the sensors are
-# independent: the residual's covariance is Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ (METHOD 1; Bar-Shalom 1981). Without the last two terms
-# the gate of equal sensors is 1.2 to 1.7 times too wide in the mean over position and velocity (most in velocity, and
-# for targets that turn slowly), and every probability is off. :func:`steady_tracks` gives Σ₁₂ for filters in their
-# steady state, :func:`without_common` takes it off two sources, which are then identified like any others.
+# Two tracks of one target share its process noise, so their errors are correlated even if the sensors are independent:
+# the residual's covariance is Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ (METHOD 1; Bar-Shalom 1981). Without the last two terms, the gate of
+# equal sensors is 1.2 to 1.7 times too wide on average over position and velocity (most in velocity, and for targets
+# that turn slowly), and every probability is biased. :func:`steady_tracks` gives Σ₁₂ of filters in steady state;
+# :func:`without_common` subtracts it from two sources, which are then identified like any others.
 
 
 @in_short
 @dataclass(frozen=True)
 class Filter:
-    """A source's Kalman filter: ``matrix`` H (m, L), what it measures, and ``covariance`` R (m, m) of its errors."""
+    """A source's Kalman filter: measurement ``matrix`` H (m, L), and ``covariance`` R (m, m) of its measurements."""
 
     matrix: ArrayLike
     covariance: ArrayLike
@@ -168,7 +167,7 @@ class Filter:
 @in_short
 @dataclass(frozen=True)
 class SteadyTracks:
-    """(L, L) covariances of two filtered tracks of one target, and ``cross``, E[error₁ error₂ᵀ]."""
+    """(L, L) covariances of two filtered tracks of one target, and their cross-covariance E[error₁ error₂ᵀ]."""
 
     first: FloatArray
     second: FloatArray
@@ -176,25 +175,25 @@ class SteadyTracks:
 
     @property
     def residual(self) -> FloatArray:
-        """(L, L) covariance of the difference of both tracks: Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ."""
+        """(L, L) covariance of the tracks' difference: Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ."""
         return self.first + self.second - self.cross - self.cross.T
 
     @property
     def widening(self) -> FloatArray:
-        """(L,) by how much σ of the difference is overestimated along each component without the common part."""
+        """(L,) factor by which neglecting the cross-covariance overestimates σ of the difference, by component."""
         return np.sqrt(np.diag(self.first + self.second) / np.diag(self.residual))
 
 
 def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, second: Filter) -> SteadyTracks:
-    """Covariances of two filters that follow one target at the same instants, once they have settled.
+    """Steady-state covariances of two filters that track one target with measurements at the same times.
 
     Parameters
     ----------
     transition : F (L, L) of the target's motion from one measurement to the next.
-    process : Q (L, L) of its process noise, which both filters know.
+    process : Q (L, L) of its process noise, the same in both filters.
     first, second : the filters of the two sources.
 
-    The filters settle by the algebraic Riccati equation; with gains K the cross-covariance solves the linear
+    The steady state solves the algebraic Riccati equation; with gains K the cross-covariance solves the linear
     equation Σ₁₂ = (I − K₁H₁)(F Σ₁₂ Fᵀ + Q)(I − K₂H₂)ᵀ (Bar-Shalom 1981).
 
     Example
@@ -223,7 +222,7 @@ def steady_tracks(transition: ArrayLike, process: ArrayLike, first: Filter, seco
 
 
 def _steady_state(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray, FloatArray]:
-    """(covariance after the update, gain) of a filter in its steady state."""
+    """Covariance after the update, and gain, of a filter in steady state."""
     from scipy.linalg import solve_discrete_are
 
     h, r = (np.asarray(x, dtype=np.float64) for x in (one.matrix, one.covariance))
@@ -241,10 +240,9 @@ def _steady_state(f: FloatArray, q: FloatArray, one: Filter) -> tuple[FloatArray
 
 
 def without_common(first: Records, second: Records, cross: ArrayLike) -> tuple[Records, Records]:
-    """Both sources with the covariance of their common errors taken off, so that a pair's Σ is that of its residual.
+    """Both sources with their common covariance subtracted, so that a pair's Σ is the covariance of its residual.
 
-    Only the sum over a pair has a meaning afterwards: fuse with the covariances as they were
-    (:func:`bar_shalom_campo`).
+    Only the sum over a pair is meaningful afterwards: fuse with the original covariances (:func:`bar_shalom_campo`).
 
     Parameters
     ----------
@@ -253,7 +251,7 @@ def without_common(first: Records, second: Records, cross: ArrayLike) -> tuple[R
 
     Raises
     ------
-    InputError : where Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ cannot be a covariance for every pair.
+    InputError : Σ₁ + Σ₂ − Σ₁₂ − Σ₁₂ᵀ is not positive definite for every pair.
     """
     d = first.d
     common = np.asarray(cross, dtype=np.float64)
@@ -263,25 +261,26 @@ def without_common(first: Records, second: Records, cross: ArrayLike) -> tuple[R
     if common.shape != (d, d) or not np.isfinite(common).all():
         raise InputError(f"cross has shape {common.shape}; give ({d}, {d}) finite numbers")
     whole = common + common.T
-    least = [_least(records, whole) for records in (first, second)]
-    if sum(least) <= 1.0 + 1e-12:
+    limits = [_max_share(records, whole) for records in (first, second)]
+    if sum(limits) <= 1.0 + 1e-12:
         raise InputError(
             f"cross is as large as the errors of {first.source} and {second.source} themselves; "
             "the covariance of a residual would not be positive definite"
         )
-    # Any split that leaves both covariances positive definite is valid: here in proportion to what each can spare.
-    shares = [one / sum(least) if np.isfinite(sum(least)) else 0.5 for one in least]
-    return tuple(_less(r, share * whole) for r, share in zip((first, second), shares, strict=True))  # type: ignore[return-value]
+    # Any split that leaves both covariances positive definite is valid; this one is proportional to the largest shares.
+    shares = [one / sum(limits) if np.isfinite(sum(limits)) else 0.5 for one in limits]
+    return tuple(_subtracted(r, share * whole) for r, share in zip((first, second), shares, strict=True))  # type: ignore[return-value]
 
 
-def _least(records: Records, whole: FloatArray) -> float:
-    """The largest share of ``whole`` that every record's covariance can spare; infinite where it takes nothing."""
+def _max_share(records: Records, whole: FloatArray) -> float:
+    """The largest multiple of ``whole`` that leaves every record's covariance positive definite; ∞ if any does."""
     values = np.linalg.eigvals(np.linalg.solve(records.full_covariance(), whole))
     largest = float(values.real.max(initial=0.0))
     return 1.0 / largest if largest > 0.0 else np.inf
 
 
-def _less(records: Records, common: FloatArray) -> Records:
+def _subtracted(records: Records, common: FloatArray) -> Records:
+    """The records with a matrix (d, d) subtracted from every covariance."""
     upper = np.triu_indices(records.d)
     packed = (records.full_covariance() - common)[:, upper[0], upper[1]]
     return replace(records, covariance=np.ascontiguousarray(packed))

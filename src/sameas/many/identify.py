@@ -1,11 +1,11 @@
-"""Many sources: which of their records are the same objects, solved jointly, one line a stage.
+"""Which records of two or more sources are the same objects.
 
-Use :func:`identify_many` for two sources or more; the answer does not depend on their order. The papers' way, source
-after source against the fused picture (METHOD 7 [T]), is :func:`identify_sequentially`: fast, and dependent on their
-order, as a wrong pair of an early step is never undone; use it to compare.
+- :func:`identify_many` solves all sources jointly; the result does not depend on their order.
+- :func:`identify_sequentially` identifies source after source with the fused picture (METHOD 7 [T]). It is fast, but
+  depends on the order, since a wrong pair of an early step is never undone; use it for comparison.
 
-records → pooled → rules → sets → partition → marginals → objects: the pooled records in an order of their content,
-their terms, the sets that could be one object, the best partition into such sets, the probability of each.
+records → pooled → terms → sets → partition → marginals → objects: the pooled records ordered by content, the terms of
+their evidence, the sets that could be one object, the best partition into such sets, the probability of each set.
 """
 
 from __future__ import annotations
@@ -44,19 +44,20 @@ def identify_many(
     time_limit_s: float = 60.0,
     tuning: ManyTuning = TUNING,
 ) -> Objects:
-    """Which records of two sources or more are one object, at most one of each source, and how sure that is.
+    """Objects, each of at most one record per source, with their probabilities.
 
     Parameters
     ----------
-    sources : Records in one feature space, or Observations of a part of the objects' state.
-    rule : the weight of a set of records: ``PoissonObjects(density, q, false)`` where densities are known,
-        ``CloseObjects(a, b)`` or ``Field(density)`` where they are not; and, added to it, rules on attributes,
-        ``Identity(attributes)`` or your own (:mod:`sameas.many.rules` says how they are called).
-    prior : ``MissedObjects(q)`` beside the latter two; ``PerPair`` odds for every record beyond an object's first.
-    gate : which two records may be one object; all records of an object are pairs of the gate.
-    region : where objects are; needed where a source observes a part of the state.
-    time_limit_s : of branch and bound in one group; where it is reached the answer states its gap.
-    tuning : numbers that bound the work of a group.
+    sources : two or more of Records in one feature space, or Observations of a part of the objects' state.
+    rule : the weight of a set of records: ``PoissonObjects(density, q, false)`` if densities are known, otherwise
+        ``CloseObjects(a, b)`` or ``Field(density)``; add rules on attributes with ``+``, ``Identity(attributes)`` or
+        your own (:mod:`sameas.many.rules` describes how they are called).
+    prior : ``MissedObjects(q)`` for the latter two rules; ``PerPair`` odds for every record of an object after its
+        first.
+    gate : which two records may be one object; every two records of an object are a pair of the gate.
+    region : where objects are; required if a source observes a part of the state.
+    time_limit_s : of branch and bound in one group; a group that reaches it has a gap above 0.
+    tuning : limits of the work on a group.
 
     Source: METHOD 7; for two sources it is :func:`sameas.identify` with ``PoissonField`` or ``CommonObjects``.
 
@@ -87,21 +88,21 @@ def identify_sequentially(
     prior: SetPrior = EVIDENCE_ALONE,
     gate: Callable[[Records, Records], Pairs] = DEFAULT_GATE,
 ) -> Objects:
-    """Objects from identifying each source with the fused picture of those before it, in the order given.
+    """Objects from identifying each source, in the given order, with the fused picture of the previous sources.
 
-    Arguments as those of :func:`sameas.many.identify_many`. The picture misses an object with the product of the q of
-    its sources. A probability is the product of those of the steps that made the object, as if each step's picture
-    were certain: it is not the posterior that ``identify_many`` gives. Nothing is known of better partitions: the gap
-    of groups of more than one record is infinite.
+    Arguments are those of :func:`sameas.many.identify_many`. The picture misses an object with the product of the q of
+    its sources. An object's probability is the product of those of its steps, as if each step's picture were certain:
+    it is not the posterior of ``identify_many``. There is no bound on better partitions: the gap of groups of more than
+    one record is infinite.
 
     Raises
     ------
-    InputError : a rule on attributes is given, and a fused object has none; or a rule that is not made of pairs.
+    InputError : a rule on attributes, which fused objects do not have; a rule that is not made of pairs.
     """
-    positions, beside = parts_of(rule)
-    if beside:
+    positions, attributes = parts_of(rule)
+    if attributes:
         raise InputError(
-            f"identify_sequentially compares positions, and {type(beside[0]).__name__} needs records, which the "
+            f"identify_sequentially compares positions, and {type(attributes[0]).__name__} needs records, which the "
             "fused picture is not; use it in identify_many"
         )
     if not isinstance(positions, PoissonObjects | Pairwise):
@@ -109,9 +110,9 @@ def identify_sequentially(
     together = pooled(sources, gate)
     if len(together.observers.whole) < len(sources):
         raise InputError("identify_sequentially needs sources of whole positions; give the parts to identify_many")
-    picture = _Partial.of(together, together.given.index(0))
+    picture = _Picture.of(together, together.given.index(0))
     for step in range(1, len(sources)):
-        picture = picture.joined(
+        picture = picture.with_source(
             together.given.index(step),
             _pair_rule(positions, step, len(sources)),
             _prior(prior, step, len(sources)),
@@ -122,7 +123,7 @@ def identify_sequentially(
 
 @in_short
 @dataclass(frozen=True)
-class _Partial:
+class _Picture:
     """The objects of the first sources: ``members`` (k, S) record numbers or NO_RECORD, probabilities ``p`` (k,)."""
 
     pooled: PooledRecords
@@ -130,35 +131,36 @@ class _Partial:
     p: FloatArray
 
     @classmethod
-    def of(cls, pooled: PooledRecords, s: int) -> _Partial:
+    def of(cls, pooled: PooledRecords, s: int) -> _Picture:
+        """Every record of source s as an object."""
         numbers = np.arange(pooled.start[s], pooled.start[s + 1])
         members = np.full((len(numbers), len(pooled.sources)), NO_RECORD)
         members[:, s] = numbers
         return cls(pooled, members, np.ones(len(members)))
 
-    def joined(self, s: int, rule: Rule, prior: Prior, gate: Callable[[Records, Records], Pairs]) -> _Partial:
-        """With the records of source s."""
+    def with_source(self, s: int, rule: Rule, prior: Prior, gate: Callable[[Records, Records], Pairs]) -> _Picture:
+        """The picture with the records of source s identified."""
         fused = self.pooled.observers.joint(self.pooled.positions(self.members))
         source = self.pooled.sources[s]
         assert isinstance(source, Records)
         picture = Records.of(fused.state, covariance=fused.covariance, space=source.space, source="picture")
         result = identify(picture, source, rule=rule, prior=prior, gate=gate)
         i, j, p_pair, chosen = result.pairs.i, result.pairs.j, result.p_pair, result.chosen
-        left_1 = np.clip(1.0 - np.bincount(i, p_pair, len(picture)), 0.0, 1.0)
-        left_2 = np.clip(1.0 - np.bincount(j, p_pair, len(source)), 0.0, 1.0)
-        left_1[i[chosen]] = p_pair[chosen]
+        p_step = np.clip(1.0 - np.bincount(i, p_pair, len(picture)), 0.0, 1.0)
+        p_step[i[chosen]] = p_pair[chosen]
+        p_alone = np.clip(1.0 - np.bincount(j, p_pair, len(source)), 0.0, 1.0)
         members = self.members.copy()
         members[i[chosen], s] = j[chosen] + self.pooled.start[s]
-        new = _Partial.of(self.pooled, s)
+        new = _Picture.of(self.pooled, s)
         alone = np.setdiff1d(np.arange(len(source)), j[chosen])
-        return _Partial(
+        return _Picture(
             self.pooled,
             np.concatenate([members, new.members[alone]]),
-            np.concatenate([self.p * left_1, left_2[alone]]),
+            np.concatenate([self.p * p_step, p_alone[alone]]),
         )
 
     def objects(self, given: tuple[Records, ...]) -> Objects:
-        """The picture as a result: its objects are the only sets, beside the records alone."""
+        """The result, whose sets are the picture's objects and all single records."""
         n = len(self.pooled)
         at, source = np.nonzero(self.members != NO_RECORD)
         membership = coo_array((np.ones(len(at)), (self.members[at, source], at)), shape=(n, len(self.p))).tocsr()
@@ -169,15 +171,15 @@ class _Partial:
         singles[np.arange(n), together.source] = np.arange(n)
         size = (self.members != NO_RECORD).sum(axis=1)
         several = size > 1
-        lone = ~several
-        share, chosen = np.zeros(n), np.zeros(n, bool)
-        share[self.members[lone].max(axis=1)] = self.p[lone]
-        chosen[self.members[lone].max(axis=1)] = True
+        alone = ~several
+        p_alone, chosen = np.zeros(n), np.zeros(n, bool)
+        p_alone[self.members[alone].max(axis=1)] = self.p[alone]
+        chosen[self.members[alone].max(axis=1)] = True
         return _result(
             given,
             together,
             np.concatenate([singles, self.members[several]]),
-            np.concatenate([share, self.p[several]]),
+            np.concatenate([p_alone, self.p[several]]),
             np.concatenate([chosen, np.ones(several.sum(), bool)]),
         )
 
@@ -185,6 +187,7 @@ class _Partial:
 def _result(
     given: tuple[Records, ...], together: PooledRecords, members: IntArray, p: FloatArray, chosen: BoolArray
 ) -> Objects:
+    """Objects from sets (k, S) with their probabilities, of unknown weight and gap."""
     group = together.group[members.max(axis=1)]
     size = (members != NO_RECORD).sum(axis=1)
     order = np.lexsort([*members.T[::-1], size, group])
@@ -197,7 +200,7 @@ def _result(
 
 
 def _pair_rule(rule: PoissonObjects | Pairwise, step: int, n_sources: int) -> Rule:
-    """The rule of the picture of ``step`` sources against the next."""
+    """The rule of two sources for the picture of the first ``step`` sources and the next source."""
     if isinstance(rule, Pairwise):
         return rule.rule
     q = np.broadcast_to(np.asarray(rule.q, dtype=np.float64), n_sources)
@@ -209,6 +212,7 @@ def _pair_rule(rule: PoissonObjects | Pairwise, step: int, n_sources: int) -> Ru
 
 
 def _prior(prior: SetPrior, step: int, n_sources: int) -> Prior:
+    """The prior of two sources for the picture of the first ``step`` sources and the next source."""
     if not isinstance(prior, MissedObjects):
         return prior
     q = np.broadcast_to(np.asarray(prior.q, dtype=np.float64), n_sources)

@@ -1,4 +1,4 @@
-"""The joint density of the records of one object, and the object's state that goes with it.
+"""The joint density of the records of one object, and the object's fused state.
 
 Records z_i = h_i(x) + v_i, v_i ~ N(0, R_i), of one object of unknown state x: with h_i linear about a point x₀,
 residuals r_i = z_i − h_i(x₀), H_i = ∂h_i/∂x, and the information P₀⁻¹ of a region (0 where there is none),
@@ -7,10 +7,10 @@ residuals r_i = z_i − h_i(x₀), H_i = ∂h_i/∂x, and the information P₀�
     χ² = (μ₀ − x₀)ᵀ P₀⁻¹ (μ₀ − x₀) + Σ r_iᵀ R_i⁻¹ r_i − ηᵀ Λ⁻¹ η,
     ln J = ½ L ln 2π − ½ ln|Λ| − ½ Σ ln|2π R_i| − ½ χ².
 
-J is ∫ exp(−½ (x−μ₀)ᵀ P₀⁻¹ (x−μ₀)) ∏ N(z_i; h_i(x), R_i) dx: exact where h_i is linear, Laplace's approximation at the
-best x̂ (Gauss and Newton's steps) where it is not. For records of the whole state and no region, ln J of a pair is
-ln N(Δ; 0, Σ₁ + Σ₂) and ln J of one record is 0. A part of the state that no record of the set observes keeps the
-region's spread: with P₀⁻¹ = 0 its Λ would be singular, which is why parts need a region.
+J is ∫ exp(−½ (x−μ₀)ᵀ P₀⁻¹ (x−μ₀)) ∏ N(z_i; h_i(x), R_i) dx: exact if h_i is linear, otherwise Laplace's approximation
+at the best x̂ (Gauss–Newton steps). For records of the whole state and no region, ln J of a pair is ln N(Δ; 0, Σ₁ + Σ₂)
+and ln J of one record is 0. A component of the state that no record of the set observes keeps the region's spread; with
+P₀⁻¹ = 0, Λ would be singular, so sources that observe a part need a region.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane, Sphere, displaced, on_axes_of
 
-#: Steps of Gauss and Newton where a source's part is not linear (chosen).
+#: Gauss–Newton steps if a source's part is not linear (chosen).
 STEPS = 4
-#: The number that sets of records hold for a source that has no record in them.
+#: Stands in sets of records for a source that has no record in the set.
 NO_RECORD = -1
 
 
@@ -49,14 +49,14 @@ class Joint:
 
 @dataclass(frozen=True)
 class Observers:
-    """Several sources as observers of one state; ``sets`` hold positions of records, :data:`NO_RECORD` for none."""
+    """Sources that observe one state. ``sets`` (k, S) have the row of each source's record, or :data:`NO_RECORD`."""
 
     sources: tuple[Source, ...]
     region: Region | None = None
 
     @cached_property
     def dimension(self) -> int:
-        """L, the same for all sources."""
+        """L, number of components of the state; refuses sources that differ in it or in space, or lack a region."""
         sizes = [source.dimension if isinstance(source, Observations) else source.d for source in self.sources]
         spaces = {source.space for source in self.sources if isinstance(source, Records)}
         if len(set(sizes)) > 1 or len(spaces) > 1:
@@ -74,7 +74,7 @@ class Observers:
 
     @cached_property
     def whole(self) -> tuple[int, ...]:
-        """Which sources observe the whole state."""
+        """The sources that observe the whole state."""
         return tuple(s for s, source in enumerate(self.sources) if isinstance(source, Records))
 
     @cached_property
@@ -92,7 +92,7 @@ class Observers:
         return self._precision[s][0]
 
     def log_peak(self, s: int) -> FloatArray:
-        """(n,) −½ ln|2π R|: no set gains more by a record of source s."""
+        """(n,) −½ ln|2π R|, the most that a record of source s can add to ln J of a set."""
         return self._precision[s][1]
 
     def joint(self, sets: NDArray[np.integer]) -> Joint:
@@ -107,19 +107,19 @@ class Observers:
         return Joint(summed.log_peak() - 0.5 * chi_sq, chi_sq, self._moved(at, step.mean), step.covariance)
 
     def _anchors(self, sets: NDArray[np.integer]) -> FloatArray:
-        """(k, L) the point about which each set is summed: its first record of the whole state, else the region's."""
+        """(k, L) the point x₀ of each set: its first record of the whole state, else the region's centre."""
         at = np.zeros((len(sets), self.dimension))
         if self.region is not None:
             at[:] = self.region.centre
-        open_ = np.ones(len(sets), bool)
+        missing = np.ones(len(sets), bool)
         for s in self.whole:
-            here = open_ & (sets[:, s] != NO_RECORD)
-            at[here] = records_of(self.sources[s]).features[sets[here, s]]
-            open_ &= ~here
+            added = missing & (sets[:, s] != NO_RECORD)
+            at[added] = records_of(self.sources[s]).features[sets[added, s]]
+            missing &= ~added
         return at
 
     def _summed(self, sets: NDArray[np.integer], at: FloatArray) -> InformationSum:
-        """The information of the records and of the region on the states, about the points ``at`` (k, L)."""
+        """The information of records and region on the states, about the points ``at`` (k, L)."""
         total = InformationSum.of(len(sets), self.dimension)
         if self.region is not None:
             prior = np.broadcast_to(inverse(np.asarray(self.region.covariance)), total.information.shape)
@@ -134,7 +134,7 @@ class Observers:
     def _residuals(
         self, s: int, rows: NDArray[np.integer], at: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Residuals (k, m) of records against the states ``at``, their precisions, and the slopes H (None for 1)."""
+        """Residuals (k, m) of records from the states ``at``, their precisions, and the Jacobians H (None for 1)."""
         source = self.sources[s]
         precision = self._precision[s][0][rows]
         records = records_of(source)
@@ -150,7 +150,7 @@ class Observers:
         return offset, propagated(rotation, precision), None
 
     def _moved(self, at: FloatArray, step: FloatArray) -> FloatArray:
-        """The states ``at`` moved by ``step``; periodic features come back within their period."""
+        """The states ``at`` + ``step``, periodic features reduced to their period."""
         if not self.whole:
             return at + step
         space = records_of(self.sources[self.whole[0]]).space
@@ -164,12 +164,12 @@ class Observers:
 
 
 def joint_density(sources: Sequence[Source], sets: NDArray[np.integer], region: Region | None = None) -> Joint:
-    """Joint density and state of sets of records; see :class:`Observers`."""
+    """Joint density and state of sets of records (k, S); see :class:`Observers`."""
     return Observers(tuple(sources), region).joint(sets)
 
 
 def _wrapped(delta: FloatArray, space: Plane | Sphere) -> FloatArray:
-    """Differences brought within half a period, where features have one."""
+    """Differences reduced to half a period either way, for periodic features; in place."""
     assert isinstance(space, Plane)
     for v, period in enumerate(space.periods or ()):
         if period is not None:

@@ -1,17 +1,16 @@
 """The best partition of every group's records into objects, and the probability of every candidate set.
 
-Choosing sets that share no record is set packing (:class:`Partition`). Under additive weights the linear relaxation of
-all groups is solved at once (SciPy's HiGHS). Where its solution is integral it is the best partition; other groups are
-solved by branch and bound. The bound is the relaxation's dual value, so every group's gap is known. A count prior is
-carried through: exact elimination where that is small, otherwise branch and bound with one binary for every number of
-merges.
+*Best partition*: set packing (:class:`Partition`). Without a count prior, the linear relaxation of all groups is solved
+at once (SciPy's HiGHS). A group whose solution is integral is solved; others are solved by branch and bound. The
+relaxation's dual value bounds every group's gap. With a count prior, small groups are solved by exact elimination,
+others by branch and bound with one binary variable for every number of merges.
 
-Marginals sum over all partitions of a group. Its records are eliminated one after another; the state is which later
-records are taken and, under a count prior, the number of merges. Sets that the duals of the best partition prove
-improbable are left out first: a partition with a set of reduced cost c is at least eᶜ times less probable than the
-best. Without sets of c > 30 the sum counts as exact; groups too entangled for it are summed without sets of c > 20, 14,
-…, until the sum is short enough. Where that would have to go below 2, messages between sets and records stand for the
-sum. The result states either.
+*Marginals*: sums over all partitions of a group. Records are eliminated one by one; the state is the set of later
+records that are taken and, with a count prior, the number of merges. Sets of large reduced cost are excluded first: by
+the duals of the best partition, a partition with a set of reduced cost c is at least eᶜ times less probable than the
+best. Without the sets of c > 30 the sum counts as exact. Groups for which it is too long are summed without the sets of
+c > 20, 14, …, until it is short enough; where c would have to be below 2, sum-product messages between sets and records
+replace the sum. The result states which.
 """
 
 from __future__ import annotations
@@ -37,14 +36,14 @@ from sameas.representation import in_short
 @in_short
 @dataclass(frozen=True)
 class Partition:
-    """The best partition.
+    """The best partition found.
 
     Attributes
     ----------
     chosen : (k,) the sets that are objects; every record is in one of them.
-    gap : (g,) ln of how much more probable a better partition of the group could be at most; 0 where it is the best.
-    dual : (n,) dual values of the records: no set weighs more than those of its records together.
-    slack : (g,) the relaxation's value less the partition's.
+    gap : (g,) upper bound of ln of the odds of a better partition of the group; 0 if this is the best.
+    dual : (n,) dual values of the records: a set weighs at most the sum of its records' duals.
+    slack : (g,) the relaxation's value minus the partition's.
     """
 
     chosen: BoolArray
@@ -54,7 +53,7 @@ class Partition:
 
 
 def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, *, time_limit_s: float) -> Partition:
-    """The partition of greatest Σ ln w of every group, or of the ``groups`` (g,); all records alone in the others."""
+    """The partition of largest Σ ln w of every group, or of some ``groups`` (g,); all records alone in the others."""
     incidence = incidence_of(sets, n_records)
     active, x, dual = _relaxation(sets, incidence, np.ones(len(sets.start) - 1, bool) if groups is None else groups)
     n_groups = len(sets.start) - 1
@@ -62,7 +61,7 @@ def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, 
     chosen[active[x > 0.5]] = True
     fractional = np.zeros(n_groups, bool)
     fractional[sets.group[active[np.abs(x - np.round(x)) > 1e-6]]] = True
-    _, group_of_record = _group_of(sets, n_records)
+    group_of_record = _group_of_record(sets, n_records)
     bound = np.bincount(group_of_record, dual, n_groups)
     for g in np.flatnonzero(fractional):
         own = slice(*np.searchsorted(active, sets.start[g : g + 2]))
@@ -70,22 +69,25 @@ def best_partition(sets: Sets, n_records: int, groups: BoolArray | None = None, 
         packing, tighter = _best_packing(sets, active[own], x[own], dual, incidence, time_limit_s)
         chosen[packing] = True
         bound[g] = min(bound[g], tighter)
-    chosen |= _left_alone(sets, chosen, incidence)
+    chosen |= _alone(sets, chosen, incidence)
     value = np.bincount(sets.group[chosen], sets.log_weight[chosen], n_groups)
     scale = np.maximum(1.0, np.abs(value))
     slack = np.maximum(np.bincount(group_of_record, dual, n_groups) - value, 0.0)
     gap = np.maximum(bound - value, 0.0)
     gap = np.where(gap <= 1e-7 * scale, 0.0, gap)
-    # A set below the floor has two records or more: duals of half a floor cover it.
+    # An excluded set has two records or more and weighs at most the floor, so duals of half a floor bound it.
     cut = sets.floor > 0
     half = np.where(cut, 0.5 * np.where(cut, sets.floor, 0.0), 0.0)[group_of_record]
-    covered = np.bincount(group_of_record, np.maximum(dual, half), n_groups) - value
-    return Partition(chosen, np.where(cut, np.maximum(gap, covered), gap), dual, slack)
+    bound_with_excluded = np.bincount(group_of_record, np.maximum(dual, half), n_groups) - value
+    return Partition(chosen, np.where(cut, np.maximum(gap, bound_with_excluded), gap), dual, slack)
 
 
 def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log_p: FloatArray, time_limit_s: float
                  ) -> tuple[IntArray, float]:  # fmt: skip
-    """The sets of one group that maximise Σ ln w + ln P(Σ merges), and the gap."""
+    """The sets of one group that maximise Σ ln w + ln P(Σ merges), and the gap.
+
+    weight, merges : (k,) of the sets. incidence : (n, k) records in sets. log_p : ln P of 0, 1, … merges.
+    """
     n, m = len(weight), len(log_p)
     cover = hstack([incidence, csr_array((incidence.shape[0], m))])
     balance = np.concatenate([merges, -np.arange(m)]).astype(np.float64)
@@ -98,11 +100,11 @@ def best_counted(weight: FloatArray, merges: IntArray, incidence: csr_array, log
 
 
 def _relaxation(sets: Sets, incidence: csr_array, groups: BoolArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    """(sets in it, their shares, dual values of all records) of the linear relaxation of all groups."""
-    # A set that weighs no more than its records alone, or than the set without one of them, is never needed: the duals
-    # that cover the others cover it too.
-    heavy = (sets.log_weight > 0) & groups[sets.group]
-    useful = np.flatnonzero(heavy & ~_dominated(sets)) if heavy.any() else np.empty(0, np.int64)
+    """Linear relaxation of the packing of some groups: its sets, their values, and the duals (n,) of all records."""
+    # A set that weighs at most as much as its records alone, or as itself without one of them, is never needed: the
+    # duals of the other sets bound it too.
+    positive = (sets.log_weight > 0) & groups[sets.group]
+    useful = np.flatnonzero(positive & ~_dominated(sets)) if positive.any() else np.empty(0, np.int64)
     n_records = incidence.shape[0]
     if not len(useful):
         return useful, np.empty(0), np.zeros(n_records)
@@ -113,8 +115,8 @@ def _relaxation(sets: Sets, incidence: csr_array, groups: BoolArray) -> tuple[In
 
 
 def _dominated(sets: Sets) -> BoolArray:
-    """(k,) the sets that weigh no more than the set without one of their records."""
-    # Sets are looked up by a sum of random numbers of their records, and then compared record by record.
+    """(k,) the sets that weigh at most as much as the set without one of their records."""
+    # Sets are looked up by the sum of a random number for each record, then compared record by record.
     code = np.random.default_rng(0).integers(0, 1 << 62, sets.members.max(initial=0) + 2, dtype=np.uint64)
     code[-1] = 0
     total = code[sets.members].sum(axis=1, dtype=np.uint64)
@@ -133,24 +135,24 @@ def _dominated(sets: Sets) -> BoolArray:
 
 
 def _best_packing(
-    sets: Sets, here: IntArray, share: FloatArray, dual: FloatArray, incidence: csr_array, time_limit_s: float
+    sets: Sets, useful: IntArray, x: FloatArray, dual: FloatArray, incidence: csr_array, time_limit_s: float
 ) -> tuple[IntArray, float]:
-    """The best packing of one group's sets, and the bound, from their shares in the relaxation and its duals.
+    """The best packing of one group's ``useful`` sets, and its bound, from the relaxation's values x and its duals.
 
-    A good packing comes first: the sets whose share is 1, and the best of those that share no record with them. In a
-    better one every set has a reduced cost of at most the good one's distance from the relaxation.
+    First a good packing: the sets of x = 1, and the best of those that share no record with them. In a better packing,
+    every set has a reduced cost of at most the relaxation's value minus the good packing's.
     """
-    within, weight = incidence[:, here], sets.log_weight[here]
-    whole = share > 1.0 - 1e-6
-    apart = np.flatnonzero(within.T @ (within[:, whole].sum(axis=1) > 0) == 0)
-    added, _ = _branched_packing(weight[apart], within[:, apart], 0.5 * time_limit_s)
-    good = np.concatenate([np.flatnonzero(whole), apart[added]])
+    within, weight = incidence[:, useful], sets.log_weight[useful]
+    whole = x > 1.0 - 1e-6
+    disjoint = np.flatnonzero(within.T @ (within[:, whole].sum(axis=1) > 0) == 0)
+    added, _ = _branched_packing(weight[disjoint], within[:, disjoint], 0.5 * time_limit_s)
+    good = np.concatenate([np.flatnonzero(whole), disjoint[added]])
     value, cost = float(weight[good].sum()), within.T @ dual - weight
     relaxed = float(dual[within.sum(axis=1) > 0].sum())
     cheap = np.flatnonzero(cost <= relaxed - value + 1e-6 * max(1.0, abs(relaxed)))
     packing, bound = _branched_packing(weight[cheap], within[:, cheap], 0.5 * time_limit_s)
     best = cheap[packing]
-    return here[best if weight[best].sum() >= value else good], max(bound, value)
+    return useful[best if weight[best].sum() >= value else good], max(bound, value)
 
 
 def _branched_packing(weight: FloatArray, incidence: csr_array, time_limit_s: float) -> tuple[IntArray, float]:
@@ -165,7 +167,7 @@ def _branched_packing(weight: FloatArray, incidence: csr_array, time_limit_s: fl
 def _branched(
     weight: FloatArray, rows: csr_array, low: FloatArray, high: FloatArray, time_limit_s: float
 ) -> tuple[FloatArray, float, float]:
-    """(answer, bound, value) of the binary programme of greatest weight; nothing chosen where time ran out first."""
+    """Solution, bound and value of the binary programme of largest weight; all 0 if the time limit came first."""
     used = np.diff(rows.tocsr().indptr) > 0
     constraint = LinearConstraint(rows.tocsr()[used], low[used], high[used])
     options = {"mip_rel_gap": 0.0, "time_limit": time_limit_s}
@@ -177,27 +179,28 @@ def _branched(
     return np.round(solution.x), bound, float(weight @ np.round(solution.x))
 
 
-def _left_alone(sets: Sets, chosen: BoolArray, incidence: csr_array) -> BoolArray:
-    """(k,) the sets of one record that is in no chosen set."""
+def _alone(sets: Sets, chosen: BoolArray, incidence: csr_array) -> BoolArray:
+    """(k,) the sets of a single record that is in no chosen set."""
     in_chosen = np.asarray(incidence[:, chosen].sum(axis=1) > 0)
-    lone = sets.size == 1
-    return np.asarray(lone & ~in_chosen[sets.members.max(axis=1)] & ~chosen)
+    single = sets.size == 1
+    return np.asarray(single & ~in_chosen[sets.members.max(axis=1)] & ~chosen)
 
 
 def incidence_of(sets: Sets, n_records: int) -> csr_array:
-    """(n, k) which record is in which set."""
+    """(n, k) 1 where a record is in a set."""
     at, record = sets.entries()
     return csr_array((np.ones(len(at)), (record, at)), shape=(n_records, len(sets)))
 
 
-def _group_of(sets: Sets, n_records: int) -> tuple[IntArray, IntArray]:
-    lone = np.flatnonzero(sets.size == 1)
+def _group_of_record(sets: Sets, n_records: int) -> IntArray:
+    """(n,) the group of every record."""
+    single = np.flatnonzero(sets.size == 1)
     group = np.empty(n_records, np.int64)
-    group[sets.members[lone].max(axis=1)] = sets.group[lone]
-    return lone, group
+    group[sets.members[single].max(axis=1)] = sets.group[single]
+    return group
 
 
-#: A sum without sets of larger reduced cost is exact: e⁻³⁰ is below what a probability can show.
+#: A sum without the sets of larger reduced cost counts as exact: e⁻³⁰ is below the resolution of a probability.
 EXACT = 30.0
 #: Most records of a block: the bits of a state.
 MOST_RECORDS = 63
@@ -209,9 +212,9 @@ class Answer:
     """The best partition and the probabilities of all sets.
 
     chosen : (k,) the sets that are objects. probability : (k,) of every set.
-    gap : (g,) ln of how much more probable a better partition could be at most.
-    cut : (g,) reduced cost above which sets were left out of the sum; :data:`EXACT` or more where that is exact, below
-        2 where such a sum would leave too much out and probabilities are by messages.
+    gap : (g,) upper bound of ln of the odds of a better partition.
+    cut : (g,) reduced cost above which sets were excluded from the sum: :data:`EXACT` or more if the sum is exact,
+        below 2 if probabilities are by messages.
     """
 
     chosen: BoolArray
@@ -220,7 +223,7 @@ class Answer:
     cut: FloatArray
 
     def exact(self, floor: FloatArray) -> BoolArray:
-        """(g,) whether probabilities are exact; floor : (g,) of :class:`Sets`, −∞ where no set was left out before."""
+        """(g,) whether probabilities are exact; floor : (g,) of :class:`Sets`, −∞ where no set was excluded."""
         return np.asarray((self.cut >= EXACT) & (floor == -np.inf))
 
 
@@ -232,12 +235,12 @@ def answer(
     time_limit_s: float,
     tuning: ManyTuning = TUNING,
 ) -> Answer:
-    """The best partition of every group and the probabilities of its sets; ``counts`` is the count prior, if any."""
+    """The best partition of every group and the probabilities of all sets; counts : the count prior, or None."""
     if counts is None:
         return additive_answer(sets, pooled.sizes, time_limit_s=time_limit_s, tuning=tuning)
     sums = _Sums.counted(sets, pooled, counts, tuning)
-    nothing = np.zeros(len(sets))
-    share, chosen, solved = sums.without(nothing, EXACT, np.ones(len(pooled.sizes), bool))
+    no_cost = np.zeros(len(sets))
+    share, chosen, solved = sums.below(no_cost, EXACT, np.ones(len(pooled.sizes), bool))
     cut = np.where(solved, np.inf, -1.0)
     gap = np.where(sets.floor > 0, np.inf, 0.0)
     if not solved.all():
@@ -253,7 +256,7 @@ def answer(
 
 
 def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> Answer:
-    """The same without a count prior; sizes : (g,) records of every group."""
+    """:func:`answer` without a count prior; sizes : (g,) number of records of every group."""
     n = int(sizes.sum())
     share, chosen, cut = packed_groups(sets, n, np.ones(len(sizes), bool), tuning)
     rest = cut < 0
@@ -262,18 +265,18 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
     best = best_partition(sets, n, rest, time_limit_s=time_limit_s)
     cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
     part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut, sets.log_weight)
-    open_ = rest[sets.group]
+    of_rest = rest[sets.group]
     return Answer(
-        np.where(open_, best.chosen, chosen), np.where(open_, part, share), np.where(rest, best.gap, 0.0), cut
+        np.where(of_rest, best.chosen, chosen), np.where(of_rest, part, share), np.where(rest, best.gap, 0.0), cut
     )
 
 
 def best_sets(
     sets: Sets, n_records: int, possible: BoolArray, *, time_limit_s: float, tuning: ManyTuning = TUNING
 ) -> BoolArray:
-    """(k,) the sets of the best partition, without a count prior, of the records of those sets that are possible.
+    """(k,) the sets of the best partition, without a count prior, of the records of the ``possible`` sets.
 
-    possible : (k,) sets that have a probability under other weights near these, partitions of their records among them.
+    possible : (k,) sets of nonzero probability under similar weights; they include a partition of their records.
     """
     which, chosen, groups = np.flatnonzero(possible), np.zeros(len(sets), bool), np.zeros(len(sets.start) - 1, bool)
     groups[sets.group[which]] = True
@@ -290,10 +293,10 @@ def best_sets(
 def packed_groups(
     sets: Sets, n_records: int, groups: BoolArray, tuning: ManyTuning = TUNING
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
-    """Probabilities and best partition (k,) of the groups (g,) of which all blocks can be summed, and their cut.
+    """Probabilities and best partition (k,) of the ``groups`` (g,) whose blocks can all be summed, and their cut (g,).
 
-    No linear programme is needed: duals are found by descent, and by annealing where that is not enough. The cut of the
-    groups that are not solved is −1.
+    No linear programme is needed: duals are found by descent, and by annealing where that is not enough. Groups that
+    are not solved have a cut of −1.
     """
     from sameas.kernels.partitions import packed
 
@@ -309,7 +312,7 @@ def packed_groups(
 
 
 def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: FloatArray) -> FloatArray:
-    """(k,) the sum of the duals of a set's records less its ln w, less the slack of the relaxation."""
+    """(k,) sum of the duals of a set's records minus its ln w, minus the slack of its group."""
     total = np.where(sets.members != NO_RECORD, dual[sets.members], 0.0).sum(axis=1)
     return np.asarray(total - weight - slack[sets.group])
 
@@ -317,7 +320,8 @@ def _reduced_cost(sets: Sets, dual: FloatArray, slack: FloatArray, weight: Float
 def _solve_counted(
     sets: Sets, sums: _Sums, g: int, weight: FloatArray, chosen: BoolArray, time_limit_s: float
 ) -> float:
-    """Choose one group's sets by branch and bound; tilt its weights by the slope of the prior there; its gap."""
+    """Choose group g's sets by branch and bound, in ``chosen``, and tilt its ``weight`` by the prior's slope at their
+    number of merges; returns the gap."""
     here = np.arange(sets.start[g], sets.start[g + 1])
     merges = sets.size[here] - 1
     log_p = sums.table[sums.table_start[g] : sums.table_start[g + 1]]
@@ -327,8 +331,8 @@ def _solve_counted(
     chosen[here] = False
     chosen[several[picked]] = True
     taken = sets.members[several[picked]]
-    alone = here[merges == 0]
-    chosen[alone] = ~np.isin(sets.members[alone].max(axis=1), taken)
+    single = here[merges == 0]
+    chosen[single] = ~np.isin(sets.members[single].max(axis=1), taken)
     count = int((sets.size[several[picked]] - 1).sum())
     low, high = max(count - 1, 0), min(count + 1, len(log_p) - 1)
     weight[here] += merges * (log_p[high] - log_p[low]) / max(high - low, 1)
@@ -338,7 +342,8 @@ def _solve_counted(
 @in_short
 @dataclass(frozen=True)
 class _Sums:
-    """Sums over partitions; ``table`` holds ln P of 0, 1, … merges of group g from table_start[g] on."""
+    """Sums over partitions. table : ln P of 0, 1, … merges of group g, from table_start[g] on. counts : whether there
+    is a count prior."""
 
     sets: Sets
     n_records: int
@@ -360,9 +365,11 @@ class _Sums:
     def all(
         self, cost: FloatArray, chosen: BoolArray, cut: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """Probabilities with as small a cut as each group allows; groups whose ``cut`` is not negative are done.
+        """Probabilities (k,) and cuts (g,): for each group the first of ``tuning.cuts`` with which its sum is short
+        enough. Groups with a ``cut`` of 0 or more are skipped.
 
-        weight : (k,) ln w, under a count prior tilted by its slope at the best partition; messages go by these.
+        cost : (k,) reduced costs. chosen : (k,) sets of the best partition, never excluded. weight : (k,) ln w, with a
+        count prior tilted by its slope at the best partition; used by the messages.
         """
         from sameas.kernels.partitions import LEAST_CUT, set_messages
 
@@ -371,7 +378,7 @@ class _Sums:
             unsolved = cut < 0
             if value < LEAST_CUT or not unsolved.any():
                 break
-            part, _, solved = self.without(np.where(chosen, 0.0, cost), value, unsolved)
+            part, _, solved = self.below(np.where(chosen, 0.0, cost), value, unsolved)
             share += part
             cut[solved] = value
         rest = cut < 0
@@ -381,8 +388,9 @@ class _Sums:
         cut[rest] = 0.0
         return share, chosen, cut
 
-    def without(self, cost: FloatArray, cut: float, groups: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
-        """Probabilities, best partition and whether solved, for some groups (g,) and their sets of cost ≤ cut."""
+    def below(self, cost: FloatArray, cut: float, groups: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Probabilities and best partition (k,) of some groups (g,) by their sets of cost ≤ cut, and which (g,) are
+        solved."""
         from sameas.kernels.partitions import eliminate
 
         sets = self.sets
@@ -390,11 +398,11 @@ class _Sums:
         kept = np.flatnonzero((cost <= cut) & groups[sets.group])
         blocks = _Blocks.of(sets, kept, self.n_records, self.counts)
         share, chosen = np.zeros(len(sets)), np.zeros(len(sets), bool)
-        share[kept[blocks.sure]], chosen[kept[blocks.sure]] = 1.0, True
+        share[kept[blocks.certain]], chosen[kept[blocks.certain]] = 1.0, True
         part, best = np.zeros(len(blocks.at)), np.zeros(len(blocks.at), bool)
         solved = np.zeros(len(blocks.group), bool)
         at = kept[blocks.at]
-        start, table = self._left_of_table(blocks, kept[blocks.sure])
+        start, table = self._remaining_table(blocks, kept[blocks.certain])
         eliminate(
             np.flatnonzero(blocks.size <= MOST_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
             sets.size[at] - 1, start, table, self.counts, self.tuning.most_steps, part, best, solved,
@@ -405,7 +413,7 @@ class _Sums:
         return np.where(done[sets.group], share, 0.0), chosen & done[sets.group], done
 
     def _too_wide(self, kept: IntArray) -> BoolArray:
-        """(g,) groups in which the kept sets entangle more records than a state can hold; they are not tried."""
+        """(g,) groups in which the kept sets connect more records than a state has bits; they are not tried."""
         sets, wide = self.sets, np.zeros(len(self.sets.start) - 1, bool)
         kept = kept[(self._sizes > MOST_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
         if self.counts or not len(kept):
@@ -425,11 +433,13 @@ class _Sums:
         """(g,) records of each group."""
         return np.bincount(self.sets.group[self.sets.size == 1], minlength=len(self.sets.start) - 1)
 
-    def _left_of_table(self, blocks: _Blocks, sure: IntArray) -> tuple[IntArray, FloatArray]:
-        """Starts and ln P of the merges that remain for each block after those of the sure sets."""
+    def _remaining_table(self, blocks: _Blocks, certain: IntArray) -> tuple[IntArray, FloatArray]:
+        """Starts and ln P of the numbers of merges that remain for each block after those of the certain sets."""
         if not self.counts:
             return np.zeros(len(blocks.group) + 1, np.int64), np.zeros(1)
-        made = np.bincount(self.sets.group[sure], self.sets.size[sure] - 1, len(self.table_start)).astype(np.int64)
+        made = np.bincount(self.sets.group[certain], self.sets.size[certain] - 1, len(self.table_start)).astype(
+            np.int64
+        )
         low, high = self.table_start[blocks.group] + made[blocks.group], self.table_start[blocks.group + 1]
         lists = [self.table[a:b] for a, b in zip(low, high, strict=True)]
         return Ragged.of_sizes(high - low).start, np.concatenate([*lists, np.zeros(1)])
@@ -438,14 +448,14 @@ class _Sums:
 @in_short
 @dataclass(frozen=True)
 class _Blocks:
-    """Records that the kept sets entangle with each other, laid out for elimination.
+    """Blocks of records that the kept sets connect, laid out for elimination.
 
-    sure : places among the kept of sets that share no record with another. at : of the others, block by block, by
-    their first record. start : (b+1,) of the blocks. first, mask : per set the number of its first record within the
-    block, and its records as bits. size : (b,) records. group : (b,) group of the block.
+    certain : positions among the kept sets of those that share no record with another. at : positions of the others,
+    by block and first record. start : (b+1,) of the blocks. first, mask : of each set, the number of its first record
+    within the block, and its records as bits. size : (b,) number of records. group : (b,) group of the block.
     """
 
-    sure: IntArray
+    certain: IntArray
     at: IntArray
     start: IntArray
     first: IntArray
@@ -459,17 +469,17 @@ class _Blocks:
         at, source = np.nonzero(members != NO_RECORD)
         record = members[at, source]
         incidence = csr_array((np.ones(len(at), np.int32), (record, at)), shape=(n_records, len(kept)))
-        touching = csr_array(incidence @ incidence.T)
-        _, part = connected_components(touching, directed=False)
+        adjacency = csr_array(incidence @ incidence.T)
+        _, part = connected_components(adjacency, directed=False)
         of_set = part[members.max(axis=1)]
-        alone = np.bincount(of_set, minlength=part.max(initial=-1) + 1)[of_set] == 1
-        sure, rest = np.flatnonzero(alone), np.flatnonzero(~alone)
+        isolated = np.bincount(of_set, minlength=part.max(initial=-1) + 1)[of_set] == 1
+        certain, rest = np.flatnonzero(isolated), np.flatnonzero(~isolated)
         unit = sets.group[kept] if whole_groups else of_set
         labels, block = np.unique(unit[rest], return_inverse=True)
-        # Records that share sets follow each other, so that states hold few records.
+        # Records that share sets get consecutive numbers, so that states have few records.
         rank = np.empty(n_records, np.int64)
         if n_records:
-            rank[reverse_cuthill_mckee(touching, symmetric_mode=True)] = np.arange(n_records)
+            rank[reverse_cuthill_mckee(adjacency, symmetric_mode=True)] = np.arange(n_records)
         number, size = _numbers(block, rest, at, record, part, rank, len(labels), n_records)
         bits = number[record]
         low = np.full(len(kept), 1 << 30)
@@ -478,16 +488,16 @@ class _Blocks:
         np.bitwise_or.at(mask, at, np.uint64(1) << np.minimum(bits, 63).astype(np.uint64))
         order = np.lexsort([rest, low[rest], block])
         start = Ragged.of_sorted(block[order], len(labels)).start
-        there = rest[order]
-        group = sets.group[kept[there[start[:-1]]]] if len(labels) else np.empty(0, np.int64)
-        return cls(sure, there, start, low[there], mask[there], size, group)
+        ordered = rest[order]
+        group = sets.group[kept[ordered[start[:-1]]]] if len(labels) else np.empty(0, np.int64)
+        return cls(certain, ordered, start, low[ordered], mask[ordered], size, group)
 
 
 def _numbers(
     block: IntArray, rest: IntArray, at: IntArray, record: IntArray, part: IntArray, rank: IntArray, n_blocks: int,
     n_records: int,
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
-    """(n,) number of each record within its block (0 where it has none), and the sizes of the blocks."""
+    """(n,) number of each record within its block (0 without a block), and (b,) numbers of records of the blocks."""
     of_set = np.full(at.max(initial=-1) + 1, -1)
     of_set[rest] = block
     of_record = np.full(n_records, -1)

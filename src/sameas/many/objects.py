@@ -1,6 +1,6 @@
-"""Objects: which records of many sources are one object, its probability and its state.
+"""Objects: which records of many sources are one object, with probabilities and fused states.
 
-Members are rows of the sources' own tables, sources in the order in which they were given; absence is a mask. Objects
+Members are rows of the sources' own tables, in the order in which the sources were given; absence is a mask. Objects
 are numbered by the content of their records, so their numbers do not depend on the order of sources or rows.
 """
 
@@ -29,11 +29,11 @@ from sameas.representation import in_short
 @in_short
 @dataclass(frozen=True)
 class Memberships:
-    """The result for every row of one source's table (n_table,); masked where the row could not be used.
+    """The result for every row of one source's table (n_table,); masked where the row was not used.
 
-    object : number of its object. p_object : probability of exactly that object. p_alone : of no partner in any source.
-    partner : (n_table, S) per source the row of the most probable partner there, masked where there is no candidate.
-    p_partner : (n_table, S) its probability, 0 where there is no candidate; the column of the source itself is masked.
+    object : number of its object. p_object : probability of exactly that object. p_alone : probability of no partner in
+    any source. partner : (n_table, S) row of the most probable partner in each source, masked without a candidate.
+    p_partner : (n_table, S) its probability, 0 without a candidate; the column of the source itself is masked.
     """
 
     object: np.ma.MaskedArray
@@ -48,9 +48,10 @@ class Memberships:
 class GroupTable:
     """How every group was solved (g,).
 
-    records, sets : their numbers. gap : upper bound of ln of the odds of a better partition against the answer, 0 where
-    the answer is the best. cut : the sum left out sets at least e^cut times less probable than the best; exact : cut is
-    large enough to change no probability, and no set was left out before; floor : ln w below which sets were.
+    records, sets : numbers of them. gap : upper bound of ln of the odds of a better partition against the answer, 0 if
+    the answer is the best. cut : sets at least e^cut times less probable than the best were excluded from the sum.
+    exact : cut is too large to change a probability, and no set was excluded before. floor : ln w below which sets were
+    excluded.
     """
 
     records: IntArray
@@ -64,10 +65,10 @@ class GroupTable:
 @in_short
 @dataclass(frozen=True)
 class Objects:
-    """The answer of :func:`sameas.many.identify_many`.
+    """The result of :func:`sameas.many.identify_many`.
 
-    given : the sources, in the order in which they were given. pooled, sets, answer, terms : the stages' values; terms
-        are None where the sets were not weighed.
+    given : the sources, in the caller's order. pooled, sets, answer, terms : results of the stages; terms are None if
+        the sets have no weights.
     """
 
     given: tuple[Source, ...]
@@ -81,7 +82,7 @@ class Objects:
 
     @cached_property
     def set_of_object(self) -> IntArray:
-        """(n,) the set that each object is: a row of :attr:`sets`."""
+        """(n,) the set of each object: a row of :attr:`sets`."""
         chosen = np.flatnonzero(self.answer.chosen)
         members = self.sets.members[chosen]
         first = np.where(members != NO_RECORD, members, len(self.pooled)).min(axis=1)
@@ -108,22 +109,22 @@ class Objects:
 
     @property
     def group(self) -> IntArray:
-        """(n,) number of the group that each object is in: a row of :attr:`groups`."""
+        """(n,) number of each object's group: a row of :attr:`groups`."""
         return self.sets.group[self.set_of_object]
 
     @cached_property
     def _second(self) -> IntArray:
-        """(n,) the most probable other set that shares a record with each object, −1 where there is none."""
+        """(n,) the most probable other set that shares a record with each object, −1 for none."""
         best = np.full(len(self), -1)
         best_p = np.zeros(len(self))
         of_record = self.object_of_record
         other = np.setdiff1d(np.flatnonzero(self.answer.probability > 0), self.set_of_object)
-        # In ascending order, so that the most probable is written last; of equals the first by content.
+        # Ascending, so that the most probable set is written last; ties go to the first by content.
         other = other[np.lexsort([-other, self.answer.probability[other]])]
         for column in self.sets.members[other].T:
-            here = np.flatnonzero(column != NO_RECORD)
+            at = np.flatnonzero(column != NO_RECORD)
             rank = np.full(len(self), -1)
-            rank[of_record[column[here]]] = here
+            rank[of_record[column[at]]] = at
             p = np.where(rank >= 0, self.answer.probability[other[np.maximum(rank, 0)]], -1.0) if len(other) else best_p
             better = (rank >= 0) & (p > best_p)
             best[better], best_p[better] = other[rank[better]], p[better]
@@ -138,17 +139,17 @@ class Objects:
 
     @cached_property
     def p_runner_up(self) -> np.ma.MaskedArray:
-        """(n,) its probability, masked where nothing else is possible."""
+        """(n,) its probability, masked if no other set is possible."""
         return np.ma.MaskedArray(self.answer.probability[self._second], self._second < 0)
 
     @cached_property
     def fused(self) -> Joint:
-        """Per object its fused ``state`` (n, L) and ``covariance``, errors of the records taken as independent."""
+        """Fused ``state`` (n, L) and ``covariance`` of each object, assuming independent errors of its records."""
         return self.pooled.observers.joint(self.pooled.positions(self.sets.members[self.set_of_object]))
 
     @cached_property
     def expected_wrong(self) -> float:
-        """Expected number of objects that are not exactly right: Σ (1 − p)."""
+        """Expected number of objects with wrong or missing records: Σ (1 − p)."""
         return float(np.sum(1.0 - self.probability))
 
     @cached_property
@@ -159,7 +160,7 @@ class Objects:
         return GroupTable(self.pooled.sizes, counts, a.gap, a.exact(self.sets.floor), a.cut, self.sets.floor)
 
     def of(self, source: int | str) -> Memberships:
-        """The result for every row of one source, given by its position in the list of sources or by its name."""
+        """The result for every row of one source, given by its position in the list of sources or its name."""
         names = [records_of(s).source for s in self.given]
         if isinstance(source, str):
             if names.count(source) != 1:
@@ -168,15 +169,15 @@ class Objects:
         if not 0 <= source < len(names):
             raise InputError(f"source is {source}; give 0 … {len(names) - 1}, its place in the list of sources")
         s = self.pooled.given.index(source)
-        here = np.arange(self.pooled.start[s], self.pooled.start[s + 1])
-        of_record = self.object_of_record[here]
-        partner, p_partner = self._partners(s, here)
+        records = np.arange(self.pooled.start[s], self.pooled.start[s + 1])
+        of_record = self.object_of_record[records]
+        partner, p_partner = self._partners(records)
         over_table = self._table.over_table(s)
         itself = np.arange(len(names)) == source
         return Memberships(
             object=over_table(of_record),
             p_object=over_table(self.probability[of_record]),
-            p_alone=over_table(np.clip(self._p_alone[here], 0.0, 1.0)),
+            p_alone=over_table(np.clip(self._p_alone[records], 0.0, 1.0)),
             partner=over_table(partner.data, np.ma.getmaskarray(partner)),
             p_partner=over_table(np.clip(p_partner, 0.0, 1.0), np.broadcast_to(itself, p_partner.shape)),
         )
@@ -186,7 +187,7 @@ class Objects:
 
         Raises
         ------
-        InputError : there is no such object, or the sets were not weighed (``identify_sequentially``).
+        InputError : there is no such object, or the sets have no weights (``identify_sequentially``).
         """
         if not 0 <= number < len(self):
             raise InputError(f"there is no object {number}; give 0 … {len(self) - 1}, a row of members")
@@ -207,34 +208,35 @@ class Objects:
 
     @cached_property
     def _p_alone(self) -> FloatArray:
-        lone = np.flatnonzero(self.sets.size == 1)
+        """(records,) probability of every record to have no partner."""
+        single = np.flatnonzero(self.sets.size == 1)
         out = np.zeros(len(self.pooled))
-        out[self.sets.members[lone].max(axis=1)] = self.answer.probability[lone]
+        out[self.sets.members[single].max(axis=1)] = self.answer.probability[single]
         return out
 
     @cached_property
     def p_together(self) -> csr_array:
-        """(n, n) probability that two records, numbered as in the pooled records, are one object; symmetric, sparse."""
+        """(records, records) probability that two pooled records are one object; symmetric, sparse."""
         p = self.answer.probability
         kept = np.flatnonzero((self.sets.size > 1) & (p > 0))
         members = self.sets.members[kept]
         at, source = np.nonzero(members != NO_RECORD)
         shape = (len(self.pooled), len(kept))
-        whole = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
-        together = csr_array((whole * p[kept][None, :]) @ whole.T)
+        incidence = csr_array((np.ones(len(at)), (members[at, source], at)), shape=shape)
+        together = csr_array((incidence * p[kept][None, :]) @ incidence.T)
         together.setdiag(0.0)
         together.eliminate_zeros()
         together.sort_indices()
         return together
 
-    def _partners(self, s: int, here: IntArray) -> tuple[np.ma.MaskedArray, FloatArray]:
-        """(k, S) the most probable partner of each record in every source, in the order given, and its probability."""
-        together = self.p_together[here].tocoo()
+    def _partners(self, records: IntArray) -> tuple[np.ma.MaskedArray, FloatArray]:
+        """(k, S) each record's most probable partner in every source, in the caller's order, and its probability."""
+        together = self.p_together[records].tocoo()
         n_sources = len(self.pooled.sources)
-        number, p = np.full((len(here), n_sources), NO_RECORD), np.zeros((len(here), n_sources))
+        number, p = np.full((len(records), n_sources), NO_RECORD), np.zeros((len(records), n_sources))
         row, record = together.row, together.col
         source = self.pooled.source[record]
-        # Of equals the first by content is written last.
+        # Ascending, so that the most probable is written last; ties go to the first by content.
         order = np.lexsort([-record, together.data])
         number[row[order], source[order]], p[row[order], source[order]] = record[order], together.data[order]
         order_given = np.argsort(self.pooled.given)
@@ -242,7 +244,7 @@ class Objects:
 
 
 class _Tables:
-    """Record numbers of the pooled records as rows of the sources' own tables, in the order given."""
+    """Conversion of pooled record numbers to rows of the sources' own tables, in the caller's order."""
 
     def __init__(self, pooled: PooledRecords) -> None:
         self.pooled = pooled
@@ -253,13 +255,13 @@ class _Tables:
         at = self.pooled.positions(members)
         out = np.zeros(at.shape, np.int64)
         for s, rows in enumerate(self.rows):
-            here = at[:, s] != NO_RECORD
-            out[here, s] = rows[at[here, s]]
+            present = at[:, s] != NO_RECORD
+            out[present, s] = rows[at[present, s]]
         back = np.argsort(self.pooled.given)
         return np.ma.MaskedArray(out[:, back], (at == NO_RECORD)[:, back])
 
     def over_table(self, s: int) -> _OverTable:
-        """Carries values of the usable records of source s to the rows of its table."""
+        """A function from values of source s's records to a masked column of its table."""
         return _OverTable(self.rows[s], records_of(self.pooled.sources[s]).n_table)
 
 
@@ -269,7 +271,7 @@ class _OverTable:
 
     def __call__(self, values: NDArray[Any], mask: BoolArray | None = None) -> np.ma.MaskedArray:
         column = np.zeros((self.n_table, *values.shape[1:]), values.dtype)
-        hidden = np.ones(column.shape, bool)
+        masked = np.ones(column.shape, bool)
         column[self.rows] = values
-        hidden[self.rows] = False if mask is None else mask
-        return np.ma.MaskedArray(column, hidden)
+        masked[self.rows] = False if mask is None else mask
+        return np.ma.MaskedArray(column, masked)

@@ -1,13 +1,13 @@
-"""Observations: the part of an object's state that a source observes, where that is not the whole state.
+"""Observations: records of a source that observes a part of the objects' state.
 
-Plain :class:`~sameas.records.Records` are of the whole state, the features themselves. :class:`Observations` are of a
-part: a bearing and no distance, a position and no velocity. The part is a
-strategy: :class:`LinearPart` for z = H x + c, :class:`Bearing` for a direction seen from a known place; your own needs
-``dimension``, a call from states (n, L) to observations (n, m), and ``jacobian`` from states to (n, m, L).
+Plain :class:`~sameas.records.Records` observe the whole state, their features. :class:`Observations` observe a part of
+it: a bearing without distance, a position without velocity. The part is a strategy: :class:`LinearPart` for
+z = H x + c, :class:`Bearing` for a direction from a known position. Your own needs ``dimension``, a call from states
+(n, L) to observations (n, m), and ``jacobian`` from states to (n, m, L).
 
-A record of a part leaves the rest of the state undetermined. A :class:`Region`, a broad normal about where objects are,
-determines it: with it every set of records has a finite density; where a set observes the whole state the region drops
-out as it widens.
+A record of a part leaves the rest of the state undetermined. A :class:`Region`, a broad normal density of objects,
+determines it: every set of records then has a finite density. For a set that observes the whole state, the region's
+effect vanishes as it widens.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Part(Protocol):
         """L, the number of components of the state."""
 
     def __call__(self, states: FloatArray) -> FloatArray:
-        """(n, m) observations without error of the states (n, L)."""
+        """(n, m) error-free observations of states (n, L)."""
 
     def jacobian(self, states: FloatArray) -> FloatArray:
         """(n, m, L) their derivatives."""
@@ -67,9 +67,9 @@ class LinearPart:
 
 @dataclass(frozen=True)
 class Bearing:
-    """The direction of the state's first two components (east, north) from a sensor: degrees, clockwise from north.
+    """The bearing of the state's first two components (east, north) from a sensor: degrees, clockwise from north.
 
-    Give its records ``space=Plane(periods=(360.0,))`` so that 359° and 1° are near each other.
+    Its records need ``space=Plane(periods=(360.0,))``, so that 359° and 1° are near each other.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Bearing:
 
     def jacobian(self, states: FloatArray) -> FloatArray:
         east, north = (states[:, :2] - np.asarray(self.sensor)).T
-        # At the sensor itself there is no direction; a tiny distance keeps the numbers finite.
+        # There is no bearing at the sensor itself; a tiny distance keeps the numbers finite.
         range_sq = np.maximum(east**2 + north**2, 1e-12)
         slope = np.zeros((len(states), 1, self.dimension))
         slope[:, 0, 0], slope[:, 0, 1] = np.degrees(north / range_sq), np.degrees(-east / range_sq)
@@ -96,7 +96,7 @@ class Bearing:
 @in_short
 @dataclass(frozen=True)
 class Observations:
-    """The records of a source that observes ``part`` of the objects' state.
+    """The records of a source that observes a ``part`` of the objects' state.
 
     >>> from sameas.records import Records
     >>> camera = Records.of([[44.0], [352.0]], sigma=0.5, space=Plane(periods=(360.0,)), source="camera")
@@ -129,9 +129,9 @@ class Observations:
 @in_short
 @dataclass(frozen=True)
 class Region:
-    """Where objects are: a broad normal, density falling as exp(−½ (x−centre)ᵀ covariance⁻¹ (x−centre)).
+    """Where objects are: a normal density ∝ exp(−½ (x−centre)ᵀ covariance⁻¹ (x−centre)).
 
-    centre : (L,). spread : (L,) standard deviations per component, or an (L, L) covariance.
+    centre : (L,). spread : (L,) standard deviations of the components, or an (L, L) covariance.
     """
 
     centre: ArrayLike
@@ -160,5 +160,5 @@ Source = Records | Observations
 
 
 def records_of(source: Source) -> Records:
-    """The records of a source, of the whole state or a part."""
+    """The records of a source, whether it observes the whole state or a part."""
     return source.records if isinstance(source, Observations) else source

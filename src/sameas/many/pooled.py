@@ -1,11 +1,10 @@
-"""Pooled records: those of all sources in one order of their content, the pairs between them, and their groups.
+"""Pooled records: the records of all sources in one numbering, their pairs, and their groups.
 
-Sources are ordered by the content of their records and records by their content, equal ones by their ids; every later
-stage works in that order, so the answer depends neither on the order of the sources nor on that of their rows. Two
-records are a pair where they pass the gate. The gate compares features, so it is applied where both sources observe the
-whole state; where one observes a part, the two records pass if they can be one object of the region: their χ²
-(:mod:`sameas.many.joint`) lies within the quantile of the gate's completeness for as many degrees of freedom as they
-have features. A group is a connected component of all pairs.
+Sources and records are ordered by content, equal ones by id. All later stages use that order, so the result does not
+depend on the order of sources or rows. Two records are a pair if they pass the gate. The gate compares features, so it
+applies where both sources observe the whole state. Where one of them observes a part, two records pass if they can be
+one object of the region: their χ² (:mod:`sameas.many.joint`) is at most the quantile of the gate's completeness, for
+as many degrees of freedom as they have features. A group is a connected component of all pairs.
 """
 
 from __future__ import annotations
@@ -32,23 +31,23 @@ from sameas.representation import in_short
 from sameas.space import Plane
 
 Gate = Callable[[Records, Records], Pairs]
-#: Pairs of a partial source that are tested at a time, which bounds the memory.
+#: Pairs of a partial source that are tested at once, to limit the memory.
 CHUNK = 200_000
 
 
 @in_short
 @dataclass(frozen=True)
 class PooledRecords:
-    """All records, source after source.
+    """The records of all sources, source after source.
 
     Attributes
     ----------
-    observers : the sources, in the order of their content, their records too.
-    given : (S,) the position of each of them in the caller's list.
+    observers : the sources, and the records of each, ordered by content.
+    given : (S,) position of each source in the caller's list.
     start : (S+1,) the records of source s are numbered start[s] … start[s+1] − 1.
     i, j : (m,) the two records of each pair, i < j, sorted.
-    parts : per two sources their Pairs and their positions among the m; pairs of which one record observes a part of
-        the state have no residual (m, 0) and no determinant, but the χ² of their being one object of the region.
+    parts : for every two sources, their Pairs and the positions of these among the m. If a source observes a part of
+        the state, Pairs have no residual (shape (m, 0)) and no determinant, and χ² is that of one object of the region.
     group : (n,) the group of each record, numbered by first appearance.
     gate : the gate's description.
     """
@@ -97,24 +96,24 @@ class PooledRecords:
 
     @cached_property
     def _in_plane(self) -> tuple[FloatArray, ...] | None:
-        """Places, precisions and peaks of all records, centre and information of the region, where all records are
-        places in a plane without periods."""
-        every = [source for source in self.sources if isinstance(source, Records)]
-        flat = all(isinstance(one.space, Plane) and one.d == 2 and not any(one.space.periods or ()) for one in every)
-        if len(every) < len(self.sources) or not flat:
+        """Positions, precisions and log peaks of all records, centre and information of the region, for the compiled
+        joint density; None unless all sources are positions in a plane without periods."""
+        whole = [source for source in self.sources if isinstance(source, Records)]
+        flat = all(isinstance(one.space, Plane) and one.d == 2 and not any(one.space.periods or ()) for one in whole)
+        if len(whole) < len(self.sources) or not flat:
             return None
         region = self.observers.region
         centre = np.zeros(2) if region is None else np.asarray(region.centre, np.float64)
         prior = np.zeros((2, 2)) if region is None else inverse(np.asarray(region.covariance, np.float64))
         precision = np.concatenate([self.observers.precision(s) for s in range(len(self.sources))])
-        return np.concatenate([one.features for one in every]), precision, self.log_peak, centre, prior
+        return np.concatenate([one.features for one in whole]), precision, self.log_peak, centre, prior
 
     def positions(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, S) of record numbers as positions within each source; :data:`NO_RECORD` stays."""
         return np.where(sets != NO_RECORD, sets - self.start[:-1], NO_RECORD)
 
     def pair(self, i: IntArray, j: IntArray) -> tuple[BoolArray, IntArray]:
-        """Whether records i < j are a pair, and which (0 where they are none)."""
+        """Whether records i < j are a pair, and the number of the pair (0 if not)."""
         if not len(self._keys):
             return np.zeros(i.shape, bool), np.zeros(i.shape, np.int64)
         key = i * len(self) + j
@@ -135,7 +134,7 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
         if not isinstance(source, Records | Observations):
             kind = type(source).__name__
             raise InputError(f"source {number} is a {kind}; make it with Records.of(features, sigma=…)")
-    # Checked in the caller's order, in which messages name the sources.
+    # Checked here, so that error messages list the sources in the caller's order.
     assert Observers(tuple(sources), region).dimension
     ordered = [_in_order(source) for source in sources]
     contents = [_content(source) for source in ordered]
@@ -151,7 +150,7 @@ def pooled(sources: Sequence[Source], gate: Gate, region: Region | None = None) 
 
 
 def _in_order(source: Source) -> Source:
-    """A source with its records ordered by their content, equal ones by their ids."""
+    """The source with its records ordered by content, equal ones by id."""
     records = records_of(source)
     order = ordered_by(records.features.T)
     ordered = records.features[order]
@@ -166,6 +165,7 @@ def _in_order(source: Source) -> Source:
 
 
 def _content(source: Source) -> tuple[object, ...]:
+    """Sort key of a source."""
     records = records_of(source)
     part = repr(source.part) if isinstance(source, Observations) else ""
     content = records.features.tobytes(), records.covariance.tobytes()
@@ -173,7 +173,7 @@ def _content(source: Source) -> tuple[object, ...]:
 
 
 def _names(source: Source) -> list[str]:
-    """The ids of a source's records, which only sources of equal content are told apart by."""
+    """The ids of a source's records: the sort key of sources of equal content."""
     records = records_of(source)
     return [str(x) for x in records.ids[records.rows]]
 
@@ -205,7 +205,7 @@ def _pairs(
 
 
 def _possible(observers: Observers, s: int, t: int, gate: Gate) -> Pairs:
-    """Pairs of two sources, at least one of them partial, that one object of the region could have made."""
+    """Pairs of two sources, at least one of them partial, whose records can be one object of the region."""
     from scipy.special import gammainccinv
 
     first, second = records_of(observers.sources[s]), records_of(observers.sources[t])

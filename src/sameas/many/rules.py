@@ -1,29 +1,28 @@
-"""Set rules: the weight of a set of records as one object against all of its records being objects of their own.
-
-Every rule of :func:`sameas.many.identify_many` is brought to :class:`Terms`. A hypothesis weighs Σ ln w of its
-sets, and under a count prior also ln P of its number of merges, Σ (k − 1).
+"""Set rules: the weight w of a set of records as one object, relative to each of its records being a separate object.
 
 - :class:`PoissonObjects`: objects are a Poisson field, sources miss some and add false records (METHOD 4.3).
-- Pairwise rules, ``CloseObjects`` and ``Field``, for sets: see :class:`Pairwise`.
+- Pairwise rules, ``CloseObjects`` and ``Field``, extended to sets: see :class:`Pairwise`.
 - :class:`MissedObjects`: only the probabilities of a miss are known (METHOD 4.1 for any number of sources).
-- Rules on attributes beside positions are added: ``PoissonObjects(…) + Identity(…)`` or
-  ``CloseObjects(…) + Identity(…)``. Such a rule is called once for every two sources, in an order of their content: it
-  knows sources by their names and records by the rows of their tables, gives the same for (i, j) as for (j, i), and
-  exactly 0.0 where it is not informative.
+- Rules on attributes are added to one on positions: ``PoissonObjects(…) + Identity(…)`` or
+  ``CloseObjects(…) + Identity(…)``. Such a rule is called once for every two sources, ordered by content. It must
+  identify sources by name and records by table row, give the same for (i, j) as for (j, i), and exactly 0.0 where it is
+  not informative.
 
-A set T of k ≥ 2 records weighs, against all of its records being objects of their own,
+:func:`sameas.many.identify_many` brings every rule to :class:`Terms`. A set T of k ≥ 2 records weighs
 
     ln w(T) = ln J(T) + Σ over the linear terms (constant + Σ_{i∈T} gain_i) + Σ over the rules of pairs Σ c_ij ln r_ij,
 
-with J of :mod:`sameas.many.joint`; one record alone weighs 0. A rule compares two records, so the pairs of a set of k
-are redundant: k − 1 comparisons are enough. The shares c_ij of its pairs are
+with J of :mod:`sameas.many.joint`; one record alone weighs 0. A hypothesis weighs Σ ln w of its sets, and under a count
+prior also ln P of its number of merges, Σ (k − 1).
+
+A rule of pairs compares two records, and k − 1 comparisons determine a set of k, so its pairs have shares c_ij:
 
 - :func:`best_reference`, for attributes. If the object has the attributes of record h, every other record is compared
-  with h alone: λ(T) = Σ_θ p(θ) ∏ p(v_i|θ)/p(v_i) ≈ max_h ∏_{i≠h} r_hi. A third record with the same attribute adds
-  once, and one that contradicts two others counts against once.
+  with h alone: λ(T) = Σ_θ p(θ) ∏ p(v_i|θ)/p(v_i) ≈ max_h ∏_{i≠h} r_hi. A third record with the same attribute counts
+  once, and one that contradicts two others counts against them once.
 - :func:`mean_of_pairs`, for the density of unrelated records: (k − 1) times the mean over the pairs.
 
-Both are the rule itself for two records.
+For two records both shares are 1.
 """
 
 from __future__ import annotations
@@ -58,46 +57,46 @@ from sameas.representation import in_short
 @in_short
 @dataclass(frozen=True)
 class Linear:
-    """A constant of every set, and a gain (n,) of each of its records."""
+    """A term of ln w: a constant of every set, and a gain (n,) of each record in it."""
 
     constant: float
     gain: FloatArray
 
 
-#: (k, pairs) shares of the pairs of k sets of one size, from ln r of the pairs and whether the rule is informative.
+#: (k, pairs) shares c of the pairs of k sets of one size, from ln r of the pairs and whether the rule is informative.
 Shares = Callable[[FloatArray, BoolArray], FloatArray]
 
 
 def best_reference(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
-    """Share 1 for the pairs of one reference: of the records compared with all others the one of largest Σ ln r.
+    """Share 1 for the pairs of the reference, 0 for others: the record of largest Σ ln r that is compared with all.
 
-    Records may lack attributes, so that the rule is informative for some pairs only. Where no record is compared with
-    all the others (a chain), pairs have the share min(1, (k_s − 1)/n_s), k_s of the records being in n_s informative
-    pairs. log_ratio is 0 where the rule is not informative.
+    Records may lack attributes, so that the rule is informative for some pairs only. If no record is compared with all
+    the others (a chain), pairs have the share min(1, (k_s − 1)/n_s), with k_s records in n_s informative pairs.
+    log_ratio is 0 where the rule is not informative.
     """
     if informative.shape[1] <= 1:
         return np.ones(informative.shape)
-    ends = _ends(informative.shape[1])
-    compared = informative.astype(np.float64) @ ends
+    incidence = _incidence(informative.shape[1])
+    compared = informative.astype(np.float64) @ incidence
     records, pairs = np.count_nonzero(compared, axis=1), np.count_nonzero(informative, axis=1)
     with_all = (compared > 0) & (compared == records[:, None] - 1)
-    total = np.where(with_all, log_ratio @ ends, -np.inf)
-    shares: FloatArray = ends.T[total.argmax(axis=1)]
+    total = np.where(with_all, log_ratio @ incidence, -np.inf)
+    shares: FloatArray = incidence.T[total.argmax(axis=1)]
     chain = ~with_all.any(axis=1)
     shares[chain] = np.clip((records - 1.0) / np.maximum(pairs, 1), 0.0, 1.0)[chain, None]
     return np.asarray(shares)
 
 
 def mean_of_pairs(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
-    """Every pair with the share (k − 1) / (k (k − 1)/2)."""
+    """The share (k − 1) / (k (k − 1)/2) for every pair."""
     return np.full(log_ratio.shape, 2.0 / _size(log_ratio.shape[1]))
 
 
 @in_short
 @dataclass(frozen=True)
 class PairTerms:
-    """A rule for every pooled pair: (m,) named terms of ln r, whether it is informative, and the shares of the pairs in
-    larger sets."""
+    """A rule of pairs: named terms (m,) of ln r of all pooled pairs, whether it is informative (m,), and the shares of
+    the pairs in larger sets."""
 
     terms: Mapping[str, FloatArray]
     informative: BoolArray
@@ -117,9 +116,9 @@ class PairTerms:
         for pairs, place in pooled.parts:
             evidence = rule(pairs)
             for name, values in evidence.terms.items():
-                wrong = np.flatnonzero(~np.isfinite(values))
-                if len(wrong):
-                    raise InputError(_not_finite(name, pairs, int(wrong[0]), values))
+                infinite = np.flatnonzero(~np.isfinite(values))
+                if len(infinite):
+                    raise InputError(_not_finite(name, pairs, int(infinite[0]), values))
                 terms.setdefault(name, np.zeros(m))[place] = values
             informative[place] = evidence.informative
         return cls(terms, informative, shares)
@@ -130,54 +129,54 @@ class PairTerms:
         return Evidence(self.terms).log_ratio if self.terms else np.zeros(len(self.informative))
 
     def shares_of(self, pairs: IntArray) -> FloatArray:
-        """(k, pairs) the shares c of the pairs of sets of one size, given in the order of :func:`pairs_of`."""
+        """(k, pairs) the shares c of the pairs of sets of one size, in the order of :func:`pairs_of`."""
         return self.shares(self.log_ratio[pairs], self.informative[pairs])
 
     def of_sets(self, pairs: IntArray) -> FloatArray:
-        """(k,) ln of the rule's factor of the sets."""
+        """(k,) Σ c ln r of sets, given by their pairs."""
         return np.asarray((self.shares_of(pairs) * self.log_ratio[pairs]).sum(axis=1))
 
 
 @in_short
 @dataclass(frozen=True)
 class Terms:
-    """Linear terms by name, and rules of pairs: see the module."""
+    """All terms of ln w except ln J: linear terms by name, and rules of pairs."""
 
     linear: Mapping[str, Linear]
-    between: tuple[PairTerms, ...] = ()
+    by_pair: tuple[PairTerms, ...] = ()
 
     def __add__(self, other: Terms) -> Terms:
-        return Terms({**self.linear, **other.linear}, self.between + other.between)
+        return Terms({**self.linear, **other.linear}, self.by_pair + other.by_pair)
 
     def gain(self, pooled: PooledRecords) -> FloatArray:
-        """(n,) the gain of every pooled record by the linear terms."""
+        """(n,) the summed gain of every pooled record in the linear terms."""
         return _sum(len(pooled), (part.gain for part in self.linear.values()))
 
     def linear_of(self, records: IntArray) -> FloatArray:
-        """(k,) the linear terms of sets (k, size) of records."""
+        """(k,) the sum of the linear terms of sets (k, size) of records."""
         return _sum(len(records), (part.constant + part.gain[records].sum(axis=1) for part in self.linear.values()))
 
-    def between_of(self, pairs: IntArray) -> FloatArray:
-        """(k,) the terms of the rules of pairs, of sets given by their pairs in the order of :func:`pairs_of`."""
-        return _sum(len(pairs), (rule.of_sets(pairs) for rule in self.between))
+    def by_pair_of(self, pairs: IntArray) -> FloatArray:
+        """(k,) the sum of the rules of pairs, of sets given by their pairs in the order of :func:`pairs_of`."""
+        return _sum(len(pairs), (rule.of_sets(pairs) for rule in self.by_pair))
 
-    def most_between(self, pooled: PooledRecords) -> FloatArray:
-        """(g,) upper bound of what a record after a set's first adds by the rules of pairs, group by group; 0 or more.
+    def max_by_pair(self, pooled: PooledRecords) -> FloatArray:
+        """(g,) upper bound, 0 or more, of what each record after a set's first adds in the rules of pairs, by group.
 
-        The shares of the informative pairs of k records add to k − 1 at most, so a rule adds at most
+        The shares of the informative pairs of k records sum to at most k − 1, so a rule adds at most
         (k − 1) max ln r_ij.
         """
         most = np.zeros(len(pooled.sizes))
-        for rule in self.between:
+        for rule in self.by_pair:
             highest = np.zeros(len(most))
             np.maximum.at(highest, pooled.group[pooled.i], rule.log_ratio)
             most += highest
         return most
 
     def by_name(self, records: IntArray, pairs: IntArray) -> dict[str, FloatArray]:
-        """(k,) each term of sets (k, size) of records and their pairs; their sum is ln w − ln J."""
+        """(k,) each term of sets (k, size) of records and their pairs; the terms sum to ln w − ln J."""
         out = {name: part.constant + part.gain[records].sum(axis=1) for name, part in self.linear.items()}
-        for rule in self.between:
+        for rule in self.by_pair:
             shares = rule.shares_of(pairs)
             for name, values in rule.terms.items():
                 out[name] = out.get(name, np.zeros(len(pairs))) + (shares * values[pairs]).sum(axis=1)
@@ -185,16 +184,16 @@ class Terms:
 
 
 def pairs_of(pooled: PooledRecords, records: IntArray) -> IntArray:
-    """(k, size (size − 1)/2) the pairs of sets (k, size) of records, ascending, all of which are pooled pairs.
+    """(k, size (size − 1)/2) the pooled pairs of sets (k, size) of ascending records, every two of which are a pair.
 
-    A column's later record grows first: (0, 1), (0, 2), (1, 2), (0, 3), …; so a set that grows keeps its columns.
+    Columns are (0, 1), (0, 2), (1, 2), (0, 3), …, so that a set keeps them when a record is added.
     """
     later, earlier = np.tril_indices(records.shape[1], -1)
     return pooled.pair(records[:, earlier], records[:, later])[1]
 
 
 def _sum(n: int, parts: Iterable[FloatArray]) -> FloatArray:
-    """(n,) the sum of any number of parts."""
+    """(n,) the sum of any number of arrays."""
     total = np.zeros(n)
     for part in parts:
         total += part
@@ -202,12 +201,12 @@ def _sum(n: int, parts: Iterable[FloatArray]) -> FloatArray:
 
 
 def _size(n_pairs: int) -> int:
-    """Number of records of a set with so many pairs."""
+    """Number of records of a set of ``n_pairs`` pairs."""
     return (1 + math.isqrt(1 + 8 * n_pairs)) // 2
 
 
 @cache
-def _ends(n_pairs: int) -> FloatArray:
+def _incidence(n_pairs: int) -> FloatArray:
     """(pairs, size) 1 for the two records of each column of :func:`pairs_of`, else 0."""
     later, earlier = np.tril_indices(_size(n_pairs), -1)
     out = np.zeros((n_pairs, _size(n_pairs)))
@@ -224,15 +223,15 @@ def _not_finite(name: str, pairs: Pairs, at: int, values: FloatArray) -> str:
     )
 
 
-#: Rules that are made for two sources, in their order.
+#: Rules for exactly two sources, in their order.
 OF_TWO_SOURCES = (Brightness, ConstantCost, DetectionField, PoissonField, Universal)
 
 
 class ObjectsRule:
-    """A rule of positions: gives the terms of records and pairs, and adds to rules on attributes."""
+    """Interface of a rule on positions, to which rules on attributes can be added."""
 
     def terms(self, pooled: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``pooled``."""
+        """The terms of the pooled records and pairs."""
         raise TypeError(f"{type(self).__name__} is the interface of set rules; use one of them")
 
     def __add__(self, other: Rule) -> SetRules:
@@ -246,15 +245,15 @@ class ObjectsRule:
 class PoissonObjects(ObjectsRule):
     """Objects are a Poisson field of known density; a set's weight follows from it (METHOD 4.3, 7).
 
-    A set A of records that is an object weighs ρ ∏_{s∈A}(1−q_s) ∏_{s∉A} q_s J(A); a record alone is an object that the
-    others miss, or false: ρ(1−q_s) ∏_{t≠s} q_t J(i) + β_s. For two sources it is ``PoissonField`` with
+    A set A of records that is an object weighs ρ ∏_{s∈A}(1−q_s) ∏_{s∉A} q_s J(A). A record alone is an object that the
+    other sources miss, or false: ρ(1−q_s) ∏_{t≠s} q_t J(i) + β_s. For two sources it is ``PoissonField`` with
     ρ₁₂ = ρ(1−q₁)(1−q₂), ρ₁ = ρ(1−q₁)q₂ + β₁, ρ₂ = ρ(1−q₂)q₁ + β₂.
 
     Parameters
     ----------
     density : ρ, objects per unit volume of the state (with a region: at its centre).
-    q : per source, in the order in which the sources are given, the probability that it misses an object; or one.
-    false : per source β, false records per unit volume of its features; or one.
+    q : probability that a source misses an object: one number, or one per source in the order of the sources.
+    false : β, false records of a source per unit volume of its features: one number, or one per source.
     """
 
     density: float
@@ -270,7 +269,7 @@ class PoissonObjects(ObjectsRule):
             raise InputError(f"PoissonObjects: false is {self.false}; give densities of zero or more")
 
     def terms(self, pooled: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``pooled``."""
+        """The terms of the pooled records; there are none of pairs."""
         q, false = _per_source(self.q, pooled, "q"), _per_source(self.false, pooled, "false")
         log_missed, log_detected = np.log(q), np.log1p(-q)
         log_j = pooled.log_joint(np.arange(len(pooled))[:, None])
@@ -278,40 +277,40 @@ class PoissonObjects(ObjectsRule):
         base = math.log(self.density) + log_missed.sum()
         with np.errstate(divide="ignore"):
             alone = np.logaddexp(base + odds + log_j, np.log(false)[pooled.source])
-        # J of one record, 1 without a region, belongs to its position and not to the densities.
+        # J of one record, 1 without a region, is shown as part of the position term and not of the densities.
         return Terms({"position": Linear(0.0, -log_j), "densities": Linear(base, odds - alone + log_j)})
 
 
 @dataclass(frozen=True)
 class SetRules:
-    """A rule of positions with rules on attributes: ``PoissonObjects(…) + Identity(…)``.
+    """A rule on positions with rules on attributes: ``PoissonObjects(…) + Identity(…)``.
 
     Example
     -------
     >>> from sameas.evidence import Identity
     >>> attributes = {"radar": {"icao": ["4b1814", None]}, "adsb": {"icao": ["4b1814", "4b1815"]}}
-    >>> [type(rule).__name__ for rule in (PoissonObjects(density=1e-3, q=0.2) + Identity(attributes)).beside]
+    >>> [type(rule).__name__ for rule in (PoissonObjects(density=1e-3, q=0.2) + Identity(attributes)).attributes]
     ['Identity']
     """
 
     objects: ObjectsRule
-    beside: tuple[Rule, ...]
+    attributes: tuple[Rule, ...]
 
     def __add__(self, other: Rule) -> SetRules:
         if not isinstance(other, Rule):
             return NotImplemented
-        return SetRules(self.objects, (*self.beside, *other.parts()))
+        return SetRules(self.objects, (*self.attributes, *other.parts()))
 
     __radd__ = __add__
 
 
 @dataclass(frozen=True)
 class Pairwise(ObjectsRule):
-    """A rule of positions for pairs, λ = N(Δ; 0, Σ)/f(Δ), extended to sets: λ(T) = J(T) / f(T), whatever their order.
+    """A rule on positions of pairs, λ = N(Δ; 0, Σ)/f(Δ), extended to sets: λ(T) = J(T) / f(T), independent of order.
 
     ln f(T) = (k − 1) · mean over the pairs of ln f(Δ_ij). It is the rule itself for two records, and exact for any
-    number where f is constant (``Field``); for ``CloseObjects`` and three records or more it is an extension, not a
-    theorem: k − 1 other objects, each as near as the records of the set are to each other on average.
+    number if f is constant (``Field``). For ``CloseObjects`` and three or more records it is an extension, not a
+    theorem: k − 1 unrelated objects, each as near as the records of the set are to each other on average.
     """
 
     rule: CloseObjects | Field
@@ -321,7 +320,7 @@ class Pairwise(ObjectsRule):
             raise InputError(_two_sources(self.rule))
 
     def terms(self, pooled: PooledRecords) -> Terms:
-        """The terms of the records and pairs of ``pooled``."""
+        """The terms of the pooled pairs."""
         if len(pooled.observers.whole) < len(pooled.sources):
             raise InputError(
                 f"{type(self.rule).__name__} compares whole positions, but a source observes a part of the state; "
@@ -330,20 +329,20 @@ class Pairwise(ObjectsRule):
         return Terms({}, (PairTerms.of(self._unrelated, pooled, mean_of_pairs),))
 
     def _unrelated(self, pairs: Pairs) -> Evidence:
-        """−ln f(Δ); J takes the place of the rule's N."""
+        """−ln f(Δ): the rule without its N, which J replaces."""
         return Evidence({name: values for name, values in self.rule(pairs).terms.items() if name != "position"})
 
 
 @in_short
 @dataclass(frozen=True)
 class MissedObjects:
-    """Sources miss objects with probabilities q; the number of objects is unknown, flat (METHOD 4.1 generalised).
+    """Sources miss objects with probabilities q; the number of objects has a flat prior (METHOD 4.1 generalised).
 
     In a group of N records a hypothesis of n objects has ln P = ln n! + Σ_objects Σ_{s missing} ln q_s
     − (n + 1) ln(1 − ∏ q_s), up to a constant: the sum over the number of objects of the multinomial of the sets of
     sources that detect them. For two sources it is ``CommonObjects(q1, q2)``.
 
-    q : per source, in the order in which the sources are given; or one for all.
+    q : one number, or one per source in the order of the sources.
     """
 
     q: float | Sequence[float] | FloatArray
@@ -352,12 +351,12 @@ class MissedObjects:
         _probabilities(self.q, "MissedObjects")
 
     def terms(self, pooled: PooledRecords) -> Terms:
-        """The part linear in the number of merges: every merge spares one object the misses of all sources."""
+        """The part of ln P that is linear in the number of merges: −Σ ln q_s for each, as it removes one object."""
         total = float(np.log(_per_source(self.q, pooled, "q")).sum())
         return Terms({"linear prior": Linear(total, np.full(len(pooled), -total))})
 
     def table(self, pooled: PooledRecords, records: int) -> FloatArray:
-        """(records,) ln P of 0, 1, … merges among so many records, less that of none and the linear part."""
+        """(records,) ln P of 0, 1, … merges in a group of so many records, minus that of 0 and the linear part."""
         from scipy.special import gammaln
 
         n = records - np.arange(records, dtype=np.float64)
@@ -370,23 +369,23 @@ SetPrior = MissedObjects | PerPair
 
 
 def terms_of(rule: SetRule, prior: SetPrior, pooled: PooledRecords) -> Terms:
-    """The terms of a rule and of the linear part of a prior together."""
-    positions, beside = parts_of(rule)
-    attributes = tuple(_attribute_terms(part, pooled) for part in beside)
-    return positions.terms(pooled) + Terms({}, attributes) + _prior_terms(prior, pooled)
+    """The terms of a rule and of the linear part of a prior."""
+    positions, attributes = parts_of(rule)
+    by_pair = tuple(_attribute_terms(part, pooled) for part in attributes)
+    return positions.terms(pooled) + Terms({}, by_pair) + _prior_terms(prior, pooled)
 
 
 def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
-    """The rule of positions, and the rules on attributes.
+    """The rule on positions, and the rules on attributes.
 
     Raises
     ------
-    InputError : none of the rules is on positions, or several are, or one is for two sources only.
+    InputError : no rule, or more than one, is on positions; a rule is for two sources only.
     """
     objects: ObjectsRule | None = None
     rules: tuple[Rule, ...] = ()
     if isinstance(rule, SetRules):
-        objects, rules = rule.objects, rule.beside
+        objects, rules = rule.objects, rule.attributes
     elif isinstance(rule, Rule):
         rules = rule.parts()
     elif isinstance(rule, ObjectsRule):
@@ -402,8 +401,8 @@ def parts_of(rule: SetRule) -> tuple[ObjectsRule, tuple[Rule, ...]]:
     if objects is None and not pairwise:
         names = " + ".join(type(part).__name__ for part in rules)
         raise InputError(f"identify_many: {names} does not use positions; add it to PoissonObjects(density, q)")
-    beside = tuple(part for part in rules if not isinstance(part, CloseObjects | Field))
-    return objects or Pairwise(pairwise[0]), beside
+    attributes = tuple(part for part in rules if not isinstance(part, CloseObjects | Field))
+    return objects or Pairwise(pairwise[0]), attributes
 
 
 def _attribute_terms(rule: Rule, pooled: PooledRecords) -> PairTerms:
@@ -423,7 +422,7 @@ def _prior_terms(prior: SetPrior, pooled: PooledRecords) -> Terms:
         )
     if prior.log_odds == 0.0:
         return Terms({})
-    # Every merge, the second record of an object and each further one, has the pair's odds.
+    # A set of k records has k − 1 merges, each with the pair's odds.
     return Terms({"prior": Linear(-prior.log_odds, np.full(len(pooled), prior.log_odds))})
 
 

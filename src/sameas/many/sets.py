@@ -1,11 +1,11 @@
-"""Candidate sets: which records could be one object, and the weight of each such set.
+"""Candidate sets: records that could be one object, and the weight of each set.
 
-A set has at most one record of each source, and every two of its records are a pair of the gate. Sets grow record by
-record, in their pooled order. A set is dropped where neither it nor any that grows from it can weigh more than a
-``floor``: no record adds more to ln w than its gain, the largest term of any pair of its group by each rule, and
-−½ ln|2π R|, the peak of its density. With floor 0 nothing that the best partition needs is lost: its sets outweigh
-their records alone, and a count prior only asks for more. Groups get the lowest of ``ManyTuning.floors`` at which they
-have no more than ``ManyTuning.most_sets`` sets; a floor above 0 is reported as a gap.
+A set has at most one record of each source, and every two of its records are a pair of the gate. Sets grow by one
+record at a time, in pooled order. A set is dropped if neither it nor any larger set from it can weigh more than a
+``floor``: a record adds at most its gain, the largest term of any pair of its group in each rule, and −½ ln|2π R|, the
+peak of its density. With floor 0 the best partition is not affected: its sets outweigh their records alone, and a count
+prior only requires more. Each group has the lowest of ``ManyTuning.floors`` with at most ``ManyTuning.most_sets`` sets;
+a floor above 0 is reported as a gap.
 """
 
 from __future__ import annotations
@@ -21,21 +21,19 @@ from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 
-# Where the identification of many sources goes over to approximations.
-
 
 @dataclass(frozen=True)
 class ManyTuning:
-    """Numbers that bound the work of :func:`sameas.many.identify_many`, chosen so that a group takes seconds at most.
+    """Limits beyond which :func:`sameas.many.identify_many` approximates, chosen so that a group takes seconds at most.
 
     Attributes
     ----------
-    floors : ln w below which sets are left out of a group, tried in this order until it has few enough sets.
-    most_sets : of one group. most_pairs : of one group of which a floor leaves nothing but records alone.
-    cuts : reduced costs above which sets are left out of a group's sum, tried in this order until it is short enough.
-    most_steps : from state to state in the sum of one group.
+    floors : ln w below which sets of a group are excluded, tried in this order until ``most_sets`` is not exceeded.
+    most_sets : most sets of a group. most_pairs : most pairs of a group in which the floor leaves only single records.
+    cuts : reduced costs above which sets are excluded from a group's sum, tried in this order until it is short enough.
+    most_steps : most transitions between states in the sum of a group.
     small : groups of at most this many records are summed with all their sets.
-    block_steps : from state to state in the sum of a part of a group that has a cut of its own.
+    block_steps : most transitions in the sum of a block, a part of a group that has its own cut.
     """
 
     floors: tuple[float, ...] = (-np.inf, 0.0, 6.0, 15.0, 30.0, 80.0, np.inf)
@@ -53,15 +51,15 @@ TUNING = ManyTuning()
 @in_short
 @dataclass(frozen=True)
 class Sets:
-    """Candidate sets, group by group, in the order of their records; the records alone among them.
+    """Candidate sets, including every single record, by group, in the order of their records.
 
     Attributes
     ----------
     members : (k, S) record number per source, :data:`~sameas.many.joint.NO_RECORD` for none.
     size : (k,) number of records.
     log_weight : (k,) ln w; 0 for one record.
-    group : (k,) group of the set, ascending. start : (g+1,) of the groups.
-    floor : (g,) ln w below which sets were left out.
+    group : (k,) group of the set, ascending. start : (g+1,) first set of each group.
+    floor : (g,) ln w below which sets were excluded.
     """
 
     members: IntArray
@@ -75,61 +73,61 @@ class Sets:
         return len(self.size)
 
     def take(self, which: IntArray) -> Sets:
-        """Some of the sets (ascending), in the same groups."""
+        """Some of the sets (ascending numbers), in the same groups."""
         group = self.group[which]
         start = Ragged.of_sorted(group, len(self.start) - 1).start
         return Sets(self.members[which], self.size[which], self.log_weight[which], group, start, self.floor)
 
     def entries(self) -> tuple[IntArray, IntArray]:
-        """(set, record) of every membership, sets ascending."""
+        """(set, record) of every member of a set, sets ascending."""
         at, source = np.nonzero(self.members != NO_RECORD)
         return at, self.members[at, source]
 
 
 def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUNING) -> Sets:
-    """The candidate sets of every group, each with the lowest floor that its size allows."""
+    """The candidate sets of every group, each group with the lowest floor that its number of sets allows."""
     n_groups = len(pooled.sizes)
     floor = np.full(n_groups, tuning.floors[0])
-    open_ = np.ones(n_groups, bool)
+    unsolved = np.ones(n_groups, bool)
     levels: list[_SetsOfSize] = []
     growth = _Growth.of(pooled, terms)
     for value in tuning.floors:
-        floor[open_] = value
-        grown, too_many = growth.all(open_, value, tuning.most_sets)
+        floor[unsolved] = value
+        grown, too_many = growth.all(unsolved, value, tuning.most_sets)
         levels += [level.of_groups(pooled, ~too_many) for level in grown]
-        open_ &= too_many
-        if not open_.any():
+        unsolved &= too_many
+        if not unsolved.any():
             break
-    # No set at all is left of many objects at one place, none of which stands out: sets of two stand for the others.
-    none = floor > 0.0
+    # Many objects at one position, none of them distinct, have no set above the floor: they get their sets of two.
+    without_sets = floor > 0.0
     for level in levels:
-        none[pooled.group[level.records[:, 0]]] = False
-    if none.any():
-        two, too_many = growth.all(none, -np.inf, tuning.most_pairs, largest=2)
-        levels += [level.of_groups(pooled, ~too_many) for level in two]
+        without_sets[pooled.group[level.records[:, 0]]] = False
+    if without_sets.any():
+        pairs, too_many = growth.all(without_sets, -np.inf, tuning.most_pairs, largest=2)
+        levels += [level.of_groups(pooled, ~too_many) for level in pairs]
     return _gathered(pooled, levels, floor)
 
 
 @in_short
 @dataclass(frozen=True)
 class _SetsOfSize:
-    """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` as of :func:`sameas.many.rules.pairs_of`, ln
-    w, and the part ``between`` of it by the rules of pairs."""
+    """Sets of one size: ``records`` (k, size) ascending, their ``pairs`` (:func:`sameas.many.rules.pairs_of`), ln w,
+    and the part of it that the rules of pairs give."""
 
     records: IntArray
     pairs: IntArray
     log_weight: FloatArray
-    between: FloatArray
+    by_pair: FloatArray
 
     @classmethod
     def alone(cls, records: IntArray) -> _SetsOfSize:
-        nothing = np.zeros(len(records))
-        return cls(records[:, None], np.empty((len(records), 0), np.int64), nothing, nothing)
+        zero = np.zeros(len(records))
+        return cls(records[:, None], np.empty((len(records), 0), np.int64), zero, zero)
 
     def only(self, keep: BoolArray) -> _SetsOfSize:
         if keep.all():
             return self
-        return _SetsOfSize(self.records[keep], self.pairs[keep], self.log_weight[keep], self.between[keep])
+        return _SetsOfSize(self.records[keep], self.pairs[keep], self.log_weight[keep], self.by_pair[keep])
 
     def of_groups(self, pooled: PooledRecords, groups: BoolArray) -> _SetsOfSize:
         return self.only(groups[pooled.group[self.records[:, 0]]])
@@ -138,9 +136,10 @@ class _SetsOfSize:
 @in_short
 @dataclass(frozen=True)
 class _Growth:
-    """The growth of sets: later neighbours of every record as CSR, and upper bounds of what later records add.
+    """The growth of sets, with upper bounds of what further records add to ln w.
 
-    most : (g, S) by all sources after each. highest : (g,) by the rules of pairs, per record.
+    start : (n+1,) CSR of every record's pairs with later records. most : (g, S) by the records of all later sources
+    together. highest : (g,) by one record in the rules of pairs.
     """
 
     pooled: PooledRecords
@@ -152,7 +151,7 @@ class _Growth:
     @classmethod
     def of(cls, pooled: PooledRecords, terms: Terms) -> _Growth:
         n, g, n_sources = len(pooled), len(pooled.sizes), len(pooled.sources)
-        highest = terms.most_between(pooled)
+        highest = terms.max_by_pair(pooled)
         best = np.full((g, n_sources), -np.inf)
         np.maximum.at(best, (pooled.group, pooled.source), terms.gain(pooled) + pooled.log_peak)
         best = np.maximum(best + highest[:, None], 0.0)
@@ -162,11 +161,9 @@ class _Growth:
     def all(
         self, groups: BoolArray, floor: float, limit: int, largest: int = 1 << 30
     ) -> tuple[list[_SetsOfSize], BoolArray]:
-        """Sets of two records up to the ``largest`` of some groups (g,), by size, and which groups have more than
-        ``limit`` sets."""
+        """Sets of 2 to ``largest`` records of some groups (g,), by size, and the groups of more than ``limit`` sets."""
         pooled = self.pooled
-        lone = np.flatnonzero(groups[pooled.group])
-        level = _SetsOfSize.alone(lone)
+        level = _SetsOfSize.alone(np.flatnonzero(groups[pooled.group]))
         levels: list[_SetsOfSize] = []
         count, too_many = np.zeros(len(pooled.sizes), np.int64), np.zeros(len(pooled.sizes), bool)
         if floor == np.inf:
@@ -177,7 +174,7 @@ class _Growth:
         return levels, too_many
 
     def _grown(self, level: _SetsOfSize, floor: float, limit: int, count: IntArray, too_many: BoolArray) -> _SetsOfSize:
-        """The sets of one record more; groups with too many are marked and dropped."""
+        """The sets of one more record; groups with too many sets are marked and dropped."""
         pooled, last = self.pooled, level.records[:, -1]
         width = self.start[last + 1] - self.start[last]
         group = pooled.group[last]
@@ -199,19 +196,19 @@ class _Growth:
             np.column_stack([level.records[parent], added]), np.column_stack([level.pairs[parent], *new])
         )
         group = pooled.group[added]
-        keep = self._reach(grown, group) > floor
+        keep = self._bound(grown, group) > floor
         count += np.bincount(group[keep], minlength=len(count))
         too_many |= count > limit
         return grown.only(keep & ~too_many[group])
 
     def _weighed(self, records: IntArray, pairs: IntArray) -> _SetsOfSize:
         log_j = self.pooled.log_joint(records)
-        between = self.terms.between_of(pairs)
-        return _SetsOfSize(records, pairs, self.terms.linear_of(records) + log_j + between, between)
+        by_pair = self.terms.by_pair_of(pairs)
+        return _SetsOfSize(records, pairs, self.terms.linear_of(records) + log_j + by_pair, by_pair)
 
-    def _reach(self, level: _SetsOfSize, group: IntArray) -> FloatArray:
-        """(k,) upper bound of ln w of the sets and of all that grow from them."""
-        slack = (level.records.shape[1] - 1) * self.highest[group] - level.between
+    def _bound(self, level: _SetsOfSize, group: IntArray) -> FloatArray:
+        """(k,) upper bound of ln w of the sets and of all larger sets from them."""
+        slack = (level.records.shape[1] - 1) * self.highest[group] - level.by_pair
         last = self.pooled.source[level.records[:, -1]]
         return np.asarray(level.log_weight + slack + self.most[group, last])
 
@@ -224,7 +221,7 @@ def _by_source(pooled: PooledRecords, records: IntArray) -> IntArray:
 
 
 def _gathered(pooled: PooledRecords, levels: list[_SetsOfSize], floor: FloatArray) -> Sets:
-    """All levels in one table, the records alone first in each group."""
+    """The sets of all sizes in one table, single records first in each group."""
     numbers = np.arange(len(pooled))
     members = np.concatenate([_by_source(pooled, numbers[:, None]), *(_by_source(pooled, x.records) for x in levels)])
     weight = np.concatenate([np.zeros(len(pooled)), *(x.log_weight for x in levels)])
@@ -239,7 +236,7 @@ def _gathered(pooled: PooledRecords, levels: list[_SetsOfSize], floor: FloatArra
 
 
 def _ordered(columns: list[IntArray]) -> IntArray:
-    """(k,) rows in the order of their columns, none below 0, the first column first."""
+    """(k,) rows in lexicographic order of columns of nonnegative integers, the first column most significant."""
     key, bits = np.zeros(len(columns[0]), np.int64), 0
     for column in columns:
         width = int(column.max(initial=0)).bit_length()
