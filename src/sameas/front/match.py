@@ -1,7 +1,7 @@
-"""Two sources identified of which nothing is known but what they say: :func:`match`, and the :class:`Match` it gives.
+"""``sameas.match(a, b)``: crossmatch two sources with everything estimated from the data.
 
-``match(a, b)`` reads, understands, identifies; everything else is asked of the result. The command ``sameas match`` is
-this with files, its report printed as it grows.
+:func:`match` reads both sources, chooses their columns and identifies them; the :class:`Match` that it returns gives
+tables, reports, explanations and plots. The command ``sameas match`` does the same with files.
 """
 
 from __future__ import annotations
@@ -31,24 +31,22 @@ if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
 
-#: The pictures of a match of catalogues, the one drawn where none is named first.
+#: The plots of a match of catalogues; the first is the default.
 PLOTS = ("residuals", "normalised", "scatter", "certainty", "brightness", "ambiguous")
 
 
 @dataclass(frozen=True, repr=False)
 class Match:
-    """Two sources identified: what :func:`match` gives.
-
-    ``len()`` of it is the number of identified pairs.
+    """The result of :func:`match`. ``len(match)`` is the number of identified pairs.
 
     Attributes
     ----------
-    identification : the core's result: every candidate, probabilities of all, groups, the evidence term by term.
-    estimate : what was estimated: common objects, errors, densities, brightness.
-    sky : both catalogues with their motions; None where records were matched, which have no columns.
-    join, nway_columns : of :attr:`table`.
-    request : what was asked for, which :meth:`write` puts into the file.
-    notes : what looks wrong with what was given. call : the call that made it, for the output's provenance.
+    identification : the result of the core: all candidates with their probabilities, groups, evidence term by term.
+    estimate : the estimated parameters: number of common objects, errors, densities, magnitude relations.
+    sky : both catalogues with their motions; None for a match of ``Records``, which have no columns.
+    join, nway_columns : options of :attr:`table`.
+    request : the sources and options, which :meth:`write` records in the output.
+    notes : warnings about the input. call : the Python call, for the output's provenance.
     """
 
     identification: Identification
@@ -62,7 +60,7 @@ class Match:
 
     @classmethod
     def of_sky(cls, found: SkyMatch, request: Request[MatchOptions], **table: Any) -> Match:
-        """The match of two catalogues that was asked for so."""
+        """The match of two catalogues, with the request that it answers."""
         notes = (request.twice,) if request.twice else ()
         return cls(found.result, found.estimate, found, request=request, notes=notes, **table)
 
@@ -76,7 +74,7 @@ class Match:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What looks wrong, of the input and of the result; a sentence each."""
+        """Warnings about the input and the result, one sentence each."""
         if self.sky is None:
             return (*self.notes, *self.estimate.notes)
         sides: tuple[tuple[str, ...], ...] = (self.sky.first.doubts, self.sky.second.doubts)
@@ -87,39 +85,39 @@ class Match:
 
     @property
     def expected_wrong(self) -> float:
-        """How many of the identified pairs are expected to be wrong."""
+        """Expected number of wrong pairs among the identified ones."""
         return self.identification.expected_wrong
 
     @property
     def expected_missed(self) -> float:
-        """How many true pairs among the candidates are expected to be missing from the identified ones."""
+        """Expected number of true pairs among the candidates that were not identified."""
         return self.identification.expected_missed
 
     @cached_property
     def pairs(self) -> Table:
-        """The identified pairs: ``row_1``, ``row_2``, ``id_1``, ``id_2`` in the two sources, ``p_match``, separation,
-        ``mahalanobis`` and ``log_odds``; sorted by the first source."""
+        """The identified pairs, sorted by row of the first source: ``row_1``, ``row_2``, ``id_1``, ``id_2``,
+        ``p_match``, separation, ``mahalanobis`` and ``log_odds``."""
         from sameas.sky.joins import pair_table
 
         return pair_table(self.identification)
 
     def blends(self, resolution: float, *, flux: Any = None) -> Table:
-        """Which records of the first source are two objects of the second that it does not tell apart.
+        """Records of the first source that are blends of two objects of the second.
 
-        One row for each record of the first source: ``row_1``, ``id_1``; the most probable answer, ``row_2`` and
-        ``id_2``, of a blend also ``row_2b`` and ``id_2b``, masked where there is none; ``p_match``, the probability of
-        that answer, and ``p_blend``, that the record is two objects, whichever. Errors are those of :attr:`estimate`;
-        magnitudes and other columns do not take part.
+        The table has one row for each record of the first source: ``row_1``, ``id_1``; the most probable partner,
+        ``row_2`` and ``id_2``, and the second one of a blend, ``row_2b`` and ``id_2b`` (masked if there is none);
+        ``p_match``, the probability of this answer; ``p_blend``, the probability that the record is any blend. Uses
+        the errors of :attr:`estimate`, no magnitudes and no other columns.
 
         Parameters
         ----------
-        resolution : separation at which half of the couples are one record of the first source; in arcsec on the sky.
-        flux : (n,) of every row of the second source, in the band of the first; a blend lies between its objects where
-            that says. By default it may lie anywhere between.
+        resolution : separation at which half of the couples are blended in the first source; arcsec on the sky.
+        flux : (n,) flux of every row of the second source in the band of the first. A blend then lies at the centre of
+            light of its two objects, otherwise anywhere between them.
 
         Raises
         ------
-        InputError : a resolution that is not positive, fluxes that are not those of the second source.
+        InputError : a resolution that is not positive; a flux array of the wrong length.
         """
         import numpy as np
 
@@ -138,16 +136,16 @@ class Match:
 
     @cached_property
     def table(self) -> Table:
-        """The joined table, by :attr:`join`: all columns of both, and the answer for each row; see :meth:`joined`."""
+        """The joined table of :attr:`join`: all columns of both sources and the result columns; see :meth:`joined`."""
         return self.joined(self.join, nway_columns=self.nway_columns)
 
     def joined(self, join: str = "all1", *, nway_columns: bool = False) -> Table:
-        """The joined table.
+        """The joined table of any join.
 
         Parameters
         ----------
-        join : by the names of STILTS: all1, 1and2, all2, 1or2, 1not2, 2not1, 1xor2; or pairs, every candidate.
-        nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
+        join : named as in STILTS: all1, 1and2, all2, 1or2, 1not2, 2not1, 1xor2; or pairs, which lists all candidates.
+        nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor``, as in NWAY.
 
         Raises
         ------
@@ -159,13 +157,13 @@ class Match:
         return joined(found, join, nway_columns=nway_columns)
 
     def report(self) -> str:
-        """The report of the match, as the command prints it."""
+        """The report that the command prints."""
         from sameas.report.prose import in_one
 
         return in_one(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
-        """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        """The lines of :meth:`report`. words : rewords messages that name arguments (the command names options)."""
         from sameas.report.match import catalogue_lines
         from sameas.report.prose import DOUBT
 
@@ -177,7 +175,7 @@ class Match:
         yield from self.result_lines(words)
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
-        """What was estimated and found, without what was understood of the input."""
+        """The report without the part about the input."""
         from sameas.report.match import estimate_lines, records_lines, summary_lines
 
         if self.sky is None:
@@ -189,12 +187,12 @@ class Match:
         return source if isinstance(source, str) else ""
 
     def explain(self, id: Any = None, *, row: int | None = None, source: int = 1) -> RecordStory:
-        """Why a record was identified as it was: its competitors, and what other answers would cost; ``print`` it.
+        """Why a record was identified as it was: its candidates, their probabilities and costs. ``print`` the result.
 
         Parameters
         ----------
-        id : of the record. row : in its table, counted from 0, instead.
-        source : 1 or 2, whose record it is.
+        id : the record's id. row : its row in the table, counted from 0, instead of the id.
+        source : 1 or 2, the record's source.
 
         Raises
         ------
@@ -210,15 +208,15 @@ class Match:
         return RecordStory(tuple(lines), explanation)
 
     def plot(self, name: str = PLOTS[0], *, record: Any = None) -> Figure:
-        """A picture of the match, as matplotlib has figures; notebooks show it.
+        """A matplotlib figure of the match, which notebooks display.
 
-        name : residuals, before and after motion; normalised, in quoted σ; scatter, by error and magnitude; certainty;
-            brightness; ambiguous, the records that compete most. record : of the first source, by its id, whose
-            competitors are drawn instead of those.
+        name : "residuals" before and after motion; "normalised" residuals in quoted σ; "scatter" by error and
+            magnitude; "certainty"; "brightness"; "ambiguous", the records with the strongest competitors.
+        record : id of a record of the first source, whose group "ambiguous" draws instead.
 
         Raises
         ------
-        InputError : an unknown name; records have no pictures; matplotlib is missing, or nothing to plot.
+        InputError : an unknown name; a match of ``Records``; matplotlib is not installed; nothing to plot.
         """
         if self.sky is None:
             raise InputError("plots need catalogues; these are records without columns")
@@ -232,17 +230,17 @@ class Match:
         format: str | None = None,
         overwrite: bool = True,
     ) -> None:
-        """Writes the joined table and how it was made; the file is whole or absent.
+        """Write the joined table with its provenance. The file is replaced as a whole: no run leaves half a file.
 
         Parameters
         ----------
-        path : the format is that of the extension: FITS, VOTable, ECSV, CSV, Parquet. format : its name, where the
-            extension does not tell it. join : as of :meth:`joined`; that of :attr:`table` if not given.
-        overwrite : False refuses a path that exists.
+        path : the extension gives the format: FITS, VOTable, ECSV, CSV or Parquet. format : the format's name, for
+            other extensions. join : see :meth:`joined`; by default that of :attr:`table`.
+        overwrite : False refuses an existing path.
 
         Raises
         ------
-        InputError : the path cannot be written, or is one of the inputs.
+        InputError : the path cannot be written, exists, or is one of the inputs.
         """
         from sameas.io import write_table
         from sameas.io.atomic import refuse_inputs
@@ -253,8 +251,8 @@ class Match:
         write_table(table, path, provenance=self.facts(self.call, join=join), format=format, overwrite=overwrite)
 
     def facts(self, command: str, words: Callable[[str], str] = str, join: str | None = None) -> dict[str, Any]:
-        """How the table was made. command : as it was typed. words : how a message that names arguments is put. join :
-        of the table, that of :attr:`table` if not given."""
+        """The provenance of the table. command : as typed. words : see :meth:`report_lines`. join : of the table, by
+        default that of :attr:`table`."""
         from sameas.front.provenance import of_match, of_records
 
         if self.sky is None or self.request is None:
@@ -263,7 +261,7 @@ class Match:
 
     @property
     def headline(self) -> str:
-        """What it is, in one line."""
+        """Summary in one line."""
         from sameas.report.prose import expected
         from sameas.representation import counted
 
@@ -285,7 +283,7 @@ class Match:
 
 
 def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
-    """The picture of a name of a match of two catalogues; see :meth:`Match.plot`."""
+    """The plot ``name`` of a match of two catalogues; see :meth:`Match.plot`."""
     from sameas import plots
 
     if name not in PLOTS:
@@ -298,9 +296,9 @@ def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
 
 @dataclass(frozen=True, repr=False)
 class RecordStory:
-    """Why one record was identified as it was; ``print`` it.
+    """The explanation of one record; ``print`` it.
 
-    lines : of the text. explanation : the same as values.
+    lines : the text. explanation : the same as values.
     """
 
     lines: tuple[str, ...]
@@ -316,6 +314,7 @@ class RecordStory:
 
 
 def id_of(records: Records, id: Any, row: int | None) -> Any:
+    """The id of a record that is given by either its id or its row."""
     if (id is None) == (row is None):
         raise InputError("explain: give the id of a record, or row=NUMBER")
     if row is None:
@@ -326,7 +325,7 @@ def id_of(records: Records, id: Any, row: int | None) -> Any:
 
 
 def call_text(function: Callable[..., Any], sources: Sequence[Any], stated: Mapping[str, Any]) -> str:
-    """The call as text: paths, kinds of other sources, options that are not the default."""
+    """The call as text: paths, the types of other sources, and options that differ from their defaults."""
     paths = map(as_source, sources)
     given = [repr(source) if isinstance(source, str) else kind_of(source) for source in paths]
     defaults = {name: parameter.default for name, parameter in inspect.signature(function).parameters.items()}
@@ -353,31 +352,33 @@ def match(
     progress: Callable[[str], None] = lambda stage: None,
     **columns: Any,
 ) -> Match | PartitionedMatch:
-    """Which records of two sources are the same object, and how sure that is; what is not given is estimated.
+    """Crossmatch two sources, one to one, with probabilities. What is not given is estimated from the data.
 
     Parameters
     ----------
-    first, second : anything that holds positions: a path; astropy ``Table``, ``QTable`` or ``SkyCoord``; a pandas,
+    first, second : anything that holds positions: a path; an astropy ``Table``, ``QTable`` or ``SkyCoord``; a pandas,
         polars or Arrow table; a structured array; a dict of columns; a ``Catalogue``; or both ``Records``. Two folders
-        of HATS catalogues give a :class:`PartitionedMatch`, which identifies them partition by partition.
-    join : of ``.table``, by the names of STILTS; all1 keeps every row of the first. nway_columns : add those of NWAY.
-    to_epoch : Julian year to which both are moved; as the catalogues need it if not given.
-    gate_sigmas : radius of the gate in quoted σ; as wide as the errors need if not given.
-    error_scale : "auto" estimates how residuals spread about the quoted errors; a factor, or ``Errors``, is believed;
-        1 believes the quoted errors.
-    density : of all records of the first and the second per square degree; of ``Records`` per unit of residuals.
-    magnitudes : "auto", "off", or columns of both as "G,BP:J,H"; of ``Records`` two ``Magnitudes``.
-    precision : whether the sizes of the quoted errors are evidence too.
-    evidence : columns that are evidence too: ``Column(2, "MAG")`` of the second, learned from the pairs; with
-        ``odds`` a prior of your own; ``Related("flux", "MAG")`` of both.
-    offset : "find" looks for a shift and turn of the second against the first, and takes it away.
-    names : of the two in messages. progress : called with the name of what is being done.
-    columns : options of the columns, as the command has them: ``ra1``, ``sigma2=0.1``, ``epoch2=2015.5``; without a
-        number of both. :class:`~sameas.sky.CatalogueOptions` explains them.
+        of HATS catalogues give a :class:`PartitionedMatch`, which works partition by partition.
+    join : the join of ``.table``, named as in STILTS; "all1" keeps every row of the first source.
+    nway_columns : add NWAY's columns to ``.table``.
+    to_epoch : Julian year to which both sources are propagated; chosen from their epochs by default.
+    gate_sigmas : radius of the gate in quoted σ; by default as wide as the errors require.
+    error_scale : "auto" estimates the distribution of the residuals relative to the quoted errors; a factor or
+        ``Errors`` is used as given; 1 takes the errors as quoted.
+    density : densities of all records of the first and the second source per square degree; for ``Records`` per unit
+        of the residuals. Estimated locally by default.
+    magnitudes : "auto", "off", or columns of both sources as "G,BP:J,H"; for ``Records`` two ``Magnitudes``.
+    precision : whether the sizes of the quoted errors are evidence.
+    evidence : further columns as evidence: ``Column(2, "MAG")`` of the second source, learned from the pairs or with
+        your own ``odds``; ``Related("flux", "MAG")`` of both.
+    offset : "find" estimates a shift and rotation between the sources and removes it.
+    names : names of the two sources in messages. progress : called with the name of each step.
+    columns : column options as in the command: ``ra1``, ``sigma2=0.1``, ``epoch2=2015.5``; without a number they apply
+        to both sources. See :class:`~sameas.sky.CatalogueOptions`.
 
     Raises
     ------
-    InputError : what holds no positions; columns that are not understood; options that do not exist.
+    InputError : no positions; columns that are not understood; unknown options.
 
     Example
     -------
@@ -439,7 +440,7 @@ def identified(
     progress: Callable[[str], None],
     **table: Any,
 ) -> Match:
-    """The match of a request whose catalogues are read already; ``table`` says what ``Match.table`` holds."""
+    """The match of a request whose catalogues have been read. table : ``join``, ``nway_columns``, ``call``."""
     from sameas.sky import crossmatch
 
     found = request.naming_sides(lambda: crossmatch.match(*catalogues, request.options, progress=progress))
@@ -447,7 +448,7 @@ def identified(
 
 
 def _listed(evidence: Any) -> list[Column | Related]:
-    """The columns that are evidence, however many; a path or table of odds read."""
+    """The columns of ``evidence`` as a list."""
     listed = [evidence] if isinstance(evidence, Column | Related) else list(evidence)
     for one in listed:
         if not isinstance(one, Column | Related):
@@ -458,7 +459,7 @@ def _listed(evidence: Any) -> list[Column | Related]:
 
 
 def as_source(source: Any) -> Any:
-    """A source, its path as text where it is one."""
+    """The source; a path as text."""
     return os.fspath(source) if isinstance(source, os.PathLike) else source
 
 

@@ -1,7 +1,7 @@
-"""Options of catalogues: declared once, for Python's keyword arguments and for the command.
+"""Options of catalogues, declared once for Python's keyword arguments and for the command line.
 
-``sigma`` speaks of all catalogues, ``sigma1`` of the first and ``sigma2`` of the second; those with a number win. The
-command spells them ``--sigma1``, with dashes for underscores.
+``sigma`` applies to all catalogues, ``sigma1`` to the first and ``sigma2`` to the second; a numbered option overrides
+the general one. The command line writes ``--sigma1``, with dashes for underscores.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ _THREE = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class ColumnOption:
-    """An option of a catalogue: its name without dashes, the field of ``CatalogueOptions``, what it takes.
+    """An option of a catalogue.
 
-    unit : of a quantity that is given for it; empty where it takes none.
+    name : without leading dashes. field : of ``CatalogueOptions``. unit : to which quantities are converted; empty for
+    options that take no quantity.
     """
 
     name: str
@@ -71,7 +72,7 @@ SIDE_OPTIONS = (*COLUMN_OPTIONS, *FILE_OPTIONS)
 
 
 def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:
-    """The value for catalogue 1, 2, …: its own, else that of all."""
+    """The value for catalogue 1, 2, …: its own, else the general one."""
     own = columns.get(f"{parameter}{side}")
     return columns.get(parameter) if own is None else own
 
@@ -83,7 +84,7 @@ def fields_of(columns: Mapping[str, Any], side: int) -> dict[str, Any]:
 
 
 def _plain(value: Any, option: ColumnOption) -> Any:
-    """A value that can be written down: names with commas between, quantities and times as numbers."""
+    """A value for provenance: lists joined by commas, quantities and times as numbers in the option's unit."""
     if getattr(value, "shape", ()):
         message = Message(Argument(option.parameter), f" has {len(value)} values, one for a row")
         raise InputError(message, "make them a column of the table, and give its name")
@@ -95,7 +96,7 @@ def _plain(value: Any, option: ColumnOption) -> Any:
 
 
 def renamed(text: str, side: int, columns: Mapping[str, Any]) -> str:
-    """A message of one catalogue, or of all where ``side`` is 0, that names the parameters in place of fields."""
+    """A message about one catalogue, or about all (side 0), with parameters in place of fields."""
     if not isinstance(text, Message):
         return text
 
@@ -110,7 +111,7 @@ def renamed(text: str, side: int, columns: Mapping[str, Any]) -> str:
 
 
 def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> None:
-    """Refuses keyword arguments that do not exist, and names those that were probably meant."""
+    """Refuse unknown keyword arguments, with suggestions of similar names."""
     for name in given:
         if name not in known:
             close = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
@@ -119,18 +120,18 @@ def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> Non
 
 
 def side_parameters(sides: int) -> list[str]:
-    """The names of the options of so many catalogues: ``ra``, ``ra1``, ``ra2``, …."""
+    """Option names of this many catalogues: ``ra``, ``ra1``, ``ra2``, …."""
     return [f"{one.parameter}{side or ''}" for side in range(sides + 1) for one in SIDE_OPTIONS]
 
 
 def with_side_options(sides: int) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Shows the options of so many catalogues in the signature of a function that takes them as ``**columns``."""
+    """Decorator that adds the options of this many catalogues to the signature of a function with ``**columns``."""
 
-    def shown(function: Callable[..., Any]) -> Callable[..., Any]:
+    def with_signature(function: Callable[..., Any]) -> Callable[..., Any]:
         written = inspect.signature(function)
         kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         more = [inspect.Parameter(n, inspect.Parameter.KEYWORD_ONLY, default=None) for n in side_parameters(sides)]
         function.__signature__ = written.replace(parameters=[*kept, *more])  # type: ignore[attr-defined]
         return function
 
-    return shown
+    return with_signature

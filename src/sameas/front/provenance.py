@@ -1,6 +1,6 @@
-"""Provenance: how an output was made, to be read by people and by ``sameas explain``.
+"""Provenance: how an output was made, for people and for ``sameas explain``.
 
-Flat mappings of plain values; the same for the same inputs and options, but for date and paths.
+Flat mappings of plain values. Except for date and paths, they are the same for the same inputs and options.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from sameas.sky.many import ManyMatch, ManyOptions
     from sameas.sky.systematics import Rotation
 
-#: What the terms of the error model are called in an output.
+#: Names of the terms of the error model in an output.
 ERROR_NAMES = {
     "factor_1": "error_factor_1",
     "factor_2": "error_factor_2",
@@ -35,17 +35,17 @@ ERROR_NAMES = {
 
 
 def program() -> dict[str, Any]:
-    """Which program."""
+    """Name and version of this program."""
     return {"program": "sameas", "version": sameas.__version__}
 
 
 def made_by(command: str) -> dict[str, Any]:
-    """Which program, and as what command."""
+    """Program, version and command."""
     return {**program(), "command": command}
 
 
 def _made_now(command: str) -> dict[str, Any]:
-    # The date that reproducible builds give (reproducible-builds.org): the same command then writes the same bytes.
+    # SOURCE_DATE_EPOCH, if set, makes outputs reproducible byte for byte (reproducible-builds.org).
     given = os.environ.get("SOURCE_DATE_EPOCH", "")
     moment = datetime.fromtimestamp(int(given), UTC) if re.fullmatch(r"\d{1,10}", given) else datetime.now(UTC)
     now = moment.strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -55,7 +55,7 @@ def _made_now(command: str) -> dict[str, Any]:
 def of_match(
     request: Request[MatchOptions], match: SkyMatch, command: str, words: Callable[[str], str] = str
 ) -> dict[str, Any]:
-    """How the table of two catalogues was made. words : how a message that names arguments is put."""
+    """Provenance of a match of two catalogues. words : rewords messages that name arguments."""
     from importlib.metadata import version
 
     import astropy
@@ -68,7 +68,7 @@ def of_match(
     return {
         **_made_now(command),
         "numpy": numpy.__version__,
-        "numba": version("numba"),  # it may not have been needed
+        "numba": version("numba"),  # without importing it
         "astropy": astropy.__version__,
         **request.facts(),
         "name_1": match.first.name,
@@ -86,7 +86,7 @@ def of_match(
         "area_deg2": area,
         "density_1_per_deg2": density_1,
         "density_2_per_deg2": density_2,
-        **_learned(estimate),
+        **_estimates(estimate),
         "evidence_error_floor_arcsec": estimate.errors.floor,
         "gate_sigmas": estimate.gate_sigmas,
         "rounds": estimate.rounds,
@@ -101,8 +101,8 @@ def of_match(
     }
 
 
-def _learned(estimate: Estimate) -> dict[str, Any]:
-    """What was estimated of two sources, whatever their unit."""
+def _estimates(estimate: Estimate) -> dict[str, Any]:
+    """Estimates of two sources that have no unit."""
     return {
         "common_objects": estimate.common,
         "share_1": estimate.share_1,
@@ -116,29 +116,29 @@ def _learned(estimate: Estimate) -> dict[str, Any]:
 
 
 def _trends(estimate: Estimate) -> list[str]:
-    """What errors grow with, beside these factors, in words."""
+    """The quantities that errors grow with, in words."""
     scale = estimate.errors.typical_scale
     return [trend.words(f"source {trend.source + 1}", scale) for trend in estimate.trends]
 
 
 def _roles(catalogues: Sequence[Catalogue], names: Sequence[Sequence[str]]) -> dict[str, Any]:
-    """By which columns of the joined table a record is found again; None where its catalogue has none.
+    """The columns of the joined table that hold id, position and magnitude of each catalogue; None if it has none.
 
-    names : of the columns of every catalogue in the joined table.
+    names : of each catalogue's columns in the joined table.
     """
     facts: dict[str, Any] = {}
     for k, (catalogue, joined) in enumerate(zip(catalogues, names, strict=True), 1):
-        called = dict(zip(catalogue.table.colnames, joined, strict=True))
+        name_in_output = dict(zip(catalogue.table.colnames, joined, strict=True))
         choice = catalogue.choice
         numbered = any("rows are numbered" in line for line in catalogue.interpretation)
         roles = {"id": None if numbered else choice.id, "ra": choice.ra.name, "dec": choice.dec.name,
                  "magnitude": choice.magnitude}  # fmt: skip
-        facts |= {f"{role}_column_{k}": None if name is None else called[name] for role, name in roles.items()}
+        facts |= {f"{role}_column_{k}": None if name is None else name_in_output[name] for role, name in roles.items()}
     return facts
 
 
 def of_records(result: Identification, estimate: Estimate, command: str) -> dict[str, Any]:
-    """How the table of two sources of records was made."""
+    """Provenance of a match of two ``Records``."""
     return {
         **_made_now(command),
         "name_1": result.first.source,
@@ -147,7 +147,7 @@ def of_records(result: Identification, estimate: Estimate, command: str) -> dict
         "rows_2": result.second.n_table,
         "used_1": len(result.first),
         "used_2": len(result.second),
-        **_learned(estimate),
+        **_estimates(estimate),
         "evidence_error_floor": estimate.errors.floor,
         "gate_sigmas": estimate.gate_sigmas,
         "candidates": len(result.pairs),
@@ -158,15 +158,15 @@ def of_records(result: Identification, estimate: Estimate, command: str) -> dict
 
 
 def _offset(match: SkyMatch) -> dict[str, Any]:
-    """What was taken away from the second catalogue: in words, and east, north and turn with their errors, arcsec."""
+    """The offset removed from the second catalogue: in words; east, north and rotation with errors, arcsec."""
     warp = {} if match.warp is None else {"offset_warp": str(match.warp), "offset_warp_order": match.warp.order}
     if match.rotation is None:
         return {"offset": None, **warp}
-    return {f"offset{name}": value for name, value in _taken_away(match.rotation).items()} | warp
+    return {f"offset{name}": value for name, value in _rotation_values(match.rotation).items()} | warp
 
 
-def _taken_away(rotation: Rotation) -> dict[str, Any]:
-    """A rotation as plain values, by the ending of their names."""
+def _rotation_values(rotation: Rotation) -> dict[str, Any]:
+    """A rotation as plain values, by the suffix of their names."""
     return {
         "": str(rotation),
         "_centre_deg": list(rotation.centre_deg),
@@ -176,7 +176,7 @@ def _taken_away(rotation: Rotation) -> dict[str, Any]:
 
 
 def _quantities(match: SkyMatch) -> dict[str, float]:
-    """Everything estimated with its standard error, where it has one."""
+    """All estimates that have a standard error, with it."""
     estimate = match.estimate
     found = dict(estimate.quantities)
     if estimate.tail is not None:
@@ -194,7 +194,7 @@ def _quantities(match: SkyMatch) -> dict[str, float]:
 def of_many(
     request: Request[ManyOptions], match: ManyMatch, command: str, words: Callable[[str], str] = str
 ) -> dict[str, Any]:
-    """How the table of several catalogues was made. words : how a message that names arguments is put."""
+    """Provenance of a match of several catalogues. words : rewords messages that name arguments."""
     from sameas.sky.many.joins import joined_names as joined_many_names
 
     facts, given = _made_now(command), request.facts()
@@ -206,15 +206,15 @@ def of_many(
     facts |= {"options_match": given["options_match"], "epoch_object": match.epoch_jyr}
     for k, catalogue in enumerate(match.catalogues, 1):
         if catalogue.name in match.rotations:
-            taken = _taken_away(match.rotations[catalogue.name])
-            facts |= {f"offset{name}_{k}": value for name, value in taken.items()}
+            removed = _rotation_values(match.rotations[catalogue.name])
+            facts |= {f"offset{name}_{k}": value for name, value in removed.items()}
     facts |= {f"expected_{'_'.join(names)}": expected for names, expected in match.expected.items()}
     doubts = [words(doubt) for doubt in match.doubts]
     return facts | {"objects": len(match.objects), "rounds": match.iterations, "doubts": doubts}
 
 
 def _completeness(match: SkyMatch) -> dict[str, Any]:
-    """By magnitude: the share of either catalogue that the other shows, and the density of those it does not show."""
+    """By magnitude: the share of each catalogue that the other one detects, and the density of undetected objects."""
     from sameas.sky.crossmatch import ARCSEC2_PER_DEG2
 
     facts: dict[str, Any] = {}

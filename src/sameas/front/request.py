@@ -1,4 +1,4 @@
-"""Requests: sources and all their options, enough to identify them again; kept in the output."""
+"""Requests: the sources and options of a match. The output's provenance holds them, so that it can be repeated."""
 
 from __future__ import annotations
 
@@ -28,11 +28,14 @@ Options = TypeVar("Options", bound="MatchOptions | ManyOptions")
 @in_short
 @dataclass(frozen=True)
 class Request(Generic[Options]):
-    """Which catalogues are identified, and how.
+    """The catalogues to be identified, with all options.
 
-    sources : two or more: paths, or whatever :func:`sameas.front.tables.table_of` takes, or catalogues. options : of
-    the match. columns : options of the catalogues as given, by parameter: ``sigma`` is that of all, ``sigma2``
-    that of the second. given_names : the catalogues' names in messages, where the user says them.
+    Attributes
+    ----------
+    sources : two or more paths, tables (see :func:`sameas.front.tables.table_of`) or catalogues.
+    options : of the match.
+    columns : options of the catalogues by parameter: ``sigma`` applies to all, ``sigma2`` to the second.
+    given_names : the catalogues' names in messages, if given by the user.
     """
 
     sources: tuple[Any, ...]
@@ -47,8 +50,8 @@ class Request(Generic[Options]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The catalogues' names in messages: as given, else their files' stems, or more where these are not different;
-        of tables their numbers."""
+        """Names of the catalogues in messages: as given; else file names, as short as they are distinct; "first",
+        "second" for tables in memory."""
         if self.given_names:
             return self.given_names
         stems = self._named(lambda path: Path(path).name.removesuffix(".gz").rsplit(".", 1)[0])
@@ -66,12 +69,12 @@ class Request(Generic[Options]):
         return tuple(map(of, self.sources, ORDINALS))
 
     def catalogue(self, side: int) -> Catalogue:
-        """Catalogue 1, 2, …, read and understood.
+        """Catalogue 1, 2, …, read from its source.
 
         Raises
         ------
-        InputError : not a table; what :meth:`~sameas.sky.catalogue.Catalogue.of` refuses; options for a catalogue that
-            is understood already.
+        InputError : not a table; refused by :meth:`~sameas.sky.catalogue.Catalogue.of`; column options for a source
+            that is a ``Catalogue`` already.
         """
         from sameas.sky.catalogue import Catalogue, CatalogueOptions
 
@@ -87,24 +90,24 @@ class Request(Generic[Options]):
             raise self.named(error, side) from error
 
     def catalogues(self, read: Callable[[int, Catalogue], None] = lambda side, catalogue: None) -> list[Catalogue]:
-        """All catalogues. read : called with the number and the catalogue as soon as it is understood.
+        """All catalogues. read : called with the number of each catalogue and the catalogue once it has been read.
 
         Raises
         ------
-        InputError : as :meth:`catalogue`, of all catalogues at once.
+        InputError : as :meth:`catalogue`, with the errors of all catalogues in one message.
         """
-        understood, refused = [], []
+        catalogues, refused = [], []
         for side in range(1, len(self.sources) + 1):
             try:
-                understood.append(self.catalogue(side))
+                catalogues.append(self.catalogue(side))
             except InputError as error:
                 refused.append(error)
                 continue
             if not refused:
-                read(side, understood[-1])
+                read(side, catalogues[-1])
         if refused:
             raise InputError.together(refused)
-        return understood
+        return catalogues
 
     def _refuse_options(self, side: int, name: str) -> None:
         stated = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
@@ -115,7 +118,7 @@ class Request(Generic[Options]):
             )
 
     def naming_sides(self, work: Callable[[], Any]) -> Any:
-        """The result of ``work``; its refusals name the options of the catalogue that they are about."""
+        """The result of ``work``. Its errors name the options of the catalogue that they concern (``sigma2``)."""
         try:
             return work()
         except InputError as error:
@@ -123,20 +126,20 @@ class Request(Generic[Options]):
             raise self.named(error, side) from error
 
     def named(self, error: InputError, side: int) -> InputError:
-        """A refusal of one catalogue that names that catalogue's own options."""
+        """The error of one catalogue, with that catalogue's option names."""
         return InputError(self.words(error.words, side), source=error.source)
 
     def words(self, text: str, side: int = 0) -> str:
-        """A text on one catalogue, or on all, that names the options as they are spelled here."""
+        """A message about one catalogue, or about all (side 0), with option names of this request."""
         return renamed(text, side, self.columns)
 
     def in_own_terms(self, words: Callable[[str], str], side: int, text: str) -> str:
-        """:meth:`words`, put by ``words``."""
+        """:meth:`words`, then reworded by ``words``."""
         return words(self.words(text, side))
 
     @property
     def twice(self) -> str:
-        """A sentence where the first two sources are one and the same; else empty."""
+        """A warning if the first two sources are the same; else empty."""
         first, second = self.sources[:2]
         if isinstance(first, str) and isinstance(second, str):
             if os.path.exists(first) and os.path.exists(second) and os.path.samefile(first, second):
@@ -146,7 +149,7 @@ class Request(Generic[Options]):
         return ""
 
     def facts(self) -> dict[str, Any]:
-        """The request as flat provenance: absolute paths with their checksums, options as JSON."""
+        """The request as flat provenance: absolute paths with checksums, options as JSON."""
         facts: dict[str, Any] = {}
         for k, source in enumerate(self.sources, 1):
             is_path = isinstance(source, str)
@@ -160,11 +163,11 @@ class Request(Generic[Options]):
 
     @staticmethod
     def of_facts(facts: Mapping[str, Any], output: str) -> Request[MatchOptions]:
-        """The request of two catalogues that provenance tells.
+        """The request of two catalogues from the provenance of an output file.
 
         Raises
         ------
-        InputError : the file does not say how it was made; an input is gone or was changed.
+        InputError : no provenance; an input no longer exists or has changed.
         """
         from sameas.sky.crossmatch import MatchOptions
 
@@ -196,7 +199,7 @@ class Request(Generic[Options]):
 
 
 def _in_memory(value: Any) -> Any:
-    """How provenance keeps numbers that were given as arrays, not in a table."""
+    """JSON of a number given as a 0-dimensional array; null for other objects in memory."""
     return value.item() if hasattr(value, "item") and not getattr(value, "ndim", 0) else None
 
 

@@ -1,10 +1,10 @@
-"""Tables of anything that holds positions; what a library of data frames gives is known without importing it.
+"""Astropy tables of anything that holds positions. Data frames are recognised without importing their libraries.
 
 - a path: a file of :func:`sameas.io.read_table`;
-- astropy's ``Table`` and ``QTable``; a column of ``SkyCoord`` becomes columns of right ascension, declination, motion;
-- astropy's ``SkyCoord``, whatever its frame, with its proper motions, distance, radial velocity and ``obstime``;
-- pandas and polars (lazy frames are collected), pyarrow, and whatever else speaks Arrow's interface;
-- NumPy's structured arrays, mappings of names to columns, and lists of rows that are mappings.
+- astropy ``Table`` and ``QTable``; a ``SkyCoord`` column becomes columns of right ascension, declination and motion;
+- astropy ``SkyCoord`` in any frame, with proper motions, distance, radial velocity and ``obstime``;
+- pandas, polars (lazy frames are collected), pyarrow, and any object with Arrow's stream interface;
+- NumPy structured arrays, mappings of names to columns, and lists of mappings (rows).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from astropy.coordinates import SkyCoord
     from astropy.table import Table
 
-#: The columns that a ``SkyCoord`` becomes, by the names that :mod:`sameas.sky.conventions` knows; all are ICRS.
+#: Columns made from a ``SkyCoord``, in ICRS, by names that :mod:`sameas.sky.conventions` knows.
 _PLACE = ("ra", "dec")
 _MOTION = ("pm_ra_cosdec", "pm_dec")
 _EPOCH = "epoch"
 
 
 def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str | None = None) -> Table:
-    """The astropy table of anything that holds positions; the data are shared where that is possible.
+    """The astropy table of anything that holds positions. Data are shared, not copied, where possible.
 
     name : of the source, for messages. format, hdu : of a file.
 
@@ -53,14 +53,14 @@ def table_of(data: Any, name: str, *, format: str | None = None, hdu: int | str 
 
 
 def odds_of(source: Any) -> OddsTable:
-    """The table of odds by the value of a column, of a path, a table, a mapping of values to odds, or rows.
+    """A table of prior odds by the value of a column.
 
-    Columns are (low, high, odds), (value, odds), or those of NWAY's files, (low, high, selected, others): the odds are
-    then the ratio of the two densities.
+    source : a path, a table, a mapping of values to odds, or rows. Columns are (low, high, odds), (value, odds), or as
+    in NWAY's files (low, high, selected, others), where the odds are the ratio of the last two.
 
     Raises
     ------
-    InputError : a table of other columns; odds that are not positive.
+    InputError : other columns; odds that are not positive.
     """
     from astropy.table import Table
 
@@ -82,7 +82,7 @@ def odds_of(source: Any) -> OddsTable:
 
 
 def _odds_file(path: str | os.PathLike[str]) -> Table:
-    """The table of a file; of NWAY's, whose columns have no names, too."""
+    """The table of a file, also of NWAY's text files, whose columns have no names."""
     from astropy.table import Table
 
     from sameas.io import read_table
@@ -98,7 +98,7 @@ def _odds_file(path: str | os.PathLike[str]) -> Table:
 
 
 def kind_of(data: Any) -> str:
-    """What a thing is, in two words: ``pandas DataFrame``."""
+    """The type of an object with its library: ``pandas DataFrame``."""
     kind = type(data)
     home = kind.__module__.partition(".")[0]
     return kind.__name__ if home in ("builtins", "sameas") else f"{home} {kind.__name__}"
@@ -112,7 +112,7 @@ def _as_table(data: Any, name: str) -> Table | None:
     if isinstance(data, Table):
         return Table(data, copy=False) if isinstance(data, QTable) else data
     if isinstance(data, SkyCoord):
-        return Table(_columns_of(data, ""), copy=False)
+        return Table(_columns_of(data), copy=False)
     if library == "pandas" and hasattr(data, "iloc") and hasattr(data, "columns"):
         return _of_pandas(data, name)
     if library == "polars" and hasattr(data, "collect"):
@@ -129,18 +129,18 @@ def _as_table(data: Any, name: str) -> Table | None:
 
 
 def _of_pandas(frame: Any, name: str) -> Table:
-    """The columns of a data frame; its index too, unless that only numbers the rows."""
+    """The table of a data frame, with its index unless that only counts rows."""
     from astropy.table import Table
 
-    counts = type(frame.index).__name__ == "RangeIndex" and frame.index.name is None
+    index_counts = type(frame.index).__name__ == "RangeIndex" and frame.index.name is None
     names = ["_".join(map(str, one)) if isinstance(one, tuple) else str(one) for one in frame.columns]
-    _refuse_namesakes(names, name)
+    _refuse_duplicates(names, name)
     if names != list(frame.columns):
         frame = frame.set_axis(names, axis=1)
-    return Table.from_pandas(frame, index=not counts)
+    return Table.from_pandas(frame, index=not index_counts)
 
 
-def _refuse_namesakes(names: list[str], source: str) -> None:
+def _refuse_duplicates(names: list[str], source: str) -> None:
     twice = next((name for name, times in Counter(names).items() if times > 1), None)
     if twice is not None:
         raise InputError(f"{source}: two columns are called {twice}; rename one")
@@ -156,13 +156,13 @@ def _of_arrow(data: Any, name: str) -> Table | None:
         arrow = data if isinstance(data, pa.Table) else pa.table(data)
     except pa.ArrowInvalid:  # one column only: a Series, an array
         return None
-    _refuse_namesakes(arrow.column_names, name)
+    _refuse_duplicates(arrow.column_names, name)
     columns = (column_of(one, arrow.column(one)) for one in arrow.column_names)
     return Table([column for column in columns if column is not None], copy=False)
 
 
 def _with_plain_places(table: Table, name: str) -> Table:
-    """The table with plain columns in place of one of ``SkyCoord``, which neither joins nor files can hold."""
+    """The table with plain columns instead of a ``SkyCoord`` column, which joins and files cannot hold."""
     from astropy.coordinates import SkyCoord
     from astropy.table import Table
 
@@ -178,7 +178,7 @@ def _with_plain_places(table: Table, name: str) -> Table:
         if column != places[0]:
             columns[column] = cells
             continue
-        plain = _columns_of(cells, "")
+        plain = _columns_of(cells)
         if others & {part.lower() for part in plain}:
             raise InputError(
                 f"{name}: it has a SkyCoord {column!r} and columns {', '.join(sorted(others & set(plain)))}",
@@ -188,26 +188,26 @@ def _with_plain_places(table: Table, name: str) -> Table:
     return Table(columns, copy=False, meta=table.meta)
 
 
-def _columns_of(place: SkyCoord, prefix: str) -> dict[str, Any]:
-    """Right ascension and declination in ICRS, with what is known of motion, distance and time."""
+def _columns_of(place: SkyCoord) -> dict[str, Any]:
+    """Right ascension and declination in ICRS; proper motion, radial velocity, parallax and epoch where known."""
     from astropy import units as u
     from astropy.coordinates import SphericalRepresentation
 
     icrs = place.reshape(1).icrs if place.isscalar else place.icrs
-    columns: dict[str, Any] = {f"{prefix}{_PLACE[0]}": icrs.ra.to(u.deg), f"{prefix}{_PLACE[1]}": icrs.dec.to(u.deg)}
+    columns: dict[str, Any] = {_PLACE[0]: icrs.ra.to(u.deg), _PLACE[1]: icrs.dec.to(u.deg)}
     if "s" in icrs.data.differentials:
         velocity = icrs.data.differentials["s"]
         if hasattr(velocity, "d_lon") or hasattr(velocity, "d_lon_coslat") or _has_distance(icrs):
-            columns[f"{prefix}{_MOTION[0]}"] = icrs.pm_ra_cosdec.to(u.mas / u.yr)
-            columns[f"{prefix}{_MOTION[1]}"] = icrs.pm_dec.to(u.mas / u.yr)
+            columns[_MOTION[0]] = icrs.pm_ra_cosdec.to(u.mas / u.yr)
+            columns[_MOTION[1]] = icrs.pm_dec.to(u.mas / u.yr)
         speed = icrs.radial_velocity if _has_distance(icrs) or hasattr(velocity, "d_distance") else None
         if speed is not None and speed.unit.is_equivalent(u.km / u.s):
-            columns[f"{prefix}radial_velocity"] = speed.to(u.km / u.s)
+            columns["radial_velocity"] = speed.to(u.km / u.s)
     if _has_distance(icrs) and isinstance(icrs.represent_as("spherical"), SphericalRepresentation):
-        columns[f"{prefix}parallax"] = icrs.distance.to(u.mas, u.parallax())
+        columns["parallax"] = icrs.distance.to(u.mas, u.parallax())
     if place.obstime is not None:
         years = np.broadcast_to(np.asarray(place.obstime.jyear, np.float64), icrs.shape)
-        columns[f"{prefix}{_EPOCH}"] = years * u.yr
+        columns[_EPOCH] = years * u.yr
     return {name: u.Quantity(cells).reshape(-1) for name, cells in columns.items()}
 
 
