@@ -85,7 +85,8 @@ class Sees:
     speaks : who says its name, drawn with ``share``. west, east : part of the width that it covers. swaps : probability
     per scan that two objects within 60 m exchange ids. twice : share of the objects that it shows under two ids.
     heights : share of the records with one. false : plots or tracks of nothing in a scan; tracks last
-    20 scans.
+    20 scans. range_share : of the range, that a radar's error grows by; not stated. gap_s : mean duration of
+    an object's gaps without reports, and of the times between them; 0 for none.
     """
 
     name: str
@@ -108,6 +109,8 @@ class Sees:
     heights: float = 0.0
     false: float = 0.0
     stated_false_per_km2: float = 0.0
+    range_share: float = 0.0
+    gap_s: float = 0.0
     motion: Motion = SHIPS
     speed_error: float = 0.5
 
@@ -132,6 +135,9 @@ def reported(
             place, speed = fleet.at(np.full(len(times), k), times)
             here = (place[:, 0] >= sees.west * width_m) & (place[:, 0] <= sees.east * width_m)
             here &= times <= sees.until_s
+            if sees.gap_s:
+                changes = np.cumsum(rng.exponential(sees.gap_s, 2 + int(8.0 * span_s / sees.gap_s)))
+                here &= np.searchsorted(changes, times) % 2 == 0
             m = int(here.sum())
             side = rng.normal(0.0, 12.0, 2) if k in twins else 0.0
             rows.append((times[here], place[here] + side, speed[here], np.full(m, k), np.full(m, k + 1000 * copy)))
@@ -155,7 +161,8 @@ def reported(
         arm = place - (site.east_m, site.north_m)
         away = np.hypot(*arm.T)
         turn_deg = 0.5
-        columns["range_m"] = np.maximum(away + sees.sigma_m * rng.normal(size=len(away)), 1.0)
+        sigma_m = sees.sigma_m + sees.range_share * away
+        columns["range_m"] = np.maximum(away + sigma_m * rng.normal(size=len(away)), 1.0)
         columns["bearing_deg"] = (
             np.degrees(np.arctan2(*arm.T)) + sees.azimuth_deg + turn_deg * rng.normal(size=len(away))
         ) % 360.0

@@ -143,27 +143,57 @@ def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbabl
     np.testing.assert_allclose(total, 1.0, atol=1e-9)
 
 
-def by_messages(sets, n):
+def by_samples(sets, n, chosen):
     share = np.zeros(len(sets))
-    partitions.set_messages(np.arange(len(sets.start) - 1), sets.start, sets.members, sets.log_weight, n, share)
+    groups = np.arange(len(sets.start) - 1)
+    partitions.set_samples(groups, sets.start, sets.members, sets.log_weight, chosen, n, share)
     return share
 
 
-def test_messages_are_near_the_sum_and_exact_without_cycles():
-    apart, alone = [], []
+def test_samples_are_near_the_sum():
+    apart = []
     for seed in range(12):
         sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=10)
+        # Where sets of three have no parts, all three records are single in between, which takes long where they are
+        # much more probable than that.
+        sets = replace(sets, log_weight=0.4 * sets.log_weight)
         exact, chosen, cut = packed_groups(sets, n, np.ones(1, bool))
         assert cut[0] >= EXACT
-        apart.append(by_messages(sets, n) - exact)
-        alone.append(chosen - exact)
-    assert np.abs(np.concatenate(apart)).max() < 0.35
-    assert np.std(np.concatenate(apart)) < 0.4 * np.std(np.concatenate(alone))
+        sampled = by_samples(sets, n, chosen)
+        total = np.bincount(sets.entries()[1], sampled[sets.entries()[0]], n)
+        np.testing.assert_allclose(total, 1.0, atol=1e-9)
+        apart.append(sampled - exact)
+    assert np.abs(np.concatenate(apart)).max() < 0.1
+    assert np.sqrt(np.mean(np.concatenate(apart) ** 2)) < 0.02
     chain = np.array([[0, -1], [-1, 1], [2, -1], [-1, 3], [0, 1], [2, 1], [2, 3]])
-    weight = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.5, -0.3])
+    weight = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.5, -12.0])
     sets = Sets(chain, (chain >= 0).sum(axis=1), weight, np.zeros(7, np.int64), np.array([0, 7]), np.array([-np.inf]))
-    exact, _, _ = packed_groups(sets, 4, np.ones(1, bool))
-    np.testing.assert_allclose(by_messages(sets, 4), exact, atol=1e-6)
+    exact, chosen, _ = packed_groups(sets, 4, np.ones(1, bool))
+    sampled = by_samples(sets, 4, chosen)
+    np.testing.assert_allclose(sampled, exact, atol=0.01)
+    # What the chain hardly ever visits is not impossible.
+    assert 0.01 * exact[6] < sampled[6] < 10.0 * exact[6]
+
+
+def couples(rng, n=4):
+    """The group of couples of objects 25 m apart, before three sources that miss little."""
+    place = np.repeat(np.arange(n)[:, None] * [60.0, 0.0], 2, axis=0) + np.tile([[0.0, 0.0], [0.0, 25.0]], (n, 1))
+    sources = [
+        Records.of(place + sigma * rng.standard_normal((2 * n, 2)), sigma=sigma, source=name)
+        for name, sigma in (("ais", 8.0), ("west", 20.0), ("east", 20.0))
+    ]
+    return identify_many(sources, rule=PoissonObjects(1e-5, 0.01), tuning=replace(TUNING, most_steps=3_000_000))
+
+
+def test_samples_are_near_the_sum_where_neighbours_may_be_exchanged_but_are_surely_objects():
+    """Messages settle for one of the two ways in that case: their rms error is 0.17, the largest 0.77."""
+    apart = []
+    for seed in range(6):
+        found = couples(np.random.default_rng(seed))
+        sampled = by_samples(found.sets, len(found.pooled), found.answer.chosen)
+        apart.append((sampled - found.answer.probability)[found.answer.probability > 1e-3])
+    assert np.sqrt(np.mean(np.concatenate(apart) ** 2)) < 0.02
+    assert np.abs(np.concatenate(apart)).max() < 0.1
 
 
 @pytest.mark.parametrize("n", [25, 60])

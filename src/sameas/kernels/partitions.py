@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import kernel, part
 from sameas.kernels.components import root
+from sameas.kernels.partition_samples import sampled
 
 NONE = -1
 #: Sweeps over the duals of a group, how often sets are left out by them, and sweeps that exchange the sets of a
@@ -29,17 +30,13 @@ LEAST_POWER = -20.0
 COMPETING = 10.0
 #: They end where a sweep gains less, in nats, and where less than this share of the sets is left out.
 LEAST_NATS, LEAST_SHARE = 0.01, 0.02
-#: Sums that leave out sets of a smaller reduced cost are no nearer to the truth than messages, and the best partition
+#: Sums that leave out sets of a smaller reduced cost are no nearer to the truth than samples, and the best partition
 #: alone is far from it: rms of probabilities on random groups of 8 to 30 records, weak and strong sets, is 0.01 to 0.02
-#: with a cut of 2, 0.05 to 0.09 with a cut of 1, 0.01 to 0.17 by messages, 0.16 to 0.24 by the best alone.
+#: with a cut of 2, 0.05 to 0.09 with a cut of 1, 0.01 by samples, 0.16 to 0.24 by the best alone.
 LEAST_CUT = 2.0
 #: Groups of so few records, and so of so few sets, are summed partition by partition if the best one is more probable
 #: than the next by so much, in nats.
 FEW_RECORDS, FEW_SETS, CLEAR_NATS = 3, 7, 1e-9
-#: Rounds of messages at most, how far a message goes towards its new value, and the change at which they end, in nats.
-ROUNDS, STEP, SETTLED = 400, 0.5, 1e-7
-#: Least odds of all other sets of a record, beside those of one: rounding leaves no more.
-LEAST_OTHERS = 1e-15
 
 
 @kernel
@@ -336,7 +333,7 @@ def packed(
     blocks, and a block's duals are tighter than those of the whole. c is the first of ``cuts`` at which a block has at
     most ``most_records`` records and its sum at most ``cap`` steps from state to state; ``cut`` is the lowest c of a
     group's blocks. It is −1 where a block has none: only the other blocks are filled in there. Blocks of a c below
-    :data:`LEAST_CUT` have their best partition from that, and their probabilities from messages between all their sets.
+    :data:`LEAST_CUT` have their best partition from that, and their probabilities from samples of their partitions.
     """
     local = np.full(len(dual), NONE)
     mask, of, total = np.empty(FEW_SETS, np.int64), np.empty((FEW_SETS, FEW_RECORDS), np.int64), np.empty(FEW_SETS)
@@ -450,11 +447,11 @@ def _packed_group(
 ) -> float:
     k = len(members)
     begin, entry, n = _by_local_number(members, local)
-    own_dual = np.empty(n)
+    own_dual, source = np.empty(n), np.empty(n, np.int64)
     for s in range(k):
-        for record in members[s]:
+        for column, record in enumerate(members[s]):
             if record != NONE and local[record] != NONE:
-                own_dual[local[record]] = dual[record]
+                own_dual[local[record]], source[local[record]] = dual[record], column
                 local[record] = NONE
     block, done, place, hint = np.zeros(n, np.int64), np.zeros(n, np.bool_), np.arange(k), np.zeros(k, np.bool_)
     if n <= small:
@@ -476,19 +473,21 @@ def _packed_group(
             left = _prune(*left, cut, block, done, own_dual)
             if _sum_blocks(*left[:4], block, done, most_records, cap, share, chosen):
                 if cut < LEAST_CUT:
-                    _by_messages(begin, entry, weight, place, hint, open_, share)
+                    _by_samples(begin, entry, weight, place, hint, open_, source, chosen, share)
                 return cut
     return -1.0
 
 
 @part
-def _by_messages(
+def _by_samples(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
     place: IntArray,
     hint: BoolArray,
     open_: BoolArray,
+    source: IntArray,
+    chosen: BoolArray,
     share: FloatArray,
 ) -> None:
     """Fill ``share`` for the sets of records (n,) that are ``open_`` alone."""
@@ -497,58 +496,25 @@ def _by_messages(
         for e in range(begin[s], begin[s + 1]):
             kept[s] = kept[s] and open_[entry[e]]
     begin, entry, weight, place, _ = _taken(begin, entry, weight, place, hint, kept)
-    found = _messages(begin, entry, weight, len(open_))
+    found = sampled(begin, entry, source, weight, chosen[place])
     for s in range(len(weight)):
         share[place[s]] = found[s]
 
 
 @kernel
-def set_messages(groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, n: int, share: FloatArray
-                 ) -> None:  # fmt: skip
-    """Fill ``share`` with every set's probability by messages, of some ``groups``; members (k, S) of n records in all,
-    −1 for none. start : (g+1,) sets of each group."""
-    local = np.full(n, NONE)
+def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, chosen: BoolArray, n: int,
+                share: FloatArray) -> None:  # fmt: skip
+    """Fill ``share`` with every set's probability by samples, of some ``groups``; members (k, S) of n records in all,
+    −1 for none. start : (g+1,) sets of each group. chosen : (k,) the sets of a partition of each."""
+    local, source = np.full(n, NONE), np.empty(n, np.int64)
     for g in groups:
         a, b = start[g], start[g + 1]
         begin, entry, number = _by_local_number(members[a:b], local)
-        share[a:b] = _messages(begin, entry, weight[a:b], number)
-
-
-@part
-def _messages(begin: IntArray, entry: IntArray, weight: FloatArray, n: int) -> FloatArray:
-    """(k,) probabilities of sets of which every one of n records is in one, by sums and products along their graph.
-
-    ν(r → s) = 1 / Σ over the other sets s' of r of μ(s' → r) ,   μ(s → r) = w(s) Π over the other records of s of ν ,
-    in logarithms; the odds of a set are w Π ν. Exact where the graph has no cycle.
-
-    Source: Pearl 1988, Probabilistic Reasoning in Intelligent Systems, chapter 4.
-    """
-    free, out, top, total = np.zeros(len(entry)), np.empty(len(entry)), np.empty(n), np.empty(n)
-    share = np.empty(len(weight))
-    for _ in range(ROUNDS):
-        top[:], total[:], change = -np.inf, 0.0, 0.0
-        for s in range(len(weight)):
-            whole = weight[s]
-            for e in range(begin[s], begin[s + 1]):
-                whole += free[e]
-            for e in range(begin[s], begin[s + 1]):
-                out[e] = whole - free[e]
-                top[entry[e]] = max(top[entry[e]], out[e])
-        for e in range(len(entry)):
-            out[e] = math.exp(out[e] - top[entry[e]])
-            total[entry[e]] += out[e]
-        for e in range(len(entry)):
-            new = -math.log(max(total[entry[e]] - out[e], LEAST_OTHERS)) - top[entry[e]]
-            change = max(change, abs(new - free[e]))
-            free[e] += STEP * (new - free[e])
-        if change < SETTLED:
-            break
-    for s in range(len(weight)):
-        odds = weight[s]
-        for e in range(begin[s], begin[s + 1]):
-            odds += free[e]
-        share[s] = 1.0 / (1.0 + math.exp(-odds)) if odds > -700.0 else 0.0
-    return share
+        for s in range(a, b):
+            for column, record in enumerate(members[s]):
+                if record != NONE:
+                    source[local[record]] = column
+        share[a:b] = sampled(begin, entry, source[:number], weight[a:b], chosen[a:b])
 
 
 @part

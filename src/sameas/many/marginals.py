@@ -9,8 +9,8 @@ others by branch and bound with one binary variable for every number of merges.
 records that are taken and, with a count prior, the number of merges. Sets of large reduced cost are excluded first: by
 the duals of the best partition, a partition with a set of reduced cost c is at least eᶜ times less probable than the
 best. Without the sets of c > 30 the sum counts as exact. Groups for which it is too long are summed without the sets of
-c > 20, 14, …, until it is short enough; where c would have to be below 2, sum-product messages between sets and records
-replace the sum. The result states which.
+c > 20, 14, …, until it is short enough; where c would have to be below 2, samples of partitions replace the sum
+(:mod:`sameas.kernels.partition_samples`). The result states which.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ class Answer:
     chosen : (k,) the sets that are objects. probability : (k,) of every set.
     gap : (g,) upper bound of ln of the odds of a better partition.
     cut : (g,) reduced cost above which sets were excluded from the sum: :data:`EXACT` or more if the sum is exact,
-        below 2 if probabilities are by messages.
+        below 2 if probabilities are by samples.
     """
 
     chosen: BoolArray
@@ -369,9 +369,9 @@ class _Sums:
         enough. Groups with a ``cut`` of 0 or more are skipped.
 
         cost : (k,) reduced costs. chosen : (k,) sets of the best partition, never excluded. weight : (k,) ln w, with a
-        count prior tilted by its slope at the best partition; used by the messages.
+        count prior tilted by its slope at the best partition; used by the samples.
         """
-        from sameas.kernels.partitions import LEAST_CUT, set_messages
+        from sameas.kernels.partitions import LEAST_CUT, set_samples
 
         share, cut = np.zeros(len(self.sets)), cut.copy()
         for value in self.tuning.cuts:
@@ -384,7 +384,7 @@ class _Sums:
         rest = cut < 0
         if rest.any():
             sets = self.sets
-            set_messages(np.flatnonzero(rest), sets.start, sets.members, weight, self.n_records, share)
+            set_samples(np.flatnonzero(rest), sets.start, sets.members, weight, chosen, self.n_records, share)
         cut[rest] = 0.0
         return share, chosen, cut
 
