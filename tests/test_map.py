@@ -307,6 +307,12 @@ def test_the_slider_moves_what_is_drawn(shown: tuple[Browser, MapSheet]) -> None
     key(browser, "ArrowRight")
     browser.until(f"document.body.dataset.drawn === '{k + 1}'")
     seconds = int(sheet.instants_s[k + 1] - START_S)
+    # The counts above the slider are a band without gaps: an empty column would be an instant without objects.
+    empty = browser.js(
+        "(s => { const p = s.getContext('2d').getImageData(0, s.height - 2, s.width, 1).data; let n = 0;"
+        "for (let k = 3; k < p.length; k += 4) if (!p[k]) n++; return n; })(document.getElementById('strip'))"
+    )
+    assert empty == 0
     assert words(browser, "time") == f"22:{13 + (20 + seconds) // 60}:{(20 + seconds) % 60:02d}"
     browser.click(*centre_of(browser, "#play"))
     browser.until(f"mapPage.now.k >= {k + 3}")
@@ -326,6 +332,9 @@ def test_a_click_on_an_object_explains_it(shown: tuple[Browser, MapSheet]) -> No
     row = int(np.flatnonzero((sheet.objects["object"] == 9) & (sheet.instant_of(sheet.objects) == 20))[0])
     speed = sheet.objects["speed_m_per_s"][row]
     lat, _ = SOLENT.to_geodetic([[sheet.objects["x_m"][row], sheet.objects["y_m"][row]]])
+    # A table in the reasons keeps its columns: it is not wrapped.
+    columns = "[...document.querySelectorAll('#object pre.columns')].map(e => e.textContent)"
+    assert any("positions       " in block and "prior           " in block for block in browser.js(columns))
     assert "VESSEL 09" in told and f"{speed / (1852 / 3600):.1f} kn" in told and f"({speed:.1f} m/s)" in told
     assert f"{int(lat[0])}°{(lat[0] % 1) * 60:06.3f}′N" in told
     assert "one object: probability 0.99" in told and "marine.csv line 200010" in told and "camera.csv" in told

@@ -149,6 +149,45 @@ def test_no_name_of_a_file_or_in_a_header_runs_in_a_page_or_on_a_terminal(tmp_pa
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+def test_on_a_phone_the_record_is_under_the_frame_and_numbers_are_whole(every_page, tmp_path):
+    browser = Browser(tmp_path / "profile", every_page["frame"], SIZES[1])
+    try:
+        browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
+        browser.until("innerWidth === 390")
+        browser.js("framePage.pick({ kind: 'measured', row: 3 })")
+        top, bottom = (f"document.getElementById('{name}').getBoundingClientRect()" for name in ("record", "viewer"))
+        assert 0 < browser.js(f"{top}.top - {bottom}.bottom") < 30
+        lines = (
+            "[...document.querySelectorAll('.rivals td + td')].filter(td => td.textContent).map(td => {"
+            "const r = document.createRange(); r.selectNodeContents(td); return r.getClientRects().length; })"
+        )
+        assert set(browser.js(lines)) == {1}
+    finally:
+        browser.close()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
+def test_what_is_fainter_than_the_catalogue_reaches_is_counted_apart(every_page, tmp_path):
+    page = every_page["frame"].read_text("utf-8")
+    stars = re.search(r'"measured":.*?"star":\[(.*?)\]', page)[1].split(",")
+    alone = [row for row, star in enumerate(stars) if star == "null"]
+    assert alone and '"beyond":[]' in page
+    (tmp_path / "page.html").write_text(page.replace('"beyond":[]', f'"beyond":[{alone[0]}]'), "utf-8")
+    browser = Browser(tmp_path / "profile", tmp_path / "page.html")
+    try:
+        counts = [browser.js(f"document.getElementById('{name}').textContent") for name in ("n-alone", "n-beyond")]
+        assert counts == [str(len(alone) - 1), "1"]
+        # They are not drawn at first, as on the picture.
+        assert not browser.js("document.getElementById('show-beyond').checked")
+        browser.js(f"framePage.pick({{ kind: 'measured', row: {alone[0]} }})")
+        assert "fainter than the catalogue reaches" in browser.js("document.getElementById('record').innerText")
+    finally:
+        browser.close()
+
+
+@pytest.mark.long
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
 @pytest.mark.parametrize("size", SIZES, ids=["window", "phone"])
 @pytest.mark.parametrize("kind", ["frame", "series", "movers", "map"])
 def test_no_page_is_wider_than_its_window_by_day_and_by_night(every_page, kind, size, tmp_path):

@@ -3,15 +3,16 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const m = data.measured, s = data.stars, told = data.summary;
 const [rows, columns] = data.shape;
-const found = [], alone = [], lost = [];
-m.x.forEach((_, i) => (m.star[i] === null ? alone : found).push(i));
+// Rows of measurements, and of missing stars. Those fainter than the catalogue reaches are not held against it.
+const found = [], alone = [], lost = [], beyond = m.beyond, isBeyond = new Set(beyond);
+m.x.forEach((_, i) => { if (m.star[i] !== null) found.push(i); else if (!isBeyond.has(i)) alone.push(i); });
 s.missing.forEach((is, k) => { if (is) lost.push(k); });
 
 // ---- the frame ----
 const sky = el("sky"), picture = el("picture");
 const view = { x: (columns - 1) / 2, y: (rows - 1) / 2, scale: 1, least: 1 };
 let picked = null, pending = false;
-const show = Object.fromEntries(["found", "alone", "lost", "odd", "arrows", "grid"].map(n => [n, el("show-" + n)]));
+const show = Object.fromEntries(["found", "alone", "beyond", "lost", "odd", "arrows", "grid"].map(n => [n, el("show-" + n)]));
 const toScreen = (x, y) => [(x - view.x) * view.scale + sky.clientWidth / 2, (view.y - y) * view.scale + sky.clientHeight / 2];
 const toPixel = (u, v) => [(u - sky.clientWidth / 2) / view.scale + view.x, view.y - (v - sky.clientHeight / 2) / view.scale];
 const fit = () => { view.least = Math.min(sky.clientWidth / columns, sky.clientHeight / rows); };
@@ -49,6 +50,10 @@ function paint() {
       if (inside(x, y, r)) { c.moveTo(x - r, y - r); c.lineTo(x + r, y + r); c.moveTo(x - r, y + r); c.lineTo(x + r, y - r); }
     }
     c.stroke();
+  }
+  if (show.beyond.checked) {
+    c.fillStyle = colour.alone;
+    for (const i of beyond) { const [x, y] = toScreen(m.x[i], m.y[i]); if (inside(x, y, 2)) c.fillRect(x - 1, y - 1, 2, 2); }
   }
   if (show.lost.checked) {
     c.strokeStyle = colour.lost; c.beginPath();
@@ -185,6 +190,7 @@ function nearest(u, v) {
     if (d < least) { least = d; best = { kind, row }; } };
   if (show.found.checked) for (const i of found.slice(0, +el("many").value)) look("measured", i, m.x[i], m.y[i], 0);
   if (show.alone.checked) for (const i of alone) look("measured", i, m.x[i], m.y[i], 0);
+  if (show.beyond.checked) for (const i of beyond) look("measured", i, m.x[i], m.y[i], 0);
   if (show.lost.checked) for (const k of lost) look("star", k, s.x[k], s.y[k], 0);
   return best;
 }
@@ -209,6 +215,7 @@ function starFacts(k) {
 function measured(box, i) {
   const k = m.star[i];
   box.append(text("h2", k === null ? "Not in the catalogue" : s.id[k], k === null ? "alone" : "found"));
+  if (isBeyond.has(i)) box.append(text("p", "It is fainter than the catalogue reaches here.", "hint"));
   if (data.odd.includes(i)) box.append(text("p", `Identified, but ${oddWords(i)}.`, "odd-words"));
   const chosen = m.rivals[i].find(e => e[5]);
   const facts = document.createElement("table");
@@ -271,6 +278,8 @@ function diagrams() {
   const clip = v => Math.min(Math.max(v, -limit), limit);
   let [c, X, Y] = axes(el("by-magnitude"), range(list.map(value), 0.03), [-1.05 * limit, 1.05 * limit], name, "measured − catalogue [″]");
   dots(c, list.map(i => [value(i), clip(m.de[i])]), X, Y, colour.east); dots(c, list.map(i => [value(i), clip(m.dn[i])]), X, Y, colour.north);
+  const clipped = list.filter(i => Math.max(Math.abs(m.de[i]), Math.abs(m.dn[i])) > limit).length;
+  el("clipped").textContent = clipped ? `; at the edge: ${grouped(clipped)} beyond ± ${fix(limit, limit < 0.1 ? 3 : 2)}″` : "";
   byMagnitude = { list, points: i => [[X(value(i)), Y(clip(m.de[i]))], [X(value(i)), Y(clip(m.dn[i]))]] };
   const zero = told.brightness.zero_point;
   el("zero").textContent = zero ? zero.words : "no magnitudes to compare";
@@ -295,22 +304,27 @@ function diagrams() {
 }
 
 // ---- facts ----
+// As the report says it: the median residual over the one that the quoted errors give.
+function errorWords() {
+  const scale = told.estimated && told.estimated.error_scale;
+  return scale ? `the median residual is ${fix(scale[0], 2)} ± ${fix(scale[1], 2)} times that of the quoted errors` : `${fix(told.found.typical_error_scale, 2)} times those quoted`;
+}
 function facts() {
   const p = told.place, r = told.residuals, f = told.found, plate = told.plate;
   const angle = d => d >= 1 ? fix(d, 2) + "°" : d >= 1 / 60 ? fix(60 * d, 1) + "′" : fix(3600 * d, 1) + "″";
   el("about").textContent = `${hms(p.middle_ra_deg)} ${dms(p.middle_dec_deg)} · ${angle(p.width_deg)} × ${angle(p.height_deg)} · ${fix(p.scale_arcsec_per_px, 4)}″ per pixel`
     + (told.exposure && told.exposure.mid_time ? ` · ${told.exposure.mid_time}` : "") + ` · ${data.catalogue}`;
-  el("n-found").textContent = grouped(found.length); el("n-alone").textContent = grouped(alone.length); el("n-lost").textContent = grouped(lost.length);
+  el("n-found").textContent = grouped(found.length); el("n-alone").textContent = grouped(alone.length); el("n-beyond").textContent = grouped(beyond.length); el("beyond").hidden = !beyond.length; el("n-lost").textContent = grouped(lost.length);
   table(el("plate"), [["placed by", `${p.found_by}, odds ${p.odds}; next best ${p.next_best_odds}`], ["order", `${plate.order} (BIC ${Object.entries(plate.bic).map(([o, v]) => `${o}: ${fix(v, 0)}`).join(", ")})`],
     ["residuals, robust 1σ", `${fix(r.scatter_arcsec[0], 3)}″ east, ${fix(r.scatter_arcsec[1], 3)}″ north`], ["rms", `${fix(r.rms_arcsec[0], 3)}″, ${fix(r.rms_arcsec[1], 3)}″`],
-    ["errors", `${fix(plate.error_scale, 2)} times those quoted`], ["y axis", `${fix(p.rotation_deg, 3)}° (north through east), ${p.mirrored ? "mirrored" : "not mirrored"}`],
+    ...(plate.error_scale > 1.005 ? [["errors of the terms", `${fix(plate.error_scale, 2)} times what the quoted errors give, as the residuals are`]] : []), ["y axis", `${fix(p.rotation_deg, 3)}° (north through east), ${p.mirrored ? "mirrored" : "not mirrored"}`],
     ["tangent point", `${fix(plate.tangent_ra_deg, 6)}°, ${fix(plate.tangent_dec_deg, 6)}°`]]);
   const names = []; for (let n = 0; n <= plate.order; n++) for (let b = 0; b <= n; b++) names.push(n === 0 ? "1" : `${n - b ? "u" + (n - b > 1 ? "²³⁴⁵"[n - b - 2] : "") : ""}${b ? "v" + (b > 1 ? "²³⁴⁵"[b - 2] : "") : ""}`);
   const line = (cells, tag) => { const tr = document.createElement("tr"); tr.append(...cells.map(t => text(tag, t))); return tr; };
   el("terms").replaceChildren(line(["term", "ξ east [″]", "σ", "η north [″]", "σ"], "th"), ...names.map((n, k) =>
     line([n, fix(plate.coefficients_arcsec[0][k], 4), fix(plate.coefficients_sigma_arcsec[0][k], 4), fix(plate.coefficients_arcsec[1][k], 4), fix(plate.coefficients_sigma_arcsec[1][k], 4)], "td")));
   table(el("counts"), [["measurements", grouped(f.measurements)], ["stars on the frame", grouped(f.stars_on_frame)], ["identified", grouped(f.identified)], ["expected wrong", fix(f.expected_wrong, 1)],
-    ["with probability below 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified)], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["typical error", `${fix(f.typical_error_scale, 2)} times the quoted`]]);
+    ["with probability below 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified) + (f.beyond_catalogue ? `, of which ${grouped(f.beyond_catalogue)} are fainter than it reaches` : "")], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["errors", errorWords()]]);
   el("notes").replaceChildren(...[...(told.exposure ? told.exposure.read : []), ...told.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
   const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest ?? found.length, found.length);
   const say = () => { el("n-many").textContent = grouped(+many.value); }; say(); many.addEventListener("input", () => { say(); draw(); });

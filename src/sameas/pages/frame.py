@@ -113,6 +113,7 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
         "ra": column(ra, 6), "dec": column(dec, 6), "flux": column(m.flux, 1),
         "inst": column(instrumental(m.flux), 3),
         "mag": column(magnitude, 3), "excess": column(excess, 2), "snr": column(m.snr, 1), "fwhm": column(m.fwhm_px, 2),
+        "beyond": found.beyond_catalogue.tolist(),
         "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
         "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
         "none": column(result.answers_1.p_none.filled(np.nan), 6),

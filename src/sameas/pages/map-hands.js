@@ -101,7 +101,7 @@ function strip() {
   const [c, w, h] = surface(el("strip")),
     most = Math.max(1, ...counts.map(n => n[0])),
     at = k => (last ? (k / last) * (w - 1) : w / 2),
-    wide = Math.max(1, w / (last + 1));
+    wide = Math.max(1, last ? (w - 1) / last : w);
   c.clearRect(0, 0, w, h);
   counts.forEach(([live, doubt], k) => {
     c.fillStyle = colour.old;

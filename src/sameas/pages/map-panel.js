@@ -46,7 +46,17 @@ async function showObject() {
   const told = await whyText(number, instantShown);
   if (!told || picked !== number || now.k !== instantShown) return;
   const since = told.at < instantShown ? `, as at ${clock(data.instants[told.at])[0]}` : "";
-  why.replaceChildren(text("h3", `Why${since}`), text("pre", told.words));
+  why.replaceChildren(text("h3", `Why${since}`), ...paragraphs(told.words));
+}
+// Lines of a table keep their columns, and scroll sideways; others wrap.
+function paragraphs(words) {
+  const parts = [];
+  for (const line of words.replace(/\n$/, "").split("\n")) {
+    const cls = /\S {2,}\S|^ {2,}\S/.test(line) ? "columns" : "";
+    if (parts.length && parts[parts.length - 1].cls === cls) parts[parts.length - 1].lines.push(line);
+    else parts.push({ cls, lines: [line] });
+  }
+  return parts.map(({ cls, lines }) => text("pre", lines.join("\n"), cls));
 }
 function tags(r) {
   const line = document.createElement("div");

@@ -7,9 +7,10 @@ const day = mjd => new Date((mjd - 40587) * 86400000).toISOString().slice(0, 10)
 
 function frames() {
   const head = document.createElement("tr");
-  head.append(...["frame", "middle, UTC", "measured", "identified", "missing", "zero point", "scatter beside errors", "star width", "doubts"].map((w, k) => cell("th", w, k > 1 && k < 8 ? "number" : "")));
+  head.append(...["frame", "middle, UTC", "measured", "identified", "missing", "zero point", "excess scatter", "star width", "doubts"].map((w, k) => cell("th", w, k > 1 && k < 8 ? "number" : "")));
   const rows = (field ? field.frames : []).map(f => { const tr = document.createElement("tr"), first = document.createElement("td");
-    if (f.page) { const a = document.createElement("a"); a.href = encodeURIComponent(f.page); a.textContent = f.name; first.append(a); } else first.textContent = f.name;
+    if (f.page) { const a = document.createElement("a"); a.href = encodeURIComponent(f.page); a.append(text("bdi", f.name)); first.append(a); } else first.append(text("bdi", f.name));
+    first.title = f.name;
     const number = w => cell("td", w, "number");
     tr.append(first, cell("td", clock(f.mjd)), number(grouped(f.measured)), number(grouped(f.identified)), number(grouped(f.missing)),
       number(f.zero === null ? "–" : `${fix(f.zero, 3)} ± ${fix(f.zero_err, 3)}`), number(`${f.below ? "≤ " : ""}${fix(f.scatter, 3)}″`), number(`${fix(f.width, 1)} px`), cell("td", f.doubts.length ? `${f.doubts.length}, below` : "none", f.doubts.length ? "doubt" : ""));
@@ -27,7 +28,7 @@ function series() {
   if (!field) return;
   const f = field.frames, s = field.stars, t = f.map(x => minutes(x.mjd));
   overTime("zero", [[f.map((x, k) => [t[k], x.zero, x.zero_err]).filter(p => p[1] !== null), colour.found]], "zero point [mag]");
-  el("zero-words").textContent = `Zero point of each frame from ${grouped(Math.max(...f.map(x => x.ensemble)))} stars, scale ${field.scale}; bright stars scatter by ${fix(field.floor, 4)} mag beside their errors`;
+  el("zero-words").textContent = `Zero point of each frame from ${grouped(Math.max(...f.map(x => x.ensemble)))} stars, scale ${field.scale}; bright stars scatter by ${fix(field.floor, 4)} mag more than their errors`;
   overTime("offsets", [[f.map((x, k) => [t[k], x.shift[0]]), colour.east], [f.map((x, k) => [t[k], x.shift[1]]), colour.north]], "shift [″]");
   const log = s.scatter.map(v => v === null ? null : Math.log10(Math.max(v, 1e-4)));
   const [c, X, Y] = axes(el("scatter"), range(s.mag, 0.03), range(log, 0.06), "magnitude", "scatter [mag]", t => String(Number((10 ** t).toPrecision(2))));
