@@ -88,7 +88,7 @@ def explain(
         raise InputError("explain: give the id of a record, or row=NUMBER")
     record, by_row = str(row if id is None else id), id is None
     progress(f"reading {path}")
-    if path.is_dir():
+    if os.path.isdir(path):  # Path's own raises where a name is too long for a file
         return Lines(tuple(_of_picture(path, record, source, at)))
     from sameas.io import read_provenance, read_table
 
@@ -139,7 +139,7 @@ def _kind(facts: Mapping[str, Any], path: Path) -> str:
 def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:
     """A catalogue's number, from 1."""
     names = {facts[name]: int(name.removeprefix("name_")) for name in facts if name.startswith("name_")}
-    number = names.get(str(source), int(source) if str(source).isdigit() else 0)
+    number = names.get(str(source), int(source) if str(source).isdecimal() else 0)
     if number not in names.values():
         raise InputError(f"{path}: it has no source {source}; give one of {', '.join(names)}, or its number")
     return number

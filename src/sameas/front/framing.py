@@ -263,7 +263,7 @@ def frame_of(request: FrameRequest, progress: Progress) -> Frame:
 
     progress("reading")
     moment = None if request.time is None else _moment(request.time, Time)
-    hdu = int(request.hdu) if request.hdu is not None and request.hdu.isdigit() else request.hdu
+    hdu = int(request.hdu) if request.hdu is not None and request.hdu.isdecimal() else request.hdu
     frame = read(request.path, hdu=hdu, mask=request.mask, given=Given(**request.given, mid_time=moment))
     if request.darks or request.flats or request.biases:
         frame = _calibration(request.biases, request.darks, request.flats)(frame)

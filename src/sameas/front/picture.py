@@ -74,6 +74,9 @@ class Instants:
         if first > last:
             words = Message("the picture would be from ", self._in_words(first, last), ": it ends before it begins")
             raise InputError(words)
+        if self.every_s is not None and not 0.0 < self.every_s < np.inf:
+            raise InputError(Message(Argument("every", f"{self.every_s:g}s"), " is no time between instants"),
+                             "give a time above 0")  # fmt: skip
         if self.every_s is not None and (last - first) / self.every_s >= MOST_INSTANTS:
             times = f" makes {count(round((last - first) / self.every_s))} instants from {span(first, last)}"
             every = Argument("every", f"{self.every_s:g}s")

@@ -8,6 +8,8 @@ from __future__ import annotations
 import gzip
 import itertools
 import math
+import os
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,6 +48,8 @@ def calibrations_in(folder: str | Path) -> list[str]:
 
 def _images_in(folder: str | Path) -> list[Path]:
     """The FITS files of a folder that are none of our tables, by name."""
+    if not os.path.isdir(folder):
+        raise InputError(f"{folder}: no such folder")
     found = []
     for path in sorted(Path(folder).iterdir()):
         plain = path.name.lower().removesuffix(".gz").removesuffix(".fz")
@@ -59,7 +63,7 @@ def _shows_sky(path: Path) -> bool:
     try:
         with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2880 * 4).decode("ascii", "replace")
-    except OSError:
+    except (OSError, EOFError, zlib.error):
         return True  # reading it says what is wrong with it
     cards = (head[k : k + 80] for k in range(0, len(head), 80))
     kind = next((card[10:].split("/")[0].strip(" '").lower() for card in cards if card.startswith("IMAGETYP")), "")

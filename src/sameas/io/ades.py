@@ -74,27 +74,31 @@ class Observer:
             settings = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        except (ValueError, RecursionError) as error:
             raise InputError(f"{path}: is not TOML ({error}); write it like\n{_EXAMPLE}") from None
         code = str(_needed(settings, path, "observatory", "mpcCode"))
         if not re.fullmatch(r"[0-9A-Z][0-9A-Za-z]{2,3}", code):
             raise InputError(f"{path}: mpcCode {code!r} is not a code of the Minor Planet Center, such as 810 or J95")
-        telescope = dict(_needed(settings, path, "telescope"))
+        tables = {name: settings.get(name, {}) for name in ("telescope", "report", "observers", "measurers", "comment")}
+        for name, table in tables.items():
+            if not isinstance(table, dict):
+                raise InputError(f"{path}: {name} is {table!r}, not a table; write it like\n{_EXAMPLE}")
+        telescope = tables["telescope"]
         for key in ("design", "aperture", "detector"):
             _needed(settings, path, "telescope", key)
-        report = settings.get("report", {})
+        report = tables["report"]
         submitter = str(_needed(settings, path, "submitter", "name"))
         return cls(
             code,
             submitter,
-            _names(settings.get("observers", {}).get("name", submitter)),
-            _names(settings.get("measurers", {}).get("name", submitter)),
+            _names(tables["observers"].get("name", submitter)),
+            _names(tables["measurers"].get("name", submitter)),
             tuple((k, str(telescope[k])) for k in ("name", "design", "aperture", "detector", "fRatio", "pixelScale")
                   if k in telescope),
             str(_needed(settings, path, "report", "astCat")),
             str(report.get("mode", "CCD")),
             str(report.get("band", "")),
-            _names(settings.get("comment", {}).get("line", ())),
+            _names(tables["comment"].get("line", ())),
         )  # fmt: skip
 
 
@@ -108,7 +112,7 @@ def _needed(settings: Any, path: Any, *keys: str) -> Any:
 
 
 def _names(value: Any) -> tuple[str, ...]:
-    return (value,) if isinstance(value, str) else tuple(map(str, value))
+    return tuple(map(str, value)) if isinstance(value, list | tuple) else (str(value),)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.errors import Argument, InputError, Message, naming
+from sameas.errors import Argument, InputError, Message, naming, reading
 from sameas.io.tables import read_table, write_table
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import match
@@ -27,6 +27,7 @@ from sameas.sky.frame.field import Cone
 from sameas.space import sphere_offset
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     from astropy.table import Table
 
 # The Gaia archive: stars of a cone, asked once and kept on disk.
@@ -190,9 +191,9 @@ def catalogue(
         stars = (archive or GaiaArchive())(cone, faintest=21.0 if faintest is None else faintest, progress=progress)
         return Catalogue.of(stars, "Gaia DR3", options=options)
     path = Path(name)
-    if path.is_dir():
+    if os.path.isdir(path):  # Path's own raises where a name is too long for a file
         return Catalogue.of(folder_table(path, cone, options), path.name, options=options)
-    if not path.exists() and path.parent == Path("."):
+    if not os.path.exists(path) and path.parent == Path("."):
         raise InputError(f"{name}: no such file; give a file, a folder, {BRIGHT!r} or {GAIA!r}")
     stem = path.name.removesuffix(".gz").rsplit(".", 1)[0]
     return Catalogue.of(read_table(path), stem, options=options)
@@ -218,6 +219,7 @@ def bright(*, progress: Callable[[str], None] = lambda stage: None) -> Catalogue
 
 def folder_table(folder: Path, cone: Cone | None, options: CatalogueOptions) -> Table:
     """The stars of a cone from a folder of Parquet files; statistics in their footers spare most of the reading."""
+    import pyarrow as pa
     import pyarrow.dataset as dataset
     from astropy.table import Table
 
@@ -225,36 +227,44 @@ def folder_table(folder: Path, cone: Cone | None, options: CatalogueOptions) -> 
     files = sorted(str(path) for path in root.rglob("*.parquet") if not path.name.startswith(("_", ".")))
     if not files:
         raise InputError(f"{folder}: the folder has no Parquet files; give a HATS catalogue or a file")
-    whole = dataset.dataset(files, format="parquet")
-    properties = _properties(folder)
-    ra = _column(whole.schema.names, options.ra or properties.get("hats_col_ra"), _RA, folder, "ra")
-    dec = _column(whole.schema.names, options.dec or properties.get("hats_col_dec"), _DEC, folder, "dec")
-    arrow = whole.to_table(filter=None if cone is None else _box(cone, ra, dec))
-    if not arrow.num_rows:
-        raise InputError(f"{folder}: no stars there; does the catalogue cover the field?")
-    columns = {}
-    for name in arrow.column_names:
-        values = arrow[name].to_numpy(zero_copy_only=False)
-        columns[name] = values if values.dtype != object else values.astype(str)
-    return Table(columns)
+    with reading(str(folder), "cannot be read as a catalogue of Parquet files"):
+        whole = dataset.dataset(files, format="parquet")
+        properties = _properties(folder)
+        ra = _column(whole.schema, options.ra or properties.get("hats_col_ra"), _RA, folder, "ra")
+        dec = _column(whole.schema, options.dec or properties.get("hats_col_dec"), _DEC, folder, "dec")
+        flat = [field.name for field in whole.schema if not pa.types.is_nested(field.type)]
+        arrow = whole.to_table(flat, filter=None if cone is None else _box(cone, ra, dec))
+        if not arrow.num_rows:
+            raise InputError(f"{folder}: no stars there; does the catalogue cover the field?")
+        columns = {}
+        for name in arrow.column_names:
+            values = arrow[name].to_numpy(zero_copy_only=False)
+            columns[name] = values if values.dtype != object else values.astype(str)
+        return Table(columns)
 
 
 def _properties(folder: Path) -> dict[str, str]:
     """What a HATS catalogue says of itself."""
     for name in ("hats.properties", "properties"):
         if (folder / name).is_file():
-            lines = (folder / name).read_text(encoding="utf-8").splitlines()
+            lines = (folder / name).read_text("utf-8", "replace").splitlines()
             pairs = (line.partition("=") for line in lines if "=" in line and not line.startswith("#"))
             return {key.strip(): value.strip() for key, _, value in pairs}
     return {}
 
 
-def _column(names: list[str], named: str | None, usual: tuple[str, ...], folder: Path, what: str) -> str:
-    known = {name.lower(): name for name in names}
-    for name in (named,) if named else usual:
-        if name and name.lower() in known:
-            return known[name.lower()]
-    message = f"{folder}: no column {named or what!r} among {', '.join(names[:8])} …"
+def _column(schema: pa.Schema, named: str | None, usual: tuple[str, ...], folder: Path, what: str) -> str:
+    import pyarrow as pa
+
+    known = {name.lower(): name for name in schema.names}
+    found = next((known[name.lower()] for name in ((named,) if named else usual) if name.lower() in known), None)
+    if found is not None:
+        kind = schema.field(found).type
+        if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind):
+            return found
+        message = f"{folder}: column {found} is {kind}, not numbers"
+    else:
+        message = f"{folder}: no column {named or what!r} among {', '.join(schema.names[:8])} …"
     raise InputError(message, Message("give ", Argument(what, "NAME")))
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
-from sameas.bounds import checked_fits
+from sameas.bounds import Unpacking, checked_fits
 from sameas.errors import InputError
-from sameas.io.format import Format, ascii_of, to_json, to_text, unicode_of
+from sameas.io.format import Format, ascii_of, has_huge_power, to_json, to_text, unicode_of, unit_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -64,6 +64,7 @@ def read(path: Path, hdu: int | str | None) -> Table:
         with fits.open(checked, memmap=checked is path, character_as_bytes=True) as hdus:
             chosen, notes = _chosen(hdus, hdu, path)
             _check_whole(chosen, path)
+            _check_arrays(chosen, path)
             header = chosen.header
             # Another program's serialized columns (times, sky coordinates) are astropy's own business.
             if "--BEGIN-ASTROPY-SERIALIZED-COLUMNS--" in list(header.get("COMMENT", [])):
@@ -158,7 +159,7 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
         if len(tables) == 1:
             return hdus[tables[0]], []
         return hdus[tables[0]], [f"{path} holds {len(tables)} tables, extensions {listed}; used {tables[0]}"]
-    number = int(hdu) if isinstance(hdu, int) or hdu.lstrip("-").isdigit() else hdu
+    number = int(hdu) if isinstance(hdu, int) or hdu.lstrip("-").isdecimal() else hdu
     try:
         chosen = hdus[number]
     except (KeyError, IndexError) as error:
@@ -195,6 +196,22 @@ def _check_whole(hdu: Any, path: Path) -> None:
         raise InputError(f"{path}: is cut off: {size} of {end} bytes are there; copy it again")
 
 
+def _check_arrays(hdu: Any, path: Path) -> None:
+    """Refuses arrays of varying length that take far more than the file holds: several may name the same bytes."""
+    total, most = 0, Unpacking().of(path.stat().st_size)
+    for number, field in enumerate(hdu.columns):
+        kind = re.match(r"\d*[PQ]([A-Z])", str(field.format))
+        if kind is None or not hdu.header["NAXIS2"]:
+            continue
+        rows = hdu.data.view(np.ndarray)
+        counts = np.maximum(rows[rows.dtype.names[number]][:, 0], 0).astype(np.float64)
+        # astropy makes an array of as many texts as a text has letters.
+        total += (counts**2 if kind[1] == "A" else counts * _BYTES.get(kind[1], 1)).sum()
+        if total > most:
+            message = f"{path}: the arrays in column {field.name} take more than {most >> 20} MB"
+            raise InputError(message, "the file is damaged, or leave this column out")
+
+
 def _table(hdu: Any) -> Table:
     from astropy.table import Table
 
@@ -206,6 +223,8 @@ def _table(hdu: Any) -> Table:
 def _astropys_table(hdu: Any) -> Table:
     from astropy.table import Column, Table
 
+    if any(has_huge_power(str(value)) for key, value in hdu.header.items() if key.startswith("TUNIT")):
+        raise InputError("a column has a unit with a power that no unit has; correct its TUNIT")
     table = Table.read(hdu, format="fits", mask_invalid=False, unit_parse_strict="silent")
     for name, column in list(table.columns.items()):
         if isinstance(column, Column) and column.dtype.kind == "S":
@@ -218,8 +237,6 @@ def _astropys_table(hdu: Any) -> Table:
 
 
 def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
-    from astropy.units import Unit
-
     # astropy reads an unknown truth value as False; the raw byte still knows.
     logical = field.format.endswith("L") and not field.format.startswith(("P", "Q"))
     values = data.view(np.ndarray)[data.dtype.names[number - 1]] if logical else np.asarray(data.field(number - 1))
@@ -237,7 +254,7 @@ def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
         values = values.astype(values.dtype.newbyteorder("="), copy=True)
     column = _made(field.name, values, mask)
     if field.unit:
-        column.unit = Unit(field.unit, format="fits", parse_strict="silent")
+        column.unit = unit_of(str(field.unit), "fits")
     if hdu.header.get(f"TUCD{number}"):
         column.meta["ucd"] = hdu.header[f"TUCD{number}"]
     if hdu.header.get(f"TCOMM{number}"):
@@ -295,6 +312,8 @@ def _ascii(text: str) -> str:
     return "".join(c if " " <= c <= "~" else c.encode("unicode_escape").decode() for c in text)
 
 
+#: Bytes of one value of an array of varying length, by the code of its kind; one of the others.
+_BYTES = {"I": 2, "J": 4, "K": 8, "E": 4, "D": 8, "C": 8, "M": 16}
 _CODES = {"b": "L", "u1": "B", "i2": "I", "i4": "J", "i8": "K", "f4": "E", "f8": "D", "c8": "C", "c16": "M"}
 _UNSIGNED = {"u2": ("I", 1 << 15), "u4": ("J", 1 << 31), "u8": ("K", 1 << 63)}
 

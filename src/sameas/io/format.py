@@ -15,12 +15,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.errors import InputError
+
+if TYPE_CHECKING:
+    from astropy.units import UnitBase
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
@@ -120,6 +123,24 @@ def from_text(text: str) -> Any:
         return json.loads(text)
     except (ValueError, RecursionError):
         return text
+
+
+# Units: what a library makes of them.
+
+#: A power with an exponent of four digits or more, which no unit has; astropy would multiply it out.
+_HUGE_POWER = re.compile(r"(?:\*\*|\^|10[+-])[\s(+-]*\d{4,}")
+
+
+def has_huge_power(unit: str) -> bool:
+    """Whether a unit has a power that astropy would compute for minutes, such as ``10**99999999 deg``."""
+    return _HUGE_POWER.search(unit) is not None
+
+
+def unit_of(text: str, format: str | None = None) -> UnitBase:
+    """The unit that a text names; an ``UnrecognizedUnit`` where it names none."""
+    from astropy.units import Unit, UnrecognizedUnit
+
+    return UnrecognizedUnit(text) if has_huge_power(text) else Unit(text, format=format, parse_strict="silent")
 
 
 # Cells of text: bytes to Unicode and back, for whole columns at once.

@@ -6,13 +6,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.io.csv import content_of
+from sameas.io.ascii import rows_content_of
 from sameas.io.format import Format
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
-_NAMES = re.compile(rb"\A(?:\s*(?:\\[^\n]*)?\n)*\s*\|[^\n]*\|\s*\r?\n\s*\|")
+# No part may match the end of a line in two ways: a thousand blank lines would take for ever.
+_NAMES = re.compile(rb"\A(?:[^\S\n]*(?:\\[^\n]*)?\n)*[^\S\n]*\|[^\n]*\|[^\S\n]*\n\s*\|")
 
 
 def has_bars(path: Path, first: bytes) -> bool:
@@ -29,7 +30,7 @@ def read(path: Path, hdu: None) -> Table:
     """The table of an IPAC file; its keywords are its metadata."""
     from astropy.io import ascii as text_tables
 
-    text = memoryview(content_of(path)).tobytes().decode("utf-8", "replace")
+    text = memoryview(rows_content_of(path)).tobytes().decode("utf-8", "replace")
     table = text_tables.read(text.splitlines(), format="ipac")
     keywords = table.meta.pop("keywords", {})
     table.meta = {key: value for key, value in table.meta.items() if value}

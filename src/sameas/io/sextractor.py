@@ -13,16 +13,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.io.ascii import rows_of, words
-from sameas.io.csv import content_of
-from sameas.io.format import Format
+from sameas.io.ascii import rows_content_of, rows_of, words
+from sameas.io.format import Format, unit_of
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
 #: No row of a file has more columns (chosen); a number beyond is a damaged one.
 _MOST_COLUMNS = 10_000
-_LINE = re.compile(r"#\s*(\d+)\s+(\S+)\s*(.*?)\s*(?:\[([^\]]*)\])?\s*$")
+_LINE = re.compile(r"#\s*(\d{1,9})\s+(\S+)(.*)")
 _FIRST = re.compile(rb"\A\s*#\s*1\s+[A-Z]\w+\b")
 
 
@@ -48,7 +47,7 @@ class _Named:
 
 def read(path: Path, hdu: None) -> Table:
     """The table of an ASCII_HEAD catalogue."""
-    text = content_of(path)
+    text = rows_content_of(path)
     named, width = _head(memoryview(text)[: 1 << 20].tobytes(), path)
     columns = _columns(named, width, path)
     return _described(rows_of(text, [column.name for column in columns], 0, path), columns)
@@ -65,7 +64,7 @@ def _head(first: bytes, path: Path) -> tuple[list[_Named], int]:
     for line in first.split(b"\n"):
         if line.startswith(b"#"):
             found = _LINE.match(line.decode("utf-8", "replace"))
-            named += [_Named(int(found[1]), found[2], found[3], found[4] or "")] if found else []
+            named += [_Named(int(found[1]), found[2], *_description_and_unit(found[3]))] if found else []
         elif line.strip():
             width = len(words(line))
             break
@@ -73,6 +72,16 @@ def _head(first: bytes, path: Path) -> tuple[list[_Named], int]:
     if not named or numbers != sorted(set(numbers)) or numbers[0] != 1 or numbers[-1] > _MOST_COLUMNS:
         raise InputError(f"{path}: its comments do not number the columns from 1 on, as SExtractor does")
     return named, width or numbers[-1]
+
+
+def _description_and_unit(text: str) -> tuple[str, str]:
+    """What a line of the head says after the name; the unit stands in brackets at the end."""
+    text = text.strip()
+    if text.endswith("]"):
+        begin = text.find("[", text.rfind("]", 0, -1) + 1)
+        if begin >= 0:
+            return text[:begin].rstrip(), text[begin + 1 : -1]
+    return text, ""
 
 
 def _columns(named: list[_Named], width: int, path: Path) -> list[_Named]:
@@ -89,10 +98,8 @@ def _columns(named: list[_Named], width: int, path: Path) -> list[_Named]:
 
 
 def _described(table: Table, columns: list[_Named]) -> Table:
-    from astropy.units import Unit
-
     for column in columns:
         table[column.name].description = column.description or None
         if column.unit and column.unit != "-":
-            table[column.name].unit = Unit(column.unit, parse_strict="silent")
+            table[column.name].unit = unit_of(column.unit)
     return table

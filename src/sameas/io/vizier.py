@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.io.csv import TableHead, content_of, distinct, table_of
-from sameas.io.format import TEXT_EXTENSIONS, Format
+from sameas.io.ascii import rows_content_of
+from sameas.io.csv import TableHead, distinct, table_of
+from sameas.io.format import TEXT_EXTENSIONS, Format, unit_of
 
 if TYPE_CHECKING:
     from astropy.table import Table
 
 #: Names, units and dashes; the dashes tell what parts the columns.
 _HEAD = re.compile(rb"(?m)^(?P<names>[^#\s-][^\n]*|_[^\n]*)\n(?P<units>[^\n]*)\n(?P<dashes>-+(?:[;\t|, ]+-+)*) *\r?\n")
-_NEXT = re.compile(rb"\n\s*\n#|\n#")
 _ABOUT = re.compile(r"#(Name|Title|Table):?\s+(.*\S)")
 _UCD = re.compile(r"\[ucd=([^\]]+)\]")
 
@@ -44,12 +44,12 @@ def read(path: Path, hdu: None) -> Table:
     """The first table of an answer of VizieR."""
     import pyarrow as pa
 
-    text = memoryview(content_of(path)).tobytes().replace(b"\r\n", b"\n")
+    text = memoryview(rows_content_of(path)).tobytes().replace(b"\r\n", b"\n")
     head = _HEAD.search(text)
     if head is None:
         raise InputError(f"{path}: has no lines of names, units and dashes, as VizieR writes them")
-    after = _NEXT.search(text, head.end() - 1)
-    body = text[head.end() : after.start() + 1 if after else len(text)]
+    end = _end_of_rows(text, head.end())
+    body = text[head.end() : len(text) if end is None else end]
     dashes = head["dashes"].decode()
     parted = sorted(set(dashes) - {"-"})
     names, units = (head[line].decode("utf-8", "replace") for line in ("names", "units"))
@@ -66,7 +66,7 @@ def read(path: Path, hdu: None) -> Table:
     table = table_of(pa.py_buffer(body), TableHead(distinct(cells[0], path), delimiter, 0), path)
     comments = _comments(text[: head.start()].decode("utf-8", "replace"))
     table = _described(_without_blanks(table), cells[1], comments)
-    if after and _HEAD.search(text, after.start()):
+    if end is not None and _HEAD.search(text, end - 1):
         title = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
         table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; used the first{title}"]
     return table
@@ -75,6 +75,15 @@ def read(path: Path, hdu: None) -> Table:
 def provenance(path: Path) -> dict[str, Any]:
     """What VizieR says of a table is in its metadata."""
     return {}
+
+
+def _end_of_rows(text: bytes, begin: int) -> int | None:
+    """Where the rows from ``begin`` end: before the blank lines above the next comment; None where there is none."""
+    comment = text.find(b"\n#", begin - 1)
+    if comment < 0:
+        return None
+    filled = begin - 1 + len(text[begin - 1 : comment].rstrip())
+    return text.index(b"\n", filled) + 1
 
 
 def _comments(text: str) -> _Comments:
@@ -108,12 +117,10 @@ def _without_blanks(table: Table) -> Table:
 
 
 def _described(table: Table, units: list[str], comments: _Comments) -> Table:
-    from astropy.units import Unit
-
     for name, unit in zip(table.colnames, units, strict=False):
         # Of '"h:m:s"' and '"Y:M:D"' the cells themselves tell.
         if unit and not unit.startswith('"'):
-            table[name].unit = Unit(unit, parse_strict="silent")
+            table[name].unit = unit_of(unit)
         description, ucd = comments.columns.get(name, ("", ""))
         table[name].description = description or None
         if ucd:

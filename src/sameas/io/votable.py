@@ -14,19 +14,19 @@ import re
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree
 from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
-from sameas.bounds import check_columns, unpacked
+from sameas.bounds import Unpacking, check_columns, unpacked
 from sameas.errors import InputError, printable
-from sameas.io.format import Format, ascii_of, from_text, to_text, unicode_of
+from sameas.io.format import Format, ascii_of, from_text, has_huge_power, to_text, unicode_of
 
 if TYPE_CHECKING:
     from astropy.table import Column, Table
@@ -63,12 +63,12 @@ def read(path: Path, hdu: None) -> Table:
     stream = _stream(content)
     if stream is not None:
         begin, end = stream
-        document, element = _parsed(content[:begin] + content[end:], path)
+        document, element = _parsed(content[:begin] + content[end:], path, len(content))
         cells = _cells_dtype(element.fields)
         if cells is not None:
             table = _bulk(element, base64.b64decode(content[begin:end]), cells, path)
             return _with_meta(table, document, element, path)
-    document, element = _parsed(content, path)
+    document, element = _parsed(content, path, len(content))
     table = element.to_table(use_names_over_ids=True)
     for name, column in list(table.columns.items()):
         if column.dtype.kind in "OUS" and len(column.shape) == 1:
@@ -115,14 +115,23 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
 
 def provenance(path: Path) -> dict[str, Any]:
     """What the INFO elements before the table say."""
-    facts = {}
+    facts: dict[str, Any] = {}
+    in_table = False
+
+    def begun(name: str, attributes: Mapping[str, str]) -> None:
+        nonlocal in_table
+        kind = name.rpartition(":")[2]
+        in_table |= kind == "TABLE"
+        if kind == "INFO" and not in_table and attributes.get("name", "").startswith(_INFO):
+            facts[attributes["name"].removeprefix(_INFO)] = from_text(attributes.get("value", ""))
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = begun
+    left = Unpacking().of(path.stat().st_size)
     with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as file:
-        for _, element in ElementTree.iterparse(file, events=("start",)):
-            kind = element.tag.rpartition("}")[2]
-            if kind == "TABLE":
-                break
-            if kind == "INFO" and element.get("name", "").startswith(_INFO):
-                facts[element.get("name", "").removeprefix(_INFO)] = from_text(element.get("value", ""))
+        while not in_table and left > 0 and (part := file.read(1 << 16)):
+            parser.Parse(part)
+            left -= len(part)
     return facts
 
 
@@ -144,35 +153,82 @@ def _content(path: Path) -> bytes:
     return unpacked(path)
 
 
-def parsed(content: bytes, path: Path) -> Any:
+def parsed(content: bytes, path: Path, size: int | None = None) -> Any:
     """The document, whose data are all in it: astropy would load those that lie elsewhere, from any address.
+
+    size : bytes of the whole file, where ``content`` is without its rows.
 
     Raises
     ------
-    InputError : its data lie elsewhere; too many columns.
+    InputError : its data lie elsewhere; it asks for far more columns or cells than it has.
     """
     from astropy.io.votable import parse
 
-    check_columns(len(re.findall(rb"<(?:\w+:)?FIELD[\s/>]", content)), path)
-    _check_streams(content, path)
+    claims = _Claims(path, Unpacking().of(len(content) if size is None else size))
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = claims.begun
+    with suppress(expat.ExpatError):  # which astropy says
+        parser.Parse(content, True)
+    check_columns(claims.columns, path)
     with _quiet():
         return parse(io.BytesIO(content))
 
 
-def _check_streams(content: bytes, path: Path) -> None:
-    """Refuses a STREAM with an address, by the XML: entities and encodings spell it in many ways."""
-    plain = b"\0" not in content[:4] and b"<!DOCTYPE" not in content
-    if plain and not (b"STREAM" in content and b"href" in content):
-        return
+@dataclass
+class _Claims:
+    """What a document asks for, by its XML: entities and encodings spell it in many ways.
 
-    def begun(name: str, attributes: Mapping[str, str]) -> None:
-        if name.rpartition(":")[2] == "STREAM" and "href" in attributes:
-            raise InputError(f"{path}: its rows lie elsewhere, at {attributes['href'][:80]}; save all in one file")
+    astropy makes room for as many rows as ``nrows`` says, and for cells as wide as ``arraysize`` says.
 
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = begun
-    with suppress(expat.ExpatError):  # which astropy says
-        parser.Parse(content, True)
+    most : bytes that the cells of a table may take. columns : of all tables. rows, row_bytes : of the last table.
+    """
+
+    path: Path
+    most: int
+    columns: int = 0
+    rows: int = 0
+    row_bytes: int = 0
+
+    def begun(self, name: str, attributes: Mapping[str, str]) -> None:
+        """Takes an element, and refuses what no table has."""
+        if name == "TD":  # most elements are cells
+            return
+        kind = name.rpartition(":")[2]
+        if kind == "STREAM" and "href" in attributes:
+            raise InputError(f"{self.path}: its rows lie elsewhere, at {attributes['href'][:80]}; save all in one file")
+        if kind == "TABLE":
+            self.row_bytes, self.rows = 0, _count(attributes.get("nrows", ""))
+        elif kind in ("FIELD", "PARAM"):
+            self.columns += kind == "FIELD"
+            self.row_bytes += _claimed_bytes(attributes)
+            if has_huge_power(attributes.get("unit", "")):
+                unit = f"its column {attributes.get('name', '')!r} has the unit {attributes['unit']!r}"
+                raise InputError(f"{self.path}: {unit}, with a power that no unit has; correct it")
+        elif kind == "TR":
+            self.rows += 1
+        if max(self.rows, 1) * self.row_bytes > self.most:
+            cells = f"its table takes more than {self.most >> 20} MB"
+            raise InputError(
+                f"{self.path}: {cells}, by its nrows and arraysize; correct them, or save it in another way"
+            )
+
+
+def _claimed_bytes(attributes: Mapping[str, str]) -> int:
+    """Bytes of memory of a cell of a FIELD, or of a PARAM, and of its mask."""
+    text, datatype = attributes.get("arraysize", ""), attributes.get("datatype", "")
+    letters = datatype in ("char", "unicodeChar")
+    sizes = text.split("x")
+    if sizes[-1].endswith("*"):  # a list, of so many letters at most where it is text
+        sizes[-1] = sizes[-1].removesuffix("*") if letters else ""
+    return (4 if letters else 17 if datatype == "doubleComplex" else 9) * prod(max(_count(size), 1) for size in sizes)
+
+
+def _count(text: str) -> int:
+    """A whole number; 0 where the text is none, which astropy says."""
+    try:
+        return int(text)
+    except ValueError:
+        return 0
 
 
 def _stream(content: bytes) -> tuple[int, int] | None:
@@ -186,8 +242,8 @@ def _stream(content: bytes) -> tuple[int, int] | None:
     return opening.end(), end
 
 
-def _parsed(content: bytes, path: Path) -> tuple[Any, Any]:
-    document = parsed(content, path)
+def _parsed(content: bytes, path: Path, size: int) -> tuple[Any, Any]:
+    document = parsed(content, path, size)
     for element in document.iter_tables():
         return document, element
     messages = [info.content or info.value for info in document.iter_info() if info.value == "ERROR"]

@@ -139,7 +139,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         if clients.now >= clients.most:
             return answer({"error": "too many connections"}, 503, **{"Retry-After": "10"})
         since = request.headers.get("last-event-id", "")
-        stream = _events(keeper, clients, int(since) if since.isdigit() else None)
+        stream = _events(keeper, clients, int(since) if since.isdecimal() else None)
         return StreamingResponse(stream, media_type="text/event-stream", headers=_HEADERS | {"X-Accel-Buffering": "no"})
 
     async def history(request: Request, role: str) -> Response:

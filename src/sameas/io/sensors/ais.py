@@ -373,7 +373,7 @@ def _static_at(statics: Sequence[Static], line: int) -> Mapping[str, Any]:
     """The static data of a ship at a line; before its first one that first one, since hulls and names last."""
     if not statics:
         return {}
-    return statics[max(bisect_right([static.line for static in statics], line) - 1, 0)].values
+    return statics[max(bisect_right(statics, line, key=lambda static: static.line) - 1, 0)].values
 
 
 def _static(decoded: Any) -> dict[str, Any]:

@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
-from sameas.bounds import MAGIC, unpacked
+from sameas.bounds import MAGIC, Unpacking, unpacked
 from sameas.errors import InputError
 from sameas.io.sensors.clock import started
 from sameas.tracks.reports import Reports
 
 #: Bytes at the start of a file, and lines of them, by which its format is recognised.
 HEAD_BYTES, HEAD_LINES = 65536, 200
+#: Logs shrink five- to twentyfold, snapshots that repeat each other more; each line is a Python object (chosen).
+_UNPACKING = Unpacking(least=1 << 25, ratio=50)
 
 
 @dataclass(frozen=True)
@@ -120,13 +122,16 @@ def content(path: str | os.PathLike[str]) -> bytes:
     InputError : no such file, a directory, empty, a packed file cut off.
     """
     path = Path(path)
-    if path.is_dir():
+    if os.path.isdir(path):  # Path's own raises where a name is too long for a file
         raise InputError(f"{path}: is a directory; give a file")
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file")
-    content_bytes = path.read_bytes()
+    try:
+        content_bytes = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if content_bytes[:2] == MAGIC:
-        content_bytes = unpacked(path)
+        content_bytes = unpacked(path, _UNPACKING)
     if not content_bytes:
         raise InputError(f"{path}: is empty")
     return content_bytes

@@ -21,6 +21,8 @@ from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_
 from sameas.io.sensors.format import SensorFormat, round_covariance, sigma_of_nucp
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
+#: Characters of the longest line: a message and its time; a pattern would look at a longer one for ever (chosen).
+_LONGEST_LINE = 200
 _LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")
 _COUNTER_HZ = 12e6
 _COUNTER_S = 2.0**48 / _COUNTER_HZ
@@ -79,7 +81,7 @@ def _messages(lines: Sequence[str]) -> tuple[list[int], list[str], list[tuple[fl
         if not text or text.startswith("#") or (number == 1 and text[0].isalpha() and "," in text):
             # A first line of words has the names of the columns.
             continue
-        match = _LINE.fullmatch(text)
+        match = _LINE.fullmatch(text) if len(text) <= _LONGEST_LINE else None
         digits = match["hex"] if match else ""
         counted = "@" in text and len(digits) in (26, 40)
         message = digits[12:] if counted else digits
@@ -182,5 +184,7 @@ FORMAT = SensorFormat(
     "mode-s",
     "raw Mode S messages in hexadecimal, with times",
     lambda file: [read(file.lines, file.source, file.start_s)],
-    lambda file: file.share_of_lines(r"(?:[^,;*@]+[,;\s]+)?[*@]?[0-9A-Fa-f]{14,42};?") > 0.5,
+    lambda file: (
+        file.share_of_lines(rf"(?=.{{14,{_LONGEST_LINE}}}$)" r"(?:[^,;*@]+[,;\s]+)?[*@]?[0-9A-Fa-f]{14,42};?") > 0.5
+    ),
 )

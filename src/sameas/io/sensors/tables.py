@@ -16,7 +16,8 @@ import difflib
 import io
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.bounds import check_columns
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.io.sensors.clock import (
     DAY_S,
@@ -268,6 +270,29 @@ _DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2}
 _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 
 
+#: Cells of a Parquet file that are read in any case; a run of equal cells is a few bytes there (1 GB as Python lists).
+_CELLS = 1 << 24
+
+
+@dataclass(frozen=True)
+class _LazyColumns(Mapping[str, Sequence[Any]]):
+    """Columns that are made when they are asked for: few of those of a table are used."""
+
+    names: Sequence[str]
+    column: Callable[[str], Sequence[Any]]
+
+    def __getitem__(self, name: str) -> Sequence[Any]:
+        if name not in self.names:
+            raise KeyError(name)
+        return self.column(name)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+
 @dataclass(frozen=True)
 class TableText:
     """A table as it stands: cells (text, numbers or None) by name of the column, and the line of each row.
@@ -299,7 +324,9 @@ def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
     names = [name.strip() for name in next(csv.reader([named], delimiter=delimiter))]
-    twice = [name for name in names if names.count(name) > 1]
+    check_columns(len(names), source)
+    counts = Counter(names)
+    twice = [name for name in names if counts[name] > 1]
     if twice:
         raise InputError(f"{source}: two columns are called {twice[0]}; rename one")
     rows: list[list[str]] = []
@@ -346,9 +373,12 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     names = list(dict.fromkeys(name for row in rows for name in row))
     if not names:
         raise InputError(f"{source}: no JSON object with columns")
-    return TableText(
-        {name: [row.get(name) for row in rows] for name in names}, np.array(places, np.int64), tuple(damaged)
-    )
+    check_columns(len(names), source)
+
+    def column(name: str) -> list[Any]:
+        return [row.get(name) for row in rows]
+
+    return TableText(_LazyColumns(names, column), np.array(places, np.int64), tuple(damaged))
 
 
 def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
@@ -358,19 +388,26 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
 
     # Not parquet.read_table: it takes the folders of a path for columns, as data sets in parts have them.
     with parquet.ParquetFile(path) as file:
+        check_columns(len(file.schema_arrow), path)
+        cells, limit = file.metadata.num_rows * len(file.schema_arrow), max(_CELLS, 8 * os.path.getsize(path))
+        if cells > limit:
+            raise InputError(f"{path}: says {cells} cells; up to {limit} are read from a file of this size",
+                             "write the columns that are needed, or fewer rows")  # fmt: skip
         table = file.read()
-    columns: dict[str, Sequence[Any]] = {}
-    for name, column in zip(table.column_names, table.columns, strict=True):
-        if pa.types.is_timestamp(column.type):
-            whole = column.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
-            columns[name] = [None if t is None else t / 1e6 for t in whole.to_pylist()]
-        elif not pa.types.is_nested(column.type):
-            columns[name] = column.to_pylist()
     if len(set(table.column_names)) < len(table.column_names):
         raise InputError(f"{path}: two columns have one name; rename one")
-    if not columns:
+    names = [field.name for field in table.schema if not pa.types.is_nested(field.type)]
+    if not names:
         raise InputError(f"{path}: no column of numbers or text")
-    return TableText(columns, np.arange(1, table.num_rows + 1))
+
+    def column(name: str) -> list[Any]:
+        cells = table.column(name)
+        if not pa.types.is_timestamp(cells.type):
+            return list(cells.to_pylist())
+        whole = cells.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
+        return [None if t is None else t / 1e6 for t in whole.to_pylist()]
+
+    return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1))
 
 
 def read(
