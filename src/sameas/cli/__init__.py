@@ -6,23 +6,23 @@ import sys
 
 
 def main() -> None:
-    """What the command ``sameas`` runs; ends the process with its exit code."""
+    """Run the command ``sameas``; exits with its exit code."""
     try:
         import gc
         import warnings
 
-        # Imports make many objects to stay, and a compilation more: looking for garbage among them takes a tenth.
+        # Imports and compilations create many permanent objects; the default thresholds cost a tenth of a short run.
         gc.set_threshold(100_000, 50, 100)
         from sameas.cli.app import app
         from sameas.cli.outcome import end_cleanly_when_asked
 
         end_cleanly_when_asked()
-        _open_what_is_closed()
+        _open_closed_streams()
         for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # σ where the terminal has none
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # terminals without σ
         if "--debug" not in sys.argv:
             warnings.simplefilter("ignore")
-            # What a process leaves that is stopped at once another removes, and is not to speak of it.
+            # The resource tracker cleans up after killed workers; its warnings would confuse the user.
             sys.warnoptions.append("ignore:resource_tracker")
         app()
     except KeyboardInterrupt as error:
@@ -35,7 +35,7 @@ def main() -> None:
         from sameas.cli.outcome import INTERRUPTED, TERMINATED, end_now, exit_code, stopped, unanswered
 
         try:
-            for number in (signal.SIGINT, signal.SIGTERM):  # nothing is begun any more: Python ends, or is ended
+            for number in (signal.SIGINT, signal.SIGTERM):  # from here on a signal simply ends the process
                 signal.signal(number, signal.SIG_DFL)
         except KeyboardInterrupt as asked:
             end_now(exit_code(asked), stopped())
@@ -43,7 +43,7 @@ def main() -> None:
         if early is not None:
             end_now(exit_code(early), stopped())
         if error.code in (INTERRUPTED, TERMINATED):
-            # Libraries may still have threads at work, which C++ does not let end with the process.
+            # A normal exit would wait for library threads, or crash in their C++ destructors.
             end_now(error.code)
         raise
     except Exception as error:
@@ -56,9 +56,8 @@ def main() -> None:
 
 
 def process() -> None:
-    """:func:`main` as all that its process does, which ends with it at once: to take five hundred modules apart, object
-    by object, lasts a fifth of a second."""
-    _share_memory()
+    """:func:`main` as the only task of the process, which then exits without tearing down its modules (0.2 s)."""
+    _use_one_arena()
     try:
         main()
     except SystemExit as error:
@@ -67,9 +66,12 @@ def process() -> None:
         raise
 
 
-def _share_memory() -> None:
-    """All threads allocate from one pool: glibc gives each its own, and what one has freed no other could use, a
-    fifteenth of the peak of a million rows. Arrays are few and large: threads hardly ever wait for each other."""
+def _use_one_arena() -> None:
+    """Let all threads allocate from one glibc arena.
+
+    By default each thread has its own, and memory freed in one cannot be reused in another: 7 % of the peak of a
+    million rows. Arrays are few and large, so threads hardly ever contend for the arena.
+    """
     import ctypes
     from contextlib import suppress
 
@@ -79,10 +81,10 @@ def _share_memory() -> None:
 
 
 def _end_at_once(code: int) -> None:
-    """Ends the process without taking apart what it holds; returns where something else has to be waited for.
+    """Exit without tearing down modules. Returns if a normal exit is needed instead.
 
-    A profiler or debugger speaks when all has ended; others' threads and processes may be at work; and what cannot be
-    written Python says itself.
+    That is the case with a profiler, debugger or interactive session, with running threads or child processes, and
+    when the output streams cannot be flushed, which Python then reports.
     """
     import atexit
     import os
@@ -90,9 +92,9 @@ def _end_at_once(code: int) -> None:
 
     tools = getattr(sys, "monitoring", None)
     watched = sys.gettrace() or sys.getprofile() or (tools and any(map(tools.get_tool, range(6))))
-    at_work = [thread for thread in threading.enumerate() if not thread.daemon]
+    running = [thread for thread in threading.enumerate() if not thread.daemon]
     processes = sys.modules.get("multiprocessing.process")
-    if watched or sys.flags.interactive or len(at_work) > 1 or (processes and processes.active_children()):
+    if watched or sys.flags.interactive or len(running) > 1 or (processes and processes.active_children()):
         return
     try:
         atexit._run_exitfuncs()
@@ -103,8 +105,9 @@ def _end_at_once(code: int) -> None:
     os._exit(code)
 
 
-def _open_what_is_closed() -> None:
-    """Puts the null device where a stream is closed; the next file opened would have its number, and its words."""
+def _open_closed_streams() -> None:
+    """Open the null device for closed standard streams; otherwise the next file opened would get their number, and
+    the messages meant for them."""
     import os
 
     for number, name in enumerate(("stdin", "stdout", "stderr")):

@@ -1,4 +1,4 @@
-"""The commands by name. Each is imported, and its options are made, when it runs."""
+"""The commands by name. A command's module is imported, and its options are built, when it runs."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from sameas.cli.options import ellipses_split
 
 
 class _AsTyped:
-    """The value of one option where it is a text or a path; of another type, typer's own.
+    """The value of an option without typer's validation if it is a text or a path; typer validates other types.
 
-    typer 0.29 builds a check of every option, also of those that were not given, for which it imports pydantic: a tenth
-    of the time of a short run. A text and a readable path need none.
+    typer 0.29 builds a pydantic validator for every option, given or not; importing pydantic takes a tenth of a short
+    run. Texts and readable paths need no validation.
     """
 
     def __init__(self, kind: Any) -> None:
         self.kind = kind
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """The value of the command's argument."""
+        """The value that the command's function receives."""
         many = param.multiple or param.nargs == -1
         if value is None:
             return () if many else None
@@ -41,7 +41,7 @@ class _AsTyped:
 
 
 def _as_typed(command: Any, ctx: Any) -> None:
-    """Takes texts and paths among the options of a command as they are typed, where this typer would check them."""
+    """Skip the validation of texts and paths in versions of typer that validate."""
     for parameter in command.get_params(ctx):
         if getattr(parameter, "_runtime_param", command) is None and hasattr(parameter, "type_descriptor"):
             parameter._runtime_param = _AsTyped(parameter.type_descriptor.annotation)
@@ -79,9 +79,9 @@ COMMANDS = {
 }
 
 
-#: What other programs call the distance within which they look for a partner.
+#: Names of the search radius in other programs.
 _RADIUS = {"--radius", "--within", "--max-sep", "--max-error", "--separation", "--tolerance", "--match-radius"}
-#: The commands that take errors instead, and what they answer.
+#: Commands that use position errors instead of a radius, and their message.
 _WITH_ERRORS = {"match", "many"}
 _NO_RADIUS = (
     "No radius is needed: how far to look follows from the errors of the positions; where the tables do not state "
@@ -90,7 +90,7 @@ _NO_RADIUS = (
 
 
 class _Recorded(TyperCommand):
-    """A command that keeps its arguments as they were typed, for the output's provenance."""
+    """A command that records its arguments as typed, for provenance."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         _as_typed(self, ctx)
@@ -105,15 +105,15 @@ class _Recorded(TyperCommand):
             raise
 
 
-class _Unmade(TyperCommand):
-    """A command of which only name and first sentence are known until it runs."""
+class _Lazy(TyperCommand):
+    """A command with only a name and a help sentence; its options are built when it runs."""
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
-        return _made(str(self.name)).make_context(info_name, args, parent, **extra)
+        return _command(str(self.name)).make_context(info_name, args, parent, **extra)
 
 
 @cache
-def _made(name: str) -> Any:
+def _command(name: str) -> Any:
     """A command with its options."""
     alone = typer.Typer(add_completion=False)
     function = getattr(importlib.import_module(f"sameas.cli.{name}"), name)
@@ -121,13 +121,13 @@ def _made(name: str) -> Any:
     return typer.main.get_command(alone)
 
 
-def _tell_version(asked: bool) -> None:
-    if asked:
+def _print_version(wanted: bool) -> None:
+    if wanted:
         typer.echo(f"sameas {sameas.__version__}")
         raise typer.Exit
 
 
-Version = Annotated[bool, typer.Option("--version", callback=_tell_version, is_eager=True, help="Print it.")]
+Version = Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print it.")]
 
 
 @app.callback()
@@ -135,12 +135,12 @@ def _sameas(version: Version = False) -> None:
     pass
 
 
-def _unmade() -> None:
+def _placeholder() -> None:
     pass
 
 
 for _name, _sentence in COMMANDS.items():
-    app.command(_name, cls=_Unmade, help=_sentence)(_unmade)
+    app.command(_name, cls=_Lazy, help=_sentence)(_placeholder)
 
 
 @app.command("formats")

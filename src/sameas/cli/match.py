@@ -1,4 +1,4 @@
-"""``sameas match``: two catalogues read, understood, identified and joined."""
+"""``sameas match``: read two catalogues, identify their records, write the joined table."""
 
 from __future__ import annotations
 
@@ -200,7 +200,7 @@ def match(
 
 @dataclass(frozen=True)
 class Joining:
-    """What the joined table holds, and what is printed and drawn beside it."""
+    """What the joined table contains, and which further outputs are made."""
 
     join: str
     nway_columns: bool
@@ -219,7 +219,7 @@ def match_options(
     offset: str,
     precision: bool,
 ) -> MatchOptions:
-    """The options of the match, refused at once where they make no sense."""
+    """The options of the match. Invalid values are refused before any file is read."""
     from sameas.sky.bands import AUTO, OFF
     from sameas.sky.crossmatch import MatchOptions
 
@@ -242,7 +242,7 @@ def match_options(
 
 
 def column_evidence(of_first: list[str], of_second: list[str], related: list[str]) -> tuple[Column | Related, ...]:
-    """The columns that are evidence: names, or NAME=FILE with a table of odds; and A:B."""
+    """The evidence columns, given as NAME or NAME=FILE (a table of odds) and, for related columns, as A:B."""
     from sameas.evidence import Column, Related
     from sameas.front.tables import odds_of
 
@@ -282,12 +282,12 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     began = time.perf_counter()
     printer = Printer(quiet)
     with Pace(quiet) as pace:
-        catalogues = _understood(request, printer, pace)
+        catalogues = _read_both(request, printer, pace)
         share_compilation(quiet)
         match = identified(request, catalogues, progress=pace, join=joining.join, nway_columns=joining.nway_columns)
         assert match.sky is not None
         pace("joining the tables")
-        # What report and table both need.
+        # Both the report and the table need these: compute them once, before the report's thread starts.
         _ = match.identification.chosen, match.identification.matches
         with ThreadPoolExecutor(1) as side:
             report = side.submit(_report, match, joining)
@@ -312,7 +312,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
 
 
 def _report(match: Match, joining: Joining) -> list[str]:
-    """What was found, with what was asked for beside it."""
+    """The lines about the result, with the nearest-neighbour comparison and the certificate if wanted."""
     from sameas.report.match import nearest_lines
 
     lines = match.result_lines(in_options)
@@ -329,7 +329,7 @@ def _report(match: Match, joining: Joining) -> list[str]:
 def over_partitions(
     request: Request[MatchOptions], join: str, nway_columns: bool, output: Path | None, workers: int | None, quiet: bool
 ) -> None:
-    """Match two HATS catalogues, print, write a third; only what is estimated without an output."""
+    """Match two HATS catalogues and write the result as a third; without an output print the estimates only."""
     from sameas.cli.terminal import Pace, Printer
     from sameas.front.partitioned import PartitionedMatch, written_lines
 
@@ -347,7 +347,7 @@ def over_partitions(
 
 
 def look(request: Request[MatchOptions], quiet: bool) -> None:
-    """Print what is understood of both catalogues, where they look and how densely; write nothing."""
+    """Print the chosen columns of both catalogues, their coverage and densities; write nothing (--dry-run)."""
     from sameas.cli.terminal import Pace, Printer
     from sameas.estimate.coverage import Coverage
     from sameas.report.match import coverage_lines
@@ -356,7 +356,7 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
 
     printer = Printer(quiet)
     with Pace(quiet) as pace:
-        first, second = _understood(request, printer, pace)
+        first, second = _read_both(request, printer, pace)
         pace("motion")
         (first, second), assumed = completed((first, second), request.options.epoch_jyr)
         together = request.naming_sides(lambda: at_common_epoch(first, second, request.options.epoch_jyr))
@@ -367,8 +367,8 @@ def look(request: Request[MatchOptions], quiet: bool) -> None:
     printer([*lines, "", "Nothing was identified or written (--dry-run)."])
 
 
-def _understood(request: Request[MatchOptions], printer: Printer, pace: Pace) -> tuple[Catalogue, Catalogue]:
-    """Both catalogues, printed as soon as each is understood."""
+def _read_both(request: Request[MatchOptions], printer: Printer, pace: Pace) -> tuple[Catalogue, Catalogue]:
+    """Both catalogues; the chosen columns of each are printed once it has been read."""
     from sameas.cli.outputs import catalogues
     from sameas.report.prose import DOUBT
 
@@ -379,7 +379,7 @@ def _understood(request: Request[MatchOptions], printer: Printer, pace: Pace) ->
 
 
 def drawn(match: SkyMatch, folder: Path) -> list[str]:
-    """Draws every picture that there is something to draw for; the names of the files."""
+    """Draw all plots for which there are data; returns the names of the files."""
     from sameas import plots
 
     folder.mkdir(parents=True, exist_ok=True)

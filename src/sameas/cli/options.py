@@ -1,7 +1,6 @@
-"""Options: those of several commands, and how the arguments of the library are named by them.
+"""Options shared by several commands, and the translation of the library's arguments into options.
 
-Those of catalogues are declared in :mod:`sameas.front.options`; those of one command only are in its
-signature.
+Options of catalogues are declared in :mod:`sameas.front.options`; options of a single command are in its signature.
 """
 
 from __future__ import annotations
@@ -21,8 +20,8 @@ from sameas.front.options import COLUMN_OPTIONS, SIDE_OPTIONS, ColumnOption
 _QUOTES = "'"
 
 
-def _spelled(one: ColumnOption, side: str, panel: str, hidden: bool) -> inspect.Parameter:
-    """The parameter for typer to read: of the catalogue of a number, or of all where ``side`` is empty."""
+def _parameter(one: ColumnOption, side: str, panel: str, hidden: bool) -> inspect.Parameter:
+    """The typer parameter of an option of catalogue ``side`` (a number), or of all catalogues (empty)."""
     declared = option(
         f"--{one.name}{side}", panel=panel, metavar=one.metavar or None, help="" if side else one.help, hidden=hidden
     )
@@ -35,23 +34,23 @@ def _spelled(one: ColumnOption, side: str, panel: str, hidden: bool) -> inspect.
 
 
 def option(*names: str, panel: str | None = None, show_default: bool = False, **settings: Any) -> Any:
-    """An option for typer to read."""
+    """A typer option."""
     return typer.Option(*names, rich_help_panel=panel, show_default=show_default, **settings)
 
 
 def with_columns(
     panels: Mapping[str, str], options: Sequence[ColumnOption] = COLUMN_OPTIONS, *, numbered_hidden: bool = False
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Makes a command's ``**columns`` the options of catalogues, for typer to read.
+    """Decorator that replaces a command's ``**columns`` by the options of catalogues.
 
-    panels : by the number of a catalogue, "" for all, the title over its options.
+    panels : title of the options' panel by the number of the catalogue; "" for all catalogues.
     """
 
-    def spelled(command: Callable[..., None]) -> Callable[..., None]:
+    def with_signature(command: Callable[..., None]) -> Callable[..., None]:
         written = inspect.signature(command, eval_str=True)
         kept = [p for p in written.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         more = [
-            _spelled(one, side, panel, numbered_hidden and side != "")
+            _parameter(one, side, panel, numbered_hidden and side != "")
             for side, panel in panels.items()
             for one in options
         ]
@@ -59,17 +58,17 @@ def with_columns(
         command.__annotations__ = {p.name: p.annotation for p in (*kept, *more)}
         return command
 
-    return spelled
+    return with_signature
 
 
 def option_of(argument: Argument) -> str:
-    """The option of an argument, with what to give it."""
+    """The option of an argument, with its value."""
     known = next((one for one in SIDE_OPTIONS if one.field == argument.name), None)
     name = argument.name.replace("_", "-") if known is None else known.name
     return f"--{name} {argument.value.strip(_QUOTES)}".rstrip()
 
 
-#: What ``sameas frame`` has for arguments whose name is not that of its option.
+#: Options of ``sameas frame`` that are named differently from the arguments.
 _OF_FRAME = {"epoch_jyr": "--time DATE", "cone": "--aim", "catalogue": "--catalog bright", "format": "its format"}
 
 
@@ -85,18 +84,18 @@ _OF_PICTURE = {
 
 
 def sensor_option(argument: Argument) -> str:
-    """The option of ``sameas picture`` for an argument; most are names in the file of ``--sensors``."""
+    """The option of ``sameas picture`` for an argument; most arguments are keys of the ``--sensors`` file."""
     option = _OF_PICTURE.get(argument.name)
     return str(argument) if option is None else f"{option} {argument.value}".rstrip()
 
 
 def in_options(text: str, option: Callable[[Argument], str] = option_of) -> str:
-    """A text of the library as the command line has it: arguments are options."""
+    """A message of the library with options in place of arguments."""
     return text.with_options(option) if isinstance(text, Message) else text
 
 
 def one_of(names: Sequence[str] | Callable[[], Sequence[str]]) -> Callable[[str | None], str | None]:
-    """A check that an option has one of these values, which tells what was probably meant."""
+    """A check that an option has one of these values; the error suggests similar ones."""
 
     def check(value: str | None) -> str | None:
         if value is None:

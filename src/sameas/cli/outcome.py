@@ -1,7 +1,7 @@
-"""Outcomes: how a command ends, in one line and an exit code.
+"""Outcomes: every command ends with one line and an exit code.
 
-0 done; 1 the input cannot be used, or nothing useful was done; 2 wrong usage (typer's); 130 interrupted; 143 asked to
-end (SIGTERM).
+0 done; 1 the input cannot be used, or nothing useful was done; 2 wrong usage (typer's); 130 interrupted (SIGINT);
+143 terminated (SIGTERM).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from sameas.cli.options import in_options, option_of
 from sameas.errors import Argument, InputError, printable
 
 INPUT_ERROR, INTERRUPTED, TERMINATED = 1, 130, 143
-#: Seconds in which the main thread may end by itself: an answer within a second is promised. Those of a worker, so that
-#: it has ended before the one who started it; those in which it may end when it is asked to.
+#: Seconds for the main thread to end by itself after a signal (an answer within one second is promised), for a worker
+#: (which should end before its parent), and for child processes.
 PATIENCE_S, PATIENCE_OF_WORKERS_S, ENDING_S = 0.7, 0.2, 0.4
-#: What the system refuses, which is no fault of ours.
+#: Errors of the operating system, which are not faults of sameas.
 _OF_THE_SYSTEM = {
     errno.ENAMETOOLONG: "the name is too long for a file; give a shorter one",
     errno.ELOOP: "a link that leads to itself",
@@ -37,22 +37,22 @@ _OF_THE_SYSTEM = {
 
 
 class Terminated(KeyboardInterrupt):
-    """The process was asked to end (SIGTERM): drafts are removed on the way out, as after Ctrl-C."""
+    """SIGTERM was received; draft files are removed on the way out, as after Ctrl-C."""
 
 
 def end_cleanly_when_asked(worker: bool = False) -> None:
-    """From now on SIGTERM raises ``Terminated`` in the main thread, the first time; a second one ends at once.
+    """Let the first SIGTERM raise ``Terminated`` in the main thread; a second one ends the process at once.
 
-    Compiled loops do not look whether they are to stop: where the main thread has not ended the process within
-    ``PATIENCE_S`` of SIGINT or SIGTERM, another removes the drafts and ends it. worker : says nothing and is
-    faster, and a second SIGTERM is nothing to it.
+    Compiled loops do not check for signals: if the main thread has not ended the process ``PATIENCE_S`` after SIGINT or
+    SIGTERM, a watching thread removes the drafts and ends it. worker : a worker process, which ends silently, sooner,
+    and ignores a second SIGTERM.
     """
     signal.signal(signal.SIGTERM, _terminate_worker if worker else _terminate)
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         signal.signal(signal.SIGINT, _interrupt)
-    before = sys.unraisablehook
-    # What is raised within a __del__ Python prints, and goes on; the other thread ends the process then.
-    sys.unraisablehook = lambda told: None if isinstance(told.exc_value, KeyboardInterrupt) else before(told)
+    previous_hook = sys.unraisablehook
+    # Python only prints what is raised within a __del__ and continues; the watching thread then ends the process.
+    sys.unraisablehook = lambda error: None if isinstance(error.exc_value, KeyboardInterrupt) else previous_hook(error)
     read_end, write_end = os.pipe()
     os.set_blocking(write_end, False)
     signal.set_wakeup_fd(write_end, warn_on_full_buffer=False)
@@ -60,7 +60,7 @@ def end_cleanly_when_asked(worker: bool = False) -> None:
 
 
 def _watch(read_end: int, worker: bool) -> None:
-    """Waits for a signal, and for the main thread to heed it; where it does not, ends the process."""
+    """Wait for a signal, then for the main thread to react; end the process if it does not."""
     while True:
         number = os.read(read_end, 1)
         if number and number[0] in (signal.SIGINT, signal.SIGTERM):
@@ -69,8 +69,8 @@ def _watch(read_end: int, worker: bool) -> None:
 
 
 def end_now(code: int, words: str = "") -> None:
-    """Ends the process at once, and those it has started: drafts are removed, threads of libraries not waited for."""
-    atomic = sys.modules.get("sameas.io.atomic")  # where it was not imported nothing is drafted, nor anything written
+    """End the process and its children at once: remove drafts, do not wait for library threads."""
+    atomic = sys.modules.get("sameas.io.atomic")  # not imported: there are no drafts and no outputs
     if atomic is not None:
         atomic.placing.acquire(timeout=ENDING_S)
         atomic.discard_drafts()
@@ -96,7 +96,7 @@ def stopped() -> str:
     return f"stopped; {', '.join(written) or 'nothing'} was written"
 
 
-#: What was raised in the main thread when it was asked to end. A library may catch it, and fail for what it then lacks.
+#: The exception raised by a signal in the main thread. A library may catch it, and then fail with another error.
 _raised: list[type[KeyboardInterrupt]] = []
 
 
@@ -112,21 +112,21 @@ def _terminate(number: int, frame: Any) -> None:
 
 
 def _terminate_worker(number: int, frame: Any) -> None:
-    # It is asked twice where who started it is interrupted, and then ends; it ends within its patience anyway.
+    # An interrupted parent sends a second SIGTERM; the watching thread ends the worker in any case.
     signal.signal(number, signal.SIG_IGN)
     raise Terminated
 
 
 def exit_code(error: KeyboardInterrupt) -> int:
-    """That of a process that was interrupted, or asked to end."""
+    """The exit code of a process that was interrupted or terminated."""
     return TERMINATED if isinstance(error, Terminated) else INTERRUPTED
 
 
 @contextmanager
 def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Iterator[None]:
-    """Errors in the block become one line on stderr and an exit code.
+    """Turn errors in the block into one line on stderr and an exit code.
 
-    debug : print the traceback too. option : what the command has instead of an argument of the library.
+    debug : also print the traceback. option : the command's option for an argument of the library.
     """
     if "sameas.io.atomic" in sys.modules:
         sys.modules["sameas.io.atomic"].written.clear()
@@ -163,8 +163,10 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
 
 
 def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
-    """The interruption that made the error, if one did: of one on its way out, compiled code makes a SystemError, and
-    an import that catches it (NumPy's does) fails in the next line."""
+    """The interruption that caused the error, if any.
+
+    Compiled code turns an interruption into a SystemError; an import that catches it (NumPy's does) fails later.
+    """
     if _raised:
         return _raised[0]()
     while error is not None:
@@ -175,13 +177,13 @@ def interruption(error: BaseException | None) -> KeyboardInterrupt | None:
 
 
 def unanswered(error: SystemExit) -> KeyboardInterrupt | None:
-    """The interruption that came outside of ``answering``: typer says nothing of it, and knows one signal only."""
+    """The interruption outside of ``answering``, which typer swallows: it prints nothing and knows SIGINT only."""
     cause = None if error.__context__ is None else error.__context__.__cause__
     return cause if isinstance(cause, KeyboardInterrupt) else None
 
 
 def fault(error: Exception) -> str:
-    """The message of an error that was not foreseen."""
+    """The message of an unforeseen error."""
     words = InputError(" ".join(str(error).split()))
     return f"unexpected {type(error).__name__}: {words}; this is a fault of sameas, please report it"
 

@@ -1,4 +1,4 @@
-"""Tables of a command: its catalogues, each printed as soon as it is understood, and the one that it writes."""
+"""Tables of a command: its catalogues, described on the terminal as they are read, and its output."""
 
 from __future__ import annotations
 
@@ -23,11 +23,9 @@ from sameas.sky.catalogue import Catalogue
 if TYPE_CHECKING:
     from astropy.table import Table
 
-# Reading: the catalogues of a request, each printed as soon as it is understood.
-
 
 def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Catalogue]:
-    """All catalogues of a request."""
+    """All catalogues of a request; the description of each is printed once it has been read."""
 
     def printed(side: int, catalogue: Catalogue) -> None:
         pace.pause()
@@ -40,13 +38,13 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
 
 
 def _in_own_terms(request: Request[Any], side: int, text: str) -> str:
-    """A text on one catalogue, with that catalogue's own options."""
+    """A message about one catalogue, with the command's options for that catalogue."""
     return in_options(request.words(text, side))
 
 
 @dataclass(frozen=True)
 class Outputs:
-    """The table that the user wants. command : as it was typed."""
+    """Where and how the output table is written. command : as typed."""
 
     path: Path
     format: str | None
@@ -54,7 +52,7 @@ class Outputs:
     command: str
 
     def check(self, inputs: Sequence[str]) -> None:
-        """Refuses an output that could not be written or would destroy an input, before any work is done."""
+        """Refuse an output that cannot be written or would overwrite an input, before any work is done."""
         if is_input(self.path, inputs):
             raise InputError(f"{self.path}: is also an input; it would be overwritten; give -o another name")
         known = tuple(extension for extensions in written_formats().values() for extension in extensions)
@@ -62,16 +60,16 @@ class Outputs:
             raise InputError(
                 f"{self.path}: its extension is not that of a format; see `sameas formats`, or give --out-format NAME"
             )
-        if all(map(os.path.exists, inputs)):  # reading the others says so, which is more important
-            # Opens the temporary file beside the output and throws it away: no directory, no permission.
+        if all(map(os.path.exists, inputs)):  # a missing input is reported first, when it is read
+            # Create and discard the temporary file: fails without the folder or the permission to write.
             with suppress(_Rehearsed), replacing(self.path, overwrite=self.overwrite):
                 raise _Rehearsed
 
     def write(self, table: Table, facts: Mapping[str, Any], rows: str) -> str:
-        """Writes the table; the line that says so. rows : which ones it holds, in words."""
+        """Write the table; returns the line that reports it. rows : the join, for that line."""
         write_table(table, self.path, provenance=facts, format=self.format, overwrite=self.overwrite)
         return f"Output: {self.path}, {counted(len(table), 'row')}, {len(table.columns)} columns ({rows})"
 
 
 class _Rehearsed(Exception):
-    """The output could be opened."""
+    """Raised to discard the temporary file of a successful check."""

@@ -1,4 +1,4 @@
-"""The terminal: text on stdout, notices and progress on stderr; nothing that a file holds can control it."""
+"""The terminal: text on stdout, notices and progress on stderr. Control characters from files are escaped."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
 
 #: Seconds before progress is shown.
 PATIENCE = 2.0
-#: Variables of the environment that ask for colours where there is no terminal, as rich has them.
+#: Environment variables that request colours without a terminal, as in rich.
 _COLOURED = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
-#: What is printed even when quiet, and how it looks.
+#: Labels of lines that are printed even with --quiet, and their styles.
 _STYLES = {DOUBT: "yellow", ALARM: "bold red"}
 
 
 class Printer:
-    """Prints lines of a report; a heading starts at the margin, everything else is indented."""
+    """Prints lines of a report. Headings start at the margin, everything else is indented."""
 
     def __init__(self, quiet: bool) -> None:
         self.quiet = quiet
 
     def __call__(self, lines: Iterable[str]) -> None:
-        """Print lines; when quiet only the doubts and alarms among them, on stderr."""
+        """Print lines; if quiet, only doubts and alarms, on stderr."""
         for line in map(printable, lines):
             label = next((label for label in _STYLES if line.startswith(label)), None)
             if self.quiet:
@@ -46,7 +46,7 @@ class Printer:
 
     @cached_property
     def _console(self) -> Console | None:
-        """What knows colours; None where nothing shows them: it takes longer to import than all else to print."""
+        """A console for colours; None without a terminal: rich takes longer to import than everything to print."""
         if not (sys.stdout.isatty() or any(map(os.environ.get, _COLOURED))):
             return None
         from rich.console import Console
@@ -61,13 +61,13 @@ class Printer:
             else:
                 self._console.print(line, style=style)
         except (BrokenPipeError, SystemExit):  # rich ends the process where a reader has gone
-            # Whoever read stdout has seen enough; the output is still to be written.
+            # The reader of stdout (head, less) has gone; the output file is still to be written.
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             self.quiet = True
 
 
 class Pace:
-    """Shows on a terminal what is being done, after two seconds. Call it with the name of each stage."""
+    """Shows progress on a terminal after two seconds. Call it with the name of each stage."""
 
     def __init__(self, quiet: bool) -> None:
         self.shown = not quiet and sys.stderr.isatty()
@@ -92,7 +92,7 @@ class Pace:
                 self.bar.stop()
 
     def __call__(self, stage: str) -> None:
-        """Say what is being done now."""
+        """Begin the next stage."""
         with self.lock:
             self.stage = stage
             if self.bar is not None:
@@ -100,7 +100,7 @@ class Pace:
                 self.bar.start()
 
     def pause(self) -> None:
-        """Clear the progress for something to be printed; the next stage shows it again."""
+        """Clear the progress bar before printing; the next stage shows it again."""
         with self.lock:
             if self.bar is not None:
                 self.bar.stop()
@@ -126,7 +126,7 @@ def notice(message: str) -> None:
 
 
 def share_compilation(quiet: bool) -> None:
-    """Where kernels have to be compiled, compile some of them in another process, and, if not quiet, say so."""
+    """If kernels have to be compiled, compile some of them in a second process; announce it unless quiet."""
     from sameas.kernels import compiled
 
     def beside(cache: Path) -> None:

@@ -1,8 +1,8 @@
-"""The first compilation on a machine, shared out: what comes after the search is compiled beside it.
+"""The first compilation on a machine, shared between two processes.
 
-Kernels that are given many items are compiled when they are first called, and kept for later runs. The search takes
-about as long to compile as the error scales and the sums over hypotheses; when the command begins with it, these are
-compiled ``beside`` it, and it finds them in the cache when it gets there. Without it everything is the same, but later.
+Kernels are compiled at their first call with many items and cached for later runs. The kernels of the search take about
+as long to compile as those of the error scales and of the posterior. While the command compiles the former, a second
+process compiles the latter, which the command then finds in the cache.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from sameas.groups import Groups
 from sameas.kernels import compiled
 from sameas.prior import PerPair
 
-#: A compilation that has not ended after so many seconds has been stopped.
+#: A compilation mark older than this, in seconds, was left behind by a process that was stopped.
 LONGEST_S = 120.0
 
 
 def beside(cache: Path) -> None:
-    """Start to compile scales and sums in a process of its own, unless one does already; without waiting.
+    """Start the compilation of error scales and posterior in a second process, unless one is running; do not wait.
 
-    cache : the folder in which compiled kernels are kept.
+    cache : folder of the compiled kernels.
     """
     if any(cache.glob("posterior.exact-*.nbi")) or not _claimed(cache / "compiling"):
         return
@@ -38,7 +38,7 @@ def beside(cache: Path) -> None:
 
 
 def _claimed(mark: Path) -> bool:
-    """Whether the mark of a compilation could be set: nobody has, or it was left behind."""
+    """Whether the mark of a running compilation could be created; marks left behind are replaced."""
     try:
         mark.parent.mkdir(parents=True, exist_ok=True)
         if mark.exists() and time.time() - mark.stat().st_mtime > LONGEST_S:
@@ -50,7 +50,7 @@ def _claimed(mark: Path) -> bool:
 
 
 def compile_sums() -> None:
-    """Compile the kernels of the posterior, by summing over one small group: two records against two."""
+    """Compile the kernels of the posterior on one small group of two by two records."""
     from sameas.posterior import log_evidence, posterior
 
     place = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32)
@@ -62,7 +62,7 @@ def compile_sums() -> None:
 
 
 def compile_scales() -> None:
-    """Compile the kernels of the error scales, by fitting them to a few pairs."""
+    """Compile the kernels of the error scales on a few pairs."""
     from sameas.estimate.error_model import fit_errors
     from sameas.evidence import Errors
 
