@@ -546,6 +546,19 @@ def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -
     assert (tmp_path / "map.png").stat().st_size > 20_000
 
 
+def test_the_chart_and_the_page_count_the_same_objects_as_seen_by_several() -> None:
+    pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
+    from sameas.plots.map import chart
+
+    sheet = charted(6, 6)
+    now = sheet.instant_of(sheet.objects) == 3
+    several = int((sheet.objects["n_sources"][now] > 1).sum())
+    assert several > 1
+    first = int(np.flatnonzero(now & (sheet.objects["n_sources"] > 1))[0])
+    sheet.objects["probability"][first] = 0.3
+    assert f"{several - 1} seen by two or more sources" in chart(sheet, sheet.instants_s[3]).get_suptitle()
+
+
 def test_a_coast_of_ones_own_stands_for_the_other(tmp_path: Path) -> None:
     island = np.array([[0.0, 0.0], [900.0, 0.0], [900.0, 900.0]])
     sheet = replace(charted(3, 3), ground=Outline((island,), (island,)))

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.maps.outline import Outline
 from sameas.report.prose import UTC_FROM_S
@@ -234,6 +234,12 @@ def ellipse_axes(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
     angle = np.degrees(np.arctan2(b, (a - c) / 2.0)) / 2.0
     huge = ~(major < 2e6)
     return np.where(huge, np.nan, major), np.where(huge, np.nan, minor), np.where(huge, np.nan, angle)
+
+
+def seen_by_several(objects: Columns) -> BoolArray:
+    """(n,) objects that two or more sources show, unless that is less likely than not; as the page counts them."""
+    improbable = objects["probability"].astype(np.float64) < 0.5
+    return np.asarray((objects["n_sources"] > 1) & ~improbable, np.bool_)
 
 
 def _around(places: FloatArray) -> tuple[float, float, float, float]:

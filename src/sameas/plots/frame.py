@@ -202,7 +202,8 @@ def quality(found: FrameIdentification) -> Figure:
 
 def _model(found: FrameIdentification) -> str:
     plate = found.plate
-    return f"plate model of order {plate.order}, errors {plate.error_scale:.2f} times those quoted"
+    larger = f", residuals {plate.error_scale:.2f} times the quoted errors" if plate.error_scale > 1.005 else ""
+    return f"plate model of order {plate.order}{larger}"
 
 
 def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
@@ -250,7 +251,9 @@ def _against_brightness(axes: Axes, found: FrameIdentification, left: FloatArray
     axes.axhline(0.0, color=FAINT, lw=0.7)
     _running(axes, magnitude, found)
     axes.set_ylim(-1.05 * limit, 1.05 * limit)
-    tidy(axes, words, "measured minus catalogue [arcsec]", "residuals against brightness, and their running 1σ")
+    far = int(np.count_nonzero(np.abs(left).max(axis=1) > limit))
+    edge = f"; {count(far)} beyond the edges" if far else ""
+    tidy(axes, words, "measured minus catalogue [arcsec]", f"residuals against brightness, running 1σ{edge}")
     axes.legend(frameon=False, fontsize=9.5, markerscale=3, loc="upper left")
 
 
@@ -301,7 +304,8 @@ def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
 def _zero_words(found: FrameIdentification) -> str:
     zero = found.zero_point
     assert zero is not None
-    words = f"zero point {zero.zero_point:.3f} ± {zero.sigma:.3f}"
+    digits = 3 if zero.sigma >= 0.0005 else 4
+    words = f"zero point {zero.zero_point:.{digits}f} ± {zero.sigma:.{digits}f}"
     if zero.colour_term:
         words += f", colour term {zero.colour_term:+.3f}"
     return f"{words}; scatter {zero.scatter:.2f} mag"

@@ -11,7 +11,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.maps.outline import Outline, outline
-from sameas.maps.sheet import MapSensor, MapSheet, members_of
+from sameas.maps.sheet import MapSensor, MapSheet, members_of, seen_by_several
 from sameas.plots.sheet import FAINT, INK, ellipse, nice_length, sheet
 from sameas.representation import count, counted
 from sameas.tracks.coordinates import LocalPlane, geodesy
@@ -181,7 +181,7 @@ class _Now:
     @property
     def finding(self) -> str:
         o = self.drawn.objects
-        doubtful, several = int(o["ambiguous"][self.rows].sum()), int((o["n_sources"][self.rows] > 1).sum())
+        doubtful, several = int(o["ambiguous"][self.rows].sum()), int(seen_by_several(o)[self.rows].sum())
         words = counted(len(self.rows), "object")
         if len(np.unique(self.drawn.records["source"])) > 1:
             words += f", {count(several)} seen by two or more sources"
@@ -397,7 +397,7 @@ def _alike(axes: Axes, now: _Now, ahead_s: float, colour: str, stage: str, rows:
     if stage == "coasting":
         axes.plot(*places.T, ls="", marker="x", ms=6, mec=colour, mew=1.0, zorder=2.1)
     else:
-        several = now.drawn.objects["n_sources"][rows] > 1
+        several = seen_by_several(now.drawn.objects)[rows]
         axes.plot(*places[several].T, ls="", marker="o", ms=2.6, mfc=colour, mec="none", zorder=2.1)
 
 
@@ -475,9 +475,10 @@ def _legend(figure: Figure, now: _Now, ahead_s: float) -> None:
     ahead = f"{ahead_s / 60:g} min" if ahead_s >= 60 else f"{ahead_s:g} s"
     handles += [
         Line2D([], [], color=INK, marker="o", mfc="none", ms=8, markevery=[0], label=f"object, {ahead} ahead"),
+        Line2D([], [], ls="", marker="o", mfc="none", color=INK, ms=12, mew=0.8, alpha=0.7, label="2σ"),
         Line2D([], [], ls="", marker="o", mfc="none", color=DOUBT, ms=9, label="ambiguous"),
         Line2D([], [], ls="", marker="x", color=FAINT, ms=6, label="coasting"),
     ]
     if now.alarmed:
         handles.append(Line2D([], [], ls="", marker="^", mfc="none", color=ALARM, ms=9, label="alarm"))
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 7), frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 8), frameon=False, fontsize=9)

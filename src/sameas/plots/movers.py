@@ -46,7 +46,7 @@ def mover_picture(
     seen = pixels.detected[k]
     if fixed is not None:
         at = _on_the_sky(pixels, k, fixed.shape[1])
-        _show(left, np.nanmax(fixed, axis=0), "stationary stars: the brightest of all frames")
+        _show(left, np.nanmax(fixed, axis=0), "fixed on the stars: the brightest of all frames")
         shown = np.flatnonzero(seen)
         along = at[shown[-1]] - at[shown[0]]
         along = along / max(float(np.hypot(*along)), 1e-9)
@@ -63,7 +63,7 @@ def mover_picture(
         best = int(np.nanargmax(np.where(seen, pixels.flux[k], np.nan)))
         _show(left, pixels.along[k][best], f"one frame, {_clock(series.exposures[best].mjd_utc)} UTC")
     stacked = pixels.stacked[k]
-    _show(right, stacked, f"stationary: the mean of {len(pixels.along[k])} frames, S/N {pixels.snr[k]:.0f}")
+    _show(right, stacked, f"fixed on the mover: the mean of {len(pixels.along[k])} frames, S/N {pixels.snr[k]:.0f}")
     middle = (np.array(stacked.shape[::-1]) - 1) / 2
     _ring(right, middle, width, BLUE, "-")
     for axes in (left, right):
