@@ -15,7 +15,7 @@ from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone, StarField
-from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, searched, solve
+from sameas.sky.frame.identified import FrameIdentification, Refinement, footprint, search_cone, solve
 from sameas.sky.frame.image import MasterFrames, read
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import ERROR_NAMES, listing, summary
@@ -313,7 +313,7 @@ def test_a_wrong_field_is_refused_with_the_odds(seen: Scene) -> None:
 def test_cones_hold_what_hints_allow(seen: Scene) -> None:
     frame = footprint(seen.pointing, (SIDE, SIDE))
     assert frame.radius_deg == pytest.approx(1.1 * np.hypot(500, 500) / 3600, rel=0.01)
-    about = searched(
+    about = search_cone(
         [ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), Aim(150.5, 40.0, 0.2, (0.9, 1.1))], (SIDE, SIDE)
     )
     assert about is not None and about.holds(frame) and about.holds(Cone(150.5, 40.0, 0.2))

@@ -14,7 +14,7 @@ from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
 from sameas.sky.movers.model import Surroundings, Tuning
 from sameas.sky.movers.rates import EclipticAxes, RateDensity, log_normal, reference_rate, sun_longitude_deg
-from sameas.sky.movers.search import _shown
+from sameas.sky.movers.search import _detection_probability
 from sameas.sky.movers.stationary import fixed_on_chip
 from sameas.sky.movers.tracks import Tracks, compete, grow
 
@@ -115,7 +115,7 @@ def test_links_of_a_long_series_are_those_among_all_pairs(monkeypatch):
     quick = candidate_links(around, model)
     every = np.column_stack(np.triu_indices(n, 1))
     monkeypatch.setattr("sameas.sky.movers.links._pairs", lambda *_: every)
-    monkeypatch.setattr("sameas.sky.movers.links.AT_ONCE", 10_000)
+    monkeypatch.setattr("sameas.sky.movers.links.CHUNK", 10_000)
     monkeypatch.setattr("sameas.sky.movers.links.Reach.__call__", lambda _, minutes: np.full(len(minutes), 1e9))
     slow = candidate_links(around, model)
     assert len(quick) > 100 and (set(zip(quick.i, quick.j, strict=True)) == set(zip(slow.i, slow.j, strict=True)))
@@ -126,7 +126,7 @@ def test_competing_tracks_are_summed_over_all_choices():
     members = [(0, 1), (1, 2), (0, 2), (0, 1, 2), (2, 3), (4, 5)]
     weight = rng.normal(1.0, 2.0, len(members))
     made = chain(members, weight)
-    found = compete(made, 6, Tuning(sure=np.inf, least_competing=-np.inf))
+    found = compete(made, 6, Tuning(certain_gain=np.inf, least_competing=-np.inf))
     total, share, best = 0.0, np.zeros(len(members)), (-np.inf, ())
     for size in range(len(members) + 1):
         for choice in combinations(range(len(members)), size):
@@ -378,7 +378,7 @@ def test_how_often_movers_are_shown_is_learned_from_those_shown_thrice(p):
     rng = np.random.default_rng(5)
     shown = rng.binomial(5, p, 4_000)
     shown = shown[shown >= 3]
-    assert abs(_shown(np.ones(len(shown)), shown, np.full(len(shown), 5), 0.7) - p) < 0.02
+    assert abs(_detection_probability(np.ones(len(shown)), shown, np.full(len(shown), 5), 0.7) - p) < 0.02
 
 
 def test_false_detections_that_crowd_are_no_movers():

@@ -29,7 +29,7 @@ from sameas.io.plate import write_copy, write_regions, write_solution
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.field import Cone
-from sameas.sky.frame.identified import FrameIdentification, Refinement, searched, solve
+from sameas.sky.frame.identified import FrameIdentification, Refinement, search_cone, solve
 from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Detection, Measurements
@@ -288,7 +288,7 @@ def found_on(
 ) -> tuple[FrameIdentification, Catalogue]:
     """The frame identified, and the catalogue with which it was. given : the catalogue, where it is in memory."""
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
-    near = searched(own_hints, frame.shape)
+    near = search_cone(own_hints, frame.shape)
     progress("reading the catalogue")
     stars = _catalogue(request, near, progress) if given is None else given
     moment = frame.facts.mid_time

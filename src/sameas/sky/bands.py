@@ -1,4 +1,4 @@
-"""Bands: which columns of two catalogues are magnitudes to be compared, and which are evidence by themselves."""
+"""Bands: the magnitudes of two catalogues that are compared, and other columns used as evidence."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 AUTO, OFF = "auto", "off"
-#: Names of the column of an error, by the name of the column of its magnitude.
+#: Patterns of error column names, given the name of the magnitude column.
 ERROR_NAMES = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_msigcom", "{}_sigma")
 
 
 def magnitudes_of(first: Catalogue, second: Catalogue, choice: str = AUTO) -> tuple[Magnitudes, Magnitudes] | None:
-    """The magnitudes of both catalogues; None where they are not to be used or one has none.
+    """The magnitudes of both catalogues; None if they are not used or one catalogue has none.
 
     Parameters
     ----------
-    choice : "auto" takes the magnitude that each catalogue was understood to have; "off" none; "G,BP,RP:J,H" those
-        columns of the first and of the second catalogue, the brightest known band of either first.
+    choice : "auto" uses the magnitude chosen for each catalogue; "off" none; "G,BP,RP:J,H" these columns of the first
+        and of the second catalogue, the brightest known band of each first.
 
     Raises
     ------
-    InputError : no such columns; words that are none of these.
+    InputError : no such columns; another text.
     """
     if choice == OFF:
         return None
     if choice == AUTO:
-        one, two = _understood(first), _understood(second)
+        one, two = _chosen_magnitude(first), _chosen_magnitude(second)
         return None if one is None or two is None else (one, two)
     sides = choice.split(":")
     if len(sides) != 2 or not all(side.strip() for side in sides):
@@ -49,37 +49,37 @@ def magnitudes_of(first: Catalogue, second: Catalogue, choice: str = AUTO) -> tu
 def columns_of(
     first: Catalogue, second: Catalogue, evidence: Sequence[Column | Related], magnitudes: str = AUTO
 ) -> tuple[Column | Related, ...]:
-    """The columns that are evidence by themselves, with their values.
+    """The columns used as evidence in addition to magnitudes, with their values.
 
-    A magnitude that the user named of one catalogue, where the other has none, is one of them.
+    A magnitude named by the user is included if the other catalogue has none.
 
     Parameters
     ----------
-    evidence : as given, by names of columns. magnitudes : as :func:`magnitudes_of` takes them.
+    evidence : as given, by column names. magnitudes : as in :func:`magnitudes_of`.
 
     Raises
     ------
     InputError : no such columns.
     """
     sides = first, second
-    found: list[Column | Related] = []
+    columns: list[Column | Related] = []
     for one in evidence:
         if isinstance(one, Related):
             a, b = (_column(sides[c.source - 1], c) for c in one.columns)
-            found.append(Related(a.values, b.values, (a.name, b.name)))
+            columns.append(Related(a.values, b.values, (a.name, b.name)))
         else:
-            found.append(_column(sides[one.source - 1], one))
+            columns.append(_column(sides[one.source - 1], one))
     if magnitudes == AUTO:
-        for source, (mine, other) in enumerate(((first, second), (second, first)), start=1):
-            name = mine.magnitude_name
-            if name and mine.options.magnitude and other.magnitude is None:
-                named = any(isinstance(c, Column) and (c.source, c.name) == (source, name) for c in found)
-                found += [] if named else [Column(source, mine.magnitude, name=name)]
-    return tuple(found)
+        for source, (own, other) in enumerate(((first, second), (second, first)), start=1):
+            name = own.magnitude_name
+            if name and own.options.magnitude and other.magnitude is None:
+                named = any(isinstance(c, Column) and (c.source, c.name) == (source, name) for c in columns)
+                columns += [] if named else [Column(source, own.magnitude, name=name)]
+    return tuple(columns)
 
 
 def _column(catalogue: Catalogue, column: Column) -> Column:
-    """The column with its values, of a name; of values as it is."""
+    """The column with its values: looked up if it has a name, else unchanged."""
     if not isinstance(column.values, str):
         return column
     known = {name.lower(): name for name in catalogue.table.colnames}
@@ -97,7 +97,7 @@ def _column(catalogue: Catalogue, column: Column) -> Column:
     return replace(column, values=np.ma.asarray(catalogue.table[name]), name=name)
 
 
-def _understood(catalogue: Catalogue) -> Magnitudes | None:
+def _chosen_magnitude(catalogue: Catalogue) -> Magnitudes | None:
     if catalogue.magnitude is None:
         return None
     return Magnitudes(catalogue.magnitude, catalogue.magnitude_error, (str(catalogue.magnitude_name),))
@@ -114,16 +114,18 @@ def _columns(catalogue: Catalogue, names: tuple[str, ...]) -> Magnitudes:
     names = tuple(known[name.lower()] for name in names)
     values, errors = [], []
     for name in names:
-        ways = (way.format(name.removesuffix("_m") if "msigcom" in way else name).lower() for way in ERROR_NAMES)
-        error = next((known[way] for way in ways if way in known), None)
+        error_names = (
+            pattern.format(name.removesuffix("_m") if "msigcom" in pattern else name).lower() for pattern in ERROR_NAMES
+        )
+        error = next((known[pattern] for pattern in error_names if pattern in known), None)
         values.append(_measured(catalogue.table, name, catalogue.name))
-        nothing = np.full(len(catalogue), np.nan)
-        errors.append(nothing if error is None else _measured(catalogue.table, error, catalogue.name))
+        unknown_error = np.full(len(catalogue), np.nan)
+        errors.append(unknown_error if error is None else _measured(catalogue.table, error, catalogue.name))
     sigma = np.column_stack(errors)
     return Magnitudes(np.column_stack(values), np.where(sigma >= 0.0, sigma, np.nan), names)
 
 
 def _measured(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) numbers; 99 and −99.99, which surveys write for no measurement, are none."""
+    """(n,) numbers, NaN for placeholders such as 99 and −99.99."""
     values, _ = column_values.measured(table, name, source)
     return np.where(np.abs(values) < 90.0, values, np.nan)

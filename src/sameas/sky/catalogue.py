@@ -19,7 +19,7 @@ from sameas.records import Records
 from sameas.representation import counted, in_short
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
-from sameas.sky.column_values import to_icrs, turned_errors, typical_errors
+from sameas.sky.column_values import rotated_errors, to_icrs, typical_errors
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
 from sameas.space import Sphere
@@ -538,7 +538,7 @@ def _errors(
     else:
         east, north, rho = _position_sigmas(table, choice.error, source)
     if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
-        east, north, rho = turned_errors(east, north, rho, rotation)
+        east, north, rho = rotated_errors(east, north, rho, rotation)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
     if choice.error.survey is not None and choice.motion[1] is not None and options.pm_sigma_mas_per_yr is None:
         pm_sigma = choice.error.survey.pm_sigma_mas_per_yr(magnitude, len(table))

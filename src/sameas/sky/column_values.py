@@ -1,6 +1,6 @@
-"""Cells: numbers out of table columns, whatever their unit, notation or way of saying nothing.
+"""Column values: numbers of table columns in any unit and notation, with missing values as NaN.
 
-What reads a cell takes a table and the name of a column and returns float64, NaN where the cell is empty.
+The readers take a table and a column name and return float64, NaN for empty cells.
 """
 
 from __future__ import annotations
@@ -22,13 +22,12 @@ from sameas.sky.conventions import SkyFrame
 
 _SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
-#: What cells of text say, in lower case, where there is no number.
-_NOTHING = frozenset(("", "nan", "null", "none", "-", "--", "---", "na", "n/a", "#n/a", "<na>", "...", "…", "indef"))
+#: Texts of missing numbers, in lower case.
+_MISSING = frozenset(("", "nan", "null", "none", "-", "--", "---", "na", "n/a", "#n/a", "<na>", "...", "…", "indef"))
 
 
 def as_table(data: Any, source: str) -> Table:
-    """An astropy Table of a Table, QTable, dict of arrays, pyarrow Table or pandas DataFrame; the
-    data are shared where that is possible."""
+    """An astropy Table of a table, dict of arrays, pyarrow Table or pandas DataFrame, without a copy if possible."""
     if isinstance(data, QTable):
         return Table(data, copy=False)
     if isinstance(data, Table):
@@ -55,7 +54,7 @@ def _from_arrow(column: Any) -> NDArray[Any]:
 
 
 def unit_of(table: Table, name: str) -> u.UnitBase | None:
-    """The unit that the column says, None where it says none that we can read."""
+    """The unit of the column, None if it has none or an unknown one."""
     unit = getattr(table[name], "unit", None)
     if unit is None or isinstance(unit, u.UnrecognizedUnit) or unit == u.dimensionless_unscaled:
         return None
@@ -63,7 +62,7 @@ def unit_of(table: Table, name: str) -> u.UnitBase | None:
 
 
 def is_text(table: Table, name: str) -> bool:
-    """Does the column hold words?"""
+    """Whether the column contains text."""
     return table[name].dtype.kind in "USO"
 
 
@@ -84,7 +83,7 @@ def _texts(table: Table, name: str) -> list[str]:
 
 
 def numbers(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) the column's numbers in its own unit."""
+    """(n,) numbers of the column in its own unit."""
     column = table[name]
     if getattr(column, "ndim", 1) != 1:
         raise InputError(f"{source}: column {name!r} has {column.ndim} dimensions; give one with a number per row")
@@ -98,7 +97,7 @@ def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray
     values = np.full(len(texts), np.nan)
     for row, text in enumerate(texts):
         stripped = text.strip()
-        if stripped.lower() not in _NOTHING:
+        if stripped.lower() not in _MISSING:
             try:
                 values[row] = reader(stripped.replace("−", "-"))
             except ValueError:
@@ -109,24 +108,24 @@ def _parsed(texts: list[str], reader: Any, name: str, source: str) -> FloatArray
 
 
 def measured(table: Table, name: str, source: str) -> tuple[FloatArray, tuple[int, str] | None]:
-    """(n,) the column's numbers, and the first of the rows whose text is none, with its text: an upper limit, a remark.
+    """(n,) numbers of the column, and the first row with another text (an upper limit, a remark) and the text, or None.
 
     Raises
     ------
-    InputError : a column of text of which more rows hold words than numbers; of several dimensions.
+    InputError : a text column with more other texts than numbers; a column of several dimensions.
     """
     if not is_text(table, name) or table[name].ndim != 1:
         return numbers(table, name, source), None
     texts = [text.strip().replace("−", "-") for text in _texts(table, name)]
     values = np.array([_number_or_none(text) for text in texts], dtype=np.float64)
-    words = [row for row, text in enumerate(texts) if text.lower() not in _NOTHING and np.isnan(values[row])]
+    words = [row for row, text in enumerate(texts) if text.lower() not in _MISSING and np.isnan(values[row])]
     if not words or len(words) > np.count_nonzero(np.isfinite(values)):
         return numbers(table, name, source), None
     return values, (words[0], texts[words[0]])
 
 
 def holds_numbers(table: Table, name: str) -> bool:
-    """Is there a number in each row, or in most of those of a column of text that say anything?"""
+    """Whether the column contains numbers; in a text column, at least as many as other texts."""
     try:
         return bool(np.isfinite(measured(table, name, "")[0]).any())
     except InputError:
@@ -141,7 +140,7 @@ def _number_or_none(text: str) -> float:
 
 
 def sexagesimal(table: Table, name: str, source: str) -> FloatArray:
-    """(n,) the column's angles in hours or degrees, as they are written."""
+    """(n,) sexagesimal angles of the column, in hours or degrees as written."""
     return _parsed(_texts(table, name), _from_sexagesimal, name, source)
 
 
@@ -154,16 +153,16 @@ def _from_sexagesimal(text: str) -> float:
 
 
 def of_parts(table: Table, names: tuple[str, ...], source: str) -> FloatArray:
-    """(n,) angles that are in columns of hours or degrees, minutes and seconds.
+    """(n,) angles split into columns of hours or degrees, minutes and seconds.
 
-    names : of the columns; a first one of words holds the signs.
+    names : of the columns; a first one of text contains the signs.
     """
     sign = np.ones(len(table))
     if is_text(table, names[0]):
         sign = np.array([-1.0 if text.strip() in ("-", "−") else 1.0 for text in _texts(table, names[0])])
         names = names[1:]
     parts = [numbers(table, name, source) for name in names]
-    # Where the angle is quoted to the minute, missing minutes and seconds count as zero.
+    # Missing minutes and seconds of less precise angles count as zero.
     whole = parts[0] + sum(np.nan_to_num(part) / 60.0**k for k, part in enumerate(parts[1:], 1))
     return np.asarray(sign * whole)
 
@@ -193,7 +192,7 @@ def years(table: Table, name: str, source: str) -> FloatArray:
 
 
 def are_years(table: Table, name: str) -> bool:
-    """Can the column be read as Julian years, dates, MJD or JD?"""
+    """Whether the column can be read as Julian years, dates, MJD or JD."""
     try:
         return bool(np.isfinite(years(table, name, "")).any())
     except InputError:
@@ -201,7 +200,7 @@ def are_years(table: Table, name: str) -> bool:
 
 
 def year_of(text: str) -> float:
-    """The Julian year of a text: 2016.0, J2016.0, an MJD, a JD or an ISO date; ValueError if it is none."""
+    """The Julian year of a text: 2016.0, J2016.0, an MJD, a JD or an ISO date; else ValueError."""
     try:
         value = float(text.lstrip("Jj"))
     except ValueError:
@@ -212,7 +211,7 @@ def year_of(text: str) -> float:
 
 
 def _in_utc(text: str) -> datetime | str:
-    """A date whose time has a zone, in UTC; of any other date the text, which NumPy reads as UTC."""
+    """A date with a time zone converted to UTC; any other date as text, which NumPy reads as UTC."""
     if not re.search(r"\d[T ]\d\d:?\d\d.*[+-]\d\d(?::?\d\d)?$", text):
         return text.removesuffix("Z")
     return datetime.fromisoformat(text).astimezone(UTC).replace(tzinfo=None)
@@ -229,24 +228,24 @@ def _years_of_dates(dates: NDArray[Any]) -> FloatArray:
 
 
 def factor(unit: str, target: str) -> float:
-    """What a number in ``unit`` is multiplied by to be in ``target``."""
+    """The factor that converts a number in ``unit`` to ``target``."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", u.UnitsWarning)
         return float(u.Unit(unit).to(u.Unit(target)))
 
 
-# Typical position errors by magnitude, learned from the rows that have one.
+# Typical position errors by magnitude, from the rows with an error.
 
-#: Rows that one median of the errors stands for, at least (chosen).
+#: Minimum number of rows per median error (chosen).
 _ROWS_PER_MEDIAN = 25
-#: At most so many medians along the magnitudes (chosen).
+#: Maximum number of medians along the magnitude (chosen).
 _MOST_MEDIANS = 50
 
 
 def typical_errors(sigma: FloatArray, magnitude: FloatArray | None) -> FloatArray:
-    """(n,) the median error at the magnitude of every row; of a row without magnitude the median of all.
+    """(n,) the median error at the magnitude of each row; the overall median for rows without a magnitude.
 
-    sigma : (n,) errors, NaN where not known. magnitude : (n,), NaN where not known. All NaN where no error is known.
+    sigma : (n,) errors, NaN where not known. magnitude : (n,), NaN where not known. All NaN if no error is known.
 
     >>> typical_errors(np.array([0.1, 0.1, np.nan, 0.3, 0.3]), None).tolist()
     [0.2, 0.2, 0.2, 0.2, 0.2]
@@ -264,10 +263,10 @@ def typical_errors(sigma: FloatArray, magnitude: FloatArray | None) -> FloatArra
     return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, logs)), overall)
 
 
-# Positions in galactic and ecliptic coordinates, brought to ICRS with the directions of their axes.
+# Positions in galactic and ecliptic coordinates, converted to ICRS with the directions of their axes.
 #
 # The galactic frame is that of the Hipparcos and Gaia catalogues (ESA 1997, SP-1200, vol. 1, section 1.5.3), the
-# ecliptic one that of J2000 with the obliquity of IAU 2006, 84381.406″; catalogues that take another differ by up to
+# ecliptic one that of J2000 with the obliquity of IAU 2006, 84381.406″; with other obliquities the difference is up to
 # 0.05″.
 
 # Columns: the directions of the galactic x, y and z axes in ICRS (SP-1200, equation 1.5.11).
@@ -285,36 +284,36 @@ _ECLIPTIC = np.array(
 
 
 def to_icrs(frame: SkyFrame, lon_deg: FloatArray, lat_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Right ascension and declination in degrees, and by how much (radians) the frame's axes stand turned.
+    """(n,) right ascension and declination, degrees, and the rotation of the frame's axes, radians.
 
-    lon_deg, lat_deg : (n,). The turn is the angle from the direction of growing right ascension to that of growing
-    longitude, positive towards north.
+    lon_deg, lat_deg : (n,). The rotation is the angle from the direction of increasing right ascension to that of
+    increasing longitude, positive towards north.
 
     >>> ra, dec, _ = to_icrs("galactic", np.array([0.0]), np.array([90.0]))
     >>> float(ra[0].round(3)), float(dec[0].round(3))
     (192.859, 27.128)
     """
-    turned = {"galactic": _GALACTIC, "ecliptic": _ECLIPTIC}[frame]
+    matrix = {"galactic": _GALACTIC, "ecliptic": _ECLIPTIC}[frame]
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
-    x, y, z = turned @ np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    x, y, z = matrix @ np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     ra, dec = np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
-    # Where longitude grows, as a direction in ICRS, against east and north there.
-    ex, ey, ez = turned @ np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)])
+    # The direction of increasing longitude in ICRS, relative to east and north there.
+    ex, ey, ez = matrix @ np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)])
     east = -np.sin(ra) * ex + np.cos(ra) * ey
     north = -np.sin(dec) * (np.cos(ra) * ex + np.sin(ra) * ey) + np.cos(dec) * ez
     return np.degrees(ra) % 360.0, np.degrees(dec), np.arctan2(north, east)
 
 
-def turned_errors(
-    along: FloatArray, across: FloatArray, rho: FloatArray | None, turn: FloatArray
+def rotated_errors(
+    along: FloatArray, across: FloatArray, rho: FloatArray | None, rotation: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Standard deviations east and north and their correlation, from those along longitude and latitude.
 
-    along, across : (n,). rho : (n,) their correlation, None for none. turn : (n,) of :func:`to_icrs`.
+    along, across : (n,). rho : (n,) their correlation or None. rotation : (n,) from :func:`to_icrs`.
     """
     xx, yy = along**2, across**2
     xy = np.zeros_like(xx) if rho is None else rho * along * across
-    cos, sin = np.cos(turn), np.sin(turn)
+    cos, sin = np.cos(rotation), np.sin(rotation)
     ee = cos**2 * xx - 2.0 * sin * cos * xy + sin**2 * yy
     nn = sin**2 * xx + 2.0 * sin * cos * xy + cos**2 * yy
     en = sin * cos * (xx - yy) + (cos**2 - sin**2) * xy

@@ -1,8 +1,8 @@
-"""Conventions: which columns of known catalogues mean what. Tables only; :mod:`sameas.sky.columns` reads.
+"""Conventions: the column names of known catalogues. Data only; :mod:`sameas.sky.columns` uses them.
 
-A new survey is a new :class:`Convention` in :data:`CONVENTIONS`. Units given here hold where the table itself
-says none. Parameters are numbered 0 right ascension (times cos δ), 1 declination, 2 parallax, 3 proper motion
-in right ascension (times cos δ), 4 proper motion in declination, 5 radial velocity.
+A new survey is a new :class:`Convention` in :data:`CONVENTIONS`. Units given here apply if the table has none.
+Parameters are numbered 0 right ascension (times cos δ), 1 declination, 2 parallax, 3 proper motion in right ascension
+(times cos δ), 4 proper motion in declination, 5 radial velocity.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from sameas.arrays import FloatArray
 
 Correlations = tuple[tuple[int, int, str], ...]
 ErrorKind = Literal["circle", "axes", "ellipse", "variances"]
-#: What longitude and latitude are measured in.
+#: Frame of longitude and latitude.
 SkyFrame = Literal["icrs", "galactic", "ecliptic"]
 
 
 @dataclass(frozen=True)
 class ErrorNames:
-    """Columns of one position error: "circle" (σ), "axes" (σ east, σ north),
-    "ellipse" (a, b, angle in degrees), "variances" (of east and of north, squares). ``unit`` "" means that no unit
-    goes without saying. ``covariance`` names east times north. ``angle_from`` : where the angle of an ellipse is
-    counted from, towards the other one."""
+    """Columns of one position error: "circle" (σ), "axes" (σ east, σ north), "ellipse" (a, b, angle in degrees),
+    "variances" (east, north).
+
+    unit : assumed unit, "" for none. covariance : column of the covariance of east and north. angle_from : zero point
+    of the ellipse angle, which increases towards the other axis.
+    """
 
     kind: ErrorKind
     names: tuple[str, ...]
@@ -36,8 +38,8 @@ class ErrorNames:
 
 @dataclass(frozen=True)
 class MotionNames:
-    """Columns of parallax, proper motion in right ascension (times cos δ) and declination, radial velocity,
-    and of their errors; mas, mas/yr, km/s. "" where the convention has none."""
+    """Columns of parallax, proper motion in right ascension (times cos δ) and declination, radial velocity, and of
+    their errors; mas, mas/yr, km/s. "" for none."""
 
     names: tuple[str, str, str, str]
     errors: tuple[str, str, str, str]
@@ -45,16 +47,16 @@ class MotionNames:
 
 @dataclass(frozen=True)
 class Convention:
-    """How one catalogue names its columns.
+    """The column names of one catalogue.
 
-    marks : at least one of these columns must be there too; () when the position's names are enough.
-    over : right ascensions that this convention's own makes superfluous.
+    marks : at least one of these columns is required too; () if the position's names are sufficient.
+    over : right ascension columns superseded by that of this convention.
     epoch_jyr : epoch of the whole catalogue. releases : (pattern in the table's texts, epoch).
     release_columns : (column of one release only, epoch).
     weights : prefix of the columns of the triangular weight matrix of hip2.
-    measured : a column that is empty in rows which are no measurements. frame : of the position, and of its errors.
-    parts : columns of hours, minutes and seconds, and of sign, degrees, minutes and seconds, where the position stands
-        in so many; the last ones may be absent.
+    measured : a column that is empty in rows without a measurement. frame : of the position and its errors.
+    parts : columns of hours, minutes and seconds, and of sign, degrees, minutes and seconds, if the position is split;
+        the last ones may be absent.
     """
 
     title: str
@@ -83,8 +85,8 @@ def _correlations(pattern: str, names: tuple[str, ...]) -> Correlations:
 
 
 def _own_axes(ra: str, dec: str, unit: str = "") -> tuple[ErrorNames, ...]:
-    """The ways in which tables name the errors of the columns ``ra`` and ``dec``."""
-    ways = (
+    """The usual names of the errors of the columns ``ra`` and ``dec``."""
+    patterns = (
         "e_{}",
         "{}_error",
         "{}_err",
@@ -96,7 +98,7 @@ def _own_axes(ra: str, dec: str, unit: str = "") -> tuple[ErrorNames, ...]:
         "{}_std",
         "{}_unc",
     )
-    stems = [(way.format(ra), way.format(dec)) for way in ways]
+    stems = [(pattern.format(ra), pattern.format(dec)) for pattern in patterns]
     suffixed = [(a + s, b + s) for a, b in stems for s in ("_arcsec", "_mas", "_deg")]
     return tuple(ErrorNames("axes", pair, unit) for pair in stems + suffixed)
 

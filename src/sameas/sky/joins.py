@@ -1,7 +1,7 @@
-"""The joined table: rows of both catalogues side by side, with what the identification says of each pair.
+"""The joined table: rows of both catalogues side by side, with columns on each pair.
 
-Join types have the names that STILTS users know; "pairs" lists every candidate, and
-for every row of the first catalogue the answer "no partner" (its probability is p_none).
+Join types have the names of STILTS; "pairs" lists every candidate, and for every row of the first catalogue the answer
+"no partner" (its probability is p_none).
 
 Added columns (all lower case):
 
@@ -10,7 +10,7 @@ mahalanobis : separation over its quoted error. log_odds : natural logarithm of 
 p_match : probability of the pair. p_none : probability that the row has no partner. p_second, id_second : the most
 probable other candidate. match_flag : 1 the identified pair, 2 a candidate at least half as probable as the row's
 best, 0 others. group_id, group_size : the group of competing records. n_within : candidates of the row.
-covered : whether the other catalogue covers the place.
+covered : whether the other catalogue covers the position.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class JoinedSource(Protocol):
 
 
 class Joinable(Protocol):
-    """Two sources identified, whose tables can be joined: a ``SkyMatch``, or a :class:`RecordsMatch`."""
+    """A match of two sources with tables to join: a ``SkyMatch``, or a :class:`RecordsMatch`."""
 
     @property
     def first(self) -> JoinedSource: ...
@@ -89,7 +89,7 @@ class Joinable(Protocol):
 
 @dataclass(frozen=True)
 class RecordsTable:
-    """Records as a source with a table: their own where they carry one of astropy's, else rows and ids."""
+    """Records as a source with a table: their own astropy table if they have one, else rows and ids."""
 
     records: Records
 
@@ -111,7 +111,7 @@ class RecordsTable:
 
 @dataclass(frozen=True)
 class RecordsMatch:
-    """Two sources of records identified, with the tables to join. coverage : where both look."""
+    """A match of two sources of records, with the tables to join. coverage : of both sources."""
 
     result: Identification
     coverage: Coverage
@@ -128,12 +128,12 @@ class RecordsMatch:
 
     @cached_property
     def covered_1(self) -> BoolArray:
-        """(n,) whether the second source looks where each row of the first lies; True for unusable rows."""
+        """(n,) whether the second source covers the position of each row of the first; True for unusable rows."""
         return self.result.first.over_table(self.coverage.covered[0])
 
     @cached_property
     def covered_2(self) -> BoolArray:
-        """(n,) whether the first source looks where each row of the second lies; True for unusable rows."""
+        """(n,) whether the first source covers the position of each row of the second; True for unusable rows."""
         return self.result.second.over_table(self.coverage.covered[1])
 
 
@@ -154,7 +154,7 @@ def pair_table(result: Identification) -> Table:
 
 
 def blend_table(first: Records, second: Records, found: Blends) -> Table:
-    """One row for each record of the coarse source, by its rows: what it is, and how probable that is."""
+    """One row per record of the coarse source, by its rows: its best answer (partners) and probabilities."""
     table, order = Table(), np.argsort(first.rows)
     columns: dict[str, tuple[NDArray[Any], str]] = {
         "row_1": (first.rows[order], "row in the first source"),
@@ -175,7 +175,7 @@ def blend_table(first: Records, second: Records, found: Blends) -> Table:
 
 
 def _separation_names(result: Identification) -> list[str]:
-    """What separation and residuals are called: in arcsec on the sphere, else in the unit of the features."""
+    """Names of the separation and residual columns: in arcsec on the sphere, else in the unit of the features."""
     if isinstance(result.first.space, Sphere):
         return ["sep_arcsec", "dx_arcsec", "dy_arcsec"]
     return ["separation", *(f"residual_{axis}" for axis in range(1, result.pairs.d + 1))]
@@ -191,10 +191,10 @@ def _words(name: str) -> str:
 
 @dataclass(frozen=True)
 class JoinedRows:
-    """The output's rows: row in the first and in the second table (−1 for none), and the pair (−1 for none).
+    """The rows of the output: row in the first and in the second table, and the pair, −1 for none.
 
-    answers : whether each is a possible answer for its row of the first table, "no partner" among them. Pairs are
-        numbered among all candidates then, else among the identified ones.
+    answers : whether each is a possible answer for its row of the first table, including "no partner"; pairs are then
+        numbered among all candidates, else among the identified ones.
     """
 
     one: IntArray
@@ -203,35 +203,35 @@ class JoinedRows:
     answers: bool = False
 
     def of(self, own_1: BoolArray, own_2: BoolArray) -> JoinedRows:
-        """Those that speak for some rows of the first table, (n₁,), and without one for some of the second, (n₂,)."""
+        """The rows whose record is selected: in the first table, mask (n₁,), or without one in the second, (n₂,)."""
         return self.take(np.flatnonzero(self.either(own_1, own_2)))
 
     def take(self, rows: IntArray) -> JoinedRows:
-        """Some of them, (k,), in this order."""
+        """The output rows at indices (k,), in this order."""
         return JoinedRows(self.one[rows], self.two[rows], self.pair[rows], self.answers)
 
     def either(self, of_1: NDArray[Any], of_2: NDArray[Any]) -> NDArray[Any]:
-        """What a row of the first table has, of (n₁,), or, where there is none, one of the second, of (n₂,)."""
-        if self.mine.all():
+        """Values (n₁,) of the row of the first table, or (n₂,) of the second where there is none."""
+        if self.has_first.all():
             return of_1[self.one]
         values = np.empty(len(self.one), of_1.dtype)
-        values[self.mine] = of_1[self.one[self.mine]]
-        values[~self.mine] = of_2[self.two[~self.mine]]
+        values[self.has_first] = of_1[self.one[self.has_first]]
+        values[~self.has_first] = of_2[self.two[~self.has_first]]
         return values
 
     @cached_property
     def absent(self) -> BoolArray:
-        """Whether a row has no candidate."""
+        """Mask of the rows without a pair."""
         return self.pair < 0
 
     @cached_property
     def in_order(self) -> bool:
-        """Whether they are the first rows of the first table, as it has them."""
+        """Whether these are the first rows of the first table, in its order."""
         return bool(np.array_equal(self.one, np.arange(len(self.one))))
 
     @cached_property
-    def mine(self) -> BoolArray:
-        """Whether a row speaks for its record of the first catalogue; else, without one, for that of the second."""
+    def has_first(self) -> BoolArray:
+        """Mask of the rows with a record of the first catalogue; the others have one of the second only."""
         return self.one >= 0
 
 
@@ -258,8 +258,8 @@ def joined(
     table = Table()
     names = joined_names(match.first.table, match.second.table)
     for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
-        works = [partial(_taken, column, at) for column in source.columns.values()]
-        for name, column in zip(names[side], threads.each(works, len(at)), strict=True):
+        calls = [partial(_taken, column, at) for column in source.columns.values()]
+        for name, column in zip(names[side], threads.each(calls, len(at)), strict=True):
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
@@ -291,22 +291,22 @@ def joined_rows(match: Joinable, join: str) -> JoinedRows:
         "1not2": (only_1,), "2not1": (only_2,), "1xor2": (only_1, only_2),
     }[join]  # fmt: skip
     one, two, pair = (np.concatenate([getattr(part, name) for part in parts]) for name in ("one", "two", "pair"))
-    # Rows without a partner come where their own table has them, and after all others where it is not the leading one.
-    # Each part is in its order already, which a stable sort makes use of; ties are among rows of one part.
+    # Sorted by the rows of the leading table; rows without one come last. The parts are sorted already, which a stable
+    # sort exploits; ties are within one part.
     leading = two if join == "all2" else one
     order = np.argsort(np.where(leading >= 0, leading, np.iinfo(np.int64).max), kind="stable")
     return JoinedRows(one[order], two[order], pair[order])
 
 
 def _others(n: int, rows: IntArray) -> IntArray:
-    """The rows of a table of n that are not among ``rows``, rising."""
+    """The rows of a table of n that are not in ``rows``, ascending."""
     other = np.ones(n, np.bool_)
     other[rows] = False
     return np.flatnonzero(other)
 
 
 def _every_answer(result: Identification) -> JoinedRows:
-    """Every candidate, the most probable first, and after those of a row of the first catalogue "no partner"."""
+    """All candidates of each row of the first catalogue, the most probable first, followed by "no partner"."""
     n = result.first.n_table
     none = np.full(n, NO_PARTNER)
     one = np.concatenate([result.rows_1, np.arange(n)])
@@ -317,27 +317,27 @@ def _every_answer(result: Identification) -> JoinedRows:
 
 
 def joined_names(first: Table, second: Table) -> tuple[list[str], list[str]]:
-    """Column names of both tables; those that are in both get the suffixes _1 and _2, as STILTS does."""
-    taken = {name.lower() for name in first.colnames} & {name.lower() for name in second.colnames}
+    """Column names of both tables; names in both get the suffixes _1 and _2, as in STILTS."""
+    common = {name.lower() for name in first.colnames} & {name.lower() for name in second.colnames}
     return (
-        [f"{name}_1" if name.lower() in taken else name for name in first.colnames],
-        [f"{name}_2" if name.lower() in taken else name for name in second.colnames],
+        [f"{name}_1" if name.lower() in common else name for name in first.colnames],
+        [f"{name}_2" if name.lower() in common else name for name in second.colnames],
     )
 
 
 def _whole(at: IntArray, n: int) -> bool:
-    """Whether these rows are all of n, in order."""
+    """Whether these are all n rows in order."""
     return len(at) == n and bool(np.array_equal(at, np.arange(n)))
 
 
 def _taken(column: Any, at: IntArray) -> Any:
-    """The rows ``at`` of a column, masked where there is none."""
+    """The rows ``at`` of a column, masked where −1."""
     if _whole(at, len(column)):
         return column
     absent = at < 0
     if not absent.any():
         return column[at]
-    if not isinstance(column, Column):  # times and the like mask their own cells
+    if not isinstance(column, Column):  # mixin columns such as Time mask their own cells
         picked = column[at]
         picked[absent] = np.ma.masked
         return picked
@@ -345,7 +345,7 @@ def _taken(column: Any, at: IntArray) -> Any:
         values = np.zeros((len(at), *column.shape[1:]), column.dtype)
         mask = np.zeros(values.shape, bool)
     else:
-        picked = column[at]  # the last row where there is none
+        picked = column[at]  # −1 reads the last row, masked below
         values, mask = np.ma.getdata(picked), np.ma.getmaskarray(picked)
     mask = mask | absent.reshape(-1, *[1] * (values.ndim - 1))
     return MaskedColumn(
@@ -355,7 +355,7 @@ def _taken(column: Any, at: IntArray) -> Any:
 
 @dataclass(frozen=True)
 class _JoinedColumns:
-    """What the identification says at the output's rows."""
+    """The columns added to the output's rows."""
 
     match: Joinable
     rows: JoinedRows
@@ -363,11 +363,11 @@ class _JoinedColumns:
     def columns(self, nway_columns: bool) -> dict[str, np.ma.MaskedArray]:
         """The added columns, by name."""
         result, n = self.match.result, len(self.rows.one)
-        # Asked for here, so that they are there when several columns are made side by side.
-        _ = result.answers_1 if self.rows.mine.all() else result.both_answers
+        # Computed here, before the threads below need these cached values.
+        _ = result.answers_1 if self.rows.has_first.all() else result.both_answers
         _ = self.rows.absent, self.rows.in_order
         residual, distance, log_odds, p_pair = self._of_pairs()
-        works: dict[str, Callable[[], np.ma.MaskedArray]] = {
+        calls: dict[str, Callable[[], np.ma.MaskedArray]] = {
             "mahalanobis": lambda: self._of_pair(distance),
             "log_odds": lambda: self._of_pair(log_odds),
             "p_match": lambda: self._of_pair(p_pair),
@@ -380,7 +380,7 @@ class _JoinedColumns:
             "n_within": lambda: self._of_row("candidates"),
             "covered": self._covered,
         }
-        columns = self._separations(residual) | dict(zip(works, threads.each(list(works.values()), n), strict=True))
+        columns = self._separations(residual) | dict(zip(calls, threads.each(list(calls.values()), n), strict=True))
         if nway_columns:
             columns["p_any"] = 1.0 - columns["p_none"]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -389,7 +389,7 @@ class _JoinedColumns:
         return columns
 
     def _of_pairs(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Of the pairs that the rows number: residuals, distances over their errors, ln of the odds, probabilities."""
+        """Residuals, normalised distances, log-odds and probabilities of the pairs that the rows refer to."""
         result = self.match.result
         if self.rows.answers:
             return result.pairs.residual, np.sqrt(result.pairs.mahalanobis_sq), result.log_odds, result.p_pair
@@ -400,17 +400,17 @@ class _JoinedColumns:
         absent = self.rows.absent
         if not len(values):
             return np.ma.MaskedArray(np.zeros((len(absent), *values.shape[1:]), values.dtype), absent)
-        taken = values[self.rows.pair]  # the last pair where there is none
-        taken[absent] = 0
-        return np.ma.MaskedArray(taken, absent)
+        selected = values[self.rows.pair]  # −1 reads the last pair, masked below
+        selected[absent] = 0
+        return np.ma.MaskedArray(selected, absent)
 
     def _separations(self, residual: FloatArray) -> dict[str, np.ma.MaskedArray]:
         n, d = len(self.rows.one), residual.shape[1]
-        along = threads.each([partial(self._of_pair, residual[:, axis]) for axis in range(d)], n)
-        far = np.abs(along[0].data) if len(along) == 1 else np.hypot(along[0].data, along[1].data)
-        for more in along[2:]:
-            far = np.hypot(far, more.data)
-        values = [np.ma.MaskedArray(far, self.rows.absent), *along]
+        offsets = threads.each([partial(self._of_pair, residual[:, axis]) for axis in range(d)], n)
+        distance = np.abs(offsets[0].data) if len(offsets) == 1 else np.hypot(offsets[0].data, offsets[1].data)
+        for offset in offsets[2:]:
+            distance = np.hypot(distance, offset.data)
+        values = [np.ma.MaskedArray(distance, self.rows.absent), *offsets]
         return dict(zip(_separation_names(self.match.result), values, strict=True))
 
     def _of_row(self, name: str) -> np.ma.MaskedArray:
@@ -423,29 +423,28 @@ class _JoinedColumns:
         return self.match.result.answers_1 if side == 1 else self.match.result.answers_2
 
     def _either(self, of_side: Callable[[int], np.ma.MaskedArray]) -> np.ma.MaskedArray:
-        """What is said of the records that the rows speak for: ``of_side(1)`` of the first catalogue's, and, where
-        rows speak for them, ``of_side(2)`` of the second's."""
-        rows, mine, one = self.rows, self.rows.mine, of_side(1)
-        if mine.all():
+        """Values of the row's record: ``of_side(1)`` of the first catalogue, or ``of_side(2)`` where it has none."""
+        rows, has_first, one = self.rows, self.rows.has_first, of_side(1)
+        if has_first.all():
             return one if rows.in_order and len(rows.one) == len(one) else one[rows.one]
         two = of_side(2)
         if one.dtype.kind in "OSU" or one.dtype != two.dtype:
             one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
-        values = np.zeros(len(mine), np.promote_types(one.dtype, two.dtype))
-        mask = np.ones(len(mine), bool)
-        for at, source, here in ((rows.one, one, mine), (rows.two, two, ~mine)):
-            values[here] = np.ma.getdata(source)[at[here]]
-            mask[here] = np.ma.getmaskarray(source)[at[here]]
+        values = np.zeros(len(has_first), np.promote_types(one.dtype, two.dtype))
+        mask = np.ones(len(has_first), bool)
+        for at, source, rows_of_side in ((rows.one, one, has_first), (rows.two, two, ~has_first)):
+            values[rows_of_side] = np.ma.getdata(source)[at[rows_of_side]]
+            mask[rows_of_side] = np.ma.getmaskarray(source)[at[rows_of_side]]
         return np.ma.MaskedArray(values, mask)
 
     def _covered(self) -> np.ma.MaskedArray:
         rows = self.rows
-        covered = np.where(rows.mine, self.match.covered_1[rows.one], self.match.covered_2[rows.two])
+        covered = np.where(rows.has_first, self.match.covered_1[rows.one], self.match.covered_2[rows.two])
         return np.ma.MaskedArray(covered, np.ma.getmaskarray(self._of_row("p_none")))
 
     def _flags(self) -> np.ma.MaskedArray:
         result, rows, absent = self.match.result, self.rows, self.rows.absent
-        if not rows.answers:  # every candidate listed is an identified one
+        if not rows.answers:  # all listed pairs are identified
             return np.ma.MaskedArray((~absent).astype(np.int16), np.zeros(len(absent), bool))
         chosen = np.append(result.chosen, False)[rows.pair] & ~absent
         best = np.zeros(len(self.match.first))

@@ -1,17 +1,16 @@
-"""A series of frames of one field as one product: each star once, in every frame, and what is left to be searched.
+"""A series of frames of one field: each star once with its measurements in all frames, and the unexplained rest.
 
-Identified frames (:class:`Exposure`) become a :class:`Series`; what is stationary becomes its :class:`Stars`, with zero
-points and differential magnitudes. What is left is searched for movers (:mod:`sameas.sky.movers.search`).
+Identified frames (:class:`Exposure`) become a :class:`Series`; its stationary sources become :class:`Stars`, with zero
+points and differential magnitudes. The rest is searched for movers (:mod:`sameas.sky.movers.search`).
 
-Stars are known from the catalogue, and from the series itself: what is measured at one place of the sky again and again
-(real stars that the catalogue lacks), or at one place of the chip (hot pixels). The same sources tie the frames to each
-other, far better than a catalogue of a few stars does: the plate of every frame is shifted, turned and scaled to the
-mean of all.
+Stationary sources are known from the catalogue and from the series itself: repeated measurements at one position on the
+sky (stars missing in the catalogue) or on the chip (hot pixels). These sources also tie the frames to each other, far
+better than a catalogue of a few stars: the plate of each frame is mapped by an affine transform to the mean of all.
 
-Measurements of one star of the catalogue belong together by its identifier; what stands still and has none is
-identified frame by frame, one to one, with the stars so far. Zero points are those of an ensemble (Honeycutt 1992,
-PASP 104, 435): the instrumental magnitude of star s in frame k is M_s − z_k, and all M and z are fitted together with
-weights, so that no star is a standard and none need be on all frames.
+Measurements of one catalogue star are linked by its identifier; other stationary sources are matched frame by frame,
+one to one, with the stars found before. Zero points are fitted by ensemble photometry (Honeycutt 1992, PASP 104, 435):
+the instrumental magnitude of star s in frame k is M_s − z_k, with all M and z fitted together by weighted least
+squares, so no star is a standard and none must be on all frames.
 """
 
 from __future__ import annotations
@@ -41,41 +40,40 @@ from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Sources of a frame that may be near a place within the reach.
+#: Maximum number of sources of a frame compared with a position.
 NEIGHBOURS = 3
-#: Scatter of a frame's bright sources beside their errors that is not told from none, arcsec (chosen).
+#: Minimum of the extra scatter of a frame's bright sources, arcsec (chosen).
 LEAST_FLOOR_ARCSEC = 0.02
-#: Measurements whose place is that of no light, or of a part of it: never movers.
+#: Flags of measurements with an unreliable position: never movers.
 _SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
-#: Measurements whose light is not all of it: they say nothing of zero points.
+#: Flags of measurements with an incomplete flux: not used for zero points.
 _PARTIAL = PIXEL_FLAGS | Flag.EDGE | Flag.POOR
 
 
 @dataclass(frozen=True)
 class SeriesTuning:
-    """How a series is tied together.
+    """Parameters for tying a series together.
 
     Attributes
     ----------
-    reach_px : measurements of two frames so near each other may be of one source, beside their errors.
-    tie_arcsec : frames are tied by sources that their plates see so near each other. tie_snr : brighter than this.
-    least_ties : a frame is tied by so many sources, or left as its plate has it.
-    still_sigmas : a source drifts when its drift is so many times its error.
-    still_px : and over the whole series is so far.
-    often : a source seen on this share of the other frames, and drifting less, stands still.
-    sure_star : a measurement is a star of the catalogue with at least this probability.
-    compared : frames that each measurement is compared with, evenly over the series.
-    overlap : frames show one field when their middles are nearer than this share of their diagonal.
+    reach_px : maximum separation of measurements of one source in two frames, or 3σ if larger.
+    tie_arcsec : maximum separation of sources that tie frames, by their plates. tie_snr : minimum signal to noise.
+    least_ties : minimum number of sources to tie a frame; with fewer its own plate is used.
+    drift_sigmas, drift_px : a source drifts if its drift over the series exceeds both.
+    often : minimum share of the other frames that show a stationary source without a drift.
+    least_p_star : minimum probability of a catalogue star.
+    compared : number of frames, evenly over the series, with which each measurement is compared.
+    overlap : maximum offset of a frame from the middle of the field, as a share of its diagonal.
     """
 
     reach_px: float = 1.2
     tie_arcsec: float = 4.0
     tie_snr: float = 15.0
     least_ties: int = 8
-    still_sigmas: float = 4.0
-    still_px: float = 0.6
+    drift_sigmas: float = 4.0
+    drift_px: float = 0.6
     often: float = 0.5
-    sure_star: float = 0.5
+    least_p_star: float = 0.5
     compared: int = 24
     overlap: float = 0.7
 
@@ -86,14 +84,13 @@ DEFAULT_TUNING = SeriesTuning()
 @in_short
 @dataclass(frozen=True)
 class Exposure:
-    """The measurements of one frame with their places on the sky; (n,) each.
+    """The measurements of one frame with their positions on the sky; (n,) each.
 
     name : of the frame. mjd_utc : middle of the exposure. x_px, y_px, covariance_px (n, 3) : on the chip.
-    ra_deg, dec_deg : by the frame's plate. covariance : (n, 3) arcsec² by the plate, its own error among them.
-    flux, flux_err, snr, flags : as measured. p_star : probability to be a star of the catalogue.
-    magnitude : NaN where there is no zero point. scale_arcsec_per_px. shape : (rows, columns). exposure_s.
-    star : identifier of the star of the catalogue, "" for none; None where none is known. psf_fwhm_px : full width of
-    stars.
+    ra_deg, dec_deg : by the frame's plate. covariance : (n, 3) arcsec² by the plate, with the plate's error.
+    flux, flux_err, snr, flags : as measured. p_star : probability of a catalogue star.
+    magnitude : NaN without a zero point. scale_arcsec_per_px. shape : (rows, columns). exposure_s.
+    star : identifier of the catalogue star, "" for none; None if no stars are known. psf_fwhm_px : FWHM of stars.
     """
 
     name: str
@@ -124,12 +121,12 @@ class Exposure:
         cls, table: Any, name: str, mjd_utc: float, scale: float, shape: tuple[int, int], exposure_s: float,
         psf_fwhm_px: float = 3.0,
     ) -> Exposure:  # fmt: skip
-        """From the table of an identified frame, as :func:`sameas.sky.listing` makes it."""
+        """The exposure of the table of an identified frame, as made by :func:`sameas.sky.listing`."""
         rows = table[~np.ma.getmaskarray(np.ma.MaskedArray(table["measurement"]))]
 
         def column(key: str) -> FloatArray:
             values = rows[key]
-            if values.dtype.kind not in "fiu":  # nothing is known: a column of absent texts
+            if values.dtype.kind not in "fiu":  # a column without any value is of masked strings
                 return np.full(len(rows), np.nan)
             out = np.asarray(values, dtype=np.float64).copy()
             out[np.ma.getmaskarray(np.ma.MaskedArray(values))] = np.nan
@@ -154,10 +151,10 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Trails:
-    """What moved while the shutter was open.
+    """Trails of sources that moved during the exposure.
 
-    arcsec : (n, 2) from one end to the other, east and north, either way; NaN without a trail. sigma_arcsec : (n,) its
-    error per axis. least_widths : shorter trails, in full widths of a star, are not seen as such.
+    arcsec : (n, 2) from one end to the other, east and north, of either sign; NaN without a trail. sigma_arcsec : (n,)
+    its error per axis. least_widths : minimum length of a visible trail, in FWHM of a star.
     """
 
     arcsec: FloatArray
@@ -171,15 +168,15 @@ class Series:
 
     Attributes
     ----------
-    exposures : in the order of time. frame, row : (n,) exposure of each measurement, and its row there.
+    exposures : in order of time. frame, row : (n,) exposure of each measurement, and its row there.
     place : (n, 2) arcsec east and north of ``middle_deg`` on the tangent plane, in the common system.
-    sigma_arcsec : (n,) error of the place beside the other frames, per axis.
-    star : (n,) a star of the catalogue. still : (n,) stands still on the sky. fixed : (n,) stands still on the chip.
-    spoilt : (n,) no light of the sky: a hot pixel, the hit of a particle.
-    magnitude : (n,) differential, on the scale of the catalogue where one of the frames knows it.
-    floor_arcsec : (f,) scatter of bright sources beside their errors. shift_arcsec : (f, 2) by which plates were moved.
-    ties : (f,) sources that tie each frame. stars : each once, with its measurements. notes : what a user should know.
-    trails : where they were measured.
+    sigma_arcsec : (n,) error of the position relative to other frames, per axis.
+    star : (n,) mask of catalogue stars. still : (n,) stationary on the sky. fixed : (n,) stationary on the chip.
+    spoilt : (n,) with an unreliable position: a hot pixel, a cosmic ray hit, cut at the edge.
+    magnitude : (n,) differential, on the scale of the catalogue if any frame has it.
+    floor_arcsec : (f,) extra scatter of bright sources. shift_arcsec : (f, 2) median shift of the plates.
+    ties : (f,) number of sources that tie each frame. stars : with their measurements. notes : lines for the user.
+    trails : if measured.
     """
 
     exposures: tuple[Exposure, ...]
@@ -202,12 +199,12 @@ class Series:
 
     @property
     def scale_arcsec_per_px(self) -> float:
-        """The median of the frames."""
+        """The median scale of the frames."""
         return float(np.median([e.scale_arcsec_per_px for e in self.exposures]))
 
     @property
     def left(self) -> BoolArray:
-        """(n,) what is left to move."""
+        """(n,) mask of the measurements without another explanation: candidates for movers."""
         return ~(self.star | self.still | self.fixed | self.spoilt)
 
     def sky(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -219,7 +216,7 @@ class Series:
         return ra, np.degrees(np.arcsin(np.clip(direction[:, 2], -1, 1)))
 
     def star_table(self) -> Table:
-        """One row a star; its values in every frame are in columns of as many values as there are frames."""
+        """A table with one row per star; values per frame are in columns of (f,) arrays."""
         from astropy.table import Table
 
         stars = self.stars
@@ -253,7 +250,7 @@ class Series:
         return table
 
     def frame_table(self) -> Table:
-        """One row a frame: its time, its zero point against the others, how it was tied to them."""
+        """A table with one row per frame: time, relative zero point, and its tie to the others."""
         from astropy.table import Table
 
         each, stars = self.exposures, self.stars
@@ -286,11 +283,11 @@ _UNITS = {"_deg": "deg", "_arcsec": "arcsec", "_mag": "mag"}
 
 
 def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) -> Series:
-    """A series of frames of one field, tied together, with what stands still marked.
+    """A series of frames of one field, tied together, with stationary sources marked.
 
     Raises
     ------
-    InputError : fewer than two frames; frames of different fields; frames of one and the same time.
+    InputError : fewer than two frames; frames of different fields; frames of the same time.
     """
     ordered = tuple(sorted(exposures, key=lambda e: e.mjd_utc))
     middle = _checked(ordered, tuning)
@@ -311,15 +308,17 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     sigma = np.sqrt(variance + floor[frame] ** 2)
     reach = tuning.reach_px * float(np.median(scale))
     days = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
-    still = _still(tied, frame, days, sigma, reach, tuning.still_px * float(np.median(scale)), len(ordered), tuning)
+    still = _stationary(
+        tied, frame, days, sigma, reach, tuning.drift_px * float(np.median(scale)), len(ordered), tuning
+    )
     chip = np.column_stack([everything["x_px"], everything["y_px"]])
-    moved = _moved_px(tied, chip, frame, still, len(ordered))
+    dithered_px = _dither_px(tied, chip, frame, still, len(ordered))
     fixed = np.zeros(len(frame), bool)
-    if moved > 2.0 * tuning.reach_px:
-        # Where the frames stand on each other to a pixel, the chip's faults stand still on the sky too.
-        fixed = _still(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
+    if dithered_px > 2.0 * tuning.reach_px:
+        # Only for dithered frames: otherwise chip defects are stationary on the sky too.
+        fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
     names = np.concatenate([e.names for e in ordered])
-    names = np.where(everything["p_star"] >= tuning.sure_star, names, "")
+    names = np.where(everything["p_star"] >= tuning.least_p_star, names, "")
     stars = gather(
         tied, frame, sigma, names, still & ~fixed, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
@@ -329,14 +328,14 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.sure_star, still, fixed & ~still,
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.least_p_star, still, fixed & ~still,
         (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
         _notes(ordered, ties, tuning),
     )  # fmt: skip
 
 
 def _checked(exposures: tuple[Exposure, ...], tuning: SeriesTuning) -> tuple[float, float]:
-    """The middle of the field, degrees."""
+    """The middle of the field, degrees; frames of different fields or of the same time are refused."""
     if len(exposures) < 2:
         raise InputError(f"{len(exposures)} frame could be used; movers need two frames, better three")
     for one, other in itertools.pairwise(exposures):
@@ -378,72 +377,72 @@ def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, flo
 def _tied(
     place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
 ) -> tuple[FloatArray, IntArray]:
-    """Places in the common system, and by how many sources each frame is tied to it."""
+    """Positions in the common system, and the number of sources that tie each frame to it."""
     tied, ties = place.copy(), np.zeros(frames, np.int64)
     reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
     known = place[good & (frame == reference)]
-    for turn in range(3):
+    for iteration in range(3):
         if len(known) < tuning.least_ties:
             return place, ties
-        reach = tuning.tie_arcsec / (1.0 if turn == 0 else 2.0)
+        reach = tuning.tie_arcsec / (1.0 if iteration == 0 else 2.0)
         tree = cKDTree(known)
         sums, counts = np.zeros_like(known), np.zeros(len(known))
         for k in range(frames):
-            here = np.flatnonzero(good & (frame == k))
-            if not len(here):
+            rows = np.flatnonzero(good & (frame == k))
+            if not len(rows):
                 continue
-            distance, at = tree.query(tied[here], distance_upper_bound=reach)
-            back = cKDTree(tied[here]).query(known, distance_upper_bound=reach)[1]
-            both = np.isfinite(distance)
-            both[both] = back[at[both]] == np.flatnonzero(both)
-            if both.sum() < tuning.least_ties:
+            distance, at = tree.query(tied[rows], distance_upper_bound=reach)
+            nearest_back = cKDTree(tied[rows]).query(known, distance_upper_bound=reach)[1]
+            mutual = np.isfinite(distance)
+            mutual[mutual] = nearest_back[at[mutual]] == np.flatnonzero(mutual)
+            if mutual.sum() < tuning.least_ties:
                 continue
-            solution, used = _affine(place[here[both]], known[at[both]], variance[here[both]])
+            solution, used = _affine(place[rows[mutual]], known[at[mutual]], variance[rows[mutual]])
             ties[k] = used
-            mine = frame == k
-            tied[mine] = np.column_stack([place[mine], np.ones(mine.sum())]) @ solution
-            np.add.at(sums, at[both], tied[here[both]])
-            np.add.at(counts, at[both], 1.0)
+            of_frame = frame == k
+            tied[of_frame] = np.column_stack([place[of_frame], np.ones(of_frame.sum())]) @ solution
+            np.add.at(sums, at[mutual], tied[rows[mutual]])
+            np.add.at(counts, at[mutual], 1.0)
         often = counts >= max(2, 0.5 * frames)
         known = (sums / np.maximum(counts, 1.0)[:, None])[often]
     return tied, ties
 
 
 def _affine(source: FloatArray, target: FloatArray, variance: FloatArray) -> tuple[FloatArray, int]:
-    """(3, 2) of the affine map from one to the other by robust weighted least squares, and the number of pairs used."""
+    """(3, 2) affine map from ``source`` to ``target`` by robust weighted least squares, and the number of pairs."""
     design = np.column_stack([source, np.ones(len(source))])
     keep = np.ones(len(source), bool)
     for _ in range(5):
         weight = np.sqrt(1.0 / (variance[keep] + 0.05**2))[:, None]
         solution = np.linalg.lstsq(design[keep] * weight, target[keep] * weight, rcond=None)[0]
-        off = np.hypot(*(target - design @ solution).T)
-        limit = max(4.0 * 1.2 * float(np.median(off[keep])), 0.1)
-        new = off < limit
-        if new.sum() < 4 or (new == keep).all():
+        distance = np.hypot(*(target - design @ solution).T)
+        limit = max(4.0 * 1.2 * float(np.median(distance[keep])), 0.1)
+        within = distance < limit
+        if within.sum() < 4 or (within == keep).all():
             break
-        keep = new
+        keep = within
     return solution, int(keep.sum())
 
 
 def _floors(
     place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
 ) -> FloatArray:
-    """(f,) robust scatter, arcsec per axis, of bright sources about their mean, beside their errors."""
-    out = np.full(frames, 0.05)
+    """(f,) robust scatter of bright sources about their median positions in excess of their errors, arcsec per axis."""
+    floor = np.full(frames, 0.05)
     first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
     if len(first) < tuning.least_ties:
-        return out
+        return floor
     tree = cKDTree(place[first])
     offsets, variances = [], []
     for k in range(frames):
-        here = np.flatnonzero(good & (frame == k))
-        distance, at = tree.query(place[here], distance_upper_bound=0.5 * tuning.tie_arcsec)
-        hit = np.isfinite(distance)
-        off = np.full((len(first), 2), np.nan)
-        off[at[hit]] = place[here[hit]]
+        rows = np.flatnonzero(good & (frame == k))
+        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * tuning.tie_arcsec)
+        found = np.isfinite(distance)
+        residual = np.full((len(first), 2), np.nan)
+        residual[at[found]] = place[rows[found]]
         var = np.full(len(first), np.nan)
-        var[at[hit]] = variance[here[hit]]
-        offsets.append(off)
+        var[at[found]] = variance[rows[found]]
+        offsets.append(residual)
         variances.append(var)
     stack = np.array(offsets)
     with warnings.catch_warnings():
@@ -451,45 +450,45 @@ def _floors(
         warnings.simplefilter("ignore")
         centre = np.nanmedian(stack, axis=0)
         for k in range(frames):
-            off = (stack[k] - centre).ravel()
-            spread = 1.4826 * np.nanmedian(np.abs(off - np.nanmedian(off)))
+            residual = (stack[k] - centre).ravel()
+            spread = 1.4826 * np.nanmedian(np.abs(residual - np.nanmedian(residual)))
             if np.isfinite(spread):
-                out[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), LEAST_FLOOR_ARCSEC**2))
-    return out
+                floor[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), LEAST_FLOOR_ARCSEC**2))
+    return floor
 
 
-def _still(
-    place: FloatArray, frame: IntArray, minutes: FloatArray, sigma: FloatArray, reach: float, far: float, frames: int,
-    tuning: SeriesTuning,
+def _stationary(
+    place: FloatArray, frame: IntArray, minutes: FloatArray, sigma: FloatArray, reach: float, least_drift: float,
+    frames: int, tuning: SeriesTuning,
 ) -> BoolArray:  # fmt: skip
-    """(n,) whether each measurement is of something that other frames show at the same place, without a drift.
+    """(n,) mask of the measurements with counterparts at the same position in other frames, without a drift.
 
-    At most ``compared`` frames, evenly over the series, are those others, so that the cost of a frame does not grow.
+    The other frames are at most ``compared``, evenly over the series, so that the cost per frame is constant.
     """
     n = len(frame)
     others = np.unique(np.linspace(0, frames - 1, min(frames, tuning.compared)).astype(np.int64))
-    # A straight line through the neighbours, the measurement itself among them.
+    # Sums for a line fitted to the neighbours and the measurement itself.
     weight = 1.0 / sigma**2
     s0, s1, s2, hits = weight.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
     off0, off1 = np.zeros((n, 2)), np.zeros((n, 2))
     widest = max(reach, 3.0 * math.sqrt(2.0) * float(np.percentile(sigma, 99.0)))
     for k in others:
-        there = np.flatnonzero(frame == k)
-        if not len(there):
+        rows = np.flatnonzero(frame == k)
+        if not len(rows):
             continue
-        distance, at = cKDTree(place[there]).query(place, NEIGHBOURS, distance_upper_bound=widest, workers=-1)
+        distance, at = cKDTree(place[rows]).query(place, NEIGHBOURS, distance_upper_bound=widest, workers=-1)
         found = np.zeros(n, bool)
         for column in range(NEIGHBOURS):
             i = np.flatnonzero(np.isfinite(distance[:, column]) & (frame != k))
-            j = there[at[i, column]]
+            j = rows[at[i, column]]
             near = distance[i, column] < np.maximum(reach, 3.0 * np.hypot(sigma[i], sigma[j]))
             i, j = i[near], j[near]
-            w, t, off = weight[j], minutes[j] - minutes[i], place[j] - place[i]
+            w, t, offset = weight[j], minutes[j] - minutes[i], place[j] - place[i]
             s0[i] += w
             s1[i] += w * t
             s2[i] += w * t**2
-            off0[i] += w[:, None] * off
-            off1[i] += (w * t)[:, None] * off
+            off0[i] += w[:, None] * offset
+            off1[i] += (w * t)[:, None] * offset
             found[i] = True
         hits += found
     determinant = s0 * s2 - s1**2
@@ -498,23 +497,23 @@ def _still(
         drift = (s0[:, None] * off1 - s1[:, None] * off0) / determinant[:, None]
         error = np.sqrt(s0 / determinant)
         speed = np.hypot(*drift.T)
-    drifting = np.nan_to_num(speed, nan=0.0) * span > far
-    significant = np.nan_to_num(speed / error, nan=0.0) > tuning.still_sigmas
+    drifting = np.nan_to_num(speed, nan=0.0) * span > least_drift
+    significant = np.nan_to_num(speed / error, nan=0.0) > tuning.drift_sigmas
     compared = len(others) - np.isin(frame, others)
     often = hits >= np.maximum(2.0, tuning.often * compared)
     few = hits >= (2.0 if frames > 3 else 1.0)
     return (often & ~(drifting & significant)) | (few & ~significant)
 
 
-def _moved_px(place: FloatArray, chip: FloatArray, frame: IntArray, still: BoolArray, frames: int) -> float:
-    """How far, at most, the field moves over the chip in the series, px."""
+def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, still: BoolArray, frames: int) -> float:
+    """The largest displacement of the field on the chip along an axis, px."""
     middles = []
     for k in range(frames):
-        here = still & (frame == k)
-        if here.sum() < 4:
+        selected = still & (frame == k)
+        if selected.sum() < 4:
             continue
-        design = np.column_stack([place[here], np.ones(here.sum())])
-        solution = np.linalg.lstsq(design, chip[here], rcond=None)[0]
+        design = np.column_stack([place[selected], np.ones(selected.sum())])
+        solution = np.linalg.lstsq(design, chip[selected], rcond=None)[0]
         middles.append(solution[2])
     return float(np.ptp(np.array(middles), axis=0).max()) if len(middles) > 1 else 0.0
 
@@ -529,19 +528,19 @@ def _notes(exposures: tuple[Exposure, ...], ties: IntArray, tuning: SeriesTuning
 
 @dataclass(frozen=True)
 class StarTuning:
-    """How stars are gathered and their zero points fitted; all chosen.
+    """Parameters for the stars of a series and their zero points; all chosen.
 
     Attributes
     ----------
-    odds : that a star of the series is measured on a frame.
-    least_ensemble : a frame's zero point needs so many stars. often : that are on this share of the frames.
-    rounds : of the fit. huber : residuals beyond so many errors count less.
+    odds : prior odds that a star of the series is measured on a frame.
+    least_ensemble : minimum number of stars for a zero point. often : minimum share of frames of such a star.
+    iterations : of the fit. huber : residuals beyond this many errors get a lower weight.
     """
 
     odds: float = 2.0
     least_ensemble: int = 3
     often: float = 0.5
-    rounds: int = 40
+    iterations: int = 40
     huber: float = 2.0
 
 
@@ -555,15 +554,15 @@ class Stars:
 
     Attributes
     ----------
-    name : identifier in the catalogue, "" for stars that it lacks. place : (s, 2) arcsec in the system of the series.
+    name : identifier in the catalogue, "" for other stars. place : (s, 2) arcsec in the system of the series.
     sigma_arcsec : its error per axis.
     measurement : (s, f) row among the measurements of the series, −1 where it was not measured.
-    residual_arcsec : (s, f, 2) measured minus mean place, east and north.
-    magnitude, error : (s, f) differential, NaN where not all the light was measured (saturated, cut); error with the
+    residual_arcsec : (s, f, 2) measured minus mean position, east and north.
+    magnitude, error : (s, f) differential, NaN where the flux is incomplete (saturated, cut); the error includes the
         floor. mean, mean_error : (s,) over the frames.
-    scatter_mag : (s,) standard deviation. p_constant : (s,) probability of as much scatter, were the star constant.
-    zero_point, zero_error : (f,) magnitude of one unit of flux. ensemble : (f,) stars that gave it.
-    floor_mag : scatter of bright stars beside their errors. scale : what magnitudes are counted in.
+    scatter_mag : (s,) standard deviation. p_constant : (s,) probability of at least this scatter for a constant star.
+    zero_point, zero_error : (f,) magnitude of one unit of flux. ensemble : (f,) number of stars used.
+    floor_mag : extra scatter of bright stars. scale : description of the magnitude scale.
     """
 
     name: NDArray[Any]
@@ -587,7 +586,7 @@ class Stars:
         return len(self.name)
 
     def magnitudes(self, flux: FloatArray, frame: IntArray) -> FloatArray:
-        """(n,) magnitudes of fluxes measured in some frames, NaN where there is no zero point or no light."""
+        """(n,) magnitudes of fluxes in given frames, NaN without a zero point or with no positive flux."""
         return _instrumental(flux) + self.zero_point[frame]
 
 
@@ -598,24 +597,24 @@ def gather(
 ) -> Stars:  # fmt: skip
     """The stars among the measurements of a series.
 
-    place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) star of the catalogue.
-    still : (n,) stands still. flux, flux_err : (n,). whole : (n,) all the light was measured. magnitude : (n,) on the
-    scale of the catalogue, NaN where not known. blur_arcsec : by which places of faint stars wander more than quoted.
+    place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star.
+    still : (n,) stationary. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale
+    of the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
     """
     rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, still, frames, tuning)
-    at, there = np.maximum(rows, 0), rows >= 0
-    weight = np.where(there, 1.0 / sigma[at] ** 2, 0.0)
+    at, measured = np.maximum(rows, 0), rows >= 0
+    weight = np.where(measured, 1.0 / sigma[at] ** 2, 0.0)
     total = weight.sum(axis=1)
     middle = np.einsum("sf,sfd->sd", weight, place[at]) / np.maximum(total, 1e-30)[:, None]
-    residual = np.where(there[..., None], place[at] - middle[:, None], np.nan)
-    raw = np.where(there, _instrumental(flux)[at], np.nan)
+    residual = np.where(measured[..., None], place[at] - middle[:, None], np.nan)
+    raw = np.where(measured, _instrumental(flux)[at], np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.where(there & (flux[at] > 0), 1.0857 * flux_err[at] / flux[at], np.nan)
+        error = np.where(measured & (flux[at] > 0), 1.0857 * flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
     often = usable.sum(axis=1) >= max(2.0, tuning.often * frames)
     zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)
-    off, scale = _catalogue_scale(magnitude, _instrumental(flux) + zero[frame])
-    zero = zero + off
+    zero_offset, scale = _catalogue_scale(magnitude, _instrumental(flux) + zero[frame])
+    zero = zero + zero_offset
     light = np.where(whole[at], raw + zero, np.nan)
     error = np.where(np.isfinite(light), np.hypot(error, floor), np.nan)
     mean, mean_error, scatter, p = _constancy(light, error)
@@ -634,37 +633,41 @@ def _rows(
     place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], still: BoolArray, frames: int,
     tuning: StarTuning,
 ) -> tuple[IntArray, NDArray[Any]]:  # fmt: skip
-    """(s, f) measurement of each star in each frame, −1 for none, and (s,) their names; stars of one frame alone only
-    where the catalogue has them."""
+    """(s, f) measurement of each star in each frame, −1 for none, and (s,) names.
+
+    Stars measured in one frame only are kept if they are in the catalogue.
+    """
     named = np.flatnonzero(name != "")
     names, star = np.unique(name[named], return_inverse=True)
-    room = len(names) + int((still & (name == "")).sum())
-    rows = np.full((room, frames), -1)
+    capacity = len(names) + int((still & (name == "")).sum())
+    rows = np.full((capacity, frames), -1)
     rows[star, frame[named]] = named
-    sums, weights = np.zeros((room, 2)), np.zeros(room)
+    sums, weights = np.zeros((capacity, 2)), np.zeros(capacity)
     np.add.at(sums, star, place[named] / sigma[named, None] ** 2)
     np.add.at(weights, star, 1.0 / sigma[named] ** 2)
-    count, loose = len(names), still & (name == "")
+    count, unnamed = len(names), still & (name == "")
     area = float(np.prod(np.maximum(np.ptp(place, axis=0), 60.0))) if len(place) else 1.0
-    # The frame that shows most comes first.
-    for k in np.argsort(-np.bincount(frame[loose], minlength=frames), kind="stable"):
-        here = np.flatnonzero(loose & (frame == k))
+    # The frame with most measurements comes first.
+    for k in np.argsort(-np.bincount(frame[unnamed], minlength=frames), kind="stable"):
+        in_frame = np.flatnonzero(unnamed & (frame == k))
         free = np.flatnonzero(rows[:count, k] < 0)
-        new = np.ones(len(here), bool)
-        if len(here) and len(free):
-            one = Records.of(place[here], sigma=sigma[here], source="frame")
-            known = Records.of(sums[free] / weights[free, None], sigma=1.0 / np.sqrt(weights[free]), source="stars")
-            rule, prior = Field(max(len(here), 1) / area), PerPair(math.log(tuning.odds))
-            found = identify(one, known, rule=rule, prior=prior).matches
-            rows[free[found.rows_2], k] = here[found.rows_1]
+        new = np.ones(len(in_frame), bool)
+        if len(in_frame) and len(free):
+            frame_records = Records.of(place[in_frame], sigma=sigma[in_frame], source="frame")
+            star_records = Records.of(
+                sums[free] / weights[free, None], sigma=1.0 / np.sqrt(weights[free]), source="stars"
+            )
+            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(math.log(tuning.odds))
+            found = identify(frame_records, star_records, rule=rule, prior=prior).matches
+            rows[free[found.rows_2], k] = in_frame[found.rows_1]
             new[found.rows_1] = False
-        fresh = here[new]
-        rows[count + np.arange(len(fresh)), k] = fresh
-        count += len(fresh)
-        mine = np.flatnonzero((rows[:count, k] >= 0) & ~np.isin(rows[:count, k], named))
-        at = rows[mine, k]
-        sums[mine] += place[at] / sigma[at, None] ** 2
-        weights[mine] += 1.0 / sigma[at] ** 2
+        new_rows = in_frame[new]
+        rows[count + np.arange(len(new_rows)), k] = new_rows
+        count += len(new_rows)
+        matched = np.flatnonzero((rows[:count, k] >= 0) & ~np.isin(rows[:count, k], named))
+        at = rows[matched, k]
+        sums[matched] += place[at] / sigma[at, None] ** 2
+        weights[matched] += 1.0 / sigma[at] ** 2
     rows = rows[:count]
     names = np.concatenate([names.astype(str), np.full(count - len(names), "")])
     keep = ((rows >= 0).sum(axis=1) > 1) | (names != "")
@@ -674,7 +677,7 @@ def _rows(
 def _ensemble(
     raw: FloatArray, error: FloatArray, usable: BoolArray, tuning: StarTuning
 ) -> tuple[FloatArray, FloatArray, IntArray, float]:
-    """(f,) zero points, their mean 0, their errors and stars, and the floor, by repeated weighted means."""
+    """(f,) zero points with mean 0, their errors and numbers of stars, and the floor, by iterated weighted means."""
     frames = raw.shape[1]
     ensemble = usable.sum(axis=0)
     good = ensemble >= tuning.least_ensemble
@@ -685,19 +688,19 @@ def _ensemble(
     zero, floor = np.zeros(frames), 0.02
     values, variance = np.where(usable, raw, 0.0), np.where(usable, error, 1.0) ** 2
     robust = np.ones_like(values)
-    for _ in range(tuning.rounds):
+    for _ in range(tuning.iterations):
         weight = np.where(usable, robust / (variance + floor**2), 0.0)
         mean = (weight * (values + zero)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
         step = (weight * (mean[:, None] - values)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-30) - zero
         zero = zero + step - step[good].mean()
-        left = values + zero - mean[:, None]
-        sharp = usable & (variance <= np.quantile(variance[usable], 0.3))
-        spread = 1.4826 * float(np.median(np.abs(left[sharp])))
-        # A mean of n takes away 1/n of the variance.
+        residual = values + zero - mean[:, None]
+        precise = usable & (variance <= np.quantile(variance[usable], 0.3))
+        spread = 1.4826 * float(np.median(np.abs(residual[precise])))
+        # Residuals from a mean of n have their variance reduced by 1/n.
         share = 1.0 - 1.0 / max(float(usable.sum(axis=1)[usable.any(axis=1)].mean()), 2.0)
-        floor = math.sqrt(max(spread**2 / share - float(np.median(variance[sharp])), 1e-6))
-        away = np.abs(left) / np.sqrt(variance + floor**2)
-        robust = np.minimum(1.0, tuning.huber / np.maximum(away, 1e-9))
+        floor = math.sqrt(max(spread**2 / share - float(np.median(variance[precise])), 1e-6))
+        sigmas = np.abs(residual) / np.sqrt(variance + floor**2)
+        robust = np.minimum(1.0, tuning.huber / np.maximum(sigmas, 1e-9))
         if np.abs(step - step[good].mean())[good].max() < 1e-6:
             break
     weight = np.where(usable, robust / (variance + floor**2), 0.0).sum(axis=0)
@@ -706,7 +709,7 @@ def _ensemble(
 
 
 def _catalogue_scale(known: FloatArray, common: FloatArray) -> tuple[float, str]:
-    """By how much the common scale is off that of the catalogue, and what it is counted in then."""
+    """The offset from the common scale to that of the catalogue, and a description of the resulting scale."""
     both = np.isfinite(known) & np.isfinite(common)
     if both.sum() < 3:
         return 0.0, "instrumental, 0 for one unit of flux in a mean frame"
@@ -714,13 +717,13 @@ def _catalogue_scale(known: FloatArray, common: FloatArray) -> tuple[float, str]
 
 
 def _constancy(light: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """(s,) mean, its error, standard deviation, and probability of that scatter in a constant star (χ²)."""
-    there = np.isfinite(light) & np.isfinite(error)
-    weight = np.where(there, 1.0 / np.where(there, error, 1.0) ** 2, 0.0)
-    total, count = weight.sum(axis=1), there.sum(axis=1)
+    """(s,) mean, its error, standard deviation, and probability of this scatter for a constant star (χ²)."""
+    measured = np.isfinite(light) & np.isfinite(error)
+    weight = np.where(measured, 1.0 / np.where(measured, error, 1.0) ** 2, 0.0)
+    total, count = weight.sum(axis=1), measured.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = np.where(count > 0, (weight * np.where(there, light, 0.0)).sum(axis=1) / total, np.nan)
-        left = np.where(there, light - mean[:, None], 0.0)
-        scatter = np.where(count > 1, np.sqrt((left**2).sum(axis=1) / (count - 1)), np.nan)
-        p = np.where(count > 1, chdtrc(np.maximum(count - 1, 1), (weight * left**2).sum(axis=1)), np.nan)
+        mean = np.where(count > 0, (weight * np.where(measured, light, 0.0)).sum(axis=1) / total, np.nan)
+        residual = np.where(measured, light - mean[:, None], 0.0)
+        scatter = np.where(count > 1, np.sqrt((residual**2).sum(axis=1) / (count - 1)), np.nan)
+        p = np.where(count > 1, chdtrc(np.maximum(count - 1, 1), (weight * residual**2).sum(axis=1)), np.nan)
         return mean, np.where(count > 0, 1.0 / np.sqrt(total), np.nan), scatter, p

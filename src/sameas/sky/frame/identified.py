@@ -1,12 +1,12 @@
-"""Identify and refine: which star each measurement is, and the plate model, alternately until both have converged.
+"""Identification of a frame: crossmatch of measurements and stars, and plate fit, alternately until convergence.
 
 Stars are predicted on the frame with their errors and those of the plate model; measurements and predictions are
-identified in pixels (:func:`sameas.estimate.match`); the plate is fitted again to all candidate pairs, each with
-its probability. Stars so faint that the frame shows none of them are no candidates.
+matched in pixels (:func:`sameas.estimate.match`); the plate is refitted to all candidate pairs, weighted by their
+probabilities. Stars too faint for the frame are no candidates.
 
-``solve`` is the whole way: where the frame points, which star each measurement is, and the refined plate. It starts
-from measurements: :mod:`sameas.sky.frame.image` and :mod:`sameas.sky.frame.detect` make these from pixels, and
-:func:`sameas.sky.frame.outputs.listing` makes a table of its result.
+:func:`solve` does everything from the measurements on: placement, identification, and the refined plate.
+:mod:`sameas.sky.frame.image` and :mod:`sameas.sky.frame.detect` make measurements from pixels;
+:func:`sameas.sky.frame.outputs.listing` makes a table of the result.
 """
 
 from __future__ import annotations
@@ -35,34 +35,34 @@ from sameas.sky.frame.plate import MatchedStars, PlateModel, PlateTuning, fit_pl
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.frame.tangent import Pointing, directions_deg
 
-#: Magnitudes of a relative error of one.
+#: Error in magnitudes per relative error of the flux.
 POGSON = 2.5 / math.log(10.0)
-#: With fewer pairs the root mean square is given instead of the robust scatter (chosen).
+#: With fewer pairs the root mean square is used instead of the robust scatter (chosen).
 FEW = 20
-#: The catalogue reaches as faint as this share of the identified measurements; it is shallow where more than this share
-#: of all measurements is fainter, and not identified (both chosen).
+#: Quantile of the identified magnitudes taken as the limit of the catalogue, and the minimum share of all measurements
+#: that are fainter and unidentified in a shallow catalogue (both chosen).
 REACHED, SHALLOW = 0.98, 0.2
-#: Stars of a catalogue that are fainter than this share of it are its faintest (chosen).
+#: Quantile of magnitude above which the stars of a catalogue are its faintest (chosen).
 FAINTEST = 0.8
-#: Stars that the frame shows with at least this probability are missing when they are not identified.
+#: Minimum detection probability of a star that is reported as missing if not identified.
 EXPECTED = 0.5
-#: A star is not as bright as catalogued when it is off by this many robust standard deviations of the pairs and this
-#: many magnitudes (both chosen): a variable, a wrong identification, another's light.
+#: Minimum deviation from the catalogued magnitude that is reported, in robust standard deviations of the pairs and in
+#: magnitudes (both chosen): a variable, a wrong identification, light of another star.
 ODD_SIGMAS, ODD_MAG = 5.0, 0.5
 
 
 @dataclass(frozen=True)
 class RefinementTuning:
-    """Numbers of the refinement, all chosen.
+    """Parameters of the refinement, all chosen.
 
     Attributes
     ----------
-    margin_px : stars predicted outside the frame by less than this may be measured on its edge.
-    least_p_pair : pairs less probable than this are not used for the plate.
-    pairs_beyond_linear : the first plate may be of higher order than linear with more pairs than this.
-    saturated_mag : standard error of the magnitude of a saturated star, which loses some light, but not nearly all.
-    least_p_detect : stars that the frame shows with less than this probability are no candidates.
-    plate, photometry : numbers of the two fits.
+    margin_px : stars predicted up to this distance outside the frame are candidates.
+    least_p_pair : minimum probability of a pair used for the plate.
+    pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
+    saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
+    least_p_detect : minimum detection probability of a candidate star.
+    plate, photometry : parameters of the two fits.
     """
 
     margin_px: float = 2.0
@@ -81,15 +81,15 @@ TUNING = RefinementTuning()
 class Refinement:
     """How identification and plate are refined.
 
-    order : of the plate's polynomial, 1 … 5, None for the one of least BIC. iterations : at most.
-    settled_px : converged when no prediction moves farther.
-    magnitudes : "auto" takes brightness as evidence from the second iteration on, where the catalogue has magnitudes;
-        "off" never does.
+    order : of the plate's polynomial, 1 … 5, None to choose it. iterations : maximum number.
+    converged_px : maximum change of a prediction at convergence.
+    magnitudes : "auto" uses magnitudes as evidence from the second iteration on, if the catalogue has them; "off" does
+        not.
     """
 
     order: int | None = None
     iterations: int = 8
-    settled_px: float = 0.01
+    converged_px: float = 0.01
     magnitudes: Literal["auto", "off"] = "auto"
     tuning: RefinementTuning = field(default=TUNING, repr=False)
 
@@ -97,18 +97,18 @@ class Refinement:
 @in_short
 @dataclass(frozen=True)
 class FrameIdentification:
-    """A frame identified with a catalogue. Rows of ``result`` are rows of ``measured`` and of ``stars``.
+    """The identification of a frame. Rows of ``result`` are rows of ``measured`` and of ``stars``.
 
     Attributes
     ----------
-    measured : the measurements. stars : those of the field at the frame's epoch; the ones beyond the frame, and
-        those far too faint, were no candidates.
-    placement : where the search started. plate : the refined plate model.
-    result, estimate : the identification in pixels, measurements first.
-    predicted_px : (m, 2) pixel of each star by the plate model; predicted_covariance : (m, 3) of it, px².
-    candidate : (m,) the stars that could be identified.
-    zero_point, completeness : of brightness, None where no magnitudes are known.
-    iterations, settled : of the refinement, and whether it converged. notes : what a user should know.
+    measured : the measurements. stars : of the field at the frame's epoch; those outside the frame or far too faint are
+        no candidates.
+    placement : the initial placement. plate : the refined plate model.
+    result, estimate : the crossmatch in pixels, measurements first.
+    predicted_px : (m, 2) pixel of each star by the plate model; predicted_covariance : (m, 3) its covariance, px².
+    candidate : (m,) mask of the candidate stars.
+    zero_point, completeness : photometric, None without magnitudes.
+    iterations, settled : number of iterations, and whether they converged. notes : lines for the user.
     """
 
     measured: Measurements
@@ -134,32 +134,32 @@ class FrameIdentification:
 
     @cached_property
     def inside(self) -> BoolArray:
-        """(m,) whether each star is predicted within the frame, where one can be measured."""
+        """(m,) mask of the stars predicted within the frame at usable pixels."""
         return _measurable(self.predicted_px, self.measured, 0.0)
 
     @cached_property
     def p_detect(self) -> FloatArray:
-        """(m,) the probability that the frame shows each star; where no magnitudes are known the same for all."""
+        """(m,) detection probability of each star; the same for all without magnitudes."""
         if self.completeness is not None:
             return self.completeness(self.stars.magnitude)
         return np.full(len(self.stars), self.estimate.share_2)
 
     @cached_property
     def missing(self) -> IntArray:
-        """Rows of the stars: stars that the frame should show and that no measurement is identified with."""
+        """Rows of the stars that should be detected but are not identified."""
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
         return np.flatnonzero(self.inside & ~identified & (self.p_detect >= EXPECTED))
 
     @cached_property
     def residual_px(self) -> FloatArray:
-        """(k, 2) of the identified pairs: measured minus predicted."""
+        """(k, 2) residuals of the identified pairs, px: measured minus predicted."""
         i, j, _ = self.pairs
         return np.column_stack([self.measured.x_px[i], self.measured.y_px[i]]) - self.predicted_px[j]
 
     @cached_property
     def residual_arcsec(self) -> FloatArray:
-        """(k, 2) of the identified pairs: measured minus predicted, east and north."""
+        """(k, 2) residuals of the identified pairs, east and north: measured minus predicted."""
         from sameas.space import sphere_offset
 
         i, j, _ = self.pairs
@@ -168,27 +168,27 @@ class FrameIdentification:
 
     @cached_property
     def beyond_catalogue(self) -> IntArray:
-        """Rows of the measurements that are not identified because the catalogue does not reach so faint.
+        """Rows of the measurements that are unidentified because the catalogue is too shallow.
 
-        They are many, and fainter than nearly all identified ones, and the frame shows the faintest stars of the
-        catalogue; else there are none.
+        These are fainter than nearly all identified ones. Empty unless there are many of them and the frame shows the
+        faintest stars of the catalogue.
         """
         magnitude = instrumental(self.measured.flux)
-        alone, found = self.result.leftovers_1, magnitude[self.pairs[0]]
-        found = found[np.isfinite(found)]
+        unidentified, identified_mag = self.result.leftovers_1, magnitude[self.pairs[0]]
+        identified_mag = identified_mag[np.isfinite(identified_mag)]
         identified = np.zeros(len(self.stars), np.bool_)
         identified[self.pairs[1]] = True
-        identified, of_stars = identified[self.inside], self.stars.magnitude[self.inside]
-        if np.isfinite(of_stars).any():
-            identified = identified[of_stars > np.nanquantile(of_stars, FAINTEST)]
-        if len(found) < FEW or not len(identified) or identified.mean() < EXPECTED:
+        identified, star_mag = identified[self.inside], self.stars.magnitude[self.inside]
+        if np.isfinite(star_mag).any():
+            identified = identified[star_mag > np.nanquantile(star_mag, FAINTEST)]
+        if len(identified_mag) < FEW or not len(identified) or identified.mean() < EXPECTED:
             return np.empty(0, np.int64)
-        fainter = alone[magnitude[alone] > np.quantile(found, REACHED)]
+        fainter = unidentified[magnitude[unidentified] > np.quantile(identified_mag, REACHED)]
         return fainter if len(fainter) > SHALLOW * len(magnitude) else fainter[:0]
 
     @cached_property
     def excess_mag(self) -> FloatArray:
-        """(k,) of the identified pairs: measured minus catalogued magnitude; NaN where one of them is not known."""
+        """(k,) measured minus catalogued magnitude of the identified pairs; NaN where one is not known."""
         i, j, _ = self.pairs
         if self.zero_point is None:
             return np.full(len(i), np.nan)
@@ -196,37 +196,36 @@ class FrameIdentification:
 
     @cached_property
     def odd_brightness(self) -> IntArray:
-        """Which of the identified pairs are much brighter or fainter than catalogued, the farthest off first."""
-        off = np.abs(np.nan_to_num(self.excess_mag))
+        """Indices of the identified pairs much brighter or fainter than catalogued, largest deviation first."""
+        deviation = np.abs(np.nan_to_num(self.excess_mag))
         scatter = 0.0 if self.zero_point is None else self.zero_point.scatter
-        odd = np.flatnonzero(off > max(ODD_SIGMAS * scatter, ODD_MAG))
-        return odd[np.argsort(-off[odd], kind="stable")]
+        odd = np.flatnonzero(deviation > max(ODD_SIGMAS * scatter, ODD_MAG))
+        return odd[np.argsort(-deviation[odd], kind="stable")]
 
     @property
     def scatter_arcsec(self) -> FloatArray:
-        """(2,) robust standard deviation (1.4826 · median |Δ|) of the residuals east and north; of few, whose median
-        says little, the root mean square."""
-        left = self.residual_arcsec
-        if not len(left):
+        """(2,) robust standard deviation (1.4826 · median |Δ|) of the residuals east and north; RMS for few pairs."""
+        residual = self.residual_arcsec
+        if not len(residual):
             return np.full(2, np.nan)
-        if len(left) < FEW:
-            return np.asarray(np.sqrt(np.mean(left**2, axis=0)))
-        return np.asarray(1.4826 * np.median(np.abs(left - np.median(left, axis=0)), axis=0))
+        if len(residual) < FEW:
+            return np.asarray(np.sqrt(np.mean(residual**2, axis=0)))
+        return np.asarray(1.4826 * np.median(np.abs(residual - np.median(residual, axis=0)), axis=0))
 
 
 def identify_frame(
     measured: Measurements, stars: StarField, placement: Placement, refinement: Refinement | None = None
 ) -> FrameIdentification:
-    """A placed frame identified with the stars of its field, and its plate refined.
+    """The identification of a placed frame with the stars of its field, and its refined plate.
 
     Parameters
     ----------
-    measured : the measurements. stars : the field, at the frame's epoch; the placement's star rows are its rows.
-    placement : where the frame points. refinement : how identification and plate are refined.
+    measured : the measurements. stars : the field at the frame's epoch; ``placement.rows_stars`` are its rows.
+    placement : the pointing of the frame. refinement : how identification and plate are refined.
 
     Raises
     ------
-    InputError : too few pairs for a plate model; nothing of the catalogue is on the frame.
+    InputError : too few pairs for a plate model; no star of the catalogue is on the frame.
 
     Example: ``identify_frame(measurements, stars, placement).plate.describe()``.
     """
@@ -236,32 +235,32 @@ def identify_frame(
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
         candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
-        # By the first plate brightness would confirm wrong pairs as well as right ones.
-        bright = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
-        result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=bright)
+        # With the first plate magnitudes would support wrong pairs as well as right ones.
+        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
+        result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
         completeness = _completeness(px, stars, result, measured, tuning)
         if completeness is not None:
             faintest = completeness.faintest(tuning.least_p_detect)
         pairs = _matched(measured, stars, result, tuning.least_p_pair)
         plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
-        before, inside = px, _within(px, measured.shape, 0.0)
+        previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
-        settled = bool(np.nanmax(np.abs(px - before)[inside], initial=0.0) < refinement.settled_px)
-        if settled and iteration > 1:
+        converged = bool(np.nanmax(np.abs(px - previous_px)[inside], initial=0.0) < refinement.converged_px)
+        if converged and iteration > 1:
             break
     i, j, p = result.matches.rows_1, result.matches.rows_2, result.matches.p_match
     zero = ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], p, tuning.photometry)
-    notes = _notes(result, estimate, plate, settled)
+    notes = _notes(result, estimate, plate, converged)
     return FrameIdentification(
         measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, iteration,
-        settled, notes,
+        converged, notes,
     )  # fmt: skip
 
 
 def _first_plate(
     measured: Measurements, stars: StarField, placement: Placement, tuning: RefinementTuning
 ) -> PlateModel:
-    """The plate of the pairs of the placement."""
+    """The plate fitted to the pairs of the placement."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
     order = None if len(i) > tuning.pairs_beyond_linear else 1
@@ -269,7 +268,7 @@ def _first_plate(
 
 
 def _matched(measured: Measurements, stars: StarField, result: Identification, least_p_pair: float) -> MatchedStars:
-    """All candidate pairs that are probable enough to be used for the plate, with their probabilities."""
+    """All candidate pairs above the minimum probability, with their probabilities, for the plate fit."""
     used = np.flatnonzero(result.p_pair >= least_p_pair)
     p = np.minimum(result.p_pair[used], 1.0)
     return _pairs(measured, stars, result.rows_1[used], result.rows_2[used], p)
@@ -287,13 +286,13 @@ def _pairs(measured: Measurements, stars: StarField, i: IntArray, j: IntArray, p
 
 
 def _predicted(plate: PlateModel, stars: StarField) -> tuple[FloatArray, FloatArray]:
-    """(m, 2) pixels and (m, 3) covariances, errors of the stars and of the plate together."""
+    """(m, 2) predicted pixels and (m, 3) covariances, including the errors of stars and plate."""
     x, y, covariance = plate.predict(stars.ra_deg, stars.dec_deg, stars.covariance_arcsec)
     return np.column_stack([x, y]), covariance
 
 
 def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> BoolArray:
-    """(m,) whether pixels lie on the frame, or not farther outside than a margin."""
+    """(m,) mask of the pixels on the frame or at most a margin outside."""
     x, y = px.T
     low, rows, columns = -0.5 - margin_px, shape[0] - 0.5 + margin_px, shape[1] - 0.5 + margin_px
     with np.errstate(invalid="ignore"):
@@ -301,7 +300,7 @@ def _within(px: FloatArray, shape: tuple[int, int], margin_px: float) -> BoolArr
 
 
 def _measurable(px: FloatArray, measured: Measurements, margin_px: float) -> BoolArray:
-    """(m,) whether pixels lie on the frame, or not farther outside than a margin, and not where it is blind."""
+    """(m,) mask of the pixels on the frame or at most a margin outside, and not in a blind area."""
     measurable = _within(px, measured.shape, margin_px)
     if measured.blind is not None:
         rows, columns = measured.shape
@@ -313,7 +312,7 @@ def _measurable(px: FloatArray, measured: Measurements, margin_px: float) -> Boo
 def _candidates(
     px: FloatArray, stars: StarField, measured: Measurements, faintest: float | None, margin_px: float
 ) -> BoolArray:
-    """(m,) stars on the frame that are not too faint to be measured."""
+    """(m,) mask of the stars on the frame that are not too faint to be detected."""
     candidate = _measurable(px, measured, margin_px)
     if faintest is not None:
         candidate &= ~(stars.magnitude > faintest)
@@ -323,7 +322,7 @@ def _candidates(
 
 
 def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars: StarField) -> Records:
-    """The candidates in pixels; their rows are those of the stars."""
+    """The candidates as records in pixels; their rows are rows of the stars."""
     rows = np.flatnonzero(candidate)
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)
 
@@ -331,17 +330,17 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars
 def _brightness(
     measured: Measurements, stars: StarField, tuning: RefinementTuning
 ) -> tuple[Magnitudes, Magnitudes] | None:
-    """Instrumental magnitudes and those of the stars; None where the catalogue has none.
+    """Instrumental and catalogue magnitudes; None if the catalogue has none.
 
-    Cut measurements and those that have no star's shape get no magnitude. Saturated ones keep theirs with a wide error:
-    none is a star of a hundredth of its light.
+    Measurements at the edge, or without the shape of a star, get no magnitude. Saturated ones keep theirs with a large
+    error, which still excludes stars of a hundredth of the flux.
     """
     if not np.isfinite(stars.magnitude).any():
         return None
     usable = measured.clean(Flag.BLENDED | Flag.SATURATED) & (measured.flux > 0.0)
     flux = np.where(usable, measured.flux, np.nan)
-    lost = np.where((measured.flags & Flag.SATURATED) != 0, tuning.saturated_mag, 0.0)
-    error = np.hypot(POGSON * measured.flux_err / flux, lost)
+    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, tuning.saturated_mag, 0.0)
+    error = np.hypot(POGSON * measured.flux_err / flux, saturation_error)
     return Magnitudes(-2.5 * np.log10(flux), error, ("instrumental",)), Magnitudes(
         stars.magnitude, names=("catalogue",)
     )
@@ -350,7 +349,7 @@ def _brightness(
 def _completeness(
     px: FloatArray, stars: StarField, result: Identification, measured: Measurements, tuning: RefinementTuning
 ) -> Completeness | None:
-    """The share of the stars on the frame that are identified, by magnitude."""
+    """The identified share of the stars on the frame, by magnitude."""
     p_identified = np.zeros(len(stars))
     np.add.at(p_identified, result.rows_2, result.p_pair)
     inside = _measurable(px, measured, -tuning.margin_px)
@@ -359,9 +358,9 @@ def _completeness(
     return Completeness.of(stars.magnitude[inside], p_identified[inside], tuning.photometry)
 
 
-def _notes(result: Identification, estimate: Estimate, plate: PlateModel, settled: bool) -> tuple[str, ...]:
+def _notes(result: Identification, estimate: Estimate, plate: PlateModel, converged: bool) -> tuple[str, ...]:
     notes = list(estimate.notes)
-    if not settled:
+    if not converged:
         notes.append("identification and plate had not converged at the last iteration")
     if plate.error_scale > 3.0:
         notes.append(f"residuals from the plate model are {plate.error_scale:.1f} times the quoted errors")
@@ -370,7 +369,7 @@ def _notes(result: Identification, estimate: Estimate, plate: PlateModel, settle
     return tuple(notes)
 
 
-#: Stars are taken from a field this factor wider than the frame, which may be rotated or scaled a little (chosen).
+#: Radius of the star field over that of the frame, to allow for a change of rotation and scale (chosen).
 ROOM = 1.1
 
 
@@ -385,16 +384,16 @@ def solve(
     motion: bool = True,
     faintest: float | None = None,
 ) -> FrameIdentification:
-    """A frame placed, identified and refined.
+    """A frame solved: placement, identification of its stars, and refined plate.
 
     Parameters
     ----------
     measured : the measurements of the frame. catalogue : of the field, or of the whole sky.
-    hints : on the direction of the frame, tried in this order.
-    epoch_jyr : the middle of the exposure, Julian year; None if it is not known and the catalogue does not move.
-    refinement : how identification and plate are refined. index : for an :class:`AllSky` hint, reused for every frame.
-    motion : False leaves the stars at their own epoch, for comparison.
-    faintest : magnitude of the faintest star that is used; None for as faint as the frame shows them.
+    hints : on the pointing of the frame, tried in this order.
+    epoch_jyr : middle of the exposure, Julian year; None only if the catalogue has no proper motions.
+    refinement : how identification and plate are refined. index : for :class:`AllSky` hints, reusable between frames.
+    motion : False keeps the stars at their own epochs, for comparison.
+    faintest : limiting magnitude of the stars; None for the limit of the frame.
 
     Raises
     ------
@@ -406,7 +405,7 @@ def solve(
     >>> found.plate.to_wcs()  # doctest: +SKIP
     """
     hints = [hints] if isinstance(hints, ApproximateWcs | Aim | AllSky) else list(hints)
-    near = searched(hints, measured.shape)
+    near = search_cone(hints, measured.shape)
     stars = StarField.of(catalogue, epoch_jyr, motion=motion, near=near)
     if faintest is not None:
         stars = stars[~(stars.magnitude > faintest)]
@@ -418,56 +417,56 @@ def solve(
     placement = place(measured, stars.stars(), hints, index=index)
     near_frame = stars.within(footprint(placement.pointing, measured.shape))
     near_frame[placement.rows_stars] = True
-    number = np.cumsum(near_frame) - 1
-    placement = replace(placement, rows_stars=number[placement.rows_stars])
-    found = identify_frame(measured, stars[near_frame], placement, refinement)
-    return _with_own_error(found, refinement) if catalogue.error_is_unknown else found
+    new_row = np.cumsum(near_frame) - 1
+    placement = replace(placement, rows_stars=new_row[placement.rows_stars])
+    identification = identify_frame(measured, stars[near_frame], placement, refinement)
+    return _with_common_error(identification, refinement) if catalogue.error_is_unknown else identification
 
 
-#: The common error of stars is sought between these shares of a pixel, in so many steps (chosen).
+#: Grid of the common error of stars: range in pixels, number of steps (chosen).
 LEAST_PX, LARGEST_PX, STEPS = 1e-3, 10.0, 200
-#: Pairs more probable than this tell it. A share of them has errors larger by a factor: doubles, blends (chosen).
+#: Minimum probability of pairs used for it; share of outliers (doubles, blends) and factor on their errors (chosen).
 SURE, TAIL_SHARE, TAIL = 0.9, 0.05, 5.0
 
 
 def common_star_error(found: FrameIdentification) -> float:
-    """One position error of the stars, arcsec an axis, that explains the residuals beside the measurements' errors.
+    """The common position error of the stars, arcsec per axis, from the residuals and the errors of the measurements.
 
-    The likeliest s of residuals r with variances σ² + s², σ that of the measurement; what the plate model has taken
-    away of them is given back by their degrees of freedom.
+    The maximum-likelihood s for residuals with variances σ² + s², σ the error of the measurement. The residuals are
+    scaled for the degrees of freedom of the plate model.
     """
     i, _, p = found.pairs
     sure = p >= SURE
     scale = found.placement.pointing.scale_arcsec
-    left = found.residual_arcsec[sure]
-    count = (found.plate.order + 1) * (found.plate.order + 2) // 2
-    left2 = left**2 * len(left) / max(len(left) - count, 1)
+    residual = found.residual_arcsec[sure]
+    parameters = (found.plate.order + 1) * (found.plate.order + 2) // 2
+    residual_sq = residual**2 * len(residual) / max(len(residual) - parameters, 1)
     sigma2 = scale**2 * found.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
     s2 = (scale * np.geomspace(LEAST_PX, LARGEST_PX, STEPS)) ** 2
-    fit = [_log_tailed(left2, sigma2 + one).sum() for one in s2]
-    return float(np.sqrt(s2[int(np.argmax(fit))]))
+    log_likelihood = [_log_tailed(residual_sq, sigma2 + variance).sum() for variance in s2]
+    return float(np.sqrt(s2[int(np.argmax(log_likelihood))]))
 
 
-def _log_tailed(square: FloatArray, variance: FloatArray) -> FloatArray:
-    """Logarithm of a normal density at residuals squared, with a tail: a few stars far off do not pull."""
-    near = np.exp(-0.5 * square / variance) / np.sqrt(variance)
-    far = np.exp(-0.5 * square / (TAIL**2 * variance)) / (TAIL * np.sqrt(variance))
-    return np.asarray(np.log((1.0 - TAIL_SHARE) * near + TAIL_SHARE * far + 1e-300))
+def _log_tailed(residual_sq: FloatArray, variance: FloatArray) -> FloatArray:
+    """Log density of a normal distribution with outliers at squared residuals (up to a constant)."""
+    core = np.exp(-0.5 * residual_sq / variance) / np.sqrt(variance)
+    tail = np.exp(-0.5 * residual_sq / (TAIL**2 * variance)) / (TAIL * np.sqrt(variance))
+    return np.asarray(np.log((1.0 - TAIL_SHARE) * core + TAIL_SHARE * tail + 1e-300))
 
 
-def _with_own_error(found: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
-    """Identified anew with the common error that the residuals tell, and the doubt that says so."""
+def _with_common_error(found: FrameIdentification, refinement: Refinement | None) -> FrameIdentification:
+    """The identification repeated with the common error estimated from the residuals, and a doubt that reports it."""
     sigma = common_star_error(found)
-    again = identify_frame(found.measured, found.stars.with_error(sigma), found.placement, refinement)
-    words = (
+    repeated = identify_frame(found.measured, found.stars.with_error(sigma), found.placement, refinement)
+    text = (
         f"doubt: {found.stars.name}: it has no position errors; {sigma:.2g} arcsec on each axis was assumed, estimated "
         "from the residuals; "
     )
-    return replace(again, notes=(*again.notes, Message(words, naming("give {sigma:ARCSEC} or {sigma:COLUMN}"))))
+    return replace(repeated, notes=(*repeated.notes, Message(text, naming("give {sigma:ARCSEC} or {sigma:COLUMN}"))))
 
 
 def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
-    """The cone about a frame, its radius larger by the factor :data:`ROOM`."""
+    """The cone around a frame, with a radius larger by the factor :data:`ROOM`."""
     rows, columns = shape
     corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
     middle = pointing.to_sky(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
@@ -477,24 +476,24 @@ def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
     return Cone(float(ra), float(dec), min(ROOM * radius, 180.0))
 
 
-def searched(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
-    """A cone that holds all directions that the hints allow; None for the whole sky."""
+def search_cone(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
+    """A cone around all directions allowed by the hints; None for the whole sky."""
     cones = []
     for hint in hints:
         if isinstance(hint, AllSky):
             return None
         if isinstance(hint, ApproximateWcs):
             frame = footprint(Pointing.of_wcs(hint.wcs, shape), shape)
-            off = hint.radius_deg if hint.radius_deg is not None else 0.5 * frame.radius_deg
-            cones.append(replace(frame, radius_deg=frame.radius_deg + off))
+            uncertainty_deg = hint.radius_deg if hint.radius_deg is not None else 0.5 * frame.radius_deg
+            cones.append(replace(frame, radius_deg=frame.radius_deg + uncertainty_deg))
         else:
             half = 0.5 * math.hypot(*shape) * hint.scale_arcsec[1] / 3600.0
             cones.append(Cone(hint.ra_deg, hint.dec_deg, hint.radius_deg + ROOM * half))
     middle = np.sum([cone.direction for cone in cones], axis=0)
     ra, dec = directions_deg(middle)
-    about = Cone(float(ra), float(dec), 0.0)
-    apart = [
-        math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(c.direction - about.direction)) / 2))) for c in cones
+    centre = Cone(float(ra), float(dec), 0.0)
+    distance_deg = [
+        math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(c.direction - centre.direction)) / 2))) for c in cones
     ]
-    radius = max(off + cone.radius_deg for off, cone in zip(apart, cones, strict=True))
-    return replace(about, radius_deg=min(radius, 180.0))
+    radius = max(uncertainty_deg + cone.radius_deg for uncertainty_deg, cone in zip(distance_deg, cones, strict=True))
+    return replace(centre, radius_deg=min(radius, 180.0))

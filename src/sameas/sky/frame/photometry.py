@@ -1,15 +1,15 @@
-"""Brightness on a frame: the magnitudes of its measurements, and how faint a star it still shows.
+"""Photometry of a frame: the zero point of its magnitudes, and its completeness.
 
     m = z + c (colour − mean) + Σ_k r_k sᵏ,   s = (instrumental − mean) / spread,
 
-instrumental = −2.5 log₁₀ flux. A linear detector needs z and c only; photographic plates bend (r₂, r₃). Which terms
-are real is decided by BIC on the identified pairs, each with its probability; outliers are weighed down.
+instrumental = −2.5 log₁₀ flux. A linear detector needs z and c only; photographic plates are non-linear (r₂, r₃). The
+terms are chosen by BIC on the identified pairs, weighted by their probabilities; outliers are downweighted.
 
-The probability that the frame shows a star of magnitude m is a falling curve,
+The probability that the frame detects a star of magnitude m is
 
     P_d(m) = top / (1 + exp((m − limit)/width)),
 
-fitted to the probabilities of being identified. By it stars are missing that the frame should show.
+fitted to the identification probabilities of the stars. It defines which stars are missing on the frame.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from sameas.arrays import FloatArray
 
 @dataclass(frozen=True)
 class PhotometryTuning:
-    """Numbers of the fits of zero point and completeness, all chosen.
+    """Parameters of the fits of zero point and completeness, all chosen.
 
     Attributes
     ----------
-    fewest_pairs : a zero point needs this many pairs. pairs_per_term : every further term needs this many more.
+    fewest_pairs : minimum number of pairs for a zero point. pairs_per_term : minimum of additional pairs per term.
     iterations : of the fit and its weights.
-    tail_sigmas : the weight of a residual beyond this many robust standard deviations falls as its inverse square.
-    prior_stars : the prior of the completeness weighs as much as this many stars.
-    stars_per_bin : bins of half a magnitude need this many stars, wider ones are used otherwise.
-    cells : stars are counted in this many cells of magnitude for the fit of the completeness.
+    tail_sigmas : the weight of residuals beyond this many robust standard deviations falls with their inverse square.
+    prior_stars : weight of the prior of the completeness, in stars.
+    stars_per_bin : minimum number of stars for bins of half a magnitude; else wider bins are used.
+    cells : number of magnitude cells for the fit of the completeness.
     """
 
     fewest_pairs: float = 3
@@ -52,15 +52,15 @@ TUNING = PhotometryTuning()
 
 @dataclass(frozen=True)
 class ZeroPoint:
-    """How magnitudes follow from fluxes. Make it with :meth:`ZeroPoint.of`.
+    """The calibration from fluxes to magnitudes. Make it with :meth:`ZeroPoint.of`.
 
     Attributes
     ----------
     zero_point : magnitude minus instrumental magnitude of a star of mean brightness and colour; on a linear detector
         also the magnitude of a star of flux 1. sigma : its standard error.
-    colour_term, colour_sigma : magnitudes per magnitude of colour, 0 where not needed or not known.
+    colour_term, colour_sigma : magnitudes per magnitude of colour, 0 if not needed or not known.
     bend : coefficients of s, s², s³; empty for a linear detector. centre, spread : of instrumental magnitudes.
-    reach : least and largest s of the pairs; beyond them a curve goes on straight.
+    reach : range of s of the pairs; outside, the non-linear correction is constant.
     mean_colour : of the pairs. scatter : robust standard deviation of a pair. pairs : their effective number.
     """
 
@@ -85,7 +85,7 @@ class ZeroPoint:
         weight: FloatArray,
         tuning: PhotometryTuning = TUNING,
     ) -> ZeroPoint | None:
-        """The zero point of pairs with weights, (n,) each; None where there are fewer than three."""
+        """The zero point of pairs with weights, (n,) each; None with fewer than three."""
         fewest = tuning.fewest_pairs
         known = (flux > 0) & np.isfinite(magnitude) & (weight > 0)
         if weight[known].sum() < fewest:
@@ -94,16 +94,20 @@ class ZeroPoint:
         measured = instrumental(flux[known])
         centre, spread = float(np.average(measured, weights=w)), max(float(np.std(measured)), 1e-6)
         s = (measured - centre) / spread
-        of_pairs = colour[known]
-        coloured = np.isfinite(of_pairs)
-        mean = float(np.average(of_pairs[coloured], weights=w[coloured])) if w[coloured].sum() >= fewest else math.nan
-        excess = np.where(coloured, of_pairs - mean, 0.0) if math.isfinite(mean) else np.zeros_like(s)
+        pair_colour = colour[known]
+        has_colour = np.isfinite(pair_colour)
+        mean = (
+            float(np.average(pair_colour[has_colour], weights=w[has_colour]))
+            if w[has_colour].sum() >= fewest
+            else math.nan
+        )
+        excess = np.where(has_colour, pair_colour - mean, 0.0) if math.isfinite(mean) else np.zeros_like(s)
         columns = {"colour": excess, "1": s, "2": s**2, "3": s**3}
-        tries: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
+        candidates: list[tuple[str, ...]] = [(), ("1", "2"), ("1", "2", "3")]
         if math.isfinite(mean) and np.ptp(excess) > 0:
-            tries += [("colour", *terms) for terms in tries]
-        tries = [terms for terms in tries if w.sum() >= fewest + tuning.pairs_per_term * len(terms)] or [()]
-        fits = {terms: _robust([columns[name] for name in terms], m - measured, w, tuning) for terms in tries}
+            candidates += [("colour", *terms) for terms in candidates]
+        candidates = [terms for terms in candidates if w.sum() >= fewest + tuning.pairs_per_term * len(terms)] or [()]
+        fits = {terms: _robust([columns[name] for name in terms], m - measured, w, tuning) for terms in candidates}
         best = min(fits, key=lambda terms: fits[terms].bic)
         fit = fits[best]
         value, error = dict(zip(best, fit.terms[1:], strict=True)), dict(zip(best, fit.sigma[1:], strict=True))
@@ -122,9 +126,9 @@ class ZeroPoint:
         )
 
     def __call__(self, flux: FloatArray, colour: FloatArray | None = None) -> FloatArray:
-        """(n,) magnitudes of fluxes, for stars of mean colour where the colour is not known; NaN where flux ≤ 0."""
+        """(n,) magnitudes of fluxes, at the mean colour where the colour is not known; NaN where flux ≤ 0."""
         measured = instrumental(flux)
-        # A cubic diverges beyond the pairs that it was fitted to.
+        # A cubic diverges outside the range of the fitted pairs.
         s = np.clip((measured - self.centre) / self.spread, *self.reach)
         result = measured + self.zero_point
         for power, factor in enumerate(self.bend, 1):
@@ -145,7 +149,7 @@ class ZeroPoint:
 
 
 def instrumental(flux: FloatArray) -> FloatArray:
-    """−2.5 log₁₀ flux, NaN where there is none."""
+    """−2.5 log₁₀ flux, NaN where flux ≤ 0."""
     return np.asarray(-2.5 * np.log10(np.where(flux > 0, flux, np.nan)))
 
 
@@ -158,23 +162,23 @@ class _MagnitudeFit:
 
 
 def _robust(columns: list[FloatArray], y: FloatArray, weight: FloatArray, tuning: PhotometryTuning) -> _MagnitudeFit:
-    """Weighted least squares; residuals beyond ``tail_sigmas`` robust standard deviations are weighed down."""
+    """Weighted least squares; residuals beyond ``tail_sigmas`` robust standard deviations are downweighted."""
     a = np.column_stack([np.ones_like(y), *columns])
-    down = np.ones_like(y)
-    # The weighted median is the start: one wrong pair of seven must not decide which pairs are outliers.
-    left = y - _weighted_median(y, weight)
+    tail_weight = np.ones_like(y)
+    # Starting from the weighted median, one wrong pair of seven does not decide which pairs are outliers.
+    residual = y - _weighted_median(y, weight)
     scatter = 1.0
     tail = tuning.tail_sigmas
     for iteration in range(tuning.iterations):
         if iteration:
-            w = weight * down
+            w = weight * tail_weight
             normal = a.T @ (w[:, None] * a) + 1e-9 * np.eye(a.shape[1])
             terms = np.linalg.solve(normal, a.T @ (w * y))
-            left = y - a @ terms
-        scatter = max(1.4826 * _weighted_median(np.abs(left), weight), 1e-3)
-        down = np.minimum(1.0, (tail * scatter / np.maximum(np.abs(left), 1e-12)) ** 2)
+            residual = y - a @ terms
+        scatter = max(1.4826 * _weighted_median(np.abs(residual), weight), 1e-3)
+        tail_weight = np.minimum(1.0, (tail * scatter / np.maximum(np.abs(residual), 1e-12)) ** 2)
     n = float(weight.sum())
-    loss = np.where(down < 1.0, tail**2 * (1.0 - np.log(down)), (left / scatter) ** 2)
+    loss = np.where(tail_weight < 1.0, tail**2 * (1.0 - np.log(tail_weight)), (residual / scatter) ** 2)
     bic = 2 * n * math.log(scatter) + float(weight @ loss) + a.shape[1] * math.log(max(n, 2.0))
     return _MagnitudeFit(np.asarray(terms), scatter * np.sqrt(np.diag(np.linalg.inv(normal))), scatter, bic)
 
@@ -187,11 +191,11 @@ def _weighted_median(values: FloatArray, weight: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class Completeness:
-    """The probability that the frame shows a star, by its magnitude. Make it with :meth:`Completeness.of`.
+    """The detection probability of a star on the frame, by magnitude. Make it with :meth:`Completeness.of`.
 
-    top : of bright stars. limit : magnitude at which it has fallen to half of that. width : of the fall, mag.
-    edges : (k + 1,) of bins of magnitude. stars : (k,) stars on the frame. identified : (k,) expected number of them
-    that are identified.
+    top : for bright stars. limit : magnitude at half of this. width : of the decline, mag.
+    edges : (k + 1,) of magnitude bins. stars : (k,) stars on the frame. identified : (k,) expected number of identified
+    ones.
     """
 
     top: float
@@ -205,25 +209,25 @@ class Completeness:
     def of(
         cls, magnitude: FloatArray, p_identified: FloatArray, tuning: PhotometryTuning = TUNING
     ) -> Completeness | None:
-        """The curve of stars with probabilities of being identified, (n,) each; None where no magnitude is known."""
+        """The fit to stars with identification probabilities, (n,) each; None if no magnitude is known."""
         known = np.isfinite(magnitude)
         if not known.any():
             return None
         m, p = magnitude[known], np.clip(p_identified[known], 0.0, 1.0)
-        top, limit, width = _falling(m, p, tuning)
+        top, limit, width = _fitted_curve(m, p, tuning)
         edges = _bins(m, tuning.stars_per_bin)
-        at = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
-        count = np.bincount(at, minlength=len(edges) - 1).astype(np.float64)
-        identified = np.bincount(at, p, len(edges) - 1).astype(np.float64)
+        bin = np.clip(np.searchsorted(edges, m, side="right") - 1, 0, len(edges) - 2)
+        count = np.bincount(bin, minlength=len(edges) - 1).astype(np.float64)
+        identified = np.bincount(bin, p, len(edges) - 1).astype(np.float64)
         return cls(top, limit, width, edges, count, identified)
 
     def __call__(self, magnitude: FloatArray) -> FloatArray:
-        """(n,) the probability that the frame shows a star; that of a bright one where no magnitude is known."""
+        """(n,) detection probability of stars; that of a bright star where the magnitude is not known."""
         steps = np.clip((np.nan_to_num(magnitude, nan=-99.0) - self.limit) / self.width, -60.0, 60.0)
         return np.asarray(self.top / (1.0 + np.exp(steps)))
 
     def faintest(self, p: float) -> float:
-        """The magnitude at which the probability has fallen to ``p`` (below ``top``)."""
+        """The magnitude at which the probability falls to ``p`` (below ``top``)."""
         return self.limit + self.width * math.log(max(self.top / p - 1.0, 1e-9))
 
     @property
@@ -239,8 +243,8 @@ class Completeness:
         return f"{100 * self.top:.0f} % of the bright stars detected, half as many at magnitude {self.limit:.2f}"
 
 
-def _falling(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[float, float, float]:
-    """(top, limit, width) of greatest likelihood, with a weak prior that the frame shows bright stars."""
+def _fitted_curve(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[float, float, float]:
+    """Maximum-likelihood (top, limit, width), with a weak prior that bright stars are detected."""
     from scipy.optimize import minimize
 
     low, high, cells, weight = float(m.min()), float(m.max()), tuning.cells, tuning.prior_stars
@@ -248,14 +252,14 @@ def _falling(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[fl
     number = np.bincount(cell, minlength=cells)
     used = number > 0
     identified = np.bincount(cell, p, cells)[used]
-    lost, middle = number[used] - identified, (np.bincount(cell, m, cells) / np.maximum(number, 1))[used]
+    missed, middle = number[used] - identified, (np.bincount(cell, m, cells) / np.maximum(number, 1))[used]
 
     def cost(x: FloatArray) -> float:
         top = 1.0 / (1.0 + math.exp(-x[0]))
         width = math.exp(min(x[2], 3.0))
         curve = top / (1.0 + np.exp(np.clip((middle - x[1]) / width, -60.0, 60.0)))
         curve = np.clip(curve, 1e-9, 1.0 - 1e-9)
-        likelihood = float(identified @ np.log(curve) + lost @ np.log1p(-curve))
+        likelihood = float(identified @ np.log(curve) + missed @ np.log1p(-curve))
         # ln of the prior: as if bright stars were identified, and a width of e^−1.2 mag within a factor of e².
         log_prior = weight * math.log(top) - weight * ((x[2] + 1.2) / 2.0) ** 2
         beyond = max(low - x[1], x[1] - high - 3.0, 0.0)
@@ -268,7 +272,7 @@ def _falling(m: FloatArray, p: FloatArray, tuning: PhotometryTuning) -> tuple[fl
 
 
 def _bins(m: FloatArray, stars_per_bin: int) -> FloatArray:
-    """Edges of bins of half a magnitude, or of one magnitude where these would hold few stars."""
+    """Edges of bins of half a magnitude, or of one magnitude with few stars."""
     low, high = float(np.quantile(m, 0.002)), float(m.max())
     step = 0.5 if len(m) >= stars_per_bin * 4 * max(high - low, 1.0) else 1.0
     first = math.floor(low / step) * step

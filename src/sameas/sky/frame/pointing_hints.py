@@ -1,14 +1,14 @@
-"""Hints of where a frame points before it is placed, and the pointings that are tested under each.
+"""Hints on the pointing of a frame, and the candidate pointings under each hint.
 
-A hint states the volume that it searches (:class:`~sameas.sky.frame.odds.SearchVolume`, which lowers the odds), the
-placements that it allows, and the order in which pointings are proposed: in lists, the cheapest and likeliest first.
+A hint defines the searched volume (:class:`~sameas.sky.frame.odds.SearchVolume`, which lowers the odds), the allowed
+placements, and the candidate pointings, in lists, the cheapest and likeliest first.
 
-Candidates come from patterns of three or four points, described so that shift, rotation and scale do not matter:
-the two points A, B farthest apart are put at 0 and 1 of the complex plane; where the others then lie is the pattern's
+Candidates come from patterns of three or four points, described independently of shift, rotation and scale: the two
+points A, B farthest apart are mapped to 0 and 1 of the complex plane; the positions of the others are the pattern's
 *code* (Lang et al. 2010, AJ 139, 1782, section 2.1; there the others lie within the circle on A, B, here anywhere
-nearer to both than they are to each other, so that every set of points has exactly one code). A mirrored pattern has
-the conjugate code. :class:`PatternIndex` holds the patterns of a catalogue, :meth:`PatternIndex.alike` finds those
-that look like the frame's.
+closer to A and B than these to each other, so that every set of points has exactly one code). A mirrored pattern has
+the conjugate code. :class:`PatternIndex` contains the patterns of a catalogue, :meth:`PatternIndex.alike` finds those
+similar to the frame's.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Patterns:
-    """Sets of k points each: ``members`` (p, k) their rows, A and B first; ``code`` (p, 2(k−2)); ``size`` (p,) |AB|."""
+    """Sets of k points. members : (p, k) rows, A and B first. code : (p, 2(k−2)). size : (p,) |AB|."""
 
     members: IntArray
     code: FloatArray
@@ -47,9 +47,9 @@ class Patterns:
 
 
 def patterns(points: FloatArray, k: int, shortest: float = 0.0, longest: float = np.inf) -> Patterns:
-    """All patterns of k = 3 or 4 of the points whose longest side is between two lengths.
+    """All patterns of k = 3 or 4 points with a longest side between two lengths.
 
-    ``points`` (n, 2) in a plane or (n, 3) unit vectors of directions; a length on the sphere is a chord.
+    points : (n, 2) in a plane or (n, 3) unit vectors; lengths on the sphere are chords.
     """
     members = sets_of_points(points, k, shortest, longest)
     corner = points[members]
@@ -62,20 +62,20 @@ def patterns(points: FloatArray, k: int, shortest: float = 0.0, longest: float =
 
 
 def codes(corner: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The order of the k points of each pattern (p, k, 2) and its code (p, 2(k−2)), the first two being A and B.
+    """The order of the k points of each pattern (p, k, 2), and its code (p, 2(k−2)); the first two points are A and B.
 
-    The code itself decides which of the two is A, and the order of the others: the sum of their real parts is smaller
-    with this A, and they are in ascending order of their real parts.
+    A is the one of the two with the smaller sum of the real parts of the others, which are in ascending order of their
+    real parts.
     """
     points = corner[..., 0] + 1j * corner[..., 1]
-    rest = (points[:, 2:] - points[:, :1]) / (points[:, 1:2] - points[:, :1])
+    others = (points[:, 2:] - points[:, :1]) / (points[:, 1:2] - points[:, :1])
     k = points.shape[1]
-    swapped = rest.real.sum(axis=1) > 0.5 * (k - 2)
-    rest[swapped] = 1.0 - rest[swapped]
+    swapped = others.real.sum(axis=1) > 0.5 * (k - 2)
+    others[swapped] = 1.0 - others[swapped]
     ends = np.where(swapped[:, None], [1, 0], [0, 1])
-    sequence = np.argsort(rest.real, axis=1, kind="stable")
-    rest = np.take_along_axis(rest, sequence, axis=1)
-    return np.hstack([ends, sequence + 2]), rest.view(np.float64).reshape(len(rest), 2 * (k - 2))
+    sequence = np.argsort(others.real, axis=1, kind="stable")
+    others = np.take_along_axis(others, sequence, axis=1)
+    return np.hstack([ends, sequence + 2]), others.view(np.float64).reshape(len(others), 2 * (k - 2))
 
 
 def mirrored(code: FloatArray) -> FloatArray:
@@ -84,7 +84,7 @@ def mirrored(code: FloatArray) -> FloatArray:
 
 
 def sets_of_points(points: FloatArray, k: int, shortest: float, longest: float) -> IntArray:
-    """(p, k) rows of all sets of k = 3 or 4 points, the two farthest apart first, within two lengths of each other."""
+    """(p, k) rows of all sets of k = 3 or 4 points with a longest side between two lengths, its two ends first."""
     from scipy.spatial import cKDTree
 
     span = float(np.linalg.norm(np.ptp(points, axis=0))) if len(points) else 0.0
@@ -93,30 +93,30 @@ def sets_of_points(points: FloatArray, k: int, shortest: float, longest: float) 
     if not len(pairs):
         return np.empty((0, k), np.int64)
     start, neighbour = _neighbours(pairs, len(points))
-    apart = _distance(points, pairs[:, 0], pairs[:, 1])
-    keep = apart >= shortest
-    pairs, apart = pairs[keep], apart[keep]
+    length = _distance(points, pairs[:, 0], pairs[:, 1])
+    keep = length >= shortest
+    pairs, length = pairs[keep], length[keep]
     a, b = pairs.T
     pair, at = ranges(start[a], start[a + 1] - start[a])
     third = neighbour[at]
-    # Points with equal longest sides make no pattern: those of a perfect grid could not be distinguished.
-    inside = (_distance(points, a[pair], third) < apart[pair]) & (_distance(points, b[pair], third) < apart[pair])
+    # Sets with two equal longest sides are excluded: those of a perfect grid cannot be distinguished.
+    inside = (_distance(points, a[pair], third) < length[pair]) & (_distance(points, b[pair], third) < length[pair])
     pair, third = pair[inside], third[inside]
     if k == 3:
         return np.column_stack([a[pair], b[pair], third])
     stop = np.searchsorted(pair, pair, side="right")
-    own = np.arange(len(pair))
-    one, other = ranges(own + 1, stop - own - 1)
-    near = _distance(points, third[one], third[other]) < apart[pair[one]]
+    row = np.arange(len(pair))
+    one, other = ranges(row + 1, stop - row - 1)
+    near = _distance(points, third[one], third[other]) < length[pair[one]]
     one, other = one[near], other[near]
     return np.column_stack([a[pair[one]], b[pair[one]], third[one], third[other]])
 
 
 def _neighbours(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
     """Both directions of the pairs as CSR: the neighbours of point i are ``neighbour[start[i]:start[i + 1]]``."""
-    here, there = np.concatenate([pairs, pairs[:, ::-1]]).T
-    order = np.lexsort((there, here))
-    return Ragged.of_sorted(here[order], n).start, there[order]
+    point, neighbour = np.concatenate([pairs, pairs[:, ::-1]]).T
+    order = np.lexsort((neighbour, point))
+    return Ragged.of_sorted(point[order], n).start, neighbour[order]
 
 
 def _distance(points: FloatArray, i: NDArray[Any], j: NDArray[Any]) -> FloatArray:
@@ -125,7 +125,7 @@ def _distance(points: FloatArray, i: NDArray[Any], j: NDArray[Any]) -> FloatArra
 
 @dataclass(frozen=True)
 class PatternIndex:
-    """The patterns of directions on the sky, ready to be searched: ``vectors`` (n, 3), ``rows`` (n,) of the table."""
+    """A searchable index of patterns on the sky. vectors : (n, 3) directions. rows : (n,) rows of the table."""
 
     vectors: FloatArray
     rows: IntArray
@@ -135,22 +135,22 @@ class PatternIndex:
     def of(
         cls, vectors: FloatArray, rows: IntArray, *, k: int, shortest_rad: float, longest_rad: float
     ) -> PatternIndex:
-        """All patterns of ``rows`` of ``vectors`` with a longest side within the two angles."""
+        """The index of all patterns of ``rows`` of ``vectors`` with a longest side between the two angles."""
         chosen = vectors[rows]
         chords = 2.0 * np.sin(np.minimum([shortest_rad, longest_rad], np.pi) / 2.0)
         return cls(chosen, rows, patterns(chosen, k, *map(float, chords)))
 
     @cached_property
     def tree(self) -> Any:
-        """Every code, in a k-d tree."""
+        """The k-d tree of all codes."""
         from scipy.spatial import cKDTree
 
-        # Codes are distributed evenly enough for sliding midpoints, which build the tree three times as fast (timed).
+        # Codes are uniform enough for sliding midpoints, which build the tree three times as fast (timed).
         return cKDTree(self.patterns.code, compact_nodes=False, balanced_tree=False)
 
     @cached_property
     def star_tree(self) -> Any:
-        """Every direction, in a k-d tree."""
+        """The k-d tree of all directions."""
         from scipy.spatial import cKDTree
 
         return cKDTree(self.vectors)
@@ -158,14 +158,14 @@ class PatternIndex:
     def alike(
         self, measured: Patterns, tolerance: float, scale_rad: tuple[float, float]
     ) -> tuple[IntArray, IntArray, BoolArray]:
-        """Pairs of patterns that are alike: rows of ``measured`` (pixels), rows of the index, mirrored or not.
+        """Pairs of similar patterns: rows of ``measured`` (pixels), rows of the index, mirrored or not.
 
-        ``tolerance`` is the distance of two codes; ``scale_rad`` the least and largest angle of a pixel.
+        tolerance : maximum distance of the codes. scale_rad : (least, largest) angle of a pixel.
         """
         from scipy.spatial import cKDTree
 
         parts = []
-        # Seen from inside the sphere x runs west: a frame that is not mirrored has the conjugate code.
+        # Seen from inside the sphere x points west: a frame that is not mirrored has the conjugate code.
         for flipped in (False, True):
             code = measured.code if flipped else mirrored(measured.code)
             if not len(code) or not len(self.patterns):
@@ -183,18 +183,18 @@ class PatternIndex:
 
 
 def brightest_per_cell(vectors: FloatArray, rank: IntArray, side_rad: float, n: int) -> IntArray:
-    """Rows of the n brightest stars of every cell of about ``side_rad`` squared, in the order of brightness.
+    """Rows of the n brightest stars of each cell of about ``side_rad`` squared, in order of brightness.
 
-    ``rank`` (m,): 0 is the brightest. Cells are equal in area: bands of latitude, cut into equal lengths.
+    rank : (m,), 0 is the brightest. Cells have equal areas: bands of latitude, divided into equal lengths.
     """
     bands = max(1, round(np.pi / side_rad))
     lat = np.arcsin(np.clip(vectors[:, 2], -1.0, 1.0))
     band = np.clip(((lat / np.pi + 0.5) * bands).astype(np.int64), 0, bands - 1)
     edges = np.sin((np.arange(bands + 1) / bands - 0.5) * np.pi)
     per_band = np.maximum(1, np.round(2 * np.pi * np.diff(edges) / side_rad**2)).astype(np.int64)
-    around = (np.arctan2(vectors[:, 1], vectors[:, 0]) / (2 * np.pi)) % 1.0
+    longitude = (np.arctan2(vectors[:, 1], vectors[:, 0]) / (2 * np.pi)) % 1.0
     cell = Ragged.of_sizes(per_band).start[band] + np.minimum(
-        (around * per_band[band]).astype(np.int64), per_band[band] - 1
+        (longitude * per_band[band]).astype(np.int64), per_band[band] - 1
     )
     order = np.lexsort((rank, cell))
     ordered = cell[order]
@@ -205,21 +205,21 @@ def brightest_per_cell(vectors: FloatArray, rank: IntArray, side_rad: float, n: 
 
 @dataclass(frozen=True)
 class SearchTuning:
-    """Numbers of the search for a pointing, tuned on simulated frames unless stated otherwise.
+    """Parameters of the search for a pointing, tuned on simulated frames.
 
     Attributes
     ----------
-    code_tolerance : largest distance of two codes of patterns that are alike: 1.5 % of the longest side per coordinate.
-    sides_all_sky, sides_few, sides_many : least and largest longest side of a pattern over the side of the field: in
-        the index of the whole sky, and about an aim where a field has few or many stars.
-    many : a field with more stars than this has many: no longest patterns, no triangles of faint stars.
+    code_tolerance : maximum distance of two codes of similar patterns: 1.5 % of the longest side per coordinate.
+    sides_all_sky, sides_few, sides_many : (least, largest) longest side of a pattern over the side of the field: in the
+        index of the whole sky, and around an aim with few or many stars per field.
+    many : number of stars per field above which it has many: no longest patterns, no triangles of faint stars.
     stars_per_field : bright stars per field in the index of the whole sky.
-    measured : numbers of the brightest measurements that are tried with the index, one after the other.
-    aim_lists : about an aim, one after the other: points of a pattern, bright stars per field, brightest measurements.
-    batch : pairs of patterns that are counted at a time, which bounds the memory.
-    best : most pointings of a list.
-    verified : most different pointings of a list that are verified.
-    odds : numbers of the verification.
+    measured : numbers of brightest measurements tried with the index, in this order.
+    aim_lists : tried around an aim, in this order: points per pattern, bright stars per field, brightest measurements.
+    batch : pairs of patterns counted at a time, which bounds the memory.
+    best : maximum number of pointings per list.
+    verified : maximum number of different pointings per list that are verified.
+    odds : parameters of the verification.
     """
 
     code_tolerance: float = 0.02
@@ -242,13 +242,13 @@ TUNING = SearchTuning()
 @in_short
 @dataclass(frozen=True)
 class ApproximateWcs:
-    """A plate solution that is nearly right.
+    """An approximate plate solution.
 
     Parameters
     ----------
     wcs : any celestial astropy WCS, distorted or not.
-    radius_deg : how far off it may be; a quarter of the frame's shorter side if not given.
-    turn_deg : by how much it may be rotated, either way. scale_tolerance : by what share its scale may be wrong.
+    radius_deg : maximum offset; a quarter of the frame's shorter side if not given.
+    turn_deg : maximum rotation, of either sign. scale_tolerance : maximum relative error of the scale.
     """
 
     wcs: Any
@@ -267,7 +267,7 @@ class ApproximateWcs:
             raise InputError(f"ApproximateWcs: scale_tolerance is {self.scale_tolerance}; give a share such as 0.02")
 
     def radius_px(self, pointing: Pointing, problem: PlateProblem) -> float:
-        """How far off, in pixels."""
+        """The maximum offset, px."""
         if self.radius_deg is None:
             return 0.25 * min(problem.shape)
         return self.radius_deg * 3600.0 / pointing.scale_arcsec
@@ -281,15 +281,15 @@ class ApproximateWcs:
     def allows(self, pointing: Pointing, problem: PlateProblem) -> bool:
         """Whether a placement agrees with the hint."""
         header = Pointing.of_wcs(self.wcs, problem.shape)
-        off = header.to_px(pointing.to_sky(problem.middle_px[None]))[0] - problem.middle_px
+        offset = header.to_px(pointing.to_sky(problem.middle_px[None]))[0] - problem.middle_px
         ratio = math.log(pointing.scale_arcsec / header.scale_arcsec)
-        near = bool(np.hypot(*off) <= 1.5 * self.radius_px(header, problem))
+        near = bool(np.hypot(*offset) <= 1.5 * self.radius_px(header, problem))
         return near and abs(ratio) <= 1.5 * self.scale_tolerance and pointing.parity == header.parity
 
 
 @dataclass(frozen=True)
 class Aim:
-    """A direction, how far from it the frame's middle may be, and the least and largest scale in arcsec per pixel."""
+    """An approximate direction, its maximum distance from the frame's middle, and (least, largest) arcsec per pixel."""
 
     ra_deg: float
     dec_deg: float
@@ -324,7 +324,7 @@ class Aim:
 
 @dataclass(frozen=True)
 class AllSky:
-    """Nothing but the least and largest scale in arcsec per pixel."""
+    """No direction: only the (least, largest) scale in arcsec per pixel."""
 
     scale_arcsec: tuple[float, float]
 
@@ -351,7 +351,7 @@ def _check_scales(name: str, scales: tuple[float, float]) -> None:
 
 
 def _log_range(scales: tuple[float, float]) -> float:
-    # A scale that is given as exact is searched within one percent.
+    # An exact scale is searched within one percent.
     return max(math.log(scales[1] / scales[0]), 0.01)
 
 
@@ -361,17 +361,17 @@ def _within(scales: tuple[float, float], pointing: Pointing) -> bool:
 
 @dataclass(frozen=True)
 class SkyIndex:
-    """Patterns of the whole sky's bright stars, one :class:`PatternIndex` for every size of field. Keep it."""
+    """Patterns of bright stars of the whole sky, one :class:`PatternIndex` per size of field; reusable."""
 
     levels: tuple[PatternIndex, ...]
 
 
 def sky_index(stars: Stars, shape: tuple[int, int], hint: AllSky, tuning: SearchTuning = TUNING) -> SkyIndex:
-    """The index for frames of ``shape`` (rows, columns) and the scales of the hint, of a catalogue of the whole sky.
+    """The index of a catalogue of the whole sky, for frames of ``shape`` (rows, columns) and the scales of the hint.
 
     Raises
     ------
-    InputError : the catalogue has too few stars for fields of that size.
+    InputError : the catalogue has too few stars for fields of this size.
     """
     order = stars.order()
     vectors = unit_vectors(np.asarray(stars.ra_deg)[order], np.asarray(stars.dec_deg)[order])
@@ -395,7 +395,7 @@ def _index_of(vectors: FloatArray, shape: tuple[int, int], hint: AllSky, tuning:
 
 
 def _level(vectors: FloatArray, side_rad: float, per_field: int, k: int, sides: tuple[float, float]) -> PatternIndex:
-    """The patterns of k of the brightest ``per_field`` stars of every field of a side."""
+    """The patterns of k among the ``per_field`` brightest stars of each field of a given side."""
     rank = np.arange(len(vectors))
     rows = brightest_per_cell(vectors, rank, side_rad / 2.0, max(1, round(per_field / 4)))
     return PatternIndex.of(vectors, rows, k=k, shortest_rad=sides[0] * side_rad, longest_rad=sides[1] * side_rad)
@@ -404,7 +404,7 @@ def _level(vectors: FloatArray, side_rad: float, per_field: int, k: int, sides: 
 def candidates(
     problem: PlateProblem, hint: Hint, index: SkyIndex | None, tuning: SearchTuning = TUNING
 ) -> Iterator[Iterator[Pointing]]:
-    """Lists of pointings, the most promising of each first."""
+    """Lists of candidate pointings, the most promising of each first."""
     if isinstance(hint, ApproximateWcs):
         yield _correlated(problem, hint)
         return
@@ -449,15 +449,15 @@ def _alike(
     scale: tuple[float, float],
     tuning: SearchTuning,
 ) -> Iterator[Pointing]:
-    """Pointings that put a pattern of the n brightest measurements on one of stars; most other matches first."""
-    # A pattern of near neighbours determines neither the rotation nor the scale of the frame.
+    """Pointings that map a pattern of the n brightest measurements to one of stars, by descending number of matches."""
+    # Small patterns determine neither the rotation nor the scale of the frame.
     measured = patterns(problem.px[:n], k, 0.1 * min(problem.shape))
     hits, centres, matrices = [], [], []
     for level in levels:
         i, j, flipped = level.alike(measured, tuning.code_tolerance * math.sqrt(k - 2) / math.sqrt(2.0), scale)
         for start in range(0, len(i), tuning.batch):
             part = slice(start, start + tuning.batch)
-            count, centre, cd = _counted(problem, level, measured, i[part], j[part], flipped[part], n)
+            count, centre, cd = _match_counts(problem, level, measured, i[part], j[part], flipped[part], n)
             top = np.argsort(-count, kind="stable")[: tuning.best]
             top = top[count[top] >= k]
             hits.append(count[top])
@@ -470,10 +470,10 @@ def _alike(
         yield Pointing(centre[row], cd[row], problem.middle_px)
 
 
-def _counted(
+def _match_counts(
     problem: PlateProblem, level: PatternIndex, measured: Patterns, i: IntArray, j: IntArray, flipped: Any, n: int
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """For each pair of patterns how many of the n brightest measurements lie on a star, and the pointing."""
+    """For each pair of patterns, the number of the max(n, 20) brightest measurements on a star, and the pointing."""
     px = problem.px[measured.members[i]]
     centre, cd = similarities(px, level.vectors[level.patterns.members[j]], flipped, problem.middle_px)
     offset = problem.px[: max(n, 20)] - problem.middle_px
@@ -482,51 +482,51 @@ def _counted(
     near = 0.01 * problem.half_diagonal_px * np.sqrt(np.abs(np.linalg.det(cd)))
     distance, star = level.star_tree.query(directions, distance_upper_bound=float(near.max(initial=0.0)), workers=2)
     hit = distance <= near[:, None]
-    # A star counts once, also where several measurements lie near it.
+    # Each star counts once, even with several measurements near it.
     star = np.sort(np.where(hit, star, len(level.vectors)), axis=1)
-    fresh = (star < len(level.vectors)) & np.diff(star, axis=1, prepend=-1).astype(bool)
-    return fresh.sum(axis=1), centre, cd
+    first = (star < len(level.vectors)) & np.diff(star, axis=1, prepend=-1).astype(bool)
+    return first.sum(axis=1), centre, cd
 
 
 def _correlated(problem: PlateProblem, header: ApproximateWcs) -> Iterator[Pointing]:
-    """Pointings near the header's, rotated and shifted to where most measurements lie on stars."""
-    given = Pointing.of_wcs(header.wcs, problem.shape)
-    radius, middle = header.radius_px(given, problem), problem.middle_px
+    """Pointings near the header's, rotated and shifted to maximise the number of measurements on stars."""
+    header_pointing = Pointing.of_wcs(header.wcs, problem.shape)
+    radius, middle = header.radius_px(header_pointing, problem), problem.middle_px
     bin_px = max(4.0, 0.004 * problem.half_diagonal_px)
-    reach = (problem.half_diagonal_px + radius) * given.scale_arcsec / ARCSEC_PER_RADIAN
-    stars = problem.vectors[problem.stars_near(given.to_sky(middle[None])[0], reach)]
-    predicted = given.to_px(stars)
-    predicted = predicted[problem.inside(predicted, radius)] - given.origin_px
+    reach = (problem.half_diagonal_px + radius) * header_pointing.scale_arcsec / ARCSEC_PER_RADIAN
+    stars = problem.vectors[problem.stars_near(header_pointing.to_sky(middle[None])[0], reach)]
+    predicted = header_pointing.to_px(stars)
+    predicted = predicted[problem.inside(predicted, radius)] - header_pointing.origin_px
     steps = math.ceil(math.radians(header.turn_deg) * problem.half_diagonal_px / bin_px)
     proposals = []
     for depth in (50, 200):
-        measured = problem.px[:depth] - given.origin_px
+        measured = problem.px[:depth] - header_pointing.origin_px
         for angle in np.linspace(-1, 1, 2 * steps + 1) * math.radians(header.turn_deg):
             sine, cosine = math.sin(angle), math.cos(angle)
             rotated = predicted[:depth] @ np.array([[cosine, sine], [-sine, cosine]])
             for excess, shift in _peaks(measured, rotated, radius, bin_px):
-                proposals.append((excess, given.moved(np.array([*shift, 0.0, angle, 0.0, 0.0]))))
-    yield given
+                proposals.append((excess, header_pointing.moved(np.array([*shift, 0.0, angle, 0.0, 0.0]))))
+    yield header_pointing
     for _, pointing in sorted(proposals, key=lambda proposal: -proposal[0]):
         yield pointing
 
 
 def _peaks(measured: FloatArray, predicted: FloatArray, radius: float, bin_px: float) -> list[tuple[float, FloatArray]]:
-    """The two shifts within ``radius`` that bring most points together, each with its count above chance in σ."""
+    """The two shifts within ``radius`` with most coincidences, each with its excess over chance in σ."""
     from scipy.ndimage import uniform_filter
 
     if not len(predicted) or not len(measured):
         return []
-    apart = (measured[:, None, :] - predicted[None, :, :]).reshape(-1, 2)
+    shifts = (measured[:, None, :] - predicted[None, :, :]).reshape(-1, 2)
     bins = max(3, math.ceil(2 * radius / bin_px))
-    count = np.histogram2d(apart[:, 0], apart[:, 1], bins=bins, range=[[-radius, radius]] * 2)[0]
-    # Three by three bins, so that a peak on a border is not cut.
+    count = np.histogram2d(shifts[:, 0], shifts[:, 1], bins=bins, range=[[-radius, radius]] * 2)[0]
+    # Sums over 3 × 3 bins, so that a peak at a bin border is not split.
     count = uniform_filter(count, 3, mode="constant") * 9.0
     expected = max(float(count.mean()), 1e-3)
     peaks = []
     for flat in np.argsort(-count, axis=None, kind="stable")[:2]:
-        place = np.array(np.unravel_index(flat, count.shape))
+        bin = np.array(np.unravel_index(flat, count.shape))
         peaks.append(
-            (float((count.flat[flat] - expected) / math.sqrt(expected)), (place + 0.5) * 2 * radius / bins - radius)
+            (float((count.flat[flat] - expected) / math.sqrt(expected)), (bin + 0.5) * 2 * radius / bins - radius)
         )
     return peaks

@@ -1,16 +1,14 @@
-"""The joined table of several catalogues: one row per object, the columns of every catalogue side by side.
+"""The joined table of several catalogues: one row per object, the columns of all catalogues side by side.
 
-Columns that are in several tables get the number of their catalogue, ``_1``, ``_2`` …, as in the tables of two. Rows
-are in the order of the first catalogue, then of the second for objects that are not in the first, and so on. Added
-columns:
+Columns that are in several tables get the number of their catalogue, ``_1``, ``_2`` …, as for two tables. Rows are in
+the order of the first catalogue, then of the second for objects that are not in the first, and so on. Added columns:
 
-n_catalogues : number of catalogues with the object. p_object : probability that exactly these records are it.
-runner_up : the records of the most probable other answer for one of them, "catalogue id = …", masked where it is less
-probable than 0.001, and p_runner_up its probability. ra_object, dec_object, pmra_object, pmdec_object : position at
-``epoch_object`` and proper motion from all its records, with ``…_error`` and ``ra_dec_object_corr`` by the scatter of
-the residuals; the motion is masked where the records do not determine it.
-chi_sq : of its records about it, 2 (n_catalogues − 1) degrees of freedom, by the quoted errors. group_id, group_size :
-the group of competing records.
+n_catalogues : number of catalogues with the object. p_object : probability of exactly these records. runner_up : the
+records of the most probable alternative for one of them, "catalogue id = …", masked below a probability of 0.001, and
+p_runner_up its probability. ra_object, dec_object, pmra_object, pmdec_object : position at ``epoch_object`` and proper
+motion from all its records, with ``…_error`` and ``ra_dec_object_corr`` by the scatter of the residuals; the motion is
+masked where the records do not determine it. chi_sq : of its records, 2 (n_catalogues − 1) degrees of freedom, by the
+quoted errors. group_id, group_size : the group of competing records.
 """
 
 from __future__ import annotations
@@ -30,9 +28,9 @@ from sameas.records import Records
 from sameas.sky.many.match import ManyMatch
 from sameas.sky.output_columns import meta_of
 
-#: Least probability of a runner-up that is named (chosen).
+#: Minimum probability of a runner-up that is listed (chosen).
 LEAST_RUNNER_UP = 1e-3
-#: The number of the object of rows that could not be used.
+#: Object number of unusable rows.
 NO_OBJECT = -1
 _WORDS = {
     "n_catalogues": ("", "number of catalogues that show the object"),
@@ -56,7 +54,7 @@ _WORDS = {
 
 
 def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
-    """One row per object in ``least`` catalogues or more; with 1 also the rows that could not be used.
+    """One row per object in at least ``least`` catalogues; with 1 also the unusable rows.
 
     Raises
     ------
@@ -77,19 +75,19 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
     table = Table()
     for k, catalogue in enumerate(match.catalogues):
         for name, column in zip(joined_names(match)[k], catalogue.table.columns.values(), strict=True):
-            table[name] = _taken(column, rows[:, k])
+            table[name] = _selected(column, rows[:, k])
     absent = number == NO_OBJECT
     for name, values in _answers(match, np.where(absent, 0, number)).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
         unit, words = _WORDS[name]
         mask = np.ma.getmaskarray(values) | absent
-        kept = {"unit": unit or None, "description": words, "meta": meta_of(name)}
-        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **kept)
+        attributes = {"unit": unit or None, "description": words, "meta": meta_of(name)}
+        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **attributes)
     return table
 
 
 def _unused(match: ManyMatch) -> IntArray:
-    """(k, S) the rows that were set aside, each alone."""
+    """(k, S) the rows that were set aside, one per set."""
     parts = []
     for k, records in enumerate(match.objects.given):
         assert isinstance(records, Records)
@@ -101,7 +99,7 @@ def _unused(match: ManyMatch) -> IntArray:
 
 
 def joined_names(match: ManyMatch) -> list[list[str]]:
-    """Column names of every table; those of several get the number of their catalogue."""
+    """Column names of all tables; names in several tables get the number of their catalogue."""
     count = Counter(name.lower() for catalogue in match.catalogues for name in catalogue.table.colnames)
     return [
         [f"{name}_{k}" if count[name.lower()] > 1 else name for name in catalogue.table.colnames]
@@ -109,11 +107,11 @@ def joined_names(match: ManyMatch) -> list[list[str]]:
     ]
 
 
-def _taken(column: Any, at: IntArray) -> Any:
-    """The rows ``at`` of a column, masked where there is none."""
+def _selected(column: Any, at: IntArray) -> Any:
+    """The rows ``at`` of a column, masked where NO_RECORD."""
     absent = at == NO_RECORD
     values = column[np.where(absent, 0, at)]
-    if not isinstance(column, Column):  # times and the like mask their own cells
+    if not isinstance(column, Column):  # mixin columns such as Time mask their own cells
         values[absent] = np.ma.masked
         return values
     mask = np.array(np.ma.getmaskarray(values))
@@ -127,23 +125,23 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
     """The added columns, for some of the objects."""
     objects, state = match.objects, match.state
     sigma = np.sqrt(np.diagonal(state.covariance, axis1=1, axis2=2))[at]
-    place, motion = 1e3 * sigma[:, :2], 1e3 * sigma[:, 2:]
+    position_mas, motion_mas = 1e3 * sigma[:, :2], 1e3 * sigma[:, 2:]
     values: dict[str, NDArray[Any] | np.ma.MaskedArray] = {
         "n_catalogues": objects.n_members[at].astype(np.int16),
         "p_object": objects.probability[at],
         "p_runner_up": objects.p_runner_up[at],
-        "runner_up": _in_words(match, at),
+        "runner_up": _runner_up_texts(match, at),
         "ra_object": state.state[at, 0],
         "dec_object": state.state[at, 1],
-        "ra_object_error": place[:, 0],
-        "dec_object_error": place[:, 1],
-        "ra_dec_object_corr": 1e6 * state.covariance[at, 0, 1] / (place[:, 0] * place[:, 1]),
+        "ra_object_error": position_mas[:, 0],
+        "dec_object_error": position_mas[:, 1],
+        "ra_dec_object_corr": 1e6 * state.covariance[at, 0, 1] / (position_mas[:, 0] * position_mas[:, 1]),
     }
     if match.epoch_jyr is not None:
         no_motion = ~match.has_motion[at]
         for k, name in enumerate(("pmra_object", "pmdec_object")):
             values[name] = np.ma.MaskedArray(1e3 * state.state[at, 2 + k], no_motion)
-            values[f"{name}_error"] = np.ma.MaskedArray(motion[:, k], no_motion)
+            values[f"{name}_error"] = np.ma.MaskedArray(motion_mas[:, k], no_motion)
         values["epoch_object"] = np.full(len(at), match.epoch_jyr)
     group = objects.group[at]
     return values | {
@@ -153,11 +151,11 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
     }
 
 
-def _in_words(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
-    """(k,) runners-up as "catalogue id = catalogue id", masked where none is probable enough."""
+def _runner_up_texts(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
+    """(k,) runners-up as "catalogue id = catalogue id", masked below :data:`LEAST_RUNNER_UP`."""
     rows = np.ma.filled(match.objects.runner_up, NO_RECORD)[at]
     some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= LEAST_RUNNER_UP)
-    names = [_in_ascii(catalogue.name) for catalogue in match.catalogues]
+    names = [_to_ascii(catalogue.name) for catalogue in match.catalogues]
     words = [
         " = ".join(
             f"{name} {catalogue.ids[row]}"
@@ -173,6 +171,6 @@ def _in_words(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
     return np.ma.MaskedArray(out, mask)
 
 
-def _in_ascii(name: str) -> str:
-    """A file's name without accents: FITS has letters of ASCII only, and holds the words of every catalogue."""
+def _to_ascii(name: str) -> str:
+    """A catalogue name in ASCII without accents, as FITS requires."""
     return unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode() or "catalogue"

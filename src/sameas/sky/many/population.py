@@ -1,26 +1,26 @@
-"""The population: the density of the objects in exactly certain catalogues, and the scatter of their residuals.
+"""The population: densities of the objects by pattern of catalogues, and the errors of their residuals.
 
-A *pattern* is a set of catalogues, one bit for each. For every pattern the local density of its objects and the scatter
-of the residuals about the quoted errors are estimated; misses of the catalogues are not assumed to be independent, as
-all miss the faint objects. A set of records of pattern A weighs
+A *pattern* is a set of catalogues, one bit each: the catalogues that contain an object. For each pattern the local
+density of its objects and the scale of the residuals are estimated; non-detections in different catalogues are not
+assumed independent, as all miss the faint objects. The log weight of a set of records of pattern A is
 
     ln w = ln J + mean over its records of ln ρ_A − Σ over its records of ln ρ_alone,
 
-ρ at the records' positions, J with the errors of pattern A. For two catalogues that is ``PoissonField``, with densities
-and errors estimated as in :mod:`sameas.estimate`, by the same cells and shares.
+with ρ at the records' positions and J with the errors of pattern A. For two catalogues this is ``PoissonField``, with
+densities and errors estimated as in :mod:`sameas.estimate`, by the same cells and shares.
 
-The position and motion of one star come from several catalogues, each at its own epoch (:func:`fitted`). A star is at x
-at a reference epoch T and moves by v. A record of epoch t without a motion measures z = x + (t − T) v; one with a
-motion measures both, x and v, carried to T. With Λ, η and χ² summed over the records of a set as in
-:mod:`sameas.many.joint`, on the tangent plane at the set's first record, the density of their positions is
+The position and motion of a star are fitted to records at different epochs (:func:`fitted`). A star is at x at a
+reference epoch T and moves by v. A record of epoch t without a motion measures z = x + (t − T) v; one with a motion
+measures x and v, propagated to T. With Λ, η and χ² summed over the records of a set as in :mod:`sameas.many.joint`, on
+the tangent plane at the set's first record, the density of their positions is
 
     ln J = Σ ln norm + 2 ln 2π − ½ ln|Λ| − ½ χ²,
 
-less the same of the motions alone where two records or more have one: the density is that of the positions, given one
-motion, as in :func:`sameas.sky.crossmatch.match`. Where no record of a set has a motion, v is normal about 0 with the
-standard deviation that the catalogues were given for unknown motions. So a star of large motion is identified in
-catalogues without motions wherever one catalogue has it, in both directions of time; a common epoch cannot do that.
-For two catalogues J is the density of the residual at the common epoch.
+minus the same of the motions alone if two or more records have one: J is the density of the positions given a common
+motion, as in :func:`sameas.sky.crossmatch.match`. If no record of a set has a motion, v is normal about 0 with the
+catalogues' standard deviation of unknown motions. A fast star is thus identified in catalogues without motions if any
+catalogue has its motion, before and after its epoch; a common epoch cannot do this. For two catalogues J is the density
+of the residual at the common epoch.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.motion import propagate
 from sameas.space import displaced, on_axes_of
 
-#: Sets worked on at a time, which bounds the memory.
+#: Sets per chunk, which bounds the memory.
 CHUNK = 100_000
-#: Stands for the unknown motion of records at the reference epoch, whose position it does not change.
-_STILL_ARCSEC_PER_YR = 1.0
-#: Position and proper motion among the six parameters of an :class:`~sameas.sky.motion.Astrometry`.
-_PLACE_AND_MOTION = np.array([0, 1, 3, 4])
+#: Prior error of unknown motions where it does not matter: at the reference epoch, or without motions.
+_ANY_ARCSEC_PER_YR = 1.0
+#: Indices of position and proper motion in the six parameters of an :class:`~sameas.sky.motion.Astrometry`.
+_POSITION_AND_MOTION = np.array([0, 1, 3, 4])
 
 
 @in_short
@@ -62,13 +62,13 @@ class AstrometricRecords:
 
     Attributes
     ----------
-    direction : (n, 2) right ascension and declination, degrees: at the reference epoch where the motion is known, at
-        the record's own epoch where not.
-    motion : (n, 2) proper motion, 0 where it is not known.
-    precision : (n, 4, 4) of (position, motion) at the reference epoch. log_norm : (n,) ln of their normal's factor.
-    moving : (n,) whether the motion is known.
-    motion_precision : (n, 2, 2), 0 where it is not known. motion_log_norm : (n,) the same of the motion alone.
-    unknown_motion : (n,) standard deviation of a motion that is not known.
+    direction : (n, 2) right ascension and declination, degrees: at the reference epoch if the motion is known, else at
+        the record's own epoch.
+    motion : (n, 2) proper motion, 0 where not known.
+    precision : (n, 4, 4) of (position, motion) at the reference epoch. log_norm : (n,) ln of the normalisation.
+    moving : (n,) mask of known motions.
+    motion_precision : (n, 2, 2), 0 where not known. motion_log_norm : (n,) the same for the motion alone.
+    unknown_motion : (n,) standard deviation of an unknown motion.
     """
 
     direction: FloatArray
@@ -89,7 +89,7 @@ class AstrometricRecords:
 
     @classmethod
     def of(cls, catalogue: Catalogue, records: Records, epoch_jyr: float | None) -> AstrometricRecords:
-        """The ``records`` of a catalogue; ``epoch_jyr`` is None where nothing moves."""
+        """The ``records`` of a catalogue. epoch_jyr : reference epoch, None if positions are not moved."""
         part = catalogue.astrometry[records.rows]
         covariance = 1e-6 * part.covariance[:, :2, :2]
         direction, motion = np.column_stack([part.ra_deg, part.dec_deg]), np.zeros((len(records), 2))
@@ -105,24 +105,23 @@ class AstrometricRecords:
         motion_precision, motion_log_norm = np.zeros((len(records), 2, 2)), np.zeros(len(records))
         k = np.flatnonzero(moving)
         if len(k):
-            carried = propagate(part[k], float(epoch_jyr or 0.0))
-            both = 1e-6 * carried.covariance[:, _PLACE_AND_MOTION[:, None], _PLACE_AND_MOTION]
-            direction[k] = np.column_stack([carried.ra_deg, carried.dec_deg])
-            motion[k] = 1e-3 * np.column_stack([carried.pm_ra_mas_per_yr, carried.pm_dec_mas_per_yr])
+            at_epoch = propagate(part[k], float(epoch_jyr or 0.0))
+            both = 1e-6 * at_epoch.covariance[:, _POSITION_AND_MOTION[:, None], _POSITION_AND_MOTION]
+            direction[k] = np.column_stack([at_epoch.ra_deg, at_epoch.dec_deg])
+            motion[k] = 1e-3 * np.column_stack([at_epoch.pm_ra_mas_per_yr, at_epoch.pm_dec_mas_per_yr])
             precision[k], log_norm[k] = inverse(both), _log_norm(both)
-            alone = both[:, 2:, 2:]
-            motion_precision[k], motion_log_norm[k] = inverse(alone), _log_norm(alone)
+            of_motion = both[:, 2:, 2:]
+            motion_precision[k], motion_log_norm[k] = inverse(of_motion), _log_norm(of_motion)
         unknown = 1e-3 * np.sqrt(part.covariance[:, 3, 3])
-        unknown = np.where(moving | (unknown <= 0.0) | (epoch_jyr is None), _STILL_ARCSEC_PER_YR, unknown)
+        unknown = np.where(moving | (unknown <= 0.0) | (epoch_jyr is None), _ANY_ARCSEC_PER_YR, unknown)
         return cls(direction, motion, precision, log_norm, moving, motion_precision, motion_log_norm, unknown)
 
 
 class AstrometricFit(NamedTuple):
-    """Per set (k,): ``log_peak`` ln J without its −½ χ², ``chi_sq`` χ² of 2 (size − 1) degrees of freedom.
+    """Fit of each set (k,): ``log_peak`` ln J without −½ χ², ``chi_sq`` χ² with 2 (size − 1) degrees of freedom.
 
     direction, motion : (k, 2) of the star at the reference epoch. covariance : (k, 4, 4) of both.
-    has_residual : whether χ² is one of errors; where no record has a motion and their epochs differ, it is one of
-        motions.
+    has_residual : whether χ² measures errors; it measures motions if no record has one and the epochs differ.
     """
 
     log_peak: FloatArray
@@ -134,7 +133,7 @@ class AstrometricFit(NamedTuple):
 
 
 def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
-    """The star of each of the ``sets`` (k, catalogues) of positions of records, NO_RECORD for none; none is empty."""
+    """The star fitted to each of the ``sets`` (k, catalogues), indices of records or NO_RECORD; no set is empty."""
     parts = [_fitted(astrometric, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
     return (
         parts[0]
@@ -146,7 +145,7 @@ def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer
 def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     anchor = _anchors(astrometric, sets)
     whole, motions = InformationSum.of(len(sets), 4), InformationSum.of(len(sets), 2)
-    moving, spread = np.zeros(len(sets), np.int64), np.zeros(len(sets))
+    moving, unknown_motion = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(astrometric):
         k = np.flatnonzero(sets[:, s] != NO_RECORD)
         members = catalogue.at(sets[k, s])
@@ -157,11 +156,16 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
         whole.add(k, np.column_stack([offset, velocity]), propagated(axes, members.precision), members.log_norm)
         motions.add(k, velocity, propagated(rotation, members.motion_precision), members.motion_log_norm)
         moving[k] += members.moving
-        spread[k] = np.maximum(spread[k], np.where(members.moving, 0.0, members.unknown_motion))
-    still = np.flatnonzero(moving == 0)
-    open_motion = np.zeros((len(still), 4, 4))
-    open_motion[:, [2, 3], [2, 3]] = 1.0 / spread[still, None] ** 2
-    whole.add(still, np.zeros((len(still), 4)), open_motion, -LOG_2PI - 2.0 * np.log(spread[still]))
+        unknown_motion[k] = np.maximum(unknown_motion[k], np.where(members.moving, 0.0, members.unknown_motion))
+    without_motion = np.flatnonzero(moving == 0)
+    prior_precision = np.zeros((len(without_motion), 4, 4))
+    prior_precision[:, [2, 3], [2, 3]] = 1.0 / unknown_motion[without_motion, None] ** 2
+    whole.add(
+        without_motion,
+        np.zeros((len(without_motion), 4)),
+        prior_precision,
+        -LOG_2PI - 2.0 * np.log(unknown_motion[without_motion]),
+    )
     log_peak, star = whole.log_peak(), whole.gaussian()
     chi_sq = whole.chi_sq(star)
     has_residual = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
@@ -181,12 +185,12 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
 
 
 def _anchors(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> FloatArray:
-    """(k, 2) the direction of each set's first record."""
-    at = np.full((len(sets), 2), np.nan)
+    """(k, 2) direction of the first record of each set."""
+    direction = np.full((len(sets), 2), np.nan)
     for s in reversed(range(len(astrometric))):
-        here = sets[:, s] != NO_RECORD
-        at[here] = astrometric[s].direction[sets[here, s]]
-    return at
+        present = sets[:, s] != NO_RECORD
+        direction[present] = astrometric[s].direction[sets[present, s]]
+    return direction
 
 
 def _log_norm(covariance: FloatArray) -> FloatArray:
@@ -194,7 +198,7 @@ def _log_norm(covariance: FloatArray) -> FloatArray:
 
 
 def moving_rows(catalogue: Catalogue) -> BoolArray:
-    """(n,) the rows of the table that have a proper motion."""
+    """(n,) mask of the table's rows with a proper motion."""
     known = np.ones(len(catalogue), bool)
     for column in catalogue.choice.motion[1:3]:
         if column is None:
@@ -208,18 +212,18 @@ Coverages = Mapping[tuple[int, int], Coverage]
 
 @dataclass(frozen=True)
 class PopulationTuning:
-    """Numbers of the estimate of the population (EM), all chosen.
+    """Parameters of the estimate of the population (EM), all chosen.
 
     Attributes
     ----------
-    iterations : at most.
-    settled : converged when the expected number of objects of no pattern changes by more than this share of all.
-    least_p_set : sets less probable than this are not used for the errors.
-    largest_p_set : probabilities are bounded by this, so that their odds are finite.
+    iterations : maximum number.
+    converged_share : maximum change of the expected number of objects of a pattern at convergence, as a share of all.
+    least_p_set : minimum probability of a set used for the errors.
+    largest_p_set : maximum probability of a set, to keep its odds finite.
     """
 
     iterations: int = 8
-    settled: float = 3e-4
+    converged_share: float = 3e-4
     least_p_set: float = 1e-3
     largest_p_set: float = 1.0 - 1e-9
 
@@ -230,40 +234,42 @@ TUNING = PopulationTuning()
 @in_short
 @dataclass(frozen=True)
 class Population:
-    """Densities and errors of the objects of every pattern.
+    """Densities and errors of the objects by pattern.
 
     log_density : per catalogue (n, 2^S) ln of the density of objects of each pattern at its records, per arcsec²;
-        −∞ for patterns without the catalogue. spread : by pattern. learns_errors : whether spreads are estimated.
+        −∞ for patterns without the catalogue. errors : mixtures of error factors, by pattern. estimates_errors :
+        whether EM updates them.
     """
 
     log_density: tuple[FloatArray, ...]
-    spread: Mapping[int, Errors]
-    learns_errors: bool = True
+    errors: Mapping[int, Errors]
+    estimates_errors: bool = True
 
-    def log_spread(self, patterns: IntArray, chi_sq: FloatArray) -> FloatArray:
-        """(k,) the term that replaces −½ χ² of one normal for sets of these patterns."""
+    def log_profile(self, patterns: IntArray, chi_sq: FloatArray) -> FloatArray:
+        """(k,) the term that replaces −½ χ² of a single normal, for sets of these patterns."""
         out = np.zeros(len(patterns))
-        for pattern, here in self._several(patterns):
-            out[here] = self.spread[pattern].log_profile(chi_sq[here], freedom(pattern))
+        for pattern, rows in self._several(patterns):
+            out[rows] = self.errors[pattern].log_profile(chi_sq[rows], freedom(pattern))
         return out
 
     def scale_sq(self, patterns: IntArray, chi_sq: FloatArray) -> FloatArray:
-        """(k,) the expected square of the factor on the quoted errors of sets of these patterns; 1 for one record."""
+        """(k,) expected square of the factor on the quoted errors, for sets of these patterns; 1 for single records."""
         out = np.ones(len(patterns))
-        for pattern, here in self._several(patterns):
-            errors, d = self.spread[pattern], freedom(pattern)
-            # ∫ scale² is the profile of two degrees of freedom less.
-            mean = errors.log_profile(chi_sq[here], d - 2) - errors.log_profile(chi_sq[here], d)
-            out[here] = np.exp(mean)
+        for pattern, rows in self._several(patterns):
+            errors, d = self.errors[pattern], freedom(pattern)
+            # ∫ scale² is the profile with two degrees of freedom less.
+            mean = errors.log_profile(chi_sq[rows], d - 2) - errors.log_profile(chi_sq[rows], d)
+            out[rows] = np.exp(mean)
         return out
 
     def _several(self, patterns: IntArray) -> Iterator[tuple[int, IntArray]]:
+        """The patterns of two or more catalogues that occur, and their rows."""
         for pattern in np.unique(patterns).tolist():
             if pattern.bit_count() > 1:
                 yield pattern, np.flatnonzero(patterns == pattern)
 
-    def log_together(self, sets: IntArray, patterns: IntArray) -> FloatArray:
-        """(k,) the mean ln ρ of the pattern of sets (k, S) at their records."""
+    def mean_log_density(self, sets: IntArray, patterns: IntArray) -> FloatArray:
+        """(k,) mean over the records of sets (k, S) of ln ρ of their pattern."""
         total = np.zeros(len(sets))
         for s, density in enumerate(self.log_density):
             k = np.flatnonzero(sets[:, s] >= 0)
@@ -271,7 +277,7 @@ class Population:
         return np.asarray(total / np.count_nonzero(sets >= 0, axis=1))
 
     def log_alone(self, s: int) -> FloatArray:
-        """(n,) ln ρ of the records of catalogue s that no other shows."""
+        """(n,) ln ρ of objects in catalogue s alone, at its records."""
         return self.log_density[s][:, 1 << s]
 
     def learned(
@@ -282,7 +288,7 @@ class Population:
         coverages: Coverages,
         tuning: PopulationTuning = TUNING,
     ) -> Population:
-        """The population of greatest likelihood for sets (k, S) of these probabilities (one step of EM)."""
+        """The maximum-likelihood population given probabilities of sets (k, S) (the M step)."""
         patterns = patterns_of(sets)
         shares = []
         for s, density in enumerate(self.log_density):
@@ -290,73 +296,81 @@ class Population:
             k = np.flatnonzero(sets[:, s] >= 0)
             np.add.at(share, (sets[k, s], patterns[k]), probability[k])
             shares.append(np.minimum(share, 1.0))
-        spread = self._spread(patterns, chi_sq, probability, tuning) if self.learns_errors else self.spread
-        return replace(self, log_density=log_densities(coverages, shares), spread=spread)
 
-    def _spread(
+        errors = self.errors
+        if self.estimates_errors:
+            errors = self._fitted_errors(patterns, chi_sq, probability, tuning)
+        return replace(self, log_density=log_densities(coverages, shares), errors=errors)
+
+    def _fitted_errors(
         self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray, tuning: PopulationTuning
     ) -> dict[int, Errors]:
-        spread = dict(self.spread)
-        for pattern, errors in self.spread.items():
-            here = np.flatnonzero((patterns == pattern) & (probability > tuning.least_p_set))
-            if probability[here].sum() < DEFAULT_EM.min_pairs:
+
+        fitted_errors = dict(self.errors)
+        for pattern, errors in self.errors.items():
+            rows = np.flatnonzero((patterns == pattern) & (probability > tuning.least_p_set))
+            if probability[rows].sum() < DEFAULT_EM.min_pairs:
                 continue
-            # The odds of these sets by everything but their residuals.
-            p, d = np.minimum(probability[here], tuning.largest_p_set), freedom(pattern)
-            log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[here], d)
-            # Not wider than of the catalogues two by two: chance pairs prevail beyond.
-            widest = max(DEFAULT_EM.widest_scale, *(max(self.spread[pair].scales) for pair in pairs_within(pattern)))
-            spread[pattern] = fit_errors(chi_sq[here], log_odds, d, errors, widest=widest).errors
-        return _beside_others(spread)
+            # The odds of these sets without their residuals.
+            p, d = np.minimum(probability[rows], tuning.largest_p_set), freedom(pattern)
+            log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[rows], d)
+            # Not wider than in the pairwise matches: beyond, chance pairs prevail.
+            widest = max(DEFAULT_EM.widest_scale, *(max(self.errors[pair].scales) for pair in pairs_within(pattern)))
+            fitted_errors[pattern] = fit_errors(chi_sq[rows], log_odds, d, errors, widest=widest).errors
+        return _with_common_errors(fitted_errors)
 
 
-def first_guess(
-    coverages: Coverages, partnered: Mapping[tuple[int, int], FloatArray], spread: Mapping[int, Errors], learns: bool
+def initial_population(
+    coverages: Coverages,
+    p_partner: Mapping[tuple[int, int], FloatArray],
+    errors: Mapping[int, Errors],
+    estimates_errors: bool,
 ) -> Population:
-    """The population by the catalogues two by two, as if they missed objects independently; the start of EM.
+    """The initial population of EM, from the pairwise matches, with independent non-detections.
 
-    partnered : (n_a,) per catalogues (a, b) the probability that a record of a has a partner in b.
-    spread : the errors of every two catalogues, by pattern.
+    p_partner : for catalogues (a, b), (n_a,) the probability that a record of a has a partner in b.
+    errors : of every two catalogues, by pattern.
     """
     n_sources = max(b for _, b in coverages) + 1
     shares = []
     for s in range(n_sources):
         others = [t for t in range(n_sources) if t != s]
-        share = np.zeros((len(partnered[s, others[0]]), 1 << n_sources))
+        share = np.zeros((len(p_partner[s, others[0]]), 1 << n_sources))
         for pattern in range(1 << n_sources):
             if pattern >> s & 1:
-                parts = (partnered[s, t] if pattern >> t & 1 else 1.0 - partnered[s, t] for t in others)
+                parts = (p_partner[s, t] if pattern >> t & 1 else 1.0 - p_partner[s, t] for t in others)
                 share[:, pattern] = np.prod(list(parts), axis=0)
         shares.append(share)
-    spreads = _beside_others(spread)
+
+    by_pattern = _with_common_errors(errors)
     for pattern in range(1, 1 << n_sources):
         if pattern.bit_count() > 2:
-            spreads[pattern] = max((spread[pair] for pair in pairs_within(pattern)), key=lambda e: e.typical_scale)
-    return Population(log_densities(coverages, shares), spreads, learns)
+            by_pattern[pattern] = max((errors[pair] for pair in pairs_within(pattern)), key=lambda e: e.typical_scale)
+    return Population(log_densities(coverages, shares), by_pattern, estimates_errors)
 
 
-def _beside_others(spread: Mapping[int, Errors]) -> dict[int, Errors]:
-    """The errors by pattern, those of two catalogues no smaller than quoted where both have larger ones with others.
+def _with_common_errors(by_pattern: Mapping[int, Errors]) -> dict[int, Errors]:
+    """The errors by pattern, those of two catalogues raised to the smallest with any other, at most to the quoted ones.
 
-    Such catalogues have errors in common: one took its positions from the other. One spread tells all residuals of a
-    set of more, so that the density of two that nearly coincide would tear them from the rest.
+    Such catalogues have errors in common: one took its positions from the other. A larger set has one mixture for all
+    its residuals, so the high density of two nearly coincident records would separate them from the rest.
     """
-    pairs = {pattern: errors.typical_scale for pattern, errors in spread.items() if pattern.bit_count() == 2}
-    out = dict(spread)
+    pairs = {pattern: errors.typical_scale for pattern, errors in by_pattern.items() if pattern.bit_count() == 2}
+    out = dict(by_pattern)
     for pattern, scale in pairs.items():
         least = min((each for other, each in pairs.items() if (other & pattern).bit_count() == 1), default=scale)
         least = min(least, 1.0)
         if scale < least:
-            errors = spread[pattern]
+            errors = by_pattern[pattern]
             out[pattern] = replace(errors, scales=tuple(max(each, least) for each in errors.scales))
     return out
 
 
 def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[FloatArray, ...]:
-    """Per catalogue (n, 2^S) ln ρ of every pattern at its records, from every record's share in it.
+    """Per catalogue (n, 2^S) ln ρ of each pattern at its records, from the records' probabilities of the patterns.
 
-    ρ_A of a catalogue is the density of its records times their share in A; all catalogues of A count the same objects,
-    and the mean of the logarithms favours none. Shares are among the records in the footprint of all of A.
+    ρ_A by one catalogue is the density of its records times their share in A; all catalogues of A count the same
+    objects, so the mean of the logarithms is used. Shares refer to the records in the footprint of all of A.
     """
     n_sources = len(shares)
     total = [np.zeros(share.shape) for share in shares]
@@ -369,7 +383,7 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
                 share_at = local_share(coverage.levels, side, shares[s][:, pattern] * weights, weights)
                 for t, density, share in zip((a, b), all_at, share_at, strict=True):
                     if pattern >> t & 1:
-                        # A catalogue's own records are in all of its coverages, those of another in one.
+                        # A catalogue's own records are in n − 1 coverages, those of another in one.
                         part = 1.0 / (n_sources - 1) if t == s else 1.0
                         total[t][:, pattern] += part * np.log(density * np.maximum(share, DEFAULT_EM.least_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
@@ -381,17 +395,17 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
 
 
 def patterns_of(sets: IntArray) -> IntArray:
-    """(k,) the pattern of sets (k, S) of records."""
+    """(k,) patterns of sets (k, S) of records."""
     return (sets >= 0) @ (1 << np.arange(sets.shape[1]))
 
 
 def freedom(pattern: int) -> int:
-    """Degrees of freedom of the χ² of a star in the catalogues of a pattern."""
+    """Degrees of freedom of the χ² of a star with a pattern."""
     return 2 * (pattern.bit_count() - 1)
 
 
 def pairs_within(pattern: int) -> list[int]:
-    """The patterns of two catalogues within one of more."""
+    """The patterns of two catalogues within a pattern."""
     within = [s for s in range(pattern.bit_length()) if pattern >> s & 1]
     return [1 << s | 1 << t for s, t in combinations(within, 2)]
 
@@ -401,7 +415,7 @@ def _patterns_with(s: int, n_sources: int) -> list[int]:
 
 
 def _covered(coverages: Coverages, s: int, shares: Sequence[FloatArray]) -> BoolArray:
-    """(n, 2^S) whether the records of s lie in the footprint of all catalogues of a pattern."""
+    """(n, 2^S) mask of the records of s in the footprint of all catalogues of each pattern."""
     n_sources = len(shares)
     by_source = np.ones((len(shares[s]), n_sources), bool)
     for (a, b), coverage in coverages.items():

@@ -1,25 +1,25 @@
-"""What does not stand still: asteroids and comets among the detections of several exposures.
+"""Movers: asteroids and comets among the detections of several exposures.
 
-The way of the data; each module hands on one frozen value:
+The data flow; each module returns one frozen value:
 
 - :mod:`~sameas.sky.movers.detections`: columns → ``Detections``, checked, exposures numbered by time;
-- :mod:`~sameas.sky.movers.stationary`: ``Detections`` → ``Stationary``: the sources that do not move, with exposures'
-  offsets and the scale of the errors that they show; and what is fixed on a dithered chip;
-- :mod:`~sameas.sky.movers.model`: the rest → ``Surroundings`` (densities, which exposures saw which place), and
-  ``MotionModel``, what is believed of rates (:mod:`~sameas.sky.movers.rates`), brightness and misses;
+- :mod:`~sameas.sky.movers.stationary`: ``Detections`` → ``Stationary``: the stationary sources, with the offsets of the
+  exposures and the error scale; and the detections fixed on a dithered chip;
+- :mod:`~sameas.sky.movers.model`: the rest → ``Surroundings`` (densities, which exposures saw which position), and
+  ``MotionModel``, the model of rates (:mod:`~sameas.sky.movers.rates`), brightness and misses;
 - :mod:`~sameas.sky.movers.links`: → ``Links``, which detection may be the next one of the same mover, one to one; its
-  assignment, repeated, teaches the model (``learn``);
+  iterated assignment estimates the model (``learn``);
 - :mod:`~sameas.sky.movers.tracks`: ``Links`` → ``Tracks`` grown along them → ``Competition`` of whole tracks for the
   detections, by set packing;
 - :mod:`~sameas.sky.movers.search`: → ``Movers``, the tracklets with their probabilities: of detections
-  (``find_movers``), and of what a tied series of frames (:mod:`sameas.sky.series`) leaves over (``search``);
-- :mod:`~sameas.sky.movers.stack`: of that, what is measured better as a trail; :mod:`~sameas.sky.movers.stack` and
-  :mod:`~sameas.sky.movers.below_limit`: what the frames show along a motion;
+  (``find_movers``), and of the unexplained measurements of a series of frames (:mod:`sameas.sky.series`) (``search``);
+- :mod:`~sameas.sky.movers.stack`: trails among these measurements; :mod:`~sameas.sky.movers.stack` and
+  :mod:`~sameas.sky.movers.below_limit`: the frames stacked along a motion;
 - :mod:`~sameas.sky.movers.known`: ``Movers`` and ``Elements`` (:mod:`~sameas.sky.movers.orbits`) → ``KnownObjects``,
-  and scores of digest2 for near-Earth objects, where it is installed.
+  and digest2 scores for near-Earth objects, if it is installed.
 
-When to use what: :func:`find_movers` of :class:`Detections` finds tracklets; :func:`learn_motion` of other nights gives
-it a better model than one poor night can teach.
+When to use what: :func:`find_movers` finds tracklets in :class:`Detections`; :func:`learn_motion` of other nights gives
+it a better model than one poor night alone.
 """
 
 from sameas.sky.movers.detections import Detections

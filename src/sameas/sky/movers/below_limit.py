@@ -635,7 +635,7 @@ def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> Flo
     ra, dec = series.sky(peaks.place)
     axes = EclipticAxes.of(ra, dec)
     mjd = np.full(len(ra), np.mean([e.mjd_utc for e in series.exposures]))
-    cos, sin = axes.turn.T
+    cos, sin = axes.rotation.T
     east, north = peaks.rate.T
     rate = np.column_stack([cos * east + sin * north, cos * north - sin * east])
     rate[:, 0] -= reference_rate(axes.longitude_deg - sun_longitude_deg(mjd))

@@ -1,4 +1,4 @@
-"""Detections: what was measured on several exposures, with times, errors and brightness; refused here, once."""
+"""Detections of several exposures, with times, errors and magnitudes; input is checked here."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from sameas.representation import in_short
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.movers.rates import EclipticAxes
 
-#: Times of this many seconds are one exposure, where no column tells which exposure a row is of (chosen).
+#: Times within this many seconds are one exposure if no column of exposures is given (chosen).
 SAME_EXPOSURE_S = 0.5
-#: MJD of 1850 and 2150: times outside are of another unit.
+#: MJD of 1850 and 2150: times outside are in another unit.
 _FIRST_MJD, _LAST_MJD = -3241.0, 106332.0
 
 
 @dataclass(frozen=True)
 class TrailRates:
-    """What the lengths of trails say of rates, (n,) detections.
+    """Rates from the lengths of trails, (n,) detections.
 
-    arcsec_per_min : (n, 2) east and north, either way; NaN without a trail. sigma : (n,) its error per axis.
-    least : (n,) a detection of a higher rate would show a trail; infinite where that is not known.
+    arcsec_per_min : (n, 2) east and north, of either sign; NaN without a trail. sigma : (n,) its error per axis.
+    least : (n,) minimum rate with a visible trail; infinite where not known.
     """
 
     arcsec_per_min: FloatArray
@@ -36,7 +36,7 @@ class TrailRates:
     least: FloatArray
 
     def some(self, rows: NDArray[Any]) -> TrailRates:
-        """Those of some detections."""
+        """The rates of some detections."""
         return TrailRates(self.arcsec_per_min[rows], self.sigma[rows], self.least[rows])
 
 
@@ -52,8 +52,8 @@ class Detections:
     frame : (n,) number of the exposure; exposures are numbered by time.
     magnitude, magnitude_error : (n,), NaN where not measured. band : (n,) number of the band. bands : their names.
     ids : (n,) of the rows. rows : (n,) in the user's table.
-    frame_names : of the exposures. set_aside : rows that cannot be used. name : used in messages.
-    trail : what trails say of rates.
+    frame_names : of the exposures. set_aside : unusable rows. name : used in messages.
+    trail : rates from trails.
     """
 
     ra_deg: FloatArray
@@ -77,17 +77,17 @@ class Detections:
 
     @property
     def frame_mjd(self) -> FloatArray:
-        """(f,) mean time of every exposure."""
+        """(f,) mean time of each exposure."""
         count = np.bincount(self.frame, minlength=len(self.frame_names))
         return np.asarray(np.bincount(self.frame, self.mjd_utc, len(self.frame_names)) / np.maximum(count, 1))
 
     @property
     def typical_sigma_arcsec(self) -> float:
-        """The median of the errors along both axes."""
+        """The median position error per axis."""
         return math.sqrt(float(np.median(self.covariance[:, [0, 2]])))
 
     def axes(self) -> EclipticAxes:
-        """The ecliptic axes at every detection."""
+        """The ecliptic axes at each detection."""
         return EclipticAxes.of(self.ra_deg, self.dec_deg)
 
     @classmethod
@@ -110,14 +110,14 @@ class Detections:
 
         ra_deg, dec_deg, mjd_utc : (n,). sigma_arcsec : one, or (n,), along both axes; or covariance : (n, 3) arcsec²
         of east-east, east-north, north-north.
-        frame : (n,) which exposure each row is of, any labels; None takes equal times (within half a second) as one.
+        frame : (n,) labels of the exposures; None groups equal times (within half a second).
         magnitude, magnitude_error : (n,). band : (n,) labels.
-        Rows without a place, time or error, and rows that repeat another of the same exposure to 1 mas, are set aside.
+        Rows without position, time or error, and duplicates within an exposure (to 1 mas), are set aside.
 
         Raises
         ------
-        InputError : columns of different lengths; neither or both errors; errors not positive; times that are no MJD;
-            fewer than two exposures.
+        InputError : columns of different lengths; neither or both errors given; errors not positive; times that are not
+            MJD; fewer than two exposures.
 
         Example
         -------
@@ -157,7 +157,7 @@ class Detections:
         )  # fmt: skip
 
     def some(self, rows: NDArray[Any]) -> Detections:
-        """Some of the detections, exposures numbered as before. rows : indices or a mask."""
+        """Some of the detections, with the same exposure numbers. rows : indices or a mask."""
         names = ("ra_deg", "dec_deg", "covariance", "mjd_utc", "frame", "magnitude", "magnitude_error", "band", "ids")
         trail = None if self.trail is None else self.trail.some(rows)
         return replace(self, **{k: getattr(self, k)[rows] for k in (*names, "rows")}, trail=trail)
@@ -227,7 +227,7 @@ def _frames(mjd: FloatArray, labels: NDArray[Any] | None) -> tuple[IntArray, tup
 
 
 def _repeated(ra: FloatArray, dec: FloatArray, frame: IntArray) -> NDArray[np.bool_]:
-    """(n,) rows that repeat an earlier one of their exposure to 1 mas."""
+    """(n,) mask of the rows that repeat an earlier one of their exposure, to 1 mas."""
     place = np.column_stack([frame, np.rint(ra * 3.6e6), np.rint(dec * 3.6e6)]).astype(np.int64)
     _, first = np.unique(place, axis=0, return_index=True)
     repeated = np.ones(len(ra), bool)
@@ -235,9 +235,9 @@ def _repeated(ra: FloatArray, dec: FloatArray, frame: IntArray) -> NDArray[np.bo
     return repeated
 
 
-# Tables of detections: which of their columns are times, exposures, bands; positions as catalogues have them.
+# Tables of detections: columns of times, exposures and bands; positions as in catalogues.
 
-#: Names of columns that are understood, in any case, in this order.
+#: Recognised column names, ignoring case, in order of preference.
 TIMES: tuple[str, ...] = (
     "mjd_utc",
     "mjd",
@@ -252,16 +252,16 @@ TIMES: tuple[str, ...] = (
 TIMES += ("jd_utc_mid", "jd_utc", "jd", "time")
 EXPOSURES = ("exposure", "frame", "visit", "expnum", "exposure_id", "obsid", "image")
 BANDS = ("band", "filter", "fid", "filt", "fltr")
-#: Numbers above this are Julian dates, not modified ones.
+#: Numbers above this are Julian dates, not MJD.
 _JULIAN = 2_000_000.0
 
 
 @dataclass(frozen=True)
 class DetectionColumns:
-    """Columns of a table of detections; None finds them by their names.
+    """Columns of a table of detections; None finds them by name.
 
-    time : of the middle of the exposure, UTC: MJD, JD or ISO dates. exposure : which exposure a row is of; "none" takes
-    equal times as one. band : of the magnitude; "none" for no band.
+    time : middle of the exposure, UTC: MJD, JD or ISO dates. exposure : label of the exposure; "none" groups equal
+    times. band : of the magnitude; "none" for no band.
     """
 
     time: str | None = None
@@ -272,13 +272,13 @@ class DetectionColumns:
 def detections_of(
     catalogues: Sequence[Catalogue], columns: DetectionColumns | None = None
 ) -> tuple[Detections, tuple[str, ...]]:
-    """The detections of one table or more, and the lines that say how their columns were understood.
+    """The detections of one or more tables, and one line per table on the chosen columns.
 
-    catalogues : the tables; where none has a column of exposures and each has one time, each is one exposure.
+    catalogues : the tables. Without a column of exposures, equal times are one exposure.
 
     Raises
     ------
-    InputError : no column of times, or one that is not there or holds no times.
+    InputError : no column of times, a named column that does not exist, or a column without times.
 
     Example
     -------

@@ -1,13 +1,13 @@
-"""Links: which detection is the next one of the same mover, one to one.
+"""Links: candidate pairs of consecutive detections of one mover, with their likelihood ratios.
 
-Every detection has at most one predecessor and at most one successor, so that links are an assignment of the
-detections to themselves at a later time; the null is a false detection, or a mover that is lost. A link i → j over
-τ minutes weighs
+Each detection has at most one predecessor and one successor, so the links are a one-to-one assignment of detections to
+later ones; the alternative is a false detection or the end of a mover. The log-likelihood ratio of a link i → j over τ
+minutes is
 
     ln λ = ln odds + ln f(Δ/τ)/τ² − ln β_j + ln g(m_j | m_i)/n(m_j) + (exposures between) · ln(1 − P_d),
 
-with f the rate density widened by both errors, β_j the density of detections around j, g the brightness that a mover
-of brightness m_i has and n that of any detection.
+with f the rate density convolved with both errors, β_j the density of detections around j, g the magnitude distribution
+of a mover of magnitude m_i, and n that of all detections.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from sameas.prior import EVIDENCE_ALONE
 from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning
 from sameas.space import ARCSEC_PER_RADIAN
 
-#: ln of the change of brightness that carries no limit where magnitudes are odd: spread evenly over 8 mag.
-_ODD = math.log(1.0 / 8.0)
+#: ln of the density of an unrelated magnitude: uniform over 8 mag.
+_LOG_UNIFORM_MAG = math.log(1.0 / 8.0)
 
-#: Pairs that are weighed at once, which bounds the memory.
-AT_ONCE = 200_000
-#: Share of the detections that have a next one, as believed beforehand (chosen; alerts have 0.3, frames less).
+#: Pairs per chunk, which bounds the memory.
+CHUNK = 200_000
+#: Prior share of the detections that have a next one (chosen; alerts have 0.3, frames less).
 PRIOR_SHARE = 0.02
 
 
@@ -40,9 +40,9 @@ PRIOR_SHARE = 0.02
 class Links:
     """Links of detections i to later ones j, (m,) each.
 
-    minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : the
-    part of it that magnitudes, and the trail of j, say. misses : exposures between that saw the place. far : so
-    improbable by themselves that only a third exposure, which supports them, lets them be tried.
+    minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : its
+    part from magnitudes and the trail of j. misses : exposures between that saw the position. far : links too
+    improbable alone, tried because a detection of a third exposure supports them.
     """
 
     i: IntArray
@@ -63,24 +63,24 @@ class Links:
 
 
 def candidate_links(around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
-    """The links that could belong to a mover and are near enough to be tried by themselves, by exposure of j."""
+    """The links with sufficient ln λ within the reach of the model, ordered by the exposure of j."""
     reach = Reach.of(around, model, tuning)
     return _best_links(around, _links_of(around, model, tuning, reach, _pairs(around, reach, tuning)), tuning)
 
 
 def with_far_links(around: Surroundings, links: Links, model: MotionModel, tuning: Tuning = DEFAULT_TUNING) -> Links:
-    """The links, and those of fast movers, which are too improbable by themselves, or fewer than chance makes.
+    """The links, and links of fast movers that are too improbable alone or outnumbered by chance pairs.
 
-    Such a link is tried where three exposures that follow each other, one of them passed over at most, show detections
-    in a straight line: of a hundred pairs by chance few have a third.
+    Such a link is tried if detections of three consecutive exposures (at most one skipped between two) lie on a
+    straight line: few of a hundred chance pairs have a third.
     """
     supported = replace(tuning, least_log_ratio=min(tuning.least_log_ratio, tuning.least_supported))
-    every = Reach.of(around, model, supported)
-    every = replace(every, arcsec=every.uncapped)
-    pairs = _supported(around, every, tuning)
+    reach = Reach.of(around, model, supported)
+    reach = replace(reach, arcsec=reach.uncapped)
+    pairs = _supported(around, reach, tuning)
     if not len(pairs):
         return links
-    far = _links_of(around, model, supported, every, pairs)
+    far = _links_of(around, model, supported, reach, pairs)
     n = len(around.detections)
     far = far.only(~np.isin(far.i * n + far.j, links.i * n + links.j))
     far = _best_links(around, far, tuning)
@@ -90,24 +90,24 @@ def with_far_links(around: Surroundings, links: Links, model: MotionModel, tunin
 
 
 def _links_of(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
-    """The links among some pairs, weighed a part at a time."""
+    """The links among some pairs, evaluated in chunks."""
     parts = [
-        _weighed(around, model, tuning, reach, pairs[first : first + AT_ONCE])
-        for first in range(0, max(len(pairs), 1), AT_ONCE)
+        _evaluated(around, model, tuning, reach, pairs[first : first + CHUNK])
+        for first in range(0, max(len(pairs), 1), CHUNK)
     ]
     return Links(*(np.concatenate([getattr(p, name) for p in parts]) for name in Links.__dataclass_fields__))
 
 
 def _best_links(around: Surroundings, links: Links, tuning: Tuning) -> Links:
-    """The best links of every detection to later ones, by ascending exposure of the later one."""
+    """The best links of each detection to later ones, ordered by the exposure of the later one."""
     order = np.lexsort([-links.log_ratio, links.i])
-    place = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
-    links = links.only(order[place < tuning.links])
+    rank = np.arange(len(order)) - np.searchsorted(links.i[order], links.i[order])
+    links = links.only(order[rank < tuning.links])
     return links.only(np.lexsort([links.i, around.detections.frame[links.j]]))
 
 
 def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
-    """(m, 2) detections that are no farther apart than the farthest link."""
+    """(m, 2) pairs of detections within the maximum reach of a link."""
     seen, unit = around.detections, around.axes.unit
     frames = len(seen.frame_names)
     apart = _frames_apart(around, tuning.misses)
@@ -120,31 +120,32 @@ def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
 
 
 def _frames_apart(around: Surroundings, misses: int) -> int:
-    """How many exposures lie between two that are linked: few, where all exposures show one field.
+    """Maximum difference in exposure number between linked detections: small if all exposures show one field.
 
-    With more between them than this, one place in a hundred was seen so rarely that the link passes over no more than
-    ``misses`` of those that saw it.
+    The 99th percentile over positions of the span with at most ``misses`` exposures that saw the position in between.
     """
     before = around.coverage.before
-    some = before[:: max(1, len(before) // 500)]
+    sampled = before[:: max(1, len(before) // 500)]
     spans = [
         np.searchsorted(saw, saw[1:][np.diff(saw) > 0] + misses, side="right") - np.flatnonzero(np.diff(saw)) - 1
-        for saw in some
+        for saw in sampled
     ]
     return int(np.percentile(np.concatenate(spans), 99.0)) + 1
 
 
-def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
-    """The links among some pairs."""
+def _evaluated(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Reach, pairs: IntArray) -> Links:
+    """The links among some pairs with sufficient ln λ."""
     seen, t, unit = around.detections, around.minutes, around.axes.unit
     i, j = pairs.T
     minutes = t[j] - t[i]
-    # Nearly all pairs are farther apart than their time allows: they go before anything else is worked out.
-    chord2 = np.zeros(len(i))
+    # Nearly all pairs are too far apart for their time difference: they are dropped first.
+    chord_sq = np.zeros(len(i))
     for axis in unit.T:
-        chord2 += (axis[i] - axis[j]) ** 2
+        chord_sq += (axis[i] - axis[j]) ** 2
     near = (
-        (chord2 < (reach(np.abs(minutes)) / ARCSEC_PER_RADIAN) ** 2) & (seen.frame[i] != seen.frame[j]) & (minutes != 0)
+        (chord_sq < (reach(np.abs(minutes)) / ARCSEC_PER_RADIAN) ** 2)
+        & (seen.frame[i] != seen.frame[j])
+        & (minutes != 0)
     )
     kept = np.flatnonzero(near)
     later = minutes[kept] < 0
@@ -156,21 +157,21 @@ def _weighed(around: Surroundings, model: MotionModel, tuning: Tuning, reach: Re
     kept = np.flatnonzero(np.hypot(*offset.T) <= tuning.fastest_arcsec_per_min * minutes + 1.0)
     i, j, minutes, offset, misses = i[kept], j[kept], minutes[kept], offset[kept], misses[kept]
     rate, error = rates_of(around, i, j, minutes, offset)
-    bright = brightness_ratio(around, model, tuning, i, j)
+    log_brightness = brightness_ratio(around, model, tuning, i, j)
     trail_i, trail_j = (trail_ratio(around, tuning, end, offset / minutes[:, None], minutes) for end in (i, j))
-    bright += trail_j
+    log_brightness += trail_j
     log_ratio = (
         model.log_odds + model.rates.log_density(rate, error) - 2.0 * np.log(minutes) - around.log_density[j]
-        + bright + trail_i + misses * math.log(1.0 - model.p_detect)
+        + log_brightness + trail_i + misses * math.log(1.0 - model.p_detect)
     )  # fmt: skip
-    links = Links(i, j, minutes, offset, log_ratio, bright, misses, np.zeros(len(i), bool))
+    links = Links(i, j, minutes, offset, log_ratio, log_brightness, misses, np.zeros(len(i), bool))
     return links.only(log_ratio > tuning.least_log_ratio)
 
 
 def _supported(around: Surroundings, far: Reach, tuning: Tuning) -> IntArray:
-    """(m, 2) pairs that a third detection lies in line with.
+    """(m, 2) pairs of fast movers with a third detection in line.
 
-    far : how far a mover may go.
+    far : maximum distance of a mover by time.
     """
     seen, unit = around.detections, around.axes.unit
     order = np.argsort(seen.frame, kind="stable")
@@ -185,7 +186,7 @@ def _supported(around: Surroundings, far: Reach, tuning: Tuning) -> IntArray:
         if first is None or second is None or not minutes > 0:
             continue
         most = float(far(np.array([minutes]))[0])
-        # So many pairs are tried that the cost stays bounded; among more detections, less fast movers.
+        # The number of pairs is limited to bound the cost: with more detections, the maximum rate is lower.
         density = len(rows[a]) * len(rows[b]) * math.exp(float(np.median(around.log_density[rows[b]]))) / len(rows[b])
         most = min(most, math.sqrt(tuning.far_pairs / (math.pi * max(density, 1e-300))))
         pairs = first.sparse_distance_matrix(second, most / ARCSEC_PER_RADIAN, output_type="ndarray")
@@ -195,20 +196,20 @@ def _supported(around: Surroundings, far: Reach, tuning: Tuning) -> IntArray:
             if third is None or not when[c] > when[b]:
                 continue
             q = (when[c] - when[b]) / minutes
-            at = unit[j] + q * (unit[j] - unit[i])
-            at /= np.linalg.norm(at, axis=1, keepdims=True)
+            predicted = unit[j] + q * (unit[j] - unit[i])
+            predicted /= np.linalg.norm(predicted, axis=1, keepdims=True)
             speed = pairs["v"] * (ARCSEC_PER_RADIAN / minutes)
             bend = tuning.bend_arcsec_per_min2 * speed / tuning.bend_rate * minutes**2 * q
-            spread = sigma[i] ** 2 * q**2 + sigma[j] ** 2 * (1.0 + q) ** 2 + bend**2
-            reach = tuning.far_sigmas * np.sqrt(spread + float(np.percentile(sigma[rows[c]], 90.0)) ** 2)
-            far_off, k = third.query(at, distance_upper_bound=float(reach.max(initial=0.0)) / ARCSEC_PER_RADIAN)
-            hit = far_off * ARCSEC_PER_RADIAN < reach
+            variance = sigma[i] ** 2 * q**2 + sigma[j] ** 2 * (1.0 + q) ** 2 + bend**2
+            reach = tuning.far_sigmas * np.sqrt(variance + float(np.percentile(sigma[rows[c]], 90.0)) ** 2)
+            distance, k = third.query(predicted, distance_upper_bound=float(reach.max(initial=0.0)) / ARCSEC_PER_RADIAN)
+            hit = distance * ARCSEC_PER_RADIAN < reach
             out += [np.column_stack([i[hit], j[hit]]), np.column_stack([j[hit], rows[c][k[hit]]])]
     return np.unique(np.concatenate(out), axis=0)
 
 
 def _following(frames: int) -> list[tuple[int, int]]:
-    """Exposures and those that follow them, one passed over at most."""
+    """Pairs of consecutive exposures, at most one skipped between them."""
     return [(a, b) for a in range(frames) for b in (a + 1, a + 2) if b < frames]
 
 
@@ -222,16 +223,16 @@ def rates_of(
 
 
 def rates_between(around: Surroundings, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
-    """The same between detections i and later ones j."""
+    """Rates and covariances between detections i and later ones j, as :func:`rates_of`."""
     return rates_of(around, i, j, around.minutes[j] - around.minutes[i], around.axes.offsets(i, j))
 
 
 @dataclass(frozen=True)
 class Reach:
-    """How far the next detection of a mover may be before its ln λ falls below the least.
+    """Maximum distance of a mover's next detection, by time, at which ln λ can reach the minimum.
 
-    minutes, arcsec : (200,) ascending times between the two, and how far. uncapped : the same, however many other
-    detections lie there.
+    minutes, arcsec : (200,) ascending time differences, and distances. uncapped : the distances without the limit by
+    the number of other detections within.
     """
 
     minutes: FloatArray
@@ -239,37 +240,37 @@ class Reach:
     uncapped: FloatArray
 
     def __call__(self, minutes: FloatArray) -> FloatArray:
-        """(m,) arcsec after some minutes."""
+        """(m,) maximum distance after some minutes, arcsec."""
         return np.interp(minutes, self.minutes, self.arcsec)
 
     def most(self, minutes: float = math.inf) -> float:
-        """The farthest, arcsec, after so many minutes or less."""
+        """The maximum distance within some minutes, arcsec."""
         return float(self.arcsec[: np.searchsorted(self.minutes, minutes) + 1].max())
 
     @classmethod
     def of(cls, around: Surroundings, model: MotionModel, tuning: Tuning) -> Reach:
-        """That of some detections."""
+        """The reach for some detections and a model."""
         span = float(np.ptp(around.minutes))
         minutes = np.geomspace(max(span * 1e-4, 1e-3), max(span, 1e-2), 200)
-        thin = float(np.percentile(around.log_density, 1.0))
+        low_density = float(np.percentile(around.log_density, 1.0))
         spread = np.sqrt(np.linalg.eigvalsh(model.rates.covariance).max(axis=1))
-        off = np.abs(around.reference).max() + np.hypot(*model.rates.mean.T)
+        mean_speed = np.abs(around.reference).max() + np.hypot(*model.rates.mean.T)
         error = np.sqrt(np.percentile(around.covariance[:, [0, 1], [0, 1]].sum(axis=1), 99.0))
-        # Where more detections than a detection may have links lie by chance, none of them says anything.
-        crowded = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
-        # A gain of brightness evidence of some units is allowed for.
-        room = model.log_odds - thin - tuning.least_log_ratio + 3.0
+        # Distance within which as many chance detections lie as a detection may have links.
+        limit = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
+        # 3.0 allows for brightness evidence.
+        margin = model.log_odds - low_density - tuning.least_log_ratio + 3.0
         best = np.zeros(len(minutes))
-        for share, width, mean in zip(model.rates.share, spread, off, strict=True):
+        for share, width, mean in zip(model.rates.share, spread, mean_speed, strict=True):
             sigma = np.hypot(width * minutes, error)
-            height = room + math.log(share) - np.log(2 * np.pi * sigma**2)
-            far = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
-            best = np.maximum(best, np.minimum(far, tuning.fastest_arcsec_per_min * minutes + 1.0))
-        return cls(minutes, np.minimum(best, max(crowded, 3.0 * error)), best)
+            height = margin + math.log(share) - np.log(2 * np.pi * sigma**2)
+            distance = np.where(height > 0, mean * minutes + sigma * np.sqrt(2 * np.maximum(height, 0.0)), 0.0)
+            best = np.maximum(best, np.minimum(distance, tuning.fastest_arcsec_per_min * minutes + 1.0))
+        return cls(minutes, np.minimum(best, max(limit, 3.0 * error)), best)
 
 
 def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i: IntArray, j: IntArray) -> FloatArray:
-    """(m,) ln of how much more probable the brightness of j is after that of i; 0 where one is not measured."""
+    """(m,) ln likelihood ratio of the magnitude of j given that of i; 0 where one is not measured."""
     seen = around.detections
     difference = seen.magnitude[j] - seen.magnitude[i]
     a, b = seen.band[i], seen.band[j]
@@ -278,35 +279,36 @@ def brightness_ratio(around: Surroundings, model: MotionModel, tuning: Tuning, i
     off = difference - model.colour[a, b]
     same = np.log1p(-tuning.odd_brightness) - 0.5 * (off**2 / variance + np.log(2 * np.pi * variance))
     with np.errstate(invalid="ignore"):
-        out = np.logaddexp(same, math.log(tuning.odd_brightness) + _ODD) - around.log_brightness[j]
+        out = np.logaddexp(same, math.log(tuning.odd_brightness) + _LOG_UNIFORM_MAG) - around.log_brightness[j]
     return np.where(np.isfinite(out), out, 0.0)
 
 
 def trail_ratio(
     around: Surroundings, tuning: Tuning, end: IntArray, rate: FloatArray, minutes: FloatArray
 ) -> FloatArray:
-    """(m,) ln of how much more probable the trails of some detections are with the rates (m, 2) of their links.
+    """(m,) ln likelihood ratio of the trails of some detections given the rates (m, 2) of their links.
 
-    A trail's vector v, either way, is ½ N(v; r) + ½ N(v; −r) about the rate r, and 1/(2π |v|² · range) of no link.
+    A trail vector v, of either sign, has the density ½ N(v; r) + ½ N(v; −r) about the rate r, and 1/(2π |v|² · range)
+    if unrelated.
     """
     trail = around.detections.trail
     if trail is None:
         return np.zeros(len(end))
     v = around.trail[end]
     variance = trail.sigma[end] ** 2 + np.trace(around.covariance[end], axis1=1, axis2=2) / minutes**2
-    # Quoted lengths are as good as the star's profile: a tenth.
+    # Trail lengths are uncertain by a tenth, by the profile of the star.
     variance = variance + (0.1 * np.hypot(*v.T)) ** 2
-    near = np.minimum(((v - rate) ** 2).sum(axis=1), ((v + rate) ** 2).sum(axis=1)) / variance
-    known = -0.5 * near - np.log(4.0 * np.pi * variance)
-    null = -np.log(2.0 * np.pi * tuning.trail_range * (v**2).sum(axis=1))
+    distance_sq = np.minimum(((v - rate) ** 2).sum(axis=1), ((v + rate) ** 2).sum(axis=1)) / variance
+    related = -0.5 * distance_sq - np.log(4.0 * np.pi * variance)
+    unrelated = -np.log(2.0 * np.pi * tuning.trail_range * (v**2).sum(axis=1))
     odd = math.log(tuning.odd_brightness)
-    there = np.logaddexp(np.nan_to_num(known - null), odd)
-    missing = np.where(np.hypot(*rate.T) > trail.least[end], math.log(tuning.no_trail), 0.0)
-    return np.where(np.isfinite(v[:, 0]), there, missing)
+    with_trail = np.logaddexp(np.nan_to_num(related - unrelated), odd)
+    without_trail = np.where(np.hypot(*rate.T) > trail.least[end], math.log(tuning.no_trail), 0.0)
+    return np.where(np.isfinite(v[:, 0]), with_trail, without_trail)
 
 
 def link_probabilities(links: Links, n: int) -> FloatArray:
-    """(m,) probability of every link, each detection having at most one predecessor and one successor."""
+    """(m,) probability of each link, with at most one predecessor and one successor per detection."""
     if not len(links):
         return np.empty(0)
     order = np.lexsort([links.j, links.i])
@@ -321,40 +323,41 @@ def link_probabilities(links: Links, n: int) -> FloatArray:
 def learn(
     around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING, *, rounds: int = 8, counts: float = 30.0
 ) -> MotionModel:
-    """The model that these detections teach, by expectation and maximisation; no identities are needed.
+    """The model estimated from these detections by EM; no identities are needed.
 
-    rounds : at most. counts : what is believed beforehand weighs as many links.
+    rounds : maximum number of iterations. counts : weight of the prior model, in links.
     """
     for _ in range(rounds):
         links = candidate_links(around, model, tuning)
         p = link_probabilities(links, len(around.detections))
-        model, before = _taught(around, links, p, model, tuning, counts), model
+        model, before = _maximised(around, links, p, model, tuning, counts), model
         if abs(model.log_odds - before.log_odds) < 0.02 and abs(model.p_detect - before.p_detect) < 0.005:
             break
     return model
 
 
-def _taught(
+def _maximised(
     around: Surroundings, links: Links, p: FloatArray, model: MotionModel, tuning: Tuning, counts: float
 ) -> MotionModel:
+    """The model that maximises the expected likelihood, given link probabilities ``p`` (M step)."""
     if p.sum() < 1.0:
         return model
-    telling = np.flatnonzero(p > 0.01)
-    links, p = links.only(telling), p[telling]
+    probable = np.flatnonzero(p > 0.01)
+    links, p = links.only(probable), p[probable]
     rate, error = rates_of(around, links.i, links.j, links.minutes, links.offset)
-    # A link over seconds says nothing of rates.
+    # Links over seconds do not constrain rates.
     sharp = np.sqrt(np.trace(error, axis1=1, axis2=2)) < 1.0
     rates = model.rates.refined(rate[sharp], error[sharp], p[sharp], counts=counts)
     n, share = len(around.detections), float(p.sum())
-    follows = min((share + counts * PRIOR_SHARE) / (n + counts), 0.95)
+    p_next = min((share + counts * PRIOR_SHARE) / (n + counts), 0.95)
     missed = float((p * links.misses).sum())
     p_detect = (share + 2.0) / (share + missed + 3.0)
     colour, sigma = _colours(around, links, p, model, tuning, counts)
     return replace(
         model,
         rates=rates,
-        # A next one counts against a detection that begins a track or is false: the share 1 − s of all.
-        log_odds=math.log(follows) - 2.0 * math.log1p(-follows),
+        # ln s/(1 − s)²: without the link, i has no next detection and j no previous one.
+        log_odds=math.log(p_next) - 2.0 * math.log1p(-p_next),
         p_detect=min(max(p_detect, 0.3), 0.97),
         colour=colour,
         colour_sigma=sigma,
@@ -364,16 +367,17 @@ def _taught(
 def _colours(
     around: Surroundings, links: Links, p: FloatArray, model: MotionModel, tuning: Tuning, counts: float
 ) -> tuple[FloatArray, FloatArray]:
+    """Mean differences of magnitude between bands and their scatter, by EM with unrelated magnitudes as outliers."""
     seen = around.detections
     difference = seen.magnitude[links.j] - seen.magnitude[links.i]
     error = np.nan_to_num(seen.magnitude_error[links.i]) ** 2 + np.nan_to_num(seen.magnitude_error[links.j]) ** 2
     colour, sigma = model.colour.copy(), model.colour_sigma.copy()
     for a in range(len(seen.bands)):
         for b in range(len(seen.bands)):
-            here = (seen.band[links.i] == a) & (seen.band[links.j] == b) & np.isfinite(difference)
-            if p[here].sum() < 5.0:
+            of_bands = (seen.band[links.i] == a) & (seen.band[links.j] == b) & np.isfinite(difference)
+            if p[of_bands].sum() < 5.0:
                 continue
-            d, e, w = difference[here], error[here], p[here]
+            d, e, w = difference[of_bands], error[of_bands], p[of_bands]
             mean, spread = colour[a, b], sigma[a, b]
             for _ in range(5):
                 variance = e + spread**2

@@ -1,4 +1,4 @@
-"""The model of what moves: rates, brightness, how often it is seen again; and the surroundings it is seen in."""
+"""The model of movers (rates, brightness, detection probability) and the surroundings of the detections."""
 
 from __future__ import annotations
 
@@ -28,36 +28,36 @@ from sameas.space import ARCSEC_PER_RADIAN
 
 @dataclass(frozen=True)
 class Tuning:
-    """How movers are searched.
+    """Parameters of the search for movers.
 
     Attributes
     ----------
-    fastest_arcsec_per_min : nothing faster is searched.
-    least_log_ratio : two detections of less ln λ begin no track; links of more may join one.
-    least_supported : the same of two that a third one lies in line with; it adds ten and more.
-    links : most links that a detection has to later ones, the best of them.
-    tracks : most tracks that end at one detection and are grown further, the best of them; of two detections, of two
-        far apart, and of more, so many each.
-    far_pairs : among so many detections that chance makes more than ``links``, pairs of two exposures are tried that a
-        third detection lies in line with, so many at most. far_sigmas : in line, to so many standard deviations.
-    misses : a track may pass over so many exposures in a row that saw its place, but not it.
-    neighbours : the density around a detection is that of so many others of its exposure.
-    wide, crowded : where detections are denser than ``crowded`` times the density of ``wide`` times as many neighbours,
-        movers are no denser, for they do not crowd as false ones do; less is chance.
-    bend_arcsec_per_min2, bend_rate : 1σ of the acceleration of a mover as slow as the second, arcsec/min; of faster,
-        nearer ones in proportion. From the diurnal parallax at 1 au: 8.8″ (2π/1436 min)².
-    outlier, outlier_scale : share of detections whose error is so many times the quoted one.
-    variability_mag : 1σ of the change of brightness between two exposures, beside the errors.
-    odd_brightness : share of detections whose brightness says nothing (blends, wrong bands).
-    no_trail : share of the detections of fast movers whose trail is not measured.
-    trail_range : trails of no common rate differ in length by so many e-folds, evenly in ln length.
-    evenness : how alike movers are in how many exposures show them: the share of each is drawn from a Beta distribution
-        of so many counts, for bright ones are shown nearly always, faint ones seldom.
-    around : so many exposures before and after a track are asked whether they saw where it then was. least_ended : of
-        tracks of more ln w.
-    least_competing : tracks of less ln w do not compete for detections. Among many false detections chance makes ten
-        to thirty of them for each of more, which change no probability by a hundredth.
-    sure : tracks of another by one detection less, whose last one adds more than this to ln w, do not compete.
+    fastest_arcsec_per_min : maximum rate.
+    least_log_ratio : minimum ln λ of a link that starts or extends a track.
+    least_supported : the same for pairs with a third detection in line, which adds ten and more.
+    links : maximum number of links from a detection to later ones, the best ones.
+    tracks : maximum number of tracks kept per last detection, the best ones, for each of three kinds: two detections,
+        two far apart, and more than two.
+    far_pairs : maximum number of pairs per two exposures tried beyond the reach of links, if a third detection is in
+        line. far_sigmas : tolerance for being in line, in standard deviations.
+    misses : maximum number of exposures in a track's gap that covered its position without a detection.
+    neighbours : number of neighbours of the same exposure for the density around a detection.
+    wide, crowded : where the density exceeds ``crowded`` times that of ``wide`` times as many neighbours, movers are
+        not assumed denser too: false detections cluster, movers do not. A smaller excess is chance.
+    bend_arcsec_per_min2, bend_rate : 1σ of the acceleration of movers at the rate ``bend_rate``, arcsec/min, and below;
+        proportional to the rate above. From the diurnal parallax at 1 au: 8.8″ (2π/1436 min)².
+    outlier, outlier_scale : share of outliers, and the factor on their errors.
+    variability_mag : 1σ of the intrinsic change of magnitude between two exposures.
+    odd_brightness : share of detections with an unrelated magnitude (blends, wrong bands).
+    no_trail : share of the detections of fast movers without a measured trail.
+    trail_range : range of ln length of unrelated trails (uniform).
+    beta_counts : counts of the Beta distribution of detection probabilities among movers: bright ones are detected
+        nearly always, faint ones seldom.
+    outer_exposures : number of exposures before and after a track that are checked for non-detections.
+    least_ended : minimum ln w of the tracks for which this is done.
+    least_competing : minimum ln w of the tracks that compete for detections. Among many false detections there are ten
+        to thirty chance tracks below it for each one above, and they change no probability by 0.01.
+    certain_gain : a track does not compete if its extension by one detection gains more than this in ln w.
     """
 
     fastest_arcsec_per_min: float = 60.0
@@ -79,11 +79,11 @@ class Tuning:
     odd_brightness: float = 0.05
     no_trail: float = 0.15
     trail_range: float = 3.0
-    evenness: float = 2.0
-    around: int = 8
+    beta_counts: float = 2.0
+    outer_exposures: int = 8
     least_ended: float = -4.0
     least_competing: float = -6.0
-    sure: float = 12.0
+    certain_gain: float = 12.0
 
 
 DEFAULT_TUNING = Tuning()
@@ -92,12 +92,12 @@ DEFAULT_TUNING = Tuning()
 @in_short
 @dataclass(frozen=True)
 class MotionModel:
-    """What is believed of movers.
+    """The prior model of movers.
 
-    rates : their density. log_odds : ln of the odds with which a detection has a next one, before the evidence.
-    log_begin : ln of the number of movers in the field for each detection of an exposure.
-    p_detect : probability that an exposure that saw the place of a mover shows it.
-    colour : (b, b) mean change of magnitude from a band to another; colour_sigma : (b, b) its spread beside the errors.
+    rates : density of rates. log_odds : ln of the prior odds that a detection has a next one.
+    log_begin : ln of the number of movers per detection of an exposure.
+    p_detect : probability that an exposure that covers a mover's position detects it.
+    colour : (b, b) mean difference of magnitude between bands; colour_sigma : (b, b) its intrinsic scatter.
     """
 
     rates: RateDensity = SOLAR_SYSTEM
@@ -109,7 +109,7 @@ class MotionModel:
     colour_sigma: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def for_bands(self, bands: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
-        """The model with the bands of some detections in their order; unknown ones may differ by a magnitude."""
+        """The model for the given bands in their order; the scatter between unknown bands is 1 mag."""
         if bands == self.bands:
             return self
         n = len(bands)
@@ -124,37 +124,37 @@ class MotionModel:
         return replace(self, bands=bands, colour=colour, colour_sigma=sigma)
 
     def log_pattern(self, shown: IntArray, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(k,) ln of the probability that of the exposures that saw a mover's place those show it that do.
+        """(k,) ln of the probability of a mover's pattern of detections and misses (beta-binomial).
 
-        shown : so many show it. saw : so many saw its place. The share that shows it differs from mover to mover as a
-        Beta distribution does (beta-binomial), so that a mover that was missed often is missed again.
+        shown : (k,) number of exposures with a detection. saw : (k,) number of exposures that covered its position. The
+        detection probability varies between movers (Beta distribution): one missed often is likely missed again.
         """
-        a, b = tuning.evenness * self.p_detect, tuning.evenness * (1.0 - self.p_detect)
+        a, b = tuning.beta_counts * self.p_detect, tuning.beta_counts * (1.0 - self.p_detect)
         return np.asarray(betaln(shown + a, np.maximum(saw - shown, 0) + b) - betaln(a, b))
 
     def tracked(self, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(k,) share of the movers, whose place so many exposures saw, that enough of them show to teach."""
+        """(k,) share of movers with enough detections for training, given ``saw`` exposures of their position."""
         none, one, two = (np.exp(self.log_pattern(np.full_like(saw, k), saw, tuning)) for k in (0, 1, 2))
         few = np.where(fewest_shown(saw) > 2, 0.5 * saw * (saw - 1) * two, 0.0)
         return np.asarray(1.0 - none - saw * one - few)
 
 
 def fewest_shown(saw: IntArray) -> IntArray:
-    """(k,) detections of a track that teaches: three, and two where no more exposures saw its place."""
+    """(k,) minimum detections of a track used for training: three, or two if no more exposures saw its position."""
     return np.clip(saw, 2, 3)
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Where the detections are, what is around them, and which exposures saw their places.
+    """The detections with their local densities and the coverage of the sky by the exposures.
 
     detections, axes : of all. minutes : (n,) since the first. covariance : (n, 2, 2) on the ecliptic axes.
-    log_density : (n,) ln of the detections per arcsec² of the same exposure around each.
-    log_crowding : (n,) ln of how many times denser they are there than chance makes them, by what is farther around.
+    log_density : (n,) ln of the local density of detections of the same exposure, per arcsec².
+    log_crowding : (n,) ln of the excess of this density over the wider surroundings, 0 if not significant.
     reference : (n,) rate in longitude of a circular orbit there, arcsec/min.
-    log_brightness : (n,) ln of the density per magnitude of detections as bright in its band, NaN where not measured.
-    coverage : which exposures saw which cell of the sky. cell : (n,) that of each detection.
-    trail : (n, 2) rate that the trail shows, arcsec/min on these axes, either way; NaN without one.
+    log_brightness : (n,) ln of the density per magnitude at its magnitude in its band, NaN where not measured.
+    coverage : which exposures saw which cell of the sky. cell : (n,) the cell of each detection.
+    trail : (n, 2) rate by the trail, arcsec/min on these axes, of either sign; NaN without one.
     """
 
     detections: Detections
@@ -171,7 +171,7 @@ class Surroundings:
 
     @classmethod
     def of(cls, detections: Detections, tuning: Tuning = DEFAULT_TUNING) -> Surroundings:
-        """Those of some detections."""
+        """The surroundings of some detections."""
         axes = detections.axes()
         minutes = (detections.mjd_utc - detections.mjd_utc.min()) * 1440.0
         elongation = axes.longitude_deg - sun_longitude_deg(detections.mjd_utc)
@@ -184,7 +184,7 @@ class Surroundings:
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:
-        """(m,) how many exposures between those of i and j saw the place of i."""
+        """(m,) number of exposures between those of i and j that saw the position of i."""
         frame, before = self.detections.frame, self.coverage.before
         return np.maximum(before[self.cell[i], frame[j]] - before[self.cell[i], frame[i] + 1], 0)
 
@@ -192,13 +192,13 @@ class Surroundings:
 def _trail(detections: Detections, axes: EclipticAxes) -> FloatArray:
     if detections.trail is None:
         return np.full((len(detections), 2), np.nan)
-    cos, sin = axes.turn.T
+    cos, sin = axes.rotation.T
     east, north = detections.trail.arcsec_per_min.T
     return np.column_stack([cos * east + sin * north, cos * north - sin * east])
 
 
 def _densities(detections: Detections, axes: EclipticAxes, neighbours: tuple[int, ...]) -> list[FloatArray]:
-    """(n,) detections per arcsec² of the same exposure around each, itself counted, by each number of neighbours."""
+    """(n,) local density per arcsec² of detections of the same exposure, including itself, per neighbour number."""
     order = np.argsort(detections.frame, kind="stable")
     bounds = np.searchsorted(detections.frame[order], np.arange(len(detections.frame_names) + 1))
     out = [np.full(len(detections), np.nan) for _ in neighbours]
@@ -208,7 +208,7 @@ def _densities(detections: Detections, axes: EclipticAxes, neighbours: tuple[int
             numbers = [min(k, b - a - 1) for k in neighbours]
             reach = cKDTree(at).query(at, [k + 1 for k in numbers])[0] * ARCSEC_PER_RADIAN
             for density, k, radius in zip(out, numbers, reach.T, strict=True):
-                # The k-th neighbour bounds an area in which k − 1 others lie, on average over places (Poisson).
+                # The k-th neighbour bounds an area with k − 1 others inside, averaged over positions (Poisson).
                 density[order[a:b]] = k / (math.pi * np.maximum(radius, 1.0) ** 2)
     rest = np.isnan(out[0])
     if rest.any():
@@ -221,20 +221,20 @@ def _densities(detections: Detections, axes: EclipticAxes, neighbours: tuple[int
 
 
 def _brightness(detections: Detections) -> FloatArray:
-    """(n,) ln of the density per magnitude of detections as bright in the same band."""
+    """(n,) ln of the smoothed density per magnitude of the same band, at each magnitude."""
     out = np.full(len(detections), np.nan)
     for band in range(len(detections.bands)):
-        here = np.flatnonzero((detections.band == band) & np.isfinite(detections.magnitude))
-        if len(here) < 2:
+        rows = np.flatnonzero((detections.band == band) & np.isfinite(detections.magnitude))
+        if len(rows) < 2:
             continue
-        values = detections.magnitude[here]
+        values = detections.magnitude[rows]
         low, high = np.floor(values.min()) - 1.0, np.ceil(values.max()) + 1.0
         counts, edges = np.histogram(values, np.linspace(low, high, int((high - low) * 10) + 1))
         kernel = np.exp(-0.5 * (np.arange(-9, 10) / 3.0) ** 2)
         smooth = np.convolve(counts + 0.05, kernel / kernel.sum(), mode="same")
         middle = 0.5 * (edges[1:] + edges[:-1])
         density = smooth / (smooth.sum() * (edges[1] - edges[0]))
-        out[here] = np.log(np.interp(values, middle, density))
+        out[rows] = np.log(np.interp(values, middle, density))
     return out
 
 
@@ -242,11 +242,11 @@ def _brightness(detections: Detections) -> FloatArray:
 class Coverage:
     """Which exposures saw which cell of the sky.
 
-    An exposure saw a cell if it has a detection there or in one of the eight cells around. The cells are so large that
-    three times three hold five detections of a typical exposure.
+    An exposure saw a cell if it has a detection there or in one of the eight neighbouring cells. The cell size is
+    chosen so that 3 × 3 cells contain five detections of a typical exposure.
 
-    side_deg : of a cell. key : (c,) ascending, of the cells with a detection. before : (c, frames+1) number of the
-    exposures before each that saw the cell.
+    side_deg : of a cell. key : (c,) ascending, of the cells with a detection. before : (c, frames+1) cumulative number
+    of exposures that saw the cell, before each exposure.
     """
 
     side_deg: float
@@ -255,20 +255,20 @@ class Coverage:
 
     @classmethod
     def of(cls, detections: Detections, axes: EclipticAxes, density: FloatArray) -> Coverage:
-        """That of some detections; density : (n,) per arcsec² of their exposures."""
+        """The coverage of some detections. density : (n,) local densities, per arcsec²."""
         side = math.sqrt(5.0 / 9.0 / float(np.median(density))) / 3600.0
         row, longitude = _rows(axes.unit, side)
         key = np.unique(_keys(row, longitude, side))
         saw = np.zeros((len(key), len(detections.frame_names) + 1), np.int64)
         for drow in (-1, 0, 1):
-            # Rows of another latitude have another number of cells.
+            # The number of cells depends on the row.
             for dcolumn in (-1, 0, 1):
                 at = places_in(key, _keys(row + drow, longitude, side, dcolumn))
                 saw[at[at >= 0], detections.frame[at >= 0] + 1] = 1
         return cls(side, key, np.cumsum(saw, axis=1))
 
     def cell(self, unit: FloatArray) -> IntArray:
-        """(n,) the cell of each direction (n, 3), −1 where none has a detection."""
+        """(n,) the cell of each direction (n, 3), −1 for cells without any detection."""
         key = _keys(*_rows(unit, self.side_deg), self.side_deg)
         return places_in(self.key, key)
 
@@ -285,7 +285,7 @@ def _rows(unit: FloatArray, side_deg: float) -> tuple[IntArray, FloatArray]:
 
 
 def _keys(row: IntArray, longitude_deg: FloatArray, side_deg: float, beside: int = 0) -> IntArray:
-    """(n,) numbers of cells of rows at some longitudes, or of those so many columns beside them."""
+    """(n,) keys of the cells at rows and longitudes, shifted by ``beside`` columns."""
     across = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * side_deg - 90.0)) / side_deg))
     column = np.floor(longitude_deg / 360.0 * across).astype(np.int64) + beside
     stride = math.ceil(360.0 / side_deg) + 3

@@ -1,8 +1,8 @@
-"""Rates: how fast what moves on the sky moves, as a density in ecliptic axes, learned from the data.
+"""Rates of motion of movers: their density in ecliptic axes, estimated from the data.
 
-Rates are relative to that of a circular orbit in the ecliptic at 2.7 au, seen at the same elongation from the Sun:
-most asteroids then make one narrow component, whatever part of the sky is observed. A mixture of Gaussians convolves
-with the error of a measured rate in closed form (extreme deconvolution, Bovy, Hogg & Roweis 2011, AnnAS 5, 1657).
+Rates are relative to that of a circular orbit in the ecliptic at 2.7 au at the same elongation from the Sun: most
+asteroids then form one narrow component anywhere on the sky. A mixture of Gaussians is convolved with the error of a
+measured rate in closed form (extreme deconvolution, Bovy, Hogg & Roweis 2011, AnnAS 5, 1657).
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ ECLIPTIC_POLE = np.array([0.0, -math.sin(_TILT), math.cos(_TILT)])
 
 
 def sun_longitude_deg(mjd: FloatArray) -> FloatArray:
-    """Ecliptic longitude of the Sun, good to 0.4° over a century (Astronomical Almanac, low-precision formula)."""
+    """Ecliptic longitude of the Sun, accurate to 0.4° over a century (Astronomical Almanac, low-precision formula)."""
     days = np.asarray(mjd) - 51544.5
     anomaly = np.radians(357.528 + 0.9856003 * days)
-    # The mean longitude counts from the equinox of date, directions here from that of J2000: 0.0000382° a day.
+    # The mean longitude refers to the equinox of date, directions here to that of J2000: 0.0000382° per day.
     return (280.460 + 0.9856474 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly) - 3.82e-5 * days) % 360.0
 
 
@@ -36,14 +36,14 @@ def reference_rate(elongation_deg: FloatArray, au: float = 2.7) -> FloatArray:
     angle = np.radians(elongation_deg)
     cos, sin = np.cos(angle), np.sin(angle)
     distance = cos + np.sqrt(cos**2 + au**2 - 1.0)
-    # The Sun at (1, 0) from the Earth, so that the Earth moves along −y.
+    # The Sun is at (1, 0) from the Earth, so the Earth moves along −y.
     x, y = distance * cos - 1.0, distance * sin
     vx, vy = -y / au**1.5, x / au**1.5 + 1.0
     return np.asarray(_EARTH_ARCSEC_PER_MIN * (vy * cos - vx * sin) / distance)
 
 
 def ecliptic_longitude_deg(unit: FloatArray) -> FloatArray:
-    """(n,) of directions (n, 3)."""
+    """(n,) ecliptic longitudes of directions (n, 3)."""
     y = unit[:, 1] * math.cos(_TILT) + unit[:, 2] * math.sin(_TILT)
     return np.asarray(np.degrees(np.arctan2(y, unit[:, 0])) % 360.0)
 
@@ -52,19 +52,19 @@ def ecliptic_longitude_deg(unit: FloatArray) -> FloatArray:
 class EclipticAxes:
     """Directions and the axes of ecliptic longitude and latitude at them.
 
-    unit, east, north : (n, 3) vectors of each direction and along growing longitude and latitude.
-    turn : (n, 2) cosine and sine of the angle that turns (east, north) of the equator into these.
+    unit, east, north : (n, 3) unit vectors of each direction, and along increasing longitude and latitude.
+    rotation : (n, 2) cosine and sine of the angle from the equatorial to the ecliptic axes.
     """
 
     unit: FloatArray
     east: FloatArray
     north: FloatArray
-    turn: FloatArray
+    rotation: FloatArray
     longitude_deg: FloatArray
 
     @classmethod
     def of(cls, ra_deg: FloatArray, dec_deg: FloatArray) -> EclipticAxes:
-        """Of ICRS directions, (n,) each."""
+        """The axes at ICRS directions, (n,) each."""
         ra = np.radians(ra_deg)
         unit = unit_vectors(ra_deg, dec_deg)
         east = np.cross(ECLIPTIC_POLE, unit)
@@ -72,25 +72,25 @@ class EclipticAxes:
         north = np.cross(unit, east)
         east_equator = np.column_stack([-np.sin(ra), np.cos(ra), np.zeros_like(ra)])
         north_equator = np.cross(unit, east_equator)
-        turn = np.column_stack([(east * east_equator).sum(1), (east * north_equator).sum(1)])
-        return cls(unit, east, north, turn, ecliptic_longitude_deg(unit))
+        rotation = np.column_stack([(east * east_equator).sum(1), (east * north_equator).sum(1)])
+        return cls(unit, east, north, rotation, ecliptic_longitude_deg(unit))
 
     def offsets(self, origin: np.ndarray, other: np.ndarray) -> FloatArray:
-        """(m, 2) places on the tangent plane at some directions of others, arcsec along longitude and latitude."""
+        """(m, 2) offsets of directions ``other`` on the tangent planes at ``origin``, arcsec; both (m,) are rows."""
         to = self.unit[other]
         depth = (self.unit[origin] * to).sum(1)
         along = (self.east[origin] * to).sum(1), (self.north[origin] * to).sum(1)
         return ARCSEC_PER_RADIAN * np.column_stack(along) / depth[:, None]
 
     def directions(self, origin: np.ndarray, offsets: FloatArray) -> FloatArray:
-        """(m, 3) unit vectors of places (m, 2), arcsec along longitude and latitude, about some directions."""
+        """(m, 3) unit vectors at offsets (m, 2), arcsec, on the tangent planes at rows ``origin``."""
         x, y = offsets.T[..., None] / ARCSEC_PER_RADIAN
         out = self.unit[origin] + x * self.east[origin] + y * self.north[origin]
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
     def rotated(self, covariance: FloatArray) -> FloatArray:
-        """(n, 2, 2) covariances (ee, en, nn) of the equator's axes, (n, 3), on these axes."""
-        cos, sin = self.turn.T
+        """(n, 2, 2) covariances on these axes. covariance : (n, 3) ee, en, nn on the equatorial axes."""
+        cos, sin = self.rotation.T
         ee, en, nn = covariance.T
         xx = cos**2 * ee + 2 * cos * sin * en + sin**2 * nn
         yy = sin**2 * ee - 2 * cos * sin * en + cos**2 * nn
@@ -98,17 +98,17 @@ class EclipticAxes:
         return np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
 
     def to_equator(self, rows: np.ndarray, offsets: FloatArray) -> FloatArray:
-        """(m, 2) offsets on these axes at some directions, turned to east and north of the equator."""
-        cos, sin = self.turn[rows].T
+        """(m, 2) offsets at some rows, rotated from these axes to equatorial east and north."""
+        cos, sin = self.rotation[rows].T
         x, y = offsets.T
         return np.column_stack([cos * x - sin * y, sin * x + cos * y])
 
 
 @dataclass(frozen=True)
 class RateDensity:
-    """A mixture of Gaussians of rates against the reference, arcsec/min along ecliptic longitude and latitude.
+    """A Gaussian mixture of rates relative to the reference, arcsec/min along ecliptic longitude and latitude.
 
-    share : (c,). mean : (c, 2). covariance : (c, 2, 2). Mixtures of g groups, or one for each of m rates, are (c, g).
+    share : (c,). mean : (c, 2). covariance : (c, 2, 2). For g groups, or m rates, each has a second axis (c, g, ...).
     """
 
     share: FloatArray
@@ -117,10 +117,10 @@ class RateDensity:
 
     @classmethod
     def of(cls, share: list[float], mean: list[tuple[float, float]], sigma: list[tuple[float, float]]) -> RateDensity:
-        """Of shares, means and standard deviations along both axes."""
-        spread = np.zeros((len(share), 2, 2))
-        spread[:, [0, 1], [0, 1]] = np.square(sigma)
-        return cls(np.asarray(share) / np.sum(share), np.asarray(mean, float), spread)
+        """The mixture of shares, means and standard deviations along both axes."""
+        covariance = np.zeros((len(share), 2, 2))
+        covariance[:, [0, 1], [0, 1]] = np.square(sigma)
+        return cls(np.asarray(share) / np.sum(share), np.asarray(mean, float), covariance)
 
     def _parts(self, rate: FloatArray, error: FloatArray) -> FloatArray:
         """(m, c) ln of share and density of each component at rates (m, 2) with errors (m, 2, 2)."""
@@ -136,7 +136,7 @@ class RateDensity:
         return np.asarray(top + np.log(np.exp(parts - top[:, None]).sum(axis=1)))
 
     def prior_at(self, rate: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(m, 2), (m, 2, 2): mean and covariance of the components, weighed by what they say of each measured rate."""
+        """(m, 2), (m, 2, 2): mean and covariance of the mixture, its components weighted by each measured rate."""
         parts = self._parts(rate, error)
         weight = np.exp(parts - parts.max(axis=1, keepdims=True))
         weight /= weight.sum(axis=1, keepdims=True)
@@ -148,7 +148,7 @@ class RateDensity:
     def moments(
         self, rate: FloatArray, error: FloatArray, weight: FloatArray, group: IntArray, groups: int
     ) -> RateMoments:
-        """What measured rates (m, 2) with covariances (m, 2, 2) teach, each by its weight and in its group (m,)."""
+        """Moments of the true rates given measured ones (m, 2), (m, 2, 2), by weight (m,), component and group (m,)."""
         parts = self._parts(rate, error)
         share = np.exp(parts - parts.max(axis=1, keepdims=True))
         share *= (weight / share.sum(axis=1))[:, None]
@@ -164,7 +164,7 @@ class RateDensity:
         return out
 
     def counted(self, counts: float) -> RateMoments:
-        """Those of so many rates that are spread as this mixture is, in one group."""
+        """The moments of ``counts`` rates distributed as this mixture, in one group."""
         count = counts * self.share
         square = self.covariance + self.mean[:, :, None] * self.mean[:, None]
         return RateMoments(
@@ -172,12 +172,12 @@ class RateDensity:
         )
 
     def refined(self, rate: FloatArray, error: FloatArray, weight: FloatArray, *, counts: float) -> RateDensity:
-        """One round of expectation and maximisation; the present mixture counts as ``counts`` rates."""
-        every = np.zeros(len(rate), np.int64)
-        return (self.counted(counts) + self.moments(rate, error, weight, every, 1)).densities().group(0)
+        """The mixture after one EM iteration; this mixture is the prior with a weight of ``counts`` rates."""
+        one_group = np.zeros(len(rate), np.int64)
+        return (self.counted(counts) + self.moments(rate, error, weight, one_group, 1)).densities().group(0)
 
     def group(self, group: int | IntArray) -> RateDensity:
-        """Of mixtures of several groups that of one, or one for each rate (m,)."""
+        """The mixture of one group, or of the groups (m,) of each rate."""
         return RateDensity(self.share[:, group], self.mean[:, group], self.covariance[:, group])
 
 
@@ -191,7 +191,7 @@ class RateMoments:
 
     @classmethod
     def none(cls, components: int, groups: int) -> RateMoments:
-        """Those of no rates."""
+        """Moments of no rates."""
         shape = components, groups
         return cls(np.zeros(shape), np.zeros((*shape, 2)), np.zeros((*shape, 2, 2)))
 
@@ -202,11 +202,11 @@ class RateMoments:
         return RateMoments(self.count - other.count, self.first - other.first, self.second - other.second)
 
     def all(self) -> RateMoments:
-        """Those of all groups as one."""
+        """The moments summed over all groups, as one group."""
         return RateMoments(*(getattr(self, name).sum(axis=1, keepdims=True) for name in self.__dataclass_fields__))
 
     def densities(self) -> RateDensity:
-        """The mixtures that have these moments, (c, g)."""
+        """The mixtures with these moments, (c, g)."""
         mean = self.first / self.count[..., None]
         covariance = self.second / self.count[..., None, None] - mean[..., :, None] * mean[..., None, :]
         return RateDensity(self.count / self.count.sum(axis=0), mean, covariance)
@@ -221,8 +221,8 @@ def log_normal(residual: FloatArray, covariance: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * (chi + np.log(determinant)) - np.log(2 * np.pi))
 
 
-#: What moves, where nothing has been learned: the main belt, its edges, near-Earth objects, satellites. The first
-#: three are as ``learn`` finds them on nights of ZTF alerts of March 2021, the others chosen wide.
+#: Prior density of rates: the main belt, its edges, near-Earth objects, satellites. The first three were estimated by
+#: ``learn`` from nights of ZTF alerts of March 2021, the others are chosen wide.
 SOLAR_SYSTEM = RateDensity.of(
     [0.55, 0.35, 0.07, 0.02, 0.01],
     [(0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), (0.0, 0.0)],
