@@ -56,13 +56,13 @@ def approximations(solved: Solved) -> dict[str, np.ndarray]:
     method = np.where(solved.posterior.method == EXACT, stage.APPROXIMATE, 0).astype(np.int8)
     belief = np.zeros(len(g.order))
     tuning = stage.Tuning()
-    messages = stage._Messages.of(g, best, method, belief, tuning.closely, tuning)
+    messages = stage._Messages.of(g, best, method, belief, tuning.tolerance, tuning)
     inside = np.flatnonzero(np.repeat(method == stage.APPROXIMATE, g.pair_counts))
     around = belief.copy()
     around[inside] = stage._neighbourhoods(g, best, inside, messages, tuning)
     ways = {"messages": belief, "neighbourhoods": around}
     for threshold in tuning.thresholds[:: len(tuning.thresholds) - 1]:
-        basis = around if threshold >= tuning.sure else belief
+        basis = around if threshold >= tuning.neighbourhood_threshold else belief
         probable = inside[(basis[inside] > threshold) | best.chosen[inside]]
         part, summed = stage._Thinned.of(g, best, probable, messages.weight[probable]).exact()
         thinned = basis.copy()

@@ -84,7 +84,10 @@ def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
     """Without a penalty to speak of: ln of the share of partners over that of the others."""
     first, second = MADE.scene.first, MADE.scene.second
     evidence = ColumnEvidence.of(
-        first, second, [Column(2, MADE.kind)], ColumnsTuning(apart=1e3, done=1e-9, first_steps=50, alone=10**6)
+        first,
+        second,
+        [Column(2, MADE.kind)],
+        ColumnsTuning(word_sigma=1e3, tolerance=1e-9, first_steps=50, max_unmatched=10**6),
     )
     from sameas.estimate.coverage import Coverage
     from sameas.estimate.sample import Setting
@@ -97,7 +100,7 @@ def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
     mean = np.log(p.mean() / (1 - p.mean()))
     offset = np.zeros(len(first)), np.full(len(second), mean)
     partner = np.zeros(len(first)), p
-    evidence = evidence.in_folds(setting).learned(setting.pairs, np.zeros(len(setting.pairs)), partner, offset, seen)
+    evidence = evidence.in_folds(setting).fitted(setting.pairs, np.zeros(len(setting.pairs)), partner, offset, seen)
     fold = evidence.folds[1]
     for k in range(4):
         for kind in ("point", "extended"):

@@ -175,10 +175,10 @@ def test_grades_that_change_over_the_sky_alike_say_nothing_of_pairs(found):
     graded = Grades(scales, (scales[0].grades(sizes[0], None), scales[1].grades(sizes[1], None)), cells)
     partner = np.full(n1, 0.5), np.full(n2, 0.5)
     every = np.ones(n1, bool), np.ones(n2, bool)
-    assert graded.learned(pairs, answer.p_pair, partner, every).rule is None
+    assert graded.fitted(pairs, answer.p_pair, partner, every).rule is None
     nowhere = np.zeros(n1, np.int32), np.zeros(n2, np.int32)
     one_cell = Grades(scales, graded.grades, nowhere)
-    assert one_cell.learned(pairs, answer.p_pair, partner, every).rule is not None
+    assert one_cell.fitted(pairs, answer.p_pair, partner, every).rule is not None
 
 
 def test_what_is_learned_is_the_ratio_of_the_counts(found):
@@ -196,7 +196,7 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
     )
     rule = (
         Grades(scales, grades, nowhere)
-        .learned(pairs, answer.p_pair, partner, (np.ones(n1, bool), np.ones(n2, bool)))
+        .fitted(pairs, answer.p_pair, partner, (np.ones(n1, bool), np.ones(n2, bool)))
         .rule
     )
     common, alone = np.zeros((3, 3)), [np.zeros(3), np.zeros(3)]

@@ -1,4 +1,4 @@
-"""The whole method, one line a stage."""
+"""The whole method, one line per stage."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def identify(
     gate: Callable[[Records, Records], Pairs] = DEFAULT_GATE,
     certify: bool = False,
 ) -> Identification:
-    """Which records of two sources are the same object, one to one, and how sure that is.
+    """Which records of two sources are the same object, one to one, with probabilities.
 
     Parameters
     ----------
     first, second : records of the two sources, in one feature space.
     rule : the evidence, e.g. ``CloseObjects(a, b)``, ``PoissonField(…)``; rules add with ``+``.
-    prior : the belief in the number of common objects; ``PerPair(0)`` leaves it to the rule.
-    gate : which pairs are considered at all.
+    prior : of the number of common objects; ``PerPair(0)`` leaves it to the rule.
+    gate : which pairs are candidates.
     certify : refuse to answer unless dual variables prove that no other hypothesis is more probable.
 
     Example
@@ -46,9 +46,9 @@ def identify(
     pairs = gate(first, second)
     refuse_crowds(pairs)
     grouped, evidence = both(lambda: groups(pairs), lambda: rule(pairs), len(pairs))
-    believed = prior(grouped.sizes_1, grouped.sizes_2)
-    best = assign(grouped, evidence.log_ratio, believed)
+    log_prior = prior(grouped.sizes_1, grouped.sizes_2)
+    best = assign(grouped, evidence.log_ratio, log_prior)
     if certify:
         best.certify(grouped)
-    sure = posterior(grouped, best)
-    return Identification(pairs, grouped, evidence, best, sure)
+    probabilities = posterior(grouped, best)
+    return Identification(pairs, grouped, evidence, best, probabilities)

@@ -1,4 +1,4 @@
-"""Types of arrays, by what their elements are; shapes stand in the docstrings."""
+"""Types of arrays by their elements; shapes are in the docstrings."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """The most probable one-to-one hypothesis of every group.
 
-Under a prior linear in the number of pairs it is a maximum-weight matching in which any record may stay alone; under
-any other prior, the best matching of every size k comes from one sequence of shortest augmenting paths, and the k of
-greatest ln P(k) + W_k is kept (METHOD 4.2). Either is exact, with dual variables as its certificate, at O(n³) at
-worst and in memory proportional to the candidates. :func:`refuse_crowds` comes first: whoever chooses among pairs asks
-it, whoever only weighs them (registration, the scale of errors) need not.
+With a prior linear in the number of pairs it is a maximum-weight matching in which records may stay without a partner;
+with any other prior, shortest augmenting paths give the best matching of every size k, and the k of greatest
+ln P(k) + W_k is kept (METHOD 4.2). Both are exact, with dual variables as certificate, in O(n³) at worst and in memory
+proportional to the candidates. Call :func:`refuse_crowds` before choosing among pairs; code that only weights pairs
+(registration, the scale of errors) does not need it.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from sameas.representation import in_short
 
 @dataclass(frozen=True)
 class Tuning:
-    """How much may be asked.
+    """The limit of the assignment.
 
-    most_choices : the sum over the pairs of the fewer candidates of either record, which is n³ where each of n records
-        may be each of n others: 10⁹ take a minute of the processor.
+    most_choices : the sum over the pairs of the smaller number of candidates of its two records; n³ if each of n
+        records has n candidates. 10⁹ take about one minute of processor time.
     """
 
     most_choices: float = 4e9
@@ -79,7 +79,7 @@ class Hypothesis:
     prior: LogPrior
 
     def certificate(self, groups: Groups) -> Certificate:
-        """Whether this is the most probable hypothesis, proved by its dual variables in O(candidates)."""
+        """The proof by dual variables, in O(candidates), that this is the most probable hypothesis."""
         total = self.weight + self.multiplier[groups.group]
         place_1, place_2 = groups.places
         u, v = self.dual_1[place_1], self.dual_2[place_2]
@@ -98,8 +98,8 @@ class Hypothesis:
 
 
 def refuse_crowds(pairs: Pairs, tuning: Tuning = DEFAULT_TUNING) -> None:
-    """Raise InputError where so many records compete that the most probable hypothesis takes hours."""
-    if float(len(pairs)) ** 1.5 <= tuning.most_choices:  # each of √m with each
+    """Raise InputError if so many records compete that the most probable hypothesis takes hours."""
+    if float(len(pairs)) ** 1.5 <= tuning.most_choices:  # the sum is largest for √m × √m records
         return
     of_1 = np.bincount(pairs.i, minlength=len(pairs.first))
     if float(np.square(of_1, dtype=np.float64).sum()) <= tuning.most_choices:

@@ -1,7 +1,7 @@
-"""Bounds: how much input may ask for, so that a small file fills neither the memory nor the day.
+"""Bounds on what input may require, so that a small file can neither fill the memory nor take hours.
 
-:func:`unpacked` unpacks gzip within them; :func:`checked_fits` looks at the headers of a FITS file before a library
-believes them. :func:`memory_left` is what there is to be had.
+:func:`unpacked` unpacks gzip within them; :func:`checked_fits` checks the headers of a FITS file before a library uses
+them. :func:`memory_left` is the available memory.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _PART = 1 << 22
 
 @dataclass(frozen=True)
 class Unpacking:
-    """How much may come out of a packed file: ``least`` bytes in any case, and ``ratio`` times its size.
+    """Greatest size of an unpacked file: ``least`` bytes in any case, or ``ratio`` times its packed size.
 
     Catalogues shrink three to twentyfold, blank images up to a thousandfold; zeros alone shrink further.
     """
@@ -35,7 +35,7 @@ class Unpacking:
     ratio: int = 100
 
     def of(self, size: int) -> int:
-        """The most bytes for a file of ``size`` bytes."""
+        """The greatest number of bytes for a file of ``size`` bytes."""
         return max(self.least, self.ratio * size)
 
 
@@ -66,16 +66,16 @@ def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> b
 
 
 def memory_left(system: Path = Path("/")) -> int | None:
-    """Bytes that this process may still take: the least of what its limits, its container and the machine leave.
+    """Bytes that this process may still take: the least left by its limits, its container and the machine.
 
-    None where none of them says (on Windows). system : the root of the files in which Linux says it.
+    None if all are unknown (on Windows). system : the root of Linux' system files.
     """
     left = [_within_limit(system), _within_container(system), _of_machine(system)]
     return min((max(one, 0) for one in left if one is not None), default=None)
 
 
 def _within_limit(system: Path) -> int | None:
-    """What ``ulimit -v`` leaves."""
+    """Bytes left by ``ulimit -v``."""
     try:
         import resource
     except ImportError:
@@ -86,13 +86,13 @@ def _within_limit(system: Path) -> int | None:
 
 
 def _within_container(system: Path) -> int | None:
-    """What the control group of the process leaves; that of a container stands at the root."""
+    """Bytes left by the control group of the process; that of a container is at the root."""
     most, used = (_first_number(system / f"sys/fs/cgroup/memory.{name}") for name in ("max", "current"))
     return None if most is None or used is None else most - used
 
 
 def _of_machine(system: Path) -> int | None:
-    """What is free; half of all memory where the system does not say it."""
+    """Free bytes; half of all memory if unknown."""
     with suppress(OSError):
         for line in (system / "proc/meminfo").read_text().splitlines():
             if line.startswith("MemAvailable:"):
@@ -104,19 +104,20 @@ def _of_machine(system: Path) -> int | None:
 
 
 def _first_number(path: Path) -> int | None:
+    """The number at the beginning of a file; None if there is none."""
     try:
         return int(path.read_text().split()[0])
-    except (OSError, ValueError):  # "max" where there is no limit
+    except (OSError, ValueError):  # "max" means no limit
         return None
 
 
 @dataclass(frozen=True)
 class Tables:
-    """What a table may ask for; a file of 400 kB can name a hundred thousand columns.
+    """Limits on a table; a file of 400 kB can name a hundred thousand columns.
 
-    columns : the widest catalogues that are known have a thousand.
-    facts : values of the metadata, each as often as it is named: what YAML writes once it may repeat a thousand million
-    times.
+    columns : the widest known catalogues have a thousand.
+    facts : values of the metadata, each counted as often as it is referenced: YAML can repeat a value a thousand
+        million times.
     """
 
     columns: int = 5000
@@ -124,37 +125,37 @@ class Tables:
 
 
 def check_columns(count: int, path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
-    """Refuses a table of more columns than any has."""
+    """Refuse a table with more columns than any real one has."""
     most = (bounds or Tables()).columns
     if count > most:
         raise InputError(f"{path}: has {count} columns; tables of up to {most} are read; leave out what is not needed")
 
 
 def check_facts(facts: Mapping[Any, Any], path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
-    """Refuses metadata that unfold to more values than any table has, or that hold themselves."""
+    """Refuse metadata that expand to more values than any real table has, or that contain themselves."""
     most = (bounds or Tables()).facts
     if _unfolded(facts, most + 1, {}) > most:
         raise InputError(f"{path}: its metadata unfold to more than {most} values; leave them out")
 
 
-def _unfolded(value: Any, endless: int, known: dict[int, int]) -> int:
-    """The number of values in a value. endless : of one that holds itself. known : those that were counted."""
+def _unfolded(value: Any, endless: int, counts: dict[int, int]) -> int:
+    """The number of values in a value, ``endless`` if it contains itself; counts : by id, those counted already."""
     if not isinstance(value, Mapping | list | tuple):
         return 1
-    if id(value) not in known:
-        known[id(value)] = endless
+    if id(value) not in counts:
+        counts[id(value)] = endless
         inner = value.values() if isinstance(value, Mapping) else value
-        known[id(value)] = 1 + sum(_unfolded(one, endless, known) for one in inner)
-    return known[id(value)]
+        counts[id(value)] = 1 + sum(_unfolded(one, endless, counts) for one in inner)
+    return counts[id(value)]
 
 
 @dataclass(frozen=True)
 class Headers:
-    """What headers may ask for. astropy believes them: it would look for a thousand million columns.
+    """Limits on headers, which astropy does not check: it would look for a thousand million columns.
 
-    cards : of one header; the largest that are known, of mosaics with their histories, have 30 000.
+    cards : of one header; the largest known ones, of mosaics with their histories, have 30 000.
     axes, fields : those of the standard (FITS 4.0, sections 4.4.1 and 7.3.1).
-    shrunk : how many times a compressed image, of 8 bytes a pixel, may have shrunk, beyond ``least`` bytes in any case.
+    shrunk : greatest compression of an image, at 8 bytes a pixel, beyond ``least`` bytes.
     """
 
     cards: int = 100_000
@@ -170,19 +171,19 @@ _FORM = re.compile(rb"(TFORM\d+) *= *' *(\d*)([LXBIJKAEDCMPQ])")
 #: Bits of one value of a column of a binary table (FITS 4.0, table 18).
 _BITS = {b"X": 1, b"L": 8, b"B": 8, b"A": 8, b"I": 16, b"J": 32, b"E": 32, b"K": 64, b"D": 64, b"C": 64, b"M": 128,
          b"P": 64, b"Q": 128}  # fmt: skip
-#: Cards that count something; a library multiplies them, whatever they are.
+#: Cards that count something; a library multiplies them without a check.
 _COUNTS = re.compile(rb"(Z?(BITPIX|NAXIS\d*|PCOUNT|GCOUNT)|TFIELDS|ZTILE\d*) *$")
 _WHOLE = re.compile(rb"([A-Z0-9_-]{1,8}) *= *([+-]?\d+) *(?:/|$)")
 
 
 def checked_fits(path: Path, limits: Headers | None = None) -> Path | io.BytesIO:
-    """What astropy may open: the path, or all bytes of a packed file, in which it may look for ever for a next header.
+    """What astropy may open: the path, or all bytes of a packed file, where it may search endlessly for a next header.
 
-    Refused are headers that ask for more than the file can hold, before a library believes them.
+    Headers that require more than the file can contain are refused.
 
     Raises
     ------
-    InputError : a header without an end; axes, columns, rows or sizes that no such file has; see :func:`unpacked`.
+    InputError : a header without an end; impossible axes, columns, rows or sizes; see :func:`unpacked`.
     """
     limits = limits or Headers()
     size = path.stat().st_size
@@ -196,7 +197,7 @@ def checked_fits(path: Path, limits: Headers | None = None) -> Path | io.BytesIO
 
 
 def _check_headers(file: Any, path: Path, length: int, size: int, limits: Headers) -> None:
-    """length : of what is read. size : of the file, which may be packed."""
+    """Check all headers. length : of the unpacked file. size : of the file, which may be packed."""
     at, number = 0, 0
     while at < length:
         file.seek(at)
@@ -209,14 +210,14 @@ def _check_headers(file: Any, path: Path, length: int, size: int, limits: Header
 
 
 def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[str, int]:
-    """The whole numbers of the next header by keyword, the first where one stands twice; empty behind the last."""
+    """The integers of the next header by keyword, the first of duplicates; empty after the last header."""
     cards: dict[str, int] = {}
-    known = True
+    is_header = True
     for _ in range(0, limits.cards, _BLOCK // _CARD_BYTES):
         block = file.read(_BLOCK)
         if not cards:
-            known = block.startswith((b"SIMPLE  =", b"XTENSION="))
-            if known and not _BEGIN.match(block):
+            is_header = block.startswith((b"SIMPLE  =", b"XTENSION="))
+            if is_header and not _BEGIN.match(block):
                 raise InputError(f"{path}: extension {number} begins with {block[:30]!r}; it is damaged, copy it again")
             cards[""] = 0
         for begin in range(0, len(block), _CARD_BYTES):
@@ -225,7 +226,7 @@ def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[
                 return cards
             if found := _WHOLE.match(card):
                 cards.setdefault(found[1].decode("ascii"), int(found[2]))
-            elif known and _COUNTS.match(card[:8]):
+            elif is_header and _COUNTS.match(card[:8]):
                 raise InputError(
                     f"{path}: the header of extension {number} has no whole number in {card[:8].decode().strip()}; "
                     "it is damaged, copy it again"
@@ -235,13 +236,13 @@ def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[
                 cards[found[1].decode("ascii")] = cells
         if len(block) < _BLOCK:
             break
-    if not known:  # what stands behind the last extension is nobody's
+    if not is_header:  # bytes after the last extension are ignored
         return {}
     raise InputError(f"{path}: the header of extension {number} has no END; it is damaged or cut off, copy it again")
 
 
 def _data_bytes(cards: Mapping[str, int], path: Path, number: int, size: int, limits: Headers) -> int:
-    """How many bytes of data follow a header."""
+    """The number of bytes of data after a header."""
 
     def refuse(what: str) -> InputError:
         return InputError(f"{path}: the header of extension {number} {what}; it is damaged, copy it again")

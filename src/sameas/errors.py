@@ -1,7 +1,7 @@
-"""The error of input that cannot be used, and messages that name the arguments of a remedy.
+"""The error for unusable input, and messages that name the arguments of a remedy.
 
 The library knows arguments, only the command line knows options: a :class:`Message` keeps the arguments that it names,
-so that a command can name its options in their place. What a message quotes from a file is printable and short.
+so that a command can replace them by its options. Quotations from a file are made printable and short.
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-#: Characters of a text from a file that a message repeats, and of a whole message: ten or so lines of a terminal.
+#: Greatest length of a quotation from a file, and of a whole message (about ten lines of a terminal), in characters.
 LONGEST_QUOTE, LONGEST_MESSAGE = 80, 1000
-# In quotes, or a word that is no path: names of files stay whole, and apostrophes are no quotes.
+# A quoted text, or a word that is no path: names of files are not cut, and apostrophes are no quotes.
 _MORE = f"{{{LONGEST_QUOTE + 1},}}"
 _LONG = re.compile(rf"""(?<!\w)(['"])(?:(?!\1).){_MORE}\1(?!\w)|(?<!\S)(?!['"])[^\s/\\]{_MORE}(?!\S)""")
 
 
 def printable(text: str) -> str:
-    """A text that does nothing to a terminal: one line, characters that control or do not show are escaped.
+    """The text in one line, with control characters and invisible ones escaped, so that it cannot affect a terminal.
 
     >>> print(printable("red" + chr(27) + "[31m" + chr(10) + "next"))
     red\\x1b[31m next
     """
     if text.isprintable():
         return text
-    return "".join(map(_shown, text))
+    return "".join(map(_escaped, text))
 
 
-def _shown(character: str) -> str:
+def _escaped(character: str) -> str:
     if character in "\n\r\t\v\f":
         return " "
     controls = unicodedata.category(character)[0] == "C" or character in "\u2028\u2029"
@@ -39,7 +39,7 @@ def _shown(character: str) -> str:
 
 
 def _short(text: str) -> str:
-    """A printable text, what it quotes cut at ``LONGEST_QUOTE`` characters and the whole at ``LONGEST_MESSAGE``."""
+    """The printable text, with quotations cut at ``LONGEST_QUOTE`` characters and the whole at ``LONGEST_MESSAGE``."""
     text = _LONG.sub(_cut, printable(text[: 10 * LONGEST_MESSAGE]))
     return text if len(text) <= LONGEST_MESSAGE else text[:LONGEST_MESSAGE] + " …"
 
@@ -51,7 +51,7 @@ def _cut(found: re.Match[str]) -> str:
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument that a message names, and what to give it; texts in quotes, what the user puts there in capitals.
+    """An argument named in a message, and its value: literal texts in quotes, placeholders in capitals.
 
     >>> str(Argument("sigma")), str(Argument("sigma", "ARCSEC")), str(Argument("offset", "'find'"))
     ('sigma', 'sigma=ARCSEC', "offset='find'")
@@ -65,7 +65,7 @@ class Argument:
 
 
 class Message(str):
-    """A text for people that names arguments as Python has them; :meth:`with_options` names options instead.
+    """A text for people that names arguments as in Python; :meth:`with_options` names options instead.
 
     >>> message = Message("catalogue: no errors; give ", Argument("sigma", "ARCSEC"))
     >>> message
@@ -86,16 +86,16 @@ class Message(str):
 
     @property
     def arguments(self) -> tuple[Argument, ...]:
-        """The arguments that it names."""
+        """The arguments named in the message."""
         return tuple(part for part in self.parts if isinstance(part, Argument))
 
     def with_options(self, option: Callable[[Argument], str]) -> str:
-        """The text as the command line has it. option : what the command line has instead of an argument."""
+        """The text for the command line; ``option`` gives the option for an argument."""
         return "".join(option(part) if isinstance(part, Argument) else part for part in self.parts)
 
 
 def naming(template: str) -> Message:
-    """The message of a template, in which braces hold arguments, with what to give them behind a colon.
+    """The message from a template with arguments in braces, each optionally with a value after a colon.
 
     >>> naming("give {sigma:ARCSEC} or {ellipse:'A,B,ANGLE'}")
     "give sigma=ARCSEC or ellipse='A,B,ANGLE'"
@@ -106,17 +106,17 @@ def naming(template: str) -> Message:
     return Message(*parts)
 
 
-def _repeatable(text: str) -> str:
+def _shortened(text: str) -> str:
     if isinstance(text, Message):
         return Message(*(part if isinstance(part, Argument) else _short(part) for part in text.parts))
     return _short(text)
 
 
 class InputError(ValueError):
-    """Input that cannot be used. Its words are printable and of bounded length, whatever the input holds.
+    """Unusable input. The text is printable and of limited length, whatever the input contains.
 
     message : what is wrong and where: the source, the first offending row or column.
-    remedy : what to do, as an argument; the command line names its option. source : the source that it is about.
+    remedy : what to do, as an argument; the command line names its option. source : the source concerned.
 
     >>> raise InputError("cat: its epoch is not known", naming("give {epoch:YEAR}"))
     Traceback (most recent call last):
@@ -124,7 +124,7 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str, remedy: str = "", *, source: str = "") -> None:
-        message, remedy = (_repeatable(text) for text in (message, remedy))
+        message, remedy = (_shortened(text) for text in (message, remedy))
         super().__init__(message, remedy)
         self.message, self.remedy, self.source = message, remedy, source
 
@@ -133,7 +133,7 @@ class InputError(ValueError):
 
     @classmethod
     def together(cls, errors: Sequence[InputError]) -> InputError:
-        """Several refusals in one: all that is missing is said at once."""
+        """Several errors in one, so that everything missing is reported at once."""
         if len(errors) == 1:
             return errors[0]
         words: list[str] = []
@@ -151,9 +151,9 @@ class InputError(ValueError):
 
 @contextmanager
 def reading(where: str, failed: str = "cannot be read") -> Iterator[None]:
-    """What a reader did not foresee in the block becomes an ``InputError``; ``--debug`` shows where it came from.
+    """Within the block, unexpected errors of a reader become an ``InputError``; ``--debug`` shows their origin.
 
-    where : the file, and the line or row where it is known. failed : what then failed, in words.
+    where : the file, and the line or row if known. failed : what failed, in words.
 
     >>> with reading("cat.fits", "cannot be read as FITS"):
     ...     int("x")
@@ -169,7 +169,7 @@ def reading(where: str, failed: str = "cannot be read") -> Iterator[None]:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of what a library says; the name of its error where it says nothing, or a mere key."""
+    """The first line of a library's message; the name of its error if there is no message, or only a key."""
     lines = str(error).strip().splitlines()
     kind = type(error).__name__
     if not lines:

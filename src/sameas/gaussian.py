@@ -1,9 +1,9 @@
 """Gaussians along the rows of arrays: products, updates by a measurement, conditionals, symmetric inverses.
 
-- :class:`Gaussian`: a mean and a covariance for every row; what a Kalman filter and a fusion of states are made of.
-- :class:`InformationSum`: the product of many normal densities of one unknown, summed as information and vector.
+- :class:`Gaussian`: a mean and a covariance for every row, for Kalman filters and the fusion of states.
+- :class:`InformationSum`: the product of many normal densities of one unknown, as sums of information and vector.
 - :func:`mahalanobis_sq`, :func:`log_density`: χ² and ln N(Δ; 0, Σ).
-- :func:`symmetric`, :func:`inverse`, :func:`propagated`: covariances that rounding leaves exactly symmetric.
+- :func:`symmetric`, :func:`inverse`, :func:`propagated`: covariances that are exactly symmetric despite rounding.
 
 Leading axes are those of the rows, and broadcast. Source: Bar-Shalom, Li and Kirubarajan 2001, 1.4 and 5.2.
 """
@@ -23,8 +23,8 @@ from sameas.representation import in_short
 LOG_2PI = math.log(2.0 * math.pi)
 
 
-#: In the plane inverses and determinants are written out where these are at least this share of the product of the
-#: variances.
+#: In two dimensions inverses and determinants have closed forms if the determinant is at least this share of the
+#: product of the variances.
 LEAST_SHARE = 1e-6
 
 
@@ -34,7 +34,7 @@ def symmetric(matrix: FloatArray) -> FloatArray:
 
 
 def inverse(covariance: FloatArray) -> FloatArray:
-    """(…, d, d) the inverse of a covariance or an information, symmetric to the last digit."""
+    """(…, d, d) the inverse of a covariance or information matrix, exactly symmetric."""
     if covariance.shape[-1] == 2:
         a, b, c = covariance[..., 0, 0], 0.5 * (covariance[..., 0, 1] + covariance[..., 1, 0]), covariance[..., 1, 1]
         determinant = a * c - b * b
@@ -47,7 +47,7 @@ def inverse(covariance: FloatArray) -> FloatArray:
 
 
 def propagated(jacobian: NDArray[np.floating[Any]], covariance: FloatArray) -> FloatArray:
-    """(…, m, m) J Σ Jᵀ, the covariance (…, d, d) after a linear map (…, m, d); symmetric to the last digit."""
+    """(…, m, m) J Σ Jᵀ, the covariance (…, d, d) after a linear map (…, m, d); exactly symmetric."""
     return symmetric(np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2), np.float64))
 
 
@@ -73,7 +73,7 @@ def log_density(delta: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(…) Δᵀ Σ⁻¹ Δ and ln|Σ| for Δ (…, d), Σ (…, d, d): written out in the plane, by Cholesky's root elsewhere."""
+    """(…) Δᵀ Σ⁻¹ Δ and ln|Σ| for Δ (…, d), Σ (…, d, d): closed form in two dimensions, Cholesky in others."""
     if delta.shape[-1] == 2:
         x, y = delta[..., 0], delta[..., 1]
         a, b, c = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
@@ -81,7 +81,7 @@ def distance_and_log_determinant(delta: FloatArray, covariance: FloatArray) -> t
         distance_sq = (c * x**2 - 2.0 * b * x * y + a * y**2) / determinant
         return np.asarray(distance_sq), np.asarray(np.log(determinant))
     root = np.linalg.cholesky(covariance)
-    # One inverse serves many residuals; solving anew for each is ten times slower.
+    # One inverse serves many residuals; solving for each is ten times slower.
     z = np.einsum("...vw,...w->...v", np.linalg.inv(root), delta)
     return np.sum(z**2, axis=-1), 2.0 * np.log(np.einsum("...vv->...v", root)).sum(axis=-1)
 
@@ -110,13 +110,13 @@ class Gaussian:
         return Gaussian(mean, symmetric(self.covariance - gain @ np.swapaxes(cross, -1, -2)))
 
     def updated(self, measurement: Gaussian) -> Gaussian:
-        """After a measurement of the first components, as many as it has: Kalman's update."""
+        """After a measurement of the first components, with the Kalman update."""
         m = measurement.mean.shape[-1]
         innovation = measurement.mean - self.mean[..., :m]
         total = self.covariance[..., :m, :m] + measurement.covariance
         if m < self.mean.shape[-1]:
             return self.conditional(self.covariance[..., :m], innovation, total)
-        # P − K P loses digits where the measurement is much more precise; K R does not.
+        # P − K P loses digits for a much more precise measurement; K R does not.
         gain = self.covariance @ inverse(total)
         mean = self.mean + np.einsum("...vw,...w->...v", gain, innovation)
         return Gaussian(mean, symmetric(gain @ measurement.covariance))
@@ -130,17 +130,17 @@ class Gaussian:
         if weights is not None:
             information = information * weights[..., None, None]
         covariance = inverse(information.sum(axis=-3))
-        # About the first mean, so that large coordinates cost no digits.
+        # Relative to the first mean, so that large coordinates keep their digits.
         first = self.mean[..., 0, :]
-        pull = np.einsum("...kvw,...kw->...v", information, self.mean - first[..., None, :])
-        return Gaussian(first + np.einsum("...vw,...w->...v", covariance, pull), covariance)
+        weighted = np.einsum("...kvw,...kw->...v", information, self.mean - first[..., None, :])
+        return Gaussian(first + np.einsum("...vw,...w->...v", covariance, weighted), covariance)
 
 
 @dataclass(frozen=True)
 class InformationSum:
-    """Products of normal densities of n unknowns x, each about a point of its own; densities are added one by one.
+    """Products of normal densities of n unknowns x, each relative to a point of its own; densities are added in turn.
 
-    With residuals r of measurements of slope H and precision R⁻¹: ``information`` Λ = Σ Hᵀ R⁻¹ H (n, d, d), ``vector``
+    From residuals r of measurements of slope H and precision R⁻¹: ``information`` Λ = Σ Hᵀ R⁻¹ H (n, d, d), ``vector``
     η = Σ Hᵀ R⁻¹ r (n, d), ``square`` Σ rᵀ R⁻¹ r (n,), and ``log_norm`` (n,) the sum of the logarithms of their factors.
     """
 
@@ -151,11 +151,11 @@ class InformationSum:
 
     @classmethod
     def of(cls, n: int, d: int) -> InformationSum:
-        """Nothing known yet of n unknowns of d components."""
+        """The sum without measurements for n unknowns of d components."""
         return cls(np.zeros((n, d, d)), np.zeros((n, d)), np.zeros(n), np.zeros(n))
 
     def at(self, rows: NDArray[np.integer]) -> InformationSum:
-        """Those of some rows."""
+        """The sums of some rows."""
         return InformationSum(self.information[rows], self.vector[rows], self.square[rows], self.log_norm[rows])
 
     def add(
@@ -166,9 +166,9 @@ class InformationSum:
         log_norm: FloatArray,
         slope: FloatArray | None = None,
     ) -> None:
-        """One density more for each of k rows, each named once.
+        """Add one density to each of k distinct rows.
 
-        residual (k, m), precision (k, m, m), log_norm (k,), slope (k, m, d) or None where all of x is measured.
+        residual (k, m), precision (k, m, m), log_norm (k,), slope (k, m, d) or None if all of x is measured.
         """
         weighted = np.einsum("kvw,kw->kv", precision, residual)
         self.square[rows] += np.einsum("kv,kv->k", residual, weighted)
@@ -181,16 +181,16 @@ class InformationSum:
             self.vector[rows] += np.einsum("kmv,km->kv", slope, weighted)
 
     def gaussian(self) -> Gaussian:
-        """Λ⁻¹ η and Λ⁻¹, from the points about which was summed."""
+        """Λ⁻¹ η and Λ⁻¹, relative to the points of the sum."""
         covariance = inverse(self.information)
         return Gaussian(np.einsum("kvw,kw->kv", covariance, self.vector), covariance)
 
     def chi_sq(self, solution: Gaussian) -> FloatArray:
-        """(n,) how far the measurements lie from the :meth:`gaussian` that they make: Σ rᵀ R⁻¹ r − ηᵀ Λ⁻¹ η."""
+        """(n,) χ² of the measurements relative to their :meth:`gaussian`: Σ rᵀ R⁻¹ r − ηᵀ Λ⁻¹ η."""
         residual: FloatArray = np.maximum(self.square - np.einsum("kv,kv->k", self.vector, solution.mean), 0.0)
         return residual
 
     def log_peak(self) -> FloatArray:
-        """(n,) ln of the integral over x of the product, where the measurements agree (χ² = 0)."""
+        """(n,) ln of the integral over x of the product, if the measurements agree (χ² = 0)."""
         log_volume: FloatArray = 0.5 * (self.vector.shape[1] * LOG_2PI - log_determinant(self.information))
         return self.log_norm + log_volume

@@ -1,6 +1,6 @@
 """Groups: the connected components of the candidate graph, identified independently of each other (METHOD 2).
 
-The layout is the same whatever the row order of the sources: groups in the order in which the gate lists their first
+The layout does not depend on the row order of the sources: groups in the order in which the gate lists their first
 pair, records of a group in the order in which they appear there.
 """
 
@@ -69,7 +69,7 @@ class Groups:
 
     @cached_property
     def places(self) -> tuple[IntArray, IntArray]:
-        """(m,), (m,) places among ``rows_1`` and ``rows_2`` of the two records of each pair of the layout."""
+        """(m,), (m,) indices into ``rows_1`` and ``rows_2`` of the two records of each pair of the layout."""
         return self.start_1[self.group] + self.local_1, self.start_2[self.group] + self.local_2
 
     def of_pairs(self) -> NDArray[np.int32]:
@@ -79,14 +79,14 @@ class Groups:
         return group
 
     def bounds(self, parts: int) -> list[int]:
-        """Cuts between groups that share the pairs out evenly over ``parts`` ranges."""
+        """Bounds of ``parts`` ranges of groups with about equal numbers of pairs."""
         if parts == 1 or len(self) == 1:
             return [0, len(self)]
         cuts = np.linspace(0, len(self.order), parts + 1)[1:-1]
         return [0, *np.searchsorted(self.start, cuts).tolist(), len(self)]
 
     def statistics(self) -> dict[str, int]:
-        """How many groups of one pair, of up to 4, 16 and 64 records, larger ones, and the largest."""
+        """Number of groups by size (one pair, up to 4, 16 and 64 records, larger), and size of the largest."""
         size = self.sizes_1 + self.sizes_2
         edges = (("of one pair", size <= 2), ("of 3 to 4 records", (size > 2) & (size <= 4)),
                  ("of 5 to 16", (size > 4) & (size <= 16)), ("of 17 to 64", (size > 16) & (size <= 64)),
@@ -103,8 +103,8 @@ def groups(pairs: Pairs) -> Groups:
 def laid_out(place_1: Places, place_2: Places, i: Places, j: Places, n_1: int, n_2: int) -> Groups:
     """The connected components of pairs of records i and j, (m,) each, of n₁ and n₂.
 
-    The places, (m,) each, are numbers of the records by which neighbours in the list are neighbours in memory; the
-    pairs of a record of source 1 follow each other.
+    The places, (m,) each, number the records so that neighbours in the list are neighbours in memory; pairs of a record
+    of source 1 must be consecutive.
     """
     from sameas.kernels.components import label_pairs, lay_out
 
@@ -113,7 +113,7 @@ def laid_out(place_1: Places, place_2: Places, i: Places, j: Places, n_1: int, n
     starts = [np.empty(min(n_1, n_2, m) + 1, np.int64) for _ in range(3)]
     scratch = np.empty(n_1 + n_2, np.int32), np.empty(n_1, np.int32)
     count = label_pairs(place_1, place_2, *scratch, number_2, group, *starts)
-    # There was room for as many groups as records; what stays is no larger than it has to be.
+    # Allocated for as many groups as records; copied so that unused memory is released.
     start, start_1, start_2 = (column[: count + 1].copy() for column in starts)
     del starts
     order, edges_1 = np.empty(m, np.int64), np.empty(start_1[-1] + 1, np.int64)

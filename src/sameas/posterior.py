@@ -1,17 +1,17 @@
-"""How sure: the probability of every pair, summed over all one-to-one hypotheses of its group (METHOD 5).
+"""Posterior probabilities of pairs, summed over all one-to-one hypotheses of their group (METHOD 5).
 
-Which method a group gets is part of the result:
+Each group is solved by one of these methods, which is part of the result:
 
 1. *Closed form*: one record has all the pairs of the group.
 2. *Exact elimination*: records with one pair are folded into their partners, the others eliminated one by one; a prior
    of the count is carried along. This covers every group of up to about 16 records on its smaller side, and larger
-   ones that are thin, such as trees and chains. Large groups first lose the pairs that are proved to be less probable
-   than 1e-6; most of them then fall apart.
-3. *Thinned*: sum-product messages show which pairs of an entangled group are next to impossible. Without these most
-   groups fall apart and are summed exactly.
+   sparse ones, such as trees and chains. Pairs of large groups that are proved to be less probable than 1e-6 are
+   dropped first, which splits most of these groups.
+3. *Thinned*: sum-product messages show which pairs of an entangled group are nearly impossible. Most groups split
+   without these pairs and are summed exactly.
 4. *Local*: in what is still entangled, every record is solved exactly together with the records that compete with it
-   most, with messages for what lies beyond. The group is thinned by these probabilities too, and summed where it
-   falls apart.
+   most, with messages from the others. The group is thinned by these probabilities too, and its parts are summed
+   exactly where it splits.
 """
 
 from __future__ import annotations
@@ -47,37 +47,36 @@ EVERY = 2**62
 
 @dataclass(frozen=True)
 class Tuning:
-    """Where the posterior goes over to approximations; the defaults are chosen with ``benchmarks/posterior.py``.
+    """Limits of the exact posterior; the defaults are chosen with ``benchmarks/posterior.py``.
 
     Attributes
     ----------
     small : groups of at most this many records on one side are summed with every pair.
-    improbable : pairs of larger groups that are proved to be less probable than this are left out first, where the
-        prior allows the proof.
-    thresholds : pairs of an entangled group that are less probable than this are left out, step by step until the
-        group falls apart.
-    sure : the threshold from which on probabilities come from neighbourhoods; below it messages are enough.
+    improbable : pairs of larger groups that are proved to be less probable than this are dropped first, if the prior
+        allows the proof.
+    thresholds : of probabilities below which pairs of an entangled group are dropped, in turn until it splits.
+    neighbourhood_threshold : the threshold from which on probabilities come from neighbourhoods instead of messages.
     neighbourhood_rows, neighbourhood_bits : size of the exact neighbourhood around a record of an entangled group:
         its rows, and log2 of the choices among them.
-    sweeps : most sweeps of sum-product messages.
-    closely, roughly : relative change of a message that counts as settled, where each probability counts and where
-        sums over many pairs are wanted.
-    linearisations : how many times a prior of the count is made linear about the expected number of pairs.
-    few, unimportant : the same as ``small`` and ``improbable`` where sums over many pairs are wanted.
+    sweeps : greatest number of sweeps of sum-product messages.
+    tolerance, rough_tolerance : relative change of a message at convergence, for single probabilities and for sums over
+        many pairs.
+    linearisations : how many times a prior of the count is linearised about the expected number of pairs.
+    rough_small, rough_improbable : ``small`` and ``improbable`` for sums over many pairs.
     """
 
     small: int = 16
     improbable: float = 1e-6
     thresholds: tuple[float, ...] = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)
-    sure: float = 1e-6
+    neighbourhood_threshold: float = 1e-6
     neighbourhood_rows: int = 8
     neighbourhood_bits: float = 16.0
     sweeps: int = 400
-    closely: float = 1e-8
-    roughly: float = 1e-4
+    tolerance: float = 1e-8
+    rough_tolerance: float = 1e-4
     linearisations: int = 6
-    few: int = 4
-    unimportant: float = 1e-5
+    rough_small: int = 4
+    rough_improbable: float = 1e-5
 
 
 DEFAULT_TUNING = Tuning()
@@ -91,11 +90,11 @@ class Posterior:
     Attributes
     ----------
     p_pair : (m,) probability of each pair, in the order of the gate.
-    method : (g,) number into :data:`METHODS`.
-    neglected : (g,) pairs of a lower probability, as first estimated, were not summed exactly; 0 where all were.
-    unsettled : largest relative change of a message in the last sweep (0 where no messages were needed).
-    open : (m,) pairs that were summed exactly with a record of which pairs had been cut off: with these it may be too
-        much for an exact sum. In the order of the gate; None where nothing was cut off.
+    method : (g,) index into :data:`METHODS`.
+    neglected : (g,) pairs with a first estimate below this probability were not summed exactly; 0 if all were.
+    unsettled : largest relative change of a message in the last sweep (0 without messages).
+    open : (m,) pairs that were summed exactly together with a record whose pairs are incomplete (``cut``); with all its
+        pairs an exact sum may be impossible. In the order of the gate; None without ``cut``.
     """
 
     p_pair: FloatArray
@@ -105,16 +104,16 @@ class Posterior:
     open: BoolArray | None = None
 
     def counts(self) -> dict[str, int]:
-        """How many groups were solved by which method."""
+        """Number of groups solved by each method."""
         return {name: int(np.count_nonzero(self.method == k)) for k, name in enumerate(METHODS)}
 
 
 def posterior(
     groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING, cut: tuple[BoolArray, BoolArray] | None = None
 ) -> Posterior:
-    """Probabilities of all pairs, given the evidence and prior that made ``best``.
+    """Probabilities of all pairs, with the evidence and prior of ``best``.
 
-    cut : records of either source, (n₁,) and (n₂,), of which pairs were left out though they are candidates.
+    cut : (n₁,), (n₂,) records of which some candidate pairs are missing.
     """
     m = len(groups.order)
     share = np.zeros(m)
@@ -127,12 +126,12 @@ def posterior(
     edge = None if cut is None else _Edge.of(groups, cut, method)
     if np.count_nonzero(method == APPROXIMATE):
         if linear:
-            open_pairs = _without_improbable(groups, best, method, share, neglected, tuning.improbable, edge)
+            open_pairs = _sum_probable(groups, best, method, share, neglected, tuning.improbable, edge)
         else:
             open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
         unsettled = _local(groups, best, open_pairs, method, share, neglected, tuning, edge)
-        share = _within_one(groups, share)
+        share = _scaled_to_one(groups, share)
         if not math.isfinite(float(share.sum())):
             raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = np.empty(m)
@@ -142,24 +141,27 @@ def posterior(
 
 @dataclass(frozen=True)
 class _Edge:
-    """Where a problem was cut off. cut : records of the layout of which pairs were left out. open : (m,) pairs of the
-    layout that were summed exactly with one of these; filled as sums are made."""
+    """Where the problem is cut off.
+
+    cut : records of the layout of which pairs are missing. open : (m,) pairs of the layout that were summed exactly
+    together with one of these; filled as sums are made.
+    """
 
     cut: tuple[BoolArray, BoolArray]
     open: BoolArray
 
     @classmethod
     def of(cls, groups: Groups, cut: tuple[BoolArray, BoolArray], method: NDArray[np.int8]) -> _Edge:
-        """Of groups of which some have been summed."""
+        """From groups of which some have been summed."""
         edge = cls((cut[0][groups.rows_1], cut[1][groups.rows_2]), np.empty(0, np.bool_))
-        held = _held(groups.start_1, edge.cut[0]) | _held(groups.start_2, edge.cut[1])
-        return cls(edge.cut, np.repeat(held & (method != APPROXIMATE), groups.pair_counts))
+        with_cut = _with_any(groups.start_1, edge.cut[0]) | _with_any(groups.start_2, edge.cut[1])
+        return cls(edge.cut, np.repeat(with_cut & (method != APPROXIMATE), groups.pair_counts))
 
     def note(self, thin: _Thinned, pairs: IntArray, solved: BoolArray) -> None:
-        """That of these ``pairs`` of the layout, laid out as ``thin``, some are ``solved``."""
+        """Mark ``solved`` pairs among these ``pairs`` of the layout, laid out as ``thin``."""
         g = thin.groups
-        held = _held(g.start_1, self.cut[0][g.rows_1]) | _held(g.start_2, self.cut[1][g.rows_2])
-        self.open[pairs] = solved & thin._as_given(np.repeat(held, g.pair_counts))
+        with_cut = _with_any(g.start_1, self.cut[0][g.rows_1]) | _with_any(g.start_2, self.cut[1][g.rows_2])
+        self.open[pairs] = solved & thin._in_given_order(np.repeat(with_cut, g.pair_counts))
 
     def pairs(self, groups: Groups) -> BoolArray:
         """(m,) ``open`` in the order of the gate."""
@@ -168,12 +170,12 @@ class _Edge:
         return out
 
 
-def _held(start: IntArray, records: BoolArray) -> BoolArray:
-    """(g,) whether groups hold one of these records."""
+def _with_any(start: IntArray, records: BoolArray) -> BoolArray:
+    """(g,) whether groups contain any of these records."""
     return np.asarray(np.logical_or.reduceat(records, start[:-1]) if len(records) else np.zeros(0, np.bool_))
 
 
-def _without_improbable(
+def _sum_probable(
     groups: Groups,
     best: Hypothesis,
     method: NDArray[np.int8],
@@ -182,15 +184,15 @@ def _without_improbable(
     improbable: float,
     edge: _Edge | None,
 ) -> IntArray:
-    """Fill ``share`` of what falls apart without the pairs that are proved improbable; the pairs that still do not."""
+    """Fill ``share`` of groups that split without the pairs proved improbable; returns the pairs still entangled."""
     large = method == APPROXIMATE
-    _bounds(groups, best, large, share)
+    _upper_bounds(groups, best, large, share)
     probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (share >= improbable))
     neglected[large & (np.minimum.reduceat(share, groups.start[:-1]) < improbable)] = improbable
     method[large] = ELIMINATED
 
-    def summed(first: int, last: int) -> IntArray:
-        """Fills the shares of a range of groups; the pairs that are still entangled."""
+    def fill(first: int, last: int) -> IntArray:
+        """Fill the shares of a range of groups; returns the pairs still entangled."""
         some = probable[slice(*np.searchsorted(probable, groups.start[[first, last]]))]
         if not len(some):
             return some
@@ -201,14 +203,14 @@ def _without_improbable(
         share[some[solved]] = part[solved]
         return some[~solved]
 
-    entangled = np.concatenate(threads.over(summed, groups.bounds(len(threads.even(len(groups.order))) - 1)))
+    entangled = np.concatenate(threads.over(fill, groups.bounds(len(threads.even(len(groups.order))) - 1)))
     if len(entangled):
         method[groups.group[entangled]] = APPROXIMATE
     return entangled
 
 
-def _bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: FloatArray) -> None:
-    """Fill ``bound`` (m,) with upper bounds of P of the pairs of some groups, ``large`` (g,), under a linear prior."""
+def _upper_bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: FloatArray) -> None:
+    """Fill ``bound`` (m,) with upper bounds of P of the pairs of the groups ``large`` (g,), with a linear prior."""
     from sameas.kernels.messages import bounds
 
     shape = (groups.start, groups.start_1, groups.start_2, groups.edges_1, groups.local_1, groups.local_2)
@@ -216,30 +218,30 @@ def _bounds(groups: Groups, best: Hypothesis, large: BoolArray, bound: FloatArra
     threads.over(lambda a, b: bounds(a, b, *shape, *state), groups.bounds(len(threads.even(len(bound))) - 1))
 
 
-def _within_one(groups: Groups, share: FloatArray) -> FloatArray:
-    """Approximate shares, scaled so that those of a record of either source sum to at most 1."""
+def _scaled_to_one(groups: Groups, share: FloatArray) -> FloatArray:
+    """Approximate shares, scaled so that those of every record sum to at most 1."""
     total_1, total_2 = (np.bincount(place, share)[place] for place in groups.places)
     return share / np.maximum(1.0, np.maximum(total_1, total_2))
 
 
 def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:
-    """Probabilities of all pairs, exact in small groups, by sum-product messages alone in others: fast.
+    """Probabilities of all pairs, exact in small groups, by sum-product messages only in others: fast.
 
-    On short cycles messages are over-confident; use them where sums over many pairs are wanted, as estimation does.
-    Pairs that are proved to be less probable than 1e-5 get zero.
+    Messages are over-confident on short cycles; use them for sums over many pairs, as in estimation. Pairs that are
+    proved to be less probable than 1e-5 get zero.
     """
     share = np.zeros(len(groups.order))
     method = np.zeros(len(groups), np.int8)
-    _exact(groups, best, share, method, tuning.few)
+    _exact(groups, best, share, method, tuning.rough_small)
     change, large = 0.0, method == APPROXIMATE
     if best.prior.slope is None:
-        change = _Messages.of(groups, best, method, share, tuning.roughly, tuning).change
+        change = _Messages.of(groups, best, method, share, tuning.rough_tolerance, tuning).change
     elif large.any():
         bound = share.copy()
-        _bounds(groups, best, large, bound)
-        probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > tuning.unimportant))
+        _upper_bounds(groups, best, large, bound)
+        probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (bound > tuning.rough_improbable))
         thin = _Thinned.of(groups, best, probable, best.weight[probable])
-        share[probable], messages = thin.by_messages(tuning.roughly, tuning)
+        share[probable], messages = thin.by_messages(tuning.rough_tolerance, tuning)
         change = messages.change
     p_pair = np.empty(len(share))
     p_pair[groups.order] = np.clip(share, 0.0, 1.0, out=share)
@@ -249,11 +251,11 @@ def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNIN
 def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatArray:
     """(g,) ln Z: ln of the sum over all hypotheses of a group of exp(Σ weight), under a linear prior (METHOD 11.1).
 
-    Exact where elimination is; elsewhere Bethe's approximation, which is exact on trees,
+    Exact where elimination is; elsewhere the Bethe approximation, which is exact on trees,
 
         ln Z = Σ p w − Σ p ln p + Σ (1 − p) ln(1 − p) − Σ p₀ ln p₀,
 
-    with p₀ the probabilities of the records to be alone.
+    with p₀ the probabilities of the records to have no partner.
 
     Parameters
     ----------
@@ -273,17 +275,17 @@ def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatA
 
 
 def _bethe(groups: Groups, weight: FloatArray, share: FloatArray) -> FloatArray:
-    """(g,) Bethe's ln Z, of pairs (m,) in the layout of the groups."""
-    of_pairs = share * weight - _entropic(share) + _entropic(1.0 - share)
+    """(g,) Bethe's ln Z, from pairs (m,) in the layout of the groups."""
+    of_pairs = share * weight - _p_log_p(share) + _p_log_p(1.0 - share)
     total = np.add.reduceat(of_pairs, groups.start[:-1])
     for place, rows, start in zip(groups.places, (groups.rows_1, groups.rows_2), (groups.start_1, groups.start_2),
                                   strict=True):  # fmt: skip
         alone = np.maximum(1.0 - np.bincount(place, share, len(rows)), 0.0)
-        total -= np.add.reduceat(_entropic(alone), start[:-1])
+        total -= np.add.reduceat(_p_log_p(alone), start[:-1])
     return np.asarray(total)
 
 
-def _entropic(p: FloatArray) -> FloatArray:
+def _p_log_p(p: FloatArray) -> FloatArray:
     """p ln p, 0 at 0."""
     return np.asarray(p * np.log(np.maximum(p, np.finfo(float).tiny)))
 
@@ -293,7 +295,7 @@ def _entropic(p: FloatArray) -> FloatArray:
 class _Messages:
     """Sum-product messages of the APPROXIMATE groups.
 
-    weight (m,) with a linear prior; claims_1 (m,) odds with which record 1 claims record 2, claims_2 the reverse;
+    weight : (m,) with a linear prior. claims_1 : (m,) odds with which record 1 claims record 2; claims_2 : the reverse.
     change : largest relative change of a message in the last sweep.
     """
 
@@ -309,24 +311,24 @@ class _Messages:
         best: Hypothesis,
         method: NDArray[np.int8],
         share: FloatArray,
-        settled: float,
+        tolerance: float,
         tuning: Tuning,
     ) -> _Messages:
-        """Messages under the prior, made linear around the expected number of pairs; fills ``share``."""
-        limits = tuning.sweeps, settled
+        """Messages with the prior linearised about the expected number of pairs; fills ``share``."""
+        limits = tuning.sweeps, tolerance
         if best.prior.slope is not None:
-            return cls._under(best.weight, groups, best, method, share, limits)
+            return cls._with_weight(best.weight, groups, best, method, share, limits)
         size = np.add.reduceat(best.chosen.astype(np.float64), groups.start[:-1])
         for _ in range(tuning.linearisations):
-            weight = best.weight + np.repeat(_slopes(groups, best, size), groups.pair_counts)
-            messages = cls._under(weight, groups, best, method, share, limits)
-            before, size = size, np.add.reduceat(share, groups.start[:-1])
-            if np.all((np.abs(size - before) < 0.5) | (method != APPROXIMATE)):
+            weight = best.weight + np.repeat(_local_slopes(groups, best, size), groups.pair_counts)
+            messages = cls._with_weight(weight, groups, best, method, share, limits)
+            previous, size = size, np.add.reduceat(share, groups.start[:-1])
+            if np.all((np.abs(size - previous) < 0.5) | (method != APPROXIMATE)):
                 break
         return messages
 
     @classmethod
-    def _under(
+    def _with_weight(
         cls,
         weight: FloatArray,
         groups: Groups,
@@ -372,17 +374,17 @@ def _local(
     tuning: Tuning,
     edge: _Edge | None,
 ) -> float:
-    """Fill ``share`` of the pairs that elimination gave up; returns how far the messages were from settled.
+    """Fill ``share`` of the pairs that elimination gave up; returns the last relative change of the messages.
 
-    ``method`` becomes THINNED for groups that fall apart into parts that can be summed, and ``neglected`` the
-    probability, as first estimated, below which their pairs keep that estimate.
+    ``method`` becomes THINNED for groups that split into parts that can be summed, and ``neglected`` the probability,
+    as first estimated, below which their pairs keep that estimate.
     """
     messages = _messages(groups, best, open_pairs, method, share, tuning)
     group = groups.group
     method[method == APPROXIMATE] = THINNED
     for threshold in tuning.thresholds:
-        if threshold == tuning.sure:
-            # From here on what is left out counts, and messages alone are too over-confident to choose it.
+        if threshold == tuning.neighbourhood_threshold:
+            # From here on the dropped pairs matter, and messages alone are too over-confident to choose them.
             share[open_pairs] = _neighbourhoods(groups, best, open_pairs, messages, tuning)
         neglected[group[open_pairs]] = threshold
         probable = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
@@ -401,15 +403,15 @@ def _local(
 def _messages(
     groups: Groups, best: Hypothesis, open_pairs: IntArray, method: NDArray[np.int8], share: FloatArray, tuning: Tuning
 ) -> _Messages:
-    """The messages of the pairs that elimination gave up, among these alone; fills their ``share``."""
+    """Messages among the pairs that elimination gave up; fills their ``share``."""
     m = len(share)
-    if best.prior.slope is None:  # which is made linear group by group
+    if best.prior.slope is None:  # linearised group by group
         p_messages = np.zeros(m)
-        messages = _Messages.of(groups, best, method, p_messages, tuning.closely, tuning)
+        messages = _Messages.of(groups, best, method, p_messages, tuning.tolerance, tuning)
         share[open_pairs] = p_messages[open_pairs]
         return messages
     thin = _Thinned.of(groups, best, open_pairs, best.weight[open_pairs])
-    share[open_pairs], messages = thin.by_messages(tuning.closely, tuning)
+    share[open_pairs], messages = thin.by_messages(tuning.tolerance, tuning)
     claims = np.zeros(m), np.zeros(m)
     claims[0][open_pairs], claims[1][open_pairs] = messages.claims_1, messages.claims_2
     return _Messages(best.weight, *claims, messages.change)
@@ -418,7 +420,7 @@ def _messages(
 def _neighbourhoods(
     groups: Groups, best: Hypothesis, pairs: IntArray, messages: _Messages, tuning: Tuning
 ) -> FloatArray:
-    """Probabilities of some pairs from the neighbourhoods of their records; the mean over both favours neither."""
+    """Probabilities of some pairs from the neighbourhoods of their records: the mean of those around both records."""
     one = _Thinned.of(groups, best, pairs, messages.weight[pairs])
     around_1 = one.by_neighbourhoods(messages.claims_1[pairs], tuning)
     del one
@@ -432,7 +434,7 @@ def _neighbourhoods(
 
 @dataclass(frozen=True)
 class _Thinned:
-    """The pairs of entangled groups that matter, laid out anew as groups of their own, under a linear prior."""
+    """The remaining pairs of entangled groups, laid out as new groups, with a linear prior."""
 
     groups: Groups
     best: Hypothesis
@@ -441,8 +443,8 @@ class _Thinned:
     def of(
         cls, groups: Groups, best: Hypothesis, pairs: IntArray, weight: FloatArray, *, swapped: bool = False
     ) -> _Thinned:
-        """Some ``pairs``, group by group, listed by their record 1; ``swapped`` exchanges the sources, the list is by
-        record 2."""
+        """The groups of some ``pairs``, sorted by group and record 1; ``swapped`` exchanges the sources, with pairs
+        sorted by record 2."""
         ends = pairs[[0, -1]] if len(pairs) else np.zeros(2, np.int64)
         first, last = np.searchsorted(groups.start, ends, side="right") - (1, 0)
         of_all = np.repeat(np.arange(first, last, dtype=np.int32), groups.pair_counts[first:last])
@@ -459,24 +461,24 @@ class _Thinned:
         return cls(thin, Hypothesis(*state))
 
     def exact(self) -> tuple[FloatArray, BoolArray]:
-        """Probability of every pair, and whether its part could be summed."""
+        """Probability of every pair, and whether its part could be summed exactly."""
         share = np.zeros(len(self.groups.order))
         method = np.zeros(len(self.groups), np.int8)
         _exact(self.groups, self.best, share, method)
         solved = np.repeat(method != APPROXIMATE, self.groups.pair_counts)
-        return self._as_given(share), self._as_given(solved)
+        return self._in_given_order(share), self._in_given_order(solved)
 
-    def by_messages(self, settled: float, tuning: Tuning) -> tuple[FloatArray, _Messages]:
-        """Probability of every pair by messages alone, and these, in the order in which the pairs were given."""
+    def by_messages(self, tolerance: float, tuning: Tuning) -> tuple[FloatArray, _Messages]:
+        """Probability of every pair by messages alone, and the messages, in the order of the given pairs."""
         share = np.zeros(len(self.groups.order))
         method = np.full(len(self.groups), APPROXIMATE, np.int8)
-        messages = _Messages.of(self.groups, self.best, method, share, settled, tuning)
+        messages = _Messages.of(self.groups, self.best, method, share, tolerance, tuning)
         of_pairs = (messages.weight, messages.claims_1, messages.claims_2)
-        weight, claims_1, claims_2 = (self._as_given(values) for values in of_pairs)
-        return self._as_given(share), _Messages(weight, claims_1, claims_2, messages.change)
+        weight, claims_1, claims_2 = (self._in_given_order(values) for values in of_pairs)
+        return self._in_given_order(share), _Messages(weight, claims_1, claims_2, messages.change)
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
-        """Probability of every pair from the neighbourhood of its record; ``claims`` are the messages."""
+        """Probability of every pair from the neighbourhood of its record, with these messages (``claims``)."""
         from sameas.kernels.balls import Graph, balls, by_columns, rank_rivals
         from sameas.kernels.posterior import MAX_DEPTH
 
@@ -492,17 +494,17 @@ class _Thinned:
         ranges = threads.even(len(none), least=256)
         threads.over(lambda a, b: rank_rivals(a, b, graph, rivals, strength), ranges)
         threads.over(lambda a, b: balls(a, b, graph, rivals, strength, tuning.neighbourhood_bits, share), ranges)
-        return self._as_given(share)
+        return self._in_given_order(share)
 
-    def _as_given(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
-        """Values per pair of the layout, in the order in which the pairs were given."""
+    def _in_given_order(self, values: NDArray[Scalar]) -> NDArray[Scalar]:
+        """Values per pair of the layout, in the order of the given pairs."""
         back = np.empty_like(values)
         back[self.groups.order] = values
         return back
 
 
-def _slopes(groups: Groups, best: Hypothesis, size: FloatArray) -> FloatArray:
-    """(g,) the slope of ln P(k) where a group has ``size`` pairs."""
+def _local_slopes(groups: Groups, best: Hypothesis, size: FloatArray) -> FloatArray:
+    """(g,) slope of ln P(k) at ``size`` pairs."""
     start = best.prior.start[:-1]
     most = np.diff(best.prior.start) - 1
     middle = np.clip(np.round(size).astype(np.int64), 0, most)

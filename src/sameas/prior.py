@@ -1,12 +1,11 @@
-"""Priors: the probability of the number of common objects in a group, before the residuals count.
+"""Priors: the probability of the number of common objects in a group, before the evidence.
 
 - :class:`PerPair` adds a constant log-odds to every pair. It decomposes exactly over groups and does not depend on
   the gate. Use it where densities are known or estimated (catalogues; with the rules ``PoissonField``, ``Field``,
-  ``ConstantCost``): the rule then carries the densities and the prior is ``PerPair(0)``.
-- :class:`CommonObjects` takes only the probability with which each source misses an object (METHOD 4.1), with a flat
-  prior on the number of objects. It counts the records of a *group*, so the width of the gate changes the counts:
-  use it for small scenes of targets where nothing but q₁, q₂ is known, and to reproduce the paper. A per-group count
-  prior has no gate-free answer; a per-pair one has.
+  ``ConstantCost``): the rule then contains the densities and the prior is ``PerPair(0)``.
+- :class:`CommonObjects` needs only the probability with which each source misses an object (METHOD 4.1), with a flat
+  prior on the number of objects. It counts the records of a *group*, so the counts depend on the width of the gate:
+  use it for small scenes of targets where only q₁, q₂ are known, and to reproduce the paper.
 - ``CommonObjects(q1, q2, linear=True)`` is the paper's least-squares line through ln P(k) (METHOD 4.2), kept to
   reproduce it.
 """
@@ -54,7 +53,7 @@ class PerPair:
         return LogPrior(np.full(len(n1), self.log_odds), np.zeros(len(n1) + 1, np.int64), np.empty(0))
 
 
-#: The default prior: nothing is believed beside the rule.
+#: The default prior: nothing in addition to the rule.
 EVIDENCE_ALONE = PerPair(0.0)
 
 

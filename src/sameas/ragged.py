@@ -1,13 +1,11 @@
 """Ragged ranges: rows of unequal length laid end to end (compressed sparse rows, CSR).
 
-Row k owns the entries ``start[k]`` … ``start[k + 1] − 1`` of all columns that are laid out in this way.
+Row k owns the entries ``start[k]`` … ``start[k + 1] − 1`` of all columns with this layout.
 
-- :class:`Ragged`: the rows of given sizes, or of entries that are sorted by row; the row of each entry and its number
-  within it.
-- :func:`ranges`: all whole numbers of several ranges, and which range each belongs to.
-- :func:`flattened`: the same of several lists, as a k-d tree gives neighbours.
-- :func:`places_in`: where numbers stand among ascending ones; :func:`spans_in`: where among ones that occur several
-  times.
+- :class:`Ragged`: rows of given sizes, or of entries sorted by row; the row of each entry and its index within it.
+- :func:`ranges`: all integers of several ranges, and the range of each.
+- :func:`flattened`: the same for several lists, such as the neighbours from a k-d tree.
+- :func:`places_in`: positions of numbers among ascending ones; :func:`spans_in`: among ones with duplicates.
 - :func:`ordered_by`: rows in the order of their columns.
 """
 
@@ -24,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from sameas.arrays import IntArray
 from sameas.representation import in_short
 
-#: Numbers have no large gaps where they span at most so many times as many as there are.
+#: Integers are dense if they span at most this many times their number.
 DENSE = 4
 
 
@@ -46,7 +44,7 @@ class Ragged:
 
     @classmethod
     def of_sizes(cls, sizes: ArrayLike) -> Ragged:
-        """Rows of so many entries each, (n,)."""
+        """Rows with these numbers of entries, (n,)."""
         size = np.asarray(sizes, np.int64)
         start = np.zeros(len(size) + 1, np.int64)
         np.cumsum(size, out=start[1:])
@@ -54,7 +52,7 @@ class Ragged:
 
     @classmethod
     def of_sorted(cls, row: IntArray, n: int) -> Ragged:
-        """The n rows of entries of which ``row`` (m,), ascending, tells the row."""
+        """The n rows of entries with ascending row numbers ``row`` (m,)."""
         return cls(np.searchsorted(row, np.arange(n + 1)))
 
     def __len__(self) -> int:
@@ -72,17 +70,17 @@ class Ragged:
 
     @property
     def index(self) -> IntArray:
-        """(m,) number of each entry within its row, from 0."""
+        """(m,) index of each entry within its row, from 0."""
         return self.value(0)
 
     def value(self, first: ArrayLike) -> IntArray:
-        """(m,) whole numbers that count up from ``first``, (n,) or one for all, in each row."""
+        """(m,) integers that count up from ``first``, (n,) or one for all, in each row."""
         shift: IntArray = np.repeat(self.start[:-1] - np.asarray(first), self.sizes)
         return np.arange(self.start[-1]) - shift
 
 
 def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
-    """Row and value of each entry of the ranges first[k] … first[k] + size[k] − 1, one after the other.
+    """Row and value of each entry of the ranges first[k] … first[k] + size[k] − 1, in order.
 
     Example
     -------
@@ -94,7 +92,7 @@ def ranges(first: IntArray, size: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def flattened(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
-    """Row and value of each entry of lists of whole numbers, one after the other.
+    """Row and value of each entry of lists of integers, in order.
 
     Example
     -------
@@ -106,7 +104,7 @@ def flattened(lists: Sequence[Sequence[int]]) -> tuple[IntArray, IntArray]:
 
 
 def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray]:
-    """(k,) first places of numbers among ascending ones, and how often they are there.
+    """(k,) first positions of numbers among ascending ones, and how often they occur.
 
     Example
     -------
@@ -115,7 +113,7 @@ def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray
     """
     low, high = (int(ascending[0]), int(ascending[-1])) if len(ascending) else (0, -1)
     if high - low < DENSE * (len(ascending) + np.size(numbers)):
-        # As in places_in: numbers without large gaps are looked up.
+        # As in places_in: dense integers are looked up.
         start = np.zeros(high - low + 4, np.int64)
         np.cumsum(np.bincount(ascending - low, minlength=high - low + 1), out=start[2:-1])
         start[-1] = len(ascending)
@@ -129,8 +127,8 @@ def spans_in(ascending: IntArray, numbers: IntArray) -> tuple[IntArray, IntArray
 def ordered_by(columns: Sequence[NDArray[Any]] | NDArray[Any]) -> IntArray:
     """(n,) rows in the order of their columns (n,), the first column first; equal rows stay in order.
 
-    It is ``np.lexsort`` of the columns from the last to the first, at a third of the time where no two rows are equal
-    in the first.
+    Equals ``np.lexsort`` of the columns from the last to the first, in a third of the time if the first column has no
+    duplicates.
 
     Example
     -------
@@ -139,19 +137,19 @@ def ordered_by(columns: Sequence[NDArray[Any]] | NDArray[Any]) -> IntArray:
     """
     order = np.argsort(columns[0])
     first = columns[0][order]
-    # Sorts put what is not a number last.
+    # NaN is sorted last.
     if np.any(first[1:] == first[:-1]) or (len(first) and first[-1] != first[-1]):
         return np.lexsort(columns[::-1])
     return order
 
 
 def places_in(ascending: IntArray, numbers: IntArray) -> IntArray:
-    """(k,) places of numbers among ascending ones, −1 for those that are not among them."""
+    """(k,) positions of numbers among ascending ones, −1 for absent ones."""
     if not len(ascending):
         return np.full(np.shape(numbers), -1)
     low, high = int(ascending[0]), int(ascending[-1])
     if high - low < DENSE * (len(ascending) + np.size(numbers)):
-        # Numbers without large gaps are looked up: a search takes four times as long.
+        # Dense integers are looked up: a search takes four times as long.
         place = np.full(high - low + 3, -1)
         place[ascending - (low - 1)] = np.arange(len(ascending))
         return place[np.clip(numbers, low - 1, high + 1) - (low - 1)]

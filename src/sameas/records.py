@@ -1,7 +1,7 @@
-"""Records: the positions and errors that one source gives, checked here, once.
+"""Records: the positions and errors given by one source, checked once, here.
 
-Every later stage trusts what it gets from here: positions are finite, covariances positive definite, ids unique.
-Rows that cannot be used (no position, no error) are set aside with the reason and come back in the result.
+All later stages rely on the checks: positions are finite, covariances positive definite, ids unique. Unusable rows (no
+position, no error) are set aside with the reason and appear in the result.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from sameas.kernels.compiled import runs_compiled
 from sameas.representation import in_short
 from sameas.space import Plane, Space, Sphere
 
-#: So many rows are looked at one by one where kernels run compiled; NumPy is faster for more (measured).
+#: Up to this many rows are checked one by one by compiled kernels; NumPy is faster for more (measured).
 FEW = 256
 
 
 @in_short
 @dataclass(frozen=True)
 class SetAside:
-    """Rows that cannot be used: ``rows`` (k,) of the source's table, and per row the reason in words."""
+    """Unusable rows: ``rows`` (k,) of the source's table, and the reason for each in words."""
 
     rows: IntArray
     reasons: NDArray[np.object_]
 
     def counts(self) -> dict[str, int]:
-        """How many rows were set aside for each reason."""
+        """Number of rows by reason."""
         reasons, counts = np.unique(self.reasons.astype(str), return_counts=True)
         return {str(reason): int(count) for reason, count in zip(reasons, counts, strict=True)}
 
@@ -56,8 +56,8 @@ class Records:
     ids : (n_table,) the source's own identifiers, unique, indexed by table row.
     space : how residuals are formed.
     source : the name of the source, used in messages.
-    table : the user's own table or None; carried, never read by the core.
-    set_aside : rows that cannot be used.
+    table : the user's own table or None; not used by the core.
+    set_aside : unusable rows.
     """
 
     features: FloatArray
@@ -78,19 +78,19 @@ class Records:
         return int(self.features.shape[1])
 
     def over_table(self, values: BoolArray) -> BoolArray:
-        """(n_table,) truth values of the records at their rows, True where a row cannot be used."""
+        """(n_table,) booleans of the records at their rows, True for unusable rows."""
         column = np.ones(self.n_table, np.bool_)
         column[self.rows] = values
         return column
 
     def at_row(self, row: int) -> int | None:
-        """Position of the record of a row of the table, None where that cannot be used."""
+        """Index of the record of a table row, None if the row is unusable."""
         at = np.flatnonzero(self.rows == row)
         return int(at[0]) if len(at) else None
 
     @property
     def n_table(self) -> int:
-        """Number of rows of the source's table, the unusable ones included."""
+        """Number of rows of the source's table, including unusable ones."""
         return len(self.ids)
 
     @classmethod
@@ -149,7 +149,7 @@ class Records:
 
     @property
     def variances(self) -> FloatArray:
-        """(n, d) variances along the axes, or (n, 1) where one is that of all."""
+        """(n, d) variances along the axes, or (n, 1) if they are equal on all axes."""
         p, d = self.covariance.shape[1], self.d
         if p <= d:
             return self.covariance
@@ -160,22 +160,21 @@ class Records:
         return unpack(self.covariance, self.d)
 
     def part(self, some: IntArray) -> Records:
-        """The records at these positions (k,); the table and its rows stay the same."""
-        features, covariance = (
-            np.take(of, some, axis=0) for of in (self.features, self.covariance)
-        )  # NumPy's faster way
+        """The records with these indices (k,); table and rows stay the same."""
+        # np.take is faster than indexing.
+        features, covariance = (np.take(of, some, axis=0) for of in (self.features, self.covariance))
         return replace(self, features=features, covariance=covariance, rows=self.rows[some])
 
     def with_errors(self, factor: float, variance: ArrayLike) -> Records:
-        """The same with errors ``factor`` times as large, and ``variance`` more along the axes.
+        """The records with errors multiplied by ``factor``, and ``variance`` added along the axes.
 
-        variance : a number, (d,) per axis, or (n, 1) and (n, d) of every record.
+        variance : a number, (d,) per axis, or (n, 1) or (n, d) per record.
         """
         d, p = self.d, self.covariance.shape[1]
-        more, packed = np.asarray(variance, np.float64), factor**2 * self.covariance
-        if p == 1 and more.ndim and more.shape[-1] > 1:
+        added, packed = np.asarray(variance, np.float64), factor**2 * self.covariance
+        if p == 1 and added.ndim and added.shape[-1] > 1:
             packed = np.repeat(packed, d, axis=1)
-        packed[:, slice(None) if p <= d else np.cumsum([0, *range(d, 1, -1)])] += more
+        packed[:, slice(None) if p <= d else np.cumsum([0, *range(d, 1, -1)])] += added
         return replace(self, covariance=packed)
 
 
@@ -227,7 +226,7 @@ def _packed_covariance(
         raise InputError(
             f"{source}: {given[0]} has shape {values.shape}; give one number, ({n},), ({d},) or ({n}, {d})"
         )
-    # The sign survives the square, so that a negative sigma is still refused below.
+    # The square keeps the sign, so that a negative sigma is refused below.
     return spread * np.abs(spread) if sigma is not None else spread
 
 
@@ -257,12 +256,12 @@ def _refuse_skew(matrices: FloatArray, source: str) -> None:
 def _unusable(
     values: FloatArray, packed: FloatArray, space: Space, d: int, source: str, invalid: str
 ) -> NDArray[np.int8] | None:
-    """Per row 0 where it can be used, else the number of its reason; None where all can be used."""
+    """(n,) 0 for usable rows, else the index of the reason; None if all rows are usable."""
     from sameas.kernels.checks import BEYOND_POLE, NOT_POSITIVE, check_rows
 
     if invalid not in ("refuse", "set aside"):
         raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')
-    # Of few rows a kernel that is compiled looks at each of them in less time than NumPy needs for the first.
+    # For few rows, a compiled kernel takes less time than NumPy's call overhead.
     few = len(values) <= FEW and runs_compiled(check_rows)
     if not few and _all_usable(values, packed, isinstance(space, Sphere)):
         return None
@@ -283,7 +282,7 @@ def _unusable(
 
 
 def _all_usable(values: FloatArray, packed: FloatArray, directions: bool) -> bool:
-    """Whether all rows can surely be used, without asking which: what is not a number is neither less nor more."""
+    """Whether all rows are certainly usable; comparisons are written so that NaN fails them."""
     d, p = values.shape[1], packed.shape[1]
     if not len(values) or (p > d and d != 2):
         return not len(values)
@@ -294,7 +293,7 @@ def _all_usable(values: FloatArray, packed: FloatArray, directions: bool) -> boo
     if p <= d:
         return bool(packed.min() > 0.0)
     xx, xy, yy = packed.T
-    # Twice what a row must have to be used: near the limit, the rows are looked at one by one.
+    # Twice the margin of a usable row: rows near the limit are checked one by one.
     return bool(xx.min() > 0.0 and yy.min() > 0.0 and (xx * yy * (1.0 - 2e-14) > xy * xy).all())
 
 

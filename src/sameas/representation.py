@@ -1,4 +1,4 @@
-"""How values print: a dataclass of arrays in a few lines, however many rows it has; counts and their nouns."""
+"""How values print: a dataclass of arrays in a few lines, whatever its size; counts with their nouns."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-#: Letters of a line, lines of a value, letters of one field, items of a collection that are shown (all chosen).
+#: Characters of a line, lines of a value, characters of a field, items of a collection that are printed (all chosen).
 WIDTH, LINES, LETTERS, ITEMS = 100, 9, 60, 4
 
 T = TypeVar("T")
 
 
 def in_short(cls: type[T]) -> type[T]:
-    """Makes a dataclass print in at most ten lines: of arrays their kind and shape, of long values their size.
+    """Make a dataclass print in at most ten lines: arrays by type and shape, long values by size.
 
     >>> from dataclasses import dataclass
     >>> @in_short
@@ -64,7 +64,7 @@ def _array(values: np.ndarray) -> str:
 
 
 def _collection(values: Any) -> str:
-    """A short collection in full, of another the kind and the number of its items."""
+    """A short collection in full, a longer one by its type and number of items."""
     if len(values) <= ITEMS:
         if isinstance(values, Mapping):
             text = "{" + ", ".join(f"{shown(key)}: {shown(value)}" for key, value in values.items()) + "}"
@@ -77,7 +77,7 @@ def _collection(values: Any) -> str:
 
 
 def count(number: int | np.integer) -> str:
-    """A whole number, its thousands apart.
+    """An integer with its thousands separated by spaces.
 
     >>> count(12345)
     '12 345'
@@ -86,7 +86,7 @@ def count(number: int | np.integer) -> str:
 
 
 def counted(number: int | np.integer, noun: str, plural: str = "") -> str:
-    """A number with its noun, or its noun and verb; without a ``plural`` the noun gets an s.
+    """A number with its noun, or its noun and verb; without ``plural`` the noun gets an s.
 
     >>> counted(1, "report"), counted(12345, "report"), counted(2, "report has", "reports have")
     ('1 report', '12 345 reports', '2 reports have')

@@ -1,8 +1,8 @@
-"""Saved states: objects of sameas as bytes, read back without running anything that a file says.
+"""Saved states: objects of sameas as bytes, read back without executing anything that a file names.
 
-A plain pickle can call any function when it is read. :func:`loads` makes nothing but data: sameas' own classes, NumPy's
-arrays, astropy's tables and units, paths, and Python's containers; whatever else a file names is refused. A checksum
-finds damage; who forges a state with its checksum can make numbers that are wrong, or end the process.
+A plain pickle can call any function when it is read. :func:`loads` makes only data: sameas' own classes, NumPy arrays,
+astropy's tables and units, paths, and Python's containers; everything else is refused. A checksum finds damage; a state
+forged together with its checksum can contain wrong numbers or end the process.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from sameas.errors import InputError
 
-#: What is made besides sameas' own classes: by module the names.
+#: Allowed names by module, in addition to sameas' own classes.
 _MADE = {
     "builtins": {"set", "frozenset", "slice", "complex", "range", "bytearray", "object"},
     "collections": {"OrderedDict", "deque", "defaultdict", "Counter"},
@@ -47,7 +47,7 @@ _MADE = {
 }
 
 
-#: Functions by which astropy's units and columns are made again.
+#: Functions that rebuild astropy's units and columns.
 _OF_ASTROPY = {"_recreate_irreducible_unit", "_column_rebuild", "_construct_mixin_from_columns"}
 
 
@@ -63,7 +63,7 @@ class _DataOnly(pickle.Unpickler):
             found = self._of_sameas(module, name) if name.isidentifier() else None
             if isinstance(found, type) and found.__module__ == module:
                 return found
-            # Functions that states hold by name, such as a rule of evidence: of sameas, and not called by the reading.
+            # Functions that states hold by name, such as a rule of evidence: only of sameas, and not called on reading.
             if callable(found) and name in getattr(sys.modules[module], "SAVED", ()):
                 return found
         if module.startswith(("astropy.table.", "astropy.units.")) and name.isidentifier():
@@ -85,18 +85,18 @@ def dumps(value: Any) -> bytes:
 
 
 def sealed(content: bytes) -> bytes:
-    """The bytes after their SHA-256: arrays and indices that were damaged would be taken for what was saved."""
+    """The bytes after their SHA-256, so that damaged arrays and indices are found."""
     return hashlib.sha256(content).digest() + content
 
 
 def loads(content: bytes, where: str) -> Any:
-    """The object of bytes that :func:`dumps` made.
+    """The object from bytes made by :func:`dumps`.
 
     where : the file, for messages.
 
     Raises
     ------
-    InputError : damaged bytes; or they name what is no data, and are of somebody else.
+    InputError : damaged bytes, or bytes that name anything but data.
     """
     size = hashlib.sha256().digest_size
     try:

@@ -59,7 +59,7 @@ class Sphere:
 
     (Delambre's analogies), s the separation and φ the position angle (east of north) halfway between the two.
     The local axes of the two records differ by the angle θ, tan(θ/2) = tan(Δα/2) sin(½(δ₁+δ₂)) / cos(½Δδ);
-    each covariance is turned by half of it.
+    each covariance is rotated by half of it.
     """
 
 
@@ -71,8 +71,8 @@ def sphere_offset(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: A
 
     Longitudes and latitudes in degrees, (n,) each.
     """
-    turn = np.subtract(lon_1, lon_2)
-    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    delta = np.subtract(lon_1, lon_2)
+    half_lon = np.radians(delta - 360.0 * np.round(delta / 360.0)) / 2.0
     half_lat = np.radians(np.subtract(lat_1, lat_2)) / 2.0
     u = np.sin(half_lon) * np.cos(np.radians(np.add(lat_1, lat_2)) / 2.0)
     v = np.cos(half_lon) * np.sin(half_lat)
@@ -89,12 +89,12 @@ def ball_volume(d: int) -> float:
 def unit_vectors(lon_deg: ArrayLike, lat_deg: ArrayLike) -> FloatArray:
     """(..., 3) unit vectors of directions in degrees."""
     lon, lat = np.radians(lon_deg), np.radians(lat_deg)
-    across = np.cos(lat)
-    return np.stack([across * np.cos(lon), across * np.sin(lon), np.sin(lat)], axis=-1)
+    cosine = np.cos(lat)
+    return np.stack([cosine * np.cos(lon), cosine * np.sin(lon), np.sin(lat)], axis=-1)
 
 
 def mean_direction(vectors: FloatArray) -> FloatArray:
-    """(3,) the unit vector along the mean of unit vectors (n, 3); the north pole where they cancel."""
+    """(3,) the unit vector along the mean of unit vectors (n, 3); the north pole if the mean is zero."""
     mean = vectors.mean(axis=0)
     length = float(np.linalg.norm(mean))
     return np.asarray(mean / length) if length > 0.0 else np.array([0.0, 0.0, 1.0])
@@ -108,23 +108,23 @@ def local_axes(lon: FloatArray, lat: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def half_convergence(lon_1: ArrayLike, lat_1: ArrayLike, lon_2: ArrayLike, lat_2: ArrayLike) -> FloatArray:
-    """θ/2 of :class:`Sphere` in radians: half of what position angles grow by from direction 2 to direction 1."""
-    turn = np.subtract(lon_1, lon_2)
-    half_lon = np.radians(turn - 360.0 * np.round(turn / 360.0)) / 2.0
+    """θ/2 of :class:`Sphere` in radians: half the increase of position angles from direction 2 to direction 1."""
+    delta = np.subtract(lon_1, lon_2)
+    half_lon = np.radians(delta - 360.0 * np.round(delta / 360.0)) / 2.0
     half_lat, middle = np.radians(np.subtract(lat_1, lat_2)) / 2.0, np.radians(np.add(lat_1, lat_2)) / 2.0
     return np.asarray(np.arctan2(np.sin(half_lon) * np.sin(middle), np.cos(half_lon) * np.cos(half_lat)), np.float64)
 
 
 def rotations(angle: FloatArray) -> FloatArray:
-    """(k, 2, 2) matrices that add ``angle`` to the position angle of (east, north)."""
+    """(k, 2, 2) matrices that add ``angle`` to the position angle of a vector (east, north)."""
     sine, cosine = np.sin(angle), np.cos(angle)
     return np.stack([cosine, sine, -sine, cosine], axis=1).reshape(-1, 2, 2)
 
 
 def on_axes_of(at_deg: FloatArray, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Offsets (k, 2) in arcsec of directions from ``at_deg``, on the axes of ``at_deg``, and the rotation to these.
+    """Offsets (k, 2) in arcsec of directions from ``at_deg``, on the axes of ``at_deg``, and a rotation.
 
-    The rotation (k, 2, 2) is that of vectors on the axes of ``position_deg``, such as motions and errors.
+    The rotation (k, 2, 2) takes vectors from the axes of ``position_deg``, such as motions and errors, to these axes.
     """
     ends = position_deg[:, 0], position_deg[:, 1], at_deg[:, 0], at_deg[:, 1]
     half = half_convergence(*ends)
@@ -134,15 +134,15 @@ def on_axes_of(at_deg: FloatArray, position_deg: FloatArray) -> tuple[FloatArray
 def displaced(position_deg: FloatArray, offset_arcsec: FloatArray) -> FloatArray:
     """(n, 2) directions reached from ``position_deg`` (n, 2) along great circles, offset (n, 2) east, north.
 
-    The unit vector is written with its longitude measured from the starting meridian, which keeps every digit
-    of a small offset, at the poles too.
+    The longitude of the unit vector is measured from the starting meridian, which keeps all digits of a small offset,
+    also at the poles.
     """
     lat = np.radians(position_deg[:, 1])
     offset = offset_arcsec / ARCSEC_PER_RADIAN
     distance = np.hypot(offset[:, 0], offset[:, 1])
-    along = np.cos(distance)
+    cosine_distance = np.cos(distance)
     east, north = (offset * np.sinc(distance / np.pi)[:, None]).T
     sine, cosine = np.sin(lat), np.cos(lat)
-    x, z = cosine * along - sine * north, sine * along + cosine * north
+    x, z = cosine * cosine_distance - sine * north, sine * cosine_distance + cosine * north
     lon = position_deg[:, 0] + np.degrees(np.arctan2(east, x))
     return np.stack([lon % 360, np.degrees(np.arctan2(z, np.hypot(x, east)))], axis=1)

@@ -1,6 +1,6 @@
-"""Astropy's times, of which nothing is fetched: leap seconds and the Earth's rotation are those that are installed.
+"""Astropy's times without network access: leap seconds and the Earth's rotation come from the installed tables.
 
-Astropy loads newer tables from the network where its own are some weeks old, without being asked.
+By default astropy downloads newer tables when its own are some weeks old.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from astropy.utils import iers
 
 
 def _with_leap_seconds() -> None:
-    """Astropy looks for newer leap seconds once in a process, at the first time that needs them: now."""
+    """Load the leap seconds now: astropy looks for newer ones once per process, at the first time that needs them."""
     with iers.conf.set_temp("auto_download", False), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         _ = Time(0.0, format="unix").tai
@@ -34,9 +34,9 @@ def _rotation() -> Any:
 
 @contextmanager
 def installed_rotation() -> Iterator[None]:
-    """Within the block astropy takes the Earth's rotation from the table that is installed, whatever its age.
+    """Within the block astropy takes the Earth's rotation from the installed table, whatever its age.
 
-    At times that the table does not hold, the pole is the mean one and UT1 is UTC: a place is off by half a kilometre.
+    At times outside the table, the mean pole and UT1 = UTC are used: a position is off by half a kilometre.
     """
     with iers.earth_orientation_table.set(_rotation()), warnings.catch_warnings():
         warnings.simplefilter("ignore")

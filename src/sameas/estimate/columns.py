@@ -1,14 +1,14 @@
-"""What columns of one source say of its records' having partners, learned along with the identification.
+"""Evidence of columns for whether a record has a partner, estimated together with the identification.
 
-The columns of a source are taken jointly: ln r of METHOD 11.2 is what they add to the logit of the share of records
-that have a partner, fitted by penalised likelihood with every record's probability of having one,
+All columns of a source are fitted jointly: ln r of METHOD 11.2 is their addition to the logit of the share of records
+with a partner, fitted by penalised likelihood to the probability that each record has one,
 
-    logit P(partner | place, c) = logit of the share at the place + Σ f(c of one column) + Σ g(cells of two columns),
+    logit P(partner | position, c) = logit of the local share + Σ f(c of one column) + Σ g(cells of two columns).
 
-so that columns that say the same are not counted twice, and none weighs more than the pairs support: curves bend and
-tables differ from nothing only as far as the likelihood asks for it. No record is its own witness: what is applied to
-the records of some cells of the sky was learned in the others (cross-fitting). A column that does not better the
-likelihood of records that it was not learned from is dropped, and said.
+So correlated columns are not counted twice, and no column gets more weight than the pairs support: the penalty draws
+curves and tables to zero. No record influences its own evidence: what is applied to the records of some cells of the
+sky is fitted to the others (cross-fitting). A column without a significant gain in likelihood for records that it was
+not fitted to is dropped, and reported.
 """
 
 from __future__ import annotations
@@ -35,57 +35,60 @@ Both = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class ColumnsTuning:
-    """How columns are learned; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
+    """Parameters of the fit; tuned on simulated counterparts of X-ray sources (``simulate.counterparts``).
 
     Attributes
     ----------
-    folds : parts that the cells of the sky are dealt into; each is judged by what was learned on the others.
-    per_cell : mean number of records of the poorer source in a cell that is dealt, at least.
-    per_knot, most_knots : expected partners to a knot of a curve, and most knots, besides those of all records.
+    folds : number of folds for cross-fitting.
+    per_cell : mean number of records of the poorer source in the cells that are assigned to folds, at least.
+    per_knot, max_knots : expected partners per knot of a curve, and their greatest number, without ``knots_of_all``.
     knots_of_all : knots at quantiles of all records.
     extreme : share of the partners beyond the outermost of their knots.
-    bend, far : scale of a curve's second difference from knot to knot, and standard deviation of its value. freedom :
-        of Student's t, which the second differences are drawn from: a curve may break at a knot, as where a catalogue
-        ends.
-    apart : of what a word, or the absence of a value, adds. together : of what cells of two columns add besides.
-    most_words : categories of a column that are told apart, the most frequent ones.
-    cells : of a column beside another. per_two : expected partners to each two cells; with fewer they are not asked.
-    alone : records without a partner that stand for all of them. likely : a record counts as one that may have a
-        partner from this probability on; enough : so many of these stand for all.
-    steps, first_steps, longest, done : Newton steps of a later and of the first fit, the longest, the one that ends.
-    farthest : ln r lies between −farthest and farthest.
-    telling : ln of the likelihood, of records not learned from, that a column must better.
-    fewest : expected partners from which anything is learned.
-    per_two_related : pairs to each two cells of related columns. pseudo_count : pairs that a cell of them begins with,
-        as if unrelated.
+    bend_sigma, value_sigma : prior scale of a curve's second differences, and prior standard deviation of its value.
+    freedom : degrees of freedom of Student's t, the prior of the second differences: a curve may break at a knot, such
+        as at the limit of a catalogue.
+    word_sigma : prior standard deviation of the value for a word or a missing value. joint_sigma : for cells of two
+        columns.
+    max_words : number of categories of a column, the most frequent ones.
+    cells : coarse cells of a column in a joint table. per_joint_cell : expected partners per cell of such a table; with
+        fewer it is not used.
+    max_unmatched : size of the sample of records without a partner. min_p : records with this probability of a partner
+        are sampled separately; max_likely : size of that sample.
+    steps, first_steps, max_step, tolerance : Newton steps of later fits and the first one, greatest step, and the step
+        at convergence.
+    max_log_ratio : ln r is clipped to ± this.
+    min_gain : gain in ln likelihood, for records not fitted to, to use a column.
+    min_partners : expected partners for any fit.
+    per_related_cell, max_related : pairs per cell of a table of related columns, and its greatest size per axis.
+        pseudo_count : pairs added to each cell, as if unrelated.
     """
 
     folds: int = 4
     per_cell: float = 5.0
     per_knot: float = 40.0
-    most_knots: int = 16
+    max_knots: int = 16
     knots_of_all: int = 6
     extreme: float = 0.003
-    bend: float = 0.7
+    bend_sigma: float = 0.7
     freedom: float = 2.0
-    far: float = 6.0
-    apart: float = 2.0
-    together: float = 0.5
-    most_words: int = 24
+    value_sigma: float = 6.0
+    word_sigma: float = 2.0
+    joint_sigma: float = 0.5
+    max_words: int = 24
     cells: int = 4
-    per_two: float = 20.0
-    alone: int = 6_000
-    likely: float = 1e-3
-    enough: int = 6_000
+    per_joint_cell: float = 20.0
+    max_unmatched: int = 6_000
+    min_p: float = 1e-3
+    max_likely: int = 6_000
     steps: int = 4
     first_steps: int = 12
-    longest: float = 2.0
-    done: float = 0.02
-    farthest: float = 12.0
-    telling: float = 3.0
-    fewest: float = 30.0
-    per_two_related: float = 6.0
-    most_related: int = 16
+    max_step: float = 2.0
+    tolerance: float = 0.02
+    max_log_ratio: float = 12.0
+    min_gain: float = 3.0
+    min_partners: float = 30.0
+    per_related_cell: float = 6.0
+    max_related: int = 16
     pseudo_count: float = 2.0
 
 
@@ -95,10 +98,10 @@ DEFAULT_COLUMNS = ColumnsTuning()
 @in_short
 @dataclass(frozen=True)
 class ColumnFinding:
-    """What one column says: ``gain`` of ln of the likelihood of records it was not learned from.
+    """The evidence of one column: ``gain`` in ln likelihood for records that it was not fitted to.
 
-    source : 1 or 2; 0 of two related columns, the second of which is ``other``. tells : whether it is used. span : ln r
-    by it alone, between which all but 1 % of the records lie on either side.
+    source : 1 or 2; 0 for two related columns, the second of which is ``other``. tells : whether it is used. span : the
+    1 % and 99 % quantiles of ln r by this column alone.
     """
 
     source: int
@@ -112,11 +115,11 @@ class ColumnFinding:
 @in_short
 @dataclass(frozen=True)
 class ColumnEvidence:
-    """The columns of two sources, and what has been learned of them. Make it with :meth:`of`.
+    """The columns of two sources and their estimated evidence. Make it with :meth:`of`.
 
-    sides : of either source. relations : of both. folds : (n₁,), (n₂,) of the records; None before they are dealt.
-    fits : of either source, None where nothing was learned. log_ratio : (n₁,), (n₂,) ln r of all learned columns; None
-    as long as nothing was. associations : of related columns. findings : of every column.
+    sides : columns of each source. relations : of both. folds : (n₁,), (n₂,) of the records; None before assignment.
+    fits : of each source, None without a fit. log_ratio : (n₁,), (n₂,) ln r of all fitted columns; None without a fit.
+    associations : of related columns. findings : of every column.
     """
 
     sides: tuple[tuple[CodedColumn, ...], tuple[CodedColumn, ...]] = field(repr=False)
@@ -136,16 +139,16 @@ class ColumnEvidence:
         evidence: Sequence[Column | Related],
         tuning: ColumnsTuning = DEFAULT_COLUMNS,
     ) -> ColumnEvidence | None:
-        """Nothing learned yet; None without columns. Related columns count as columns of their sources, too."""
+        """Without fits; None without columns. Related columns also count as columns of their sources."""
         sides: tuple[list[CodedColumn], list[CodedColumn]] = ([], [])
         relations = []
         for one in evidence:
             columns = one.columns if isinstance(one, Related) else (one,)
             coded = [column.of((first, second)[column.source - 1]) for column in columns]
             for column, made in zip(columns, coded, strict=True):
-                mine = sides[column.source - 1]
-                if not any(_same(made, other) for other in mine):
-                    mine.append(made)
+                own = sides[column.source - 1]
+                if not any(_is_same(made, other) for other in own):
+                    own.append(made)
             if isinstance(one, Related):
                 relations.append((coded[0], coded[1]))
         if not any(sides):
@@ -153,14 +156,14 @@ class ColumnEvidence:
         return cls((tuple(sides[0]), tuple(sides[1])), tuple(relations), tuning=tuning)
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> ColumnEvidence:
-        """The columns of some of the records only, as long as nothing was learned."""
+        """The columns of some records, before any fit."""
         rows = rows_1, rows_2
         one, two = (tuple(c.take(at) for c in side) for side, at in zip(self.sides, rows, strict=True))
         relations = tuple((a.take(rows_1), b.take(rows_2)) for a, b in self.relations)
         return replace(self, sides=(one, two), relations=relations, associations=(), folds=None)
 
     def in_folds(self, setting: Setting) -> ColumnEvidence:
-        """With the records of cells of the sky dealt into folds."""
+        """With folds assigned to the records, by cells of the sky."""
         if self.folds is not None:
             return self
         most = min(len(setting.pairs.first), len(setting.pairs.second)) / self.tuning.per_cell
@@ -169,30 +172,30 @@ class ColumnEvidence:
         return replace(self, folds=(one, two))
 
     def for_setting(self, setting: Setting, columns: ColumnEvidence) -> ColumnEvidence:
-        """The same where other records take part, whose ``columns`` are given."""
+        """The same fits for other records, whose ``columns`` are given."""
         folds = columns.in_folds(setting).folds
         assert folds is not None
         return self.over(columns, folds)
 
     def over(self, columns: ColumnEvidence, folds: tuple[IntArray, IntArray]) -> ColumnEvidence:
-        """What was learned, for other records of the same sources, whose columns and folds (n₁,), (n₂,) are given."""
+        """The same fits for other records of the same sources, with given columns and folds (n₁,), (n₂,)."""
         one, two = (
-            tuple(column.coded_as(known) for column, known in zip(given, mine, strict=True))
-            for given, mine in zip(columns.sides, self.sides, strict=True)
+            tuple(column.coded_as(own) for column, own in zip(given, own_side, strict=True))
+            for given, own_side in zip(columns.sides, self.sides, strict=True)
         )
         coded = {(source, c.name): c for source, side in ((1, one), (2, two)) for c in side}
         pairs = [(coded[1, a.name], coded[2, b.name]) for a, b in self.relations]
         related = tuple(
-            replace(_placed(association, pair), folds=folds[0])
+            replace(_for_columns(association, pair), folds=folds[0])
             for association, pair in zip(self.associations, pairs, strict=False)
         )
         return replace(
             columns, sides=(one, two), relations=tuple(pairs), fits=self.fits, findings=self.findings, folds=folds,
             associations=related,
-        )._applied()  # fmt: skip
+        )._with_log_ratio()  # fmt: skip
 
     def without_records(self) -> ColumnEvidence:
-        """What was learned alone, for :meth:`over`."""
+        """The fits only, for :meth:`over`."""
         none = np.empty(0, np.int64)
         associations = tuple(
             replace(one, cells=(none, none), parts=(none.astype(np.float64),) * 2, folds=none)
@@ -202,12 +205,12 @@ class ColumnEvidence:
 
     @property
     def given_only(self) -> ColumnEvidence | None:
-        """The priors that were given, without what is learned; None where none was."""
+        """The given priors without fits; None without any."""
         one, two = (tuple(c for c in side if c.log_odds is not None) for side in self.sides)
         return replace(self, sides=(one, two), relations=(), associations=()) if one or two else None
 
     def rule(self) -> Columns | None:
-        """As evidence; None as long as nothing was learned and nothing given."""
+        """The evidence; None without fits and given priors."""
         sizes = self._sizes
         given = None
         if any(c.log_odds is not None for side in self.sides for c in side):
@@ -220,12 +223,12 @@ class ColumnEvidence:
             return None
         return Columns(self.log_ratio, given, self.associations)
 
-    def _applied(self) -> ColumnEvidence:
-        """With what the fits say of the records."""
+    def _with_log_ratio(self) -> ColumnEvidence:
+        """With ln r of the records by the fits."""
         if self.folds is None or not any(fit is not None for fit in self.fits):
             return replace(self, log_ratio=None)
         one, two = (
-            np.zeros(n) if fit is None else fit.log_ratio(_learnable(side), fold)
+            np.zeros(n) if fit is None else fit.log_ratio(_to_fit(side), fold)
             for fit, side, fold, n in zip(self.fits, self.sides, self.folds, self._sizes, strict=True)
         )
         return replace(self, log_ratio=(one, two))
@@ -235,40 +238,40 @@ class ColumnEvidence:
         assert self.folds is not None
         return len(self.folds[0]), len(self.folds[1])
 
-    def learned(
+    def fitted(
         self, pairs: Pairs, p_counted: FloatArray, partner: Both, offset: Both, covered: tuple[BoolArray, BoolArray], *,
         last: bool = False,
     ) -> ColumnEvidence:  # fmt: skip
-        """After a round: probabilities of pairs (m,) and of having a partner (n₁,), (n₂,), the logit of the shares that
-        places and magnitudes let expect, and whether a record tells of it.
+        """The M-step: fits to the probabilities of pairs (m,) and of having a partner (n₁,), (n₂,).
 
-        The first time and the last columns that tell nothing are dropped.
+        offset : (n₁,), (n₂,) logit of the share expected from position and magnitude. covered : whether records are
+        used. In the first and the ``last`` fit, uninformative columns are dropped.
         """
         assert self.folds is not None
         fits: list[_Fit | None] = []
         findings: list[ColumnFinding] = []
-        for source, (side, p, at, seen, fold, before) in enumerate(
+        for source, (side, p, at, seen, fold, previous) in enumerate(
             zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
         ):
-            columns = _learnable(side)
-            regression = _ShareRegression.of(p, at, seen, fold, before, columns, self.tuning) if columns else None
+            columns = _to_fit(side)
+            regression = _ShareRegression.of(p, at, seen, fold, previous, columns, self.tuning) if columns else None
             if regression is None:
                 fits.append(None)
                 continue
-            fit, mine = (
-                regression.informative(source) if last or before is None else (regression.fit(regression.bases), [])
+            fit, found = (
+                regression.informative(source) if last or previous is None else (regression.fit(regression.bases), [])
             )
             fits.append(fit)
-            findings += mine
+            findings += found
         associations = []
         for a, b in self.relations:
-            association, words = _associated(a, b, pairs, p_counted, self.folds[0], self.tuning)
-            findings += [words] if last else []
-            if association is not None and (words.tells or not last):
+            association, finding = _fit_association(a, b, pairs, p_counted, self.folds[0], self.tuning)
+            findings += [finding] if last else []
+            if association is not None and (finding.tells or not last):
                 associations.append(association)
         relations = self.relations
         if last:
-            kept = [words.tells for words in findings if words.other]
+            kept = [finding.tells for finding in findings if finding.other]
             relations = tuple(pair for pair, tells in zip(self.relations, kept, strict=True) if tells)
         return replace(
             self,
@@ -276,26 +279,26 @@ class ColumnEvidence:
             associations=tuple(associations),
             relations=relations,
             findings=tuple(findings),
-        )._applied()
+        )._with_log_ratio()
 
 
-def _same(one: CodedColumn, other: CodedColumn) -> bool:
+def _is_same(one: CodedColumn, other: CodedColumn) -> bool:
     return one.name == other.name and np.array_equal(one.values, other.values, equal_nan=True)
 
 
-def _learnable(side: Sequence[CodedColumn]) -> tuple[CodedColumn, ...]:
+def _to_fit(side: Sequence[CodedColumn]) -> tuple[CodedColumn, ...]:
     return tuple(column for column in side if column.log_odds is None)
 
 
-# ---- a source's columns, jointly ----
+# ---- joint fit of a source's columns ----
 
 
 @in_short
 @dataclass(frozen=True)
 class _Basis:
-    """The functions of one column: a curve between knots, or a value for each of some words; and one for no value.
+    """The basis functions of one column: a curve, or a value for each of some words; and a value if missing.
 
-    knots : (k,), or the codes of words. edges : between its coarse cells beside another column.
+    knots : (k,), or the codes of words. edges : of its coarse cells in joint tables.
     """
 
     knots: FloatArray
@@ -304,22 +307,22 @@ class _Basis:
 
     @classmethod
     def of(cls, column: CodedColumn, weight: FloatArray, partners: float, tuning: ColumnsTuning) -> _Basis:
-        """For a column, at records whose partners count with these weights (n,)."""
+        """For a column, at records with these weights (n,) of having a partner."""
         known = np.isfinite(column.values)
         if column.words is not None:
             codes, count = np.unique(column.values[known], return_counts=True)
-            codes = np.sort(codes[np.argsort(-count, kind="stable")[: tuning.most_words]])
+            codes = np.sort(codes[np.argsort(-count, kind="stable")[: tuning.max_words]])
             return cls(codes, True, codes)
         x, w = column.values[known], weight[known]
         if not len(x):
             return cls(np.zeros(1), False, np.empty(0))
-        number = int(np.clip(partners / tuning.per_knot, 2, tuning.most_knots))
+        number = int(np.clip(partners / tuning.per_knot, 2, tuning.max_knots))
         levels = np.linspace(tuning.extreme, 1.0 - tuning.extreme, number)
         of_partners = _quantiles(x, w, levels) if w.sum() > 0.0 else np.empty(0)
         of_all = np.quantile(x, np.linspace(0.002, 0.998, tuning.knots_of_all))
         knots = np.unique(np.concatenate([of_partners, of_all]))
-        apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)
-        knots = knots[np.append(True, np.diff(knots) > apart)]
+        min_distance = 1e-3 * max(float(knots[-1] - knots[0]), 1e-12)
+        knots = knots[np.append(True, np.diff(knots) > min_distance)]
         inner = np.linspace(0.0, 1.0, tuning.cells + 1)[1:-1]
         edges = np.unique(_quantiles(x, w, inner)) if w.sum() > 0.0 else np.empty(0)
         return cls(knots, False, edges)
@@ -330,39 +333,39 @@ class _Basis:
         return len(self.knots) + 1
 
     def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
-        """(size, size) about coefficients (size,): a break that stands is drawn to a straight line the less."""
-        out, k = np.eye(self.size) / tuning.apart**2, len(self.knots)
+        """(size, size) at coefficients (size,): the weight of a second difference falls with its size (Student's t)."""
+        out, k = np.eye(self.size) / tuning.word_sigma**2, len(self.knots)
         if not self.words:
-            bends = np.diff(values[:k], n=2) / tuning.bend
+            bends = np.diff(values[:k], n=2) / tuning.bend_sigma
             weight = (tuning.freedom + 1.0) / (tuning.freedom + bends**2)
-            out[:k, :k] = roughness(k, tuning.bend, weight) + np.eye(k) / tuning.far**2
+            out[:k, :k] = roughness(k, tuning.bend_sigma, weight) + np.eye(k) / tuning.value_sigma**2
         return out
 
     def design(self, values: FloatArray) -> FloatArray:
-        """(n, size) the functions at values (n,)."""
+        """(n, size) the basis functions at values (n,)."""
         out, rows, k = np.zeros((len(values), self.size)), np.arange(len(values)), len(self.knots)
-        gone = ~np.isfinite(values)
+        missing = ~np.isfinite(values)
         if self.words:
             at, known = self._code(values)
             out[rows[known], at[known]] = 1.0
         else:
-            hats = Hats.at(self.knots, np.where(gone, self.knots[0], values))
+            hats = Hats.at(self.knots, np.where(missing, self.knots[0], values))
             out[rows, hats.left] = 1.0 - hats.part
             out[rows, np.minimum(hats.left + 1, k - 1)] += hats.part
-            out[gone] = 0.0
-        out[gone, k] = 1.0
+            out[missing] = 0.0
+        out[missing, k] = 1.0
         return out
 
     def values(self, coefficients: FloatArray, fold: IntArray, x: FloatArray) -> FloatArray:
-        """(n,) the sum of the functions at values x (n,), with the coefficients (folds, size) of these folds (n,)."""
-        k, gone = len(self.knots), ~np.isfinite(x)
+        """(n,) the sum of the basis functions at x (n,), with the coefficients (folds, size) of these folds (n,)."""
+        k, missing = len(self.knots), ~np.isfinite(x)
         if self.words:
             at, known = self._code(x)
-            return np.where(gone, coefficients[fold, k], np.where(known, coefficients[fold, at], 0.0))
-        hats = Hats.at(self.knots, np.where(gone, self.knots[0], x))
+            return np.where(missing, coefficients[fold, k], np.where(known, coefficients[fold, at], 0.0))
+        hats = Hats.at(self.knots, np.where(missing, self.knots[0], x))
         right = np.minimum(hats.left + 1, k - 1)
         curve = (1.0 - hats.part) * coefficients[fold, hats.left] + hats.part * coefficients[fold, right]
-        return np.where(gone, coefficients[fold, k], curve)
+        return np.where(missing, coefficients[fold, k], curve)
 
     def _code(self, values: FloatArray) -> tuple[IntArray, BoolArray]:
         at = np.clip(np.searchsorted(self.knots, np.where(np.isfinite(values), values, -1.0)), 0, len(self.knots) - 1)
@@ -370,7 +373,7 @@ class _Basis:
 
     @property
     def cells(self) -> int:
-        """Number of coarse cells, the last for no value and for words that are not told apart."""
+        """Number of coarse cells; the last is for missing values and infrequent words."""
         return len(self.edges) + (1 if self.words else 2)
 
     def cell(self, values: FloatArray) -> IntArray:
@@ -382,6 +385,7 @@ class _Basis:
 
 
 def _quantiles(x: FloatArray, weight: FloatArray, levels: FloatArray) -> FloatArray:
+    """Weighted quantiles of x at these levels."""
     order = np.argsort(x, kind="stable")
     cumulated = np.cumsum(weight[order])
     return np.asarray(x[order][np.minimum(np.searchsorted(cumulated, levels * cumulated[-1]), len(x) - 1)])
@@ -390,9 +394,9 @@ def _quantiles(x: FloatArray, weight: FloatArray, levels: FloatArray) -> FloatAr
 @in_short
 @dataclass(frozen=True)
 class _Bases:
-    """The functions of all columns that are used, and of each two of them where there are pairs enough.
+    """The basis functions of all used columns, and the joint tables of pairs of columns with enough partners.
 
-    used : (c,) whether a column is.
+    used : (c,) whether a column is used. two : pairs of columns.
     """
 
     single: tuple[_Basis, ...]
@@ -405,31 +409,31 @@ class _Bases:
         two = [
             (a, b)
             for a, b in combinations(range(len(columns)), 2)
-            if single[a].cells * single[b].cells * tuning.per_two <= partners
+            if single[a].cells * single[b].cells * tuning.per_joint_cell <= partners
         ]
         return cls(single, (True,) * len(columns), tuple(two))
 
     def without(self, k: int) -> _Bases:
-        """The same without column k."""
+        """The basis without column k."""
         return replace(
             self, used=tuple(used and n != k for n, used in enumerate(self.used)),
             two=tuple(pair for pair in self.two if k not in pair),
         )  # fmt: skip
 
-    def apart(self, pair: tuple[int, int]) -> _Bases:
-        """The same without the cells of these two columns."""
+    def without_pair(self, pair: tuple[int, int]) -> _Bases:
+        """The basis without the joint table of these two columns."""
         return replace(self, two=tuple(two for two in self.two if two != pair))
 
     def cells(self, a: int, b: int) -> int:
-        """Number of cells of two columns."""
+        """Number of cells of a joint table."""
         return self.single[a].cells * self.single[b].cells
 
     def cell(self, a: int, b: int, columns: Sequence[CodedColumn]) -> IntArray:
-        """(n,) the cells of two columns."""
+        """(n,) cells of a joint table."""
         return self.single[a].cell(columns[a].values) * self.single[b].cells + self.single[b].cell(columns[b].values)
 
     def design(self, columns: Sequence[CodedColumn]) -> FloatArray:
-        """(n, P) all functions at the values of the columns."""
+        """(n, P) all basis functions at the values of the columns."""
         blocks = [
             basis.design(column.values)
             for basis, column, used in zip(self.single, columns, self.used, strict=True)
@@ -443,13 +447,13 @@ class _Bases:
         return np.hstack(blocks) if blocks else np.zeros((len(columns[0].values), 0))
 
     def penalty(self, tuning: ColumnsTuning, values: FloatArray) -> FloatArray:
-        """(P, P) about coefficients (P,)."""
+        """(P, P) at coefficients (P,)."""
         parts: list[FloatArray] = []
         for basis, used in zip(self.single, self.used, strict=True):
             if used:
                 begin = sum(map(len, parts))
                 parts.append(basis.penalty(tuning, values[begin : begin + basis.size]))
-        parts += [np.eye(self.cells(a, b)) / tuning.together**2 for a, b in self.two]
+        parts += [np.eye(self.cells(a, b)) / tuning.joint_sigma**2 for a, b in self.two]
         out, at = np.zeros((sum(map(len, parts)),) * 2), 0
         for part in parts:
             out[at : at + len(part), at : at + len(part)] = part
@@ -460,15 +464,15 @@ class _Bases:
 @in_short
 @dataclass(frozen=True)
 class _Fit:
-    """Coefficients (folds, P) of the functions, each learned without one of the folds; ``whole`` (P,) from all."""
+    """Coefficients (folds, P), each fitted without one of the folds; ``whole`` (P,) from all."""
 
     bases: _Bases
     coefficients: FloatArray
     whole: FloatArray
-    farthest: float
+    max_log_ratio: float
 
     def log_ratio(self, columns: Sequence[CodedColumn], fold: IntArray) -> FloatArray:
-        """(n,) ln r of records of these folds."""
+        """(n,) ln r of records in these folds."""
         out, begin, bases = np.zeros(len(fold)), 0, self.bases
         for basis, column, used in zip(bases.single, columns, bases.used, strict=True):
             if used:
@@ -477,15 +481,15 @@ class _Fit:
         for a, b in bases.two:
             out += self.coefficients[fold, begin + bases.cell(a, b, columns)]
             begin += bases.cells(a, b)
-        return np.clip(out, -self.farthest, self.farthest)
+        return np.clip(out, -self.max_log_ratio, self.max_log_ratio)
 
 
 @dataclass(frozen=True)
 class _ShareRegression:
-    """Some records of a source, that stand for all.
+    """A sample of the records of a source, for the regression of the share with a partner.
 
-    columns : of them. p, offset, fold : (n,) probability of a partner, the logit expected without columns, the fold.
-    weight : (n,) for how many records each stands. before : what was known, on which steps go on.
+    columns : at these records. p, offset, fold : (n,) probability of a partner, logit expected without columns, fold.
+    weight : (n,) number of records that each represents. previous : the fit to start from.
     """
 
     columns: tuple[CodedColumn, ...]
@@ -494,113 +498,114 @@ class _ShareRegression:
     fold: IntArray
     weight: FloatArray
     bases: _Bases
-    before: _Fit | None
+    previous: _Fit | None
     tuning: ColumnsTuning
 
     @classmethod
     def of(
-        cls, partner: FloatArray, offset: FloatArray, seen: BoolArray, fold: IntArray, before: _Fit | None,
+        cls, partner: FloatArray, offset: FloatArray, seen: BoolArray, fold: IntArray, previous: _Fit | None,
         columns: Sequence[CodedColumn], tuning: ColumnsTuning,
     ) -> _ShareRegression | None:  # fmt: skip
-        """None where partners are too few."""
-        likely = np.flatnonzero(seen & (partner >= tuning.likely))
-        alone = np.flatnonzero(seen & (partner < tuning.likely))
+        """The regression; None with too few partners."""
+        likely = np.flatnonzero(seen & (partner >= tuning.min_p))
+        alone = np.flatnonzero(seen & (partner < tuning.min_p))
         partners = float(partner[likely].sum())
-        if partners < tuning.fewest:
+        if partners < tuning.min_partners:
             return None
         parts = []
-        for rows, enough in ((likely, tuning.enough), (alone, tuning.alone)):
-            every = max(1, -(-len(rows) // enough))
-            kept = rows[::every]
+        for rows, enough in ((likely, tuning.max_likely), (alone, tuning.max_unmatched)):
+            step = max(1, -(-len(rows) // enough))
+            kept = rows[::step]
             parts.append((kept, np.full(len(kept), len(rows) / max(len(kept), 1))))
         rows, weight = (np.concatenate(both) for both in zip(*parts, strict=True))
         some = tuple(column.take(rows) for column in columns)
         p = partner[rows]
-        # A rebuilt basis would begin again each round.
-        bases = _Bases.of(some, p * weight, partners, tuning) if before is None else before.bases
-        return cls(some, p, offset[rows], fold[rows], weight, bases, before, tuning)
+        # The basis stays the same, so that a fit can start from the previous one.
+        bases = _Bases.of(some, p * weight, partners, tuning) if previous is None else previous.bases
+        return cls(some, p, offset[rows], fold[rows], weight, bases, previous, tuning)
 
     def fit(self, bases: _Bases) -> _Fit:
-        """Of greatest penalised likelihood, and without each of the folds: one Newton step on from that of all."""
+        """The fit of greatest penalised likelihood; those without a fold are one Newton step from that of all."""
         design = bases.design(self.columns)
-        known = self.before is not None and self.before.bases is bases
-        values = self.before.whole.copy() if known and self.before else np.zeros(design.shape[1])
+        resumed = self.previous is not None and self.previous.bases is bases
+        values = self.previous.whole.copy() if resumed and self.previous else np.zeros(design.shape[1])
         folds = [np.flatnonzero(self.fold == fold) for fold in range(self.tuning.folds)]
-        for _ in range(self.tuning.steps if known else self.tuning.first_steps):
+        for _ in range(self.tuning.steps if resumed else self.tuning.first_steps):
             penalty = bases.penalty(self.tuning, values)
             slope, curvature = self._derivatives(design, values, slice(None))
-            if not _rises(curvature + penalty):
-                # Not concave there: as if partners were sure, an EM step.
-                slope, curvature = self._derivatives(design, values, slice(None), sure=True)
+            if not _is_positive_definite(curvature + penalty):
+                # Not concave: take an EM step, with the curvature of certain partners.
+                slope, curvature = self._derivatives(design, values, slice(None), certain=True)
             step = np.linalg.solve(curvature + penalty, slope - penalty @ values)
-            step *= min(1.0, self.tuning.longest / max(float(np.abs(step).max(initial=0.0)), 1e-12))
+            step *= min(1.0, self.tuning.max_step / max(float(np.abs(step).max(initial=0.0)), 1e-12))
             values = values + step
-            if np.abs(step).max(initial=0.0) < self.tuning.done:
+            if np.abs(step).max(initial=0.0) < self.tuning.tolerance:
                 break
         parts, penalty = [self._derivatives(design[k], values, k) for k in folds], bases.penalty(self.tuning, values)
         slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
-        if not all(_rises(curvature - own + penalty) for _, own in parts):
-            parts = [self._derivatives(design[k], values, k, sure=True) for k in folds]
+        if not all(_is_positive_definite(curvature - own + penalty) for _, own in parts):
+            parts = [self._derivatives(design[k], values, k, certain=True) for k in folds]
             slope, curvature = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
         without = [
-            values + np.linalg.solve(curvature - own + penalty, slope - mine - penalty @ values) for mine, own in parts
+            values + np.linalg.solve(curvature - own + penalty, slope - own_slope - penalty @ values)
+            for own_slope, own in parts
         ]
-        return _Fit(bases, np.array(without), values, self.tuning.farthest)
+        return _Fit(bases, np.array(without), values, self.tuning.max_log_ratio)
 
     def _derivatives(
-        self, design: FloatArray, values: FloatArray, rows: IntArray | slice, *, sure: bool = False
+        self, design: FloatArray, values: FloatArray, rows: IntArray | slice, *, certain: bool = False
     ) -> tuple[FloatArray, FloatArray]:
-        """Of ln of the likelihood of some records, Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see ``gain``): its slope
-        (P,) and minus its curvature (P, P), that of ``sure`` partners where this is asked for."""
+        """Slope (P,) and negative curvature (P, P) of ln likelihood Σ ln [q r + 1 − q] − ln [π r + 1 − π] (see
+        :meth:`gain`) of some records; ``certain`` takes the curvature for certain partners."""
         log_ratio, offset, weight = design @ values, self.offset[rows], self.weight[rows]
         share = _probability(offset + log_ratio)
-        p = np.where(self.p[rows] > 0.0, _probability(self.others[rows] + log_ratio), 0.0)
-        bend = share * (1.0 - share) - (0.0 if sure else p * (1.0 - p))
+        p = np.where(self.p[rows] > 0.0, _probability(self.log_odds_without[rows] + log_ratio), 0.0)
+        bend = share * (1.0 - share) - (0.0 if certain else p * (1.0 - p))
         return design.T @ (weight * (p - share)), (design * (weight * bend)[:, None]).T @ design
 
     @cached_property
-    def others(self) -> FloatArray:
-        """(n,) logit of q, the probability of a partner by all but the columns."""
-        counted = 0.0 if self.before is None else self.before.log_ratio(self.columns, self.fold)
-        return np.asarray(logit(self.p) - counted)
+    def log_odds_without(self) -> FloatArray:
+        """(n,) logit of q, the probability of a partner without the columns."""
+        included = 0.0 if self.previous is None else self.previous.log_ratio(self.columns, self.fold)
+        return np.asarray(logit(self.p) - included)
 
     def informative(self, source: int) -> tuple[_Fit | None, list[ColumnFinding]]:
-        """The fit with the columns that tell something, and what is said of all."""
+        """The fit with the informative columns, and the findings for all."""
         weight, findings = self.p * self.weight, []
         bases = _Bases.of(self.columns, weight, float(weight.sum()), self.tuning)
-        whole = self.fit(bases)
-        reached = self.gain(whole)
+        best = self.fit(bases)
+        best_gain = self.gain(best)
         for pair in bases.two:
-            fewer = bases.apart(pair)
+            fewer = bases.without_pair(pair)
             rest = self.fit(fewer)
-            if reached - (without := self.gain(rest)) <= self.tuning.telling:
-                bases, whole, reached = fewer, rest, without
+            if best_gain - (without := self.gain(rest)) <= self.tuning.min_gain:
+                bases, best, best_gain = fewer, rest, without
         for k, column in enumerate(self.columns):
             fewer = bases.without(k)
             rest = self.fit(fewer)
-            gain = reached - (without := self.gain(rest))
-            if gain <= self.tuning.telling:
-                bases, whole, reached = fewer, rest, without
-            findings.append(ColumnFinding(source, column.name, gain, gain > self.tuning.telling, self._span(column)))
-        return whole, findings
+            gain = best_gain - (without := self.gain(rest))
+            if gain <= self.tuning.min_gain:
+                bases, best, best_gain = fewer, rest, without
+            findings.append(ColumnFinding(source, column.name, gain, gain > self.tuning.min_gain, self._span(column)))
+        return best, findings
 
     def _span(self, column: CodedColumn) -> tuple[float, float]:
-        """ln r by this column alone, its least and greatest, but for 1 % of the records."""
+        """The 1 % and 99 % quantiles of ln r by this column alone."""
         bases = _Bases.of([column], self.p * self.weight, float((self.p * self.weight).sum()), self.tuning)
-        alone = replace(self, columns=(column,), bases=bases, before=None)
+        alone = replace(self, columns=(column,), bases=bases, previous=None)
         low, high = np.quantile(alone.fit(bases).log_ratio([column], self.fold), (0.01, 0.99))
         return float(low), float(high)
 
     def gain(self, fit: _Fit) -> float:
-        """By how much ln of the likelihood of the columns' values is better than if they told nothing.
+        """Gain in ln likelihood of the columns' values over no evidence, with cross-fitted coefficients.
 
-        Each record by what others taught: ln [q r + 1 − q] − ln [π r + 1 − π], where q is the probability of a partner
-        by all but the columns, and π that by the place.
+        Per record ln [q r + 1 − q] − ln [π r + 1 − π], with q the probability of a partner without the columns, and π
+        that by the position.
         """
         if fit.coefficients.shape[1] == 0:
             return 0.0
         r = np.expm1(fit.log_ratio(self.columns, self.fold))
-        q = np.where(self.p < self.tuning.likely * 1e-3, 0.0, _probability(self.others))
+        q = np.where(self.p < self.tuning.min_p * 1e-3, 0.0, _probability(self.log_odds_without))
         return float((self.weight * (np.log1p(q * r) - np.log1p(_probability(self.offset) * r))).sum())
 
 
@@ -608,7 +613,7 @@ def _probability(logits: FloatArray) -> FloatArray:
     return np.asarray(1.0 / (1.0 + np.exp(-np.clip(logits, -40.0, 40.0))))
 
 
-def _rises(curvature: FloatArray) -> bool:
+def _is_positive_definite(curvature: FloatArray) -> bool:
     """Whether a symmetric matrix is positive definite."""
     try:
         np.linalg.cholesky(curvature)
@@ -620,8 +625,8 @@ def _rises(curvature: FloatArray) -> bool:
 # ---- related columns ----
 
 
-def _grid(column: CodedColumn, weight: FloatArray, rows: NDArray[np.integer], number: int) -> FloatArray:
-    """(k,) knots of a column of numbers at quantiles of the pairs, or its codes."""
+def _knots(column: CodedColumn, weight: FloatArray, rows: NDArray[np.integer], number: int) -> FloatArray:
+    """(k,) knots of a numeric column at quantiles of the pairs, or its codes."""
     values, w = column.values[rows], weight
     known = np.isfinite(values)
     if column.words is not None:
@@ -631,29 +636,29 @@ def _grid(column: CodedColumn, weight: FloatArray, rows: NDArray[np.integer], nu
     return np.unique(_quantiles(values[known], w[known], (np.arange(number) + 0.5) / number))
 
 
-def _place(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, FloatArray]:
-    """(n,) cells of values, −1 where there is none, and the part of each that counts to the next."""
-    gone = ~np.isfinite(column.values)
+def _cells_and_parts(column: CodedColumn, knots: FloatArray) -> tuple[IntArray, FloatArray]:
+    """(n,) cells of values, −1 if missing, and the fraction of each towards the next cell."""
+    missing = ~np.isfinite(column.values)
     if column.words is not None:
-        gone |= column.values >= len(column.words)  # a word that was not known
-        return np.where(gone, -1, np.nan_to_num(column.values)).astype(np.int64), np.zeros(len(gone))
-    hats = Hats.at(knots, np.where(gone, knots[0], column.values))
-    return np.where(gone, -1, hats.left), np.where(gone, 0.0, hats.part)
+        missing |= column.values >= len(column.words)  # words unknown to the fit
+        return np.where(missing, -1, np.nan_to_num(column.values)).astype(np.int64), np.zeros(len(missing))
+    hats = Hats.at(knots, np.where(missing, knots[0], column.values))
+    return np.where(missing, -1, hats.left), np.where(missing, 0.0, hats.part)
 
 
-def _associated(
+def _fit_association(
     a: CodedColumn, b: CodedColumn, pairs: Pairs, p_counted: FloatArray, folds: IntArray, tuning: ColumnsTuning
 ) -> tuple[Association | None, ColumnFinding]:
-    """How two columns go together in pairs of these probabilities, and what is said of it."""
-    known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (p_counted > tuning.likely)
+    """The association of two columns in pairs of these probabilities, and its finding."""
+    known = np.isfinite(a.values[pairs.i]) & np.isfinite(b.values[pairs.j]) & (p_counted > tuning.min_p)
     i, j, p = pairs.i[known], pairs.j[known], p_counted[known]
-    number = int(min(math.sqrt(float(p.sum()) / tuning.per_two_related), tuning.most_related))
-    nothing = ColumnFinding(0, a.name, 0.0, False, other=b.name)
+    number = int(min(math.sqrt(float(p.sum()) / tuning.per_related_cell), tuning.max_related))
+    without = ColumnFinding(0, a.name, 0.0, False, other=b.name)
     if number < 2:
-        return None, nothing
-    knots = _grid(a, p, i, number), _grid(b, p, j, number)
+        return None, without
+    knots = _knots(a, p, i, number), _knots(b, p, j, number)
     sizes = tuple(map(len, knots))
-    cells, parts = zip(*(_place(column, at) for column, at in zip((a, b), knots, strict=True)), strict=True)
+    cells, parts = zip(*(_cells_and_parts(column, at) for column, at in zip((a, b), knots, strict=True)), strict=True)
     counts = np.zeros((tuning.folds, *sizes))
     for left, weight_1 in ((cells[0][i], 1.0 - parts[0][i]), (np.minimum(cells[0][i] + 1, sizes[0] - 1), parts[0][i])):
         for right, weight_2 in (
@@ -664,27 +669,29 @@ def _associated(
     table = np.array([_log_association(counts.sum(axis=0) - own, tuning.pseudo_count) for own in counts])
     association = _KnottedAssociation(cells, parts, folds, table, knots)
     values = association(pairs)[known]
-    # As for single columns: by what others taught, and by the odds without the relation.
+    # As for single columns, with cross-fitted tables and by the odds without the relation.
     gain = float((p * values).sum())
-    return association, replace(nothing, gain=gain, tells=gain > tuning.telling)
+    return association, replace(without, gain=gain, tells=gain > tuning.min_gain)
 
 
 def _log_association(counts: FloatArray, pseudo_count: float) -> FloatArray:
-    apart = np.outer(counts.sum(axis=1) + 0.5, counts.sum(axis=0) + 0.5)
-    apart /= apart.sum()
-    shrunk = counts + pseudo_count * counts.size * apart
-    return np.asarray(np.log(shrunk / shrunk.sum()) - np.log(apart))
+    """(k₁, k₂) ln of the joint over the product of the marginal probabilities, with pseudo-counts as if unrelated."""
+    unrelated = np.outer(counts.sum(axis=1) + 0.5, counts.sum(axis=0) + 0.5)
+    unrelated /= unrelated.sum()
+    shrunk = counts + pseudo_count * counts.size * unrelated
+    return np.asarray(np.log(shrunk / shrunk.sum()) - np.log(unrelated))
 
 
 @in_short
 @dataclass(frozen=True)
 class _KnottedAssociation(Association):
-    """With the knots (k₁,), (k₂,) that it stands on, for other records."""
+    """With its knots (k₁,), (k₂,), for use on other records."""
 
     knots: tuple[FloatArray, FloatArray] = field(default=(np.empty(0), np.empty(0)), repr=False)
 
 
-def _placed(association: Association, columns: tuple[CodedColumn, CodedColumn]) -> Association:
+def _for_columns(association: Association, columns: tuple[CodedColumn, CodedColumn]) -> Association:
+    """The association for the same columns of other records."""
     assert isinstance(association, _KnottedAssociation)
-    (one, part_1), (two, part_2) = (_place(c, at) for c, at in zip(columns, association.knots, strict=True))
+    (one, part_1), (two, part_2) = (_cells_and_parts(c, at) for c, at in zip(columns, association.knots, strict=True))
     return replace(association, cells=(one, two), parts=(part_1, part_2))

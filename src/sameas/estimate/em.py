@@ -323,12 +323,12 @@ class Estimates:
         if grades is None and self._uses_error_sizes():
             # Records are graded within ranges of magnitude only if the magnitudes of a pair are related. Otherwise the
             # part of an error that predicts magnitude, and with it completeness, would be lost.
-            unrelated = self.photometry is None or (self.n_evidence_fits > 0 and not self.photometry.telling)
+            unrelated = self.photometry is None or (self.n_evidence_fits > 0 and not self.photometry.is_informative)
             grades = Grades.of(self.setting, None if unrelated else self.photometry)
         if grades is not None:
             estimates = replace(
                 estimates,
-                grades=grades.learned(
+                grades=grades.fitted(
                     pairs, p_counted, partner, estimates.covered, replace(estimates, grades=grades)._partner_ratios()
                 ),
             )
@@ -363,7 +363,7 @@ class Estimates:
         magnitudes = self.photometry
         if not self.uses_precision or magnitudes is None or magnitudes.share_missing > self.tuning.max_share_missing:
             return self.uses_precision
-        return self.n_evidence_fits > 0 and not magnitudes.telling
+        return self.n_evidence_fits > 0 and not magnitudes.is_informative
 
     def log_odds_without_errors(self, square: FloatArray, p_pair: FloatArray, log_ratio: FloatArray) -> FloatArray:
         """(m,) ln of the odds of the pairs without the term of the errors; −∞ if record 1 is not counted.
@@ -400,9 +400,9 @@ class Estimates:
                 self.shares(),
                 self.covered,
             )
-            photometry = photometry.learned(*evidence, last=last)
+            photometry = photometry.fitted(*evidence, last=last)
         if columns is not None:
-            columns = columns.learned(
+            columns = columns.fitted(
                 self.setting.pairs, p_counted, self.p_partner, self._expected_logits(), self.covered, last=last
             )
         return replace(self, photometry=photometry, columns=columns, n_evidence_fits=self.n_evidence_fits + 1)
@@ -443,7 +443,7 @@ def iterate(
     """
     setting = estimates.setting
     if estimates.photometry is not None:
-        estimates = replace(estimates, photometry=estimates.photometry.facing(setting.pairs))
+        estimates = replace(estimates, photometry=estimates.photometry.with_comparisons(setting.pairs))
     converged, iteration = False, 0
     p_counted = np.empty(0)
     while not converged and iteration < max(max_iterations, 1):

@@ -139,7 +139,7 @@ class Grades:
             self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
 
-    def learned(
+    def fitted(
         self,
         pairs: Pairs,
         p_counted: FloatArray,

@@ -638,7 +638,7 @@ def _to_estimate(answer: Identification, coverage: Coverage, result: _GateResult
     """The estimates as of the last identification."""
     estimates, common = result.estimates, float(answer.p_pair.sum())
     seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
-    photometry = estimates.photometry if estimates.photometry is not None and estimates.photometry.tells else None
+    photometry = estimates.photometry if estimates.photometry is not None and estimates.photometry.is_fitted else None
     precision = None if estimates.grades is None else estimates.grades.rule
     estimate = Estimate(
         common, min(1.0, common / seen_1), min(1.0, common / seen_2), estimates.errors, result.gate_sigmas, coverage,

@@ -348,7 +348,7 @@ class Learned:
         if self.photometry is None or measured is None:
             return None
         one, two = (replace(s, measured=m) for s, m in zip(self.photometry.sides, measured, strict=True))
-        return replace(self.photometry, sides=(one, two), known=None)
+        return replace(self.photometry, sides=(one, two), compared=None)
 
 
 def learn(
@@ -413,7 +413,7 @@ def _level(one: IntArray, two: IntArray, steps: int, volume: float) -> GridLevel
 
 
 def _without_records(photometry: Photometry | None) -> Photometry | None:
-    if photometry is None or not photometry.tells:
+    if photometry is None or not photometry.is_fitted:
         return None
     none = np.empty(0, np.int64)
     return photometry.part(none, none)

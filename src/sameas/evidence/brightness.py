@@ -1,13 +1,13 @@
-"""Brightness and colour as evidence: do two magnitudes belong to one object, and would the other source show it?
+"""Brightness and colour as evidence: whether two magnitudes are of one object, and whether both sources would show it.
 
-Objects are a Poisson field with magnitudes (METHOD 3.4, 4.3). Beside its position a pair weighs
+Objects are a Poisson field with magnitudes (METHOD 3.4, 4.3). In addition to its position, the evidence of a pair is
 
     ln p(m₁, m₂ | one object) − ln p(m₁) − ln p(m₂)   and   the log-odds that both sources show such magnitudes.
 
-The first is the mean of both ways to take it apart, p(m₁ | m₂) / p(m₁) and p(m₂ | m₁) / p(m₂), each band after band
-(:class:`Chain`). The second comes from the share of common objects at each magnitude (``sameas.evidence.detection``).
-``sameas.estimate.photometry`` learns both; the user gives :class:`Magnitudes`. The densities are those of all
-magnitudes of a source (:class:`MagnitudeDensity`), and of one given others of the same object (:class:`Relation`).
+The first term is the mean of its two factorizations, p(m₁ | m₂) / p(m₁) and p(m₂ | m₁) / p(m₂), band after band
+(:class:`Chain`). The second comes from the share of common objects by magnitude (``sameas.evidence.detection``).
+``sameas.estimate.photometry`` fits both; the user gives :class:`Magnitudes`. The densities are those of all magnitudes
+of a source (:class:`MagnitudeDensity`), and of one given others of the same object (:class:`Relation`).
 """
 
 from __future__ import annotations
@@ -49,21 +49,21 @@ class MagnitudeDensity:
 class Relation:
     """Density of one magnitude, given one or more others of the same object.
 
-    The mean is the first of the others, plus a curve of it, plus linear terms in the colours; about it the magnitude
-    spreads as a mixture of normals, of the quoted errors and of a scatter that depends on the first of the others.
-    The share ``unrelated`` follows ``background`` instead: no magnitude weighs less than that, however far off.
+    The mean is the first of the others, plus a curve of it, plus linear terms in the colours. Residuals are a mixture
+    of normals, whose variance is that of the quoted errors plus a scatter that depends on the first of the others. The
+    share ``unrelated`` follows ``background`` instead, which is the lower limit of the density at any difference.
 
     Attributes
     ----------
     knots, offset, scatter : (k,) magnitudes, and there the mean difference and the scatter beyond quoted errors, mag.
     slopes, centres : (c,) mag per mag of colour, about these colours: the other magnitudes minus the first of them.
-        The mean is that given measured magnitudes, as is due for what predicts measured pairs: the errors of the
-        colours make its slopes smaller than those on true colours (regression dilution).
+        The mean is conditional on measured magnitudes, as needed to predict measured pairs: errors of the colours make
+        its slopes smaller than those on true colours (regression dilution).
     scales, shares : of the mixture's normals, in units of error and scatter together.
     unrelated : the share that follows ``background``.
-    covariance : (k + c, k + c) of offset and slopes, from the pairs that they were learned from.
+    covariance : (k + c, k + c) of offset and slopes, from the fitted pairs.
     mean_basis : (k + c,) basis averaged over these pairs.
-    scatter_error : standard error of the typical scatter, mag. weight : number of these pairs, as expected.
+    scatter_error : standard error of the typical scatter, mag. weight : expected number of these pairs.
     """
 
     knots: FloatArray
@@ -110,7 +110,7 @@ class Relation:
         other_variance: FloatArray,
         background: FloatArray,
     ) -> FloatArray:
-        """(m,) ln p of magnitudes y (m,), given others (m, 1 + c); variances of both, and (m,) the background at y."""
+        """(m,) ln p of magnitudes y (m,) given others (m, 1 + c), with variances of both and the background p at y."""
         from sameas.kernels.relation import log_mixture
 
         relation = (
@@ -129,10 +129,10 @@ class Relation:
 @in_short
 @dataclass(frozen=True)
 class PartnerTilt:
-    """How the magnitudes of records with a partner differ from those of all records of a source.
+    """The difference of the magnitudes of records with a partner from those of all records of a source.
 
-    ln p(m | partner) − ln p(m) = ln s(m) − ln of the mean of s, with s(m) of ``curve`` about the logit ``middle``.
-    A pair whose magnitudes have nothing to do with each other still has the magnitudes of partners.
+    ln p(m | partner) − ln p(m) = ln s(m) − ln of the mean of s, with s(m) of ``curve`` about the logit ``middle``. The
+    magnitudes of a pair are those of records with a partner even if they are unrelated.
     """
 
     curve: ShareCurve
@@ -141,7 +141,7 @@ class PartnerTilt:
 
     @classmethod
     def of(cls, curve: ShareCurve | None, magnitude: FloatArray, share: float) -> PartnerTilt | None:
-        """For a source's magnitudes (n,), NaN where there is none, and its mean share; None without a curve."""
+        """From a source's magnitudes (n,), NaN where missing, and its mean share; None without a curve."""
         known = magnitude[np.isfinite(magnitude)]
         if curve is None or not len(known) or not 0.0 < share < 1.0:
             return None
@@ -150,7 +150,7 @@ class PartnerTilt:
         return cls(curve, middle, float(np.log(np.exp(logs).mean())))
 
     def __call__(self, magnitude: FloatArray) -> FloatArray:
-        """(n,) at magnitudes (n,), which are measured."""
+        """(n,) at measured magnitudes (n,)."""
         return _log_share(self.middle + self.curve.logit(magnitude)) - self.log_mean
 
 
@@ -158,7 +158,7 @@ def _log_share(logit: FloatArray) -> FloatArray:
     return -np.logaddexp(0.0, -logit)
 
 
-#: Which of a magnitude's possible regressors are measured.
+#: Which of the possible regressors of a magnitude are measured.
 Pattern = tuple[bool, ...]
 
 
@@ -169,10 +169,10 @@ class Magnitudes:
 
     Parameters
     ----------
-    values : (n_table,) or (n_table, bands), mag; NaN or masked where not measured. The completeness is learned of the
-        first band.
-    sigma : one number, or of the shape of ``values``: 1σ errors, mag. Where they are NaN or not given, the scatter
-        that is learned stands for them.
+    values : (n_table,) or (n_table, bands), mag; NaN or masked where not measured. The completeness is estimated for
+        the first band.
+    sigma : one number, or of the shape of ``values``: 1σ errors, mag. Where NaN or not given, the fitted scatter
+        includes them.
     names : of the bands, for reports.
 
     Example
@@ -208,7 +208,7 @@ class Magnitudes:
 
         Raises
         ------
-        InputError : they are not those of its table.
+        InputError : the number of magnitudes differs from that of the table's rows.
         """
         values = np.asarray(self.values)
         if len(values) != records.n_table:
@@ -229,7 +229,7 @@ def _numbers(values: ArrayLike) -> FloatArray:
 
 
 def _sigmas(sigma: ArrayLike | None, values: FloatArray) -> FloatArray:
-    """The errors in the shape of the values; 0 where not known."""
+    """The errors in the shape of the values; 0 where unknown."""
     given = np.zeros(()) if sigma is None else _numbers(sigma)
     given = given[:, None] if given.ndim == 1 and len(given) == len(values) else given
     try:
@@ -239,10 +239,10 @@ def _sigmas(sigma: ArrayLike | None, values: FloatArray) -> FloatArray:
             f"errors of magnitudes have shape {given.shape} for magnitudes {values.shape}; give one number, or one each"
         ) from None
     with np.errstate(invalid="ignore"):
-        wrong = np.flatnonzero((given < 0.0).any(axis=1))
-    if len(wrong):
+        negative = np.flatnonzero((given < 0.0).any(axis=1))
+    if len(negative):
         raise InputError(
-            f"errors of magnitudes: {len(wrong)} are negative (first: row {wrong[0]}); "
+            f"errors of magnitudes: {len(negative)} are negative (first: row {negative[0]}); "
             "give 1σ errors in mag, NaN where not known"
         )
     return np.where(np.isfinite(given), given, 0.0)
@@ -257,17 +257,17 @@ class MeasuredMagnitudes:
     variance: FloatArray
 
     def take(self, rows: NDArray[np.integer]) -> MeasuredMagnitudes:
-        """Some rows."""
+        """The magnitudes of some rows."""
         return MeasuredMagnitudes(self.values[rows], self.variance[rows])
 
 
 @in_short
 @dataclass(frozen=True)
 class Regressors:
-    """Rows whose band has the same ``pattern`` of regressors: earlier bands of its source, then the other source's.
+    """Rows with the same ``pattern`` of measured regressors: earlier bands of their source, then the other source's.
 
-    rows : (r,) which rows. y, variance : (r,) the magnitude and its variance. others, other_variance : (r, ·) of the
-    regressors that are measured.
+    rows : (r,) indices. y, variance : (r,) the magnitude and its variance. others, other_variance : (r, ·) of the
+    measured regressors.
     """
 
     pattern: Pattern
@@ -279,7 +279,7 @@ class Regressors:
 
     @classmethod
     def split(cls, band: int, own: MeasuredMagnitudes, other: MeasuredMagnitudes | None) -> Iterator[Regressors]:
-        """All rows where the band and a regressor of the other source are measured, or of its own without another."""
+        """All rows with the band and a regressor of the other source (or of its own, without another) measured."""
         values, variance = own.values[:, :band], own.variance[:, :band]
         if other is not None:
             values, variance = np.hstack([values, other.values]), np.hstack([variance, other.variance])
@@ -294,11 +294,11 @@ class Regressors:
             yield cls(pattern, rows, own.values[rows, band], own.variance[rows, band], values[at], variance[at])
 
     def log_density(self, relation: Relation, background: FloatArray) -> FloatArray:
-        """(r,) ln p of the band by a relation to these regressors; (r,) the background's density."""
+        """(r,) ln p of the band given these regressors; ``background`` (r,) is the background's density."""
         return relation.log_density(self.y, self.others, self.variance, self.other_variance, background)
 
     def of_own(self, band: int) -> Regressors:
-        """With the regressors of the band's own source only."""
+        """The rows with the regressors of the band's own source only."""
         count = sum(self.pattern[:band])
         others, variance = self.others[:, :count], self.other_variance[:, :count]
         return Regressors(self.pattern[:band], self.rows, self.y, self.variance, others, variance)
@@ -307,10 +307,10 @@ class Regressors:
 @in_short
 @dataclass(frozen=True)
 class SourceMagnitudes:
-    """The magnitudes of one source and their densities, before the sources are compared.
+    """The magnitudes of one source and their densities, before a comparison with the other source.
 
-    densities : of all its records, per band; None where too few are measured. alone : per band how it follows the
-    earlier bands, by the pattern of those that are measured.
+    densities : of all its records, per band; None where too few are measured. alone : per band, its relation to the
+    earlier bands, by the pattern of the measured ones.
     """
 
     measured: MeasuredMagnitudes
@@ -318,7 +318,7 @@ class SourceMagnitudes:
     alone: tuple[Mapping[Pattern, Relation], ...]
 
     def compared(self, rows: NDArray[np.integer], other: MeasuredMagnitudes) -> Comparisons:
-        """Some of its records, (m,) ``rows``, beside the magnitudes ``other`` of those they are compared with."""
+        """The comparison of the records ``rows`` (m,) with the magnitudes ``other`` of their partners."""
         own = self.measured.take(rows)
         bands: list[tuple[Comparison, ...]] = []
         for band, (density, alone) in enumerate(zip(self.densities, self.alone, strict=True)):
@@ -326,14 +326,14 @@ class SourceMagnitudes:
             if density is None:
                 bands.append(())
                 continue
-            for these in Regressors.split(band, own, other):
-                log_background, earlier = density(these.y), these.pattern[:band]
+            for regressors in Regressors.split(band, own, other):
+                log_background, earlier = density(regressors.y), regressors.pattern[:band]
                 background = np.exp(log_background)
                 if not any(earlier):
-                    comparisons.append(Comparison(these, background, log_background))
+                    comparisons.append(Comparison(regressors, background, log_background))
                 elif earlier in alone:
-                    without = these.of_own(band).log_density(alone[earlier], background)
-                    comparisons.append(Comparison(these, background, without))
+                    without = regressors.of_own(band).log_density(alone[earlier], background)
+                    comparisons.append(Comparison(regressors, background, without))
             bands.append(tuple(comparisons))
         return Comparisons(len(rows), tuple(bands))
 
@@ -341,7 +341,7 @@ class SourceMagnitudes:
 @in_short
 @dataclass(frozen=True)
 class Comparison:
-    """A band with its regressors; (r,) p of it by its background, and ln p by the earlier bands of its own source."""
+    """A band with its regressors; (r,) p of it by its background, and ln p given earlier bands of its own source."""
 
     regressors: Regressors
     background: FloatArray
@@ -356,7 +356,7 @@ class Comparisons:
     bands: tuple[tuple[Comparison, ...], ...]
 
     def tilted(self, tilt: PartnerTilt | None) -> Comparisons:
-        """The same, where unrelated magnitudes of the first band are those of partners."""
+        """The same with the magnitudes of records with a partner as background of the first band."""
         if tilt is None or not self.bands:
             return self
         first = tuple(replace(one, background=one.background * np.exp(tilt(one.regressors.y))) for one in self.bands[0])
@@ -369,35 +369,36 @@ class Chain:
     """ln p(m of one source | m of the other) − ln p(m of one source), band after band.
 
     ``related[k]`` holds the density of band k given its source's earlier bands and the other source's, by pattern of
-    what is measured. A pattern without a relation, because hardly any pair has it, adds nothing. tilt : of the
-    magnitudes in the first band of pairs whose magnitudes are unrelated; None where they are as those of all records.
+    the measured ones. A pattern without a relation, because hardly any pair has it, adds nothing. tilt : of the first
+    band of pairs with unrelated magnitudes; None if these are distributed like those of all records.
     """
 
     related: tuple[Mapping[Pattern, Relation], ...]
     tilt: PartnerTilt | None = None
 
     def log_ratio(self, compared: Comparisons) -> FloatArray:
-        """(m,) for the magnitudes of both sides of the pairs."""
+        """(m,) for the compared magnitudes of the pairs."""
         total = np.zeros(compared.m)
         for related, comparisons in zip(self.related, compared.tilted(self.tilt).bands, strict=True):
             for comparison in comparisons:
-                these, relation = comparison.regressors, related.get(comparison.regressors.pattern)
+                regressors, relation = comparison.regressors, related.get(comparison.regressors.pattern)
                 if relation is not None:
-                    total[these.rows] += these.log_density(relation, comparison.background) - comparison.log_without
+                    log_density = regressors.log_density(relation, comparison.background)
+                    total[regressors.rows] += log_density - comparison.log_without
         return total
 
 
 @in_short
 @dataclass(frozen=True)
 class Brightness(Rule):
-    """Evidence of a pair's magnitudes, learned by ``sameas.estimate.photometry``; add it to a rule of positions.
+    """Evidence of a pair's magnitudes, fitted by ``sameas.estimate.photometry``; add it to a rule of positions.
 
     Parameters
     ----------
-    sides : the magnitudes of either source and their densities.
-    chains : of source 1 given source 2, and the reverse; None where nothing could be learned.
-    completeness_1, completeness_2 : (n₁,), (n₂,) by how much a record's magnitude changes its log-odds of being in
-        both sources: from the share at its position to that at its position and magnitude.
+    sides : the magnitudes of each source and their densities.
+    chains : of source 1 given source 2, and the reverse; None without a fit.
+    completeness_1, completeness_2 : (n₁,), (n₂,) change of a record's log-odds of being in both sources by its
+        magnitude: from the share at its position to that at its position and magnitude.
     comparisons : pairs whose magnitudes are compared already, and the comparisons of both sources.
     """
 
@@ -417,7 +418,7 @@ class Brightness(Rule):
 
 
 def comparisons_of(sides: tuple[SourceMagnitudes, SourceMagnitudes], pairs: Pairs) -> tuple[Comparisons, Comparisons]:
-    """The magnitudes of all pairs: of source 1 beside those of source 2, and the reverse."""
+    """The comparisons of all pairs: source 1 with source 2, and the reverse."""
     one, two = sides
     return (
         one.compared(pairs.i, two.measured.take(pairs.j)),

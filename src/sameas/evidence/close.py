@@ -1,13 +1,12 @@
-"""The close-objects rule: a different object lies near, but not nearer than two objects can be (METHOD 3.2).
+"""The close-objects rule: a different object is near, but not nearer than two objects can be (METHOD 3.2).
 
-:class:`CloseObjects` takes the exact convolution of the normal and the boxes. The
-paper's stand-in for it, :func:`log_generalized_density`, is there to reproduce the paper and to show its error; the
-exact form costs no more.
+:class:`CloseObjects` uses the exact convolution of the normal and the boxes. The paper's approximation,
+:func:`log_generalized_density`, serves to reproduce the paper and to show its error; the exact form costs no more.
 
-The boxes a and b, how far neighbours are, are estimated from the data by :func:`estimate_reach`.
-Whoever knows the formation of the targets knows b. Who does not can look at each source's own records: how far apart
-nearest neighbours are, without what the source's errors add. A b much too small is harmful, for residuals between
-the boxes and the true neighbours look impossible for two objects; one that is too large costs little.
+The outer box b follows from the formation of the targets if that is known. Otherwise :func:`estimate_reach` estimates
+both boxes from the distances of nearest neighbours in each source, corrected for the source's errors. A b much too
+small is harmful, because residuals between the boxes and the true neighbours look impossible for two objects; one that
+is too large costs little.
 """
 
 from __future__ import annotations
@@ -28,16 +27,16 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Sphere, sphere_offset, unit_vectors
 
-# Boxes under a normal: the density of a neighbour's residual, in logarithms (METHOD 3.2).
+# Boxes convolved with a normal: the density of a neighbour's residual, in logarithms (METHOD 3.2).
 #
 # - Independent features: :func:`log_neighbour_density` and its limit :func:`log_surface_density`. Everything is a sum
-#   of positive terms, and every difference of Φ is taken in the negative tail: nothing cancels for σ ≪ a, nothing
-#   underflows for |Δ| ≫ b.
+#   of positive terms, and every difference of Φ is taken in the negative tail, so that nothing cancels for σ ≪ a and
+#   nothing underflows for |Δ| ≫ b.
 # - Two correlated features: :func:`log_correlated_density` and :func:`log_correlated_surface`. Where the shell between
 #   the boxes holds a large enough share of the normal, it is the difference of two rectangles by the angle integral of
 #   Drezner and Wesolowsky (J. Statist. Comput. Simul. 35, 1990; nodes as Genz, Statistics and Computing 14, 2004). In
 #   the tails, and for correlations near ±1, the shell is four disjoint rectangles, each an integral ∫ φ(t) [Φ(u₁(t)) −
-#   Φ(u₀(t))] dt of positive, log-concave values: Gauss–Legendre over the stretch around the peak that holds all but
+#   Φ(u₀(t))] dt of positive, log-concave values: Gauss–Legendre over the interval around the peak that holds all but
 #   e⁻³⁶ of it.
 
 
@@ -72,10 +71,10 @@ def shell_volume(a: FloatArray, b: FloatArray) -> float:
 
 
 def log_interval(low: FloatArray, high: FloatArray, width: FloatArray) -> FloatArray:
-    """ln[Φ(high) − Φ(low)], both flipped to the negative tail where low is positive.
+    """ln[Φ(high) − Φ(low)], with both flipped to the negative tail if low is positive.
 
-    ``width`` is high − low before rounding: where it is small, the difference is the density in the middle times the
-    width, to the second order.
+    ``width`` is high − low before rounding; if it is small, the difference is the density in the middle times the
+    width, to second order.
     """
     from scipy.special import log_ndtr
 
@@ -93,20 +92,20 @@ def log_interval(low: FloatArray, high: FloatArray, width: FloatArray) -> FloatA
 
 #: Up to this correlation the angle integral is smooth enough for its 20 nodes (Genz 2004).
 SMOOTH_CORRELATION = 0.925
-#: The least share of the shell that is computed as a difference of two boxes, each good to about 1e-15.
+#: Smaller shares of the shell are not computed as a difference of two boxes, each exact to about 1e-15.
 LEAST_DIFFERENCE = 1e-5
-#: The stretch ends where the value has fallen to e⁻³⁶ of its peak, below the rounding of a double.
+#: The interval of integration ends where the value has fallen to e⁻³⁶ of its peak, below the rounding of a double.
 DROP = 36.0
-#: Borders of panels about an edge of Φ, in widths of the edge.
+#: Borders of panels around an edge of Φ, in widths of the edge.
 EDGE = np.array([-9.0, -4.5, 0.0, 4.5, 9.0])
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
 ANGLES, ANGLE_WEIGHTS = np.polynomial.legendre.leggauss(20)
-#: Pairs in one batch, which bounds the memory of the tails.
+#: Pairs in one batch, which limits the memory for the tails.
 BATCH = 2048
 
 
 def log_correlated_density(delta: FloatArray, covariance: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
-    """(m,) ln of the braces of METHOD 3.2 with the whole of Σ: Δ (m, 2), Σ (m, 2, 2), boxes a and b (2,)."""
+    """(m,) ln of the braces of METHOD 3.2 with all of Σ: Δ (m, 2), Σ (m, 2, 2), boxes a and b (2,)."""
     sigma, rho = _standardised(covariance)
     share = np.zeros(len(delta))
     smooth = np.flatnonzero(np.abs(rho) <= SMOOTH_CORRELATION)
@@ -138,6 +137,7 @@ def log_correlated_surface(delta: FloatArray, covariance: FloatArray, a: FloatAr
 
 
 def _standardised(covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(m, 2) standard deviations and (m,) correlations."""
     sigma = np.sqrt(np.einsum("mvv->mv", covariance))
     return sigma, covariance[:, 0, 1] / (sigma[:, 0] * sigma[:, 1])
 
@@ -177,13 +177,13 @@ def log_rectangle(
 ) -> FloatArray:
     """(m,) ln of the probability of rectangles of positive widths under standard normals of correlation ρ.
 
-    Corners and widths come apart, so that a box much smaller than σ keeps its width. All (m,).
+    Corners and widths are separate arguments, so that a box much smaller than σ keeps its width. All (m,).
     """
     cut = _Cut(x_low, y_low, y_width, rho)
     peak = cut.peak(x_width)
     top = cut.log_value(peak)
     left, right = cut.stretch(peak, top, -1.0, peak), cut.stretch(peak, top, 1.0, x_width - peak)
-    # Panels: both sides of the peak in two, and the edges of Φ where they are sharp.
+    # Panels: two on each side of the peak, and around the edges of Φ where they are sharp.
     edge_width = np.sqrt(1.0 - rho**2) / np.maximum(np.abs(rho), 1e-3)
     slope = np.where(rho < 0.0, -1.0, 1.0) * np.maximum(np.abs(rho), 1e-3)
     edges = [(y / slope - x_low)[:, None] + EDGE * edge_width[:, None] for y in (y_low, y_low + y_width)]
@@ -200,7 +200,7 @@ def log_rectangle(
 @in_short
 @dataclass(frozen=True)
 class _Cut:
-    """ln of φ(t) [Φ(u₁(t)) − Φ(u₀(t))], t = x_low + τ, u = (y − ρt) / √(1 − ρ²): concave, at least as −τ²/2."""
+    """ln of φ(t) [Φ(u₁(t)) − Φ(u₀(t))], t = x_low + τ, u = (y − ρt) / √(1 − ρ²), at least as concave as −τ²/2."""
 
     x_low: FloatArray
     y_low: FloatArray
@@ -228,13 +228,13 @@ class _Cut:
         return np.asarray(-t - self.rho / np.sqrt(1.0 - self.rho**2) * across)
 
     def peak(self, room: FloatArray) -> FloatArray:
-        """(m,) τ in 0 … room from which the value rises by no more than e^(1/8): the slope is below ½ there."""
+        """(m,) τ in 0 … room where the slope is below ½: from there the value rises by at most e^(1/8)."""
         low, high = np.zeros(len(room)), room.copy()
         at_low, at_high = self.slope(low), self.slope(high)
         peak = np.where(at_low <= 0.0, low, high)
         open_ = np.flatnonzero((at_low > 0.0) & (at_high < 0.0))
         low, high, at_low, at_high = low[open_], high[open_], at_low[open_], at_high[open_]
-        # Regula falsi, the end that stays at half its value (Illinois); the slope is monotone.
+        # Regula falsi with the value at the retained end halved (Illinois); the slope is monotone.
         for _ in range(60):
             if not len(open_):
                 break
@@ -250,35 +250,35 @@ class _Cut:
         return peak
 
     def stretch(self, peak: FloatArray, top: FloatArray, side: float, room: FloatArray) -> FloatArray:
-        """(m,) how far from the peak on one side the value has fallen by e^DROP, or the room that there is.
+        """(m,) distance from the peak on one side at which the value has fallen by e^DROP, or the available room.
 
-        Concave as −τ²/2 at least, it falls below its tangent's parabola; Newton's steps come back from there and
-        never pass the true place.
+        At least as concave as −τ²/2, the value lies below its tangent parabola. Newton steps start beyond the solution
+        and never pass it.
         """
         slope = np.minimum(side * self.slope(peak), 0.5)
         reach = np.minimum(2.0 * DROP / (np.sqrt(slope**2 + 2.0 * DROP) - slope), room)
         for _ in range(5):
             beyond = self.log_value(peak + side * reach) - top + DROP
-            back = np.where(beyond < 0.0, beyond / np.minimum(side * self.slope(peak + side * reach), -1e-300), 0.0)
-            reach = np.maximum(reach - back, 0.0)
+            step = np.where(beyond < 0.0, beyond / np.minimum(side * self.slope(peak + side * reach), -1e-300), 0.0)
+            reach = np.maximum(reach - step, 0.0)
         return reach
 
 
 EXACT, DIAGONAL = "exact", "diagonal"
 GENERALIZED_GAUSSIAN = "generalized Gaussian"
 
-#: ln of the shapes between which the generalized Gaussian lies: that of the normal, and one as good as uniform.
+#: ln of the limits of the generalized Gaussian's shape: normal, and practically uniform.
 NORMAL, UNIFORM = math.log(2.0), math.log(1e7)
-#: Steps of bisection from the whole range of shapes to the rounding of a double.
+#: Bisection steps from the whole range of shapes to the rounding of a double.
 HALVINGS = 60
 
 
 def log_generalized_density(delta: FloatArray, sigma: FloatArray, a: FloatArray, b: FloatArray) -> FloatArray:
     """(m,) ln of the paper's braces of METHOD 3.2, −∞ where they are not positive.
 
-    A generalized Gaussian stands for the convolution of a normal and a box, with the same variance σ² + c²/3 and the
-    same value at 0 [T21–T25]. It is good to a few per cent near the middle; beyond the outer box it falls faster than
-    the truth, and the difference of two may be negative there. Δ and σ (m, d), boxes a and b (d,); the exact form is
+    A generalized Gaussian replaces the convolution of a normal and a box, with the same variance σ² + c²/3 and the same
+    value at 0 [T21–T25]. It is good to a few per cent near the centre; beyond the outer box it falls too fast, and the
+    difference of two may be negative there. Δ and σ (m, d), boxes a and b (d,); the exact form is
     :func:`sameas.evidence.log_neighbour_density`.
     """
     outer = _log_box(delta, sigma, b)
@@ -311,9 +311,9 @@ def log_generalized_gaussian(x: FloatArray, sigma: FloatArray, c: FloatArray) ->
 
 
 def _log_shape(log_peak: FloatArray) -> FloatArray:
-    """(n,) ln of the shape of the generalized Gaussian of variance 1 with these ln values at 0, by halving.
+    """(n,) ln of the shape of the generalized Gaussian of variance 1 with these ln values at 0, by bisection.
 
-    The value at 0 falls with the shape, from that of the normal to that of the uniform.
+    The value at 0 decreases with the shape, from that of the normal to that of the uniform distribution.
     """
     low, high = np.full(len(log_peak), NORMAL), np.full(len(log_peak), UNIFORM)
     for _ in range(HALVINGS):
@@ -342,14 +342,14 @@ class CloseObjects(Rule):
 
     Parameters
     ----------
-    a : per feature how near two objects can be, or a number for all; 0 where they may coincide.
-    b : per feature how far the neighbour may be, b ≥ a. None stands for the limit b → a, taken with b = (1 + ε) a:
-        the neighbour lies on the surface of the inner box.
-    correlation : "exact" (default) takes the boxes under the whole of Σ in two features; "diagonal" drops the
-        correlation there, as the paper does. In one, three or more features the boxes always take the diagonal of Σ.
-        N takes all of Σ in any case.
-    approximation : None, or "generalized Gaussian" for the paper's stand-in [T21–T25], which drops the correlation.
-        Far outside the outer box its braces turn negative and mean nothing; those pairs get the exact value.
+    a : least distance of two objects, per feature or one number for all; 0 if they may coincide.
+    b : greatest distance of the neighbour per feature, b ≥ a. None is the limit b → a, taken with b = (1 + ε) a: the
+        neighbour lies on the surface of the inner box.
+    correlation : "exact" (default) uses all of Σ for the boxes in two features; "diagonal" drops the correlation there,
+        as the paper does. In one, three or more features the boxes always use the diagonal of Σ. N always uses all
+        of Σ.
+    approximation : None, or "generalized Gaussian" for the paper's approximation [T21–T25], which drops the
+        correlation. Far outside the outer box its braces are negative; those pairs get the exact value.
 
     Example
     -------
@@ -403,7 +403,7 @@ class CloseObjects(Rule):
 
 
 def _diagonal_density(pairs: Pairs, a: FloatArray, b: FloatArray | None) -> FloatArray:
-    """(m,) ln of the density of Δ for two neighbours, with the boxes under the diagonal of Σ."""
+    """(m,) ln of the density of Δ for two neighbours, with the diagonal of Σ for the boxes."""
     sigma = np.sqrt(np.einsum("mvv->mv", pairs.covariance))
     if b is None:
         return log_surface_density(pairs.residual, sigma, a)
@@ -411,7 +411,7 @@ def _diagonal_density(pairs: Pairs, a: FloatArray, b: FloatArray | None) -> Floa
 
 
 def _correlate(density: FloatArray, pairs: Pairs, a: FloatArray, b: FloatArray | None) -> None:
-    """Put the exact ``density`` in the place of the diagonal one where two features are correlated."""
+    """Replace the diagonal ``density`` by the exact one where two features are correlated."""
     rows = np.flatnonzero(pairs.covariance[:, 0, 1])
     if not len(rows):
         return
@@ -440,10 +440,10 @@ def _per_feature(value: float | tuple[float, ...], d: int, name: str) -> FloatAr
 
 #: The inner box in standard deviations of a residual's feature, as in the papers [T].
 INNER_SIGMAS = 1.1
-#: The least outer box, in the same unit: a few neighbours may look nearer than they are, and 4 σ is never too large.
+#: The least outer box, in the same unit: with few neighbours their distance may be underestimated; 4 σ is always safe.
 LEAST_SIGMAS = 4.0
-#: A given box is doubted where neighbours lie outside by more than this number of standard errors (chosen).
-SURE = 2.0
+#: A given box is doubted if neighbours lie outside by more than this number of standard errors (chosen).
+DOUBT_SIGMAS = 2.0
 
 
 @in_short
@@ -454,12 +454,12 @@ class Spacing:
     Attributes
     ----------
     a : (d,) inner box: 1.1 σ of a typical residual [T], below which two objects look like one.
-    b : (d,) outer box: twice the distance of a typical neighbour, and not below 4 σ.
-    neighbour : (d,) distance of a typical neighbour that can lie along any feature: √(d · mean square), 0 where the
+    b : (d,) outer box: twice the distance of a typical neighbour, and at least 4 σ.
+    neighbour : (d,) distance of a typical neighbour, which may lie along any feature: √(d · mean square), 0 where the
         errors explain all of it.
     error : (d,) standard error of ``neighbour``; infinite where that is 0.
     sigma : (d,) standard deviation of a typical residual.
-    neighbours : number of pairs of nearest neighbours that this rests on, both sources together.
+    neighbours : number of pairs of nearest neighbours used, both sources together.
     """
 
     a: FloatArray
@@ -470,11 +470,11 @@ class Spacing:
     neighbours: int
 
     def doubt(self, b: ArrayLike) -> str:
-        """A sentence where the data contradict a given ``b`` (a number or (d,)): neighbours lie outside; else ''."""
+        """A sentence if the data contradict a given ``b`` (a number or (d,)) with neighbours outside; else ''."""
         given = np.broadcast_to(np.asarray(b, np.float64), self.b.shape)
         finite = np.isfinite(self.error)
-        least = np.where(finite, self.neighbour - SURE * np.where(finite, self.error, 0.0), 0.0)
-        # Residuals cannot show that neighbours nearer than the errors lie outside of any box.
+        least = np.where(finite, self.neighbour - DOUBT_SIGMAS * np.where(finite, self.error, 0.0), 0.0)
+        # Neighbours nearer than the errors cannot be shown to lie outside a box.
         feature = int(np.argmax(least / np.maximum(given, self.sigma)))
         if least[feature] <= max(given[feature], self.sigma[feature]):
             return ""
@@ -488,11 +488,11 @@ class Spacing:
 def estimate_reach(first: Records, second: Records) -> Spacing:
     """The boxes of ``CloseObjects`` from the records of the sources themselves.
 
-    Every record's displacement u to the nearest other record of its own source has the variance of both errors in
-    addition to that of the objects; its mean square without them is that of neighbours. Where every neighbour differs
-    in one feature only, as in the papers' scenes, each feature shows a share of them, of 1/d on a lattice: hence the
-    factor d. Choosing the nearest of several makes displacements small, by up to a third on a lattice of spacing 4 σ;
-    objects that a source missed make them large. Decisions with this b come within 0.02 of those with the true one.
+    The displacement u of a record to the nearest other record of its own source contains the errors of both records;
+    the mean square of u minus their variance is that of neighbours. If every neighbour differs in one feature only, as
+    in the papers' scenes, each feature has a share of 1/d of it on a lattice: hence the factor d. Choosing the nearest
+    of several makes displacements small, by up to a third on a lattice of spacing 4 σ; objects that a source missed
+    make them large. Decisions with this b come within 0.02 of those with the true one.
 
     Raises
     ------
@@ -517,7 +517,7 @@ def estimate_reach(first: Records, second: Records) -> Spacing:
     count = sum(pairs for _, pairs in measured)
     d = first.d
     mean_square = excess.mean(axis=0)
-    # Two records that are each other's nearest are one pair, measured once.
+    # Two records that are mutually nearest are one pair.
     spread = excess.std(axis=0) / math.sqrt(max(count, 1))
     neighbour = np.sqrt(d * np.maximum(mean_square, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -529,7 +529,7 @@ def estimate_reach(first: Records, second: Records) -> Spacing:
 
 
 def _excess(source: Records) -> tuple[FloatArray, int]:
-    """(n, d) squares of the displacements to the nearest other record, less the errors' share; number of pairs."""
+    """(n, d) squared displacements to the nearest other record minus the variance of their errors; number of pairs."""
     other = _nearest(source)
     variance = source.variances
     excess = _displacement(source, other) ** 2 - variance - variance[other]
@@ -539,12 +539,12 @@ def _excess(source: Records) -> tuple[FloatArray, int]:
 
 
 def _typical_variance(source: Records) -> FloatArray:
-    """(d,) typical variance of every feature; none of a source without records."""
+    """(d,) typical variance of every feature; 0 for a source without records."""
     return np.broadcast_to(np.median(source.variances, axis=0) if len(source) else 0.0, (source.d,))
 
 
 def _nearest(source: Records) -> IntArray:
-    """(n,) the nearest other record of the same source, every feature in units of its typical error."""
+    """(n,) the nearest other record of the same source, with every feature in units of its typical error."""
     from scipy.spatial import cKDTree
 
     if isinstance(source.space, Sphere):
@@ -559,7 +559,7 @@ def _nearest(source: Records) -> IntArray:
         tree = cKDTree(points, boxsize=np.where(wraps, periods, 0.0))
     place = np.arange(len(source))
     nearest = tree.query(points, k=2)[1]
-    # Records on one spot may be listed in any order.
+    # Records at one position may be listed in any order.
     return np.asarray(np.where(nearest[:, 0] == place, nearest[:, 1], nearest[:, 0]), np.int64)
 
 

@@ -1,12 +1,12 @@
-"""Columns of one source as evidence: what a number or a category of one record says of whether it has a partner.
+"""Columns of one source as evidence: how a number or category of a record changes its odds of having a partner.
 
-A column with the value c weighs (METHOD 11.2)
+The evidence of a column with the value c is (METHOD 11.2)
 
     ln r(c) = ln p(c | record has a partner) − ln p(c | record that the other source does not show),
 
-in the limit of sure pairs Sutherland & Saunders' q(m)/n(m). ``sameas.estimate.columns`` learns it from the pairs, all
-columns of a source jointly; :class:`OddsTable` is a prior that the user gives instead. A :class:`Related` pair of
-columns, one of either source, weighs ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object) besides.
+in the limit of certain pairs Sutherland & Saunders' q(m)/n(m). ``sameas.estimate.columns`` estimates it from the pairs,
+for all columns of a source jointly; :class:`OddsTable` is a prior given by the user instead. A :class:`Related` pair of
+columns, one of each source, adds ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from sameas.gate import Pairs
 from sameas.records import Records
 from sameas.representation import in_short
 
-#: A column of whole numbers with no more different values than this is one of categories (chosen).
+#: A column of integers with at most this many different values is categorical (chosen).
 MOST_CODES = 12
 
 
 @in_short
 @dataclass(frozen=True)
 class OddsTable:
-    """Odds of having a partner by the value of a column, against those of any record; 1 where no row speaks of it.
+    """Odds of having a partner by the value of a column, relative to those of any record; 1 for values without a row.
 
     rows : (low, high, odds) for numbers in low ≤ value < high, or (value, odds) for numbers or words that are equal.
 
@@ -69,16 +69,17 @@ class OddsTable:
         words = None if number is not None else np.array([str(cell).strip() for cell in data.tolist()])
         for row in self.rows:
             if number is None:
-                here = words == str(row[0]) if len(row) == 2 else np.zeros(len(out), np.bool_)
+                matches = words == str(row[0]) if len(row) == 2 else np.zeros(len(out), np.bool_)
             elif len(row) == 2:
-                here = number == _number(row[0])
+                matches = number == _number(row[0])
             else:
-                here = (number >= float(row[0])) & (number < float(row[1]))
-            out[given & here] = math.log(float(row[-1]))
+                matches = (number >= float(row[0])) & (number < float(row[1]))
+            out[given & matches] = math.log(float(row[-1]))
         return out
 
 
 def _number(value: Any) -> float:
+    """The value as a number; NaN if it is none."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -88,13 +89,13 @@ def _number(value: Any) -> float:
 @in_short
 @dataclass(frozen=True)
 class Column:
-    """A column of one source that is evidence.
+    """A column of one source used as evidence.
 
     Parameters
     ----------
-    source : 1 or 2. values : the name of the column in the source's table, or (n_table,) its numbers or words; NaN,
-        masked or empty where there is none, which is a value of its own.
-    odds : a prior by value, or the rows of its :class:`OddsTable`; learned from the pairs where it is not given.
+    source : 1 or 2. values : the name of the column in the source's table, or (n_table,) numbers or words; NaN, masked
+        or empty means missing, which is a value of its own.
+    odds : a prior by value, or the rows of its :class:`OddsTable`; estimated from the pairs if not given.
     name : for reports.
 
     Raises
@@ -120,7 +121,7 @@ class Column:
 
         Raises
         ------
-        InputError : it has not one value for every row of the table.
+        InputError : the column does not have one value for every row of the table.
         """
         values = np.ma.asarray(self.values)
         if isinstance(self.values, str) or values.shape != (records.n_table,):
@@ -137,9 +138,9 @@ class Column:
 @in_short
 @dataclass(frozen=True)
 class Related:
-    """A column of source 1 and one of source 2 that may go together in the records of one object, such as two fluxes.
+    """A column of source 1 and one of source 2 that may be related for records of one object, such as two fluxes.
 
-    first, second : of either source, as the ``values`` of :class:`Column`.
+    first, second : as the ``values`` of :class:`Column`.
     """
 
     first: Any
@@ -155,9 +156,9 @@ class Related:
 @in_short
 @dataclass(frozen=True)
 class CodedColumn:
-    """The values of a column at the records of a source: numbers (n,), NaN where there is none, or codes of words.
+    """A column at the records of a source: numbers (n,), NaN where missing, or codes of words.
 
-    words : what the codes stand for; None for numbers. log_odds : (n,) of a given prior, None where it is learned.
+    words : the word of each code; None for numbers. log_odds : (n,) by a given prior, None if estimated.
     """
 
     name: str
@@ -167,40 +168,40 @@ class CodedColumn:
 
     @classmethod
     def of(cls, name: str, values: Any, log_odds: FloatArray | None = None) -> CodedColumn:
-        """Numbers as they are; words, truths and whole numbers with few different values as categories."""
+        """Floats, and integers with many distinct values, are numbers; all other values categories."""
         values = np.ma.asarray(values)
-        data, gone = np.ma.getdata(values), np.ma.getmaskarray(values)
+        data, missing = np.ma.getdata(values), np.ma.getmaskarray(values)
         if data.dtype.kind in "f":
-            number = np.where(gone | ~np.isfinite(data), np.nan, data).astype(np.float64)
+            number = np.where(missing | ~np.isfinite(data), np.nan, data).astype(np.float64)
             return cls(name, number, None, log_odds)
         if data.dtype.kind in "iu":
-            known = np.unique(data[~gone])
-            if len(known) > MOST_CODES:
-                return cls(name, np.where(gone, np.nan, data.astype(np.float64)), None, log_odds)
+            distinct = np.unique(data[~missing])
+            if len(distinct) > MOST_CODES:
+                return cls(name, np.where(missing, np.nan, data.astype(np.float64)), None, log_odds)
         texts = np.array([_word(cell) for cell in data.tolist()], dtype=object)
-        gone = gone | (texts == "")
-        known, code = np.unique(texts.astype(str), return_inverse=True)
-        return cls(name, np.where(gone, np.nan, code.astype(np.float64)), tuple(known.tolist()), log_odds)
+        missing = missing | (texts == "")
+        words, code = np.unique(texts.astype(str), return_inverse=True)
+        return cls(name, np.where(missing, np.nan, code.astype(np.float64)), tuple(words.tolist()), log_odds)
 
-    def coded_as(self, known: CodedColumn) -> CodedColumn:
-        """The same values as another of the same column counts them, which other records may have been coded by: words
-        that it does not have get a code beyond those that it has."""
-        if known.words == self.words:
+    def coded_as(self, other: CodedColumn) -> CodedColumn:
+        """The same values with the codes of ``other``, the same column of other records; words that ``other`` does not
+        have get one more code."""
+        if other.words == self.words:
             return self
-        there = np.isfinite(self.values)
-        cells = self.values[there]
-        mine = [str(int(cell)) for cell in cells] if self.words is None else np.array(self.words)[cells.astype(int)]
-        if known.words is None:
-            coded = np.array([_number(word) for word in mine])
+        present = np.isfinite(self.values)
+        cells = self.values[present]
+        own = [str(int(cell)) for cell in cells] if self.words is None else np.array(self.words)[cells.astype(int)]
+        if other.words is None:
+            coded = np.array([_number(word) for word in own])
         else:
-            code = {word: k for k, word in enumerate(known.words)}
-            coded = np.array([code.get(str(word), len(code)) for word in mine])
+            code = {word: k for k, word in enumerate(other.words)}
+            coded = np.array([code.get(str(word), len(code)) for word in own])
         values = np.full(len(self.values), np.nan)
-        values[there] = coded
-        return CodedColumn(self.name, values, known.words, self.log_odds)
+        values[present] = coded
+        return CodedColumn(self.name, values, other.words, self.log_odds)
 
     def take(self, rows: NDArray[np.integer]) -> CodedColumn:
-        """Some records."""
+        """The column at some records."""
         log_odds = None if self.log_odds is None else self.log_odds[rows]
         return CodedColumn(self.name, self.values[rows], self.words, log_odds)
 
@@ -214,8 +215,8 @@ def _word(cell: Any) -> str:
 class Association:
     """ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object) on a grid of cells.
 
-    cells : (n₁,), (n₂,) of the records, with the part (n₁,), (n₂,) that counts to the next cell; −1 where a value is
-    missing. folds : (n₁,) of the records of source 1. log_ratio : (folds, k₁, k₂), each learned on the other folds.
+    cells : (n₁,), (n₂,) of the records; −1 for missing values. parts : (n₁,), (n₂,) fraction towards the next cell.
+    folds : (n₁,) of the records of source 1. log_ratio : (folds, k₁, k₂), each estimated from the other folds.
     """
 
     cells: tuple[IntArray, IntArray] = field(repr=False)
@@ -238,11 +239,11 @@ class Association:
 @in_short
 @dataclass(frozen=True)
 class Columns(Rule):
-    """Evidence of columns, learned by ``sameas.estimate.columns`` or given; add it to a rule of positions.
+    """Evidence of columns, estimated by ``sameas.estimate.columns`` or given; add it to a rule of positions.
 
     Parameters
     ----------
-    learned : (n₁,), (n₂,) ln r of the columns of either source together. given : the same of priors that were given.
+    learned : (n₁,), (n₂,) estimated ln r of all columns of each source together. given : the same of given priors.
     associations : of related columns.
     """
 

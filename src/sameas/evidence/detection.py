@@ -1,8 +1,8 @@
-"""Detection: what share of a source's records the other source shows too, against their magnitude.
+"""Detection: the share of a source's records that the other source shows too, as a function of magnitude.
 
-The logit of the share is that at the record's position (``coverage.py``) plus a curve of its magnitude, learned by
-penalised likelihood with the probability of every record's having a partner. For source 2 of a frame and a
-catalogue this is P_d(m) of METHOD 3.4, and the share of source 1 without a partner gives β(m).
+The logit of the share is that at the record's position (``coverage.py``) plus a curve of its magnitude, fitted by
+penalised likelihood to the probability that each record has a partner. For source 2 of a frame and a catalogue this is
+P_d(m) of METHOD 3.4, and the share of source 1 without a partner gives β(m).
 """
 
 from __future__ import annotations
@@ -16,33 +16,33 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.representation import in_short
 
-# Piecewise-linear curves of a magnitude: their basis, and the sums that fit them.
+# Piecewise linear curves of a magnitude: their basis, and the sums for fitting them.
 
-#: Quantiles are taken of about this many values of a longer list (chosen: enough for knots).
+#: Quantiles are taken from about this many values of a longer list (chosen: sufficient for knots).
 SORTED = 500
 
 
 def knots_of(x: FloatArray, weights: FloatArray, per_knot: float, most: int) -> FloatArray:
-    """(k,) increasing knots at quantiles of ``x``: one in about ``per_knot`` of the weight, at most ``most``."""
+    """(k,) increasing knots at quantiles of ``x``: one per about ``per_knot`` of the weight, at most ``most``."""
     count = min(max(round(float(weights.sum()) / per_knot), 1), most - 1) + 1
-    every = max(1, len(x) // SORTED)
-    x, weights = x[::every], weights[::every]
+    step = max(1, len(x) // SORTED)
+    x, weights = x[::step], weights[::step]
     order = np.argsort(x, kind="stable")
     cumulated = np.cumsum(weights[order])
     levels = cumulated[-1] * np.linspace(0.01, 0.99, count)
     knots = x[order][np.minimum(np.searchsorted(cumulated, levels), len(x) - 1)]
-    apart = 1e-3 * max(float(knots[-1] - knots[0]), 1e-9)
+    min_distance = 1e-3 * max(float(knots[-1] - knots[0]), 1e-9)
     distinct = np.ones(count, np.bool_)
-    np.greater(knots[1:] - knots[:-1], apart, out=distinct[1:])
+    np.greater(knots[1:] - knots[:-1], min_distance, out=distinct[1:])
     return np.asarray(knots[distinct])
 
 
 @in_short
 @dataclass(frozen=True)
 class Hats:
-    """The basis of curves that are straight between knots and constant outside, at (n,) places.
+    """The basis of piecewise linear curves, constant outside the knots, at n places.
 
-    A curve of the values c (k,) at the knots is (1 − part)·c[left] + part·c[left + 1].
+    A curve with values c (k,) at the knots is (1 − part)·c[left] + part·c[left + 1].
     """
 
     knots: FloatArray
@@ -59,7 +59,7 @@ class Hats:
         return cls(knots, left, part)
 
     def curve(self, values: FloatArray) -> FloatArray:
-        """(n,) the curve of these values (k,) at the knots."""
+        """(n,) the curve with these values (k,) at the knots."""
         padded = np.append(values, values[-1])
         low = padded[self.left]
         return np.asarray(low + self.part * (padded[self.left + 1] - low))
@@ -81,21 +81,20 @@ class Hats:
 
 
 def roughness(k: int, bend: float, weight: FloatArray | float = 1.0) -> FloatArray:
-    """(k, k) the penalty of curves whose second difference from knot to knot is drawn from N(0, bend²); each counts
-    with a weight (k − 2,)."""
+    """(k, k) penalty of curves whose second differences between knots are N(0, bend²), with weights (k − 2,)."""
     second = np.diff(np.eye(k), n=2, axis=0) / bend
     return np.asarray((second.T * weight) @ second)
 
 
-#: Records per knot of the curve, and most knots.
+#: Records per knot of the curve, and greatest number of knots.
 PER_KNOT, MOST_KNOTS = 100.0, 24
-#: Prior standard deviations of the curve's logit: of its second difference from knot to knot, and of its value.
-BEND, FAR = 1.0, 6.0
-#: Newton steps: most of the first fit, most of a later one, the longest in logit, and the one that ends the fit.
-FIRST_STEPS, STEPS, LONGEST, SETTLED = 8, 2, 2.0, 0.05
-#: Shares lie between 1e-6 and 1 − 1e-6.
+#: Prior standard deviations of the curve's logit: of its second differences between knots, and of its value.
+BEND, PRIOR_SIGMA = 1.0, 6.0
+#: Newton steps: their number in the first fit and in later ones, greatest length in logit, and length at convergence.
+FIRST_STEPS, STEPS, MAX_STEP, TOLERANCE = 8, 2, 2.0, 0.05
+#: Shares are clipped to 1e-6 … 1 − 1e-6.
 LEAST_SHARE = 1e-6
-#: The reported curve: fewest records in a bin, widths of the bins in mag, and most bins.
+#: The reported curve: least number of records in a bin, widths of the bins in mag, and greatest number of bins.
 LEAST_IN_BIN, WIDTHS, MOST_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
 
 
@@ -107,8 +106,8 @@ class DetectionCurve:
     Attributes
     ----------
     band : its name. edges : (b + 1,) mag. number : (b,) records.
-    probability, standard_error : (b,) of the share, from its smallness of number and from not being sure of the pairs.
-    density : (b,) of records without a partner, per (residual unit)^d and mag; density_error : of it.
+    probability, standard_error : (b,) of the share; the error is that of counting and of uncertain pairs.
+    density : (b,) of records without a partner, per (residual unit)^d and mag; density_error : its error.
     """
 
     band: str
@@ -121,41 +120,41 @@ class DetectionCurve:
 
     @classmethod
     def of(cls, band: str, magnitude: FloatArray, p_partner: FloatArray, volume: float) -> DetectionCurve:
-        """Counted from magnitudes (n,), finite, with the probability of a partner, in a volume of feature space."""
+        """From finite magnitudes (n,) with the probabilities of a partner, in a volume of feature space."""
         edges = _edges(magnitude)
         bins = len(edges) - 1
         at = np.clip(np.searchsorted(edges, magnitude, side="right") - 1, 0, bins - 1)
         number = np.bincount(at, minlength=bins).astype(np.float64)
-        matched, unsure = (
+        matched, variance = (
             np.bincount(at, p, bins).astype(np.float64) for p in (p_partner, p_partner * (1.0 - p_partner))
         )
         share = matched / np.maximum(number, 1.0)
-        error = share_error(number, matched, unsure)
-        alone, size = np.maximum(number - matched, 0.0), max(volume, 1e-300) * np.diff(edges)
-        # A count of Poisson's, and the number of pairs in it that is not sure.
-        spread = np.sqrt(np.maximum(alone, 0.5) + unsure)
-        return cls(band, edges, number, share, error, alone / size, spread / size)
+        error = share_error(number, matched, variance)
+        unmatched, size = np.maximum(number - matched, 0.0), max(volume, 1e-300) * np.diff(edges)
+        # Poisson variance of the count, and the variance from uncertain pairs.
+        sigma = np.sqrt(np.maximum(unmatched, 0.5) + variance)
+        return cls(band, edges, number, share, error, unmatched / size, sigma / size)
 
     @property
     def middle(self) -> FloatArray:
-        """(b,) middles of the bins, mag."""
+        """(b,) centres of the bins, mag."""
         return 0.5 * (self.edges[1:] + self.edges[:-1])
 
 
-def share_error(number: FloatArray, matched: FloatArray, unsure: FloatArray) -> FloatArray:
-    """Standard error of shares matched / number, where the number matched has the variance ``unsure`` = Σ p(1 − p).
+def share_error(number: FloatArray, matched: FloatArray, variance: FloatArray) -> FloatArray:
+    """Standard error of shares matched / number, where ``matched`` has the ``variance`` Σ p(1 − p).
 
-    Binomial, widened by the information that is missing: 1 / (1 − r) with r = Σ p(1 − p) / [n s (1 − s)]. An empty
-    or full bin is taken as half a record from the end.
+    Binomial, divided by the share of information present: 1 − r with r = Σ p(1 − p) / [n s (1 − s)]. An empty or full
+    bin counts as half a record from the end.
     """
     share = (matched + 0.5) / (number + 1.0)
     binomial = share * (1.0 - share) / (number + 1.0)
-    missing = np.clip(unsure / np.maximum(number * share * (1.0 - share), 1e-300), 0.0, 0.95)
+    missing = np.clip(variance / np.maximum(number * share * (1.0 - share), 1e-300), 0.0, 0.95)
     return np.sqrt(binomial / (1.0 - missing))
 
 
 def _edges(magnitude: FloatArray) -> FloatArray:
-    """Edges of equal bins of a round width; sparse ends are taken together."""
+    """Edges of equal bins of a round width; sparse bins at both ends are merged."""
     low, high = float(magnitude.min()), float(magnitude.max())
     width = next((w for w in WIDTHS if (high - low) / w <= MOST_BINS), (high - low) / MOST_BINS)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
@@ -169,7 +168,7 @@ def _edges(magnitude: FloatArray) -> FloatArray:
 @in_short
 @dataclass(frozen=True)
 class ShareCurve:
-    """What is added to the logit of a record's share for its magnitude: (k,) values at (k,) knots, mag."""
+    """The addition to the logit of a record's share by its magnitude: (k,) values at (k,) knots, mag."""
 
     knots: FloatArray
     values: FloatArray
@@ -178,8 +177,8 @@ class ShareCurve:
     def fit(
         cls, magnitude: FloatArray, share: FloatArray, p_partner: FloatArray, start: ShareCurve | None = None
     ) -> ShareCurve:
-        """Of greatest penalised likelihood, for magnitudes (n,), the shares at the records' positions, and how
-        probably each has a partner; a few steps on from ``start`` where there is one."""
+        """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
+        probabilities of a partner; a few steps from ``start`` if given."""
         if start is None:
             knots = knots_of(magnitude, np.ones(len(magnitude)), PER_KNOT, MOST_KNOTS)
             start = cls(knots, np.zeros(len(knots)))
@@ -187,20 +186,20 @@ class ShareCurve:
 
         values, k = start.values.copy(), len(start.knots)
         steps = STEPS if values.any() else FIRST_STEPS
-        climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, LONGEST, SETTLED)
+        climb(magnitude, logit(share), p_partner, start.knots, _penalty(k), values, steps, MAX_STEP, TOLERANCE)
         return cls(start.knots, values)
 
     def logit(self, magnitude: FloatArray) -> FloatArray:
-        """(n,) what is added to the logit at magnitudes (n,); 0 where there is none."""
+        """(n,) the addition to the logit at magnitudes (n,); 0 where NaN."""
         known = np.isfinite(magnitude)
         hats = Hats.at(self.knots, np.where(known, magnitude, self.knots[0]))
         return np.where(known, hats.curve(self.values), 0.0)
 
     def terms(self, magnitude: FloatArray, share: FloatArray, rows: NDArray[np.integer] | None = None) -> FloatArray:
-        """(n,) what a pair's log-odds gain when the share s of its record becomes s(m); 0 where m is not known.
+        """(n,) the change of a pair's log-odds when the share s of its record becomes s(m); 0 where m is unknown.
 
-        Half of ln s, because the density of common objects comes from the records of both sources, less ln (1 − s) of
-        those that only one source shows. rows : of the records to compute, the others get 0; all if not given.
+        Half of ln s, because the density of common objects comes from the records of both sources, minus ln (1 − s) of
+        those that only one source shows. rows : records to compute, the others get 0; all if not given.
         """
         from sameas.kernels.relation import weigh
 
@@ -212,11 +211,11 @@ class ShareCurve:
 
 @cache
 def _penalty(k: int) -> FloatArray:
-    """(k, k) how a curve's values are drawn to a straight line, and to none at all."""
-    return np.asarray(roughness(k, BEND) + np.eye(k) / FAR**2)
+    """(k, k) penalty that draws a curve's values towards a straight line and towards zero."""
+    return np.asarray(roughness(k, BEND) + np.eye(k) / PRIOR_SIGMA**2)
 
 
 def logit(share: FloatArray) -> FloatArray:
-    """ln s / (1 − s), for shares limited to 1e-6 … 1 − 1e-6."""
+    """ln s / (1 − s), for shares clipped to 1e-6 … 1 − 1e-6."""
     share = np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
     return np.log(share) - np.log1p(-share)

@@ -1,11 +1,11 @@
-"""Heights as evidence: two aircraft over one place are two where their heights differ.
+"""Heights as evidence: two aircraft at one position are different if their heights differ.
 
-Heights h₁, h₂ of two records, with 1σ errors σ₁, σ₂, speak for one object by
+The likelihood ratio of heights h₁, h₂ with 1σ errors σ₁, σ₂ is
 
     r = (1 − w) N(h₁ − h₂; 0, σ₁² + σ₂²) / √(p(h₁) p(h₂)) + w,
 
-with p the density of the heights of the other objects, and w the probability that one of the two is wrong altogether: a
-garbled code, another object's reply. Heights of different kinds (pressure, geometric) are brought to one before.
+with p the density of the heights of the other objects, and w the probability that one of the two is an outlier: a
+garbled code, another object's reply. Heights of different kinds (pressure, geometric) must be converted to one before.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from sameas.representation import in_short
 
 @dataclass(frozen=True)
 class HeightTuning:
-    """The chosen numbers of the evidence of heights.
+    """The constants of the evidence of heights (chosen).
 
-    wrong : probability that one of two heights is wrong altogether.
-    usual_m : heights of objects lie within this span where nothing is known of them. usual_weight : that counts as so
-    many objects. bandwidth_m : 1σ by which the known heights are smoothed to their density.
+    wrong : probability that one of two heights is an outlier.
+    usual_m : prior span of heights. usual_weight : number of objects that the prior counts as.
+    bandwidth_m : 1σ of the smoothing of known heights to their density.
     """
 
     wrong: float = 0.01
@@ -46,12 +46,12 @@ DEFAULT_TUNING = HeightTuning()
 @in_short
 @dataclass(frozen=True)
 class Heights(Rule):
-    """The heights of the records, beside their positions.
+    """The heights of the records, in addition to their positions.
 
     Parameters
     ----------
-    heights : per source, by its name, (n_table, 2) the height and its 1σ error of every row of its table, metres; NaN
-        where a record has none. All are of one kind.
+    heights : by the source's name, (n_table, 2) height and its 1σ error of every row of its table, metres; NaN where a
+        record has none. All are of one kind.
 
     Example
     -------

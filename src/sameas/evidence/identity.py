@@ -1,20 +1,20 @@
 """Identity as evidence: MMSI, ICAO address, callsign, Mode A, name, type, length, each with a model of its errors.
 
-The identities of two records speak for or against their being one object, and never decide alone: addresses are
-shared, mistyped, off by a bit, inherited from a neighbour, or forged. Each attribute that both records have gives a
-ratio r_k = p(both values | one object) / p(both values | two objects); together they give
+Identities are evidence for or against one object, but never decide alone: addresses are shared, mistyped, off by a bit,
+inherited from a neighbour, or forged. Each attribute that both records have gives a ratio
+r_k = p(both values | one object) / p(both values | two objects); together they give
 
     λ = [(1 − g) R + g] / [(1 − s) + s R],   R = ∏ r_k,
 
-with g the probability that a record carries another object's identity altogether, and s that a second object nearby
-has this one's. So ln λ stays between ln g and ln(1/s), whatever and however many the attributes are.
+with g the probability that a record carries another object's identity altogether, and s that a second object nearby has
+the same identity. So ln λ stays between ln g and ln(1/s) for any number of attributes.
 
 - :class:`Identity`: the rule; add it to a rule of positions: ``CloseObjects(a, b) + Identity({...})``.
 - :class:`Code`, :class:`Category`, :class:`Size`: models of attributes; :data:`MODELS` for the usual ones.
 - :func:`alarms`: records whose unique identities agree while their positions contradict.
 
-Texts are compared in their plain spelling (:func:`plain`). Two of them that differ by one bit or one slip of typing
-count as a small error of one value (:func:`differ_by_one_bit`, :func:`differ_by_one_typing`).
+Texts are compared in normalised spelling (:func:`plain`). Texts that differ by one bit or one typing error count as a
+small error of one value (:func:`differ_by_one_bit`, :func:`differ_by_one_typing`).
 """
 
 from __future__ import annotations
@@ -40,32 +40,33 @@ from sameas.space import Plane
 
 
 def plain(values: ArrayLike, unknown: Sequence[str] = ()) -> NDArray[Any]:
-    """(n,) numbers as they are; texts in capitals, without spaces around them, "" where missing or in ``unknown``.
+    """(n,) numbers unchanged; texts in capitals, without surrounding spaces, "" where missing or in ``unknown``.
 
-    Whole numbers count as texts: an MMSI is a name, not a size.
+    Integers count as texts: an MMSI is a name, not a size.
     """
     if isinstance(values, np.ma.MaskedArray):
-        hidden, values = np.ma.getmaskarray(values), values.data.astype(object)
-        values[hidden] = None
+        masked, values = np.ma.getmaskarray(values), values.data.astype(object)
+        values[masked] = None
     array = np.asarray(values)
     if array.dtype.kind == "f":
         return array.astype(np.float64)
     cells = array.astype(object)
     if all(cell is None or isinstance(cell, float | np.floating) for cell in cells):
         return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
-    nothing = {"", "NONE", "NAN", *(text.upper() for text in unknown)}
+    missing = {"", "NONE", "NAN", *(text.upper() for text in unknown)}
     texts = (("" if cell is None else str(cell)).strip().upper() for cell in cells)
-    return np.array(["" if text in nothing else text for text in texts], dtype=np.str_)
+    return np.array(["" if text in missing else text for text in texts], dtype=np.str_)
 
 
 def differ_by_one_bit(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
-    """(m,) whether two hexadecimal addresses differ in one bit; False where either is none."""
+    """(m,) whether two hexadecimal addresses differ in one bit; False where either is not hexadecimal."""
     a, b = _hexadecimal(first), _hexadecimal(second)
     difference = a ^ b
     return np.asarray((a >= 0) & (b >= 0) & (difference != 0) & ((difference & (difference - 1)) == 0))
 
 
 def _hexadecimal(texts: NDArray[Any]) -> IntArray:
+    """(n,) values of texts of up to 15 hexadecimal digits; −1 for other texts."""
     values, place = np.unique(texts, return_inverse=True)
     numbers = np.full(len(values), -1, np.int64)
     for k, text in enumerate(values):
@@ -75,57 +76,57 @@ def _hexadecimal(texts: NDArray[Any]) -> IntArray:
 
 
 def differ_by_one_typing(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
-    """(m,) whether one letter was changed, lost or added, or two neighbours swapped (Damerau 1964)."""
+    """(m,) whether one letter was replaced, dropped or added, or two neighbours swapped (Damerau 1964)."""
     width = max(first.dtype.itemsize, second.dtype.itemsize, 4) // 4 + 1
     a, b = (
         np.ascontiguousarray(texts.astype(f"U{width}")).view(np.uint32).reshape(-1, width) for texts in (first, second)
     )
     long_a, long_b = np.count_nonzero(a, axis=1), np.count_nonzero(b, axis=1)
-    other = a != b
-    differing = other.sum(axis=1)
-    at = other.argmax(axis=1)
+    unequal = a != b
+    differing = unequal.sum(axis=1)
+    at = unequal.argmax(axis=1)
     row, after = np.arange(len(a)), np.minimum(at + 1, width - 1)
-    swapped = (differing == 2) & (a[row, at] == b[row, after]) & (a[row, after] == b[row, at]) & other[row, after]
+    swapped = (differing == 2) & (a[row, at] == b[row, after]) & (a[row, after] == b[row, at]) & unequal[row, after]
     same_length = (long_a == long_b) & ((differing == 1) | swapped)
     longer = np.where((long_a > long_b)[:, None], a, b)
     shorter = np.where((long_a > long_b)[:, None], b, a)
-    # Without the letter at the first difference the longer text is the shorter one.
+    # The longer text without the letter at the first difference must equal the shorter one.
     column = np.arange(width - 1)
     without = np.where(column < at[:, None], longer[:, :-1], longer[:, 1:])
-    lost = (np.abs(long_a - long_b) == 1) & (without == shorter[:, :-1]).all(axis=1)
-    return np.asarray(same_length | lost)
+    dropped = (np.abs(long_a - long_b) == 1) & (without == shorter[:, :-1]).all(axis=1)
+    return np.asarray(same_length | dropped)
 
 
-#: Per source the attributes of the rows of its table, by name; None, NaN or "" where a record has none.
+#: By source and name, the attributes of the rows of its table; None, NaN or "" where a record has none.
 Attributes = Mapping[str, Mapping[str, ArrayLike]]
 
 
 class Model(Protocol):
-    """The model of an attribute: its evidence for two records being one object."""
+    """The model of an attribute: its evidence that two records are one object."""
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        """(m,) ln r of pairs of known values; ``pool``: all known values of all sources, for their frequencies."""
+        """(m,) ln r of pairs of known values; ``pool``: known values of all sources, for their frequencies."""
 
 
 @in_short
 @dataclass(frozen=True)
 class Code:
-    """Values that should name one object: addresses, numbers, names.
+    """Values that should identify one object: addresses, numbers, names.
 
-    r = (1 − e) / p(value) where they are equal; where they differ by one bit or one slip of typing the share e of such
-    errors, spread over as many as there can be; else the share ``other`` of values that have nothing to do with the
-    object. p(value), the probability that an unrelated object has it: 1/``values``, or how often it is given to
-    several objects of one source.
+    r = (1 − e) / p(value) for equal values; for values that differ by one bit or one typing error, the share e of such
+    errors divided by the number of possible ones; else the share ``other`` of values unrelated to the object. p(value),
+    the probability that an unrelated object has it, is 1/``values``, or the frequency with which several objects of one
+    source have it.
 
     Parameters
     ----------
-    values : how many values there are in use, about.
-    slips : e, the probability of a small error. other : of a value that is wrong altogether.
-    bits : whether small errors are single bits of a hexadecimal address; else slips of typing: one letter changed,
-        lost or added, or two swapped.
-    neighbours : how many values are one small error away.
-    shared : values given to many objects, with the share of objects that have them.
-    unknown : values that mean nothing.
+    values : approximate number of values in use.
+    slips : e, the probability of a small error. other : of a value unrelated to the object.
+    bits : whether small errors are single bits of a hexadecimal address; else typing errors: one letter replaced,
+        dropped or added, or two swapped.
+    neighbours : number of values one small error away.
+    shared : values of many objects, with the share of objects that have them.
+    unknown : values without meaning.
     """
 
     values: float
@@ -141,21 +142,21 @@ class Code:
             raise InputError("Code: give values above 1, and shares of errors between 0 and 1 whose sum is below 1")
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        values, chance_of = self._log_chances(pool)
-        chance = 0.5 * (chance_of[np.searchsorted(values, first)] + chance_of[np.searchsorted(values, second)])
-        wrong = math.log(self.other)
-        out = np.full(len(first), wrong)
+        values, log_chance = self._log_chances(pool)
+        chance = 0.5 * (log_chance[np.searchsorted(values, first)] + log_chance[np.searchsorted(values, second)])
+        log_other = math.log(self.other)
+        out = np.full(len(first), log_other)
         same = first == second
-        out[same] = np.logaddexp(math.log1p(-self.slips - self.other) - chance[same], wrong)
+        out[same] = np.logaddexp(math.log1p(-self.slips - self.other) - chance[same], log_other)
         differ = np.flatnonzero(~same)
         near = differ[(differ_by_one_bit if self.bits else differ_by_one_typing)(first[differ], second[differ])]
-        out[near] = np.logaddexp(math.log(self.slips / self.neighbours) - chance[near], wrong)
+        out[near] = np.logaddexp(math.log(self.slips / self.neighbours) - chance[near], log_other)
         return out
 
     def _log_chances(self, pool: NDArray[Any]) -> tuple[NDArray[Any], FloatArray]:
-        """The values of the pool, ascending, and ln p that an unrelated object has each."""
+        """The values of the pool, ascending, and ln p that an unrelated object has them."""
         values, counts = np.unique(pool, return_counts=True)
-        # The pool holds each source's values once an object: a value that is there n times is shared by n objects.
+        # In the pool, each source has one value per object: n equal values are those of n objects.
         chance = np.maximum((counts - 1.0) / max(len(pool) - 1, 1), 1.0 / self.values)
         for value, share in self.shared.items():
             at = np.flatnonzero(values == value)
@@ -165,9 +166,9 @@ class Code:
 
 @dataclass(frozen=True)
 class Category:
-    """Values of a few classes, such as the type of ship: r by how frequent they are, and how often mistaken.
+    """Values of a few classes, such as the type of ship: r from their frequencies and the rate of misclassification.
 
-    wrong : probability that the two sources class one object differently.
+    wrong : probability that the two sources classify one object differently.
     """
 
     wrong: float = 0.15
@@ -182,9 +183,9 @@ class Category:
 
 @dataclass(frozen=True)
 class Size:
-    """Lengths or other sizes: normal about each other with the relative error ``share`` and the error ``sigma``.
+    """Lengths or other sizes: their difference is normal with relative error ``share`` and error ``sigma``.
 
-    wrong : probability that one of them is wrong altogether.
+    wrong : probability that one of them is an outlier.
     """
 
     sigma: float = 2.0
@@ -193,12 +194,12 @@ class Size:
     unknown: tuple[str, ...] = ()
 
     def __call__(self, first: NDArray[Any], second: NDArray[Any], pool: NDArray[Any]) -> FloatArray:
-        a, b, everyone = first.astype(np.float64), second.astype(np.float64), pool.astype(np.float64)
+        a, b, known = first.astype(np.float64), second.astype(np.float64), pool.astype(np.float64)
         mean = 0.5 * (a + b)
         variance = 2.0 * (self.sigma**2 + (self.share * mean) ** 2)
-        centre, spread = float(np.mean(everyone)), float(np.var(everyone)) + float(np.mean(variance))
+        centre, spread = float(np.mean(known)), float(np.var(known)) + float(np.mean(variance))
         same = -0.5 * ((a - b) ** 2 / variance + np.log(variance))
-        # That of an unrelated object: a normal as wide as all values, at either of the two.
+        # Two unrelated objects: the geometric mean of a normal of the variance of all values, at both.
         other = -0.5 * (0.5 * ((a - centre) ** 2 + (b - centre) ** 2) / spread + math.log(spread))
         return np.logaddexp(math.log1p(-self.wrong) + same - other, math.log(self.wrong))
 
@@ -225,11 +226,11 @@ class Identity(Rule):
 
     Parameters
     ----------
-    attributes : per source, by its name, per attribute the values of all rows of its table (n_table,), one row an
-        object: how often a source gives a value to several rows is how often objects share it.
+    attributes : by source name and attribute, the values of all rows of its table (n_table,), one row per object: equal
+        values of several rows are those that objects share.
     models : per attribute; an attribute without a model is refused.
-    borrowed : g, the probability that a record carries another object's identity. duplicate : s, that another
-        object nearby shows the same: duplicates, forgeries, rebroadcasts.
+    borrowed : g, the probability that a record carries another object's identity. duplicate : s, that another object
+        nearby shows the same: duplicates, forgeries, rebroadcasts.
 
     Example
     -------
@@ -267,7 +268,7 @@ class Identity(Rule):
         total = np.sum(list(terms.values()), axis=0)
         bounded = np.logaddexp(math.log1p(-self.borrowed) + total, math.log(self.borrowed))
         bounded -= np.logaddexp(math.log1p(-self.duplicate), math.log(self.duplicate) + total)
-        # Pairs without a common attribute get exactly 0, without the rounding of ln 1.
+        # Exactly 0 for pairs without a common attribute, without rounding.
         bounded[total == 0.0] = 0.0
         return Evidence({**terms, "borrowed or shared": bounded - total})
 
@@ -276,7 +277,7 @@ class Identity(Rule):
         return [name for name in self.attributes.get(first, {}) if name in self.attributes.get(second, {})]
 
     def column(self, records: Records, name: str) -> NDArray[Any]:
-        """(n_table,) the values of a source, in plain spelling; "" or NaN where a record has none."""
+        """(n_table,) the values of a source in normalised spelling; "" or NaN where missing."""
         values = self._plain[records.source][name]
         if len(values) != records.n_table:
             raise InputError(
@@ -295,7 +296,7 @@ class Identity(Rule):
 
     @cached_property
     def _plain(self) -> dict[str, dict[str, NDArray[Any]]]:
-        """The attributes in plain spelling."""
+        """The attributes in normalised spelling."""
         return {
             source: {name: _spelled(values, self.models[name]) for name, values in columns.items()}
             for source, columns in self.attributes.items()
@@ -308,7 +309,7 @@ class Identity(Rule):
         return {name: self._pool(name) for name in names}
 
     def _pool(self, name: str) -> NDArray[Any]:
-        """Known values of all sources: of each value as often as the source that has it most."""
+        """Known values of all sources; each value as often as in the source that has it most often."""
         columns = [column[name] for column in self._plain.values() if name in column]
         columns = [column[_has_value(column)] for column in columns]
         if any(column.dtype.kind == "f" for column in columns):
@@ -321,7 +322,7 @@ class Identity(Rule):
 
 
 def _spelled(values: ArrayLike, model: Model) -> NDArray[Any]:
-    """(n_table,) values in plain spelling; codes and classes as texts, however a table holds them."""
+    """(n_table,) values in normalised spelling; codes and classes as texts, whatever their type in the table."""
     unknown = getattr(model, "unknown", ())
     column = plain(values, unknown)
     if column.dtype.kind == "f" and isinstance(model, Code | Category):
@@ -335,10 +336,9 @@ def _has_value(values: NDArray[Any]) -> BoolArray:
 
 @dataclass(frozen=True)
 class Alarm:
-    """Two records that show one identity at places too far apart for one object.
+    """Two records with the same identity at positions too far apart for one object.
 
-    first, second : name of the source and row of its table. distance : between them, in the unit of the features.
-    chi_sq : Δᵀ Σ⁻¹ Δ.
+    first, second : name of the source and row of its table. distance : in the unit of the features. chi_sq : Δᵀ Σ⁻¹ Δ.
     """
 
     attribute: str
@@ -364,30 +364,30 @@ def alarms(
     unique: Sequence[str] = ("mmsi", "imo", "icao"),
     gate: ChiSquare | None = None,
 ) -> list[Alarm]:
-    """Records of one instant that show the same identity where their positions contradict, in one source or in two.
+    """Records of one instant with the same identity and contradicting positions, in one source or in two.
 
-    The gate keeps such records apart, so that :class:`Identity` never compares them.
+    The gate excludes such pairs, so that :class:`Identity` never compares them.
 
     Parameters
     ----------
     sources : records of one plane at one instant. identity : their attributes.
     unique : attributes that only one object should have.
-    gate : beyond whose quantile positions contradict; that of the default gate.
+    gate : positions beyond its quantile contradict; the default gate if not given.
     """
     limit_of = gate or ChiSquare(DEFAULT_COMPLETENESS)
-    every = []
+    found = []
     for name in unique:
         values = [_SourceValues.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
         for s, first in enumerate(values):
             for second in values[s:]:
-                every += first.against(second, name, limit_of)
-    return sorted(every, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
+                found += first.against(second, name, limit_of)
+    return sorted(found, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
 
 
 @in_short
 @dataclass(frozen=True)
 class _SourceValues:
-    """The usable records of one source that have an attribute: positions ``at`` in it, sorted by value."""
+    """The usable records of one source that have an attribute, at indices ``at``, sorted by value."""
 
     records: Records
     values: NDArray[Any]
@@ -403,6 +403,7 @@ class _SourceValues:
         return cls(records, values[at][order], at[order])
 
     def against(self, other: _SourceValues, name: str, gate: ChiSquare) -> list[Alarm]:
+        """Alarms between records of this source and of ``other``, which may be the same."""
         low, high = (np.searchsorted(other.values, self.values, side) for side in ("left", "right"))
         i, j = ranges(low, high - low)
         a, b = self.at[i], other.at[j]
@@ -415,9 +416,9 @@ class _SourceValues:
         delta = one.features[a] - two.features[b]
         total = unpack(one.covariance[a], one.d) + unpack(two.covariance[b], two.d)
         chi_sq = mahalanobis_sq(delta, total)
-        apart = np.linalg.norm(delta[:, :2], axis=1)
+        distance = np.linalg.norm(delta[:, :2], axis=1)
         return [
             Alarm(name, str(self.values[i[k]]), (one.source, int(one.rows[a[k]])), (two.source, int(two.rows[b[k]])),
-                  float(apart[k]), float(chi_sq[k]))
+                  float(distance[k]), float(chi_sq[k]))
             for k in np.flatnonzero(chi_sq > gate.limit(one.d))
         ]  # fmt: skip

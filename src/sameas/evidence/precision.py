@@ -1,8 +1,8 @@
-"""Precision as evidence: the sizes of the quoted errors of two records of one object go together.
+"""Precision as evidence: the sizes of the quoted errors of both records of an object are correlated.
 
-Errors grow towards faint objects. So a record with large errors is more often missed by a source that is less deep, and
-both records of an object have large errors or neither: quoted errors stand for a magnitude where none is given.
-``sameas.estimate.grades`` learns how much evidence that is.
+Errors grow with magnitude. So a shallower source more often misses a record with large errors, and both records of an
+object have either large or small errors: quoted errors substitute for a magnitude where none is given.
+``sameas.estimate.grades`` estimates this evidence.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from sameas.representation import in_short
 @in_short
 @dataclass(frozen=True)
 class TrainingPairs:
-    """The pairs from which a table of grades was learned.
+    """The pairs from which a table of grades was estimated.
 
-    cell : (m,) the place of each pair's two grades in the table, row by row. own : (m,) by how much the pair itself
-    raised the table's log ratio there.
+    cell : (m,) index of each pair's two grades in the flattened table. own : (m,) the pair's own contribution to the
+    table's log ratio there.
     """
 
     pairs: Pairs
@@ -35,12 +35,12 @@ class TrainingPairs:
 @in_short
 @dataclass(frozen=True)
 class Precision(Rule):
-    """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with the grades g of how well both records are measured.
+    """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with grades g of the sizes of both records' errors.
 
     Parameters
     ----------
     grades : (n₁,), (n₂,) of every record, from 0. log_ratio : (k₁, k₂) of every two grades.
-    training : the pairs that this was learned from, None where others have taken their place since.
+    training : the pairs that this was estimated from; None after a change of candidates.
     """
 
     grades: tuple[NDArray[np.integer], NDArray[np.integer]] = field(repr=False)
@@ -54,5 +54,5 @@ class Precision(Rule):
         return Evidence({"precision": self.log_ratio[one[pairs.i], two[pairs.j]]})
 
     def trained_on(self, pairs: Pairs) -> bool:
-        """Whether this was learned from these pairs."""
+        """Whether this was estimated from these pairs."""
         return self.training is not None and self.training.pairs is pairs

@@ -1,4 +1,4 @@
-"""The distribution of residuals about their quoted covariances."""
+"""The distribution of residuals relative to their quoted covariances."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ BATCH = 16_384
 
 @dataclass(frozen=True)
 class Errors:
-    """How residuals spread: a mixture of normals N(0, scale²·S) about S = a₁²Σ₁ + a₂²Σ₂ + f²·1, Σ as it is quoted.
+    """The distribution of residuals: a mixture of normals N(0, scale²·S), S = a₁²Σ₁ + a₂²Σ₂ + f²·1, Σ as quoted.
 
-    ``Errors()`` takes the quoted errors as they are. ``Errors(scales=(1.4, 6.0), shares=(0.95, 0.05))`` says that they
-    are 1.4 times too small, and that one pair in twenty has errors 6 times larger than quoted (a heavy tail).
+    ``Errors()`` takes the quoted errors as they are. With ``Errors(scales=(1.4, 6.0), shares=(0.95, 0.05))`` they are
+    1.4 times too small, and one pair in twenty has errors 6 times larger than quoted (a heavy tail).
     ``Errors(floor=0.1)`` adds 0.1, in the unit of the residuals, in quadrature to every error.
 
     Parameters
     ----------
     scales, shares : of the normals of the mixture, relative to S.
-    factor_1, factor_2 : a₁ and a₂, by which the errors of either source are multiplied.
-    floor : f, the standard deviation per axis that both sources together have beside what they quote; a tuple where the
-        axes have units of their own.
-    added : variances per axis, (n_table,) by the rows of either source's table, that its records have beside these, or
-        None; they do not take part in comparisons.
+    factor_1, factor_2 : a₁ and a₂, factors on the errors of the two sources.
+    floor : f, standard deviation per axis of both sources together in addition to the quoted errors; a tuple if the
+        axes have different units.
+    added : variances per axis, (n_table,) by the rows of each source's table, in addition to these, or None; ignored in
+        comparisons.
 
     Source: METHOD 6, 11.1.
     """
@@ -61,24 +61,24 @@ class Errors:
 
     @property
     def typical_scale(self) -> float:
-        """The factor by which the modelled errors, S, must be multiplied for the typical pair: the median scale."""
+        """The factor on the modelled errors, S, for the typical pair: the median scale."""
         order = np.argsort(self.scales)
         shares, logs = np.asarray(self.shares)[order], np.log(np.asarray(self.scales)[order])
         return float(np.exp(np.interp(0.5, np.cumsum(shares) - 0.5 * shares, logs)))
 
     @property
     def as_modelled(self) -> bool:
-        """Whether S is not the sum of the quoted covariances."""
+        """Whether S differs from the sum of the quoted covariances."""
         if self.factor_1 != 1.0 or self.factor_2 != 1.0 or any(variance is not None for variance in self.added):
             return True
         return self.floor != 0.0 if isinstance(self.floor, float) else bool(np.any(self.floor))
 
     def with_mixture(self, mixture: Errors) -> Errors:
-        """The same S with the scales and shares of another."""
+        """The same S with the scales and shares of ``mixture``."""
         return replace(self, scales=mixture.scales, shares=mixture.shares)
 
     def records(self, first: Records, second: Records) -> tuple[Records, Records]:
-        """Both sources with the covariances of S; either takes half of the floor's."""
+        """Both sources with covariances whose sum is S; each gets half of the floor's variance."""
         if not self.as_modelled:
             return first, second
         half = 0.5 * np.asarray(self.floor) ** 2
@@ -89,7 +89,7 @@ class Errors:
         return first.with_errors(self.factor_1, one), second.with_errors(self.factor_2, two)
 
     def pairs(self, pairs: Pairs) -> Pairs:
-        """The same candidates with distances, determinants and covariances by S instead of the quoted errors."""
+        """The same candidates with distances, determinants and covariances by S."""
         return pairs.of(*self.records(pairs.first, pairs.second)) if self.as_modelled else pairs
 
     def log_density(self, pairs: Pairs) -> FloatArray:
@@ -103,7 +103,7 @@ class Errors:
         return density
 
     def log_profile(self, mahalanobis_sq: FloatArray, d: int) -> FloatArray:
-        """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)): what replaces exp(−m²/2) of one normal.
+        """(m,) ln Σ_k share_k scale_k^(−d) exp(−m²/(2 scale_k²)), which replaces −m²/2 of a single normal.
 
         mahalanobis_sq : (m,) m² by S.
         """
@@ -117,17 +117,17 @@ class Errors:
         half = -0.5 * mahalanobis_sq
         if self.scales == (1.0,):
             return half
-        parts = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
-        widest = max(scale for scale, _ in parts)
-        # Relative to the widest normal no density overflows or underflows a double.
+        components = [(scale, share) for scale, share in zip(self.scales, self.shares, strict=True) if share > 0.0]
+        widest = max(scale for scale, _ in components)
+        # Relative to the widest normal, densities neither overflow nor underflow.
         total = np.zeros(len(half))
-        for scale, share in parts:
+        for scale, share in components:
             total += share * scale**-d * np.exp(half * (scale**-2 - widest**-2))
         return np.asarray(np.log(total) + half * widest**-2)
 
 
 def _batches(n: int) -> Iterator[slice]:
-    """All of n pairs in slices that fit into the cache."""
+    """Slices of n pairs that fit into the cache."""
     return (slice(begin, begin + BATCH) for begin in range(0, n, BATCH))
 
 

@@ -1,6 +1,6 @@
-"""What every decision rule is: a call from pairs to evidence, and sums of rules.
+"""The interface of decision rules, which turn pairs into evidence, and sums of rules.
 
-A rule gives exactly 0.0 for pairs that it cannot compare, because one of the records lacks the value: so
+A rule gives exactly 0.0 for pairs that it cannot compare because one of the records has no value, so that
 :attr:`Evidence.informative` is the mask of the pairs that it compares.
 """
 
@@ -20,9 +20,9 @@ from sameas.representation import in_short
 @in_short
 @dataclass(frozen=True)
 class Evidence:
-    """Named terms, (m,) each; their sum is the log likelihood ratio of every pair.
+    """Named terms, (m,) each, whose sum is the log likelihood ratio of every pair.
 
-    log_error : (m,) stated standard error of that sum where a rule integrates numerically, None where it is exact to
+    log_error : (m,) standard error of that sum for rules that integrate numerically, None where it is exact to
         rounding; infinite where the sum is only a bound.
     """
 
@@ -31,19 +31,19 @@ class Evidence:
 
     @property
     def log_ratio(self) -> FloatArray:
-        """(m,) ln λ, summed at every call: keep it where it is needed again."""
+        """(m,) ln λ; summed at every call, so keep it for reuse."""
         parts = list(self.terms.values())
         return sum(parts[1:], parts[0])
 
     @cached_property
     def informative(self) -> BoolArray:
-        """(m,) whether the pair has a term that is not exactly 0.0."""
+        """(m,) whether any term of the pair differs from exactly 0.0."""
         parts = [np.asarray(values != 0.0) for values in self.terms.values()]
         return parts[0] if len(parts) == 1 else np.logical_or.reduce(parts)
 
 
 class Rule:
-    """What every decision rule is: a call from pairs to evidence, and a sum with other rules."""
+    """The interface of decision rules: a call from pairs to evidence, and a sum with other rules."""
 
     def __call__(self, pairs: Pairs) -> Evidence:
         raise TypeError(f"{type(self).__name__} is the interface of decision rules; use one of them")
@@ -54,13 +54,13 @@ class Rule:
         return Sum((*self.parts(), *other.parts()))
 
     def parts(self) -> tuple[Rule, ...]:
-        """The rules that this one is the sum of."""
+        """The rules of which this one is the sum."""
         return (self,)
 
 
 @dataclass(frozen=True)
 class Sum(Rule):
-    """Several rules of independent features."""
+    """Several rules for independent features."""
 
     rules: tuple[Rule, ...]
 

@@ -1,16 +1,15 @@
 """The universal rule: any density of objects, and any density of the neighbour of an object (METHOD 3.3 [T13]).
 
-:class:`Universal` takes sums where the densities are mixtures or samples, and expectations over normals where they are
-functions. :func:`expectation` states the error of these: adaptive cubature in one and two dimensions, scrambled Sobol
-points above. Cubature sees jumps of a density badly and may not notice; it is taken where it settles at once and agrees
-with Sobol points, which take its place elsewhere.
+:class:`Universal` sums over mixtures and samples, and integrates functions over normals. :func:`expectation` states the
+error of the integrals: adaptive cubature in one and two dimensions, scrambled Sobol points above. Cubature may not
+notice jumps of a density; it is used where it converges and agrees with Sobol points, which replace it elsewhere.
 
 Densities of positions:
 
-- :class:`Flat`: an object lies anywhere with the same density.
-- :class:`GaussianMixture`: everything is a closed form.
-- :class:`Samples`: draws from a density of no known form; sums over them come with their standard error.
-- :class:`Displacement`: a function of where the other object lies from the first.
+- :class:`Flat`: the same density everywhere.
+- :class:`GaussianMixture`: everything has a closed form.
+- :class:`Samples`: draws from a density of unknown form; sums over them come with their standard error.
+- :class:`Displacement`: a function of the displacement of the other object from the first.
 """
 
 from __future__ import annotations
@@ -96,7 +95,7 @@ class GaussianMixture:
         return np.asarray(np.exp(parts) @ np.asarray(self.weights))
 
     def log_common(self, x1: FloatArray, s1: FloatArray, x2: FloatArray, s2: FloatArray) -> FloatArray:
-        """(…, k) ln of the parts of ∫ p(M) N(x1; M, s1) N(x2; M, s2) dM."""
+        """(…, k) ln of the components of ∫ p(M) N(x1; M, s1) N(x2; M, s2) dM."""
         return np.log(self.weights) + log_parts(np.asarray(self.means), np.asarray(self.covariances), x1, s1, x2, s2)
 
 
@@ -125,23 +124,23 @@ class Samples:
         return int(np.shape(self.points)[1])
 
     def smoothed(self) -> GaussianMixture:
-        """The same as a mixture of one normal per sample, of the width of Scott's rule for one cluster."""
+        """The samples as a mixture of normals, with the width of Scott's rule for a single cluster."""
         points = np.asarray(self.points)
         n, d = points.shape
         spread = np.atleast_2d(np.cov(points.T)) * n ** (-2.0 / (d + 4))
         return GaussianMixture(np.full(n, 1.0 / n), points, np.broadcast_to(spread, (n, d, d)))
 
     def log_common(self, x1: FloatArray, s1: FloatArray, x2: FloatArray, s2: FloatArray) -> FloatArray:
-        """(…, n) ln of the parts of ∫ p(M) N(x1; M, s1) N(x2; M, s2) dM."""
+        """(…, n) ln of the components of ∫ p(M) N(x1; M, s1) N(x2; M, s2) dM."""
         points = np.asarray(self.points)
-        nothing = np.zeros((points.shape[1],) * 2)
-        return log_parts(points, nothing, x1, s1, x2, s2) - math.log(len(points))
+        no_width = np.zeros((points.shape[1],) * 2)
+        return log_parts(points, no_width, x1, s1, x2, s2) - math.log(len(points))
 
 
 @in_short
 @dataclass(frozen=True)
 class Displacement:
-    """The density of where the other object lies from the first, a function of M₂ − M₁ (n, d) → (n,)."""
+    """The density of the displacement M₂ − M₁ of the other object from the first, a function (n, d) → (n,)."""
 
     density: DensityFunction
 
@@ -155,12 +154,12 @@ def log_parts(
 ) -> FloatArray:
     """(…, k) ln ∫ N(M; mean_k, covariance_k) N(x1; M, s1) N(x2; M, s2) dM.
 
-    Two measurements of one object are one of their weighted mean, with the density of their difference.
+    Two measurements of one object equal one of their weighted mean, times the density of their difference.
     """
     fused = Gaussian(x1, s1).updated(Gaussian(x2, s2))
-    apart = fused.mean[..., None, :] - means
+    offset = fused.mean[..., None, :] - means
     return log_density(x1 - x2, s1 + s2)[..., None] + log_density(
-        apart, fused.covariance[..., None, :, :] + covariances
+        offset, fused.covariance[..., None, :, :] + covariances
     )
 
 
@@ -171,11 +170,11 @@ ConditionalFunction = Callable[[FloatArray, FloatArray], FloatArray]
 
 #: Adaptive cubature covers ±8.5 standard deviations; a share of 2e-17 of a normal lies beyond.
 REACH = 8.5
-#: Most subdivisions of cubature (chosen).
+#: Greatest number of subdivisions of cubature (chosen).
 SUBDIVISIONS = 40
 #: Independent scrambles of the Sobol points, whose scatter is the stated error (chosen).
 SCRAMBLES = 16
-#: Points of each scramble: of the first step, to check cubature, and at most (chosen).
+#: Points of each scramble: in the first step, to check cubature, and at most (chosen).
 FIRST, CHECK, MOST = 2**8, 2**10, 2**13
 #: Values of a density in one batch, and components times features of closed forms in one batch.
 VALUES_IN_BATCH, COMPONENTS_IN_BATCH = 2**18, 2**20
@@ -191,7 +190,7 @@ class Expected:
 
 
 def expectation(integrand: Integrand, pairs: int, k: int, relative_error: float, seed: int, density: str) -> Expected:
-    """E f(z), z ~ N(0, 1)^k, for every pair, to the ``relative_error`` where the steps allow it.
+    """E f(z), z ~ N(0, 1)^k, for every pair, to ``relative_error`` if the number of steps suffices.
 
     Raises
     ------
@@ -201,27 +200,27 @@ def expectation(integrand: Integrand, pairs: int, k: int, relative_error: float,
     if k > 2:
         value, error, bound = _scrambled(f, rows, k, relative_error, seed, MOST)
     else:
-        value, error, settled = _adaptive(f, pairs, k, relative_error)
+        value, error, converged = _adaptive(f, pairs, k, relative_error)
         bound = k * math.erfc(REACH / math.sqrt(2.0))
         check, check_error, gap = _scrambled(f, rows, k, relative_error, seed, CHECK)
         positive = check > 0.0
-        spread = np.multiply(check, check_error, out=np.zeros(pairs), where=positive)
-        tolerance = 5.0 * spread + error * value + 10.0 * f.largest * gap
-        rows = rows[positive & (~settled | (np.abs(value - check) > tolerance))]
+        sigma = np.multiply(check, check_error, out=np.zeros(pairs), where=positive)
+        tolerance = 5.0 * sigma + error * value + 10.0 * f.largest * gap
+        rows = rows[positive & (~converged | (np.abs(value - check) > tolerance))]
         if len(rows):
             value[rows], error[rows], _ = _scrambled(f, rows, k, relative_error, seed, MOST)
-    nothing = value <= 0.0
-    if np.any(nothing):
+    zero = value <= 0.0
+    if np.any(zero):
         if f.largest <= 0.0:
             raise InputError(f"Universal: {density} is zero around every pair; give a density that covers the records")
-        # The value is bounded only: by the largest one at any point, times the share that no point stands for.
-        value, error = np.where(nothing, f.largest * bound, value), np.where(nothing, np.inf, error)
+        # An upper bound: the largest value at any point, times the share of the normal without points.
+        value, error = np.where(zero, f.largest * bound, value), np.where(zero, np.inf, error)
     return Expected(np.log(value), error)
 
 
 @dataclass
 class _Checked:
-    """The integrand, refused where it gives no densities; ``largest`` is its largest value at any point."""
+    """The integrand, which must give densities; ``largest`` is its largest value so far."""
 
     integrand: Integrand
     density: str
@@ -236,10 +235,10 @@ class _Checked:
 
 
 def _adaptive(f: _Checked, pairs: int, k: int, relative_error: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """(m,) values, relative errors, and whether they settled: Gauss–Kronrod cubature pair by pair."""
+    """(m,) values, relative errors, and whether they converged: Gauss–Kronrod cubature pair by pair."""
     from scipy.integrate import cubature
 
-    value, error, settled = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs, np.bool_)
+    value, error, converged = np.zeros(pairs), np.zeros(pairs), np.zeros(pairs, np.bool_)
     for row in range(pairs):
         one = np.array([row])
 
@@ -251,36 +250,36 @@ def _adaptive(f: _Checked, pairs: int, k: int, relative_error: float) -> tuple[F
             weighted, np.full(k, -REACH), np.full(k, REACH), rule="gk15", rtol=relative_error, points=[np.zeros(k)],
             max_subdivisions=SUBDIVISIONS,
         )  # fmt: skip
-        value[row], settled[row] = integral.estimate, integral.status == "converged"
+        value[row], converged[row] = integral.estimate, integral.status == "converged"
         error[row] = integral.error / integral.estimate if integral.estimate > 0.0 else 0.0
-    return value, error, settled
+    return value, error, converged
 
 
 def _scrambled(
     f: _Checked, rows: IntArray, k: int, relative_error: float, seed: int, most: int
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Values and relative errors of some pairs, and the share that no point stands for: scrambled Sobol points.
+    """Values and relative errors of some pairs by scrambled Sobol points, and the share of the normal per point.
 
-    They are doubled, up to ``most`` of each scramble, for the pairs that need it; the error is that among scrambles.
+    Points are doubled, up to ``most`` of each scramble, for pairs that need it; the error is the scatter of scrambles.
     """
     from scipy.special import ndtri
     from scipy.stats import qmc
 
     engines = [qmc.Sobol(k, scramble=True, rng=stream) for stream in np.random.default_rng(seed).spawn(SCRAMBLES)]
     total, drawn, error = np.zeros((SCRAMBLES, len(rows))), np.zeros(len(rows), np.int64), np.full(len(rows), np.inf)
-    going, n = np.arange(len(rows)), FIRST
-    while len(going) and drawn.max() < most:
+    open_, n = np.arange(len(rows)), FIRST
+    while len(open_) and drawn.max() < most:
         for at, engine in enumerate(engines):
-            # A scramble may round to 0, which no normal has.
+            # A scramble may round to 0, where the normal quantile is infinite.
             points = ndtri(np.clip(engine.random(n), 1e-16, 1.0 - 1e-16))
-            for begin in range(0, len(going), max(1, VALUES_IN_BATCH // n)):
-                some = going[begin : begin + max(1, VALUES_IN_BATCH // n)]
+            for begin in range(0, len(open_), max(1, VALUES_IN_BATCH // n)):
+                some = open_[begin : begin + max(1, VALUES_IN_BATCH // n)]
                 total[at, some] += f(rows[some], points).sum(axis=1)
-        drawn[going] += n
-        mean = total[:, going] / drawn[going]
-        spread, middle = mean.std(axis=0, ddof=1) / math.sqrt(SCRAMBLES), mean.mean(axis=0)
-        error[going] = np.divide(spread, middle, out=np.full(len(going), np.inf), where=middle > 0.0)
-        going, n = going[error[going] > relative_error], int(drawn.max())
+        drawn[open_] += n
+        mean = total[:, open_] / drawn[open_]
+        sigma, middle = mean.std(axis=0, ddof=1) / math.sqrt(SCRAMBLES), mean.mean(axis=0)
+        error[open_] = np.divide(sigma, middle, out=np.full(len(open_), np.inf), where=middle > 0.0)
+        open_, n = open_[error[open_] > relative_error], int(drawn.max())
     return total.mean(axis=0) / drawn, error, 1.0 / (SCRAMBLES * int(drawn.max(initial=1)))
 
 
@@ -289,21 +288,21 @@ def _scrambled(
 class Universal(Rule):
     """λ = ∫ p(M) N(X₁;M,Σ₁) N(X₂;M,Σ₂) dM / ∬ p(M₁) p(M₂|M₁) N(X₁;M₁,Σ₁) N(X₂;M₂,Σ₂) dM₁ dM₂, for any densities.
 
-    ``Field`` and ``CloseObjects`` are special cases of it and faster. Records lie in a plane, of any dimension.
+    ``Field`` and ``CloseObjects`` are faster special cases. Records lie in a plane of any dimension.
 
     Parameters
     ----------
     position : p(M): :class:`Flat`, :class:`GaussianMixture`, :class:`Samples`, or a function of positions (n, d).
     neighbour : p(M₂|M₁): a :class:`GaussianMixture` or :class:`Samples` of the displacement M₂ − M₁, a
         :class:`Displacement`, or a function of M₁ and M₂, (n, d) each. Functions give densities (n,).
-        Samples and functions of positions do not go together; ``Samples.smoothed()`` does.
-    relative_error : of integrals of functions: adaptive cubature up to two dimensions of the integral (features
-        once for a Displacement whose ``position`` is no function, twice otherwise), scrambled Sobol points
-        above and where cubature does not settle.
+        Samples cannot be combined with functions of positions; ``Samples.smoothed()`` can.
+    relative_error : of integrals of functions: adaptive cubature in up to two dimensions of the integral (the number of
+        features for a Displacement whose ``position`` is no function, twice that otherwise), scrambled Sobol points
+        above and where cubature does not converge.
     seed : of the Sobol points; the same seed gives the same answer.
 
-    The evidence states its error, ``Evidence.log_error``: that of the integrals and of the samples. It is infinite
-    where a density is zero at every point: the ratio is then only bounded.
+    The evidence has an error, ``Evidence.log_error``: that of the integrals and of the samples. It is infinite where a
+    density is zero at every point, and the ratio is only a bound.
 
     Example
     -------
@@ -365,7 +364,7 @@ class _PairsOfRecords:
                 raise InputError(f"Universal: {name} has {given.d} features, the records {pairs.d}")
         x1 = pairs.first.features[pairs.i]
         s1, s2 = pairs.first.full_covariance()[pairs.i], pairs.second.full_covariance()[pairs.j]
-        # Across a period the second record is taken where it is near the first.
+        # Across a period, the second record is moved to the image nearest to the first.
         return cls(rule, x1, s1, x1 - pairs.residual, s2)
 
     def same(self) -> Expected:
@@ -379,7 +378,7 @@ class _PairsOfRecords:
         return self._expected(lambda rows, z: _values(p, _around(fused.mean, root, rows, z)), d, "position")
 
     def different(self) -> Expected:
-        """The density of both records if they are two objects."""
+        """The density of both records if they are two different objects."""
         p, q = self.rule.position, self.rule.neighbour
         if isinstance(p, Flat | GaussianMixture | Samples):
             if isinstance(q, GaussianMixture | Samples):
@@ -389,7 +388,7 @@ class _PairsOfRecords:
         return self._both(p, q)
 
     def _closed(self, q: GaussianMixture | Samples | None) -> tuple[FloatArray, FloatArray]:
-        """ln of the sum over components, and the relative error that comes of samples; no ``q``: one object."""
+        """ln of the sum over components, and the relative error due to samples; without ``q`` for one object."""
         p = self.rule.position
         assert isinstance(p, Flat | GaussianMixture | Samples)
         means, covariances, log_weights = _components(q, self.x1.shape[1])
@@ -399,9 +398,9 @@ class _PairsOfRecords:
         for begin in range(0, len(self.x1), step):
             some = slice(begin, begin + step)
             x1, s1, s2 = self.x1[some, None], self.s1[some, None], self.s2[some, None] + covariances
-            parts = p.log_common(x1, s1, self.x2[some, None] - means, s2) + log_weights[:, None]
-            log_value[some] = total = np.logaddexp.reduce(parts, axis=(1, 2))
-            share = np.exp(parts - total[:, None, None])
+            components = p.log_common(x1, s1, self.x2[some, None] - means, s2) + log_weights[:, None]
+            log_value[some] = total = np.logaddexp.reduce(components, axis=(1, 2))
+            share = np.exp(components - total[:, None, None])
             error[some] = np.hypot(
                 _scatter(share.sum(axis=2)) if isinstance(q, Samples) else 0.0,
                 _scatter(share.sum(axis=1)) if isinstance(p, Samples) else 0.0,
@@ -409,7 +408,7 @@ class _PairsOfRecords:
         return log_value, error
 
     def _displaced(self, p: Flat | GaussianMixture | Samples, q: Displacement) -> Expected:
-        """The mean over displacements m ~ N(−Δ, Σ) of q(m) times the density p of X₁ and X₂ − m as one object."""
+        """The mean over displacements m ~ N(−Δ, Σ) of q(m) times the density by p of X₁ and X₂ − m as one object."""
         delta, total = self.x1 - self.x2, self.s1 + self.s2
         root = np.linalg.cholesky(total)
 
@@ -445,7 +444,7 @@ class _PairsOfRecords:
 
 
 def _components(q: GaussianMixture | Samples | None, d: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means (l, d), covariances (l, d, d) and ln weights (l,) of displacements; none at all for one object."""
+    """Means (l, d), covariances (l, d, d) and ln weights (l,) of displacements; a single zero for one object."""
     if isinstance(q, GaussianMixture):
         return np.asarray(q.means), np.asarray(q.covariances), np.log(q.weights)
     means = np.zeros((1, d)) if q is None else np.asarray(q.points)
@@ -459,12 +458,12 @@ def _scatter(share: FloatArray) -> FloatArray:
 
 
 def _around(mean: FloatArray, root: NDArray[np.floating], rows: IntArray, z: FloatArray) -> FloatArray:
-    """(r, n, d) the normal points z (n, d) brought to the means and covariances of some pairs."""
+    """(r, n, d) the standard normal points z (n, d) transformed to the means and covariances of some pairs."""
     return np.asarray(mean[rows, None] + np.einsum("rvw,nw->rnv", root[rows], z))
 
 
 def _values(density: DensityFunction | Samples, points: FloatArray) -> FloatArray:
-    """(r, n) a density at points (r, n, d)."""
+    """(r, n) values of a density at points (r, n, d)."""
     assert callable(density)
     return _shaped(np.asarray(density(points.reshape(-1, points.shape[-1])), np.float64), points)
 

@@ -1,17 +1,17 @@
-"""The gate: which pairs of records could be one object at all.
+"""The gate: which pairs of records could be one object.
 
-A pair is a *candidate* when its residual Δ is small for its own covariance Σ = Σ₁ + Σ₂ (METHOD 2). Every σ counts
-pair by pair: a record with a large error neither widens the gate of others nor is missed.
+A pair is a *candidate* if its residual Δ is small relative to its own covariance Σ = Σ₁ + Σ₂ (METHOD 2). Each pair has
+its own σ, so that a record with a large error neither widens the gate of others nor is lost.
 
-- :class:`ChiSquare` (default): Δᵀ Σ⁻¹ Δ within the χ² quantile of a stated completeness, the probability that the gate
+- :class:`ChiSquare` (default): Δᵀ Σ⁻¹ Δ within the χ² quantile of a given completeness, the probability that the gate
   keeps a true pair.
 - :class:`Radius`: Δᵀ Σ⁻¹ Δ ≤ k², a limit in standard deviations of the distance.
 - :class:`Box`: |Δ_v| ≤ k σ_v in every feature, the papers' "three sigma" gate.
 
-The gate is part of the model: what it leaves out has probability zero. The default is so wide that opening it further
-changes nothing one can see: with a per-pair prior no probability by more than 1e-5 where groups are summed exactly
-(``benchmarks/gate.py`` measures it; 3σ moves them by up to 0.99). Under a prior of the number of pairs the gate decides
-who is counted, and no gate is wide enough. 3σ is there to reproduce the papers.
+The gate is part of the model: pairs outside have probability zero. A wider gate than the default has no visible effect:
+with a per-pair prior no probability changes by more than 1e-5 where groups are summed exactly (measured by
+``benchmarks/gate.py``; 3σ changes them by up to 0.99). With a prior of the number of pairs, the gate determines which
+records are counted, and no gate is wide enough. 3σ serves to reproduce the papers.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane, Sphere
 
-# The search behind the gate: every pair whose residual is small enough for its own covariance, and no other.
+# The search for all pairs within the gate.
 #
-# Records are laid out in zones (``zones.py``, ``kernels/order.py``); what may lie within the gate of each is looked up
-# (``kernels/spans.py``) and measured (``kernels/sphere.py``, ``plane.py``). Where a few records have far wider errors
-# than the others, they do the looking up, whichever source they are of, so that they do not slow down the many. The
+# Records are sorted into zones (``zones.py``, ``kernels/order.py``); possible candidates of each are looked up
+# (``kernels/spans.py``) and measured (``kernels/sphere.py``, ``plane.py``). If a few records have far wider errors than
+# the others, the search runs over them, whichever source they belong to, so that they do not slow down the others. The
 # order of the pairs depends on the records' content, not on their rows.
 
 #: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
@@ -51,7 +51,7 @@ Columns = tuple[
 
 #: Records for which an interpreted search takes some milliseconds.
 FEW_RECORDS = 64
-#: Memory below this is allocated without asking how much is left, bytes.
+#: Less memory than this is allocated without checking how much is available, bytes.
 _SMALL = 1 << 28
 
 #: Writes the pairs of the records first ≤ k < last into columns; gives (pairs, next k), less than last when full.
@@ -63,7 +63,7 @@ def search(first: Records, second: Records, limit: float, box: bool, tuning: Tun
 
     Raises
     ------
-    InputError : they are more than the memory holds.
+    InputError : there are more than the memory holds.
     """
     return _search(first, second, limit, box, tuning, _Allowed(first, second, tuning))
 
@@ -79,14 +79,14 @@ class _Allowed:
 
     @cached_property
     def most(self) -> float:
-        """Pairs, at most; the system is asked for its memory (0.2 ms) by searches alone that may take much of it."""
+        """Greatest number of pairs; the available memory (0.2 ms to find out) is checked only by large searches."""
         if len(self.first) * len(self.second) * self.tuning.bytes_of_pair < _SMALL:
             return math.inf
         left = memory_left()
         return (self.tuning.memory if left is None else left) / self.tuning.bytes_of_pair
 
     def take(self, count: int) -> None:
-        """Raises InputError where these are too many, with those before."""
+        """Count ``count`` more pairs; raises InputError if the total is too large."""
         self.count += count
         if self.count > self.most:
             size = self.most / 1e6
@@ -117,7 +117,7 @@ def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tu
 
 
 def _each_with_each(first: Records, second: Records, limit: float, box: bool, space: Plane) -> Columns | None:
-    """All pairs of few records on a plane; None where they are too many for the room, or records are equal."""
+    """All pairs of few records on a plane; None if they exceed the allocated columns, or records are equal."""
     from sameas.kernels.plane import sweep_few
 
     out = _room(first.d, 4 * (len(first) + len(second)))
@@ -127,7 +127,7 @@ def _each_with_each(first: Records, second: Records, limit: float, box: bool, sp
 
 
 def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowed: _Allowed) -> Columns:
-    """The candidates of the two narrowest classes, and those of the pairs ``wide`` of other classes."""
+    """The candidates among the narrowest classes, and those of the pairs ``wide`` of other classes."""
     about: tuple[Any, ...] = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
     gate: tuple[Any, ...] = geometry.limit, geometry.box
     if geometry.sphere:
@@ -147,7 +147,7 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
     def sweep(first: int, last: int, out: Columns) -> tuple[int, int]:
         count = 0
         while first < last:
-            # As long as it is interpreted, a few records at a time: where they have many candidates it is compiled.
+            # An interpreted kernel gets a few records at a time, so that it is compiled if they have many candidates.
             upto = min(first + FEW_RECORDS, last) if getattr(kernel, "interprets", False) else last
             further = wide[np.searchsorted(wide, first << 32) :] if len(wide) else wide
             room = tuple(column[count:] for column in out) if count else out
@@ -166,9 +166,9 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
 
 
 def _few_on_sphere(one: Layout, two: Layout, geometry: Geometry) -> Columns | None:
-    """What ``sweep_sphere`` lists, to the last bit, by arrays: faster than the kernel as long as it is interpreted.
+    """The output of ``sweep_sphere``, bit by bit, by array operations: faster than the interpreted kernel.
 
-    None where pairs are too many, or reach so far or so near a pole that the kernel measures them by other series.
+    None with too many pairs, or pairs so wide or so near a pole that the kernel uses other series for them.
     """
     from sameas.kernels.sphere import CLOSE_DEG, close_residual, shorter_ways, spreads
 
@@ -204,7 +204,7 @@ def _few_on_sphere(one: Layout, two: Layout, geometry: Geometry) -> Columns | No
 def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed) -> IntArray:
     """Pairs of places k << 32 | q near enough to be measured, without those of the two narrowest classes; sorted.
 
-    Of two classes the wider one does the looking up.
+    The search runs over the wider of two classes.
     """
     from sameas.kernels.spans import turned_round
 
@@ -218,12 +218,12 @@ def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed)
             back = _visits(two, b, one, a, geometry, allowed)
             parts.append(np.empty_like(back))
             turned_round(back, np.zeros(len(one.side.rows) + 1, np.int32), parts[-1])
-    # Each part is in order already, which a stable sort makes use of.
+    # Each part is sorted already, which a stable sort exploits.
     return np.sort(np.concatenate(parts), kind="stable") if len(parts) > 1 else parts[0]
 
 
 def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry, allowed: _Allowed) -> IntArray:
-    """Pairs visitor << 32 | host of a class of one source with one of the other, near enough to be measured."""
+    """Pairs visitor << 32 | host between classes of the two sources that are near enough to be measured."""
     from sameas.kernels.spans import ROOM, visit
 
     bounds = [visitors.starts[a] + k for k in threads.even(visitors.starts[a + 1] - visitors.starts[a], 256)]
@@ -246,9 +246,9 @@ def _gathered(
     least: int,
     allowed: _Allowed,
 ) -> tuple[Any, ...]:
-    """The pairs of a sweep over ranges of records, side by side; range t stands from starts[t] on in one room.
+    """The pairs of a sweep over ranges of records in parallel; range t starts at starts[t] of common columns.
 
-    What does not fit there gets a room of its own, no smaller than ``least``, which one record is sure to fit in.
+    A range that exceeds its part continues in columns of its own of at least ``least`` pairs, enough for any record.
     """
     whole = room(starts[-1])
     part = {first: slice(starts[t], starts[t + 1]) for t, first in enumerate(bounds[:-1])}
@@ -265,8 +265,8 @@ def _gathered(
 
     ranges = threads.over(work, bounds)
     if any(len(chunks) > 1 for chunks in ranges):
-        everything = [chunk for chunks in ranges for chunk in chunks]
-        return tuple(np.concatenate(parts) for parts in zip(*everything, strict=True))
+        all_chunks = [chunk for chunks in ranges for chunk in chunks]
+        return tuple(np.concatenate(parts) for parts in zip(*all_chunks, strict=True))
     used = 0
     for (chunk,), start in zip(ranges, starts, strict=False):
         count = len(chunk[0])
@@ -276,7 +276,7 @@ def _gathered(
         used += count
     del ranges, chunk
     for column in whole:
-        # Nothing else looks at the room any more: what was not needed goes back.
+        # Nothing refers to the columns any more: unused memory is released.
         column.resize((used, *column.shape[1:]), refcheck=False)
     return whole
 
@@ -288,7 +288,7 @@ def _room(d: int, capacity: int) -> Columns:
 
 
 def _expected(sweep: Sweep, n: int, d: int, sample: int) -> float:
-    """Room for the candidates of a record: the mean of 16 samples of ``sample`` records, and some more."""
+    """Candidates per record to allocate for: the mean of 16 samples of ``sample`` records, plus a margin."""
     if n <= 32 * sample:
         return 4.0
     out = _room(d, 16 * sample)
@@ -299,13 +299,13 @@ def _expected(sweep: Sweep, n: int, d: int, sample: int) -> float:
     return 1.25 * pairs / records + 0.5
 
 
-# The χ² distribution: closed forms in two dimensions, where most of our work is, SciPy's functions elsewhere.
+# The χ² distribution: closed forms in two dimensions, SciPy's functions in others.
 #
-# SciPy is imported where it is needed only: it takes longer than many a match.
+# SciPy is imported only where needed, because the import takes longer than many matches.
 
 
 def quantile(share: float, d: int) -> float:
-    """The squared length that a share of normal vectors in d dimensions does not exceed.
+    """The squared length that a ``share`` of standard normal vectors in d dimensions does not exceed.
 
     >>> round(quantile(0.99, 2), 4)
     9.2103
@@ -318,7 +318,7 @@ def quantile(share: float, d: int) -> float:
 
 
 def upper_quantile(share: float, d: int) -> float:
-    """The squared length that a share of normal vectors in d dimensions exceeds; exact for the smallest shares."""
+    """The squared length that a ``share`` of standard normal vectors in d dimensions exceeds; exact for tiny shares."""
     if d == 2:
         return -2.0 * math.log(share)
     from scipy.special import gammainccinv
@@ -333,16 +333,16 @@ DEFAULT_COMPLETENESS = 1.0 - 1e-9
 @in_short
 @dataclass(frozen=True)
 class Pairs:
-    """The candidates, listed in an order that depends on the records' content only, not on their rows.
+    """The candidates, in an order that depends on the records' content only, not on their rows.
 
     Attributes
     ----------
-    place_1, place_2 : (m,) places of the two records in an order of their content, near in it what is near in space.
-    i, j : (m,) positions of the two records in ``first`` and ``second``.
+    place_1, place_2 : (m,) places of the two records in an order by content, in which near places are near in space.
+    i, j : (m,) indices of the two records in ``first`` and ``second``.
     residual : (m, d) Δ = X₁ − X₂ in the space's residual unit.
     mahalanobis_sq : (m,) Δᵀ Σ⁻¹ Δ.
     determinant : (m,) |Σ|.
-    gate : the gate's description, for the result.
+    gate : description of the gate, for the result.
     """
 
     first: Records
@@ -371,11 +371,11 @@ class Pairs:
 
     @cached_property
     def log_peak(self) -> FloatArray:
-        """(m,) ln of the density of no residual at all, −½ ln |2πΣ|."""
+        """(m,) ln of the density at zero residual, −½ ln |2πΣ|."""
         return self.log_peaks(slice(None))
 
     def log_peaks(self, some: slice) -> FloatArray:
-        """(k,) the same of some pairs, not kept."""
+        """(k,) :attr:`log_peak` of some pairs, not cached."""
         return np.asarray(-0.5 * (np.log(self.determinant[some]) + self.d * math.log(2.0 * math.pi)))
 
     @cached_property
@@ -384,20 +384,20 @@ class Pairs:
         return self._covariance(self.i, self.j)
 
     def covariance_of(self, some: IntArray) -> FloatArray:
-        """(k, d, d) Σ of the residuals of some pairs (k,), without those of all others."""
+        """(k, d, d) Σ of the residuals of some pairs (k,) only."""
         return self._covariance(self.i[some], self.j[some])
 
     def same_records(self, other: Pairs) -> bool:
-        """Whether the others are pairs of the very same records."""
+        """Whether ``other`` has the same record objects."""
         return self.first is other.first and self.second is other.second
 
     def part(self, kept: BoolArray | IntArray) -> Pairs:
-        """Some of the candidates, of the same records."""
+        """Some of the candidates, with the same records."""
         columns = ("place_1", "place_2", "i", "j", "residual", "mahalanobis_sq", "determinant")
         return replace(self, **{name: getattr(self, name)[kept] for name in columns})
 
     def of(self, first: Records, second: Records) -> Pairs:
-        """The same candidates with the errors of these records, which are otherwise the same."""
+        """The same candidates with the errors of these records, which must otherwise be the same."""
         pairs = replace(self, first=first, second=second)
         distance_sq, log_determinant = distance_and_log_determinant(self.residual, pairs.covariance)
         return replace(pairs, mahalanobis_sq=distance_sq, determinant=np.exp(log_determinant))
@@ -407,7 +407,7 @@ class Pairs:
         a, b = self.first, self.second
         if isinstance(a.space, Sphere) and a.covariance.shape[1] == b.covariance.shape[1] == 1:
             out[:] = 0.0
-            out[:, 0, 0] = out[:, 1, 1] = a.covariance[i, 0] + b.covariance[j, 0]  # circles have no axes to be turned
+            out[:, 0, 0] = out[:, 1, 1] = a.covariance[i, 0] + b.covariance[j, 0]  # circles need no rotation
         elif isinstance(a.space, Sphere):
             from sameas.kernels.sphere import sphere_covariances
 
@@ -477,7 +477,7 @@ class Box:
 
 
 def _features(first: Records, second: Records) -> int:
-    """The number of features of two sources, which must be records of one space."""
+    """The number of features of two sources, which must be in one space."""
     for source in (first, second):
         if not isinstance(source, Records):
             raise InputError(f"a source is a {type(source).__name__}; make it with Records.of(features, sigma=…)")

@@ -1,4 +1,4 @@
-"""Why a record was identified as it was: its competitors, their terms, and the cost of any other answer."""
+"""Why a record was identified as it was: its competitors, their terms, and the cost of other answers."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from sameas.prior import LogPrior
 from sameas.records import Records
 from sameas.representation import in_short
 
-#: Log-odds that force a pair into a hypothesis, or out of it: beyond all others, and small enough to keep 1e-9 of them.
+#: Log-odds that force a pair into a hypothesis or out of it: larger than all others, but small enough to keep 1e-9.
 FORCE = 1e6
 #: The next best hypothesis is searched for in groups with at most this many pairs in the best one.
 SEARCHED = 200
 
 
 class Identified(Protocol):
-    """What of an :class:`~sameas.result.Identification` its explanation is made from."""
+    """The part of an :class:`~sameas.result.Identification` that an explanation needs."""
 
     @property
     def pairs(self) -> Pairs: ...
@@ -58,8 +58,8 @@ class Identified(Protocol):
 class Competitor:
     """One answer for the record: a candidate, or no partner (``id`` None).
 
-    cost : natural logarithm by which the best hypothesis of the group that gives this answer is less probable than
-        the best of all; 0 for the answer given. terms : the parts of ``log_odds``.
+    cost : ln of the probability of the best hypothesis over that of the best one with this answer, for the whole group;
+        0 for the given answer. terms : the parts of ``log_odds``.
     """
 
     id: Any
@@ -75,12 +75,11 @@ class Competitor:
 @in_short
 @dataclass(frozen=True)
 class Explanation:
-    """What :meth:`Identification.explain` gives; ``str()`` of it is a text for people.
+    """The result of :meth:`Identification.explain`; ``str()`` of it is a text for people.
 
-    prior : a sentence on what the prior of the number of pairs adds, empty where it is part of the log-odds.
-    next_best_cost : natural logarithm by which the group's next best hypothesis is less probable than its best, None
-        where there is no other or the group is too large to search; next_best : the pairs of ids that differ, as
-        (added, removed).
+    prior : a sentence on the prior of the number of pairs, empty if it is part of the log-odds.
+    next_best_cost : ln of the probability of the group's best hypothesis over that of the next best, None if there is
+        no other or the group is too large to search. next_best : the pairs of ids that differ, (added, removed).
     """
 
     id: Any
@@ -102,36 +101,36 @@ class Explanation:
 
 def explain(result: Identified, record: Any, source: int) -> Explanation:
     """See :meth:`sameas.result.Identification.explain`."""
-    mine, other = (result.first, result.second) if source == 1 else (result.second, result.first)
-    row = row_of(mine.ids, record, mine.source)
-    at = mine.at_row(row)
+    own, other = (result.first, result.second) if source == 1 else (result.second, result.first)
+    row = row_of(own.ids, record, own.source)
+    at = own.at_row(row)
     if at is None:
-        reason = str(mine.set_aside.reasons[mine.set_aside.rows == row][0])
+        reason = str(own.set_aside.reasons[own.set_aside.rows == row][0])
         return Explanation(
-            mine.ids[row], mine.source, other.source, row, reason, None, (0, 0), "", (), "", None, ([], [])
+            own.ids[row], own.source, other.source, row, reason, None, (0, 0), "", (), "", None, ([], [])
         )
     position = result.pairs.i if source == 1 else result.pairs.j
-    own = np.flatnonzero(position == at)
-    if not len(own):
+    own_pairs = np.flatnonzero(position == at)
+    if not len(own_pairs):
         alone = Competitor(None, 1.0, 0.0, None, {}, None, None, True)
         return Explanation(
-            mine.ids[row], mine.source, other.source, row, "", None, (1, 0), METHODS[0], (alone,), "", None, ([], [])
+            own.ids[row], own.source, other.source, row, "", None, (1, 0), METHODS[0], (alone,), "", None, ([], [])
         )
-    group = int(result.groups.of_pairs()[own[0]])
-    scene = _GroupProblem(result, group)
-    competitors = [scene.candidate(int(e), own, source) for e in own]
-    competitors.append(scene.no_partner(own, competitors))
+    group = int(result.groups.of_pairs()[own_pairs[0]])
+    problem = _GroupProblem(result, group)
+    competitors = [problem.candidate(int(e), own_pairs, source) for e in own_pairs]
+    competitors.append(problem.no_partner(own_pairs, competitors))
     competitors.sort(key=lambda c: (-c.probability, c.cost))
-    cost, difference = scene.next_best()
+    cost, difference = problem.next_best()
     sizes = (int(result.groups.sizes_1[group]), int(result.groups.sizes_2[group]))
     return Explanation(
-        mine.ids[row], mine.source, other.source, row, "", group, sizes, result.method(group), tuple(competitors),
-        scene.prior_in_words(), cost, difference,
+        own.ids[row], own.source, other.source, row, "", group, sizes, result.method(group), tuple(competitors),
+        problem.prior_in_words(), cost, difference,
     )  # fmt: skip
 
 
 def row_of(ids: NDArray[Any], record: Any, source: str) -> int:
-    """The table row of an id, which may come as text from a command line."""
+    """The table row of an id, which may be text from a command line."""
     rows = np.flatnonzero(ids == record) if not isinstance(record, str) else np.empty(0, np.int64)
     if not len(rows):
         rows = np.flatnonzero(np.char.strip(ids.astype(str)) == str(record).strip())
@@ -143,7 +142,7 @@ def row_of(ids: NDArray[Any], record: Any, source: str) -> int:
 
 
 class _GroupProblem:
-    """One group cut out of a result, to be solved again with pairs forced in or out."""
+    """One group of a result, to be solved again with pairs forced in or out."""
 
     def __init__(self, result: Identified, group: int) -> None:
         self.result = result
@@ -175,7 +174,7 @@ class _GroupProblem:
         return float(self.weight[chosen].sum() + log_prior)
 
     def prior_in_words(self) -> str:
-        """What a prior of the count adds to the terms of the pairs: ln P(k) around the best hypothesis' k."""
+        """The prior of the count, which is not in the terms of the pairs: ln P(k) around the best hypothesis' k."""
         if self.prior.slope is not None:
             return ""
         best, table = int(self.chosen.sum()), self.prior.table
@@ -183,7 +182,7 @@ class _GroupProblem:
         return f"(the prior of the number of pairs comes on top; ln P, relative to {best}: {', '.join(steps)})"
 
     def solve(self, required: BoolArray, forbidden: BoolArray) -> tuple[float, BoolArray]:
-        """(cost against the best, pairs) of the best hypothesis with some pairs required and others forbidden."""
+        """(cost relative to the best, pairs) of the best hypothesis with some pairs required and others forbidden."""
         weight = np.where(forbidden, -FORCE * 10, self.weight + FORCE * required)
         best: Hypothesis = assign(self.groups, weight, self.prior)
         return self.score - self._score(best.chosen), best.chosen
@@ -214,8 +213,11 @@ class _GroupProblem:
         return Competitor(None, probability, max(0.0, cost), None, {}, None, None, alone)
 
     def next_best(self) -> tuple[float | None, tuple[list[tuple[Any, Any]], list[tuple[Any, Any]]]]:
-        """Every other hypothesis lacks a chosen pair or adds one: the best over each chosen pair forbidden, and over
-        each pair of two records without a partner required."""
+        """Cost and changed pairs of the next best hypothesis.
+
+        Every other hypothesis lacks a chosen pair or adds one: the best is found by forbidding each chosen pair, and by
+        requiring each pair of two records without a partner.
+        """
         if len(self.pairs) > SEARCHED * 20 or int(self.chosen.sum()) > SEARCHED:
             return None, ([], [])
         none = np.zeros(len(self.pairs), np.bool_)
@@ -275,7 +277,7 @@ def _lines(x: Explanation) -> list[str]:
 
 
 def probability_text(p: float) -> str:
-    """A probability with enough figures to differ from 0 and 1."""
+    """A probability with enough digits to differ from 0 and 1."""
     if p > 0.9999:
         return f"1 − {1 - p:.0e}" if p < 1 else "1"
     return f"{p:.4f}" if p > 1e-3 else f"{p:.1e}"

@@ -1,17 +1,17 @@
-"""The result: which records are the same object, which have no partner, how sure it is, and why; and decisions by loss.
+"""The result: which records are the same object, which have no partner, how sure it is, and why; decisions by loss.
 
-Rows in a result are rows of the sources' own tables; absence is a mask. Everything is computed from the stages'
-values when it is asked for.
+Rows in a result are rows of the sources' own tables; absence is a mask. Everything is computed from the values of the
+stages when first used.
 
-Which one-to-one decision is best depends on what a mistake costs:
+Which one-to-one decision is best depends on the cost of errors:
 
-- The most probable hypothesis (``Identification.chosen``, the MAP) maximises the probability that *everything* is right
-  at once. Of 1000 uncertain records that never happens; it is the papers' answer and good where groups are small.
-- :func:`most_right` maximises the *expected number of records* decided rightly, of both sources.
+- The most probable hypothesis (``Identification.chosen``, the MAP) maximises the probability that *all* records are
+  right, which is negligible for 1000 uncertain records; it is the papers' answer and good for small groups.
+- :func:`most_right` maximises the *expected number of records* of both sources that are decided correctly.
 - :func:`least_loss` minimises the *expected loss* where wrong and missed pairs cost differently (METHOD 3.5 [F8–F13],
   one to one): raise ``wrong`` for a list that must be pure, ``missed`` for one that must be complete.
 
-All need the probabilities of pairs alone: expected losses add over records, so an assignment finds the exact best.
+All need only the probabilities of pairs: expected losses add over records, so an assignment finds the exact optimum.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ AMBIGUOUS = 0.9
 class Matches:
     """The identified pairs, one row each, sorted by the row of the first source.
 
-    rows_1, rows_2 : rows of the two tables. pair : position among the candidates. p_match : posterior probability.
-    log_odds : ln λ with the prior's share per pair. residual : (k, d). mahalanobis : Δ over its error, (k,).
+    rows_1, rows_2 : rows of the two tables. pair : index among the candidates. p_match : posterior probability.
+    log_odds : ln λ with the prior's slope. residual : (k, d). mahalanobis : (k,) normalised distance.
     """
 
     rows_1: IntArray
@@ -66,11 +66,11 @@ class Matches:
 @in_short
 @dataclass(frozen=True)
 class Answers:
-    """The answer for every row of one source's table (n_table,); masked where there is none.
+    """The answer for every row of one source's table (n_table,); masked where absent.
 
-    partner : row in the other table. p_match : probability of that pair. p_none : probability of having no partner.
-    second : row in the other table of the most probable other candidate, and p_second its probability.
-    candidates : how many pairs passed the gate. group, group_size : number of the group and of its records.
+    partner : row in the other table. p_match : probability of that pair. p_none : probability of no partner.
+    second, p_second : row in the other table of the most probable other candidate, and its probability.
+    candidates : number of pairs in the gate. group, group_size : index of the group and number of its records.
     usable : False for rows that were set aside.
     """
 
@@ -89,7 +89,7 @@ class Answers:
 @in_short
 @dataclass(frozen=True)
 class Identification:
-    """The answer of :func:`sameas.identify`: every stage's value, and what users ask of them."""
+    """The answer of :func:`sameas.identify`: the values of all stages, and what follows from them."""
 
     pairs: Pairs
     groups: Groups
@@ -163,8 +163,8 @@ class Identification:
 
     @property
     def both_answers(self) -> tuple[Answers, Answers]:
-        """The answers for every row of either source, made side by side."""
-        _ = self.chosen, self._group_of  # both need them
+        """The answers for every row of both sources, computed in parallel."""
+        _ = self.chosen, self._group_of  # needed by both
         return threads.both(lambda: self.answers_1, lambda: self.answers_2, len(self.pairs))
 
     @property
@@ -179,19 +179,19 @@ class Identification:
 
     @cached_property
     def expected_wrong(self) -> float:
-        """How many of the identified pairs are expected to be wrong: Σ (1 − p)."""
+        """Expected number of wrong pairs among the identified ones: Σ (1 − p)."""
         return float(np.sum(1.0 - self.p_pair[self.chosen]))
 
     @cached_property
     def expected_missed(self) -> float:
-        """How many true pairs among the candidates are expected to be missing from the identified ones."""
+        """Expected number of true pairs among the candidates that are not identified."""
         return float(np.sum(self.p_pair[~self.chosen]))
 
     def residual_statistics(self) -> dict[str, Any]:
-        """Mean and rms of the identified residuals per axis, and the median of the normalised distance with its due.
+        """Mean and rms of the identified residuals per axis, and the median normalised distance with its expectation.
 
-        The due is the median of the χ distribution of d degrees of freedom: errors are quoted too small where the
-        observed median lies above it, too large where below.
+        The expectation is the median of the χ distribution with d degrees of freedom: quoted errors are too small if
+        the observed median is above it, too large if below.
         """
         d = self.pairs.d
         matches = self.matches
@@ -205,12 +205,12 @@ class Identification:
         }
 
     def method(self, group: int) -> str:
-        """How the posterior of a group was computed."""
+        """The method by which the posterior of a group was computed."""
         return METHODS[self.posterior.method[group]]
 
     @property
     def approximate_pairs(self) -> int:
-        """Number of candidates in groups that had to be solved by neighbourhoods and messages."""
+        """Number of candidates in groups solved by neighbourhoods and messages."""
         return int(self.groups.pair_counts[self.posterior.method == APPROXIMATE].sum())
 
     def explain(self, record: Any, *, source: int = 1) -> Explanation:
@@ -219,7 +219,7 @@ class Identification:
         Parameters
         ----------
         record : the record's id.
-        source : 1 or 2, whose record it is.
+        source : 1 or 2, the source of the record.
         """
         if source not in (1, 2):
             raise InputError(f"source is {source}; give 1 or 2")
@@ -267,10 +267,10 @@ class Loss:
 
     Parameters
     ----------
-    wrong : to name candidate e for a record that has no partner; a number, or (m,) at the candidates.
-    missed : to leave a record alone whose partner is candidate e; a number, or (m,).
-    swapped : to name candidate e for a record whose partner is another; a number, or (m,). None is the sum of both
-        mistakes, ``wrong`` of the named and ``missed`` of the true: the same for either source.
+    wrong : cost of assigning candidate e to a record without a partner; a number, or (m,) at the candidates.
+    missed : cost of assigning no partner to a record whose partner is candidate e; a number, or (m,).
+    swapped : cost of assigning candidate e to a record whose partner is another; a number, or (m,). None is the sum of
+        both errors, ``wrong`` of the assigned and ``missed`` of the true one: the same for both sources.
     """
 
     wrong: ArrayLike = 1.0
@@ -283,7 +283,7 @@ class Loss:
         return _at(self.wrong, m, "wrong"), _at(self.missed, m, "missed"), swapped
 
     def expected(self, p: FloatArray, record: NDArray[np.integer], p_none: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Expected loss (m,) of naming each candidate for its record, and (n,) of leaving each record alone.
+        """Expected loss (m,) of assigning each candidate to its record, and (n,) of assigning no partner.
 
         p (m,) and ``p_none`` (n,) are probabilities, of the candidates of ``record`` (m,) and of no partner.
         """
@@ -302,9 +302,9 @@ class Decision:
 
     Attributes
     ----------
-    chosen : (m,) whether each candidate is taken for one object, in the order of the gate.
+    chosen : (m,) whether each candidate is accepted, in the order of the gate.
     expected_loss : of all records of source 1 that have candidates, in the unit of the losses.
-    expected_right : number of records of both sources, of those with candidates, expected to be decided rightly.
+    expected_right : expected number of records of both sources, of those with candidates, that are decided correctly.
     """
 
     chosen: BoolArray
@@ -314,7 +314,7 @@ class Decision:
 
 #: Every wrong and every missed pair costs one, a swapped record both.
 ONE_EACH = Loss()
-#: Every mistake of a record costs the same, which makes its most probable answer the best.
+#: Every error of a record costs the same, so that its most probable answer is the best.
 ALL_ALIKE = Loss(1.0, 1.0, 1.0)
 
 
@@ -330,23 +330,23 @@ def least_loss(result: Identification, loss: Loss = ONE_EACH) -> Decision:
     >>> int(least_loss(answer).chosen.sum()), int(least_loss(answer, Loss(wrong=20.0)).chosen.sum())
     (1, 0)
     """
-    naming, alone = _losses(result, loss)
-    return _decided(result, alone[result.pairs.i] - naming, loss)
+    assigned, alone = _losses(result, loss)
+    return _decision(result, alone[result.pairs.i] - assigned, loss)
 
 
 def most_right(result: Identification) -> Decision:
-    """The one-to-one decision with the largest expected number of records decided rightly, of both sources.
+    """The one-to-one decision with the largest expected number of correctly decided records of both sources.
 
-    Its ``expected_loss`` is that of :class:`Loss` with one for each mistake.
+    Its ``expected_loss`` is that of :class:`Loss` with one for each error.
     """
     none_1, none_2 = _p_none(result)
-    return _decided(result, 2.0 * result.p_pair - none_1[result.pairs.i] - none_2[result.pairs.j], ONE_EACH)
+    return _decision(result, 2.0 * result.p_pair - none_1[result.pairs.i] - none_2[result.pairs.j], ONE_EACH)
 
 
 def judged(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> Decision:
-    """Any one-to-one decision of ``result``'s candidates, with its expected loss and records decided rightly.
+    """Any one-to-one decision among ``result``'s candidates, with its expected loss and number of correct records.
 
-    ``judged(result, result.chosen)`` judges the most probable hypothesis.
+    ``judged(result, result.chosen)`` evaluates the most probable hypothesis.
     """
     pairs = result.pairs
     if chosen.shape != (len(pairs),):
@@ -354,16 +354,16 @@ def judged(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> 
     for source, record in ((1, pairs.i), (2, pairs.j)):
         if len(np.unique(record[chosen])) != np.count_nonzero(chosen):
             raise InputError(f"judged: a record of source {source} is chosen twice; give a one-to-one decision")
-    naming, alone = _losses(result, loss)
-    left_1 = np.setdiff1d(pairs.i, pairs.i[chosen])
-    left_2 = np.setdiff1d(pairs.j, pairs.j[chosen])
+    assigned, alone = _losses(result, loss)
+    without_1 = np.setdiff1d(pairs.i, pairs.i[chosen])
+    without_2 = np.setdiff1d(pairs.j, pairs.j[chosen])
     none_1, none_2 = _p_none(result)
-    right = 2.0 * result.p_pair[chosen].sum() + none_1[left_1].sum() + none_2[left_2].sum()
-    return Decision(chosen, float(naming[chosen].sum() + alone[left_1].sum()), float(right))
+    right = 2.0 * result.p_pair[chosen].sum() + none_1[without_1].sum() + none_2[without_2].sum()
+    return Decision(chosen, float(assigned[chosen].sum() + alone[without_1].sum()), float(right))
 
 
-def _decided(result: Identification, gain: FloatArray, loss: Loss) -> Decision:
-    """The one-to-one decision of greatest total gain; pairs without a gain are left."""
+def _decision(result: Identification, gain: FloatArray, loss: Loss) -> Decision:
+    """The one-to-one decision of greatest total gain; pairs without a gain are not chosen."""
     return judged(result, _best(result.groups, gain), loss)
 
 
@@ -379,7 +379,7 @@ def _losses(result: Identification, loss: Loss) -> tuple[FloatArray, FloatArray]
 
 
 def _p_none(result: Identification) -> tuple[FloatArray, FloatArray]:
-    """(n₁,), (n₂,) probability that a record has no partner."""
+    """(n₁,), (n₂,) probabilities of no partner."""
     p, pairs = result.p_pair, result.pairs
     totals = (np.bincount(pairs.i, p, len(pairs.first)), np.bincount(pairs.j, p, len(pairs.second)))
     return np.clip(1.0 - totals[0], 0.0, 1.0), np.clip(1.0 - totals[1], 0.0, 1.0)
