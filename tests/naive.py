@@ -666,7 +666,7 @@ def nested_densities(
             finest = sum(n[s] ** 2 for n in of_cells.values()) <= sizes.FINEST * total[s] or steps == 0
             scores = []
             for rank, smooth in enumerate(coverage.SMOOTHS):
-                score = -coverage.LESS_PROBABLE * rank
+                score = -coverage.LOG_PRIOR_STEP * rank
                 for k, (n, size) in enumerate(known):
                     if numbers[k, s]:
                         due = (max(n[s] - 1.0, 0.0) + smooth) / (size + smooth / at[k, s, 0])

@@ -1,8 +1,8 @@
 """Cells of equal size over two sources, coarse to fine, and the part of each that lies within the field.
 
-The field is outlined by a convex polygon (:class:`Outline`): cells cut a rectangle, but what a survey was asked for is
-as often a cone, and a camera is turned. Without the outline the cells at the border are taken for whole: a disc's
-records would look a quarter too rare, most of all at its border, and chance pairs there too improbable.
+A field is outlined by a convex polygon (:class:`Outline`), because surveys are often cones, and cameras rotated, while
+cells fill a rectangle. Without the outline, cells at the border would count as whole: the density of a disc would be
+underestimated by a quarter, most at its border, and chance pairs there too.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere
 
-#: Fewer points tell no outline.
+#: Least number of points for an outline.
 FEWEST = 100
-#: A field whose corners hold more than such a part of what they would hold evenly is a rectangle; so is one whose
-#: outline leaves less than the rest of the rectangle out.
+#: A field is a rectangle if its corners hold more than this fraction of the points expected for an even distribution,
+#: or if its outline fills more than the second fraction of the rectangle.
 CORNERS, MOST = 0.5, 0.95
-#: Depth of a corner, as a part of the side.
+#: Depth of a corner, as a fraction of the side.
 CORNER = 0.1
-#: Directions in which the outermost points are taken before the others are sorted.
+#: Number of directions in which the outermost points are taken first.
 DIRECTIONS = 64
-#: About so many of the points tell whether corners are empty, and which points lie too far inside to be a vertex.
+#: About this many points are used to check the corners, and to exclude points too far inside to be vertices.
 SOME = 50_000
-#: Places across a cell at which it is seen how much of it lies within.
+#: Positions across a cell at which the part inside the outline is measured.
 ACROSS = 32
-#: A cell that holds a record has at least such a part of its volume.
+#: Least fraction of the volume of a cell with a record.
 LEAST = 1e-3
 
 
@@ -43,7 +43,7 @@ LEAST = 1e-3
 class Outline:
     """A convex region in the plane.
 
-    x : (v,) rising. lower, upper : (v,) its border there, straight in between. area : its area.
+    x : (v,) ascending. lower, upper : (v,) its border there, straight in between. area : its area.
     """
 
     x: FloatArray
@@ -53,12 +53,12 @@ class Outline:
 
     @classmethod
     def of(cls, points: FloatArray, low: FloatArray, high: FloatArray, records: int) -> Outline | None:
-        """The outline of points (n, 2) in a rectangle; None where that is the rectangle itself, or they are too few.
+        """The outline of points (n, 2) in a rectangle; None if that is the rectangle itself, or with too few points.
 
-        records : objects that the points are of, at least.
+        records : least number of objects that the points represent.
 
-        The hull of n points strewn evenly over a convex region leaves a part of it out that is V/n on average, with V
-        the mean number of its vertices: it is scaled about its centre by as much (Efron 1965, Biometrika 52, 331).
+        The hull of n points evenly distributed over a convex region excludes the fraction V/n of it on average, with V
+        the mean number of its vertices, so it is scaled about its centre by as much (Efron 1965, Biometrika 52, 331).
         """
         extent = high - low
         if records < FEWEST or not (extent > 0.0).all():
@@ -87,7 +87,7 @@ class Outline:
         return cls(x, np.interp(x, *below.T), np.interp(x, *above.T), area)
 
     def part(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """(c,) which part of rectangles from ``low`` to ``high``, (c, 2) each, lies within; at least :data:`LEAST`."""
+        """(c,) the fraction of rectangles from ``low`` to ``high``, (c, 2) each, inside; at least :data:`LEAST`."""
         ends = np.stack([low[:, 0], high[:, 0]])
         inside = (ends >= self.x[0]) & (ends <= self.x[-1])
         inside &= (np.interp(ends, self.x, self.lower) <= low[:, 1]) & (
@@ -106,9 +106,9 @@ class Outline:
 
 
 def _outermost(points: FloatArray) -> FloatArray:
-    """The points that lie outside the polygon of those outermost in some directions, and these."""
+    """The polygon of the outermost points in some directions, and the points outside it."""
     corners = _farthest(_some_of(points))
-    # What lies within the circle inscribed in the polygon of some is no vertex: of many points nearly all.
+    # Points within the inscribed circle of that polygon are no vertices; this excludes most of them.
     centre = corners.mean(axis=0)
     from_centre = corners - centre, np.roll(corners, -1, axis=0) - centre
     side = np.linalg.norm(from_centre[1] - from_centre[0], axis=1)
@@ -125,12 +125,12 @@ def _outermost(points: FloatArray) -> FloatArray:
 
 
 def _some_of(points: FloatArray) -> FloatArray:
-    """About :data:`SOME` of the points at most, evenly by row."""
+    """At most about :data:`SOME` of the points, at equal steps of the row."""
     return points[:: max(1, len(points) // SOME)]
 
 
 def _farthest(points: FloatArray) -> FloatArray:
-    """(DIRECTIONS, 2) the point farthest out in each of some directions, counterclockwise."""
+    """(DIRECTIONS, 2) the outermost point in each of some directions, counterclockwise."""
     angle = np.arange(DIRECTIONS) * (2.0 * math.pi / DIRECTIONS)
     return points[[int(np.argmax(points @ way)) for way in np.column_stack([np.cos(angle), np.sin(angle)])]]
 
@@ -153,14 +153,14 @@ def _hull(points: FloatArray) -> FloatArray:
     return np.array(chain(ordered) + chain(ordered[::-1]))
 
 
-#: Cells get finer by this factor in volume, until most records of the richer source share theirs with hardly more than
-#: so many,
+#: Ratio of the volumes of successive levels; they are refined until the mean number of records of the richer source in
+#: the cell of a record is at most this,
 REFINEMENT = 8.0
 FINEST = 4.0
-#: and no further than to so many cells a record: records at one and the same place are never told apart.
+#: and to at most this number of cells per record, because records at the same position are never separated.
 CELLS_PER_RECORD = 4096.0
 
-#: The cell of every record of either source, how many cells there are, and a function from cells to their volumes.
+#: The cell of every record of both sources, the number of cells, and a function from cells to their volumes.
 Cut = tuple[IntArray, IntArray, int, Callable[[IntArray], FloatArray]]
 
 
@@ -169,8 +169,8 @@ Cut = tuple[IntArray, IntArray, int, Callable[[IntArray], FloatArray]]
 class GridLevel:
     """Cells of one size: the cell of every record of both sources, and the volume of each cell.
 
-    Cells are numbered as they occur. These numbers are half as wide as need be, and so half as much to fetch, level
-    after level and round after round.
+    Cells are numbered in order of occurrence, in 32 bits, which halves the memory traffic of all levels and EM
+    iterations.
     """
 
     of_first: NDArray[np.int32]
@@ -182,7 +182,7 @@ class GridLevel:
         return (self.of_first, self.of_second) if source == 1 else (self.of_second, self.of_first)
 
     def count(self, source: int) -> FloatArray:
-        """(c,) how many records of ``source`` (1 or 2) lie in each cell."""
+        """(c,) number of records of ``source`` (1 or 2) in each cell."""
         return self._counts[source - 1]
 
     @cached_property
@@ -192,11 +192,11 @@ class GridLevel:
         return one, two
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> GridLevel:
-        """The same cells, for some of the records."""
+        """The same cells for some of the records."""
         return GridLevel(self.of_first[rows_1], self.of_second[rows_2], self.volume)
 
     def drawn(self, counts: Sequence[NDArray[Any]], enough: int, seed: int) -> BoolArray:
-        """(c,) which cells are drawn at random, to hold ``enough`` of each of the ``counts`` (each (c,))."""
+        """(c,) cells drawn at random until they hold ``enough`` of each of the ``counts`` (each (c,))."""
         order = np.random.default_rng(seed).permutation(len(self.volume))
         needed = max(int(np.searchsorted(np.cumsum(count[order]), enough)) for count in counts) + 1
         drawn = np.zeros(len(order), np.bool_)
@@ -205,12 +205,12 @@ class GridLevel:
 
 
 def finest(levels: Sequence[GridLevel], most_cells: float) -> GridLevel:
-    """The level of the smallest cells that has no more of them; the first, where all have."""
+    """The finest level with at most this number of cells; else the first."""
     return next((level for level in levels[::-1] if len(level.volume) <= most_cells), levels[0])
 
 
 def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...]]:
-    """The stretch that both sources span together, which must have records: its volume, and its cells."""
+    """Volume of the region of both sources, which must have records, and its levels of cells."""
     space = _SphereCells.over(first, second) if isinstance(first.space, Sphere) else _BoxCells.over(first, second)
     volume = space.volume if space.outline is None else space.volume * space.outline.area / space.area
     levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
@@ -239,10 +239,10 @@ def _level(one: IntArray, two: IntArray, total: int, volumes: Callable[[IntArray
 
 @dataclass(frozen=True)
 class _SphereCells:
-    """Rings of equal height in latitude, cut into nearly square cells along the arc of longitude that holds records.
+    """Rings of equal height in latitude, divided into nearly square cells along the arc of longitude with records.
 
-    west, arc : where that arc begins and how long it is, degrees. outline : of the records, in degrees of longitude
-    from there and sines of latitude, where areas are as on the sphere; None where they fill the rings.
+    west, arc : west end and length of that arc, degrees. outline : of the records, in degrees of longitude from there
+    and sines of latitude (an equal-area projection); None if they fill the rings.
     """
 
     low: float
@@ -273,7 +273,7 @@ class _SphereCells:
 
     @property
     def area(self) -> float:
-        """In the coordinates of the outline."""
+        """In the coordinates of the outline: degrees times sine."""
         return self.arc * (math.sin(math.radians(self.high)) - math.sin(math.radians(self.low)))
 
     @property
@@ -308,9 +308,9 @@ class _SphereCells:
 @in_short
 @dataclass(frozen=True)
 class _BoxCells:
-    """Boxes of equal size over a Euclidean space, cut along every feature that has an extent.
+    """Boxes of equal size over a Euclidean space, divided along every feature with an extent.
 
-    outline : of the records, of two features; None where they fill the box.
+    outline : of the records, with two features; None if they fill the box.
     """
 
     low: FloatArray
@@ -356,11 +356,11 @@ class _BoxCells:
 
 
 def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
-    """How far beyond its outermost records a region reaches on each side, in the unit of the residuals.
+    """How far a region extends beyond its outermost records on each side, in the unit of the residuals.
 
-    On average by extent/(n − 1) for n records strewn evenly, both sides together; and where there are so few records
-    that their errors are all one knows of the scale, to a hundred errors over √n in all. On the sphere ``extent`` is
-    in degrees.
+    On average extent/(n − 1) for n evenly distributed records, both sides together; but the region is at least a
+    hundred errors over √n wide, because with few records their errors are all that is known of the scale. On the sphere
+    ``extent`` is in degrees.
     """
     n = max(len(first), len(second))
     typical = math.sqrt(max(first.covariance[:, 0].mean(), second.covariance[:, 0].mean()))
@@ -369,7 +369,7 @@ def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
 
 
 def _arc(longitude: FloatArray) -> tuple[float, float]:
-    """(west end, length) in degrees of the shortest arc that holds all longitudes, to half a degree of gap."""
+    """(west end, length) in degrees of the shortest arc with all longitudes, to half a degree."""
     west, east = float(longitude.min()), float(longitude.max())
     if east - west < 180.0:
         return west, east - west
@@ -377,10 +377,10 @@ def _arc(longitude: FloatArray) -> tuple[float, float]:
     empty = np.bincount((longitude * (bins / 360.0)).astype(np.int64) % bins, minlength=bins) == 0
     if not empty.any():
         return 0.0, 360.0
-    # Turn the circle so that it begins with a record; the longest run of empty bins is then in one piece.
+    # Rotate the circle so that it begins with a record; then the longest run of empty bins is contiguous.
     begin = int(np.argmin(empty))
-    turned = np.roll(empty, -begin)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], turned.astype(np.int8), [0]])))
+    rotated = np.roll(empty, -begin)
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], rotated.astype(np.int8), [0]])))
     gaps = ends[1::2] - ends[::2]
     widest = int(np.argmax(gaps))
     after = (ends[2 * widest + 1] + begin) % bins * (360.0 / bins)

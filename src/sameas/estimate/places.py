@@ -28,7 +28,7 @@ from sameas.estimate.coverage import (
     HOLE,
     IN_CELL,
     LEFT_OUT,
-    LESS_PROBABLE,
+    LOG_PRIOR_STEP,
     PSEUDO_COUNT,
     SHARED_PSEUDO_COUNT,
     SMOOTHS,
@@ -228,7 +228,7 @@ def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volum
         score = np.zeros((2, len(smooths) + 1))
         score_nested(cells, numbers, 2 * steps, PARTLY, volume, asked, smooths, own, score)
         finest = (score[:, -1] <= FINEST * total) | (steps == 0)
-        smooth = smooths[np.argmax(score[:, :-1] - LESS_PROBABLE * np.arange(len(smooths)), axis=1)]
+        smooth = smooths[np.argmax(score[:, :-1] - LOG_PRIOR_STEP * np.arange(len(smooths)), axis=1)]
         left_out = np.where(finest, LEFT_OUT, 1.0)
         refine_nested(cells, numbers, 2 * steps, PARTLY, volume, smooth, left_out, open_, own, others)
         open_ &= ~finest

@@ -1,4 +1,4 @@
-"""Quantities: what was estimated, each with its standard error."""
+"""Estimated quantities with their standard errors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from sameas.kernels import threads
 from sameas.result import Identification
 from sameas.space import Sphere
 
-#: Most of the information on a share may be missing, but not all of it.
+#: Greatest share of the information on a share that may be missing.
 MOST_MISSING = 0.95
 
 
@@ -48,12 +48,12 @@ def quantities(
     errors: bool,
     learned_from: tuple[int, int],
 ) -> Mapping[str, Quantity]:
-    """All that was estimated; ``errors`` tells whether their scale was, ``learned_from`` of how many records.
+    """All estimated numbers; ``errors`` says whether the error scale was estimated.
 
-    common : number of common objects. share_1, share_2 : probability that a covered record of the source is shown by
-    the other too. density_common, density_only_1, density_only_2 : per (unit of the residuals)^d where both look.
-    error_scale : factor by which the quoted errors are to be multiplied. zero_point, scatter, colour_BAND,
-    brightness_unrelated : of the magnitudes, see :func:`_of_relation`.
+    common : number of common objects. share_1, share_2 : probability that the other source shows a covered record.
+    density_common, density_only_1, density_only_2 : per (unit of the residuals)^d where both observe.
+    error_scale : factor on the quoted errors. zero_point, scatter, colour_BAND, brightness_unrelated : of the
+    magnitudes, see :func:`_of_relation`. learned_from : number of records of each source used for the estimates.
     """
     works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
     shares = threads.each(works, len(answer.pairs))
@@ -77,9 +77,9 @@ def quantities(
 
 @dataclass(frozen=True)
 class _Share:
-    """Of ``number`` covered records ``found`` are expected to have a partner; ``unsure`` is Σ p(1 − p).
+    """Of ``number`` covered records, ``found`` are expected to have a partner; ``unsure`` is Σ p(1 − p).
 
-    left_out : records per record that the estimate was learned from which it was not, 0 where it was all.
+    left_out : ratio of records not used for the estimate to those used, 0 if all were used.
     """
 
     number: int
@@ -102,15 +102,15 @@ class _Share:
 
     @property
     def missing(self) -> float:
-        """The share of the information that is missing because the pairs are not sure."""
+        """The share of the information that is missing because pairs are uncertain."""
         whole = self.number * self.share * (1.0 - self.share)
         return min(self.unsure / max(whole, 1e-300), MOST_MISSING)
 
     @property
     def count_error(self) -> float:
-        """Standard error of ``found`` as the number of pairs that there are, their share being estimated too.
+        """Standard error of ``found`` as the number of true pairs, including that of the estimated share.
 
-        Of the error of a share that was learned from a sample, as much comes into the number as information is missing.
+        The error of a share estimated from a sample contributes in proportion to the missing information.
         """
         return math.sqrt(self.unsure / (1.0 - self.missing) * (1.0 + self.missing**2 * self.left_out))
 
@@ -123,22 +123,24 @@ class _Share:
 
 
 def _error_scale(answer: Identification) -> Quantity:
-    """The median normalised distance of the pairs, over its due: what a heavy tail does not move.
+    """The median normalised distance of the pairs over its expected value; robust against a heavy tail.
 
-    Pairs of probability p count as p; the standard error is that of a median of χ_d.
+    Pairs have the weight p; the standard error is that of a median of χ_d.
     """
     d, weight = answer.pairs.d, answer.p_pair
-    weighty = weight > 1e-3
-    median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[weighty]), weight[weighty])
-    due = math.sqrt(quantile(0.5, d))
-    log_density = (d - 1) * math.log(due) - 0.5 * due**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
-    enough = float(weight.sum() - (weight * (1.0 - weight)).sum())
-    error = 0.5 / (due * math.exp(log_density) * math.sqrt(max(enough, 1.0)))
-    return Quantity(median / due, median / due * error)
+    used = weight > 1e-3
+    median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[used]), weight[used])
+    expected = math.sqrt(quantile(0.5, d))
+    log_density = (
+        (d - 1) * math.log(expected) - 0.5 * expected**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
+    )
+    number = float(weight.sum() - (weight * (1.0 - weight)).sum())
+    error = 0.5 / (expected * math.exp(log_density) * math.sqrt(max(number, 1.0)))
+    return Quantity(median / expected, median / expected * error)
 
 
 def _of_relation(photometry: Photometry) -> dict[str, Quantity]:
-    """The first band of source 1 against that of source 2: zero point, scatter, colour terms, share unrelated.
+    """The first band of source 1 relative to that of source 2: zero point, scatter, colour terms, unrelated share.
 
     zero_point : mean difference of the common objects, first minus second. scatter : beyond the quoted errors.
     colour_BAND : mag per mag of BAND minus the second source's first band.
@@ -158,7 +160,7 @@ def _of_relation(photometry: Photometry) -> dict[str, Quantity]:
 
 
 def decisive(answer: Identification) -> Mapping[str, float]:
-    """How much each term of the evidence decides: the median of its absolute value over the identified pairs."""
+    """The median absolute value of each term of the evidence over the identified pairs."""
     chosen = answer.chosen
     if not chosen.any():
         return {}
@@ -168,13 +170,13 @@ def decisive(answer: Identification) -> Mapping[str, float]:
 
 
 def _typical(values: FloatArray, chosen: BoolArray) -> float:
-    """The median absolute value of those that are chosen."""
+    """The median absolute value of the chosen ones."""
     some = values[chosen]
     return float(np.median(np.abs(some, out=some), overwrite_input=True))
 
 
 def changed_without(answer: Identification, names: tuple[str, ...]) -> int:
-    """How many records of source 1 would be identified otherwise if these terms of the evidence were left out."""
+    """Number of records of source 1 that would be identified differently without these terms of the evidence."""
     from sameas.assignment import assign
     from sameas.prior import PerPair
 
