@@ -1,4 +1,4 @@
-"""``sameas explain``: one record's story, from an output of any command."""
+"""``sameas explain``: why a record was identified as it was, from an output of any command."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``sameas frame``: which stars are on frames, and where the frames point."""
+"""``sameas frame``: identify the stars on frames and solve where the frames point."""
 
 from __future__ import annotations
 
@@ -169,9 +169,9 @@ def frame(
 
 
 def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: str | None) -> bool:
-    """Does the frames, prints their lines; whether any failed.
+    """Process the frames and print their lines; returns whether any failed.
 
-    series : what the series of a folder is called, None where the frames are each by itself.
+    series : name of the series of a folder; None for frames that were given one by one.
     """
     from sameas.cli.frames import Outcome, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation

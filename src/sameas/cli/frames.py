@@ -1,4 +1,4 @@
-"""Many frames: some processes, a row of progress each; one that fails does not stop the others."""
+"""Many frames in several processes, with a progress row each. A frame that fails does not stop the others."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ from sameas.cli.outcome import end_cleanly_when_asked, fault, interruption
 from sameas.errors import InputError
 from sameas.front.framing import CLOSE, FrameRequest, fulfil
 from sameas.io.atomic import end_with_parent
-
-# Aims and scales as they are typed.
 
 
 def two_numbers(text: str, option: str, what: str) -> tuple[float, float]:
@@ -55,7 +53,7 @@ def aim_of(text: str | None) -> tuple[float, float] | None:
 
 
 def scale_of(text: str | None) -> tuple[float, float] | None:
-    """``LO,HI``, or one number with five per cent either way."""
+    """``LO,HI``, or one number ± 5 %."""
     if text is None:
         return None
     if "," not in text:
@@ -74,7 +72,7 @@ ROWS = 14
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a frame: its summary, or why there is none. skipped : it had been done before."""
+    """The result of one frame: its summary, or an error. skipped : the outputs of an earlier run were kept."""
 
     request: FrameRequest
     summary: dict[str, Any] | None
@@ -84,22 +82,22 @@ class Outcome:
 
 
 def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
-    """The frames, folders replaced by those that they hold. others : files in those folders that are none.
+    """The frames, with folders replaced by their frames. others : calibration frames, which are excluded.
 
-    Calibration frames of a folder that nobody named are left out, and that is told.
+    Further calibration frames in a folder are excluded with a notice.
     """
     from sameas.cli.terminal import notice
     from sameas.front.series import calibrations_in, frames_in
     from sameas.representation import counted
 
-    taken = {Path(other).resolve() for other in others}
+    excluded = {Path(other).resolve() for other in others}
     found: list[str] = []
     for path in paths:
         if not Path(path).is_dir():
             found.append(path)
             continue
-        found += [one for one in frames_in(path) if Path(one).resolve() not in taken]
-        unused = [Path(one).name for one in calibrations_in(path) if Path(one).resolve() not in taken]
+        found += [one for one in frames_in(path) if Path(one).resolve() not in excluded]
+        unused = [Path(one).name for one in calibrations_in(path) if Path(one).resolve() not in excluded]
         if unused:
             left = counted(len(unused), "calibration frame")
             notice(
@@ -109,7 +107,7 @@ def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
 
 
 def names_of(paths: list[str]) -> list[str]:
-    """Names of the outputs: the frames' names without their endings, with their folders' where two are the same."""
+    """Names of the outputs: file names without extensions, preceded by the folder's name where two are equal."""
     stems = [_stem(path) for path in paths]
     names = [
         stem if stems.count(stem) == 1 else f"{Path(path).resolve().parent.name}-{stem}"
@@ -131,17 +129,17 @@ def _stem(path: str) -> str:
 def run_all(
     requests: Sequence[FrameRequest], *, processes: int, again: bool, shown: bool, tell: Callable[[Outcome], None]
 ) -> list[Outcome]:
-    """Every frame's outcome, in the order of the frames.
+    """The outcomes of all frames, in the order of the frames.
 
-    processes : how many work at once. again : do also what is done. shown : rows of progress on a terminal.
-    tell : called with each outcome as soon as it is there.
+    processes : number of worker processes. again : repeat frames that have outputs. shown : show progress rows on a
+    terminal. tell : called with each outcome when it is complete.
     """
     if len(requests) == 1 or processes == 1:
         outcomes = []
         with _rows(requests, shown) as row:
             for number, request in enumerate(requests):
                 outcome = _one(request, again, lambda stage, number=number: row(number, stage))  # type: ignore[misc]
-                row(number, _in_a_word(outcome))
+                row(number, _state(outcome))
                 tell(outcome)
                 outcomes.append(outcome)
         return outcomes
@@ -151,7 +149,7 @@ def run_all(
 def _in_processes(
     requests: Sequence[FrameRequest], processes: int, again: bool, shown: bool, tell: Callable[[Outcome], None]
 ) -> list[Outcome]:
-    # A forked process would share locks of threads that it does not have.
+    # A forked process inherits locks held by threads that do not exist in it.
     context = multiprocessing.get_context("spawn")
     stages = context.SimpleQueue()
     outcomes: dict[int, Outcome] = {}
@@ -174,7 +172,7 @@ def _in_processes(
                     outcome = future.result()
                 except Exception as error:  # the process itself has died
                     outcome = Outcome(requests[number], None, f"{requests[number].path}: the process ended ({error})")
-                row(number, _in_a_word(outcome))
+                row(number, _state(outcome))
                 tell(outcome)
                 outcomes[number] = outcome
         except KeyboardInterrupt:
@@ -190,22 +188,22 @@ def _in_processes(
 
 @contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Processes that start in the block do not hear Ctrl-C, which a terminal tells all: who started them ends them."""
+    """Processes started in the block ignore Ctrl-C, which a terminal sends to all; their parent terminates them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    previous = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, previous)
 
 
 _stages: Any = None
 
 
 def _begin(stages: Any) -> None:
-    """What a working process does first."""
+    """Initialise a worker process."""
     import warnings
 
     global _stages
@@ -227,9 +225,9 @@ def _listen(stages: Any, row: Callable[[int, str], None]) -> None:
 def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) -> Outcome:
     began = time.perf_counter()
     try:
-        before = None if again else request.done()
-        if before is not None:
-            return Outcome(request, before, skipped=True)
+        earlier = None if again else request.done()
+        if earlier is not None:
+            return Outcome(request, earlier, skipped=True)
         summary = fulfil(request, progress, partial(in_options, option=frame_option))
         return Outcome(request, summary, seconds=time.perf_counter() - began)
     except InputError as error:
@@ -243,7 +241,7 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
         return Outcome(request, None, f"{request.path}: {fault(error)}", seconds=time.perf_counter() - began)
 
 
-def _in_a_word(outcome: Outcome) -> str:
+def _state(outcome: Outcome) -> str:
     if outcome.summary is None:
         return "failed"
     return "done before" if outcome.skipped else f"done in {outcome.seconds:.1f} s"
@@ -251,7 +249,7 @@ def _in_a_word(outcome: Outcome) -> str:
 
 @contextmanager
 def _rows(requests: Sequence[FrameRequest], shown: bool) -> Iterator[Callable[[int, str], None]]:
-    """A function (number of the frame, stage) that shows one row a frame on a terminal; ended rows make room."""
+    """A function (number of the frame, stage) that updates the frame's progress row; finished rows are removed."""
     if not (shown and sys.stderr.isatty()):
         yield lambda number, stage: None
         return

@@ -1,4 +1,4 @@
-"""``sameas many``: several catalogues identified at once, one row per object."""
+"""``sameas many``: identify the records of several catalogues at once; the output has one row per object."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def many(
 
 
 def _check(request: Request[ManyOptions], least: int) -> None:
-    """Refuses what no reading of the files is needed for."""
+    """Refuse invalid numbers of catalogues before any file is read."""
     n = len(request.paths)
     if not 2 <= n <= MOST:
         raise InputError(f"{n} catalogue given; give two to {MOST} files")
@@ -109,7 +109,7 @@ def _check(request: Request[ManyOptions], least: int) -> None:
 
 
 def run(request: Request[ManyOptions], outputs: Outputs | None, least: int, quiet: bool) -> None:
-    """Read, understand, identify, say, write; without ``outputs`` only the first two."""
+    """Read the catalogues, identify, print, write; without ``outputs`` only read."""
     from sameas.cli.outputs import catalogues as read_catalogues
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.many import MatchMany, identified

@@ -1,4 +1,4 @@
-"""``sameas movers``: what moves among the detections of several exposures."""
+"""``sameas movers``: find moving objects among the detections of several exposures."""
 
 from __future__ import annotations
 
@@ -189,10 +189,10 @@ def movers(
 
 @dataclass(frozen=True)
 class KnownRequest:
-    """What tracklets of tables are named by, and reported as.
+    """How tracklets of tables are identified with known objects, and reported.
 
     elements : file of known objects, or None. header : TOML of the report, or None. site : latitude, longitude, height
-    of the observer, or None. overwrite : reports that are there. reported : least probability of a tracklet in them.
+    of the observer, or None. overwrite : whether reports may exist. reported : minimum probability in a report.
     """
 
     elements: str | None
@@ -225,7 +225,7 @@ def run(
     wanted_known: KnownRequest,
     quiet: bool,
 ) -> None:
-    """Read, understand, search, name, say, write."""
+    """Read the detections, search, identify known objects, print, write."""
     import numpy as np
 
     from sameas.cli.terminal import Pace, Printer, share_compilation
@@ -273,15 +273,15 @@ def run(
             pace.pause()
             printer([*known_lines(found, known, site is not None), ""])
         facts = _facts(every, found)
-        told = found.p_tracklet >= wanted_known.reported
+        in_report = found.p_tracklet >= wanted_known.reported
         tables = {"detections": found.detection_table(), "tracklets": found.table()}
         if known is not None:
             known.into(tables["tracklets"], found)
         if observer is not None:
-            tables["tracklets"]["in_report"] = told
+            tables["tracklets"]["in_report"] = in_report
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
         if observer is not None:
-            rows = observations(found, known, np.flatnonzero(told))
+            rows = observations(found, known, np.flatnonzero(in_report))
             for place, write in zip(reports, REPORTS.values(), strict=True):
                 write(rows, observer, place, software=f"sameas {facts['version']}")
                 written.append(f"Report: {place}")
@@ -290,7 +290,7 @@ def run(
 
 
 def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Path]:
-    """Where the reports go: beside the output, PSV, XML and 80 columns."""
+    """Paths of the reports next to the output: PSV, XML and MPC 80-column."""
     from sameas.io.ades import REPORTS
     from sameas.io.atomic import is_input
 
@@ -305,7 +305,7 @@ def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Pat
 
 
 def _catalogue(path: str, columns: dict[str, Any]) -> Any:
-    """A table of detections, its positions, errors and magnitudes understood."""
+    """The catalogue of a table of detections."""
     from sameas.front.options import fields_of
     from sameas.io import read_table
     from sameas.sky.catalogue import Catalogue, CatalogueOptions
@@ -318,7 +318,7 @@ def _catalogue(path: str, columns: dict[str, Any]) -> Any:
 
 
 def _facts(paths: tuple[str, ...], found: Any) -> dict[str, Any]:
-    """Provenance: inputs with their checksums, and what was believed of movers."""
+    """Provenance: inputs with checksums, and the parameters of the model of movers."""
     from sameas.front.provenance import program
     from sameas.io import checksum
 

@@ -131,7 +131,7 @@ def run(
     outputs: PictureOutputs,
     quiet: bool,
 ) -> bool:
-    """Make the picture, print what was found, write what is wanted; whether every file could be read."""
+    """Make the picture, print the report, write the outputs; returns whether every file could be read."""
     began = time.perf_counter()
     printer = Printer(quiet)
     with filling(outputs.folder) as draft:
@@ -165,7 +165,7 @@ def run(
 
 @contextmanager
 def _remedies(sensors: Path | None) -> Iterator[None]:
-    """Remedies in the words of Python come with those of the command."""
+    """Adds the command's options to remedies that name arguments of the library."""
     try:
         yield
     except InputError as error:

@@ -1,4 +1,4 @@
-"""A series of frames on the command line: every frame identified, then what moves on them, named and reported."""
+"""A series of frames on the command line: identify every frame, find what moves, name and report it."""
 
 from __future__ import annotations
 
@@ -15,19 +15,24 @@ from sameas.front.framing import FrameRequest, PointingOptions
 from sameas.front.provenance import program
 from sameas.representation import counted
 
-#: Tracklets of at least this probability are measured in the pixels, which may raise it.
+#: Tracklets of at least this probability are measured in the pixels, which may raise their probability.
 FAINT = 0.02
 
 
 @dataclass(frozen=True)
 class SeriesRequest:
-    """What is wanted of a series.
+    """The inputs and options of a search for movers on a series of frames.
 
-    paths : of the frames. catalogue, columns : of the stars. folder : of the outputs. pointing : where frames point.
-    darks, flats, biases : calibration frames. least, probability : of a tracklet. elements : file of known objects, or
-    None. header : TOML of the report, or None. reported : least probability of a tracklet in it. processes : frames at
-    a time. below_limit : fastest rate, ″/min, of what no frame shows by itself, or None. site : latitude, longitude,
-    height of the observer; None for the header's.
+    Attributes
+    ----------
+    paths : frames, or folders of them. catalogue, columns : star catalogue and its columns. folder : of the outputs.
+    pointing : pointing hints. darks, flats, biases : calibration frames.
+    least, probability : minimum number of detections and minimum probability of a tracklet.
+    elements : file of known objects, or None. header : TOML of the report, or None. reported : minimum probability of
+        a tracklet in the report.
+    processes : number of worker processes. below_limit : highest rate, arcsec/min, of the search below the detection
+        limit; None for no such search.
+    site : latitude, longitude, height of the observer; None takes the frame's header.
     """
 
     paths: tuple[str, ...]
@@ -49,7 +54,7 @@ class SeriesRequest:
 
 
 def run(request: SeriesRequest, quiet: bool) -> None:
-    """Identify the frames, tie them together, search, name, report, say."""
+    """Identify the frames, combine them to a series, search, name, report, print."""
     import numpy as np
 
     from sameas.cli.frames import expanded, names_of, run_all
@@ -113,15 +118,16 @@ def run(request: SeriesRequest, quiet: bool) -> None:
     tracklets = found.table()
     if known is not None:
         known.into(tracklets, found)
-    told = None if observer is None else found.p_tracklet >= request.reported
-    if told is not None:
-        tracklets["in_report"] = told
-    # All files of the series come at once: a page beside the tables of another run would contradict them.
+    in_report = None if observer is None else found.p_tracklet >= request.reported
+    if in_report is not None:
+        tracklets["in_report"] = in_report
+    # All files are replaced together, so that the page never contradicts the tables next to it.
     with filling(request.folder) as draft:
         write_table(found.detection_table(), draft / written[0], provenance=facts)
         write_table(tracklets, draft / written[1], provenance=facts)
-        if observer is not None and told is not None:
-            rows, software = observations(found, known, np.flatnonzero(told), series), f"sameas {sameas.__version__}"
+        if observer is not None and in_report is not None:
+            rows = observations(found, known, np.flatnonzero(in_report), series)
+            software = f"sameas {sameas.__version__}"
             for end, write in REPORTS.items():
                 written.append(f"report.{end}")
                 write(rows, observer, draft / written[-1], software=software)
@@ -129,7 +135,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
             written.append("below-limit.fits")
             write_table(_below_table(below[0], below[2]), draft / written[-1], provenance=facts)
         shown = None if below is None else (below[0].movers, *below[1:])
-        write_movers_page(draft / "movers.html", title, found, series, pixels, known, shown, told)
+        write_movers_page(draft / "movers.html", title, found, series, pixels, known, shown, in_report)
         link = "movers.html", _link_words(found, known)
         written += [
             "movers.html",
@@ -144,7 +150,7 @@ def run(request: SeriesRequest, quiet: bool) -> None:
 def _below(
     request: SeriesRequest, found: Any, field: Any, known: Any, elements: Any, site: Any, printer: Any
 ) -> tuple[Any, Any, Any]:
-    """What no frame shows by itself: candidates, their pixels, and which of the objects not named yet they are."""
+    """The search below the detection limit: candidates, their stacked pixels, and their names among known objects."""
     import numpy as np
 
     from sameas.report.movers import below_lines, known_lines, plan_lines
@@ -169,7 +175,7 @@ def _below(
 
 
 def _below_table(below: Any, known: Any) -> Any:
-    """One row a candidate that only the frames added together show."""
+    """The table of candidates below the detection limit of single frames, one row each."""
     import numpy as np
 
     table = below.movers.table()
@@ -183,7 +189,7 @@ def _below_table(below: Any, known: Any) -> Any:
 
 
 def product(outcomes: Sequence[Any], folder: Path, title: str, facts: dict[str, Any], quiet: bool) -> None:
-    """The tables and the page of a folder of frames: its series, and what is in none."""
+    """Write the tables and the index page of a folder of frames: its series, and the frames outside of any."""
     from sameas.cli.terminal import Printer
     from sameas.front.series import Identified, series_of
     from sameas.io.atomic import filling
@@ -224,7 +230,7 @@ def _product(
 
 
 def _title(paths: Sequence[str]) -> str:
-    """What a series is called: the folder of its first frame."""
+    """Name of a series: the folder of its first frame."""
     first = Path(paths[0]).resolve()
     return (first if first.is_dir() else first.parent).name
 
@@ -249,7 +255,7 @@ def _link_words(found: Any, known: Any) -> str:
 
 
 def _drawn(folder: Path, found: Any, series: Any, pixels: Any, known: Any) -> list[str]:
-    """The picture of the first candidate, where there is one and matplotlib."""
+    """Draw the first candidate, if there is one and matplotlib is installed."""
     if not len(pixels) or find_spec("matplotlib") is None:
         return []
     from sameas.plots.movers import mover_picture
@@ -260,7 +266,7 @@ def _drawn(folder: Path, found: Any, series: Any, pixels: Any, known: Any) -> li
 
 
 def _site(done: tuple[Any, ...]) -> tuple[float, float, float] | None:
-    """Latitude, longitude and height of the observatory as the first frame's header has them."""
+    """Latitude, longitude and height of the observatory in the first frame's header."""
     from sameas.sky.frame.image import read
 
     place = read(done[0].request.path).facts.station

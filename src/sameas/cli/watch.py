@@ -110,7 +110,7 @@ def watch(
 def _settings(
     files: list[str], sensors: Path | None, start: str | None, pace: float, every_s: float | None
 ) -> tuple[Any, Any]:
-    """The settings, and the replay where there are files."""
+    """The settings, and the replay if files are given."""
     from dataclasses import replace
 
     from sameas.io.sensors.sources import read_source_options, read_sources
@@ -124,7 +124,7 @@ def _settings(
         sources = read_sources(list(files), options, start=start)
         replay = Replay([(source.description.name, source.reports) for source in sources], pace)
         live = {source.description.name: LiveSource(source.description) for source in sources}
-        # The picture lies where the files do, not about the first of their positions.
+        # The plane is centred on all positions, not on the first.
         settings = Settings(live, replace(settings.watch, plane=settings.watch.plane or _origin(sources)))
     if every_s is not None:
         settings = replace(settings, watch=replace(settings.watch, every_s=every_s))
@@ -132,7 +132,7 @@ def _settings(
 
 
 def _origin(sources: Any) -> dict[str, float] | None:
-    """The middle of the positions of all files; None where they are metres of the user's own."""
+    """The centre of the positions of all files; None for positions in metres on a local plane."""
     from sameas.tracks.scene import Scene
 
     plane = Scene.of([(source.description, source.reports) for source in sources]).plane
@@ -140,7 +140,7 @@ def _origin(sources: Any) -> dict[str, float] | None:
 
 
 def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | None, say: Printer) -> Any:
-    """The server with its socket, and the address that is printed."""
+    """The server and its socket; prints the address of the map."""
     import socket
 
     try:
@@ -169,7 +169,7 @@ def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | 
 
 
 async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
-    """The loop and the server, until the time is over or it is stopped."""
+    """Run the loop and the server until the time is up or a signal stops them."""
     over = asyncio.Event()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -182,7 +182,7 @@ async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
 
     served = None
     if server is not None:
-        # The loop ends on a signal; the server then ends with it.
+        # Signals are handled here: they end the loop, which then ends the server.
         server[0].install_signal_handlers = lambda: None
         server[0].capture_signals = contextlib.nullcontext
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
