@@ -31,8 +31,8 @@ from sameas.picture.watch import Watch
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
-from sameas.tracks.growing import Counts, GrowingFeed, unbiased_now
 from sameas.tracks.heights import HeightModel
+from sameas.tracks.live_feed import Counts, GrowingFeed, unbiased_now
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import POSITION, Scene

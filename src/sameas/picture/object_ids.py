@@ -1,19 +1,17 @@
-"""Object ids: every object of the picture keeps its number from instant to instant.
+"""Object ids: each object of the picture keeps its number from instant to instant.
 
-The objects of an instant are identified with those of the picture by :func:`sameas.identify`, one to one and all at
-once: by their predicted positions and by the tracks in common. So a number never
-goes to another object while its own is there, and where two objects exchange a record, each keeps the number that is
-most probable for it.
+The objects of an instant are identified with those of the picture by :func:`sameas.identify`, one to one and jointly,
+by their predicted positions and common tracks. So a number never goes to another object while its own is present, and
+if two objects exchange a record, each keeps the most probable number.
 
 An object is *tentative* when it appears, *confirmed* when it is certain (:class:`Stages`), *coasting* while no source
-shows it and its position is predicted, and *ended* when more than one other object is expected within its own 1σ
-ellipse, or when all its tracks are another's. An object that returns with a unique id gets its number again.
+detects it and its position is predicted, and *ended* when more than one other object is expected within its own 1σ
+ellipse, or when all its tracks are of another object. An object that returns with a unique id gets its number again.
 
-The evidence that an object of an instant is an object of the picture compares its position with the prediction, the
-velocities, and the tracks that both have. Where a track breaks and continues under another id, they have none in
-common, and two that cross unseen are told apart by their velocities. A unique id (an MMSI, an ICAO address) weighs more
-and counts at any distance: a ferry that brakes harder than vessels should is still that ferry. A radar's track numbers
-are reused, so they do not.
+The evidence compares the position with the prediction, the velocities, and the tracks of both objects. If a track
+breaks and continues under another id, there is no common track; then velocities separate two objects that cross
+undetected. A unique id (MMSI, ICAO address) has a higher weight and counts at any distance: a ferry that brakes harder
+than its motion model allows is still that ferry. A radar's track numbers are reused, so they are not unique.
 """
 
 from __future__ import annotations
@@ -40,9 +38,9 @@ from sameas.tracks.alignment import aged
 
 @dataclass(frozen=True)
 class CommonTracks:
-    """Objects of the picture and of the instant that have a track in common, (k,) each, by ascending key.
+    """Pairs of an object of the picture and one of the instant with a common track, (k,) each, in ascending order.
 
-    object_place, detection_place : places of both. weight : ln r. unique : how many of the tracks have a unique id.
+    object_place, detection_place : rows of both. weight : ln r. unique : number of common tracks with a unique id.
     """
 
     object_place: IntArray
@@ -59,18 +57,18 @@ class CommonTracks:
         unique: BoolArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> CommonTracks:
-        """Of tracks in common (m,): a track that was the object's for a share s of the last minutes gives ln(1 + s/ε).
+        """Of common tracks (m,): each adds ln(1 + s/ε), ε ``id_reassigned``.
 
-        share : s. unique : whether the track's id is unique. ε is ``id_reassigned``.
+        share : s, the track's share in the object over the last minutes. unique : whether the track's id is unique.
         """
-        key, back = np.unique((object_place << 32) | detection_place, return_inverse=True)
-        of_track = np.log1p(share / tuning.id_reassigned) + math.log(tuning.unique_id_odds) * unique
-        weight = np.bincount(back, of_track, len(key)).astype(np.float64)
-        n_unique = np.bincount(back, unique, len(key)).astype(np.float64)
+        key, pair = np.unique((object_place << 32) | detection_place, return_inverse=True)
+        log_ratio = np.log1p(share / tuning.id_reassigned) + math.log(tuning.unique_id_odds) * unique
+        weight = np.bincount(pair, log_ratio, len(key)).astype(np.float64)
+        n_unique = np.bincount(pair, unique, len(key)).astype(np.float64)
         return cls(key >> 32, key & 0xFFFFFFFF, weight, n_unique)
 
     def of_pairs(self, pairs: Pairs) -> tuple[FloatArray, FloatArray]:
-        """(m,) weight of each pair and (m,) its unique names; 0 where it has nothing in common."""
+        """(m,) weight of each pair and (m,) its number of common unique ids; 0 without a common track."""
         key = (self.object_place << 32) | self.detection_place
         pair_key = (pairs.first.rows[pairs.i].astype(np.int64) << 32) | pairs.second.rows[pairs.j]
         at = np.minimum(np.searchsorted(key, pair_key), max(len(key) - 1, 0))
@@ -81,7 +79,7 @@ class CommonTracks:
 
 @dataclass(frozen=True)
 class Motions:
-    """States of objects (n, 4) with their covariances (n, 4, 4), and (n,) how fast such objects go, 1σ per axis."""
+    """States (n, 4) of objects, covariances (n, 4, 4), and (n,) the 1σ per axis of velocities of such objects."""
 
     state: FloatArray
     covariance: FloatArray
@@ -90,8 +88,8 @@ class Motions:
 
 @dataclass(frozen=True)
 class Continuity(Rule):
-    """ln r of an object of the picture and one of the instant: by their positions, among objects of ``per_m2``, by
-    their tracks, and, where they have no track in common, by their velocities."""
+    """ln r of an object of the picture and one of the instant: by positions, at ``per_m2`` objects per m², by tracks,
+    and without a common track by velocities."""
 
     per_m2: float
     common: CommonTracks
@@ -111,7 +109,7 @@ class Continuity(Rule):
         return Evidence({"place": place, "velocity": velocity, "tracks in common": weight})
 
     def _velocities(self, i: IntArray, j: IntArray) -> FloatArray:
-        """(m,) ln of how probable the velocity of j is as that of i, given both places, against that of any object."""
+        """(m,) ln of the density of j's velocity as that of i, given both positions, relative to that of any object."""
         residual = self.objects.state[i] - self.detections.state[j]
         total = self.objects.covariance[i] + self.detections.covariance[j]
         velocity = Gaussian(residual[:, 2:], total[:, 2:, 2:])
@@ -122,15 +120,15 @@ class Continuity(Rule):
 
 
 @dataclass(frozen=True)
-class NearOrNamed:
-    """A gate: pairs that are near, and pairs at any distance that have a unique id in common."""
+class NearOrSameId:
+    """A gate: near pairs, and pairs at any distance with a common unique id."""
 
     common: CommonTracks
 
     def __call__(self, first: Records, second: Records) -> Pairs:
         near = GATE(first, second)
-        named = self.common.unique > 0.0
-        by_id = (self.common.object_place[named] << 32) | self.common.detection_place[named]
+        same_id = self.common.unique > 0.0
+        by_id = (self.common.object_place[same_id] << 32) | self.common.detection_place[same_id]
         key = np.unique(np.concatenate([(near.i.astype(np.int64) << 32) | near.j, by_id]))
         i, j = (key >> 32).astype(np.int32), (key & 0xFFFFFFFF).astype(np.int32)
         residual = first.features[i] - second.features[j]
@@ -141,15 +139,15 @@ class NearOrNamed:
 
 @dataclass(frozen=True)
 class TrackHistory(ColumnTable):
-    """Which objects tracks were of, (k,) each, by ascending track, then object.
+    """The objects that each track was assigned to, (k,) each, ordered by track, then by object.
 
-    Where the records of one object split for an instant and join again, its number returns with the tracks that were
-    its own for long: one wrong instant does not change numbers. A track that changes to another object for good counts
-    as that object's after some minutes. Shares change at the instants whose scan has the track: s ← s e^(−Δt/τ), plus
-    1 − e^(−Δt/τ) for the object that it is of; τ is ``history_s``.
+    If the records of one object split for an instant and join again, its number stays with the tracks that were
+    assigned to it for long: one wrong instant does not change numbers. A track that changes to another object
+    permanently counts as that object's after some minutes. Shares change at the instants whose scan has the track:
+    s ← s e^(−Δt/τ), plus 1 − e^(−Δt/τ) for its present object; τ is ``history_s``.
 
-    track, number : of the track and the object. share : of the last minutes. last : whether it is the object that the
-    track was of in its last scan. unique : whether the track's id is unique. instant_s : the last one.
+    track, number : of the track and the object. share : s. last : whether the track was assigned to the object in its
+    last scan. unique : whether the track's id is unique. instant_s : the last instant.
     """
 
     WHOLE = frozenset({"instant_s"})
@@ -172,11 +170,11 @@ class TrackHistory(ColumnTable):
         alive: IntArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> TrackHistory:
-        """After a later instant.
+        """The history after a later instant.
 
         Parameters
         ----------
-        track, number, unique : (m,) the tracks of its scan, the objects that they are of, whether their ids are unique.
+        track, number, unique : (m,) the tracks of its scan, their objects, and whether their ids are unique.
         alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept.
         """
         fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
@@ -186,7 +184,7 @@ class TrackHistory(ColumnTable):
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
         ).take(np.flatnonzero(keep & (~in_scan | (fade * self.share >= tuning.least_share))))  # fmt: skip
-        # A track without a history is wholly of its first object.
+        # A new track has the share 1 in its first object.
         has_history = np.isin(track, earlier.track)
         latest = TrackHistory(
             instant_s, track, number, np.where(has_history, 1.0 - fade, 1.0), np.ones(len(track), bool), unique
@@ -194,20 +192,20 @@ class TrackHistory(ColumnTable):
         return earlier._with(latest)
 
     def of(self, tracks: IntArray) -> tuple[IntArray, IntArray]:
-        """(m,) places in ``tracks`` (k,) and (m,) rows here of everything that these tracks have been of."""
+        """(m,) indices in ``tracks`` (k,) and (m,) rows of the history, of all rows of these tracks."""
         return ranges(*spans_in(self.track, tracks))
 
     def last_of(self, tracks: IntArray) -> IntArray:
-        """(k,) the object that each track was of in its last scan, 0 for none."""
+        """(k,) the object of each track in its last scan, 0 for none."""
         out = np.zeros(len(tracks), np.int64)
         at, row = self.of(tracks)
         out[at[self.last[row]]] = self.number[row[self.last[row]]]
         return out
 
     def _with(self, more: TrackHistory) -> TrackHistory:
-        """Rows of both, those of one track and object as one."""
+        """The rows of both, merged per track and object."""
         both = self.stacked(more)
-        # One number a row, ascending as its track and its object: np.unique of two columns takes four times as long.
+        # One sort key per row: np.unique of two columns takes four times as long.
         radix = int(both.number.max(initial=0)) + 1
         key, back = np.unique(both.track * radix + both.number, return_inverse=True)
         (track, number), n = np.divmod(key, radix), len(key)
@@ -218,12 +216,12 @@ class TrackHistory(ColumnTable):
 
 @dataclass(frozen=True)
 class Stages:
-    """When an object is confirmed: as soon as it is certain, or, where its records have no ids, at ``scans`` scans
+    """When an object is confirmed: as soon as it is certain, or, if its records have no ids, after ``scans`` scans
     among the first ``of`` instants.
 
-    Certain is an object of two sources or more with at least the probability ``sure``, an object of a source without
-    false records, and one with a named track that is real with the probability ``real`` by its duration
-    (:mod:`sameas.picture.memory`): at most 1 − real of those are false. A tentative object that is missing at
+    An object is certain if it has records of two or more sources with at least the probability ``sure``, or a record of
+    a source without false records, or a named track that is real with the probability ``real`` by its duration
+    (:mod:`sameas.picture.memory`); at most 1 − real of the latter are false. A tentative object that is missing at
     more than of − scans instants is dropped.
     """
 
@@ -239,8 +237,8 @@ class Stages:
 
 @dataclass(frozen=True)
 class ExistenceOdds:
-    """Existence of tracks (n,): their numbers, −1 for none; ln of the odds that each was real when it began, and the
-    gain by its duration since (:mod:`sameas.picture.memory`)."""
+    """Existence of tracks (n,): their numbers, −1 for none; the log-odds that each is real when it begins, and the gain
+    by its duration since (:mod:`sameas.picture.memory`)."""
 
     track: IntArray
     log_initial: FloatArray
@@ -252,10 +250,10 @@ class ExistenceOdds:
 class Detections:
     """The objects of an instant, (n,) each, before they have numbers.
 
-    states : theirs. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether that track's id
-    is unique. new_report : whether it has a new report. new_plot : whether it has one of a source without track ids.
-    is_certain : whether it exists beyond doubt. existence : of its track with the highest odds.
-    walk_m2_per_s3, speed_m_per_s : how they move.
+    states : of the objects. tracks : (n, S) numbers of their named tracks, −1 for none. unique : (n, S) whether the
+    track's id is unique. new_report : whether the object has a new report. new_plot : whether it has one of a source
+    without track ids. is_certain : whether it certainly exists. existence : of its most probable track.
+    walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
     """
 
     states: ObjectStates
@@ -279,13 +277,13 @@ class NamedObjects(PictureObjects):
     Attributes
     ----------
     instant_s : the instant. n_numbers : the highest number in use.
-    n_updates, n_plots : instants with a new report of it, and with one of a source without track ids.
-    main_track, main_log_odds, earlier_log_odds : its longest track, the gain of log-odds by its duration, and the gain
-        by those of the tracks before it.
-    n_missing : instants without a record of it while it was tentative.
-    split_off : whether it split off an object that continues, and its tracks were not its own for most of the time.
-    walk_m2_per_s3, speed_m_per_s : how it moves.
-    history : which of them tracks were of.
+    n_updates, n_plots : number of instants with a new report, and with one of a source without track ids.
+    main_track, main_log_odds, earlier_log_odds : the track with the highest odds of existence, the gain of log-odds by
+        its duration, and that by the tracks that it replaced.
+    n_missing : number of instants without a record while tentative.
+    split_off : whether the object split off one that continues and has not had its own tracks for most of the time.
+    walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of velocities.
+    history : the objects that each track was assigned to.
     """
 
     WHOLE = frozenset({"instant_s", "n_numbers", "history"})
@@ -310,7 +308,7 @@ class NamedObjects(PictureObjects):
         stages: Stages,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> NamedObjects:
-        """The objects at a later instant; ``density_per_m2``: of objects."""
+        """The objects at a later instant; density_per_m2 : of objects in the plane."""
         alive = self.take(np.flatnonzero(self.stage != ENDED))
         alive = alive.predicted(instant_s - self.instant_s, alive.walk_m2_per_s3)
         match = alive._matches(detections, density_per_m2, tuning)
@@ -323,11 +321,11 @@ class NamedObjects(PictureObjects):
             alive.take(unmatched)._undetected(detections, density_per_m2, stages),
         ]
         n_numbers = int(number.max(initial=self.n_numbers))
-        whole = replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers)
-        return whole._with_history(self, detections, tuning)
+        objects = replace(parts[0].in_order(*parts[1:]), instant_s=instant_s, n_numbers=n_numbers)
+        return objects._with_history(self, detections, tuning)
 
     def _matches(self, detections: Detections, density_per_m2: float, tuning: Tuning) -> IntArray:
-        """(n,) which of these each object of the instant is, −1 for none."""
+        """(n,) the row of each object of the instant among these, −1 for none."""
         out = np.full(len(detections), -1)
         if not len(detections) or not len(self):
             return out
@@ -339,12 +337,12 @@ class NamedObjects(PictureObjects):
             for one, name in ((before, "known"), (after, "seen"))
         )
         rule = Continuity(density_per_m2, common, before, after, tuning)
-        matches = identify(first, second, rule=rule, gate=NearOrNamed(common)).matches
+        matches = identify(first, second, rule=rule, gate=NearOrSameId(common)).matches
         out[matches.rows_2] = matches.rows_1
         return out
 
     def _common_tracks(self, detections: Detections, tuning: Tuning) -> CommonTracks:
-        """The tracks in common of these objects and those of the instant."""
+        """The common tracks of these objects and those of the instant."""
         at, column = np.nonzero(detections.tracks >= 0)
         track_place, row = self.history.of(detections.tracks[at, column])
         object_place = places_in(self.number, self.history.number[row])
@@ -354,36 +352,37 @@ class NamedObjects(PictureObjects):
         return CommonTracks.of(object_place[is_alive], at[track_place], self.history.share[row], unique, tuning)
 
     def _new_numbers(self, detections: Detections, new: IntArray) -> IntArray:
-        """(k,) the numbers of objects that match none of these: of one that ended, by a unique id, or new ones."""
+        """(k,) numbers of the objects ``new`` without a match: that of an ended object with the same unique id, else
+        a new one."""
         number = np.zeros(len(new), np.int64)
         if not len(new):
             return number
         for column in range(detections.tracks.shape[1]):
-            before = np.where(detections.unique[new, column], self.history.last_of(detections.tracks[new, column]), 0)
-            free = (before > 0) & (number == 0) & ~np.isin(before, self.number) & ~np.isin(before, number)
-            _, first = np.unique(before, return_index=True)
+            previous = np.where(detections.unique[new, column], self.history.last_of(detections.tracks[new, column]), 0)
+            free = (previous > 0) & (number == 0) & ~np.isin(previous, self.number) & ~np.isin(previous, number)
+            _, first = np.unique(previous, return_index=True)
             once = np.isin(np.arange(len(new)), first)
-            number = np.where(free & once, before, number)
-        fresh = number == 0
-        number[fresh] = self.n_numbers + 1 + np.arange(np.count_nonzero(fresh))
+            number = np.where(free & once, previous, number)
+        is_new = number == 0
+        number[is_new] = self.n_numbers + 1 + np.arange(np.count_nonzero(is_new))
         return number
 
     def _split_off(self, detections: Detections, new: IntArray) -> BoolArray:
-        """(k,) whether a new object has a track of one of these, so that it split off that one."""
+        """(k,) whether a new object split off one of these: it has a track whose last object is one of them."""
         tracks = detections.tracks[new]
         owner = places_in(self.number, self.history.last_of(tracks.ravel())).reshape(tracks.shape)
         return np.asarray((owner >= 0).any(axis=1))
 
     def _detected(self, detections: Detections, which: IntArray, stages: Stages, tuning: Tuning) -> NamedObjects:
-        """These objects, updated by the objects ``which`` of the instant."""
+        """These objects, updated by their matches ``which`` of the instant."""
         states, new_report = detections.states, detections.new_report[which]
         state, covariance = states.state[which], states.covariance[which]
         filtered, filtered_covariance = _updated_states(self, state, covariance, new_report)
         velocity_known = states.moving[which]
         n_updates, n_plots = self.n_updates + new_report, self.n_plots + detections.new_plot[which]
-        # The gain of a track that ended is kept; that of one that is still there is in its own duration.
-        still_there = (self.main_track[:, None] == detections.tracks[which]).any(axis=1)
-        replaced = (self.main_track != detections.existence.track[which]) & ~still_there
+        # The gain of an ended main track is kept; one that continues still counts by its own duration.
+        continues = (self.main_track[:, None] == detections.tracks[which]).any(axis=1)
+        replaced = (self.main_track != detections.existence.track[which]) & ~continues
         earlier_log_odds = self.earlier_log_odds + np.where(replaced, self.main_log_odds, 0.0)
         log_initial, log_gain = detections.existence.log_initial[which], detections.existence.log_gain[which]
         is_real = log_initial + earlier_log_odds + log_gain >= logit(stages.real)
@@ -405,19 +404,22 @@ class NamedObjects(PictureObjects):
         )  # fmt: skip
 
     def _own_share(self, tracks: IntArray) -> FloatArray:
-        """(k,) the largest share of the last minutes that one of its tracks (k, S) was of each of these objects."""
+        """(k,) the largest share in each object's history of any of its present tracks (k, S)."""
         out = np.zeros(len(self))
         at, row = self.history.of(tracks.ravel())
         at //= max(tracks.shape[1], 1)
-        mine = self.history.number[row] == self.number[at]
-        np.maximum.at(out, at[mine], self.history.share[row[mine]])
+        own = self.history.number[row] == self.number[at]
+        np.maximum.at(out, at[own], self.history.share[row[own]])
         return out
 
     @classmethod
     def _new(
         cls, detections: Detections, which: IntArray, number: IntArray, split_off: BoolArray, stages: Stages
     ) -> NamedObjects:
-        """New objects, or such that had ended, and their numbers; ``split_off``: from one that continues."""
+        """The objects ``which`` of the instant as new or returning objects.
+
+        number : theirs. split_off : whether each split off an object that continues.
+        """
         n, states = len(which), detections.states
         is_real = detections.existence.log_initial[which] + detections.existence.log_gain[which] >= logit(stages.real)
         confirmed = ((detections.is_certain[which] | is_real) & ~split_off) | (stages.scans <= 1)
@@ -432,32 +434,32 @@ class NamedObjects(PictureObjects):
         )  # fmt: skip
 
     def _undetected(self, detections: Detections, density_per_m2: float, stages: Stages) -> NamedObjects:
-        """These objects where no source shows them."""
+        """These objects at an instant at which no source detects them."""
         tentative = self.stage == TENTATIVE
         n_missing = self.n_missing + (tentative & bool(detections.new_report.any()))
         too_uncertain = aged(self.covariance, density_per_m2)
-        # An object whose tracks are all another object's now was that object.
+        # If all tracks of an object now belong to others, it was one of those objects.
         last = self.history.take(np.flatnonzero(self.history.last))
         in_scan = np.isin(last.track, detections.tracks)
-        taken = np.isin(self.number, last.number[in_scan]) & ~np.isin(self.number, last.number[~in_scan])
-        ended = too_uncertain | taken | (tentative & (n_missing > stages.of - stages.scans))
+        absorbed = np.isin(self.number, last.number[in_scan]) & ~np.isin(self.number, last.number[~in_scan])
+        ended = too_uncertain | absorbed | (tentative & (n_missing > stages.of - stages.scans))
         stage = np.where(ended, ENDED, np.where(tentative, TENTATIVE, COASTING))
         return replace(self.undetected(stage), n_missing=n_missing)
 
     def _with_history(self, before: NamedObjects, detections: Detections, tuning: Tuning) -> NamedObjects:
-        """The same with the objects that the tracks of the instant are of."""
+        """These objects with the history after the instant."""
         has_track = detections.tracks >= 0
         number, alive = self.numbers(len(detections))[np.nonzero(has_track)[0]], self.number[self.stage != ENDED]
-        after = before.history.advance(
+        history = before.history.advance(
             self.instant_s, detections.tracks[has_track], number, detections.unique[has_track], alive
         )
-        return replace(self, history=after)
+        return replace(self, history=history)
 
 
 def _updated_states(
     objects: NamedObjects, state: FloatArray, covariance: FloatArray, new_report: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """States of objects of which only positions are reported: predicted, and updated by a new report."""
+    """Predicted states and covariances of objects, updated by the reported positions where there is a new report."""
     updated = Gaussian(objects.state, objects.covariance).updated(Gaussian(state[:, :2], covariance[:, :2, :2]))
     updated_covariance = np.where(new_report[:, None, None], updated.covariance, objects.covariance)
     return np.where(new_report[:, None], updated.mean, objects.state), symmetric(updated_covariance)

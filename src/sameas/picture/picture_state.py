@@ -1,11 +1,11 @@
-"""A picture state: the picture at one instant, and the state that its next instant starts from.
+"""A picture state: the picture at one instant, with the state to continue from.
 
-:class:`sameas.picture.Picture` goes through a whole span. Nothing that was fused returns as evidence: a state without
-memory is the answer of ``identify_many`` for that instant, and memory counts every report once.
+:class:`sameas.picture.Picture` covers a whole span. Fused states are never reused as evidence: without memory, a
+picture state is the answer of ``identify_many`` for its instant, and memory counts each report once.
 
-The objects of an instant are those that sources show, as sets of records of its scan: :class:`IdentifiedObjects` where
-``identify_many`` identifies the instant alone, :class:`TrackedObjects` where objects were tracked to it. The prior of a
-tracked object is no record: sets that differ only in it count as one.
+The objects of an instant are sets of records of its scan: :class:`IdentifiedObjects` where ``identify_many`` identifies
+the instant, :class:`TrackedObjects` where objects were tracked to it. The prior of a tracked object is not a record;
+sets that differ only in it count as one.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ from sameas.tracks.scene import Instant
 
 
 class InstantObjects(Protocol):
-    """The interface of the objects that sources show at an instant, (n,) each.
+    """The interface of the detected objects of an instant, (n,) each.
 
     members : (n, S) records of the scan, −1 for none. probability : that exactly these records are one object.
-    runner_up : (n, S) the most probable other set that has one of them. p_runner_up : its probability, 0 for none.
-    p_alone : (records,) that a record has no partner. group : the group that each object is in.
-    names : names in explanations of members that are no records.
-    by_hysteresis : whether an object is shown only because it was so at the last instant (:mod:`sameas.picture.watch`).
+    runner_up : (n, S) the most probable other set with one of these records. p_runner_up : its probability, 0 for none.
+    p_alone : (records,) probability that a record has no partner. group : number of the object's group.
+    names : names, in explanations, of members that are not records.
+    by_hysteresis : whether an object is shown only because it was at the previous instant
+        (:mod:`sameas.picture.watch`).
     """
 
     @property
@@ -62,13 +63,13 @@ class InstantObjects(Protocol):
     def by_hysteresis(self) -> BoolArray: ...
 
     def explain(self, row: int) -> ObjectExplanation:
-        """Why object ``row`` has its records; objects that other records are in are rows, too."""
+        """The explanation why object ``row`` has its records; it names other objects by their rows."""
         ...
 
 
 @dataclass(frozen=True)
 class IdentifiedObjects:
-    """Objects of ``identify_many``; ``identification`` is None where no source has a record."""
+    """The objects of ``identify_many``; ``identification`` is None if no source has a record."""
 
     scan: Scan
     identification: Objects | None
@@ -123,25 +124,25 @@ class IdentifiedObjects:
 
     @property
     def names(self) -> Mapping[Name, Name]:
-        """None: all members are records."""
+        """Empty: all members are records."""
         return {}
 
     def explain(self, row: int) -> ObjectExplanation:
-        """Why object ``row`` has its records."""
+        """The explanation why object ``row`` has its records."""
         assert self.identification is not None
         return self.identification.explain(row)
 
 
 @dataclass(frozen=True)
 class TrackedObjects:
-    """Objects that were tracked to the instant of the scan, of them those that a source shows now."""
+    """The objects tracked to the instant of the scan that a source detects there."""
 
     scan: Scan
     tracks: TrackedPlots
 
     @cached_property
     def which(self) -> IntArray:
-        """(n,) which of the tracked objects they are."""
+        """(n,) their rows among the tracked objects."""
         return np.flatnonzero((self.tracks.members >= 0).any(axis=1))
 
     @cached_property
@@ -153,7 +154,7 @@ class TrackedObjects:
 
     @property
     def probability(self) -> FloatArray:
-        """(n,) that exactly its records are one object, new or not."""
+        """(n,) that exactly its records are one object, whether new or tracked."""
         return np.empty(0) if self.tracks.identification is None else self._sets[1][self._own]
 
     @property
@@ -170,7 +171,7 @@ class TrackedObjects:
 
     @cached_property
     def p_alone(self) -> FloatArray:
-        """(records,) that no other source shows the object of a record."""
+        """(records,) probability that a record has no partner of another source."""
         out = np.ones(len(self.scan))
         if self.tracks.identification is not None:
             sets, probability = self._sets
@@ -187,18 +188,18 @@ class TrackedObjects:
 
     @property
     def by_hysteresis(self) -> BoolArray:
-        """(n,) none: the past is among the evidence."""
+        """(n,) False: the previous instants are part of the evidence."""
         return np.zeros(len(self.which), bool)
 
     @cached_property
     def names(self) -> Mapping[Name, Name]:
-        """The priors of tracked objects stand beside the records."""
+        """Names of the priors of tracked objects."""
         objects = self.tracks.prior_objects
         return {(KNOWN, k): ("known object", n) for k, n in zip(objects.records.ids.tolist(), objects.number.tolist(),
                                                                strict=True)}  # fmt: skip
 
     def explain(self, row: int) -> ObjectExplanation:
-        """Why object ``row`` has its records; priors of tracked objects are among them."""
+        """The explanation why object ``row`` has its records; its members include priors of tracked objects."""
         identification = self.tracks.identification
         assert identification is not None
         reasons, place = identification.explain(int(self.which[row])), np.full(len(self.tracks), -1)
@@ -211,20 +212,20 @@ class TrackedObjects:
 
     @cached_property
     def states(self) -> ObjectStates:
-        """States of the objects: their priors updated by their records."""
+        """The states of the objects: their priors updated by their records."""
         tracks, scan, which = self.tracks, self.scan, self.which
         state, covariance = tracks.state[which], tracks.covariance[which]
         region = tracks.now.region.covariance
         position = [isinstance(feed.reports, States) for feed in scan.now.feeds]
         placed = ((self.members >= 0) & np.array(position, dtype=bool)).any(axis=1) | (tracks.prior_of[which] >= 0)
-        # An object whose directions do not cross may be anywhere along them.
+        # Without crossing directions the position along them is unknown.
         widest = np.linalg.eigvalsh(region[:2, :2])[-1]
         placed |= np.linalg.eigvalsh(covariance[:, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest
         return ObjectStates(state, covariance, placed, placed & has_velocity(covariance, region, scan.tuning))
 
     @cached_property
     def _sets(self) -> tuple[IntArray, FloatArray]:
-        """(k, S) every possible set of records of the scan, and (k,) its probability, whatever its prior object."""
+        """(k, S) the possible sets of records of the scan, and (k,) their probabilities, summed over prior objects."""
         identification = self.tracks.identification
         assert identification is not None
         members = self._possible
@@ -235,7 +236,7 @@ class TrackedObjects:
 
     @cached_property
     def _possible(self) -> IntArray:
-        """Every set that was weighed, (k, S) records of the scan; −1 for none and for priors."""
+        """(k, S) the records of the scan of each set in the identification; −1 for none and for priors."""
         identification = self.tracks.identification
         assert identification is not None
         pooled = identification.pooled
@@ -252,7 +253,7 @@ class TrackedObjects:
 
     @cached_property
     def _own(self) -> IntArray:
-        """(n,) which of the sets each object is."""
+        """(n,) the set of each object, by its row in ``_sets``."""
         identification = self.tracks.identification
         assert identification is not None
         _, of = np.unique(self._possible, axis=0, return_inverse=True)
@@ -260,7 +261,7 @@ class TrackedObjects:
 
     @cached_property
     def _second(self) -> IntArray:
-        """(n,) the most probable other set that has one of an object's records, −1 where there is none."""
+        """(n,) the most probable other set with one of the object's records, −1 for none."""
         best = np.full(len(self.which), -1)
         if self.tracks.identification is None:
             return best
@@ -269,7 +270,7 @@ class TrackedObjects:
         of_record = np.zeros(len(self.scan), np.int64)
         of_record[self.members[own_row, column]] = own_row
         other = np.setdiff1d(np.flatnonzero((probability > 0.0) & (sets >= 0).any(axis=1)), self._own)
-        # Ascending, so that the last to be written is the most probable; of equals the first by content.
+        # Ascending: the most probable set is written last; of ties the first by content.
         other = other[np.lexsort([-other, probability[other]])]
         at, column = np.nonzero(sets[other] >= 0)
         best[of_record[sets[other[at], column]]] = other[at]
@@ -277,17 +278,17 @@ class TrackedObjects:
 
 
 def has_velocity(covariance: FloatArray, region: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> BoolArray:
-    """(n,) whether velocities are known better than those of any objects of the region."""
+    """(n,) whether velocities are known better than from the region's prior; region : (4, 4) its covariance."""
     unknown = tuning.unknown_velocity_share * np.diagonal(region)[2:4]
     return np.asarray((covariance[:, 2, 2] < unknown[0]) & (covariance[:, 3, 3] < unknown[1]))
 
 
-#: The text on an object that is shown, though it is not in the most probable answer.
+#: The text on an object that is shown by hysteresis.
 STAYS = "its identity is kept until another is much more probable"
 
 
 class Carried(Protocol):
-    """The state that a picture carries to its next instant: a ``Watch``, or a ``PlotPicture`` of bare plots."""
+    """The state to continue a picture from: a ``Watch``, or a ``PlotPicture`` for plots without ids."""
 
     @property
     def objects(self) -> PictureObjects: ...
@@ -305,9 +306,8 @@ class PictureState(Generic[W]):
 
     Attributes
     ----------
-    now : the instant. scan : the records of the sources that have any.
-    detections : the objects that they show, (n,), and their probabilities. states : of these.
-    watch : the state for the next instant.
+    now : the instant. scan : its records. detections : the detected objects, (n,), and their probabilities. states : of
+        these. watch : the state for the next instant.
     """
 
     now: Instant
@@ -341,7 +341,7 @@ class PictureState(Generic[W]):
 
     @property
     def runner_up(self) -> IntArray:
-        """(n, S) records of the scan of the most probable other set that has one of an object's records."""
+        """(n, S) records of the scan of the most probable other set with one of the object's records."""
         return self.detections.runner_up
 
     @property
@@ -361,12 +361,12 @@ class PictureState(Generic[W]):
 
     @cached_property
     def ambiguous(self) -> BoolArray:
-        """(n,) whether it is not certain that exactly these records are the object."""
+        """(n,) whether the probability of the object's records is below ``ambiguous_below``."""
         return np.asarray(self.probability < self.scan.tuning.ambiguous_below)
 
     @cached_property
     def alarms(self) -> tuple[Alarm, ...]:
-        """Identities shown at two places too far apart for one object; rows are those of the sources' reports."""
+        """Alarms on identities at two places too far apart for one object; rows are of the sources' reports."""
         start = dict(zip((d.name for d in self.scan.now.descriptions), range(len(self.scan.start)), strict=False))
 
         def reported(where: tuple[str, int]) -> tuple[str, int]:
@@ -378,12 +378,12 @@ class PictureState(Generic[W]):
         )
 
     def explain(self, number: int) -> ObjectExplanation:
-        """Why its records are object ``number`` of the picture; records are named by their track ids, else by the lines
-        of their files.
+        """The explanation why its records are object ``number`` of the picture; records are named by their track ids,
+        else by the lines of their files.
 
         Raises
         ------
-        InputError : no record of the instant is in an object of that number.
+        InputError : the object has no record at the instant.
         """
         at = np.flatnonzero(self.number == number)
         if not len(at):
@@ -401,7 +401,7 @@ class PictureState(Generic[W]):
 
     @cached_property
     def _names(self) -> Mapping[Name, Name]:
-        """By source and row of its reports, the source and the label by which a user finds the record."""
+        """By source name and row of its reports, the source name and the record's label for users."""
         scan, feeds = self.scan, self.scan.now.feeds
         sources = [description.name for description in scan.now.descriptions]
         names: dict[Name, Name] = dict(self.detections.names)

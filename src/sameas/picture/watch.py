@@ -1,7 +1,7 @@
-"""The watch: the state of a picture over time, which is the memory of its tracks, its objects, and their texts.
+"""The watch: the state of a picture over time, that is the memory of its tracks, its objects and their texts.
 
-:meth:`Watch.advance` takes it to an instant and gives the :class:`~sameas.picture.picture_state.PictureState`; for live
-use call it instant by instant,
+:meth:`Watch.advance` gives the :class:`~sameas.picture.picture_state.PictureState` of the next instant and the watch
+after it:
 
     state = watch.advance(scene.at(t))
     watch = state.watch
@@ -39,67 +39,63 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.scene import Instant
 
-#: Default b of :func:`with_hysteresis`, odds per link (chosen).
+#: Default b of :func:`with_hysteresis`: odds per link (chosen).
 BOUND = 4.0
 
 
 def with_hysteresis(
-    identification: Objects, before: IntArray, log_bound: float, search_s: float = DEFAULT_TUNING.search_s
+    identification: Objects, previous_object: IntArray, log_bound: float, search_s: float = DEFAULT_TUNING.search_s
 ) -> tuple[Objects, BoolArray]:
-    """The objects of an instant, unchanged where nothing else is much more probable, and which (n,) of them are shown
-    for that reason alone.
+    """The objects of an instant, with those of the previous instant kept unless another answer is much more probable;
+    and (n,) whether each object is shown only because it is kept.
 
-    Two vessels at one pier share an echo, and its owner is uncertain for hours: 60 to 40, then 45 to 55. The most
-    probable answer of every instant would switch it to and fro. So the picture shows the partition that maximises
+    Two vessels at one pier share an echo whose owner stays uncertain for hours: 60 to 40, then 45 to 55. The most
+    probable answer would switch back and forth. So the picture shows the partition that maximises
 
         ln P(partition) − ln b · links,
 
-    with P from all scans so far, and ``links`` the number of links that it breaks: one for every part but one into
-    which it splits the records that were one object at the last instant. An answer that is b times as probable per link
-    is shown at once; records that join break no link. Probabilities do not change. Only named tracks were in an object
-    before: a new record costs nothing. Source: the decision of least expected loss where a change that is reversed has
-    a cost too (Berger 1985, section 2).
+    with P from all scans, and ``links`` the number of links that the partition breaks: n − 1 where it splits the
+    records of one object of the previous instant into n parts. An answer b times as probable per link is shown at once.
+    Joining breaks no link, and only records of named tracks have a previous object. Probabilities do not change.
+    Source: the decision of least expected loss when a reversed change has a cost (Berger 1985, section 2).
 
     Parameters
     ----------
-    before : (records,) the object that each record's track was of at the last instant, in the order of the pooled
-        records; −1 for records that were not there.
-    log_bound : ln b; 0 where the most probable answer is always shown.
-    search_s : longest search for the best partition of one group.
+    previous_object : (records,) the object of each pooled record's track at the previous instant, −1 without one.
+    log_bound : ln b; 0 to show the most probable answer always.
+    search_s : time limit of the search for the best partition of one group.
     """
     sets, answer, n = identification.sets, identification.answer, len(identification.pooled)
     if log_bound <= 0.0:
         return identification, np.zeros(len(identification), bool)
-    # What no possible set joins is decided apart, and only where an object of the last instant is split.
+    # Components that no possible set connects are independent; only those that split a previous object are re-solved.
     possible = answer.probability > 0.0
-    part = _parts(sets, possible | answer.chosen, n)[sets.members.max(axis=1)]
-    reopened = _parting(sets, part, before, answer.chosen)[part]
-    if not reopened.any():
+    component = _components(sets, possible | answer.chosen, n)[sets.members.max(axis=1)]
+    resolve = _splits(sets, component, previous_object, answer.chosen)[component]
+    if not resolve.any():
         return identification, np.zeros(len(identification), bool)
-    tilted = replace(sets, log_weight=sets.log_weight + log_bound * _links(sets, before))
-    steady = best_sets(tilted, n, possible & reopened, time_limit_s=search_s, tuning=LIVE)
-    chosen = np.where(reopened, steady, answer.chosen)
-    log_loss = _value(sets, answer.chosen) - _value(sets, chosen)
-    steadied = replace(
-        identification, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(log_loss, 0.0))
-    )
-    return steadied, ~answer.chosen[steadied.set_of_object]
+    with_links = replace(sets, log_weight=sets.log_weight + log_bound * _links(sets, previous_object))
+    best = best_sets(with_links, n, possible & resolve, time_limit_s=search_s, tuning=LIVE)
+    chosen = np.where(resolve, best, answer.chosen)
+    log_loss = _log_weight(sets, answer.chosen) - _log_weight(sets, chosen)
+    kept = replace(identification, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(log_loss, 0.0)))
+    return kept, ~answer.chosen[kept.set_of_object]
 
 
-def _parts(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
-    """(records,) the part that each record is in: some of the sets join all records of a part, and none joins two."""
+def _components(sets: Sets, which: BoolArray, n_records: int) -> IntArray:
+    """(records,) the connected component of each record, by the sets ``which``."""
     several = np.flatnonzero(which & (sets.size > 1))
     members = sets.members[several]
     at, source = np.nonzero(members >= 0)
     edges = (n_records + at, members[at, source])
-    parent, part = np.empty((2, n_records + len(several)), np.int64)
-    label_components(*edges, parent, part)
-    return part[:n_records]
+    parent, component = np.empty((2, n_records + len(several)), np.int64)
+    label_components(*edges, parent, component)
+    return component[:n_records]
 
 
-def _links(sets: Sets, before: IntArray) -> IntArray:
-    """(k,) links that a set keeps: its records of the last instant, less the number of objects that they were in."""
-    previous = np.sort(np.append(before, -1)[sets.members], axis=1)
+def _links(sets: Sets, previous_object: IntArray) -> IntArray:
+    """(k,) links within each set: its records with a previous object, minus the number of these objects."""
+    previous = np.sort(np.append(previous_object, -1)[sets.members], axis=1)
     has_previous = previous >= 0
     objects = (has_previous[:, :1] + np.cumsum((previous[:, 1:] != previous[:, :-1]) & has_previous[:, 1:], axis=1))[
         :, -1:
@@ -107,47 +103,50 @@ def _links(sets: Sets, before: IntArray) -> IntArray:
     return np.asarray(has_previous.sum(axis=1) - objects)
 
 
-def _parting(sets: Sets, part: IntArray, before: IntArray, chosen: BoolArray) -> BoolArray:
-    """(parts,) those in which the chosen sets split objects of the last instant; part : (k,) that each set is in."""
+def _splits(sets: Sets, component: IntArray, previous_object: IntArray, chosen: BoolArray) -> BoolArray:
+    """(components,) whether the chosen sets split a previous object; component : (k,) of each set."""
     which = np.flatnonzero(chosen)
     at, source = np.nonzero(sets.members[which] >= 0)
-    previous, own = before[sets.members[which][at, source]], which[at]
-    order = np.lexsort([own, part[own], previous])
+    previous, own = previous_object[sets.members[which][at, source]], which[at]
+    order = np.lexsort([own, component[own], previous])
     order = order[previous[order] >= 0]
     one, other = order[:-1], order[1:]
-    split = (previous[one] == previous[other]) & (part[own[one]] == part[own[other]]) & (own[one] != own[other])
-    out = np.zeros(int(part.max(initial=-1)) + 1, bool)
-    out[part[own[other[split]]]] = True
+    same_component = component[own[one]] == component[own[other]]
+    split = (previous[one] == previous[other]) & same_component & (own[one] != own[other])
+    out = np.zeros(int(component.max(initial=-1)) + 1, bool)
+    out[component[own[other[split]]]] = True
     return out
 
 
-def _value(sets: Sets, chosen: BoolArray) -> FloatArray:
+def _log_weight(sets: Sets, chosen: BoolArray) -> FloatArray:
     """(g,) ln w of the partition of each group."""
     return np.asarray(np.bincount(sets.group[chosen], sets.log_weight[chosen], len(sets.start) - 1), np.float64)
 
 
 #: Attributes of identity in the tables of a picture.
 TEXTS = ("mmsi", "icao", "callsign", "name", "mode_a", "type")
-#: Those of them that are unique to an object.
+#: Attributes that are unique to an object.
 UNIQUE_IDS = ("mmsi", "icao", "callsign")
-#: Bounds of the work of an instant. In crowded pictures (500 objects, 0.1 others within σ) what is left out changes
-#: probabilities by 5e-4 at most; with a first cut of 20, and 6 for the largest groups all the same, it takes twice as
-#: long.
+#: Work limits of an instant. In crowded pictures (500 objects, 0.1 others within σ) the excluded sets change
+#: probabilities by at most 5e-4; a first cut of 20, with 6 for the largest groups as well, takes twice as long.
 LIVE = ManyTuning(cuts=(10.0, 8.0, 6.0, 4.0, 2.0, 1.0), block_steps=10_000)
 #: The texts of an object without any.
 NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 
 
-#: The rule of an instant, from the instant and the past.
+#: Makes the rule of an instant from the instant and the memory.
 EvidenceOf = Callable[[Instant, Past], SetRule]
 
 
-#: Functions that saved states name (:mod:`sameas.saved`).
+#: Functions that saved states refer to by name (:mod:`sameas.saved`).
 SAVED = ("all_evidence",)
 
 
 def all_evidence(now: Instant, past: Past, *, identity: bool = True, memory: bool = True) -> SetRule:
-    """The rule of positions, misses and clutter as described, of heights and identities, and of the tracks' past."""
+    """The rule of positions, misses and clutter as described, of heights and identities, and of the memory of tracks.
+
+    identity, memory : False to exclude attributes of identity, and the memory.
+    """
     evidence: SetRule = now.rule()
     if any(heights is not None for heights in now.heights):
         evidence = evidence + now.height()
@@ -163,13 +162,13 @@ class Watch:
 
     Parameters
     ----------
-    evidence : the rule of an instant. ``lambda now, past: now.rule() + past.rule()`` leaves identities out,
-        ``lambda now, past: now.rule() + now.height() + now.identity()`` identifies every instant alone.
-    past : memory of tracks; give one to set the correlation times of their errors.
+    evidence : makes the rule of an instant. ``lambda now, past: now.rule() + past.rule()`` ignores identities,
+        ``lambda now, past: now.rule() + now.height() + now.identity()`` identifies each instant without memory.
+    past : the memory of tracks; give one to set the correlation times of their errors.
     bound : odds at which records change their object (:func:`with_hysteresis`); 1 for the most probable answer of
-        every instant.
+        each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
-    objects, texts : objects and their texts; filled in from instant to instant.
+    objects, texts : the objects and their texts, updated from instant to instant.
     """
 
     evidence: EvidenceOf = all_evidence
@@ -186,11 +185,11 @@ class Watch:
             raise InputError(f"Watch: bound is {self.bound}; give odds of 1 or more")
 
     def advance(self, now: Instant) -> PictureState[Watch]:
-        """The picture at an instant not before the last.
+        """The picture at an instant not before the previous one.
 
         Raises
         ------
-        InputError : the instant is before the last; a source lacks what its evidence needs.
+        InputError : the instant is before the previous one; a source lacks what its evidence needs.
         """
         with_records = now.with_records()
         scan = self.past.error_factors.applied(Scan.of(with_records, self.tuning))
@@ -217,7 +216,7 @@ class Watch:
         return PictureState(now, scan, objects_now, detections.states, carried)
 
     def _previous_objects(self, pooled: PooledRecords, scan: Scan, past: Past) -> IntArray:
-        """(records,) the object of the last instant that each pooled record is of by its track, −1 without one."""
+        """(records,) the object of each pooled record's track at the previous instant, −1 without one."""
         track = past.tracks.track_of_record
         previous = np.where(places_in(self.past.tracks.number, track) >= 0, self.objects.history.last_of(track), 0)
         out = np.full(len(pooled), -1)
@@ -231,7 +230,7 @@ class Watch:
         if not now.sources:
             return None
         if len(now.sources) == 1:
-            # A single source is identified with an empty one: each of its records is an object.
+            # identify_many needs two sources; with an empty one each record is an object.
             empty = Records.of(np.empty((0, now.features)), sigma=1.0, source="")
             rule = PoissonObjects(now.density, 0.5)
             return identify_many((*now.sources, empty), rule=rule, region=now.region)
@@ -245,12 +244,12 @@ class Watch:
         past: Past,
         texts: Mapping[str, NDArray[Any]],
     ) -> Detections:
-        """The objects of an instant with what identifies them over time."""
+        """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
         is_member = members >= 0
         track = np.append(past.tracks.track_of_record, -1)[members]
         has_unique_id = np.append(np.any([texts[name] != "" for name in UNIQUE_IDS], axis=0), False)[members]
-        # Without clutter all records of the source are real.
+        # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
         is_new = np.append(scan.new_since(self.past.tracks.scan), False)
@@ -273,7 +272,7 @@ class Watch:
     def _texts(
         self, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects
     ) -> Mapping[int, NDArray[Any]]:
-        """Per object of the picture its texts: those of its newest record, else the earlier ones."""
+        """By number of the object, its texts: each of its newest record that has it, else the previous one."""
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
         newest = np.full((len(members), len(TEXTS)), "", dtype=object)
@@ -282,7 +281,7 @@ class Watch:
             with_value = np.flatnonzero(values != "")
             if not len(with_value):
                 continue
-            # The newest is written last; of equally new ones the first in the alphabet.
+            # The newest is written last; of ties the first in alphabetical order.
             order = with_value[
                 np.lexsort(
                     [np.argsort(np.argsort(values[with_value].astype(str)[::-1])), scan.time_s[record[with_value]]]
@@ -293,13 +292,13 @@ class Watch:
         object_texts = {number: self.texts.get(number, NO_TEXTS) for number in numbers}
         has_text = np.append((newest != "").any(axis=1), False)[objects.detection]
         for row, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
-            before = object_texts[numbers[row]]
-            object_texts[numbers[row]] = np.where(newest[k] != "", newest[k], before)
+            previous = object_texts[numbers[row]]
+            object_texts[numbers[row]] = np.where(newest[k] != "", newest[k], previous)
         return object_texts
 
 
 def _existence_odds(track: IntArray, past: Past) -> ExistenceOdds:
-    """The existence of each object's track, of its tracks (n, S), with the highest odds."""
+    """The existence of the most probable track of each object; track : (n, S) its tracks."""
     track = np.column_stack([track, np.full(len(track), -1)])
     log_initial, log_gain = past.existence.log_odds(track)
     best = np.argmax(log_initial + log_gain, axis=1)[:, None]
@@ -307,7 +306,7 @@ def _existence_odds(track: IntArray, past: Past) -> ExistenceOdds:
 
 
 def _certain_pairs(members: IntArray, identification: Objects | None, stages: Stages) -> BoolArray:
-    """(n,) whether two sources or more certainly show an object."""
+    """(n,) whether an object certainly has records of two or more sources."""
     if identification is None:
         return np.zeros(len(members), bool)
     return np.asarray(((members >= 0).sum(axis=1) > 1) & (identification.probability >= stages.sure))

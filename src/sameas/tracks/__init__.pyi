@@ -2,8 +2,8 @@
 
 from .coordinates import LocalPlane as LocalPlane
 from .feed import Feed as Feed
-from .growing import GrowingFeed as GrowingFeed
 from .kinds import KINDS as KINDS
+from .live_feed import GrowingFeed as GrowingFeed
 from .registration import SourceBiases as SourceBiases
 from .reports import Reports as Reports
 from .scene import POSITION as POSITION

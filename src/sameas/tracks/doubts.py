@@ -1,10 +1,10 @@
 """Doubts: sentences on what looks wrong with a source as a whole.
 
-A longitude of the wrong sign, kilometres for metres, a clock in another zone: such a source shares nothing with the
-others as it stands, and much in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only where a
-source makes no sense, and only to name the one that would help: data are never changed.
+A longitude of the wrong sign, kilometres for metres, a clock in another time zone: such a source matches no other as
+given, and matches well in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only for sources
+that match no other, and only to name the remedy: data are never changed.
 
-- :func:`doubts`: of the sources of a scene. :func:`apart`: of sources that lie too far apart for any scene.
+- :func:`doubts`: on the sources of a scene. :func:`apart`: on sources too far apart for one plane.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ Read = Callable[[Description, Reports], Source | None]
 
 @dataclass(frozen=True)
 class UnitGuess:
-    """One other way to read a source, in words: what is suspected and what to do. It is never applied to the data.
+    """A possible mistake in a source's coordinates or units, in words. It is never applied to the data.
 
-    suspicion : what it looks like, after "its ". changed : "with …", what was tried. remedy : what to do.
-    read : the source as it would be, or None where it cannot be read so.
+    suspicion : the mistake, after "its ". changed : the change tried, after "with ". remedy : what to do.
+    read : makes the changed source; None if its values exclude the mistake.
     """
 
     suspicion: str
@@ -56,7 +56,7 @@ class UnitGuess:
 
 
 def place_guesses(reports: Reports) -> Iterator[UnitGuess]:
-    """Ways to read coordinates on the earth: of positions, or of the sensor's site."""
+    """Possible mistakes in geodetic coordinates: of positions, or of the sensor's site."""
     if reports.position == "geodetic":
         yield UnitGuess("longitudes look like they have the wrong sign", "the sign turned",
                       "turn the sign of its longitudes (west is negative)", _with_signs(1.0, -1.0))  # fmt: skip
@@ -75,7 +75,7 @@ def place_guesses(reports: Reports) -> Iterator[UnitGuess]:
 
 
 def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
-    """All ways to read the positions of a source."""
+    """All possible mistakes in the positions of a source."""
     yield from place_guesses(reports)
     if reports.position == "local":
         yield UnitGuess("x and y look exchanged", "them exchanged", "name the columns: x is east, y is north",
@@ -92,7 +92,7 @@ def unit_guesses(reports: Reports) -> Iterator[UnitGuess]:
 
 
 def clock_guesses() -> Iterator[tuple[str, str, float]]:
-    """Suspicion, remedy, and seconds by which stamps would be ahead."""
+    """Suspicion, remedy, and the seconds by which the stamps would be ahead."""
     for hours in sorted(HOURS, key=abs):
         ahead = "ahead" if hours > 0 else "behind"
         yield (f"clock looks {abs(hours)} h {ahead}, as in another time zone", "give its times in UTC", 3600.0 * hours)
@@ -162,7 +162,8 @@ def _with_bearings(changed: Callable[[FloatArray], FloatArray], most: float) -> 
 
 @dataclass(frozen=True)
 class Shared:
-    """The mean pairs of two sources at an instant, the records of the smaller source, and the log likelihood."""
+    """How well two sources match: mean per instant of the expected number of pairs, of the records of the smaller
+    source, and of the log-likelihood ratio (gain)."""
 
     other: str
     pairs: float
@@ -171,7 +172,7 @@ class Shared:
 
     @property
     def share(self) -> float:
-        """Part of the records that have a partner, of those that could."""
+        """Share of the smaller source's records that have a partner."""
         return self.pairs / max(self.records, 1e-9)
 
 
@@ -180,12 +181,12 @@ def doubts(
 ) -> tuple[str, ...]:
     """One sentence for each source that looks wrong as a whole; see :meth:`sameas.tracks.scene.Scene.doubts`.
 
-    fits : of bare plots, where some are known already.
+    fits : of sources of plots, where already made.
     """
     fits = fits or PlotFits()
-    # A radar in clutter shares little with others at any instant: its plots of all scans tell.
+    # A radar in clutter matches little at any one instant; the plots of all its scans decide.
     by_plots = [_by_plots(feed, feeds, fits) for feed in feeds]
-    met = {name for fit in by_plots if fit is not None and fit[0].established for name in fit[1]}
+    matched = {name for fit in by_plots if fit is not None and fit[0].established for name in fit[1]}
     tolerant = [_tolerant(feed) for feed in feeds]
     others = [
         _comparable(feed, [other for other in tolerant if other.description != feed.description]) for feed in feeds
@@ -193,7 +194,7 @@ def doubts(
     shared = [_best(feed, partners, tuning) for feed, partners in zip(tolerant, others, strict=True)]
     guesses = [
         _best_guess(feed, partners, in_common, plane, tuning)
-        if partners and feed.description.name not in met and (in_common is None or in_common.share < tuning.much)
+        if partners and feed.description.name not in matched and (in_common is None or in_common.share < tuning.much)
         else None
         for feed, partners, in_common in zip(feeds, others, shared, strict=True)
     ]
@@ -205,7 +206,7 @@ def doubts(
     named = {guess.other for guess in guesses if guess is not None}
     for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
         name = feed.description.name
-        has_common = name in met or (
+        has_common = name in matched or (
             in_common is not None and in_common.share > tuning.nothing and in_common.gain > 0.0
         )
         accused = all(other.description.name in sentences for other in partners)
@@ -218,7 +219,7 @@ def doubts(
 
 
 def _by_plots(feed: Feed, feeds: Sequence[Feed], fits: PlotFits) -> tuple[BiasFit, tuple[str, ...]] | None:
-    """The offsets of a source of bare plots by all its scans, and the names of the sources that took part."""
+    """The offset fit of a source of plots by all its scans, and the names of the sources in it."""
     if not shows_bare_plots(feed):
         return None
     named = [other for other in feeds if other is not feed and shows_tracks(other)]
@@ -235,15 +236,15 @@ def _undecided(fit: BiasFit, names: tuple[str, ...]) -> str:
 
 
 def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
-    """Those of the others that have reports which can be compared: a direction with a direction cannot."""
+    """The other sources with comparable reports; directions cannot be compared with directions."""
     own = isinstance(feed.reports, States)
     return [o for o in others if len(feed.reports) and len(o.reports) and (own or isinstance(o.reports, States))]
 
 
 def apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
-    """Sentences for sources too far from the one of most positions to be in one plane with it; none where all are near.
+    """Sentences on sources too far from the source with the most positions for one plane.
 
-    Sensors without positions of their own stand for theirs.
+    The site of a sensor counts where its reports have no positions in degrees.
     """
     places = [_places(*source) for source in sources]
     counts = [0 if p is None else len(p[0]) for p in places]
@@ -262,12 +263,12 @@ def apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> tuple[s
 
 
 def _far(source: Source, home: Source, reach_m: float) -> str:
-    """The sentence on a source beyond the plane of another, ``home``, whose positions reach ``reach_m``."""
+    """The sentence on a source beyond the plane of another, ``home``; reach_m : radius of the positions of that one."""
     far, near = _places(*source), _places(*home)
     assert far is not None and near is not None
     away = _typical_m(LocalPlane.about(*near), far)
     opening = f"{source[0].name}: lies {away / 1e3:.0f} km from {home[0].name}, too far for one plane"
-    # Columns are mixed up more often than sites are.
+    # Wrong columns are tried first: they are more frequent than wrong sites.
     for one, other in sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None):
         for guess in place_guesses(one[1]):
             changed = guess.read(*one)
@@ -285,7 +286,7 @@ def _far(source: Source, home: Source, reach_m: float) -> str:
 
 
 def _places(description: Description, reports: Reports) -> tuple[FloatArray, FloatArray] | None:
-    """Latitudes and longitudes of the positions, or of the sensor; None where no degrees are given."""
+    """Latitudes and longitudes of the positions, or of the sensor; None if none are given in degrees."""
     for lat, lon in ((reports.lat_deg, reports.lon_deg), (reports.station_lat_deg, reports.station_lon_deg)):
         if lat is not None and lon is not None:
             known = np.isfinite(lat) & np.isfinite(lon)
@@ -297,7 +298,7 @@ def _places(description: Description, reports: Reports) -> tuple[FloatArray, Flo
 
 
 def _distance_m(middle: LocalPlane, place: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """(n,) along the surface, near enough."""
+    """(n,) great-circle distances on a sphere."""
     phi, lam = np.radians(place[0]), np.radians(place[1] - middle.lon_deg)
     start = np.radians(middle.lat_deg)
     half = np.sin((phi - start) / 2.0) ** 2 + np.cos(phi) * np.cos(start) * np.sin(lam / 2.0) ** 2
@@ -309,13 +310,13 @@ def _typical_m(middle: LocalPlane, place: tuple[FloatArray, FloatArray]) -> floa
 
 
 def _tolerant(feed: Feed) -> Feed:
-    """The feed with covariances that allow for the biases that it may have."""
+    """The feed with covariances increased by the prior uncertainty of its biases."""
     widths = bias_widths(feed)
     return unbiased(feed, np.zeros(len(widths)), np.diag(widths**2)) if widths.any() else feed
 
 
 def _best(feed: Feed, others: Sequence[Feed], tuning: Tuning) -> Shared | None:
-    """What the source shares with the one with which it shares most; None where it meets none."""
+    """The match with the source that it matches best; None without common scans."""
     candidates = [shared for other in others if (shared := _shared(feed, other, tuning)) is not None]
     return max(candidates, key=lambda shared: shared.gain) if candidates else None
 
@@ -340,7 +341,7 @@ def _shared(feed: Feed, other: Feed, tuning: Tuning) -> Shared | None:
 
 @dataclass(frozen=True)
 class BestGuess:
-    """The guess under which a source shares most with another: the sentence, the other source, the log likelihood."""
+    """The guess by which a source matches another best: the sentence, the other source, the log-likelihood ratio."""
 
     sentence: str
     other: str
@@ -350,7 +351,7 @@ class BestGuess:
 def _best_guess(
     feed: Feed, others: Sequence[Feed], as_is: Shared | None, plane: LocalPlane | None, tuning: Tuning
 ) -> BestGuess | None:
-    """The guess under which the source shares most; None where none shares much."""
+    """The guess by which the source matches best; None if none matches well."""
     unchanged = as_is or Shared("", 0.0, 0.0, 0.0)
     best: BestGuess | None = None
     for suspicion, changed, remedy, guessed in _guessed_feeds(feed, plane):
@@ -369,7 +370,7 @@ def _best_guess(
 
 
 def _guessed_feeds(feed: Feed, plane: LocalPlane | None) -> Iterator[tuple[str, str, str, Feed]]:
-    """Suspicion, change, remedy, and the feed that would result."""
+    """Suspicion, change, remedy, and the resulting feed, for each guess."""
     if feed.raw_reports is not None:
         for guess in unit_guesses(feed.raw_reports):
             source = guess.read(feed.description, feed.raw_reports)
@@ -402,7 +403,7 @@ def _nothing_in_common(feed: Feed, others: Sequence[Feed], best: Shared | None) 
 
 
 def _span(time_s: FloatArray) -> tuple[str, str]:
-    """The first and the last time: UTC, or seconds where they count from a start of their own."""
+    """The first and the last time: in UTC, or in seconds if below 1e8, which count from an arbitrary start."""
     first, last = float(np.min(time_s)), float(np.max(time_s))
     if abs(last) < 1e8:
         return f"{first:.0f} s", f"{last:.0f} s"

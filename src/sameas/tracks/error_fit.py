@@ -1,21 +1,21 @@
-"""Error fit: the errors, clutter and late stamps of sources of bare plots, by how much they differ from each other.
+"""Error fit: the errors, clutter and latency of sources of plots without ids, from the differences between sources.
 
-What a kind is assumed to measure is often wrong by a factor of three, and a detector's clutter by a hundred. No source
-has the truth, but the variances of the differences of all pairs of sources are sums of those of the sources (Gray and
-Allan 1974, the three-cornered hat). Along and across the line of sight, at range r,
+The errors assumed for a kind of sensor are often wrong by a factor of three, and a detector's clutter by a hundred. No
+source has the truth, but the variance of the difference of two sources is the sum of theirs (Gray and Allan 1974, the
+three-cornered hat). Along and across the line of sight, at range r,
 
     Var along = a₁² + a₂² + e₁² + e₂²,    Var across = (r b₁)² + (r b₂)² + e₁² + e₂²,
 
-with a the error of ranges, b that of bearings, and e the wander of what is measured over the hull; of directions only
-the second. Which plots are of one object is unknown: a pair within a box is one with probability π, and chance with
-density uniform in the box otherwise. All numbers that nobody gave have log-normal priors about those of the kind (e
-about ``hull_sigma_m``). EM finds those of most posterior probability, from several beginnings. Errors last, so that
-looks within ``fit_correlation_s`` count as one. A source that may be late is tried with stamps late by various times,
-and all that was tried is averaged by its probability.
+with a the error of ranges, b that of bearings, and e the wander of the measured point over the hull; directions have
+only the second. Which plots are of one object is unknown: a pair within a box is of one object with probability π, else
+by chance, with uniform density in the box. Numbers that the user did not give have log-normal priors about those of the
+kind (e about ``hull_sigma_m``). EM finds the maximum of the posterior, from several starting points. Errors are
+correlated in time, so the scans within ``fit_correlation_s`` count as one. Of a source that may be late, several
+latencies are tried. All fits are averaged with their posterior probabilities as weights.
 
-All that see a hull from one place see its near side. This common part of the errors is in no difference. It is taken
-to have half the variance of the wander, e² averaged in logarithms (chosen: three recordings ask for 0.3 to 1.2), and
-is a part of the errors of fused positions that no further source makes smaller.
+Sensors at one place all see the near side of a hull. This common error is in no difference. It is assumed to have half
+the variance of the wander, e² averaged in logarithms (chosen: three recordings give 0.3 to 1.2), and is a part of the
+errors of fused positions that further sources do not reduce.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 @dataclass(frozen=True)
 class ErrorFit:
-    """The feeds with estimated errors, and what their errors have in common.
+    """The feeds with estimated errors, and the common error of all.
 
-    feeds : all, in their order; those that could not be estimated are as they were. fitted : names of the others.
-    shared_m : 1σ per axis of the part that all sources have in common.
+    feeds : all, in their order, unchanged where not estimated. fitted : names of the sources with estimates.
+    shared_m : 1σ per axis of the error that all sources have in common.
     """
 
     feeds: tuple[Feed, ...]
@@ -52,7 +52,7 @@ class ErrorFit:
     shared_m: float = 0.0
 
     def lines(self) -> list[str]:
-        """Printable sentences, one a source."""
+        """Printable sentences, one per source."""
         out = []
         for feed in self.feeds:
             described, errors = feed.description, feed.description.errors
@@ -72,9 +72,12 @@ class ErrorFit:
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Pairs of plots of two sources at one time: places (m,) of the sources s and t and rows i and j of their reports,
-    range r, difference along (0 where a source has no ranges, ``placed`` False) and across in metres, half the width of
-    the box, and the part of an independent look that the pair counts."""
+    """Pairs of plots of two sources at one time, (m,) each.
+
+    s, t : the sources. i, j : rows of their reports. range_m : r. along_m, across_m : the difference along and across
+    the line of sight. placed : whether both have ranges; along_m is 0 otherwise. box_m : half the width of the box.
+    weight : of the pair, in independent scans.
+    """
 
     s: IntArray
     t: IntArray
@@ -85,7 +88,7 @@ class _Pairs:
     across_m: FloatArray
     placed: NDArray[np.bool_]
     box_m: FloatArray
-    share: FloatArray
+    weight: FloatArray
 
     def __len__(self) -> int:
         return len(self.s)
@@ -93,60 +96,60 @@ class _Pairs:
 
 @dataclass(frozen=True)
 class _Model:
-    """ln a, ln b (radians), ln e of every source (3, S), and π by pair of sources (S, S)."""
+    """logs : (3, S) ln a, ln b (radians) and ln e of each source. real : (S, S) π of each pair of sources."""
 
     logs: FloatArray
     real: FloatArray
 
     def variances(self, pairs: _Pairs) -> tuple[FloatArray, FloatArray]:
-        """(m,) along and across."""
+        """(m,) variances along and across."""
         a, b, e = np.exp(2.0 * self.logs)
         hull = e[pairs.s] + e[pairs.t]
         return a[pairs.s] + a[pairs.t] + hull, pairs.range_m**2 * (b[pairs.s] + b[pairs.t]) + hull
 
     def log_odds(self, pairs: _Pairs) -> FloatArray:
-        """(m,) that a pair is one object."""
+        """(m,) log-odds that a pair is of one object."""
         along, across = self.variances(pairs)
-        wide = math.log(2.0) + np.log(pairs.box_m)
+        log_box = math.log(2.0) + np.log(pairs.box_m)
         real = self.real[pairs.s, pairs.t]
-        each = [
-            wide - 0.5 * (np.log(2.0 * np.pi * variance) + delta**2 / variance)
+        log_ratio = [
+            log_box - 0.5 * (np.log(2.0 * np.pi * variance) + delta**2 / variance)
             for variance, delta in ((along, pairs.along_m), (across, pairs.across_m))
         ]
-        return np.asarray(np.log(real) - np.log1p(-real) + np.where(pairs.placed, each[0], 0.0) + each[1])
+        return np.asarray(np.log(real) - np.log1p(-real) + np.where(pairs.placed, log_ratio[0], 0.0) + log_ratio[1])
 
 
 def fit_errors(feeds: Sequence[Feed], plane: LocalPlane | None = None, tuning: Tuning = DEFAULT_TUNING) -> ErrorFit:
-    """The errors of sources of bare plots by the differences of their looks.
+    """The errors of sources of plots without ids, from the differences between sources.
 
-    Estimated are, where the description was silent, the errors of ranges and bearings, the wander over a hull, clutter,
-    and of sources whose stamps may be late by how much. Positions with stated errors, tracks, and sources without a
-    place are left alone; so is everything where fewer than ``fit_pairs`` independent looks have pairs.
+    Estimates what the descriptions do not give: errors of ranges and bearings, wander over a hull, clutter, and the
+    latency of sources that may be late. Positions with stated errors, tracks, and sources without a site stay
+    unchanged; so do all if the pairs weigh less than ``fit_pairs`` independent scans.
     """
     at = [k for k, feed in enumerate(feeds) if _is_fittable(feed)]
-    chosen = [feeds[k] for k in at]
-    if len(chosen) < 2 or all(isinstance(feed.reports, Directions) for feed in chosen):
+    fittable = [feeds[k] for k in at]
+    if len(fittable) < 2 or all(isinstance(feed.reports, Directions) for feed in fittable):
         return ErrorFit(tuple(feeds))
-    prior = _Prior.of([feed.description for feed in chosen], tuning)
-    tried = _tried(chosen, prior, tuning)
-    for k, feed in enumerate(chosen):
+    prior = _Prior.of([feed.description for feed in fittable], tuning)
+    fits = _fits(fittable, prior, tuning)
+    for k, feed in enumerate(fittable):
         late = feed.description.bias.time_s or 0.0
         if not late or not _is_assumed(feed.description, "timing.latency_s"):
             continue
-        so_far = _best(tried).feeds
+        best = _best(fits).feeds
         for share in tuning.fit_latencies:
             timing = replace(feed.description.timing, latency_s=share * late)
-            trial = [*so_far[:k], _rebuilt(feed, replace(feed.description, timing=timing), plane), *so_far[k + 1 :]]
-            tried += _tried(trial, prior, tuning, -0.5 * share**2)
-    mean, latency_s = _averaged(tried)
-    weight = expit(mean.model.log_odds(mean.pairs))
-    if float(weight @ mean.pairs.share) < tuning.fit_pairs:
+            trial = [*best[:k], _rebuilt(feed, replace(feed.description, timing=timing), plane), *best[k + 1 :]]
+            fits += _fits(trial, prior, tuning, -0.5 * share**2)
+    mean, latency_s = _averaged(fits)
+    p_pair = expit(mean.model.log_odds(mean.pairs))
+    if float(p_pair @ mean.pairs.weight) < tuning.fit_pairs:
         return ErrorFit(tuple(feeds))
     out = list(feeds)
-    for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, weight), strict=True):
+    for k, feed, description in zip(at, mean.feeds, _described(mean, latency_s, p_pair), strict=True):
         out[k] = _rebuilt(feed, description, plane)
     shared = math.sqrt(tuning.shared_hull) * math.exp(float(mean.model.logs[2].mean()))
-    return ErrorFit(tuple(out), tuple(feed.description.name for feed in chosen), shared)
+    return ErrorFit(tuple(out), tuple(feed.description.name for feed in fittable), shared)
 
 
 def _is_fittable(feed: Feed) -> bool:
@@ -154,8 +157,8 @@ def _is_fittable(feed: Feed) -> bool:
     if raw is None or feed.sensor_m is None or feed.reports.track is not None or errors.bearing_deg is None:
         return False
     stated = (raw.covariance_m2, raw.sigma_range_m, raw.sigma_bearing_deg)
-    silent = errors.position_m is None and all(column is None for column in stated)
-    return silent and (isinstance(feed.reports, Directions) or errors.range_m is not None) and len(feed.reports) > 1
+    unstated = errors.position_m is None and all(column is None for column in stated)
+    return unstated and (isinstance(feed.reports, Directions) or errors.range_m is not None) and len(feed.reports) > 1
 
 
 def _is_assumed(description: Description, name: str) -> bool:
@@ -164,7 +167,7 @@ def _is_assumed(description: Description, name: str) -> bool:
 
 @dataclass(frozen=True)
 class _Prior:
-    """(3, S) medians of ln a, ln b, ln e, and 1σ, which is next to nothing where a user gave the number."""
+    """(3, S) medians of ln a, ln b, ln e and their 1σ, which is 0.001 where the user gave the number."""
 
     median: FloatArray
     sigma: FloatArray
@@ -172,96 +175,98 @@ class _Prior:
     @classmethod
     def of(cls, descriptions: Sequence[Description], tuning: Tuning) -> _Prior:
         names = ("range_m", "bearing_deg", "extent_m")
-        given = [[getattr(d.errors, name) for d in descriptions] for name in names]
-        told = [
+        values = [[getattr(d.errors, name) for d in descriptions] for name in names]
+        given = [
             [
                 value is not None and not _is_assumed(d, f"errors.{name}")
                 for d, value in zip(descriptions, row, strict=True)
             ]
-            for name, row in zip(names, given, strict=True)
+            for name, row in zip(names, values, strict=True)
         ]
         least = tuning.fit_least_m
-        median = np.array([[max(value or 0.0, least) for value in row] for row in given])
-        median[1] = np.radians([[max(value or 0.0, 1e-3) for value in given[1]]])
-        median[2] = np.where(told[2], median[2], tuning.hull_sigma_m)
-        return cls(np.log(median), np.where(told, 1e-3, np.array(tuning.fit_sigmas)[:, None]))
+        median = np.array([[max(value or 0.0, least) for value in row] for row in values])
+        median[1] = np.radians([[max(value or 0.0, 1e-3) for value in values[1]]])
+        median[2] = np.where(given[2], median[2], tuning.hull_sigma_m)
+        return cls(np.log(median), np.where(given, 1e-3, np.array(tuning.fit_sigmas)[:, None]))
 
     def log_density(self, logs: FloatArray) -> float:
         return -0.5 * float(np.sum(((logs - self.median) / self.sigma) ** 2))
 
 
 @dataclass(frozen=True)
-class _Tried:
+class _Fit:
     feeds: tuple[Feed, ...]
     pairs: _Pairs
     model: _Model
     log_posterior: float
 
 
-def _tried(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning, log_prior: float = 0.0) -> list[_Tried]:
-    """The errors of most posterior probability of feeds whose stamps are what they are, from several beginnings."""
+def _fits(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning, log_prior: float = 0.0) -> list[_Fit]:
+    """The fits of feeds with the latencies that they have, one from each starting point."""
     pairs, out = _pairs(feeds, prior, tuning), []
     for shift in tuning.fit_begins:
-        begin = _Model(prior.median + shift * prior.sigma, np.full((len(feeds), len(feeds)), tuning.fit_real))
-        model = _settled(pairs, begin, prior, tuning)
-        out.append(_Tried(tuple(feeds), pairs, model, _gain(pairs, model) + prior.log_density(model.logs) + log_prior))
+        start = _Model(prior.median + shift * prior.sigma, np.full((len(feeds), len(feeds)), tuning.fit_real))
+        model = _converged(pairs, start, prior, tuning)
+        log_posterior = _log_likelihood(pairs, model) + prior.log_density(model.logs) + log_prior
+        out.append(_Fit(tuple(feeds), pairs, model, log_posterior))
     return out
 
 
-def _best(tried: Sequence[_Tried]) -> _Tried:
-    return max(tried, key=lambda one: one.log_posterior)
+def _best(fits: Sequence[_Fit]) -> _Fit:
+    return max(fits, key=lambda fit: fit.log_posterior)
 
 
-def _averaged(tried: Sequence[_Tried]) -> tuple[_Tried, FloatArray]:
-    """The best, with logarithms averaged over all by their probabilities, and (S,) the averaged latencies."""
-    best = _best(tried)
-    weight = np.exp([one.log_posterior - best.log_posterior for one in tried])
+def _averaged(fits: Sequence[_Fit]) -> tuple[_Fit, FloatArray]:
+    """The best fit, with logarithms averaged over all fits by their posterior, and (S,) the averaged latencies."""
+    best = _best(fits)
+    weight = np.exp([fit.log_posterior - best.log_posterior for fit in fits])
     weight /= weight.sum()
-    logs = np.einsum("k,kvs->vs", weight, np.array([one.model.logs for one in tried]))
-    late = weight @ np.array([[feed.description.timing.latency_s or 0.0 for feed in one.feeds] for one in tried])
-    return replace(best, model=replace(best.model, logs=logs)), late
+    logs = np.einsum("k,kvs->vs", weight, np.array([fit.model.logs for fit in fits]))
+    latency_s = weight @ np.array([[feed.description.timing.latency_s or 0.0 for feed in fit.feeds] for fit in fits])
+    return replace(best, model=replace(best.model, logs=logs)), latency_s
 
 
-def _settled(pairs: _Pairs, model: _Model, prior: _Prior, tuning: Tuning) -> _Model:
+def _converged(pairs: _Pairs, model: _Model, prior: _Prior, tuning: Tuning) -> _Model:
+    """The model after EM iterations until convergence, at most ``fit_steps``."""
     for _ in range(tuning.fit_steps if len(pairs) else 0):
         p = expit(model.log_odds(pairs))
-        after = _Model(_improved(pairs, p, model.logs, prior), _shares(pairs, p, model.logs.shape[1]))
-        moved = float(np.abs(after.logs - model.logs).max())
+        after = _Model(_updated_logs(pairs, p, model.logs, prior), _pair_shares(pairs, p, model.logs.shape[1]))
+        change = float(np.abs(after.logs - model.logs).max())
         model = after
-        if moved < tuning.fit_settled:
+        if change < tuning.fit_settled:
             break
     return model
 
 
-def _gain(pairs: _Pairs, model: _Model) -> float:
-    """ln likelihood against chance everywhere: ln((1 − π) + π N/u) = ln(1 − π) + ln(1 + odds)."""
+def _log_likelihood(pairs: _Pairs, model: _Model) -> float:
+    """ln of the likelihood relative to chance pairs only: ln((1 − π) + π N/u) = ln(1 − π) + ln(1 + odds)."""
     real = model.real[pairs.s, pairs.t]
-    return float(pairs.share @ (np.log1p(-real) + np.logaddexp(0.0, model.log_odds(pairs)))) if len(pairs) else 0.0
+    return float(pairs.weight @ (np.log1p(-real) + np.logaddexp(0.0, model.log_odds(pairs)))) if len(pairs) else 0.0
 
 
-def _shares(pairs: _Pairs, p: FloatArray, sources: int) -> FloatArray:
-    """(S, S) π: the mean of p by pair of sources, kept off 0 and 1 by a pair of either kind."""
+def _pair_shares(pairs: _Pairs, p: FloatArray, sources: int) -> FloatArray:
+    """(S, S) π: the mean of p by pair of sources, with one pseudo-count of each kind."""
     code = pairs.s * sources + pairs.t
-    count, sure = (np.bincount(code, weights, sources**2) for weights in (None, p))
-    return np.asarray((sure + 1.0) / (count + 2.0)).reshape(sources, sources)
+    count, total = (np.bincount(code, weights, sources**2) for weights in (None, p))
+    return np.asarray((total + 1.0) / (count + 2.0)).reshape(sources, sources)
 
 
-def _improved(pairs: _Pairs, p: FloatArray, logs: FloatArray, prior: _Prior) -> FloatArray:
-    """(3, S) the logarithms after a step of Fisher's scoring towards the greatest expected posterior density."""
-    weight, sources = p * pairs.share, logs.shape[1]
+def _updated_logs(pairs: _Pairs, p: FloatArray, logs: FloatArray, prior: _Prior) -> FloatArray:
+    """(3, S) the logarithms after a step of Fisher scoring towards the maximum of the expected posterior density."""
+    weight, sources = p * pairs.weight, logs.shape[1]
     parts = [(weight * pairs.placed, pairs.along_m**2), (weight, pairs.across_m**2)]
 
-    def cost(now: FloatArray) -> float:
-        variances = _Model(now, np.empty(0)).variances(pairs)
-        each = [w @ (np.log(v) + square / v) for v, (w, square) in zip(variances, parts, strict=True)]
-        return 0.5 * float(sum(each)) - prior.log_density(now)
+    def cost(logs: FloatArray) -> float:
+        variances = _Model(logs, np.empty(0)).variances(pairs)
+        terms = [w @ (np.log(v) + square / v) for v, (w, square) in zip(variances, parts, strict=True)]
+        return 0.5 * float(sum(terms)) - prior.log_density(logs)
 
     a, b, e = np.exp(2.0 * logs)
-    each_range = pairs.range_m**2
+    range_sq = pairs.range_m**2
     slopes = np.zeros((2, len(pairs), 3, sources))
     at = np.arange(len(pairs))
     for source in (pairs.s, pairs.t):
-        slopes[0, at, 0, source], slopes[1, at, 1, source] = 2.0 * a[source], 2.0 * each_range * b[source]
+        slopes[0, at, 0, source], slopes[1, at, 1, source] = 2.0 * a[source], 2.0 * range_sq * b[source]
         slopes[:, at, 2, source] = 2.0 * e[source]
     gradient = ((logs - prior.median) / prior.sigma**2).ravel()
     information = np.diag((prior.sigma**-2.0).ravel())
@@ -277,26 +282,26 @@ def _improved(pairs: _Pairs, p: FloatArray, logs: FloatArray, prior: _Prior) -> 
 
 
 def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
-    """Pairs of all sources, of looks that are the nearest in time to each other."""
+    """The pairs of plots of any two sources, between scans that are nearest in time."""
     scans = [_scans(feed) for feed in feeds]
     parts: list[list[Any]] = []
     for s, t in combinations(range(len(feeds)), 2):
         if all(isinstance(feeds[k].reports, Directions) for k in (s, t)):
             continue
-        lead, other = (s, t) if len(scans[s][0]) <= len(scans[t][0]) else (t, s)
-        times, rows = scans[lead]
+        fewer, other = (s, t) if len(scans[s][0]) <= len(scans[t][0]) else (t, s)
+        times, rows = scans[fewer]
         if len(times) < 2 or not len(scans[other][0]):
             continue
         period, period_other = usual_period_s(times), usual_period_s(scans[other][0])
         step = max(len(times) // tuning.fit_scans, 1)
-        near = _nearest(scans[other][0], times)
-        gap = np.abs(scans[other][0][near] - times)
+        nearest = _nearest(scans[other][0], times)
+        gap = np.abs(scans[other][0][nearest] - times)
         for k in range(0, len(times), step):
             if gap[k] <= 0.6 * period_other:
-                one, two = (rows[k], scans[other][1][near[k]])[:: 1 if lead == s else -1]
+                one, two = (rows[k], scans[other][1][nearest[k]])[:: 1 if fewer == s else -1]
                 i, j = (side.ravel() for side in np.meshgrid(one, two, indexing="ij"))
-                share = min(step * period / tuning.fit_correlation_s, 1.0)
-                parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), share)])
+                weight = min(step * period / tuning.fit_correlation_s, 1.0)
+                parts.append([np.full(len(i), s), np.full(len(i), t), i, j, np.full(len(i), weight)])
     if not parts:
         none, no_rows = np.empty(0), np.empty(0, np.int64)
         return _Pairs(no_rows, no_rows, no_rows, no_rows, none, none, none, np.empty(0, bool), none, none)
@@ -304,41 +309,42 @@ def _pairs(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning) -> _Pairs:
 
 
 def _compared(feeds: Sequence[Feed], prior: _Prior, columns: Sequence[NDArray[Any]], tuning: Tuning) -> _Pairs:
-    s, t, i, j, share = columns
+    """The pairs with their differences, of those within the box; columns : s, t, i, j and weight."""
+    s, t, i, j, weight = columns
     n = len(s)
     place, sensor, bearing = np.full((2, n, 2), np.nan), np.empty((2, n, 2)), np.full((2, n), np.nan)
     for k, feed in enumerate(feeds):
         for side, (which, rows) in enumerate(((s, i), (t, j))):
-            here = which == k
-            sensor[side, here] = feed.sensor_m[rows[here]]  # type: ignore[index]
+            own = which == k
+            sensor[side, own] = feed.sensor_m[rows[own]]  # type: ignore[index]
             if isinstance(feed.reports, Directions):
-                bearing[side, here] = feed.reports.bearing_deg[rows[here]]
+                bearing[side, own] = feed.reports.bearing_deg[rows[own]]
             else:
-                place[side, here] = feed.reports.state[rows[here], :2]
+                place[side, own] = feed.reports.state[rows[own], :2]
     has_place = np.isfinite(place[:, :, 0])
     placed = has_place.all(axis=0)
     middle = np.where(placed[:, None], 0.5 * (place[0] + place[1]), np.where(has_place[0][:, None], place[0], place[1]))
-    # Directions are compared from where they were taken.
-    eye = np.where(has_place[0][:, None], sensor[1], sensor[0])
-    arm = middle - eye
-    away = np.maximum(np.hypot(*arm.T), 1e-9)
-    sight = arm / away[:, None]
+    # A direction is compared with a position as seen from the sensor of the direction.
+    origin = np.where(has_place[0][:, None], sensor[1], sensor[0])
+    arm = middle - origin
+    range_m = np.maximum(np.hypot(*arm.T), 1e-9)
+    sight = arm / range_m[:, None]
     delta = np.where(placed[:, None], place[0] - place[1], 0.0)
-    towards = np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))
-    angles = [np.where(has_place[side], towards, bearing[side]) for side in (0, 1)]
-    turn = np.radians((angles[0] - angles[1] + 180.0) % 360.0 - 180.0)
+    bearing_of_place = np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))
+    angles = [np.where(has_place[side], bearing_of_place, bearing[side]) for side in (0, 1)]
+    angle = np.radians((angles[0] - angles[1] + 180.0) % 360.0 - 180.0)
     along = np.einsum("nv,nv->n", delta, sight)
-    across = np.where(placed, delta[:, 0] * sight[:, 1] - delta[:, 1] * sight[:, 0], turn * away)
+    across = np.where(placed, delta[:, 0] * sight[:, 1] - delta[:, 1] * sight[:, 0], angle * range_m)
     a, b, e = np.exp(2.0 * prior.median)
     hull = e[s] + e[t]
-    widest = np.sqrt(np.maximum(a[s] + a[t], away**2 * (b[s] + b[t])) + hull)
-    box = np.maximum(tuning.fit_box_m, tuning.fit_box_sigmas * widest)
-    keep = np.flatnonzero((np.abs(along) < box) & (np.abs(across) < box) & (away > 1.0))
-    return _Pairs(*(x[keep] for x in (s, t, i, j, away, along, across, placed, box, share)))
+    sigma = np.sqrt(np.maximum(a[s] + a[t], range_m**2 * (b[s] + b[t])) + hull)
+    box = np.maximum(tuning.fit_box_m, tuning.fit_box_sigmas * sigma)
+    keep = np.flatnonzero((np.abs(along) < box) & (np.abs(across) < box) & (range_m > 1.0))
+    return _Pairs(*(x[keep] for x in (s, t, i, j, range_m, along, across, placed, box, weight)))
 
 
 def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:
-    """The times of the scans that show something, and the rows of each."""
+    """The times of the scans with usable reports, and the rows of each."""
     rows = np.flatnonzero(feed.reports.usable)
     times, number = np.unique(feed.scan_s[rows], return_inverse=True)
     order = np.argsort(number, kind="stable")
@@ -353,10 +359,10 @@ def _nearest(times: FloatArray, at: FloatArray) -> IntArray:
     return np.where(np.abs(times[after] - at) < np.abs(times[before] - at), after, before)
 
 
-def _described(best: _Tried, latency_s: FloatArray, weight: FloatArray) -> list[Description]:
-    """The descriptions with what was estimated."""
+def _described(best: _Fit, latency_s: FloatArray, p_pair: FloatArray) -> list[Description]:
+    """The descriptions with the estimated numbers."""
     out = []
-    densities = _clutter(best, weight)
+    densities = _clutter(best, p_pair)
     for k, feed in enumerate(best.feeds):
         description = feed.description
         a, b, e = np.exp(best.model.logs[:, k]).tolist()
@@ -365,42 +371,42 @@ def _described(best: _Tried, latency_s: FloatArray, weight: FloatArray) -> list[
         new |= {"clutter.per_deg": densities[k]} if directions else {"clutter.per_km2": densities[k]}
         new |= {} if directions else {"errors.range_m": a}
         new |= {"timing.latency_s": float(latency_s[k]), "timing.latency_sigma_s": 0.0}
-        silent = {name for name in new if _is_assumed(description, name)}
+        estimated = {name for name in new if _is_assumed(description, name)}
         if description.errors.extent_m is None:
-            silent.add("errors.extent_m")
+            estimated.add("errors.extent_m")
         parts = {
             part: replace(
                 getattr(description, part),
-                **{name.partition(".")[2]: new[name] for name in silent if name.startswith(f"{part}.")},
+                **{name.partition(".")[2]: new[name] for name in estimated if name.startswith(f"{part}.")},
             )
             for part in ("errors", "clutter", "timing")
         }
-        assumed = tuple(line for line in description.assumed if line.name not in silent)
+        assumed = tuple(line for line in description.assumed if line.name not in estimated)
         out.append(replace(description, assumed=assumed, **parts))
     return out
 
 
-def _clutter(best: _Tried, weight: FloatArray) -> list[float]:
-    """Clutter per km² or per degree, where each source's plots lie: plots without a partner, less those of objects
-    that all others miss."""
+def _clutter(best: _Fit, p_pair: FloatArray) -> list[float]:
+    """Clutter per km² or per degree in the field of each source: its plots without a partner, minus those of objects
+    that all other sources miss."""
     pairs, out = best.pairs, []
     q = [
         float(np.mean(feed.description.misses.q if feed.description.misses.q is not None else 0.5))
         for feed in best.feeds
     ]
     for k, feed in enumerate(best.feeds):
-        lone = np.ones(len(feed.reports))
+        p_alone = np.ones(len(feed.reports))
         for side, rows in ((pairs.s, pairs.i), (pairs.t, pairs.j)):
-            np.multiply.at(lone, rows[side == k], 1.0 - weight[side == k])
-        alone = float(lone.sum())
+            np.multiply.at(p_alone, rows[side == k], 1.0 - p_pair[side == k])
+        n_alone = float(p_alone.sum())
         missed = float(np.prod([other for m, other in enumerate(q) if m != k]))
-        false = max(alone - (len(lone) - alone) * missed / (1.0 - missed), 0.0) + 1.0
-        out.append(false / (len(feed.scan_times_s) * _field(feed)))
+        n_false = max(n_alone - (len(p_alone) - n_alone) * missed / (1.0 - missed), 0.0) + 1.0
+        out.append(n_false / (len(feed.scan_times_s) * _field_size(feed)))
     return out
 
 
-def _field(feed: Feed) -> float:
-    """Where a source has plots: degrees of directions, km² by the spread of positions about the sensor."""
+def _field_size(feed: Feed) -> float:
+    """The size of the field with plots: degrees of directions, or km² by the spread of positions about the sensor."""
     reports = feed.reports
     if isinstance(reports, Directions):
         bearing = np.sort(reports.bearing_deg[reports.usable] % 360.0)
@@ -408,14 +414,14 @@ def _field(feed: Feed) -> float:
         return float(max(360.0 - gap.max(initial=0.0), 1.0)) if len(bearing) > 20 else 360.0
     assert feed.sensor_m is not None
     arm = (reports.state[:, :2] - feed.sensor_m)[reports.usable]
-    # A Gaussian of covariance C has the mean density of a uniform one on 4π |C|^½.
+    # A Gaussian of covariance C has the mean density of a uniform distribution over an area of 4π |C|^½.
     return float(max(4.0 * math.pi * math.sqrt(max(float(np.linalg.det(np.cov(arm.T))), 0.0)), 1.0)) / 1e6
 
 
 def _rebuilt(feed: Feed, description: Description, plane: LocalPlane | None) -> Feed:
-    """The feed of the same reports under another description."""
+    """The feed of the same reports with another description."""
     assert feed.raw_reports is not None
-    later = (feed.description.timing.latency_s or 0.0) - (description.timing.latency_s or 0.0)
+    shift_s = (feed.description.timing.latency_s or 0.0) - (description.timing.latency_s or 0.0)
     empty = np.setdiff1d(feed.scan_times_s, feed.scan_s)
-    times = feed.scan_times_s + later if len(empty) else None
+    times = feed.scan_times_s + shift_s if len(empty) else None
     return Feed.of_placed(PlacedReports(description, feed.raw_reports, plane, feed.tuning), scan_times_s=times)

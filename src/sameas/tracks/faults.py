@@ -1,7 +1,7 @@
-"""Faults of sources in the course of time: a clock that jumps, a source that ends early, freezes or floods.
+"""Faults of sources over time: a clock that jumps, a source that ends early, freezes or floods.
 
-Each is an alarm with its evidence, ln of its odds against a source that is sound, and so with a probability. Sound
-sources differ from each other more than any model of them, so each is measured by what it did itself before.
+Each is an alarm with its log-odds against a sound source, and so a probability. Sound sources differ from each other
+more than any model allows, so each is compared with its own previous behaviour.
 
 - :func:`source_faults`: of all sources of a scene. :func:`clock_jumps`: of the clock of one.
 """
@@ -25,9 +25,9 @@ from sameas.tracks.reports import Reports
 class Fault:
     """An alarm on one source, or on one of its tracks.
 
-    kind : "clock", "ended", "frozen", "flood", "dragged" or "silent". source, track : name, "" where it is the whole
-    source. first_s, last_s : from when to when. log_odds : ln of its odds against a sound source. words : what is wrong
-    and what to do.
+    kind : "clock", "ended", "frozen", "flood", "dragged" or "silent". source : name. track : its id, "" for the whole
+    source. first_s, last_s : begin and end of the fault. log_odds : against a sound source. words : what is wrong and
+    what to do.
     """
 
     kind: str
@@ -49,7 +49,7 @@ class Fault:
 
 
 def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
-    """The faults of the sources of a scene that are more probable than ``sure_fault``, in the order of time."""
+    """The faults of the sources of a scene with a probability above ``sure_fault``, in order of time."""
     found = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > feed.tuning.sure_fault]
     return tuple(sorted(found, key=lambda fault: fault.first_s))
 
@@ -64,9 +64,9 @@ def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
 
 
 def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
-    """Jumps of a clock within its file: from a line on, the stamps of all moving tracks are early or late.
+    """Jumps of a clock within its file: from one line on, the stamps of all moving tracks are early or late.
 
-    A ship that manoeuvres or leaps says it of itself only, so that a track's vote is bounded.
+    A manoeuvre or an outlier affects one track only, so the evidence of each track is bounded.
     """
     reports, tuning = feed.reports, feed.tuning
     if not isinstance(reports, States) or reports.track is None or not feed.has_velocities:
@@ -87,13 +87,14 @@ def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
             "correct the stamps from then on, or leave the source out"
         )
         jumps.append(Fault("clock", feed.description.name, when, float(reports.time_s.max()), log_odds, words))
-        over = (at[steps.first] < row) & (row <= at[steps.second])
-        steps = Steps(*(getattr(steps, name)[~over] for name in ("first", "second", "late_s", "sigma_s", "track")))
+        across_jump = (at[steps.first] < row) & (row <= at[steps.second])
+        columns = ("first", "second", "late_s", "sigma_s", "track")
+        steps = Steps(*(getattr(steps, name)[~across_jump] for name in columns))
     return jumps
 
 
 def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
-    """A source that says nothing more while others go on: by the longest pause that it made before."""
+    """A source whose reports end while those of others continue, compared with its longest previous pause."""
     others = [other.reports.time_s for other in feeds if other is not feed and len(other.reports)]
     times = np.unique(feed.reports.time_s)
     if not others or len(times) < feed.tuning.fault_reports:
@@ -113,15 +114,16 @@ def _ended(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
 
 
 def log_odds_of_silence(silent_s: float, longest_s: float, pauses: int, prior: float) -> float:
-    """ln of the odds that a silence is the end, by the longest of so many pauses before and its odds beforehand.
+    """Log-odds that a silence is the end of the reports.
 
-    Pauses as long as the longest come once in all; longer ones fall off as an exponential does.
+    longest_s : the longest previous pause. pauses : their number. prior : prior odds. The model: pauses are exponential
+    with the longest one occurring once.
     """
     return (silent_s / longest_s - 1.0) * math.log(pauses) + math.log(prior)
 
 
 def _places(reports: Reports) -> FloatArray | None:
-    """(n, 2) positions to the last digit, as a source gives them."""
+    """(n, 2) positions as the source gives them, unrounded."""
     for one, other in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("range_m", "bearing_deg")):
         first, second = getattr(reports, one), getattr(reports, other)
         if first is not None and second is not None:
@@ -130,7 +132,7 @@ def _places(reports: Reports) -> FloatArray | None:
 
 
 def _frozen(feed: Feed) -> Iterator[Fault]:
-    """A source whose moving tracks all repeat their last positions, to the last digit, until it ends."""
+    """A source whose moving tracks repeat their last positions exactly until it ends."""
     raw, reports, tuning = feed.raw_reports, feed.reports, feed.tuning
     place = None if raw is None else _places(raw)
     if raw is None or place is None or not isinstance(reports, States) or raw.object_ids is None:
@@ -139,37 +141,38 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
     order = np.lexsort([raw.time_s, number])
     time_s, place, number = raw.time_s[order], place[order], number[order]
     velocity = raw.velocity_m_per_s()
-    # Without speeds a place that changes at every report is all that says that a track moves.
+    # Without velocities a track counts as moving by its changing positions only.
     speed = np.full(len(order), np.inf) if velocity is None else np.nan_to_num(np.hypot(*velocity.T), nan=0.0)[order]
-    end, votes, still, begins = float(raw.time_s.max()), 0.0, 0, []
-    active = 0
+    end, votes, n_frozen, begins = float(raw.time_s.max()), 0.0, 0, []
+    n_moving = 0
     for rows in np.split(np.arange(len(order)), np.flatnonzero(np.diff(number)) + 1):
         changed = np.flatnonzero((place[rows[1:]] != place[rows[:-1]]).any(axis=1))
         if len(changed) < tuning.frozen_reports or end - time_s[rows[-1]] > 0.25 * (end - float(raw.time_s.min())):
             continue
         last = int(changed[-1]) + 1
-        moves_s = np.diff(time_s[rows[np.append(0, changed + 1)]])
-        # A track that changes its place with every report or so moves; one at anchor may repeat it.
+        update_s = np.diff(time_s[rows[np.append(0, changed + 1)]])
+        # A moving track has a new position with nearly every report; one at anchor may repeat it.
         if len(changed) < 0.8 * last or (np.median(speed[rows]) < 1.0):
             continue
-        active += 1
-        again = len(rows) - 1 - last
-        if again >= tuning.frozen_reports and time_s[rows[-1]] - time_s[rows[last]] > 5.0 * float(np.median(moves_s)):
-            still += 1
+        n_moving += 1
+        n_repeats = len(rows) - 1 - last
+        frozen_s = time_s[rows[-1]] - time_s[rows[last]]
+        if n_repeats >= tuning.frozen_reports and frozen_s > 5.0 * float(np.median(update_s)):
+            n_frozen += 1
             begins.append(float(time_s[rows[last]]))
-            votes += min(again * math.log(1.0 / tuning.repeats), tuning.track_vote)
-    log_odds = votes + (active - still) * math.log(tuning.repeats) + math.log(tuning.fault_prior)
-    if still:
+            votes += min(n_repeats * math.log(1.0 / tuning.repeats), tuning.track_vote)
+    log_odds = votes + (n_moving - n_frozen) * math.log(tuning.repeats) + math.log(tuning.fault_prior)
+    if n_frozen:
         name = feed.description.name
         words = (
-            f"{name}: is frozen: {still} of {active} moving tracks repeat their last positions while their stamps go "
-            "on; its positions are stale from then on"
+            f"{name}: is frozen: {n_frozen} of {n_moving} moving tracks repeat their last positions while their stamps "
+            "go on; its positions are stale from then on"
         )
         yield Fault("frozen", name, float(np.median(begins)), end, log_odds, words)
 
 
 def _floods(feed: Feed) -> Iterator[Fault]:
-    """Stretches in which a source says many times what it usually does."""
+    """Intervals in which a source gives many times its usual number of reports."""
     assert feed.raw_reports is not None
     tuning, time_s = feed.tuning, feed.raw_reports.time_s
     width = max(tuning.flood_s, 5.0 * (feed.description.timing.period_s or 0.0))
@@ -178,17 +181,17 @@ def _floods(feed: Feed) -> Iterator[Fault]:
         return
     count = np.bincount(bins)
     usual = max(float(np.median(count)), 1.0)
-    usually = count[count <= np.quantile(count, 0.9)]
-    scatter = max(float(np.var(usually)) / max(float(usually.mean()), 1.0), 1.0)
-    over = (count > tuning.flood_factor * usual) & (count > usual + tuning.flood_least)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], over.astype(np.int64), [0]])))
+    normal = count[count <= np.quantile(count, 0.9)]
+    dispersion = max(float(np.var(normal)) / max(float(normal.mean()), 1.0), 1.0)
+    flooded = (count > tuning.flood_factor * usual) & (count > usual + tuning.flood_least)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flooded.astype(np.int64), [0]])))
     for low, high in zip(edges[::2], edges[1::2], strict=True):
-        reports, due = float(count[low:high].sum()), usual * (high - low)
-        log_odds = (reports * math.log(reports / due) - reports + due) / scatter
+        reports, expected = float(count[low:high].sum()), usual * (high - low)
+        log_odds = (reports * math.log(reports / expected) - reports + expected) / dispersion
         log_odds += math.log(tuning.fault_prior / len(count))
         name, begin = feed.description.name, float(time_s.min()) + float(low) * width
         words = (
-            f"{name}: flood of reports: {reports:.0f} reports in {width * (high - low):.0f} s, {due:.0f} are usual; "
-            "look for repeated or fabricated reports"
+            f"{name}: flood of reports: {reports:.0f} reports in {width * (high - low):.0f} s, {expected:.0f} are "
+            "usual; look for repeated or fabricated reports"
         )
         yield Fault("flood", name, begin, begin + float(high - low) * width, log_odds, words)

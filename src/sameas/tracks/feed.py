@@ -265,8 +265,8 @@ class Feed:
         succession = Succession.of(self.reports.time_s[usable], self.reports.track[usable])
         return replace(succession, rows=usable[succession.rows])
 
-    def knowing(self, succession: Succession, track_timeout_s: float) -> Feed:
-        """The same, where its succession and its track timeout are known already."""
+    def with_succession(self, succession: Succession, track_timeout_s: float) -> Feed:
+        """The feed with a given succession and track timeout, which are then not computed."""
         feed = replace(self)
         feed.__dict__.update(succession=succession, track_timeout_s=track_timeout_s)
         return feed

@@ -1,14 +1,14 @@
-"""Scans: which reports of a source of bare plots are its current ones at an instant, each object once.
+"""Scans: the current reports at an instant of a source of plots without ids, with each object at most once.
 
 Reports without track ids cannot replace each other one by one; the last scan replaces all before it. There are two
 kinds of scans, which :func:`scans_of` distinguishes by the reports:
 
-- an **exposure** shows everything at once: a camera, a laser scanner, a radar that gives all plots of a turn one stamp.
-  The last exposure is current.
-- an **antenna that turns** passes one bearing after another, and every plot has the stamp of its passing. At any
-  instant the plots of the last turn are current, (t − T, t], in which every bearing was passed once. T has to be
-  right for that: one that is 1 % too long shows one object in a hundred twice. It is measured by the plots, whose
-  bearings run with their stamps; the period of the description is where the search starts.
+- an **exposure** detects everything at once: a camera, a laser scanner, a radar that gives all plots of a rotation one
+  stamp. The last exposure is current.
+- a **rotating antenna** sweeps the bearings, and each plot has its own stamp. The plots of the last rotation are
+  current, (t − T, t], in which each bearing was swept once. That needs an accurate T: with one 1 % too long, one object
+  in a hundred appears twice. T is estimated from the bearings and stamps of the plots; the described period is the
+  start of the search.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
 def usual_period_s(times_s: FloatArray) -> float:
-    """The median time from one scan to the next, of their times (l,) in order; infinite of a single one."""
+    """The median time between successive scans, from their times (l,) in order; infinite for a single scan."""
     return float(np.median(np.diff(times_s))) if len(times_s) > 1 else math.inf
 
 
 @dataclass(frozen=True)
 class AntennaRotation:
-    """Of an antenna whose plots bear their own stamps: its period, and how long it may show nothing in between."""
+    """The rotation of an antenna: its period, and the longest pause without plots that is normal."""
 
     period_s: float
     pause_s: float
@@ -37,7 +37,7 @@ class AntennaRotation:
 
 @dataclass(frozen=True)
 class Scans:
-    """scan_s : (n,) the scan of each report. rotation : None for exposures."""
+    """The scans of reports. scan_s : (n,) time of the scan of each report. rotation : None for exposures."""
 
     scan_s: FloatArray
     rotation: AntennaRotation | None = None
@@ -54,9 +54,9 @@ def scans_of(
 
     Parameters
     ----------
-    time_s : (n,) in any order. period_s : between scans, as described; without it every stamp is a scan.
-    bearing_deg : (n,) of the plots from the sensor, NaN where not known; None where the sensor is in no one place.
-    scan_times_s : (l,) times of all scans, where they are known.
+    time_s : (n,) in any order. period_s : between scans, as described; without it each stamp is a scan.
+    bearing_deg : (n,) of the plots from the sensor, NaN where unknown; None if the sensor's place is unknown.
+    scan_times_s : (l,) times of all scans, where known.
 
     Example
     -------
@@ -76,7 +76,7 @@ def scans_of(
         return Scans(time_s.copy())
     period = period_s if rotation_s is None else rotation_s
     gaps, first = np.diff(np.sort(time_s)), float(time_s.min())
-    # The last plot itself must not fall out of the turn that it ends.
+    # Below one period, so that the rotation includes its last plot.
     pause_s = min(float(np.quantile(gaps, tuning.pause_quantile)), 0.999 * period)
     return Scans(first + period * np.floor((time_s - first) / period), AntennaRotation(period, pause_s))
 
@@ -84,10 +84,10 @@ def scans_of(
 def rotation_period_s(
     time_s: FloatArray, bearing_deg: FloatArray, near_s: float, tuning: Tuning = DEFAULT_TUNING
 ) -> float | None:
-    """The period with which bearings run clockwise with the stamps; None where they do not, or are too few.
+    """The period of a clockwise rotation, from bearings and stamps; None without one, or with too few plots.
 
-    The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It counts where n R² exceeds what the search finds by
-    chance, and R clearly exceeds |Σ exp iβ| / n, which a fixed sector gives.
+    The frequency f that maximises R = |Σ exp i(β − 2π f t)| / n. It is accepted if n R² exceeds the level that the
+    search reaches by chance, and R clearly exceeds |Σ exp iβ| / n, the value of a fixed sector.
     Source: Rayleigh's test, Mardia and Jupp, Directional Statistics (2000), 6.3.1.
 
     >>> t = np.arange(0.0, 60.0, 0.37)
@@ -122,7 +122,7 @@ def rotation_period_s(
 
 
 def _exposures(time_s: FloatArray, period_s: float, gap_s: float, tuning: Tuning) -> FloatArray | None:
-    """(n,) the beginning of the exposure of each report, if they come in short bursts, once a period; None if not."""
+    """(n,) the begin of the exposure of each report, if reports come in short bursts, one per period; else None."""
     order = np.argsort(time_s, kind="stable")
     stamps = time_s[order]
     begins = np.concatenate([[True], np.diff(stamps) > gap_s])
@@ -132,13 +132,13 @@ def _exposures(time_s: FloatArray, period_s: float, gap_s: float, tuning: Tuning
     if np.any(time_s - out > tuning.exposure_length * period_s):
         return None
     gaps = np.diff(starts)
-    crowded = len(starts) > tuning.exposures_per_period * (np.ptp(starts) / period_s + 1.0)
-    hurried = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > tuning.hurried_share
-    return None if crowded or hurried else out
+    too_many = len(starts) > tuning.exposures_per_period * (np.ptp(starts) / period_s + 1.0)
+    irregular = len(gaps) > 0 and np.mean(gaps < 0.5 * np.median(gaps)) > tuning.hurried_share
+    return None if too_many or irregular else out
 
 
 def last_exposure(scan_s: FloatArray, scan_times_s: FloatArray, instant_s: float) -> IntArray:
-    """Reports of the last exposure at or before an instant; none where that one of ``scan_times_s`` showed nothing."""
+    """Rows of the last exposure at or before an instant; none if that one of ``scan_times_s`` has no reports."""
     past = scan_times_s[scan_times_s <= instant_s]
     return np.flatnonzero(scan_s == past.max()) if len(past) else np.empty(0, np.int64)
 
@@ -146,10 +146,10 @@ def last_exposure(scan_s: FloatArray, scan_times_s: FloatArray, instant_s: float
 def last_rotation(
     time_s: FloatArray, rotation: AntennaRotation, scan_times_s: FloatArray, instant_s: float
 ) -> IntArray:
-    """Reports of the last rotation of an antenna before an instant: those of (t − T, t].
+    """Rows of the last rotation of an antenna before an instant: the reports of (t − T, t].
 
-    Where the antenna has shown nothing for longer than its pause, it has stopped or its plots are still on their way:
-    then the last rotation with plots is current. scan_times_s : times at which it is known to turn.
+    After a gap longer than its pause the antenna has stopped or its plots are late; then the last rotation with plots
+    is current. scan_times_s : times at which the antenna is known to rotate.
     """
     past, begun = time_s[time_s <= instant_s], scan_times_s[scan_times_s <= instant_s]
     if not len(past):
@@ -159,7 +159,7 @@ def last_rotation(
 
 
 def seen_from(place: FloatArray, sensor_m: FloatArray | None) -> FloatArray | None:
-    """(n,) bearings of places (n, 2) from the sensor (n, 2), degrees; None where it is in no one place."""
+    """(n,) bearings of places (n, 2) from the sensor (n, 2), degrees; None if the sensor's place is unknown."""
     if sensor_m is None:
         return None
     arm = place - sensor_m

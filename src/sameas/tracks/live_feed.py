@@ -1,15 +1,15 @@
-"""A growing feed: one source of a live picture, which takes in reports as they arrive.
+"""The feed of a live source: reports are added as they arrive, and old ones dropped.
 
-A :class:`~sameas.tracks.feed.Feed` is of all reports of a source; a source that goes on for months must forget.
-:class:`GrowingFeed` keeps of every track the reports of the last ``lag_s`` seconds and the one before them, filters
-only what is new, and gives at any instant the feed that a scene needs. A report that is late is filtered in its place:
-from the last report before it on, its track is filtered again; so within the lag the order of arrival changes nothing.
-What is later than that, or of a time that its track has passed and forgotten, is counted and left out.
+A :class:`~sameas.tracks.feed.Feed` has all reports of a source; a source that runs for months needs bounded memory.
+:class:`GrowingFeed` keeps, of each track, the reports of the last ``lag_s`` seconds and the one before them, filters
+only new reports, and gives the feed of any instant for a scene. A late report is inserted by its time and its track is
+filtered again from the report before it, so within the lag the order of arrival changes nothing. Reports later than
+that, or of a time before all that is kept of their track, are counted and ignored.
 
-A report keeps its row as long as it may be current, and no other report has that row at the next instant: so what is
-carried from instant to instant knows a plot again though its source has no names for it.
+A report keeps its row as long as it may be current, and no other report takes that row at the next instant. So a plot
+without an id can be recognised from instant to instant by its row.
 
-This is the one value of this room that changes: it stands for arrays that would be copied at every report.
+This is the one mutable class of this package: its arrays are too large to be copied at each report.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 @dataclass(frozen=True)
 class LiveTuning:
-    """The chosen numbers of growing feeds.
+    """The chosen numbers of live feeds.
 
-    id_timeout_s : a track without reports is forgotten after this long; until then a filter goes on with it.
-    plots_s, plot_periods : of a source of bare plots the last ``plots_s`` seconds are kept, and at least so many
-        periods: they show how its antenna turns.
-    gaps : the track timeout is by so many of the last gaps within tracks.
+    id_timeout_s : a track without reports is dropped after this time; until then its filter can continue.
+    plots_s, plot_periods : plots of a source without ids are kept for ``plots_s`` seconds and for at least this many
+        periods, to estimate the rotation of the antenna.
+    gaps : the track timeout is computed from this many of the last gaps within tracks.
     """
 
     id_timeout_s: float = 3600.0
@@ -67,7 +67,8 @@ class LiveTuning:
 
 @dataclass
 class Counts:
-    """What became of a source's reports. late : older than the lag. repeated : positions that were told before."""
+    """Counts of a source's reports. taken : all. late : older than the lag. repeated : with the position of an earlier
+    report. jumps : ignored as outliers of their ids. newest_s : latest time of a report."""
 
     taken: int = 0
     late: int = 0
@@ -83,9 +84,10 @@ class GrowingFeed:
     Parameters
     ----------
     description : of the source. plane : of the picture; None for the user's own metres.
-    lag_s : reports may be late by this, and are then as if they had come in time.
-    to_tracks : whether reports with ids are filtered to tracks; None: by their kind, and for reports with speeds by how
-        they scatter, once ``measured_fewest`` of them have come (:func:`sameas.tracks.feed.need_filtering`).
+    lag_s : reports late by at most this are treated as if on time.
+    to_tracks : whether reports with ids are filtered to tracks; None to decide by their kind, and for reports with
+        velocities by their scatter, once there are ``measured_fewest`` of them
+        (:func:`sameas.tracks.feed.need_filtering`).
 
     Example
     -------
@@ -123,12 +125,12 @@ class GrowingFeed:
 
     @property
     def named(self) -> bool:
-        """Whether its reports have had ids or attributes of identity."""
+        """Whether any report so far has an id or an attribute of identity."""
         return bool(self._named) or bool(self._rows.attributes)
 
     @property
     def has_reports(self) -> bool:
-        """Whether it has had a report."""
+        """Whether any report was added."""
         return self._serial > 0
 
     @property
@@ -137,11 +139,11 @@ class GrowingFeed:
         return self._directions
 
     def add(self, reports: Reports) -> None:
-        """Takes in reports, in any order; those without a position are left out.
+        """Adds reports, in any order; those without a position are ignored.
 
         Raises
         ------
-        InputError : an error, a place or another number that they need is missing; nothing was taken in then.
+        InputError : an error, a place or another number that they need is missing; then nothing was added.
         """
         if not len(reports):
             return
@@ -178,17 +180,17 @@ class GrowingFeed:
             self._add_to_tracks(new)
 
     def feed(self, instant_s: float) -> Feed:
-        """The feed by which a scene knows the source at an instant; reports that no later instant needs are dropped."""
+        """The feed of an instant, for a scene; reports that no later instant needs are dropped."""
         self._drop(instant_s - self.lag_s)
         rows = self._rows.visible(("measured",) if self._directions or not self._named else ())
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
-        every = np.arange(len(rows))
+        row = np.arange(len(rows))
         reports: States | Directions
         if self._directions:
-            reports = Directions(time_s, rows.measured[:, 0], rows.measured[:, 1], rows.sensor_m, track, every)
+            reports = Directions(time_s, rows.measured[:, 0], rows.measured[:, 1], rows.sensor_m, track, row)
         else:
-            reports = States(time_s, rows.state, rows.covariance, track, every)
+            reports = States(time_s, rows.state, rows.covariance, track, row)
         scan_s, scan_times_s, rotation = time_s, np.unique(time_s[rows.taken]), None
         if not self._named:
             live = np.flatnonzero(rows.taken)
@@ -196,19 +198,19 @@ class GrowingFeed:
             scans = scans_of(time_s[live], self.description.timing.period_s, bearing, None, self.tuning)
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
-        still = None
+        p_stationary = None
         if isinstance(reports, States) and self.description.motion.standing_share:
-            still = rows.p_stationary
+            p_stationary = rows.p_stationary
         feed = Feed(
             self.description, reports, scan_times_s, scan_s, sensor_m, rows.attributes, None, (), None, rotation,
-            still, self.tuning, rows.heights if self._has_heights else None,
+            p_stationary, self.tuning, rows.heights if self._has_heights else None,
         )  # fmt: skip
         if self._named:
-            feed = feed.knowing(self._succession(rows), self.track_timeout_s)
+            feed = feed.with_succession(self._succession(rows), self.track_timeout_s)
         return feed
 
     def release(self) -> None:
-        """After the instant was judged: the rows of dropped reports may be given to new ones."""
+        """Frees the rows of dropped reports for new ones; to be called after each instant."""
         self._free = np.concatenate([self._free, self._freed])
         self._freed = np.empty(0, np.int64)
 
@@ -217,15 +219,15 @@ class GrowingFeed:
         """Seconds without a report after which a track has ended; infinite while no track has two reports."""
         if not len(self._gaps):
             return math.inf
-        # The quantile, "higher": np.quantile takes ten times as long, and np.partition twenty times where most gaps are
-        # equal.
+        # The quantile with method "higher": np.quantile takes ten times as long, and np.partition twenty times where
+        # most gaps are equal.
         place = math.ceil(self.tuning.timeout_quantile * (len(self._gaps) - 1))
         return float(np.sort(self._gaps)[place])
 
-    # ---- taking in ----
+    # ---- adding reports ----
 
     def _names(self, track: NDArray[Any]) -> NDArray[Any]:
-        """Names of tracks; reports without an id are called by their serial number, which no other report has."""
+        """Names of tracks; reports without an id are named by their unique serial number."""
         out = np.empty(len(track), object)
         out[:] = list(map(str, track.tolist()))
         for k in [k for k, name in enumerate(out.tolist()) if name[:8] == "unnamed "]:
@@ -233,7 +235,7 @@ class GrowingFeed:
         return out
 
     def _numbered(self, names: NDArray[Any]) -> IntArray:
-        """(n,) the number of each track; new names get the next ones."""
+        """(n,) the number of each track; new names get the next numbers."""
         numbers, listed = self._numbers, names.tolist()
         out = list(map(numbers.get, listed, repeat(-1)))
         for k in [k for k, number in enumerate(out) if number < 0]:
@@ -244,7 +246,7 @@ class GrowingFeed:
         return np.array(out, np.int64)
 
     def _decide_filtering(self, placed: PlacedReports) -> None:
-        """Whether to filter: by the kind of the reports at once; by their scatter once there are enough of them."""
+        """Sets ``to_tracks``: by the kind of the reports at once, by their scatter once there are enough."""
         velocity = placed.reports.velocity_m_per_s()
         if velocity is None or not np.isfinite(velocity).any() or placed.description.kind in (*LASTING, "tracks"):
             self.to_tracks = need_filtering(placed)
@@ -260,53 +262,53 @@ class GrowingFeed:
             )
 
     def _add_to_tracks(self, new: _Rows) -> None:
-        """New reports of tracks: repetitions and jumps set aside, filtered, in their rows."""
+        """Adds reports with ids: without late ones, repetitions and outliers, filtered, written into rows."""
         new.number = self._numbered(new.name)
-        kept = self._in_time(new)
-        self.counts.late += int(len(new) - kept.sum())
-        new = new.only(kept)
+        in_time = self._in_time(new)
+        self.counts.late += int(len(new) - in_time.sum())
+        new = new.only(in_time)
         if not len(new):
             return
         own = self._neighbours(new)
-        fresh = self._measured_anew(new, own)
-        self.counts.repeated += int(len(new) - fresh.sum())
-        new = new.only(fresh)
+        updated = self._new_positions(new, own)
+        self.counts.repeated += int(len(new) - updated.sum())
+        new = new.only(updated)
         split = self._split_ids(new, own)
         new = new.only(new.taken)
         if not len(new):
             return
         if split:
-            # A track of its own for one of two objects has reports of its own too.
+            # A split changes the tracks of the new reports, and so their neighbours.
             own = self._neighbours(new)
         places = self._claim(len(new))
         self._rows.put(places, new)
-        self._into_order(places)
+        self._insert(places)
         self._filter(np.concatenate([own, places]), np.concatenate([np.zeros(len(own), bool), np.ones(len(new), bool)]))
 
-    def _into_order(self, places: IntArray) -> None:
-        """Rows of tracks that have come, into the order of all: by track, then time, then as they came."""
+    def _insert(self, places: IntArray) -> None:
+        """Merges new rows into ``_order``: by track, then time, then serial number."""
         rows, old = self._rows, self._order
         new = places[np.lexsort([rows.serial[places], rows.time_s[places], rows.number[places]])]
         self._order = np.empty(len(old) + len(new), np.int64)
         merge_rows(old, new, rows.number, rows.time_s, rows.serial, self._order)
 
     def _neighbours(self, new: _Rows) -> IntArray:
-        """Rows of the tracks of new reports, in order: of each the last before these, and all after it."""
+        """Rows of the tracks of new reports, in order: of each track the last one before these, and all after it."""
         rows, order = self._rows, self._order
         number, time_s = rows.number[order], rows.time_s[order]
         by_track = np.lexsort([new.time_s, new.number])
         of_track, first = np.unique(new.number[by_track], return_index=True)
         earliest_s = np.append(new.time_s[by_track][first], math.inf)
         at = np.minimum(np.searchsorted(of_track, number), len(of_track) - 1)
-        here = of_track[at] == number
-        after = here & (time_s >= earliest_s[at])
-        # What stands before those, or at the end of its track.
-        before = here & ~after
+        same_track = of_track[at] == number
+        after = same_track & (time_s >= earliest_s[at])
+        # The last row before the first new report, or the last of the track.
+        before = same_track & ~after
         before[:-1] &= after[1:] | (number[1:] != number[:-1])
         return order[after | before]
 
     def _in_time(self, new: _Rows) -> BoolArray:
-        """(n,) whether a report is not later than the lag, or at least not than the last of its track before that."""
+        """(n,) whether a report is within the lag, or not before the oldest report that is kept of its track."""
         late = new.time_s < self._horizon_s
         if not late.any():
             return ~late
@@ -316,19 +318,19 @@ class GrowingFeed:
         at = np.minimum(at, max(len(first) - 1, 0))
         known = np.append(rows.number[first], -2)[at] == new.number if len(first) else np.zeros(len(new), bool)
         oldest = np.append(rows.time_s[first], math.inf)[np.where(known, at, -1)]
-        forgotten_s = self._horizon_s + self.lag_s - self._memory_s
+        dropped_s = self._horizon_s + self.lag_s - self._memory_s
         return np.asarray(
-            (new.time_s >= self._horizon_s) | (new.time_s >= oldest) | (~known & (new.time_s >= forgotten_s))
+            (new.time_s >= self._horizon_s) | (new.time_s >= oldest) | (~known & (new.time_s >= dropped_s))
         )
 
     @property
     def _memory_s(self) -> float:
-        """Seconds for which the last report of a track is kept: its filter goes on from there."""
+        """Seconds for which the last report of a track is kept, so that its filter can continue."""
         return self.lag_s + self.live.id_timeout_s
 
-    def _measured_anew(self, new: _Rows, own: IntArray) -> BoolArray:
-        """(n,) whether a report has a position of its own, and does not repeat that of the one before."""
-        rows, anew = self._rows, np.ones(len(new), bool)
+    def _new_positions(self, new: _Rows, own: IntArray) -> BoolArray:
+        """(n,) whether a report has a new position: it does not repeat the previous one while its object moves."""
+        rows, out = self._rows, np.ones(len(new), bool)
         number, time_s, place = (
             np.concatenate(both)
             for both in (
@@ -338,12 +340,12 @@ class GrowingFeed:
         )  # fmt: skip
         again = repeated(number, time_s, place) - len(own)
         again = again[again >= 0]
-        anew[again[in_motion(new.measured[again, 2:], new.measured_covariance[again, 2:, 2:], self.tuning)]] = False
-        return anew
+        out[again[in_motion(new.measured[again, 2:], new.measured_covariance[again, 2:, 2:], self.tuning)]] = False
+        return out
 
     def _split_ids(self, new: _Rows, own: IntArray) -> bool:
-        """Reports of one id that cannot be of one object become tracks of their own, or are set aside (``taken``);
-        whether any id is looked at so."""
+        """Moves reports of one id that cannot be of one object to a track of their own, or excludes them (``taken``);
+        gives whether any id was checked."""
         rows, limit = self._rows, self.tuning.fastest * (self.description.motion.speed_m_per_s or math.inf)
         last = own[np.flatnonzero(np.diff(rows.number[own], append=-1))]
         order = np.lexsort([new.serial, new.time_s])
@@ -374,7 +376,7 @@ class GrowingFeed:
         return True
 
     def _far(self, new: _Rows, last: IntArray, radius: FloatArray, limit: float) -> BoolArray:
-        """(n,) whether a report lies beyond the reach of the one before it in its track, or in this batch."""
+        """(n,) whether any report of the same id lies out of reach of the one before it, in its track or this batch."""
         rows = self._rows
         number = np.concatenate([rows.number[last], new.number])
         time_s = np.concatenate([rows.time_s[last], new.time_s])
@@ -382,20 +384,23 @@ class GrowingFeed:
         reach = np.concatenate([self.tuning.place_sigmas * _sigma_m(rows.measured_covariance[last]), radius])
         order = np.lexsort([time_s, number])
         a, b = order[:-1], order[1:]
-        way = np.hypot(*(place[b] - place[a]).T)
-        leap = (number[a] == number[b]) & (way > reach[a] + reach[b] + limit * np.abs(time_s[b] - time_s[a]))
-        # Within one batch all reports of the id are looked at one by one.
-        return np.asarray(np.isin(new.number, number[b[leap]]))
+        distance = np.hypot(*(place[b] - place[a]).T)
+        jump = (number[a] == number[b]) & (distance > reach[a] + reach[b] + limit * np.abs(time_s[b] - time_s[a]))
+        # All reports of such an id in the batch are then checked one by one.
+        return np.asarray(np.isin(new.number, number[b[jump]]))
 
     def _filter(self, rows: IntArray, is_new: BoolArray) -> None:
-        """Filters tracks again from the last report before the first new one of each; ``rows`` of these tracks."""
+        """Filters tracks again, each from the last report before its first new one.
+
+        rows, is_new : (n,) rows of these tracks, in any order, and whether each is new.
+        """
         table = self._rows
         if not self.to_tracks:
             at = rows[is_new]
             measured = States(
                 table.time_s[at], table.measured[at], table.measured_covariance[at], None, np.arange(len(at))
             )
-            self._show(at, measured, measured)
+            self._write(at, measured, measured)
             return
         order = np.lexsort([table.serial[rows], table.time_s[rows], table.number[rows]])
         rows, is_new = rows[order], is_new[order]
@@ -406,28 +411,31 @@ class GrowingFeed:
         first_new = np.full(len(begins), len(rows))
         np.minimum.at(first_new, track[is_new], place[is_new])
         use = np.flatnonzero(place >= first_new[track] - 1)
-        base = place[use] < first_new[track[use]]
-        again = rows[use]
+        is_start = place[use] < first_new[track[use]]
+        refiltered = rows[use]
         measured = States(
-            table.time_s[again], np.where(base[:, None], table.filtered[again], table.measured[again]),
-            np.where(base[:, None, None], table.filtered_covariance[again], table.measured_covariance[again]),
+            table.time_s[refiltered],
+            np.where(is_start[:, None], table.filtered[refiltered], table.measured[refiltered]),
+            np.where(
+                is_start[:, None, None], table.filtered_covariance[refiltered], table.measured_covariance[refiltered]
+            ),
             number[use], np.arange(len(use)),
         )  # fmt: skip
         tracks = follow(measured, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning).states
-        done = np.flatnonzero(~base)
-        self._show(again[done], measured.take(done), tracks.take(done))
+        updated = np.flatnonzero(~is_start)
+        self._write(refiltered[updated], measured.take(updated), tracks.take(updated))
 
-    def _show(self, at: IntArray, measured: States, tracks: States) -> None:
-        """Writes reports of tracks, as they were measured and filtered, into their rows."""
+    def _write(self, at: IntArray, measured: States, tracks: States) -> None:
+        """Writes the measured and filtered states of reports into their rows."""
         table = self._rows
         table.filtered[at], table.filtered_covariance[at] = tracks.state, tracks.covariance
         visible = in_place(measured, tracks) if self.to_tracks and self.description.kind in LASTING else tracks
-        visible, still = stationary(visible, self.description.motion, self.tuning)
+        visible, p_stationary = stationary(visible, self.description.motion, self.tuning)
         table.state[at], table.covariance[at] = visible.state, visible.covariance
-        table.p_stationary[at] = 0.0 if still is None else still
+        table.p_stationary[at] = 0.0 if p_stationary is None else p_stationary
 
     def _claim(self, n: int) -> IntArray:
-        """(n,) free rows; the table grows where there are too few."""
+        """(n,) free rows; the table is extended if there are too few."""
         if len(self._free) < n:
             grown = max(64, n - len(self._free), len(self._rows))
             self._free = np.concatenate([self._free, len(self._rows) + np.arange(grown)])
@@ -435,32 +443,32 @@ class GrowingFeed:
         claimed, self._free = self._free[:n], self._free[n:]
         return claimed
 
-    # ---- giving ----
+    # ---- feeds ----
 
     def _drop(self, horizon_s: float) -> None:
-        """Drops the reports that no instant from ``horizon_s`` on needs."""
+        """Drops the reports that no instant at or after ``horizon_s`` needs."""
         rows, self._horizon_s = self._rows, horizon_s
         live = np.flatnonzero(rows.taken)
         if self._named:
             order = self._ordered(live)
             number, time_s = rows.number[order], rows.time_s[order]
-            overtaken = np.append((number[1:] == number[:-1]) & (time_s[1:] <= horizon_s), False)[: len(order)]
-            # Of what no late report can change any more the gaps are known.
-            self._gaps = np.append(self._gaps, np.diff(time_s, append=0.0)[overtaken])[-self.live.gaps :]
-            forgotten = time_s < horizon_s - (self._memory_s - self.lag_s)
-            gone = order[overtaken | forgotten]
+            superseded = np.append((number[1:] == number[:-1]) & (time_s[1:] <= horizon_s), False)[: len(order)]
+            # These gaps are final: no late report can change them.
+            self._gaps = np.append(self._gaps, np.diff(time_s, append=0.0)[superseded])[-self.live.gaps :]
+            timed_out = time_s < horizon_s - (self._memory_s - self.lag_s)
+            dropped = order[superseded | timed_out]
         else:
             period_s = self.description.timing.period_s or 0.0
             kept_s = max(self.live.plots_s, self.live.plot_periods * period_s)
-            gone = live[rows.time_s[live] < horizon_s - kept_s]
-        if not len(gone):
+            dropped = live[rows.time_s[live] < horizon_s - kept_s]
+        if not len(dropped):
             return
-        stays = np.zeros(len(rows), bool)
-        stays[live], stays[gone] = True, False
-        names = {rows.name[k] for k in gone[~np.isin(rows.number[gone], rows.number[stays])].tolist()}
-        self._order = self._order[stays[self._order]]
-        rows.clear(gone)
-        self._freed = np.concatenate([self._freed, gone])
+        remains = np.zeros(len(rows), bool)
+        remains[live], remains[dropped] = True, False
+        names = {rows.name[k] for k in dropped[~np.isin(rows.number[dropped], rows.number[remains])].tolist()}
+        self._order = self._order[remains[self._order]]
+        rows.clear(dropped)
+        self._freed = np.concatenate([self._freed, dropped])
         for name in names:
             self._numbers.pop(name, None)
             self._split.pop(name, None)
@@ -471,7 +479,7 @@ class GrowingFeed:
         return Succession(order, rows.time_s[order], final)
 
     def _ordered(self, live: IntArray) -> IntArray:
-        """The rows ``live``, by track, then time, then as they came: those of positions are kept so."""
+        """The rows ``live`` by track, then time, then serial number; for positions that is ``_order``."""
         rows = self._rows
         if len(self._order) == len(live):
             return self._order
@@ -492,23 +500,23 @@ def _sigma_m(covariance: FloatArray) -> FloatArray:
 
 
 def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
-    """A growing feed's feed without biases (6,), known with a covariance (6, 6); its succession stays."""
+    """A live feed corrected for biases (6,) with covariance (6, 6); the order of its reports stays."""
     reports = corrected(feed.reports, feed.sensor_m, biases, covariance)
-    without = replace(
+    unbiased = replace(
         feed, reports=reports, scan_times_s=feed.scan_times_s - biases[TIME], scan_s=feed.scan_s - biases[TIME]
     )
     if feed.reports.track is None:
-        return without
-    timed = replace(feed.succession, time_s=feed.succession.time_s - biases[TIME])
-    return without.knowing(timed, feed.track_timeout_s)
+        return unbiased
+    succession = replace(feed.succession, time_s=feed.succession.time_s - biases[TIME])
+    return unbiased.with_succession(succession, feed.track_timeout_s)
 
 
-#: Columns of a feed that its reports have.
+#: Columns that a feed needs.
 _VISIBLE = ("time_s", "state", "covariance", "p_stationary", "sensor_m", "heights", "name")
 
 
 class _Rows:
-    """Rows of reports, columns by name; ``taken`` says which hold one."""
+    """A table of reports; taken : (n,) whether a row is in use."""
 
     ARRAYS: tuple[tuple[str, tuple[int, ...], float], ...] = (
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
@@ -540,8 +548,8 @@ class _Rows:
         return len(self.taken)
 
     @classmethod
-    def _beside(cls, n: int) -> _Rows:
-        """Rows without the columns of times and states, which are given after."""
+    def _without_states(cls, n: int) -> _Rows:
+        """Rows without the columns of times and states, to be set by the caller."""
         rows = cls(0)
         rows.p_stationary, rows.sensor_m, rows.heights = np.zeros(n), np.full((n, 2), np.nan), np.full((n, 4), np.nan)
         rows.number, rows.serial, rows.name = np.full(n, -1), np.full(n, -1), np.full(n, "", object)
@@ -551,7 +559,7 @@ class _Rows:
     def of_states(
         cls, there: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
     ) -> _Rows:
-        rows = cls._beside(len(usable))
+        rows = cls._without_states(len(usable))
         for column in ("measured", "filtered", "state"):
             setattr(rows, column, there.state[usable])
         for column in ("measured_covariance", "filtered_covariance", "covariance"):
@@ -580,7 +588,7 @@ class _Rows:
         return (*(name for name, _, _ in self.ARRAYS), "taken", "number", "serial", "name")
 
     def only(self, which: BoolArray) -> _Rows:
-        """Some of the rows, or these themselves where it is all of them."""
+        """The rows of a mask; self where that is all of them."""
         if which.all():
             return self
         out = _Rows(0)
@@ -590,28 +598,28 @@ class _Rows:
         return out
 
     def visible(self, also: tuple[str, ...]) -> _Rows:
-        """Of a feed: copies of what later reports would change, without what only the filter needs; ``also`` others."""
+        """Copies of the columns that a feed needs, and of the columns ``also``: later reports must not change them."""
         out = _Rows(0)
         for name in (*_VISIBLE, *also):
             setattr(out, name, getattr(self, name).copy())
-        # These no feed has.
+        # No copies: feeds do not keep these.
         out.taken, out.number, out.serial = self.taken, self.number, self.serial
         out.attributes = {name: column.copy() for name, column in self.attributes.items()}
         return out
 
     def grown(self, n: int) -> _Rows:
-        """The same with ``n`` empty rows more."""
+        """The table with ``n`` more empty rows."""
         more, out = _Rows(n), _Rows(0)
         for name in self._columns:
             setattr(out, name, np.concatenate([getattr(self, name), getattr(more, name)]))
-        nothing = np.full(n, None, object)
+        none = np.full(n, None, object)
         for name, column in self.attributes.items():
-            empty = nothing if column.dtype == object else np.full(n, np.nan)
+            empty = none if column.dtype == object else np.full(n, np.nan)
             out.attributes[name] = np.concatenate([column, empty])
         return out
 
     def put(self, places: IntArray, new: _Rows) -> None:
-        """Writes rows to these places."""
+        """Writes the rows ``new`` to these rows of the table."""
         for name in self._columns:
             getattr(self, name)[places] = getattr(new, name)
         for name in new.attributes.keys() - self.attributes.keys():
