@@ -1,5 +1,5 @@
-"""Compiled loops over many small states: Kalman updates by a measurement in the plane, joint densities of sets of
-records, rivals among pairs of tracks, and how probable the ways of tracks are."""
+"""Compiled loops over states in the plane: Kalman updates, joint densities of sets of records, the best other pair of
+a track, the evidence of swapped tracks, and the likelihood of track displacements."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.kernels.compiled import small
+from sameas.kernels.linear import solve_2
 
 
 @small
@@ -16,7 +17,7 @@ def update_in_plane(
     mean: FloatArray, covariance: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray,
     updated_mean: FloatArray, updated_covariance: FloatArray, log_p: FloatArray, chi_sq: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes what :func:`sameas.picture.error_factors.error_update` gives: x by ν = H x + n.
+    """Write the Kalman update of states x by ν = H x + n (:func:`sameas.picture.error_factors.error_update`).
 
     mean, covariance : (k, d), (k, d, d) of x. slope, noise : (k, 2, d), (k, 2, 2) H and the covariance of n.
     shift : (k, 2) ν. updated_mean, updated_covariance : of x given ν. log_p, chi_sq : (k,) ln p(ν), and χ² of ν.
@@ -39,12 +40,10 @@ def update_in_plane(
             x -= h[0, v] * mean[row, v]
             y -= h[1, v] * mean[row, v]
         determinant = a * c - b * b
-        # S⁻¹ times the surprise.
-        east, north = (c * x - b * y) / determinant, (a * y - b * x) / determinant
+        east, north = solve_2(a, b, c, determinant, x, y)  # S⁻¹ times the innovation
         for v in range(d):
             updated_mean[row, v] = mean[row, v] + one[v] * east + other[v] * north
-            gain_1 = (c * one[v] - b * other[v]) / determinant
-            gain_2 = (a * other[v] - b * one[v]) / determinant
+            gain_1, gain_2 = solve_2(a, b, c, determinant, one[v], other[v])
             for w in range(v + 1):
                 value = 0.5 * (p[v, w] + p[w, v]) - gain_1 * one[w] - gain_2 * other[w]
                 updated_covariance[row, v, w] = updated_covariance[row, w, v] = value
@@ -54,7 +53,7 @@ def update_in_plane(
 
 @small
 def best_others(label: IntArray, values: FloatArray, best: IntArray) -> None:
-    """Writes for every row (k,) another one of its label of the highest value, the first of equal ones; −1 for none."""
+    """Write for every row (k,) the other row of its label with the highest value, the first of ties; −1 for none."""
     n = 0
     for one in label:
         n = max(n, one + 1)
@@ -74,11 +73,11 @@ def swap_evidence(
     label: IntArray, log_stayed: FloatArray, log_swapped: FloatArray, near: FloatArray, most: FloatArray,
     stayed: FloatArray, change: FloatArray, some: BoolArray,
 ) -> None:  # fmt: skip
-    """Writes per label (n,) sums over its pairs, whose probability is an affine function of the rate h of swaps.
+    """Write sums over the pairs of each label (n,), with which its likelihood is an affine function of the swap rate h.
 
-    label, log_stayed, log_swapped, near : (k,) ln of a pair's weight without a swap and after one, and the probability
-    of a swap for h = 1. most : ln of a factor of both sums. stayed, change : Σ of the weights without a swap, and
-    Σ near · (weight after one less weight without). some : whether any of the pairs may be swapped.
+    label, log_stayed, log_swapped, near : (k,) ln of a pair's weight without and with a swap, and the probability of a
+    swap for h = 1. most : ln of a common factor of both sums. stayed, change : Σ of the weights without a swap, and
+    Σ near · (weight with a swap − weight without). some : whether any pair of the label may be swapped.
     """
     most[:] = -np.inf
     stayed[:] = 0.0
@@ -86,7 +85,7 @@ def swap_evidence(
     some[:] = False
     for k in range(len(label)):
         one = label[k]
-        # A swap may be as improbable as what it explains: near counts with its weight, or both sums come to 0.
+        # A swap may be very improbable: ``near`` has to be part of its weight, or both sums would underflow to 0.
         most[one] = max(most[one], log_stayed[k], log_swapped[k] + math.log(near[k]) if near[k] > 0.0 else -np.inf)
         some[one] = some[one] or near[k] > 0.0
     for k in range(len(label)):
@@ -103,11 +102,10 @@ def joint_in_plane(
     sets: IntArray, place: FloatArray, precision: FloatArray, log_peak: FloatArray, centre: FloatArray,
     prior: FloatArray, log_density: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes ln J (k,) of sets of records in the plane: the integral over x of all their densities
-    (:mod:`sameas.many.joint`).
+    """Write ln J (k,) of sets of records in the plane (:mod:`sameas.many.joint`).
 
     sets : (k, size) records. place, precision, log_peak : (n, 2), (n, 2, 2), (n,) z, R⁻¹ and −½ ln|2π R| of records.
-    centre, prior : (2,), (2, 2) of the region of x and its information, 0 where there is none.
+    centre, prior : (2,), (2, 2) centre and information of the region, 0 without a region.
     """
     for k in range(len(sets)):
         x0, y0 = place[sets[k, 0], 0], place[sets[k, 0], 1]
@@ -132,10 +130,10 @@ def correlated_shifts(
     shift: FloatArray, both: FloatArray, shared: FloatArray, motion: FloatArray, correlations: FloatArray,
     shares: FloatArray, least_m2: float, log_p: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes ln p (n, c) of the way between two reports of a track, for some correlations of their errors.
+    """Write ln p (n, c) of the displacements between two reports of a track, for correlations ρ (c,) of their errors.
 
-    shift : (n, 2) ν. both, shared, motion : (n, 2, 2) R + R′, L L′ᵀ + L′ Lᵀ, and D. correlations : (c,) ρ. shares : of
-    D, each as probable: ν ~ N(0, R + R′ − ρ (L L′ᵀ + L′ Lᵀ) + κ D).
+    shift : (n, 2) ν. both, shared, motion : (n, 2, 2) R + R′, L L′ᵀ + L′ Lᵀ, and D. shares : equally probable κ:
+    ν ~ N(0, R + R′ − ρ (L L′ᵀ + L′ Lᵀ) + κ D).
     """
     for k in range(len(shift)):
         x, y = shift[k, 0], shift[k, 1]
@@ -148,7 +146,7 @@ def correlated_shifts(
                 a, b, d = p + share * motion[k, 0, 0], q + share * motion[k, 0, 1], r + share * motion[k, 1, 1]
                 determinant = a * d - b * b
                 half = 0.5 * (d * x * x - 2.0 * b * x * y + a * y * y) / determinant
-                # About the least exponent so far, so that not all of them underflow.
+                # Relative to the smallest exponent so far, so that not all terms underflow.
                 if half < least:
                     total, least = total * math.exp(half - least) + 1.0 / math.sqrt(determinant), half
                 else:
@@ -161,10 +159,10 @@ def add_evidence(
     source: IntArray, rho: FloatArray, log_p: FloatArray, correlations: FloatArray, shares: FloatArray,
     evidence: FloatArray,
 ) -> None:  # fmt: skip
-    """Adds to ``evidence`` (S, s, τ) of every source ln p of n values, linear between some correlations.
+    """Add to ``evidence`` (S, s, τ) of each source ln p of n displacements, interpolated linearly in the correlation.
 
-    source : (n,). rho : (n, τ) exp(−Δt/τ). log_p : (n, c) at the ``correlations`` (c,), ascending. shares : (s,) that
-    last.
+    source : (n,). rho : (n, τ) exp(−Δt/τ). log_p : (n, c) at the ``correlations`` (c,), ascending. shares : (s,) of the
+    error variance that is constant.
     """
     last = len(correlations) - 1
     for k in range(len(source)):

@@ -1,4 +1,4 @@
-"""Compiled sums, also along motions through the pixels of many frames, and the solution of a few linear equations."""
+"""Compiled linear algebra: sums in order, small linear equations, and sums along motions through stacked frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sameas.kernels.compiled import kernel, part
 
 @part
 def summed(values: FloatArray) -> float:
-    """Σ of some values (n,), one after another, as no library adds them."""
+    """Σ of values (n,), added in order; NumPy and BLAS use other orders."""
     total = 0.0
     for value in values:
         total += value
@@ -21,7 +21,7 @@ def summed(values: FloatArray) -> float:
 
 @part
 def solve(matrix: FloatArray, right: FloatArray) -> None:
-    """Turn ``right`` (n, r) into the solutions of ``matrix`` (n, n) · x = right, by elimination; the matrix is lost."""
+    """Replace ``right`` (n, r) by the solution of ``matrix`` (n, n) · x = right; the matrix is overwritten."""
     n = len(matrix)
     for k in range(n):
         pivot = k
@@ -47,16 +47,22 @@ def solve(matrix: FloatArray, right: FloatArray) -> None:
             right[k, b] /= matrix[k, k]
 
 
+@part
+def solve_2(a: float, b: float, c: float, determinant: float, x: float, y: float) -> tuple[float, float]:
+    """S⁻¹ (x, y) for the symmetric S = [[a, b], [b, c]] with this determinant."""
+    return (c * x - b * y) / determinant, (a * y - b * x) / determinant
+
+
 @kernel
 def best_motion(
     signal: np.ndarray, weight: np.ndarray, down: IntArray, right: IntArray, least: float, first: int, last: int,
     best: np.ndarray, which: IntArray,
 ) -> None:  # fmt: skip
-    """Writes into best, which (H, W) the largest T and its rate for the pixels of rows first to last − 1.
+    """Write to ``best`` and ``which`` (H, W) the largest T and its rate, for the pixels of rows first … last − 1.
 
-    signal, weight : (F, H, W) matched filter ψ of every frame and its variance φ, 0 where a frame tells nothing.
-    down, right : (R, F) px by which a mover of each rate stands off its place on each frame. T = Σψ/√Σφ over the
-    frames, where Σφ is more than ``least``; ``best`` holds what is to be exceeded.
+    signal, weight : (F, H, W) matched filter ψ of every frame and its variance φ, 0 where a frame has no data.
+    down, right : (R, F) displacement in px of a mover of each rate on each frame. T = Σψ/√Σφ over the frames, where
+    Σφ > ``least``. A pixel of ``best`` is replaced only by a larger T.
     """
     frames, height, width = signal.shape
     light, noise = np.zeros(width, np.float32), np.zeros(width, np.float32)

@@ -1,8 +1,8 @@
-"""Compiled loops over pairs of tracks from one instant to the next (:mod:`sameas.picture.track_pairs`).
+"""Compiled filter of the errors of pairs of tracks from one instant to the next (:mod:`sameas.picture.track_pairs`).
 
-The errors of a pair are (e_a, z_a, z_b) if the two tracks are one object, and (e_a, z_a, z_b, d) if they are in convoy.
-Both stand in one row of :data:`WIDTH` numbers: their means, then the lower triangles of their covariances, row by row.
-A crowded picture has tens of thousands of pairs, and what takes time is to move them through the memory.
+The errors of a pair are (e_a, z_a, z_b) if both tracks are one object, and (e_a, z_a, z_b, d) if they are in convoy.
+One row of :data:`WIDTH` numbers has both: their means, then the lower triangles of their covariances, row by row.
+A crowded picture has tens of thousands of pairs, and moving them through memory takes most of the time.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.kernels.compiled import part, small
+from sameas.kernels.linear import solve_2
 
-#: Components of the errors if both are one object, and if they are in convoy.
+#: Components of the errors if both tracks are one object, and if they are in convoy.
 ONE, CONVOY = 6, 8
-#: Where in a row the means and the covariances begin, of both; and its length.
+#: Offsets in a row of the means and the covariances, of both hypotheses; length of a row.
 MEAN = (0, ONE)
 COVARIANCE = (ONE + CONVOY, ONE + CONVOY + ONE * (ONE + 1) // 2)
 WIDTH = COVARIANCE[1] + CONVOY * (CONVOY + 1) // 2
@@ -29,14 +30,14 @@ def pairs_stepped(
     new_report: BoolArray, total: FloatArray, least_m2: float, new_errors: FloatArray, log_reports: FloatArray,
     now: FloatArray, chi_sq: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes pairs of tracks after an instant: grown by the tracks' motion, updated by the new report of the first
-    track, then by that of the second.
+    """Write the errors of pairs of tracks after an instant: predicted by the tracks' motion, then updated by the new
+    report of the first track and by that of the second.
 
-    errors, met : (n, WIDTH), (m, WIDTH). rows : (k,) of both, one below the other, that go on. first, second : (k,)
-    their tracks, rows of the step, of which ``last`` … ``new_report`` are columns
+    errors, met : (n, WIDTH), (m, WIDTH) of old and new pairs. rows : (k,) the pairs that continue, rows of both arrays
+    concatenated. first, second : (k,) their tracks, rows of the step, whose columns are ``last`` … ``new_report``
     (:class:`sameas.picture.named_tracks.Step`). total : (m, 2, 2) covariance of each track's position at the instant.
-    least_m2 : what keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of the reports
-    under both. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
+    least_m2 : added variance that keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of
+    the reports under both hypotheses. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
     """
     one, other, h, gain = np.empty(CONVOY), np.empty(CONVOY), np.empty((2, 6)), np.empty((2, 2))
     mean_one, covariance_one = np.empty(ONE), np.empty((ONE, ONE))
@@ -64,7 +65,7 @@ def pairs_stepped(
                 mean_two[v] += shift[a, v]
             x, y = x + shift[a, 0], y + shift[a, 1]
         if new_report[b]:
-            # e_b = e_a − δ + d, and d is 0 where both are one object.
+            # e_b = e_a − δ + d, with d = 0 if both are one object.
             for v in range(2):
                 for w in range(2):
                     h[v, w], h[v, 2 + w], h[v, 4 + w] = slope[b, v, w], slope[b, v, 2 + w], slope[b, v, w]
@@ -86,7 +87,7 @@ def pairs_stepped(
 
 @part
 def _unpacked(row: FloatArray, mean_at: int, covariance_at: int, mean: FloatArray, covariance: FloatArray) -> None:
-    """Reads a mean and a covariance from a row."""
+    """Read a mean and a covariance from a row."""
     at = covariance_at
     for v in range(len(mean)):
         mean[v] = row[mean_at + v]
@@ -97,7 +98,7 @@ def _unpacked(row: FloatArray, mean_at: int, covariance_at: int, mean: FloatArra
 
 @part
 def _packed(mean: FloatArray, covariance: FloatArray, mean_at: int, covariance_at: int, row: FloatArray) -> None:
-    """Writes a mean and a covariance into a row."""
+    """Write a mean and a covariance to a row."""
     at = covariance_at
     for v in range(len(mean)):
         row[mean_at + v] = mean[v]
@@ -108,25 +109,24 @@ def _packed(mean: FloatArray, covariance: FloatArray, mean_at: int, covariance_a
 
 @part
 def _gain_by_drift(drift_a: FloatArray, drift_b: FloatArray, least: float, gain: FloatArray) -> None:
-    """Writes (2, 2) the part of the way of both tracks from each other that is the first one's."""
+    """Write the gain (2, 2) of the first track's motion from the change of both tracks' separation."""
     p = drift_a[0, 0] + drift_b[0, 0] + least
     q = 0.5 * (drift_a[0, 1] + drift_b[0, 1] + drift_a[1, 0] + drift_b[1, 0])
     r = drift_a[1, 1] + drift_b[1, 1] + least
     determinant = p * r - q * q
     for v in range(2):
-        gain[v, 0] = (drift_a[v, 0] * r - drift_a[v, 1] * q) / determinant
-        gain[v, 1] = (drift_a[v, 1] * p - drift_a[v, 0] * q) / determinant
+        gain[v, 0], gain[v, 1] = solve_2(p, q, r, determinant, drift_a[v, 0], drift_a[v, 1])
 
 
 @part
 def _grow(drift: FloatArray, gain: FloatArray, x: float, y: float, mean: FloatArray, covariance: FloatArray) -> None:
-    """Adds to e_a the motion of its track, of which the way (x, y) of both tracks from each other tells a part."""
+    """Add to e_a the motion of its track, given the change (x, y) of both tracks' separation."""
     for v in range(2):
         mean[v] += gain[v, 0] * x + gain[v, 1] * y
         for w in range(2):
-            left = 0.5 * (drift[v, w] - gain[v, 0] * drift[0, w] - gain[v, 1] * drift[1, w])
-            covariance[v, w] += left
-            covariance[w, v] += left
+            half_rest = 0.5 * (drift[v, w] - gain[v, 0] * drift[0, w] - gain[v, 1] * drift[1, w])
+            covariance[v, w] += half_rest
+            covariance[w, v] += half_rest
 
 
 @part
@@ -134,11 +134,11 @@ def _update(
     mean: FloatArray, covariance: FloatArray, begin: int, end: int, slope: FloatArray, noise: FloatArray, least: float,
     east: float, north: float, one: FloatArray, other: FloatArray,
 ) -> float:  # fmt: skip
-    """Updates a state in place by ν = H x + n, ν = (east, north), and gives ln p(ν); H is ``slope`` (2, …) on its first
-    two components and on ``begin`` … ``end`` − 1, and 0 on others. one, other : room for the columns of P Hᵀ.
+    """Update a state in place by ν = H x + n, ν = (east, north); returns ln p(ν). H is ``slope`` (2, …) on the first
+    two components and on ``begin`` … ``end`` − 1, and 0 on others. one, other : scratch for the columns of P Hᵀ.
 
-    The rows and columns of the lower triangle are walked with plain counters, which the compiler unrolls; a list of the
-    components that are seen would take a third more.
+    Plain counters run over the rows and columns of the lower triangle, which the compiler unrolls; a list of the
+    observed components would take a third more time.
     """
     d, skipped = len(mean), begin - 2
     a, b, c = noise[0, 0] + least, 0.5 * (noise[0, 1] + noise[1, 0]), noise[1, 1] + least
@@ -157,11 +157,10 @@ def _update(
         east -= slope[0, at] * mean[v]
         north -= slope[1, at] * mean[v]
     determinant = a * c - b * b
-    x, y = (c * east - b * north) / determinant, (a * north - b * east) / determinant
+    x, y = solve_2(a, b, c, determinant, east, north)
     for v in range(d):
         mean[v] += one[v] * x + other[v] * y
-        gain_1 = (c * one[v] - b * other[v]) / determinant
-        gain_2 = (a * other[v] - b * one[v]) / determinant
+        gain_1, gain_2 = solve_2(a, b, c, determinant, one[v], other[v])
         for w in range(v + 1):
             value = covariance[v, w] - (gain_1 * one[w] + gain_2 * other[w])
             covariance[v, w] = covariance[w, v] = value
@@ -173,7 +172,7 @@ def pairs_anew(
     delta: FloatArray, covariance_a: FloatArray, covariance_b: FloatArray, lasting_a: FloatArray,
     lasting_b: FloatArray, errors: FloatArray,
 ) -> None:  # fmt: skip
-    """Writes the errors (k, WIDTH) of pairs by δ = e_a − e_b + d alone.
+    """Write the errors (k, WIDTH) of new pairs, given only δ = e_a − e_b + d.
 
     delta : (k, 2). covariance_a … lasting_b : (k, 2, 2) P and B of both tracks.
     """
@@ -196,13 +195,12 @@ def pairs_anew(
                 covariance_two[v, w] = covariance_a[k, v, w]
                 covariance_two[v, 2 + w] = covariance_two[2 + w, v] = lasting_a[k, v, w]
             covariance_two[2 + v, 2 + v] = covariance_two[4 + v, 4 + v] = 1.0
-            # Of any distance d, δ tells nothing of the errors: d = δ − e_a + e_b.
+            # d has no prior, so δ does not constrain the errors: d = δ − e_a + e_b.
             mean_two[6 + v] = delta[k, v]
         covariance_two[6, 6], covariance_two[7, 7] = p, r
         covariance_two[6, 7] = covariance_two[7, 6] = q
         for v in range(ONE):
-            gain_1 = (onto[v, 0] * r - onto[v, 1] * q) / determinant
-            gain_2 = (onto[v, 1] * p - onto[v, 0] * q) / determinant
+            gain_1, gain_2 = solve_2(p, q, r, determinant, onto[v, 0], onto[v, 1])
             mean_one[v] = gain_1 * delta[k, 0] + gain_2 * delta[k, 1]
             for w in range(ONE):
                 covariance_one[v, w] = covariance_two[v, w] - (gain_1 * onto[w, 0] + gain_2 * onto[w, 1])
@@ -214,19 +212,19 @@ def pairs_anew(
 
 @small
 def mix(errors: FloatArray, at: IntArray, share: FloatArray, others: FloatArray) -> None:
-    """Turns the errors of some pairs into mixtures of themselves and others, in place: their means and covariances.
+    """Replace the errors of some pairs by the moments of their mixture with others, in place.
 
-    errors : (k, WIDTH). at : (m,) rows. share : (m,) of the others (m, WIDTH).
+    errors : (k, WIDTH). at : (m,) rows. share : (m,) weight of the others (m, WIDTH).
     """
-    away = np.empty(CONVOY)
+    apart = np.empty(CONVOY)
     for n in range(len(at)):
         row, other, s = errors[at[n]], others[n], share[n]
-        for way in range(2):
-            d, place = (ONE, COVARIANCE[0]) if way == 0 else (CONVOY, COVARIANCE[1])
-            begin = 0 if way == 0 else ONE
+        for hypothesis in range(2):
+            d, place = (ONE, COVARIANCE[0]) if hypothesis == 0 else (CONVOY, COVARIANCE[1])
+            begin = 0 if hypothesis == 0 else ONE
             for v in range(d):
-                away[v] = other[begin + v] - row[begin + v]
-                row[begin + v] += s * away[v]
+                apart[v] = other[begin + v] - row[begin + v]
+                row[begin + v] += s * apart[v]
                 for w in range(v + 1):
-                    row[place] = (1.0 - s) * row[place] + s * other[place] + s * (1.0 - s) * away[v] * away[w]
+                    row[place] = (1.0 - s) * row[place] + s * other[place] + s * (1.0 - s) * apart[v] * apart[w]
                     place += 1
