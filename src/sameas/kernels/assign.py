@@ -1,8 +1,8 @@
 """Compiled assignment: the best one-to-one hypothesis of each group by shortest augmenting paths.
 
-Notation: rows are records of source 1, columns of source 2, both numbered within their group; ``mate`` arrays hold −1
-for nobody. Dual variables u ≥ 0 of rows and v ≥ 0 of columns satisfy u + v ≥ w for every candidate, with equality on
-the chosen pairs and zero on records left alone: the certificate that the hypothesis is the best.
+Notation: rows are records of source 1, columns of source 2, both numbered within their group; ``mate`` arrays have −1
+for no partner. Dual variables u ≥ 0 of rows and v ≥ 0 of columns satisfy u + v ≥ w for every candidate, with equality
+on the chosen pairs and zero on records without partner. They certify that the hypothesis is the best.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sameas.kernels.compiled import part, small_by
 
 
 def _steps(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
-    """Every record of a group's smaller side may need a path, and a path may pass all pairs of the group."""
+    """Upper bound of the work: each record of a group's smaller side needs a path through at most all pairs."""
     pairs, rows, columns = (np.diff(ends[first : last + 1]).astype(np.float64) for ends in (start, start1, start2))
     return float(pairs @ np.minimum(rows, columns))
 
@@ -36,22 +36,22 @@ def assign_linear(
     u: FloatArray,
     v: FloatArray,
 ) -> None:
-    """Maximum-weight matching of the groups first … last − 1; a record may stay alone at no cost.
+    """Maximum-weight matching of the groups first … last − 1; having no partner costs nothing.
 
-    weight (m,) per pair of the layout; chosen (m,), u, v (records of the layout) are filled.
+    weight : (m,) of the layout's pairs. Writes chosen (m,), and the duals u, v of the layout's records.
     """
-    widest1 = 0
-    widest2 = 0
+    most1 = 0
+    most2 = 0
     for g in range(first, last):
-        widest1 = max(widest1, start1[g + 1] - start1[g])
-        widest2 = max(widest2, start2[g + 1] - start2[g])
-    mate1 = np.empty(widest1, np.int64)
-    mate2 = np.empty(widest2, np.int32)
-    distance = np.empty(widest2)
-    through = np.empty(widest2, np.int64)
-    reached = np.zeros(widest2, np.int64)
-    frontier = np.empty(widest2, np.int32)
-    scanned = np.empty(widest2, np.int32)
+        most1 = max(most1, start1[g + 1] - start1[g])
+        most2 = max(most2, start2[g + 1] - start2[g])
+    mate1 = np.empty(most1, np.int64)
+    mate2 = np.empty(most2, np.int32)
+    distance = np.empty(most2)
+    through = np.empty(most2, np.int64)
+    reached = np.zeros(most2, np.int64)
+    frontier = np.empty(most2, np.int32)
+    scanned = np.empty(most2, np.int32)
     stamp = np.int64(0)
     for g in range(first, last):
         if start[g + 1] - start[g] == 1:
@@ -109,9 +109,9 @@ def augment(
     scanned: Int32Array,
     stamp: int,
 ) -> None:
-    """Give row s its place: the cheapest path to a free column, or to a row that does best to stay alone.
+    """Match row s along the cheapest path: to a free column, or to a row that is then left without partner.
 
-    ``mate1`` holds the pair of each row; ``reached`` is stamp where a column waits, stamp + 1 where it is done.
+    ``mate1`` has the pair of each row. ``reached`` is stamp for a column in the frontier, stamp + 1 for a finished one.
     """
     waiting = 0
     done = 0
@@ -119,7 +119,7 @@ def augment(
     end_column = -1
     least = u[s]
     row = s
-    at = 0.0
+    at = 0.0  # distance of the row from s
     while True:
         for e in range(edges1[base + row], edges1[base + row + 1]):
             if weight[e] <= 0.0:
@@ -200,10 +200,10 @@ def assign_counted(
     v: FloatArray,
     slope: FloatArray,
 ) -> None:
-    """The best matching of each group under any prior of the number of pairs: best of every size, then the best size.
+    """The best matching of each group under any prior of the number of pairs: the best of each size, then the size.
 
-    table[table_start[g] + k] is ln P(k) of group g. Shortest augmenting paths from all free rows at once pass through
-    the best matching of every size k, of total W_k; the k of greatest ln P(k) + W_k is kept. slope (g,) receives the
+    table[table_start[g] + k] is ln P(k) of group g. Shortest augmenting paths from all free rows at once give the best
+    matching of every size k in turn, of weight W_k; the k of largest ln P(k) + W_k is kept. slope (g,) receives the
     multiplier μ for which u + v ≥ w + μ certifies the kept matching.
     """
     for g in range(first, last):
@@ -219,7 +219,7 @@ def assign_counted(
 
 @part
 def by_column(n2: int, edges: IntArray, local2: Int32Array) -> tuple[IntArray, IntArray]:
-    """The pairs of a group by column, as CSR: (starts (n2+1,), pairs)."""
+    """The pairs of a group by column, as CSR: starts (n2+1,) and pairs."""
     low = edges[0]
     high = edges[-1]
     starts = np.zeros(n2 + 1, np.int64)
@@ -239,7 +239,7 @@ def by_column(n2: int, edges: IntArray, local2: Int32Array) -> tuple[IntArray, I
 def heaviest_free(
     pairs: IntArray, start: int, stop: int, row_of: Int32Array, low: int, mate1: IntArray, weight: FloatArray
 ) -> int:
-    """The heaviest of a column's pairs whose row is free, −1 for none."""
+    """The pair of largest weight of a column with a free row, −1 for none."""
     head = -1
     for t in range(start, stop):
         e = pairs[t]
@@ -260,7 +260,7 @@ def every_size(
     u: FloatArray,
     v: FloatArray,
 ) -> float:
-    """One group of :func:`assign_counted`; fills chosen, u, v and returns μ."""
+    """One group of :func:`assign_counted`: writes chosen, u, v and returns μ."""
     low = edges[0]
     row_of = np.empty(edges[-1] - low, np.int32)
     for r in range(n1):
@@ -274,7 +274,7 @@ def every_size(
     best1 = mate1.copy()
     potential = np.zeros(n1)
     price = np.zeros(n2)
-    # Distances of the columns that are not done: −∞ and ∞ for the others, which so are neither reached nor the nearest.
+    # Finished columns have distance −∞ and nearest ∞, so that they are neither reached again nor the nearest.
     distance, nearest = np.empty(n2), np.empty(n2)
     bits = nearest.view(np.int64)
     through = np.empty(n2, np.int64)
@@ -288,7 +288,7 @@ def every_size(
     u[:] = 0.0
     v[:] = 0.0
     for k in range(1, len(prior)):
-        # All free rows share the potential ``top``; the head of a column is its best pair with a free row.
+        # All free rows have the potential ``top``; the head of a column is its best pair with a free row.
         for c in range(n2):
             if k == 1 or (heads[c] >= 0 and mate1[row_of[heads[c] - low]] >= 0):
                 heads[c] = heaviest_free(pairs, starts[c], starts[c + 1], row_of, low, mate1, weight)
@@ -300,7 +300,7 @@ def every_size(
         count = 0
         end, least = -1, np.inf
         while True:
-            # Numbers from 0 on are ordered as their bits are, of which processors find the least several at a time.
+            # Nonnegative floats are ordered as their bits; the minimum of integers is vectorised.
             lowest = bits[0]
             for t in range(n2):
                 lowest = min(lowest, bits[t])
@@ -320,7 +320,7 @@ def every_size(
             own, begin = potential[row], edges[row]
             own_weight, columns = weight[begin : edges[row + 1]], local2[begin : edges[row + 1]]
             for at in range(len(columns)):
-                t = np.uint64(columns[at])  # which no loop has to look whether it counts from the end
+                t = np.uint64(columns[at])  # unsigned: no test for negative indices
                 reach = least + max(0.0, own + price[t] - own_weight[at])
                 if reach < distance[t]:
                     distance[t] = nearest[t] = reach

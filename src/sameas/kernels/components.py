@@ -1,4 +1,4 @@
-"""Compiled connected components of the candidate graph, laid out group by group."""
+"""Compiled connected components of the candidate pairs, and the layout of pairs and records by component."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sameas.kernels.compiled import part, small
 
 @part
 def root(parent: AnyIntArray, k: int) -> int:
-    """The representative of k, halving the path on the way."""
+    """The representative of k; halves the path to it."""
     while parent[k] != k:
         parent[k] = parent[parent[k]]
         k = parent[k]
@@ -17,7 +17,7 @@ def root(parent: AnyIntArray, k: int) -> int:
 
 @small
 def label_components(i: AnyIntArray, j: AnyIntArray, parent: IntArray, label: IntArray) -> None:
-    """Writes the component of every record (n,), numbered by first appearance. i, j : (m,) the records of every pair.
+    """Write the component of every record (n,), numbered by first appearance. i, j : (m,) the records of each pair.
     parent : (n,) scratch."""
     join(i, j, parent, 0)
     count = 0
@@ -42,12 +42,12 @@ def label_pairs(
     start1: IntArray,
     start2: IntArray,
 ) -> int:
-    """Number the components in the order in which the list first shows them; returns how many there are.
+    """Number the components by first appearance among the pairs; returns their number.
 
-    place1, place2 number the records so that neighbours in the list are neighbours in memory; the pairs of a record of
-    source 1 follow each other. group (m,) receives each pair's component, number2 (n2,) each record's number within
-    its own. start, start1, start2 (components + 1, or longer) : at g + 1, the pairs and the records of either source
-    of the components up to g. parent (n1 + n2,) and label (n1,) are scratch.
+    place1, place2 : (m,) record numbers, close in memory for consecutive pairs; the pairs of a record of source 1 are
+    consecutive. group : (m,) receives each pair's component. number2 : (n2,) receives each record's number within its
+    component. start, start1, start2 : (components + 1 or more) receive, at g + 1, the numbers of pairs and of records
+    of either source in the components 0 … g. parent (n1 + n2,), label (n1,) : scratch.
     """
     n1 = len(label)
     join(place1, place2, parent, n1)
@@ -78,9 +78,9 @@ def label_pairs(
 
 @part
 def join(place1: AnyIntArray, place2: AnyIntArray, parent: AnyIntArray, n1: int) -> None:
-    """Union of the two records of every pair; the representative is the first in place.
+    """Union of the two records of every pair; the representative is the lowest number.
 
-    n1 : how many records come before those of place2: all of source 1; 0 where both number the same records.
+    n1 : added to place2: the number of records of source 1, or 0 if both number the same records.
     """
     for k in range(len(parent)):
         parent[k] = k
@@ -115,11 +115,11 @@ def lay_out(
     local2: Int32Array,
     rows: tuple[Int32Array, Int32Array],
 ) -> None:
-    """Lay the candidate pairs (i, j) out by component, in each as they are listed.
+    """Lay out the candidate pairs (i, j) by component, in their order within each.
 
-    group, number2, start, start1, start2 : see :func:`label_pairs`; fill, fill1 : copies of start, start1. Filled are
-    order (m,), so that pair ``order[e]`` is the e-th of the layout; edges1, the CSR of the pairs by record of source 1;
-    local1, local2 (m,), the numbers of a pair's records within its group; rows, the records of either source.
+    group, number2, start, start1, start2 : of :func:`label_pairs`. fill, fill1 : copies of start, start1. Writes order
+    (m,), the pair at each position of the layout; edges1, the CSR of pairs by record of source 1; local1, local2 (m,),
+    the numbers of a pair's records within its group; rows, the records of either source.
     """
     rows1, rows2 = rows
     at = 0

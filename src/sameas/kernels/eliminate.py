@@ -1,9 +1,9 @@
-"""Compiled exact posterior of one problem: rows are eliminated one by one, states are the sets of columns taken.
+"""Compiled exact posterior of one problem: rows are eliminated one by one; a state is the set of columns taken.
 
-A *problem* is a bipartite graph in CSR form: row r may take one of the columns ``column[start[r]:start[r+1]]`` with
-the given ``odds``, or none with the odds ``none[r]``; a column that nobody takes counts ``unused``; a hypothesis with k
-pairs counts ``prior[k]`` (one element: no prior of the count). Only columns that later rows still want are part of a
-state, so chains and trees of any length stay small; the rows are taken in an order that keeps few columns open.
+A *problem* is a bipartite graph in CSR form. Row r may take one of the columns ``column[start[r]:start[r+1]]`` with
+the given ``odds``, or none with the odds ``none[r]``; a column without row counts ``unused``; a hypothesis with k pairs
+counts ``prior[k]`` (one element: no prior of the count). A state has only the columns that later rows may take, so
+chains and trees of any length need few states. The order of the rows keeps few columns open.
 """
 
 from __future__ import annotations
@@ -16,15 +16,16 @@ import numpy as np
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, part
 
-#: Most states, values, transitions and hash places that one problem may use; beyond, it is not solved exactly.
+#: Limits of one problem: states, values, transitions, bits of the hash table's size, open columns. A problem that
+#: exceeds one of them is not solved.
 STATES = 400_000
 VALUES = 1_600_000
 TRANSITIONS = 2_500_000
 PLACE_BITS = 19
 SLOTS = 62
-NOBODY = np.int64(-1)
+NO_PAIR = np.int64(-1)
 NEGLIGIBLE = 1e-14
-#: A product greater than this has lost nothing to underflow.
+#: A product above this has not underflowed, so that it may be divided by a factor.
 DIVISIBLE = 1e-200
 
 Scratch = namedtuple("Scratch", "key value back target place_key place_state place_stamp edge_bit edge_dies")
@@ -32,9 +33,9 @@ Scratch = namedtuple("Scratch", "key value back target place_key place_state pla
 
 @part
 def scratch(most_pairs: int, most_rows: int, most_columns: int) -> Scratch:
-    """Room for :func:`eliminate`, to be made once for many problems of at most so many pairs, rows and columns.
+    """Workspace of :func:`eliminate` for problems of at most this many pairs, rows and columns.
 
-    A problem of c columns has at most 2^c states in a step: whether it fits does not depend on the others.
+    A problem of c columns has at most 2^c states in a step: whether it fits does not depend on the other problems.
     """
     places = np.int64(1) << min(most_columns + 1, PLACE_BITS)
     states = min(STATES, (most_rows + 2) << min(most_columns, 19))
@@ -55,9 +56,9 @@ def scratch(most_pairs: int, most_rows: int, most_columns: int) -> Scratch:
 
 @part
 def elimination_order(n: int, nc: int, start: IntArray, column: Int32Array, order: IntArray) -> int:
-    """Fill ``order`` with the rows such that few columns stay open; returns the most columns open at once.
+    """Write to ``order`` the rows in an order with few open columns; returns the largest number of open columns.
 
-    Stops as soon as more than SLOTS are open.
+    Stops once more than SLOTS are open.
     """
     m = start[n]
     col_start = np.zeros(nc + 1, np.int64)
@@ -75,7 +76,7 @@ def elimination_order(n: int, nc: int, start: IntArray, column: Int32Array, orde
     for c in range(nc):
         remaining[c] = col_start[c + 1] - col_start[c]
     opened = np.zeros(nc, np.bool_)
-    state = np.zeros(n, np.int8)  # 0 untouched, 1 beside an open column, 2 eliminated
+    state = np.zeros(n, np.int8)  # 0 untouched, 1 with an open column, 2 eliminated
     active = np.empty(n, np.int32)
     actives = 0
     width = 0
@@ -132,7 +133,7 @@ def elimination_order(n: int, nc: int, start: IntArray, column: Int32Array, orde
 
 @inlined
 def find_state(key: int, begin: int, count: int, stamp: int, work: Scratch) -> int:
-    """The state of this key within the current step, made when new; −1 when there is no room."""
+    """The state of this key in the current step, created if new; −1 if the workspace is full."""
     last = np.int64(len(work.place_key) - 1)
     place = np.int64(key) & last
     if key > np.uint64(last):
@@ -151,10 +152,10 @@ def find_state(key: int, begin: int, count: int, stamp: int, work: Scratch) -> i
 
 
 @inlined
-def left_unused(
+def unused_product(
     key: int, low: int, high: int, taken: int, column: Int32Array, unused: FloatArray, work: Scratch
 ) -> float:
-    """Product of ``unused`` over the columns that close with this row, are free in the state and not taken now."""
+    """Product of ``unused`` over the columns whose last row this is, that are free in the state and not taken now."""
     product = 1.0
     for e in range(low, high):
         if e != taken and work.edge_dies[e] and (key & work.edge_bit[e]) == 0:
@@ -163,15 +164,15 @@ def left_unused(
 
 
 @inlined
-def left_beside(
+def unused_after_pair(
     whole: float, key: int, low: int, high: int, taken: int, column: Int32Array, unused: FloatArray, work: Scratch
 ) -> float:
-    """The same with column ``taken``, from the product ``whole`` without: divided, where nothing is lost by that."""
+    """:func:`unused_product` with the pair ``taken``, from ``whole``, the product without it, by division if accurate."""
     if not work.edge_dies[taken]:
         return whole
     if whole > DIVISIBLE:
         return whole / unused[column[taken]]
-    return left_unused(key, low, high, taken, column, unused, work)
+    return unused_product(key, low, high, taken, column, unused, work)
 
 
 @part
@@ -189,9 +190,9 @@ def eliminate(
     stamp: int,
     work: Scratch,
 ) -> int:
-    """Exact probabilities of a problem: ``share`` of every pair, ``alone`` of every row.
+    """Write the exact probabilities of a problem: ``share`` of every pair, ``alone`` of every row.
 
-    Returns the next free stamp, or −1 when the problem needs more room than there is (nothing is filled then).
+    Returns the next free stamp, or −1 if the problem exceeds a limit (nothing is written then).
     """
     order = np.empty(n, np.int64)
     if elimination_order(n, nc, start, column, order) > SLOTS:
@@ -245,7 +246,7 @@ def eliminate(
         if target_start[t] + (end - begin) * options > TRANSITIONS:
             return -1
         value_start[t + 1] = value_start[t] + (end - begin) * width
-        count = np.int64(0)  # not a literal: numba would compile for it apart
+        count = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
         stamp += 1
         for s in range(begin, end):
             key = work.key[s]
@@ -253,7 +254,7 @@ def eliminate(
             largest = 0.0
             for k in range(width):
                 largest = max(largest, work.value[v0 + k])
-            whole = left_unused(key, low, high, NOBODY, column, unused, work)
+            whole = unused_product(key, low, high, NO_PAIR, column, unused, work)
             for option in range(options):
                 at = target_start[t] + (s - begin) * options + option
                 work.target[at] = -1
@@ -264,7 +265,7 @@ def eliminate(
                     factor = none[r] * whole
                     next_key = key & ~dead
                 else:
-                    factor = odds[e] * left_beside(whole, key, low, high, e, column, unused, work)
+                    factor = odds[e] * unused_after_pair(whole, key, low, high, e, column, unused, work)
                     next_key = (key | work.edge_bit[e]) & ~dead
                 if factor == 0.0:
                     continue
@@ -287,7 +288,7 @@ def eliminate(
         target_start[t + 1] = target_start[t] + (end - begin) * options
         k_low[t + 1] = k_low[t]
         k_count[t + 1] = next_width
-        log_scale = settle(
+        log_scale = rescale(
             value_start[t + 1], count, next_width, k_low, k_count, t + 1, counted, ahead, log_scale, work.value
         )
         for e in range(low, high):
@@ -304,7 +305,7 @@ def eliminate(
 
 
 @part
-def settle(
+def rescale(
     v0: int,
     states: int,
     width: int,
@@ -316,11 +317,11 @@ def settle(
     log_scale: float,
     value: FloatArray,
 ) -> float:
-    """Scale the values of a step to at most 1 and drop what is negligible; returns ``log_scale`` with the new scale.
+    """Scale the values of a step to at most 1 and drop negligible ones; returns ``log_scale`` with the new scale.
 
-    Without a prior of the count a value is negligible beside a much greater one. With it, a small value may meet a
-    great prior: it is negligible where its value before all scaling, times the greatest prior ``ahead`` of its count,
-    is. The hypothesis that a problem is reduced by counts 1 there.
+    Without a prior of the count, a value is negligible relative to the largest. With one, a small value may be followed
+    by a large prior: a value is negligible if, before all scaling and times the largest prior ``ahead`` from its count
+    on, it is negligible relative to 1, the weight of the hypothesis by which the problem is reduced.
     """
     largest = 0.0
     for at in range(v0, v0 + states * width):
@@ -368,7 +369,7 @@ def gather(
     alone: FloatArray,
     work: Scratch,
 ) -> None:
-    """One step backwards: the values of the states seen from the end, and the probabilities of row r's options."""
+    """One step backward: the states' sums over all later steps, and the probabilities of row r's options."""
     begin = state_start[t]
     end = state_start[t + 1]
     width = k_count[t]
@@ -384,7 +385,7 @@ def gather(
         v0 = value_start[t] + (s - begin) * width
         for k in range(width):
             work.back[v0 + k] = 0.0
-        whole = left_unused(key, low, high, NOBODY, column, unused, work)
+        whole = unused_product(key, low, high, NO_PAIR, column, unused, work)
         for option in range(options):
             goal = work.target[target_start[t] + (s - begin) * options + option]
             if goal < 0:
@@ -394,7 +395,7 @@ def gather(
             if option == 0:
                 factor = none[r] * whole
             else:
-                factor = odds[e] * left_beside(whole, key, low, high, e, column, unused, work)
+                factor = odds[e] * unused_after_pair(whole, key, low, high, e, column, unused, work)
             step = shift + (1 if counted and option > 0 else 0)
             mass = 0.0
             for k in range(width):

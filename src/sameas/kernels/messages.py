@@ -1,4 +1,4 @@
-"""Compiled sum-product messages, and bounds of probabilities."""
+"""Compiled sum-product messages for groups that cannot be summed exactly, and upper bounds of probabilities."""
 
 from __future__ import annotations
 
@@ -12,30 +12,31 @@ from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, part, small_by
 from sameas.kernels.posterior import LOCAL, bounded_exp
 
-# Compiled upper bounds of the probability of pairs, from what their records can do without each other.
+# Upper bounds of the probability of pairs.
 #
-# Let i have the partner j′ in the best hypothesis and j the partner i′. With Z the sum over all hypotheses,
+# Let i have the partner j′ in the best hypothesis and j the partner i′. With Z the sum sum_of_others all hypotheses,
 #
 #     P(ij) = λ_ij Z(without i, j) / Z,   Z ≥ λ_ij′ λ_i′j Z₄,   Z₄ = Z(without i, j, i′, j′),
 #
-# and in Z(without i, j) the two that were left alone stay alone, have each other, or take others k and c:
+# and in Z(without i, j) the records i′ and j′ have no partner, each other, or other partners c and k:
 #
 #     Z(without i, j) ≤ Z₄ [1 + λ_i′j′ + A + B + min(A B¹, A¹ B)],   A = Σ_k λ_kj′ f_k,   B = Σ_c λ_i′c f_c,
 #
-# A¹ and B¹ with f = 1. f_k bounds the probability that k is free for it, in any problem that holds k and its partner
-# k′: f_k = min(1, (1 + Σ_l λ_lk′ f_l) / λ_kk′), where f_l may be any bound found before. A factor is 1 where a record
-# is alone in the best hypothesis.
+# A¹ and B¹ with f = 1. f_k bounds the probability that k is free, in any problem that contains k and its partner k′:
+# f_k = min(1, (1 + Σ_l λ_lk′ f_l) / λ_kk′), where f_l may be any earlier bound. A factor is 1 for a record without
+# partner in the best hypothesis.
 
-#: Times that what is found of the others is put in; every time is a bound.
+#: Iterations of the bounds f; every iteration gives a valid bound.
 SWEEPS = 4
-#: Logarithms of odds are not taken to be more than this; and no record is less probably free than exp of minus this.
-HIGHEST = 300.0
-#: A message that changes by less than this of what counts as settled is left as it was; whoever hears no change rests.
+#: Upper limit of log odds; exp of minus this is the lower limit of the probability of being free.
+MAX_LOG_ODDS = 300.0
+#: A message is not updated if it changes by less than this share of the convergence threshold. Records without an
+#: updated message are skipped.
 STILL = 0.1
 
 
 def _pairs_wanted(first: int, last: int, start: IntArray, *rest: Any) -> float:
-    """The pairs of the groups first … last − 1 that are wanted, each looked at in every sweep."""
+    """Work: the pairs of the wanted groups, twice in every sweep."""
     pairs, wanted = np.diff(start[first : last + 1]), rest[-2]
     return 2.0 * SWEEPS * float(pairs[wanted[first:last]].sum())
 
@@ -55,9 +56,9 @@ def bounds(
     wanted: BoolArray,
     bound: FloatArray,
 ) -> None:
-    """Fill ``bound`` (m,) with upper bounds of P of the pairs of those groups first … last − 1 that are ``wanted``.
+    """Write to ``bound`` (m,) upper bounds of P of the pairs of the ``wanted`` groups (g,) among first … last − 1.
 
-    weight : (m,) ln λ, with the prior, which is linear.
+    weight : (m,) ln λ, including the linear prior.
     """
     for g in range(first, last):
         if not wanted[g]:
@@ -69,30 +70,30 @@ def bounds(
             if chosen[e]:
                 mate1[local1[e]] = e
                 mate2[local2[e]] = e
-        # Odds of each pair in units of those of the chosen pair of its record 1, and of its record 2.
-        beside1, beside2 = np.zeros(high - low), np.zeros(high - low)
+        # Odds of each pair relative to the chosen pair of its record 1, and of its record 2.
+        relative1, relative2 = np.zeros(high - low), np.zeros(high - low)
         for e in range(low, high):
             if not chosen[e]:
                 a, b = mate1[local1[e]], mate2[local2[e]]
                 if a >= 0:
-                    beside1[e - low] = limited(weight[e] - weight[a])
+                    relative1[e - low] = limited(weight[e] - weight[a])
                 if b >= 0:
-                    beside2[e - low] = limited(weight[e] - weight[b])
+                    relative2[e - low] = limited(weight[e] - weight[b])
         without1, without2 = inverse(mate1, weight), inverse(mate2, weight)
         record1, record2 = local1[low:high], local2[low:high]
         others1, others2 = np.empty(n1), np.empty(n2)
         free1, free2 = np.ones(n1), np.ones(n2)
-        over(record1, beside1, record2, free2, others1)
-        over(record2, beside2, record1, free1, others2)
+        sum_of_others(record1, relative1, record2, free2, others1)
+        sum_of_others(record2, relative2, record1, free1, others2)
         any1, any2 = others1.copy(), others2.copy()
         for _ in range(SWEEPS):
             freed(mate1, local2, without1, others2, free1)
             freed(mate2, local1, without2, others1, free2)
-            over(record1, beside1, record2, free2, others1)
-            over(record2, beside2, record1, free1, others2)
+            sum_of_others(record1, relative1, record2, free2, others1)
+            sum_of_others(record2, relative2, record1, free1, others2)
         for e in range(low, high):
             a, b = mate1[local1[e]], mate2[local2[e]]
-            if chosen[e] or weight[e] > HIGHEST:
+            if chosen[e] or weight[e] > MAX_LOG_ODDS:
                 bound[e] = 1.0
             elif a >= 0 and b >= 0:
                 i, j = local1[b], local2[a]
@@ -101,15 +102,15 @@ def bounds(
                     if local2[s] == j:
                         swapped = math.exp(weight[e] + weight[s] - weight[a] - weight[b])
                 x, y = others2[j], others1[i]
-                total = swapped + beside1[e - low] * without2[local2[e]]
-                total += x * beside2[e - low] + y * beside1[e - low]
+                total = swapped + relative1[e - low] * without2[local2[e]]
+                total += x * relative2[e - low] + y * relative1[e - low]
                 total += min(x * any1[i], any2[j] * y) * math.exp(weight[e])
                 bound[e] = min(total, 1.0)
             elif a >= 0:
-                x = beside1[e - low] + others2[local2[a]] * limited(weight[e])
+                x = relative1[e - low] + others2[local2[a]] * limited(weight[e])
                 bound[e] = min(x, 1.0)
             elif b >= 0:
-                x = beside2[e - low] + others1[local1[b]] * limited(weight[e])
+                x = relative2[e - low] + others1[local1[b]] * limited(weight[e])
                 bound[e] = min(x, 1.0)
             else:
                 bound[e] = math.exp(min(weight[e], 0.0))
@@ -117,8 +118,8 @@ def bounds(
 
 @part
 def limited(log_odds: float) -> float:
-    """exp of log odds that are not higher than ``HIGHEST``."""
-    return math.exp(min(log_odds, HIGHEST))
+    """exp of log odds, these limited to MAX_LOG_ODDS."""
+    return math.exp(min(log_odds, MAX_LOG_ODDS))
 
 
 @part
@@ -132,27 +133,29 @@ def inverse(mate: IntArray, weight: FloatArray) -> FloatArray:
 
 
 @part
-def over(record: Int32Array, beside: FloatArray, partner: Int32Array, free: FloatArray, others: FloatArray) -> None:
-    """Fill ``others`` (n,): Σ λ f over the pairs of each record that are not chosen, in units of the chosen one."""
+def sum_of_others(
+    record: Int32Array, relative: FloatArray, partner: Int32Array, free: FloatArray, others: FloatArray
+) -> None:
+    """Write to ``others`` (n,) Σ λ f over the pairs of each record that are not chosen, relative to its chosen pair."""
     others[:] = 0.0
-    for e in range(len(beside)):
-        others[record[e]] += beside[e] * free[partner[e]]
+    for e in range(len(relative)):
+        others[record[e]] += relative[e] * free[partner[e]]
 
 
 @part
 def freed(mate: IntArray, local: Int32Array, without: FloatArray, others: FloatArray, free: FloatArray) -> None:
-    """Fill ``free`` (n,) with bounds of the probability of having no partner."""
+    """Write to ``free`` (n,) the bounds f of records with a partner, by the sums ``others`` of their partners."""
     for r in range(len(mate)):
         e = mate[r]
         if e >= 0:
-            free[r] = min(1.0, max(without[r] + others[local[e]], math.exp(-HIGHEST)))
+            free[r] = min(1.0, max(without[r] + others[local[e]], math.exp(-MAX_LOG_ODDS)))
 
 
 @inlined
 def sum_but(at: int, whole: float, none: float, values: FloatArray, first: int, last: int) -> float:
-    """``whole``, which is ``none`` and the values from ``first`` to ``last``, but for the one at ``at``.
+    """``whole``, the sum of ``none`` and the values first … last − 1, without the value ``at``.
 
-    The greatest is not subtracted, but left out: a difference would lose digits.
+    The largest value is not subtracted, as that would lose digits: the others are summed.
     """
     others = whole - values[at]
     if others < values[at]:
@@ -164,7 +167,7 @@ def sum_but(at: int, whole: float, none: float, values: FloatArray, first: int, 
 
 
 def _pairs_left(first: int, last: int, start: IntArray, *rest: Any) -> float:
-    """The pairs of the groups first … last − 1 that are left LOCAL, for each of the sweeps that most of them need."""
+    """Work: the pairs of the LOCAL groups, for the number of sweeps that most groups need."""
     pairs, method = np.diff(start[first : last + 1]), rest[8]
     return 32.0 * float(pairs[method[first:last] == LOCAL].sum())
 
@@ -189,11 +192,11 @@ def messages(
     sweeps: int,
     settled: float,
 ) -> float:
-    """Sum-product messages of the groups left LOCAL.
+    """Sum-product messages of the LOCAL groups.
 
-    to_column (m,) receives the odds with which a row claims a column, to_row_claim (m,) those with which the column
-    claims the row, belief (m,) the probability of each pair by messages alone. At most ``sweeps`` sweeps, fewer when no
-    message changes by more than ``settled``. Returns the largest change in the last sweep.
+    Writes to_column (m,), the odds of each pair without its column's other pairs; to_row_claim (m,), the odds without
+    its row's other pairs; and belief (m,), the probability of each pair. At most ``sweeps`` sweeps, fewer if no message
+    changes by more than ``settled``. Returns the largest change in the last sweep.
     """
     worst = 0.0
     for g in range(first, last):
@@ -209,7 +212,7 @@ def messages(
         none = np.empty(n1)
         to_row = np.ones(high - low)
         odds, product = np.empty(high - low), np.empty(high - low)
-        # The claims by column; of each pair by row its place there, and the reverse.
+        # Messages to columns, ordered by column, with the positions of pairs by row in that order and the reverse.
         claim, at_column, at_row = np.zeros(high - low), np.empty(high - low, np.int32), np.empty(high - low, np.int32)
         column_start = by_column(n2, local2[low:high], at_column, at_row)
         row_open, column_open = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
@@ -273,7 +276,7 @@ def messages(
 
 @part
 def by_column(columns: int, column: Int32Array, at_column: Int32Array, at_row: Int32Array) -> IntArray:
-    """CSR starts of pairs by column; fills ``at_column`` (m,) with their places there, ``at_row`` with the reverse."""
+    """CSR starts of pairs by column; writes the pairs' positions there to ``at_column`` (m,), the reverse to ``at_row``."""
     starts = np.zeros(columns + 1, np.int64)
     for c in column:
         starts[c + 1] += 1
