@@ -167,7 +167,7 @@ def unused_product(
 def unused_after_pair(
     whole: float, key: int, low: int, high: int, taken: int, column: Int32Array, unused: FloatArray, work: Scratch
 ) -> float:
-    """:func:`unused_product` with the pair ``taken``, from ``whole``, the product without it, by division if accurate."""
+    """:func:`unused_product` with the pair ``taken``, from that without a pair, ``whole``, by division if accurate."""
     if not work.edge_dies[taken]:
         return whole
     if whole > DIVISIBLE:

@@ -276,7 +276,7 @@ def messages(
 
 @part
 def by_column(columns: int, column: Int32Array, at_column: Int32Array, at_row: Int32Array) -> IntArray:
-    """CSR starts of pairs by column; writes the pairs' positions there to ``at_column`` (m,), the reverse to ``at_row``."""
+    """CSR starts of pairs by column; writes their positions there to ``at_column``, the reverse to ``at_row`` (m,)."""
     starts = np.zeros(columns + 1, np.int64)
     for c in column:
         starts[c + 1] += 1

@@ -1,6 +1,6 @@
-"""Compiled sums over the partitions of a group's records into sets, records eliminated one after another.
+"""Compiled sums over the partitions of a group's records into sets, by eliminating records one by one.
 
-A state after r records says which later records are taken already, and how many merges were made where that counts.
+The state after r records is the set of later records that are taken and, with a count prior, the number of merges.
 """
 
 from __future__ import annotations
@@ -16,26 +16,27 @@ from sameas.kernels.components import root
 from sameas.kernels.partition_samples import sampled
 
 NONE = -1
-#: Sweeps over the duals of a group, how often sets are left out by them, and sweeps that exchange the sets of a
-#: partition, at most (tuned on crowded pictures).
+#: Most sweeps over the duals of a group, most prunings of its sets, and most sweeps that exchange sets of a partition
+#: (tuned on crowded pictures).
 SWEEPS, PRUNINGS, EXCHANGES = 6, 8, 6
-#: Temperatures at which duals are annealed, in nats, and sweeps at each: in the first go, and where that is not enough.
+#: Temperatures at which duals are annealed, in nats; sweeps at each, in the first attempt and in the second.
 TEMPERATURES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03, 0.015)
 ANNEALINGS = (8, 40)
-#: Steps of a sum for which there is room at first.
-ROOM = 256
-#: Sets of a smaller exponent than this at a temperature are left out there.
-LEAST_POWER = -20.0
-#: Greatest reduced cost, in nats, of sets that compete for a place in a good partition.
+#: First size of the arrays of steps.
+FIRST_CAPACITY = 256
+#: Sets with a smaller exponent at a temperature are excluded there.
+MIN_EXPONENT = -20.0
+#: Largest reduced cost, in nats, of sets that are tried for a good partition.
 COMPETING = 10.0
-#: They end where a sweep gains less, in nats, and where less than this share of the sets is left out.
-LEAST_NATS, LEAST_SHARE = 0.01, 0.02
-#: Sums that leave out sets of a smaller reduced cost are no nearer to the truth than samples, and the best partition
-#: alone is far from it: rms of probabilities on random groups of 8 to 30 records, weak and strong sets, is 0.01 to 0.02
-#: with a cut of 2, 0.05 to 0.09 with a cut of 1, 0.01 by samples, 0.16 to 0.24 by the best alone.
+#: Sweeps end when one lowers the duals by less than this in all, in nats; prunings, when one excludes less than this
+#: share of the sets.
+MIN_LOWERED_NATS, MIN_PRUNED_SHARE = 0.01, 0.02
+#: Sums with a smaller cut are no more accurate than samples, and the best partition alone is worse: the rms error of
+#: probabilities on random groups of 8 to 30 records, weak and strong sets, is 0.01 to 0.02 with a cut of 2, 0.05 to
+#: 0.09 with a cut of 1, 0.01 by samples, 0.16 to 0.24 by the best partition alone.
 LEAST_CUT = 2.0
-#: Groups of so few records, and so of so few sets, are summed partition by partition if the best one is more probable
-#: than the next by so much, in nats.
+#: Groups of at most this many records and sets are summed partition by partition, if the best partition outweighs the
+#: second by more than the last number, in nats.
 FEW_RECORDS, FEW_SETS, CLEAR_NATS = 3, 7, 1e-9
 
 
@@ -55,11 +56,11 @@ def eliminate(
     chosen: BoolArray,
     solved: BoolArray,
 ) -> None:
-    """Fill ``share`` with every set's probability, ``chosen`` with the best partition, ``solved`` per group.
+    """Write every set's probability to ``share``, the best partition to ``chosen``, the solved groups to ``solved``.
 
-    groups : the groups to do. start : (g+1,) sets of each group, ascending in ``first``, the number of the set's first
-    record within the group; ``mask`` its records as bits. table[table_start[g] + m] : ln P of m merges.
-    Groups that ask for more than ``cap`` steps from state to state are left unsolved.
+    groups : numbers of the groups to sum. start : (g+1,) sets of each group, ascending in ``first``, the number of the
+    set's first record within the group. mask : records of each set as bits. table[table_start[g] + m] : ln P of m
+    merges. Groups that need more than ``cap`` steps between states are not solved.
     """
     for g in groups:
         a, b = start[g], start[g + 1]
@@ -114,9 +115,9 @@ def _group(
 
 @part
 def _factors(n: int, mask: NDArray[np.uint64], weight: FloatArray) -> FloatArray:
-    """Per set its weight, no logarithm, by what its records could add elsewhere: at most 1, so that no sum overflows.
+    """(k,) exp(ln w − Σ of a bound for each record), at most 1, so that no sum overflows.
 
-    Every partition has every record once, so that what is taken off for the records is the same for all of them.
+    Every partition has every record once, so the bounds change the weights of all partitions by the same factor.
     """
     one = np.uint64(1)
     most, total = np.full(n, -np.inf), np.zeros(len(mask))
@@ -144,10 +145,10 @@ def _summed(
     ends: FloatArray,
     share: FloatArray,
 ) -> bool:
-    """Add to ``share`` of every set the part of all ways, from the first state to the last ones, that use it.
+    """Add to ``share`` of every set the share of all paths, from the first state to the last ones, that use it.
 
-    Every layer's sums are divided by their largest. Every way takes one step from each layer to the next, so that the
-    parts of those steps are what they are by themselves. False where all ways are too improbable for a number.
+    The sums of each layer are divided by their largest. A path has one step between consecutive layers, so the shares
+    of a layer's steps do not depend on the scale. False if all paths underflow.
     """
     n, size = len(layer) - 2, layer[-1]
     forward, backward = np.zeros(size), np.zeros(size)
@@ -177,7 +178,7 @@ def _summed(
 
 @part
 def _scaled(values: FloatArray) -> bool:
-    """Divide by the largest; whether there is one above 0."""
+    """Divide the values by the largest; returns whether that is above 0."""
     most = 0.0
     for value in values:
         most = max(most, value)
@@ -190,22 +191,23 @@ def _scaled(values: FloatArray) -> bool:
 def _steps(
     n: int, first: IntArray, mask: NDArray[np.uint64], merges: IntArray, counted: bool, cap: int
 ) -> tuple[Int32Array | IntArray | NDArray[np.uint64], ...]:
-    """States (records taken, merges made), the layers' starts, and the steps between them; no layers beyond ``cap``."""
-    limit, layer = ROOM, np.zeros(n + 2, np.int64)
+    """States (records taken, merges made), the layers' starts, and the steps between states (origin, target, set used);
+    empty arrays if there are more than about ``cap`` steps."""
+    limit, layer = FIRST_CAPACITY, np.zeros(n + 2, np.int64)
     while limit < cap:
         limit *= 2
     width = 64 if counted else _width(first, mask)
-    room = ROOM
-    # An array that grows within the loops costs more than the loops: where room is too small they begin anew.
+    capacity = FIRST_CAPACITY
+    # Growing arrays within the loops would cost more than the loops: if they are too small, the loops start again.
     while True:
-        key, made = np.empty(room + 1, np.uint64), np.empty(room + 1, np.int64)
-        origin, target, used = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32)
+        key, made = np.empty(capacity + 1, np.uint64), np.empty(capacity + 1, np.int64)
+        origin, target, used = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity, np.int32)
         steps = _filled(n, first, mask, merges, counted, width, key, made, layer, origin, target, used)
         if steps >= 0:
             return key[: layer[n + 1]], made[: layer[n + 1]], layer, origin[:steps], target[:steps], used[:steps]
-        if room == limit:
+        if capacity == limit:
             return key[:0], made[:0], layer[:0], origin[:0], target[:0], used[:0]
-        room = min(4 * room, limit)
+        capacity = min(4 * capacity, limit)
 
 
 @part
@@ -223,14 +225,14 @@ def _filled(
     target: Int32Array,
     used: Int32Array,
 ) -> int:
-    """Fill in states and steps, and give the number of these; −1 where there are more than there is room for.
+    """Write the states and steps; returns the number of steps, −1 if they exceed the arrays.
 
-    width : as of :func:`_width`; where it is small a state's records after r, as bits, are its place among the slots.
+    width : of :func:`_width`. If small, the bits of a state's records after r are its slot; else slots are hashed.
     """
-    one, room = np.uint64(1), len(origin)
-    direct = width < 63 and (1 << width) <= 4 * room
-    slots, place_of = np.full(1 << width if direct else 2 * room, NONE, np.int32), np.empty(room + 1, np.int64)
-    fits = np.empty(len(first) + 1, np.int64)
+    one, capacity = np.uint64(1), len(origin)
+    direct = width < 63 and (1 << width) <= 4 * capacity
+    slots, place_of = np.full(1 << width if direct else 2 * capacity, NONE, np.int32), np.empty(capacity + 1, np.int64)
+    options = np.empty(len(first) + 1, np.int64)
     key[0], made[0], layer[0], layer[1] = 0, 0, 0, 1
     size, steps, low = 1, 0, 0
     for r in range(n):
@@ -239,19 +241,19 @@ def _filled(
             high += 1
         bit, after = one << np.uint64(r), np.uint64(r + 1)
         for s in range(layer[r], layer[r + 1]):
-            state, free = key[s], 0
+            state, n_options = key[s], 0
             taken = (state & bit) != np.uint64(0)
             if taken:
-                fits[0], free = NONE, 1
+                options[0], n_options = NONE, 1
             else:
-                # Without a branch, which would be guessed wrongly most of the time.
+                # Without a branch, which would be mispredicted most of the time.
                 for k in range(low, high):
-                    fits[free] = k
-                    free += np.int64((mask[k] & state) == np.uint64(0))
-            if steps + free > room:
+                    options[n_options] = k
+                    n_options += np.int64((mask[k] & state) == np.uint64(0))
+            if steps + n_options > capacity:
                 return -1
-            for at in range(free):
-                k = fits[at]
+            for at in range(n_options):
+                k = options[at]
                 new = state & ~bit if taken else (state | mask[k]) & ~bit
                 count = made[s] if taken or not counted else made[s] + merges[k]
                 place = np.int64(new >> after) if direct else _slot(slots, key, made, new, count)
@@ -269,7 +271,7 @@ def _filled(
 
 @part
 def _width(first: IntArray, mask: NDArray[np.uint64]) -> int:
-    """Most records beyond the next one that a state can have taken."""
+    """Number of bits after a set's first record that any set uses: the span of a state."""
     width = 0
     for k in range(len(first)):
         while mask[k] >> np.uint64(first[k] + 1) >> np.uint64(width) != np.uint64(0):
@@ -281,7 +283,7 @@ def _width(first: IntArray, mask: NDArray[np.uint64]) -> int:
 def _best(
     size: int, origin: Int32Array, target: Int32Array, used: Int32Array, weight: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Per state the greatest weight of a way to it, and the last step of that."""
+    """Largest weight of a path to each state, and the last step of that path."""
     best, step = np.full(size, -np.inf), np.full(size, NONE, np.int64)
     best[0] = 0.0
     for e in range(len(origin)):
@@ -293,9 +295,9 @@ def _best(
 
 @part
 def _slot(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, new: int, count: int) -> int:
-    """Where the state stands among the slots, or the empty slot where it belongs."""
+    """The slot of a state in the hash table, or the empty slot where it belongs."""
     last = np.uint64(len(slots) - 1)
-    # Halves of 32 bits are multiplied, so that nothing overflows, interpreted neither.
+    # 32-bit halves are multiplied, so that nothing overflows, which would warn when interpreted.
     low = (new & np.uint64(0xFFFFFFFF)) * np.uint64(0x9E3779B1)
     high = ((new >> np.uint64(32)) ^ np.uint64(count)) * np.uint64(0x85EBCA6B)
     mixed = low ^ high
@@ -305,7 +307,7 @@ def _slot(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, new: int, 
     return place
 
 
-# ---- groups whose sets are pruned by duals of their own, and summed block by block ----
+# Groups whose sets are pruned by duals, and summed block by block.
 
 
 @kernel
@@ -323,17 +325,19 @@ def packed(
     chosen: BoolArray,
     cut: FloatArray,
 ) -> None:
-    """Fill ``share`` with every set's probability, ``chosen`` with the best partition, ``cut`` per group.
+    """Write every set's probability to ``share``, the best partition to ``chosen``, and each group's ``cut``.
 
-    groups : the groups to do. start : (g+1,) sets of each group. members : (k, S) records of the sets, −1 for none; a
-    record alone is a set of weight 0. Of groups of more than ``small`` records, sets are left out that make every
-    partition e^c times less probable than the best or more: duals u of the records, Σ u ≥ ln w for every set, bound a
-    partition with a set by the best less the set's reduced cost Σ u − ln w. ``dual`` (n,) are such duals; they are
-    lowered coordinate by coordinate, and annealed where that is not enough. Sets that are left out split the group into
-    blocks, and a block's duals are tighter than those of the whole. c is the first of ``cuts`` at which a block has at
-    most ``most_records`` records and its sum at most ``cap`` steps from state to state; ``cut`` is the lowest c of a
-    group's blocks. It is −1 where a block has none: only the other blocks are filled in there. Blocks of a c below
-    :data:`LEAST_CUT` have their best partition from that, and their probabilities from samples of their partitions.
+    groups : numbers of the groups to sum. start : (g+1,) sets of each group. members : (k, S) records of the sets, −1
+    for none; a single record is a set of weight 0.
+
+    In groups of more than ``small`` records, sets are excluded if every partition with them is at least e^c times less
+    probable than the best. Duals u of the records with Σ u ≥ ln w for every set give the bound: a partition with a set
+    weighs at most Σ u of all records minus the set's reduced cost Σ u − ln w. ``dual`` (n,) are such duals; they are
+    lowered coordinate by coordinate, and annealed if that is not enough. Excluding sets splits the group into blocks,
+    and a block's own duals are tighter. c is the first of ``cuts`` at which a block has at most ``most_records``
+    records and its sum at most ``cap`` steps between states. ``cut`` is the lowest c of a group's blocks, or −1 if a
+    block has none; only the other blocks are written then. Blocks of c below :data:`LEAST_CUT` have the best partition
+    of that sum, and probabilities from samples of their partitions.
     """
     local = np.full(len(dual), NONE)
     mask, of, total = np.empty(FEW_SETS, np.int64), np.empty((FEW_SETS, FEW_RECORDS), np.int64), np.empty(FEW_SETS)
@@ -359,11 +363,12 @@ def _few_summed(
     share: FloatArray,
     chosen: BoolArray,
 ) -> bool:
-    """Sum a group by all its partitions, where it has at most :data:`FEW_RECORDS` records and one is clearly the best;
-    whether it was. Most groups are of three records at most: what the general way sets up takes ten times as long.
+    """Sum a group over all its partitions, if it has at most FEW_RECORDS records and one partition is clearly the best;
+    returns whether that is so. Most groups have three records at most, and setting up the elimination takes ten times
+    as long.
 
-    local : of all records −1, and so again. mask, of, total : room for a set's records as bits, the sets of a partition
-    and its weight.
+    local : −1 for all records, restored. mask, of, total : scratch for each set's records as bits, each partition's
+    sets and its weight.
     """
     n = 0
     for s in range(len(members)):
@@ -381,12 +386,12 @@ def _few_summed(
                 local[record] = NONE
     if n > FEW_RECORDS:
         return False
-    count, every, best, next_ = 0, (1 << n) - 1, -np.inf, -np.inf
+    count, all_records, best, next_ = 0, (1 << n) - 1, -np.inf, -np.inf
     for first in range(len(members)):
         if not mask[first] & 1:
             continue
-        left = every & ~mask[first]
-        # The next set is that of the lowest record that is left, and the last one is of all that are left then.
+        left = all_records & ~mask[first]
+        # The second set contains the lowest remaining record, and the third all remaining ones.
         for second in range(len(members) if left else 1):
             if left and (mask[second] & ~left or not mask[second] & (left & -left)):
                 continue
@@ -416,8 +421,8 @@ def _few_summed(
 
 @part
 def _by_local_number(members: IntArray, local: IntArray) -> tuple[IntArray, IntArray, int]:
-    """The sets of a group as ragged ranges, begin (k + 1,) and entry, of its records numbered as they occur, and how
-    many these are. members : (k, S) sets, −1 for none. local : of all records −1; filled with the numbers."""
+    """The sets of a group as CSR, begin (k + 1,) and entry, its records numbered by first appearance, and the number of
+    records. members : (k, S) sets, −1 for none. local : −1 for all records; receives the numbers."""
     begin, entry = np.zeros(len(members) + 1, np.int64), np.empty(members.size, np.int64)
     at, n = 0, 0
     for s in range(len(members)):
@@ -445,6 +450,7 @@ def _packed_group(
     share: FloatArray,
     chosen: BoolArray,
 ) -> float:
+    """Sum one group of :func:`packed`; returns its cut."""
     k = len(members)
     begin, entry, n = _by_local_number(members, local)
     own_dual, source = np.empty(n), np.empty(n, np.int64)
@@ -461,19 +467,19 @@ def _packed_group(
     begin, entry, weight, place, hint = _prune(begin, entry, weight, place, hint, cuts[0], block, done, own_dual)
     if _sum_blocks(begin, entry, weight, place, block, done, most_records, cap, share, chosen):
         return cuts[0]
-    # Blocks share no sets: those that are summed need no better duals.
+    # Blocks share no sets, so only those that are not summed yet need better duals.
     begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, ~done[entry[begin[:-1]]])
     for sweeps in ANNEALINGS:
-        # Every go starts from the sets of the first cut.
+        # Each attempt starts from the sets of the first cut.
         hint = _anneal(begin, entry, weight, sweeps, own_dual)
-        left, open_ = (begin, entry, weight, place, hint), np.zeros(n, np.bool_)
+        pruned, inexact = (begin, entry, weight, place, hint), np.zeros(n, np.bool_)
         for cut in cuts:
-            if cut < LEAST_CUT and not open_.any():
-                open_ = ~done
-            left = _prune(*left, cut, block, done, own_dual)
-            if _sum_blocks(*left[:4], block, done, most_records, cap, share, chosen):
+            if cut < LEAST_CUT and not inexact.any():
+                inexact = ~done
+            pruned = _prune(*pruned, cut, block, done, own_dual)
+            if _sum_blocks(*pruned[:4], block, done, most_records, cap, share, chosen):
                 if cut < LEAST_CUT:
-                    _by_samples(begin, entry, weight, place, hint, open_, source, chosen, share)
+                    _by_samples(begin, entry, weight, place, hint, inexact, source, chosen, share)
                 return cut
     return -1.0
 
@@ -485,27 +491,28 @@ def _by_samples(
     weight: FloatArray,
     place: IntArray,
     hint: BoolArray,
-    open_: BoolArray,
+    records: BoolArray,
     source: IntArray,
     chosen: BoolArray,
     share: FloatArray,
 ) -> None:
-    """Fill ``share`` for the sets of records (n,) that are ``open_`` alone."""
+    """Write ``share`` by samples, of the sets that consist of some ``records`` (n,) only. source : (n,) of records.
+    chosen : sets of the best partition of the group."""
     kept = np.ones(len(weight), np.bool_)
     for s in range(len(weight)):
         for e in range(begin[s], begin[s + 1]):
-            kept[s] = kept[s] and open_[entry[e]]
+            kept[s] = kept[s] and records[entry[e]]
     begin, entry, weight, place, _ = _taken(begin, entry, weight, place, hint, kept)
-    found = sampled(begin, entry, source, weight, chosen[place])
+    p = sampled(begin, entry, source, weight, chosen[place])
     for s in range(len(weight)):
-        share[place[s]] = found[s]
+        share[place[s]] = p[s]
 
 
 @kernel
 def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: FloatArray, chosen: BoolArray, n: int,
                 share: FloatArray) -> None:  # fmt: skip
-    """Fill ``share`` with every set's probability by samples, of some ``groups``; members (k, S) of n records in all,
-    −1 for none. start : (g+1,) sets of each group. chosen : (k,) the sets of a partition of each."""
+    """Write every set's probability by samples to ``share``, for some ``groups``. start : (g+1,) sets of each group.
+    members : (k, S) sets, −1 for none, of n records in all. chosen : (k,) the sets of a partition of each group."""
     local, source = np.full(n, NONE), np.empty(n, np.int64)
     for g in groups:
         a, b = start[g], start[g + 1]
@@ -519,21 +526,21 @@ def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: Fl
 
 @part
 def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, dual: FloatArray) -> BoolArray:
-    """Turn duals into those of the linear relaxation, nearly, and give the sets that it chooses for the most part.
+    """Replace the duals by nearly those of the linear relaxation; returns the sets (k,) of x > ½.
 
-    With an entropy T H(x) added, the relaxation max Σ w x, Σ_{s∋r} x_s = 1, is solved by x = exp((w − Σ u)/T)
-    with those duals that make all sums 1: they are found record by record (Sinkhorn's iteration), while T falls. In
-    the end they are raised until no set weighs more than its records.
+    With an entropy T H(x) added, the relaxation max Σ w x, Σ_{s∋r} x_s = 1, is solved by x = exp((w − Σ u)/T) with the
+    duals for which all sums are 1. They are found record by record (Sinkhorn's iteration) while T decreases. Finally
+    they are raised until no set weighs more than its records' duals.
     """
     k, n = len(weight), len(dual)
     x = np.zeros(k)
     own, sets = np.zeros(n + 1, np.int64), np.empty(len(entry), np.int64)
     for temperature in TEMPERATURES:
-        # Sets of which a partition has nothing at this temperature stand aside until the next one.
+        # Sets of negligible x at this temperature are skipped until the next one.
         own[:] = 0
         for s in range(k):
-            power = -_cost(s, begin, entry, weight, dual) / temperature
-            x[s] = math.exp(min(power, 50.0)) if power > LEAST_POWER or begin[s + 1] - begin[s] == 1 else 0.0
+            exponent = -_cost(s, begin, entry, weight, dual) / temperature
+            x[s] = math.exp(min(exponent, 50.0)) if exponent > MIN_EXPONENT or begin[s + 1] - begin[s] == 1 else 0.0
             if x[s] > 0.0:
                 for e in range(begin[s], begin[s + 1]):
                     own[entry[e] + 1] += 1
@@ -567,7 +574,7 @@ def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, d
 
 @part
 def _blocks(begin: IntArray, entry: IntArray, block: IntArray) -> None:
-    """Fill ``block`` (n,) with the least record that each record is entangled with by the sets."""
+    """Write to ``block`` (n,) the lowest record of the component of each record in the graph of sets."""
     for r in range(len(block)):
         block[r] = r
     for s in range(len(begin) - 1):
@@ -590,9 +597,9 @@ def _prune(
     done: BoolArray,
     dual: FloatArray,
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
-    """The sets without those of blocks that are done and those that are improbable by the duals of their block.
+    """The sets without those of finished blocks and those that the duals of their block prove improbable.
 
-    place : (k,) of each set in the group. hint : (k,) sets of a good partition, if one is known.
+    place : (k,) of each set in the group. hint : (k,) sets of a good partition, if known.
     """
     n = len(block)
     kept = ~done[entry[begin[:-1]]]
@@ -615,14 +622,14 @@ def _prune(
                 cost[s] = dual[entry[begin[s]]]
             elif hint[s]:
                 value[block[entry[begin[s]]]] += weight[s]
-        kept, left_out = np.ones(k, np.bool_), 0
+        kept, n_pruned = np.ones(k, np.bool_), 0
         for s in range(k):
             b = block[entry[begin[s]]]
             if cost[s] > cut + total[b] - value[b]:
                 kept[s] = False
-                left_out += 1
+                n_pruned += 1
         begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, kept)
-        if left_out <= LEAST_SHARE * k:
+        if n_pruned <= MIN_PRUNED_SHARE * k:
             break
     _blocks(begin, entry, block)
     return begin, entry, weight, place, hint
@@ -632,7 +639,7 @@ def _prune(
 def _taken(
     begin: IntArray, entry: IntArray, weight: FloatArray, place: IntArray, hint: BoolArray, kept: BoolArray
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
-    """The sets that are kept."""
+    """The sets that are ``kept`` (k,)."""
     count = np.count_nonzero(kept)
     new_begin, new_entry = np.zeros(count + 1, np.int64), np.empty(len(entry), np.int64)
     k, at = 0, 0
@@ -648,7 +655,7 @@ def _taken(
 
 @part
 def _cost(s: int, begin: IntArray, entry: IntArray, weight: FloatArray, dual: FloatArray) -> float:
-    """The reduced cost of a set."""
+    """The reduced cost of a set: Σ of its records' duals − ln w."""
     cost = -weight[s]
     for e in range(begin[s], begin[s + 1]):
         cost += dual[entry[e]]
@@ -657,7 +664,7 @@ def _cost(s: int, begin: IntArray, entry: IntArray, weight: FloatArray, dual: Fl
 
 @part
 def _sets_of_records(begin: IntArray, entry: IntArray, n: int, least: int) -> tuple[IntArray, IntArray]:
-    """The sets of ``least`` records and more that each of n records is in, as CSR."""
+    """The sets of at least ``least`` records of each of n records, as CSR."""
     own = np.zeros(n + 1, np.int64)
     for s in range(len(begin) - 1):
         if begin[s + 1] - begin[s] >= least:
@@ -676,7 +683,7 @@ def _sets_of_records(begin: IntArray, entry: IntArray, n: int, least: int) -> tu
 
 @part
 def _descend(own: IntArray, sets: IntArray, cost: FloatArray, dual: FloatArray) -> None:
-    """Lower the duals one after another, there and back, as far as the reduced costs of their sets allow."""
+    """Lower the duals one by one, in alternating order, as far as the reduced costs of their sets stay nonnegative."""
     n = len(dual)
     for sweep in range(SWEEPS):
         lowered = 0.0
@@ -692,14 +699,14 @@ def _descend(own: IntArray, sets: IntArray, cost: FloatArray, dual: FloatArray) 
                 dual[r] -= most
                 for at in range(own[r], own[r + 1]):
                     cost[sets[at]] -= most
-        if lowered < LEAST_NATS:
+        if lowered < MIN_LOWERED_NATS:
             return
 
 
 @part
 def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArray, hint: BoolArray, n: int) -> None:
-    """Turn the ``hint`` into sets of several records that share none of n: those that it has and those of least reduced
-    cost first, then any that weighs more than those it takes records from."""
+    """Replace ``hint`` by a packing of sets of several of the n records: first the hinted sets and those of least
+    reduced cost, then any set that weighs more than the sets that it replaces."""
     # No partition with a set of a larger reduced cost is near the best.
     several = np.flatnonzero((begin[1:] - begin[:-1] > 1) & (weight > 0.0) & (hint | (cost <= COMPETING)))
     rank = np.empty(len(several))
@@ -748,7 +755,7 @@ def _sum_blocks(
     share: FloatArray,
     chosen: BoolArray,
 ) -> bool:
-    """Sum the blocks of records that the sets entangle, but those that are ``done`` (n,); whether all are now."""
+    """Sum the blocks of records that the sets connect and that are not ``done`` (n,); returns whether all are now."""
     n, k = len(block), len(place)
     first_set, records = np.zeros(n + 1, np.int64), np.zeros(n, np.int64)
     for s in range(k):
@@ -771,17 +778,17 @@ def _sum_blocks(
         elif records[b] <= most_records:
             _order(begin, entry, sets, number, own)
             summed[b] = _sum_block(begin, entry, weight, place, sets, number, records[b], cap, share, chosen)
-    whole = True
+    all_done = True
     for r in range(n):
         done[r] = done[r] or summed[block[r]]
-        whole = whole and done[r]
-    return whole
+        all_done = all_done and done[r]
+    return all_done
 
 
 @part
 def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, own: IntArray) -> None:
-    """Number the records of a block (``number`` −1 so far), breadth first from one with few sets, so that those that
-    share sets follow each other and states hold few of them (Cuthill and McKee). own : (n,) zeros, and so again."""
+    """Number the records of a block breadth first from one with few sets (Cuthill–McKee), so that records which share
+    sets have close numbers and states few records. number : −1 for these records. own : (n,) zeros, restored."""
     total = 0
     for s in sets:
         for e in range(begin[s], begin[s + 1]):
@@ -797,7 +804,7 @@ def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, o
     for at in range(total):
         if at == size:
             break
-        # Sets of the record that has waited longest bring in their others, those of few sets first.
+        # The sets of the first record in the queue append their other records, those of few sets first.
         record, low = queue[at], size
         for k in range(len(sets)):
             if done[k]:
@@ -841,11 +848,11 @@ def _sum_block(
             low[at] = min(low[at], number[entry[e]])
             mask[at] |= np.uint64(1) << np.uint64(number[entry[e]])
     order = np.argsort(low * len(sets) + np.arange(len(sets)))
-    those = sets[order]
+    own = sets[order]
     part_share, part_chosen = np.zeros(len(sets)), np.zeros(len(sets), np.bool_)
     merges = np.zeros(len(sets), np.int64)
-    if not _group(n, low[order], mask[order], weight[those], merges, np.zeros(1), False, cap, part_share, part_chosen):
+    if not _group(n, low[order], mask[order], weight[own], merges, np.zeros(1), False, cap, part_share, part_chosen):
         return False
-    for at in range(len(those)):
-        share[place[those[at]]], chosen[place[those[at]]] = part_share[at], part_chosen[at]
+    for at in range(len(own)):
+        share[place[own[at]]], chosen[place[own[at]]] = part_share[at], part_chosen[at]
     return True
