@@ -14,7 +14,7 @@ from sameas.prior import CommonObjects
 from sameas.registration import Affine, SensorBias, Shift, Similarity, register
 from sameas.registration.hough import vote
 from sameas.registration.offsets import Offset
-from sameas.registration.solution import OffsetPrior, Trials, _missing, _normal_equations
+from sameas.registration.solution import OffsetPrior, Trials, _missing_information, _normal_equations
 from sameas.registration.weights import PlacedSources, weigh
 from sameas.score.pairs import score_pairs
 from sameas.simulate.scenes import Cap, grid, poisson_field, sky_field
@@ -129,7 +129,7 @@ def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvatu
     numeric = [(gain(theta + e) - gain(theta - e)) / 2e-3 for e in 1e-3 * np.eye(2)]
     np.testing.assert_allclose(slope(theta), numeric, rtol=2e-3, atol=2e-3)
     complete = _normal_equations(scene, belief, theta, weigh(scene, theta, common, 1.0))[1][0]
-    axes, score, _ = _missing(scene, belief, Trials(theta, common, np.zeros(1)), complete)
+    axes, score, _ = _missing_information(scene, belief, Trials(theta, common, np.zeros(1)), complete)
     np.testing.assert_allclose(score[0], slope(theta), rtol=1e-9)
     root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
     # Not knowing which pairs are true costs information.

@@ -36,7 +36,7 @@ from sameas.sky.bands import ERROR_NAMES, OFF, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.joins import joined, joined_rows
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -464,8 +464,7 @@ class Halo:
     def around(cls, patch: Patch, width_arcsec: float, finer: int) -> Halo:
         """The halo of at least this width; the whole sky if that is wider than a cell of order 0."""
         order = healpix.order_of_width(width_arcsec)
-        middle = healpix.centres(patch.cells, patch.order).sum(axis=0)
-        middle /= max(float(np.linalg.norm(middle)), 1e-9)
+        middle = mean_direction(healpix.centres(patch.cells, patch.order))
         if width_arcsec > healpix.width_arcsec(0):
             whole_sky = np.array([[0, 12 << 2 * healpix.FINEST]], np.int64)
             return cls(patch.stretch, whole_sky, middle, np.empty((0, 3)), np.inf, 0.0)

@@ -1,8 +1,8 @@
-"""The offset between two sources: found together with the identification, with nothing known in advance.
+"""The offset between two sources, estimated jointly with the identification, without an initial guess.
 
-A relative offset of a few standard deviations spoils any identification. Use :func:`register` where one source may be
-shifted, turned, stretched or biased against the other, with the :class:`~sameas.registration.offsets.Offset` that it
-may have: ``Shift``, ``Similarity``, ``Affine`` or ``SensorBias``.
+A relative offset of a few standard deviations makes any identification wrong. Use :func:`register` if one source may be
+shifted, rotated, stretched or biased relative to the other, with the matching
+:class:`~sameas.registration.offsets.Offset`: ``Shift``, ``Similarity``, ``Affine`` or ``SensorBias``.
 """
 
 from sameas.registration.hough import Tuning

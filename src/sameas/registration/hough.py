@@ -1,12 +1,12 @@
 """Hough search: offsets at which more records of the two sources coincide than by chance.
 
-In an offset's chart its main parameters shift all records alike, so that every pair of records votes for the shift that
-would make it one object: true pairs vote alike, chance pairs anywhere. The votes are counted in cells, coarse ones
-first, down to the size of the errors. Parameters that the chart does not have (rotation, stretch, …) are searched on a
-grid, around a few small patches where the records are many: a small patch needs a coarse grid only. Where the pairs
-are too many to list, the counts are the correlation of the two densities of records, by Fourier transform.
+In the chart of an offset model, its main parameters shift all records by the same amount. Every pair of records votes
+for the shift that would make it one object: true pairs vote for the same shift, chance pairs for any. Votes are counted
+in cells, from coarse ones down to the size of the errors. Parameters that do not shift the chart (rotation, stretch, …)
+are searched on a grid, for many records on a few small patches, which need a coarse grid only. If the pairs are too
+many to list, the counts are the correlation of both densities of records, by Fourier transform.
 
-:class:`Tuning` has the chosen numbers of the whole registration: of the search, the refinement and the verdict.
+:class:`Tuning` has the chosen numbers of the whole registration: search, refinement and decision.
 """
 
 from __future__ import annotations
@@ -31,41 +31,42 @@ class Tuning:
 
     Attributes
     ----------
-    beginnings, fewest_beginnings : offsets that are refined at most and at least. refined_records : records of the
-        second source from which on ``beginnings`` is reduced.
-    sure : an offset is established at this share of the posterior.
+    beginnings, fewest_beginnings : most and fewest offsets that are refined. refined_records : fewer than
+        ``beginnings`` are refined if the second source has more than 16 × refined_records / beginnings records.
+    sure : an offset is established from this posterior probability on.
     small_overlap : an overlap below this share of both sources is reported.
 
     most_pairs : most pairs whose votes are counted one by one; above, the counts are a correlation by FFT.
     most_cells : most cells of a count.
     fine_sigmas : cells up to this many σ need no finer count. coarse_peaks : peaks of a coarse count that are refined.
     first_records, more_records : records that vote first, and the factor to the next number of them.
-    decided_score, few_peaks : the votes of a part decide at this score, if no more peaks come near it.
-    patch_records, patch_cell_sigmas : records of a patch where a grid is searched, and σ of its cells, which are wider
-        because a node of the grid does not bring true votes exactly together.
-    node_peaks : peaks that a node of the grid keeps on a patch.
-    step_sigmas, reach_widths, most_steps : a step of the grid moves the edge by this many σ; the grid reaches this many
-        prior widths in at most this many steps.
-    peak_share, peak_cells : a fine peak has at least this share of the best score, and this distance in cells.
+    decided_score, few_peaks : the votes of a sample decide at this score, with at most this many peaks near it.
+    patch_records, patch_cell_sigmas : records of a patch in a grid search, and size of its cells in σ, wider than 1
+        because the true votes at a node of the grid do not coincide exactly.
+    node_peaks : peaks kept at each node of the grid on a patch.
+    step_sigmas, reach_widths, most_steps : a step of the grid moves the patch's edge by this many σ; the grid extends
+        to this many prior widths in at most this many steps.
+    peak_share, peak_cells : least share of the best score, and least distance in cells, of fine peaks.
     vote_sample : records that locate the votes within a coarse cell.
 
     gate_sigmas : pairs farther than this many σ are not weighed.
     cell_sigmas, cells_per_record : size of the cells in which pairs are searched, and most cells for a record.
-    sweeps, roughly, closely : most sweeps of messages, and the relative change that ends them in the search and after.
-    least_common, most_common_share : bounds of the number of common objects: objects, and share of the poorer source.
+    sweeps, roughly, closely : most sweeps of messages, and the relative change at which they have converged, in the
+        search and afterwards.
+    least_common, most_common_share : limits of the number of common objects: objects, and share of the smaller source.
 
-    widenings : factors on the errors, iteration by iteration. kept : candidates that remain after each.
+    widenings : factors on the errors, by iteration. kept : candidates that remain after each.
     from_patches, from_sample : first of the widenings with all records, after patches and after a sample.
-    settled : the refinement ends at a step below this share of a standard error.
-    same_sigmas, same_errors : two solutions are one where no record moves by more than this many σ, or where they
-        differ by no more than this many standard errors.
-    most_behind : solutions are dropped whose log likelihood is lower than the best by this.
-    repeating : a pattern repeats where another solution explains this share of the best one's log likelihood.
-    sample : records of the second source in the search; all of them are in the last refinement.
+    settled : the refinement has converged at a step below this share of a standard error.
+    same_sigmas, same_errors : two solutions are the same if 9 of 10 records move by at most this many σ, or if they
+        differ by at most this many standard errors.
+    most_behind : solutions with a log likelihood lower than the best by this are dropped.
+    repeating : the pattern repeats if another solution has this share of the best one's log likelihood.
+    sample : records of the second source in the search; the last refinement uses all of them.
     sample_ratio : records in the search per record whose votes decided.
     patch_growth : factor by which a patch grows from one refinement to the next.
-    weak : pairs of a lower weight do not count in the equations.
-    many : with fewer common objects the likelihood is evaluated away from its maximum, at ``away`` standard deviations.
+    weak : pairs of lower weight are ignored in the normal equations.
+    many : with fewer common objects, the likelihood is also evaluated at ``away`` standard deviations from its maximum.
     """
 
     beginnings: int = 64
@@ -119,7 +120,7 @@ class Tuning:
 
     @property
     def decisive(self) -> float:
-        """ln of the odds of ``sure``: evidence that decides."""
+        """ln of the odds of ``sure``."""
         return math.log(self.sure / (1.0 - self.sure))
 
 
@@ -132,8 +133,8 @@ Peak = tuple[float, FloatArray]
 
 @dataclass(frozen=True)
 class Votes:
-    """Initial offsets, best first: ``theta`` (s, p), their scores (s,), and the patch of records (of the second)
-    that each is of, (s,) into ``patches``."""
+    """Initial offsets, best first: ``theta`` (s, p), scores (s,), and the patch of each (s,), a number in ``patches``;
+    a patch is rows of the second source."""
 
     theta: FloatArray
     score: FloatArray
@@ -142,7 +143,7 @@ class Votes:
 
 
 def vote(first: Records, second: Records, model: Offset, count: int, tuning: Tuning = DEFAULT_TUNING) -> Votes:
-    """The ``count`` most voted offsets of a placed model."""
+    """The ``count`` offsets of a placed model with the most votes."""
     if model.turns():
         entries, patches = _on_patches(first, second, model, count, tuning)
     else:
@@ -156,14 +157,14 @@ def vote(first: Records, second: Records, model: Offset, count: int, tuning: Tun
     )  # fmt: skip
 
 
-#: Score, number of the patch, θ.
-Found = list[tuple[float, int, FloatArray]]
+#: Score, number of the patch, and θ of each initial offset.
+Entries = list[tuple[float, int, FloatArray]]
 
 
 def _by_sample(
     first: Records, second: Records, model: Offset, count: int, tuning: Tuning
-) -> tuple[Found, tuple[IntArray, ...]]:
-    """The votes of a few records of the second source, and of more and more until one peak is clear."""
+) -> tuple[Entries, tuple[IntArray, ...]]:
+    """The votes of a few records of the second source, then of more, until one peak is clear."""
     n, size = len(second), tuning.first_records
     while True:
         rows = np.linspace(0, n - 1, min(size, n)).astype(np.int64)
@@ -177,11 +178,11 @@ def _by_sample(
 
 def _on_patches(
     first: Records, second: Records, model: Offset, count: int, tuning: Tuning
-) -> tuple[Found, tuple[IntArray, ...]]:
+) -> tuple[Entries, tuple[IntArray, ...]]:
     """The votes at every node of the grid, of all records or of small patches."""
-    entries: Found = []
+    entries: Entries = []
     patches = _patches(model.chart(second.features), tuning)
-    # On small patches the true votes stand out; elsewhere chance may outvote them, and more peaks are kept.
+    # On small patches true votes are clear; otherwise chance votes may outnumber them, and more peaks are kept.
     each, cell = (count, 1.0) if len(patches) == 1 else (tuning.node_peaks, tuning.patch_cell_sigmas)
     for number, rows in enumerate(patches):
         for node in _grid(first, second, model, rows, tuning):
@@ -191,7 +192,7 @@ def _on_patches(
 
 
 def _patches(chart: FloatArray, tuning: Tuning) -> tuple[IntArray, ...]:
-    """Rows of all records, or of those nearest to the centre and to the centres of the quarters."""
+    """Rows of all records, or of the patches nearest to the centre of the field and to those of its quarters."""
     n, d = chart.shape
     if n <= 2 * tuning.patch_records:
         return (np.arange(n),)
@@ -206,15 +207,15 @@ def _patches(chart: FloatArray, tuning: Tuning) -> tuple[IntArray, ...]:
 
 
 def _grid(first: Records, second: Records, model: Offset, rows: IntArray, tuning: Tuning) -> Iterator[FloatArray]:
-    """θ of every node: the parameters that the chart does not have, in steps that hardly distort the patch."""
+    """θ of every grid node: the parameters that do not shift the chart, in steps that hardly distort the patch."""
     p, sigma = len(model.names), typical_sigma(first, second)
     axes = []
     jacobian = model.jacobian(second.features, np.zeros(p))[rows]
     for direction, width in model.turns():
         move = jacobian @ direction
-        tear = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
+        distortion = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
         reach = tuning.reach_widths * width
-        steps = min(math.ceil(reach * tear / (tuning.step_sigmas * sigma)), tuning.most_steps // 2)
+        steps = min(math.ceil(reach * distortion / (tuning.step_sigmas * sigma)), tuning.most_steps // 2)
         axes.append(
             [direction * at for at in np.linspace(-reach, reach, 2 * steps + 1)] if steps else [0.0 * direction]
         )
@@ -229,7 +230,7 @@ def typical_sigma(first: Records, second: Records) -> float:
 
 
 def _chart_sigma(model: Offset, records: Records, features: FloatArray) -> FloatArray:
-    """(d,) median standard deviations along the chart's axes, by a small step along each feature's axis."""
+    """(d,) median standard deviations along the chart's axes, by finite steps along the features' axes."""
     d, periods = records.d, np.array(model.periods(records.d))
     sigma = np.sqrt(np.einsum("nvv->nv", records.full_covariance()))
     # On the sphere the chart is in the residual's unit already.
@@ -243,7 +244,7 @@ def _chart_sigma(model: Offset, records: Records, features: FloatArray) -> Float
 
 
 def wrapped(difference: FloatArray, periods: ArrayLike) -> FloatArray:
-    """Differences brought to within half a period, where an axis has one."""
+    """Differences reduced to half a period either way, on periodic axes."""
     period = np.asarray(periods, np.float64)
     if not np.isfinite(period).any():
         return difference
@@ -261,7 +262,7 @@ def _shifts(
     count: int,
     tuning: Tuning,
 ) -> list[Peak]:
-    """The most voted shifts at one node of the grid, as (score, θ), in cells of ``cell`` standard deviations."""
+    """The shifts with the most votes at one node of the grid, as (score, θ); ``cell`` : size of the cells in σ."""
     d, periods = first.d, np.array(model.periods(first.d))
     moved = model.moved(second.features, node)
     sigma = np.hypot(_chart_sigma(model, first, first.features), _chart_sigma(model, second, moved))
@@ -296,16 +297,16 @@ def _peaks(
     tuning: Tuning,
     density: float | None = None,
 ) -> list[Peak]:
-    """Peaks of the differences of records within a box: in coarse cells first if needed, then in fine ones.
+    """Peaks of the differences of records within a box, in coarse cells first if needed, then in fine ones.
 
-    box : its low and high corner. density : of votes by chance; estimated from the surroundings if not given.
+    box : its low and high corner. density : of chance votes; estimated from the surroundings if not given.
     """
     from sameas.kernels.offsets import tally
 
     low, high = box
     most = min(max(64 * len(records[0]) * len(records[1]), 4096), tuning.most_cells)
     size = sigma * _coarser((high - low) / sigma, most)
-    # A cell more at every end, which is left empty.
+    # One more cell at either end, which stays empty.
     cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
     votes = tally(*records, periods, start, size, cells).reshape(tuple(cells))
     chance = None if density is None else density * float(size.prod())
@@ -325,7 +326,7 @@ def _peaks(
 
 
 def _coarser(extent_sigmas: FloatArray, most: float) -> float:
-    """Size of a cell in standard deviations, for at most ``most`` cells."""
+    """Size of a cell in standard deviations, at least 1, with which there are at most about ``most`` cells."""
     cells_needed = float(np.prod(np.maximum(extent_sigmas, 1.0)))
     return max(1.0, float((cells_needed / most) ** (1.0 / len(extent_sigmas))))
 
@@ -335,9 +336,9 @@ def _crowded(
 ) -> list[tuple[float, FloatArray, float]]:
     """The blocks of 3 cells a side with the largest excess over chance: score, middle cell, chance votes of a cell.
 
-    chance : votes of a cell by chance; estimated from the surroundings if not given. share : least share of the best
-    score of a block. apart_cells : blocks within this many cells of a better one are of the same peak.
-    The score is the log likelihood ratio of a Poisson count. The outermost cells have no votes.
+    chance : chance votes of a cell; estimated from the surroundings if not given. share : least score of a block,
+    relative to the best. apart_cells : blocks within this many cells of a better one belong to its peak. The score is
+    the log likelihood ratio of a Poisson count. The outermost cells have no votes.
     """
     from sameas.kernels.offsets import blocks
 
@@ -345,13 +346,13 @@ def _crowded(
     block, filled = 3.0**votes.ndim, np.flatnonzero(flat > 0.5)
     stride = [math.prod(votes.shape[axis + 1 :]) for axis in range(votes.ndim)]
     near = np.array([np.dot(step, stride) for step in product((-1, 0, 1), repeat=votes.ndim)], np.int64)
-    here = blocks(flat, filled, near)
-    most = min(12 * count, len(here))
-    top = np.argpartition(here, len(here) - most)[len(here) - most :] if most else filled
+    counts = blocks(flat, filled, near)
+    most = min(12 * count, len(counts))
+    top = np.argpartition(counts, len(counts) - most)[len(counts) - most :] if most else filled
     place = np.stack(np.unravel_index(filled[top], votes.shape), axis=1)
     around = _surroundings(votes, place) if chance is None else np.full(len(top), chance)
-    due, counted = around * block, here[top]
-    score = np.where(counted > due, counted * np.log(counted / due) - (counted - due), 0.0)
+    expected, counted = around * block, counts[top]
+    score = np.where(counted > expected, counted * np.log(counted / expected) - (counted - expected), 0.0)
     peaks: list[tuple[float, FloatArray, float]] = []
     taken = np.empty((0, votes.ndim))
     for k in np.lexsort((filled[top], -score)):
@@ -364,11 +365,11 @@ def _crowded(
 
 
 def _surroundings(votes: FloatArray, place: IntArray) -> FloatArray:
-    """Mean count of a cell around each place (k, d): over blocks of a tenth of the picture and their neighbours."""
+    """Mean count of a cell around each cell (k, d): over blocks of a tenth of the field and their neighbours."""
     from scipy import ndimage
 
     side = [max(1, -(-length // 10)) for length in votes.shape]
-    # Empty surroundings do not prove that chance votes are impossible.
+    # Empty surroundings do not mean that chance votes are impossible.
     least = max(0.05 * votes.mean(), 1e-6)
     if np.prod([min(3 * s, length) for s, length in zip(side, votes.shape, strict=True)]) < 20.0 * 3.0**votes.ndim:
         return np.full(len(place), max(float(votes.mean()), least))
@@ -391,7 +392,7 @@ def _correlated_peaks(
     count: int,
     tuning: Tuning,
 ) -> list[Peak]:
-    """The same where the pairs are too many to list: the densities of both sources are correlated (FFT)."""
+    """Peaks when the pairs are too many to list: by correlation of both sources' densities (FFT)."""
     from scipy.signal import fftconvolve
     from scipy.spatial import cKDTree
 
@@ -418,11 +419,11 @@ def _correlated_peaks(
         near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
         at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
         rows = np.array([row for rows in near for row in rows], np.int64)
-        apart, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
+        difference, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
         density = around / float(size.prod()) * len(sample) / len(two)
-        nowhere = np.zeros((1, d))
+        origin = np.zeros((1, d))
         result += _peaks(
-            (apart, nowhere), np.full(d, np.inf), box, sigma, max(1, count // tuning.coarse_peaks), tuning, density
+            (difference, origin), np.full(d, np.inf), box, sigma, max(1, count // tuning.coarse_peaks), tuning, density
         )
     result.sort(key=lambda entry: -entry[0])
     return result[:count]

@@ -1,14 +1,12 @@
-"""Offsets: how the records of a second source stand off those of a first, as a function of a few parameters θ.
-
-Every offset moves the *second* source's records to where the first would show them.
+"""Offset models: functions with parameters θ that move the *second* source's records onto the first source's.
 
 - :class:`Shift`: a constant shift, in any number of features; on the sphere an east and north shift of a small field.
 - :class:`Similarity`: shift, rotation and stretch in the plane: two pictures of different orientation and scale.
 - :class:`Affine`: shift and any linear distortion, in any number of features: a plate, a camera.
-- :class:`~sameas.registration.offsets.SensorBias`: the second source is a sensor that measures range and azimuth; both
-  may be biased, its range scale and its clock may be wrong.
+- :class:`~sameas.registration.offsets.SensorBias`: the second source is a sensor with biases of range, azimuth, range
+  scale and clock.
 
-A width is the prior standard deviation of a parameter around zero: 0 leaves the parameter out, infinity is no prior.
+A width is the prior standard deviation of a parameter around zero: 0 removes the parameter, infinity is no prior.
 A new offset is a frozen dataclass with the methods of :class:`Offset`.
 """
 
@@ -28,16 +26,16 @@ from sameas.representation import in_short
 from sameas.space import Plane, Sphere, displaced, sphere_offset
 
 RADIAN = math.pi / 180.0
-#: A field on the sphere within 5° of its centre has one shift everywhere (limit of the tangent plane).
+#: Largest radius of a field on the sphere that has one shift in its tangent plane.
 SMALL_FIELD_DEG = 5.0
 
 EVERYWHERE_FLAT = Plane()
 
 
 class Offset:
-    """What every offset is. Features are (…, n, d), θ is (p,) or (…, 1, p): all methods broadcast.
+    """Interface of an offset model. Features are (…, n, d), θ is (p,) or (…, 1, p): all methods broadcast.
 
-    names, units, widths : of the parameters, p each; a width is a prior standard deviation, infinity none.
+    names, units, widths : of the p parameters; a width is a prior standard deviation, infinity for none.
     """
 
     names: tuple[str, ...]
@@ -45,7 +43,7 @@ class Offset:
     widths: tuple[float, ...]
 
     def placed(self, first: Records, second: Records) -> Offset:
-        """The same offset with what it takes from the data, such as a centre; refuses data that do not suit it."""
+        """The model with what it takes from the data, such as a centre; refuses unsuitable data."""
         raise self._unfinished()
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
@@ -61,12 +59,12 @@ class Offset:
         return TypeError(f"{name} is the interface of offsets; use Shift, Similarity, Affine, SensorBias")
 
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        """(…, n, d, d) ∂ moved / ∂ features: what becomes of a small error of a record; identity by default."""
+        """(…, n, d, d) ∂ moved / ∂ features, which propagates the records' errors; identity by default."""
         d, shape = features.shape[-1], np.broadcast_shapes(features.shape[:-1], theta.shape[:-1])
         return np.broadcast_to(np.eye(d), (*shape, d, d))
 
     def chart(self, features: FloatArray) -> FloatArray:
-        """(…, n, d) coordinates in which the parameters ``voted`` shift all records alike."""
+        """(…, n, d) coordinates in which each parameter of ``voted`` shifts all records by the same amount."""
         return features
 
     def periods(self, d: int) -> list[float]:
@@ -74,16 +72,16 @@ class Offset:
         return [math.inf] * d
 
     def voted(self, d: int) -> list[tuple[int | None, float]]:
-        """Per axis of the chart: which parameter shifts it (None: none does), and θ per unit of shift."""
+        """For each axis of the chart: the parameter that shifts it (None for none), and θ per unit of shift."""
         return [(axis, 1.0) for axis in range(d)]
 
     def turns(self) -> list[tuple[FloatArray, float]]:
-        """Directions in θ that are searched on a grid, with their prior widths: those that the chart does not have."""
+        """Directions in θ that do not shift the chart and are searched on a grid, with their prior widths."""
         return []
 
 
 def require_plane(model: Offset, second: Records, d: int | None = None) -> None:
-    """Refuse spaces in which straight lines are not straight."""
+    """Refuse spheres and periodic features, and any number of features but ``d`` if given."""
     name = type(model).__name__
     if not isinstance(second.space, Plane):
         raise InputError(f"{name}: {second.source} is on a sphere; project both sources to a plane, or use Shift")
@@ -94,6 +92,7 @@ def require_plane(model: Offset, second: Records, d: int | None = None) -> None:
 
 
 def require_widths(model: Offset, **widths: float) -> None:
+    """Refuse negative widths."""
     for name, width in widths.items():
         if not width >= 0.0:
             raise InputError(f"{type(model).__name__}: {name} is {width}; give 0 to leave it out, or a positive width")
@@ -166,7 +165,7 @@ class Shift(Offset):
         shape = np.broadcast_shapes(features.shape, theta.shape)
         if not isinstance(self.space, Sphere):
             return np.broadcast_to(np.eye(self.d), (*shape, self.d))
-        # The record's own east and north are turned against those of the centre (see Sphere).
+        # The record's east and north are rotated relative to those of the centre (see Sphere).
         cosine, sine = self._turned(features, 1.0)
         turn = np.stack([np.stack([cosine, -sine], axis=-1), np.stack([sine, cosine], axis=-1)], axis=-2)
         return np.broadcast_to(turn, (*shape, 2))
@@ -183,7 +182,7 @@ class Shift(Offset):
         return [math.inf] * d if isinstance(self.space, Sphere) else self.space.period_list(d)
 
     def _turned(self, features: FloatArray, share: float) -> tuple[FloatArray, FloatArray]:
-        """cos and sin of a share of the angle by which position angles grow from the centre to each record."""
+        """cos and −sin of a share of the angle by which position angles increase from the centre to each record."""
         lon, lat = self.centre
         half_lon = np.radians((features[..., 0] - lon + 180.0) % 360.0 - 180.0) / 2.0
         middle, half_lat = np.radians(features[..., 1] + lat) / 2.0, np.radians(features[..., 1] - lat) / 2.0
@@ -192,13 +191,13 @@ class Shift(Offset):
 
 
 def _centre_deg(records: Records) -> tuple[float, float]:
-    """Longitude and latitude of the mean direction."""
+    """Longitude and latitude of the mean direction of the records."""
     lon, lat = np.radians(records.features.T)
     x, y, z = (np.cos(lat) * np.cos(lon)).mean(), (np.cos(lat) * np.sin(lon)).mean(), np.sin(lat).mean()
     return float(np.degrees(np.arctan2(y, x))) % 360.0, float(np.degrees(np.arctan2(z, np.hypot(x, y))))
 
 
-def _middle(records: Records) -> tuple[float, ...]:
+def _mean_position(records: Records) -> tuple[float, ...]:
     return tuple(float(x) for x in records.features.mean(axis=0))
 
 
@@ -213,7 +212,7 @@ class Similarity(Offset):
     Parameters
     ----------
     rotation_deg, stretch : prior standard deviations. shift : prior standard deviation of the shift.
-    centre : what is turned about; the mean position of the second source if not given.
+    centre : of the rotation and stretch; by default the mean position of the second source.
     """
 
     rotation_deg: float = 5.0
@@ -233,7 +232,7 @@ class Similarity(Offset):
 
     def placed(self, first: Records, second: Records) -> Similarity:
         require_plane(self, second, 2)
-        return replace(self, centre=self.centre or _middle(second))
+        return replace(self, centre=self.centre or _mean_position(second))
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         arm = np.einsum("...vw,...w->...v", self.carried(features, theta), features - np.array(self.centre))
@@ -266,7 +265,7 @@ class Affine(Offset):
     ----------
     distortion : prior standard deviation of every element of M; a rotation of 5° makes elements of 0.09.
     shift : prior standard deviation of the shift.
-    centre : the mean position of the second source if not given.
+    centre : by default the mean position of the second source.
     """
 
     distortion: float = 0.05
@@ -292,7 +291,7 @@ class Affine(Offset):
 
     def placed(self, first: Records, second: Records) -> Affine:
         require_plane(self, second)
-        return replace(self, centre=self.centre or _middle(second), d=second.d)
+        return replace(self, centre=self.centre or _mean_position(second), d=second.d)
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         arm = np.einsum("...vw,...w->...v", self.carried(features, theta), features - np.array(self.centre))
@@ -313,26 +312,23 @@ class Affine(Offset):
     def turns(self) -> list[tuple[FloatArray, float]]:
         if self.d != 2 or not self.distortion:
             return []
-        # Unit steps of rotation (radian) and stretch; the two shears come with the refinement.
+        # Unit steps of rotation (radian) and stretch; the two shears are left to the refinement.
         return [(np.array(v), self.widths[2]) for v in ([0.0, 0, 0, -1, 1, 0], [0.0, 0, 1, 0, 0, 1])]
-
-
-# The biases of a sensor that measures range and azimuth: an offset that differs from place to place.
 
 
 @in_short
 @dataclass(frozen=True, eq=False)
 class SensorBias(Offset):
-    """The biases of a sensor at a known position, in a plane of (east, north): range, azimuth, gain, time.
+    """Biases of a sensor at a known position that measures range and azimuth, in a plane of (east, north).
 
     θ, each only if its width is not 0: range (in the features' unit), azimuth_deg (clockwise from the second axis,
-    north), range_gain (0.01 reads 1 % too far), time_offset (stamps are so much too late, in the velocity's unit of
-    time). The second source's records are moved to where an unbiased sensor would measure them.
+    north), range_gain (0.01 reads 1 % too far), time_offset (by which time stamps are too late, in the velocity's unit
+    of time). The second source's records are moved to where an unbiased sensor would measure them.
 
     Parameters
     ----------
     position : (2,) of the sensor that made the second source.
-    range_width, azimuth_width_deg, gain_width, time_width : prior standard deviations; 0 leaves the bias out.
+    range_width, azimuth_width_deg, gain_width, time_width : prior standard deviations; 0 removes the bias.
     velocity : (n₂, 2) velocities of the second source's usable records; a time offset needs them.
     """
 
@@ -416,7 +412,7 @@ class SensorBias(Offset):
         return [math.inf, 360.0]
 
     def voted(self, d: int) -> list[tuple[int | None, float]]:
-        # A sensor that reads too much is moved back: θ is minus the shift in (range, azimuth).
+        # Readings that are too large are reduced: θ is minus the shift in (range, azimuth).
         return [(self.which.index(k) if k in self.which else None, -1.0) for k in (0, 1)]
 
     def turns(self) -> list[tuple[FloatArray, float]]:
@@ -424,7 +420,7 @@ class SensorBias(Offset):
         return [(np.eye(p)[at], self.widths[at]) for at, k in enumerate(self.which) if k >= 2]
 
     def _read(self, features: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Range as it was read, and the unit vectors along and across (clockwise) the line of sight as read."""
+        """Measured range, and the unit vectors along and across (clockwise) the measured line of sight."""
         arm = features - np.array(self.position)
         angle = np.arctan2(arm[..., 0], arm[..., 1])
         sine, cosine = np.sin(angle), np.cos(angle)
@@ -432,7 +428,7 @@ class SensorBias(Offset):
         return np.hypot(arm[..., 0], arm[..., 1]), along, across
 
     def _polar(self, features: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Range without the biases, the unit vectors along and across the true line of sight, all four biases."""
+        """Corrected range, unit vectors along and across the corrected line of sight, and all four biases."""
         bias = np.zeros((*theta.shape[:-1], 4))
         bias[..., list(self.which)] = theta
         read, along, across = self._read(features)
@@ -442,5 +438,5 @@ class SensorBias(Offset):
         return distance, cosine * along - sine * across, cosine * across + sine * along, bias
 
     def _motion(self, bias: FloatArray) -> FloatArray | float:
-        # A record stamped too late shows where the object was before: it is moved on along its track.
+        # A record with a late time stamp shows an earlier position: it is moved forward along its track.
         return 0.0 if self.velocity is None else bias[..., 3, None] * np.asarray(self.velocity)

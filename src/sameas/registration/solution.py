@@ -1,9 +1,9 @@
-"""Refinement: from initial offsets to those of greatest likelihood; the identification and the offset as one estimate.
+"""Refinement of initial offsets to maximum likelihood, jointly with the identification, and the registration itself.
 
-EM iterates weights of the pairs and offsets, with errors wider than quoted at first. Less likely offsets are dropped
-on the way. The covariance is the inverse of the observed information: that of the pairs less the missing information,
-since it is not known which pairs are true (Louis 1982). It is the
-derivative of the score, in which the weights follow the offset.
+EM iterates the pairs' weights and the offset, at first with errors wider than quoted; less likely offsets are dropped
+on the way. The covariance is the inverse of the observed information: the information of the pairs minus the missing
+information, as it is not known which pairs are true (Louis 1982). It is the derivative of the score, in which the
+weights depend on the offset.
 """
 
 from __future__ import annotations
@@ -27,18 +27,27 @@ from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
 from sameas.registration.hough import DEFAULT_TUNING, Tuning, Votes, vote
 from sameas.registration.offsets import Offset
-from sameas.registration.weights import PlacedSources, Weighed, boxed, flattened, meet, records_moved, weigh, weighed
+from sameas.registration.weights import (
+    PlacedSources,
+    Weighed,
+    boxed,
+    candidates_at,
+    flattened,
+    records_moved,
+    weigh,
+    weighed,
+)
 from sameas.representation import in_short
 from sameas.result import Identification
 
 
 @dataclass(frozen=True)
 class Solution:
-    """One offset that explains the data.
+    """A refined offset.
 
     theta (p,), covariance (p, p). common : expected number of common objects. log_likelihood : of the identification,
-    less that of nothing in common. log_evidence : the same, averaged over all offsets near this one by their prior.
-    in_common : records of either source in the overlap. rounds, settled : of the refinement.
+    minus that of nothing in common. log_evidence : the same, averaged over the offsets near this one by their prior.
+    in_common : number of records of either source in the overlap. rounds, settled : iterations; whether they converged.
     """
 
     theta: FloatArray
@@ -53,7 +62,7 @@ class Solution:
 
 @dataclass(frozen=True)
 class OffsetPrior:
-    """The prior of θ: normal around zero, or flat over all shifts that the records can have.
+    """The prior of θ: normal around zero, or flat over all shifts that bring any two records together.
 
     precision : (p,). log_density : (p,) ln of the prior density at zero.
     """
@@ -70,7 +79,7 @@ class OffsetPrior:
         moves = np.maximum(np.sqrt(np.max(np.sum(jacobian**2, axis=1), axis=0)), 1e-300)
         other = boxed(flattened(scene.second.features, scene.model, scene.second), scene.sigma)
         span = float(np.max(scene.box[1] - scene.box[0] + other[1] - other[0]))
-        # A flat parameter ranges over what brings any two records together; one without width hardly moves.
+        # A parameter of infinite width is flat over ``span``; one of width 0 is practically fixed.
         width = np.where(flat, span / moves, widths)
         fixed = 1e12 * (moves / scene.sigma) ** 2
         precision = np.where(width > 0.0, 1.0 / np.maximum(width, 1e-300) ** 2, fixed)
@@ -80,14 +89,14 @@ class OffsetPrior:
 
 @dataclass(frozen=True)
 class Trials:
-    """Offsets theta (s, p) on their way to solutions, their common objects (s,), log likelihoods (s,); best first."""
+    """Offsets in refinement, best first: theta (s, p), expected common objects (s,), log likelihoods (s,)."""
 
     theta: FloatArray
     common: FloatArray
     gain: FloatArray
 
     @classmethod
-    def fresh(cls, scene: PlacedSources, theta: FloatArray) -> Trials:
+    def initial(cls, scene: PlacedSources, theta: FloatArray) -> Trials:
         """Offsets before any evaluation."""
         return cls(theta, np.full(len(theta), 0.5 * min(len(scene.first), len(scene.second))), np.zeros(len(theta)))
 
@@ -95,13 +104,13 @@ class Trials:
         """Some of them."""
         return Trials(self.theta[which], self.common[which], self.gain[which])
 
-    def shared_by(self, factor: float) -> Trials:
+    def scaled(self, factor: float) -> Trials:
         """The same for ``factor`` times as many records."""
         return Trials(self.theta, self.common * factor, self.gain)
 
 
 def refine(scene: PlacedSources, votes: Votes, most_steps: int) -> list[Solution]:
-    """The refined votes, most probable first; at most ``most_steps`` steps each after the search."""
+    """Solutions from the votes, most probable first; at most ``most_steps`` iterations each after the search."""
     prior = OffsetPrior.of(scene)
     sample = scene.of_patch(_sampled(len(scene.second), _searched_records(scene, votes)))
     trials, search_steps = _searched(scene, sample, prior, votes)
@@ -109,33 +118,33 @@ def refine(scene: PlacedSources, votes: Votes, most_steps: int) -> list[Solution
     for k in range(len(trials.gain)):
         one, steps = trials.chosen([k]), search_steps
         if sample is not scene:
-            one, _, number, _ = _settled(sample, prior, one, most_steps)
-            one, steps = one.shared_by(len(scene.second) / len(sample.second)), steps + number
+            one, _, number, _ = _converged(sample, prior, one, most_steps)
+            one, steps = one.scaled(len(scene.second) / len(sample.second)), steps + number
         solutions.append(_finished(scene, sample, prior, one, most_steps, steps))
     solutions.sort(key=lambda solution: -solution.log_evidence)
-    return _without_doubles(scene, solutions)
+    return _without_repetitions(scene, solutions)
 
 
 def _sampled(n: int, size: int) -> IntArray:
-    """Rows of ``size`` of n records, in even steps."""
+    """Rows of ``size`` of n records, evenly spaced."""
     return np.linspace(0, n - 1, min(n, size)).astype(np.int64)
 
 
 def _searched_records(scene: PlacedSources, votes: Votes) -> int:
-    """Number of records in the search: fewer where the votes of a few have decided."""
+    """Number of records in the search; smaller if the votes of few records decided."""
     tuning = scene.tuning
     return tuning.sample if scene.model.turns() else min(tuning.sample, tuning.sample_ratio * len(votes.patches[0]))
 
 
 def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, votes: Votes) -> tuple[Trials, int]:
-    """The offsets refined on their patches and then on the sample of all records; and the number of steps."""
+    """The offsets refined on their patches and then on the sample of all records, and the number of iterations."""
     ends = []
     for number, rows in enumerate(votes.patches):
-        trials = Trials.fresh(scene, votes.theta[votes.patch == number])
-        for part, keep in _nested(scene, rows) if len(trials.theta) else []:
-            here = sample if part is None else scene.of_patch(part)
-            trials = _anneal(here, prior, Trials.fresh(here, trials.theta), keep, scene.tuning.widenings)
-            trials = trials.shared_by(len(sample.second) / len(here.second))
+        trials = Trials.initial(scene, votes.theta[votes.patch == number])
+        for part, keep in _growing_patches(scene, rows) if len(trials.theta) else []:
+            patch = sample if part is None else scene.of_patch(part)
+            trials = _anneal(patch, prior, Trials.initial(patch, trials.theta), keep, scene.tuning.widenings)
+            trials = trials.scaled(len(sample.second) / len(patch.second))
         ends.append(trials)
     if len(ends) == 1:
         trials, steps = _distinct(scene, _promising(ends[0], scene.tuning)), len(scene.tuning.widenings)
@@ -143,20 +152,20 @@ def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, v
             return trials, steps
         closing = scene.tuning.widenings[scene.tuning.from_sample :]
     else:
-        # The offsets of a patch are only approximate for all records.
-        trials = _distinct(scene, Trials.fresh(sample, np.concatenate([trials.theta for trials in ends])))
+        # The offsets of a patch hold only approximately for all records.
+        trials = _distinct(scene, Trials.initial(sample, np.concatenate([trials.theta for trials in ends])))
         steps, closing = len(scene.tuning.widenings), scene.tuning.widenings[scene.tuning.from_patches :]
-    trials = _anneal(sample, prior, Trials.fresh(sample, trials.theta), scene.tuning.kept[-1], closing)
+    trials = _anneal(sample, prior, Trials.initial(sample, trials.theta), scene.tuning.kept[-1], closing)
     return _distinct(scene, _promising(trials, scene.tuning)), steps + len(closing)
 
 
 def _promising(trials: Trials, tuning: Tuning) -> Trials:
-    """Those that may be true, or show that a pattern repeats."""
+    """The offsets that may be the true one, or show that the pattern repeats."""
     return trials.chosen(trials.gain > min(trials.gain[0] - tuning.most_behind, tuning.repeating * trials.gain[0]))
 
 
-def _nested(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
-    """The patch, then larger and larger ones around it, or None for a sample of all; and how many each keeps."""
+def _growing_patches(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
+    """The patch and larger ones around it, or None for the sample of all records; and how many offsets each keeps."""
     n = len(scene.second)
     if len(rows) == n:
         return [(None, scene.tuning.kept[-1])]
@@ -174,7 +183,7 @@ def _nested(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None,
 
 
 def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int, widenings: Sequence[float]) -> Trials:
-    """All offsets refined together, errors from wide to quoted: the best ``keep`` of them."""
+    """The best ``keep`` offsets, after refining all together with errors decreasing to the quoted ones."""
     for number, widening in enumerate(widenings):
         weights = weigh(scene, trials.theta, trials.common, widening)
         score, information = _normal_equations(scene, prior, trials.theta, weights)
@@ -188,7 +197,7 @@ def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int,
 def _normal_equations(
     scene: PlacedSources, prior: OffsetPrior, theta: FloatArray, weights: Weighed
 ) -> tuple[FloatArray, FloatArray]:
-    """Score (s, p) of the log posterior of θ, and its information (s, p, p) if the weights were the truth."""
+    """Score (s, p) of the log posterior of θ, and its complete information (s, p, p), for fixed weights."""
     from sameas.kernels.offsets import score_and_information
 
     d, p = scene.second.d, theta.shape[1]
@@ -200,11 +209,11 @@ def _normal_equations(
     return score - prior.precision * theta, information + np.diag(prior.precision)
 
 
-def _settled(
+def _converged(
     scene: PlacedSources, prior: OffsetPrior, one: Trials, most_steps: int
 ) -> tuple[Trials, FloatArray, int, bool]:
-    """One offset near its maximum, (p, p) its information if the weights were true, rounds, whether they settled."""
-    at, common, number, settled = one.theta, one.common, 0, False
+    """One offset at its maximum, its complete information (p, p), the number of iterations, whether they converged."""
+    at, common, number, converged = one.theta, one.common, 0, False
     while True:
         number += 1
         weights = weigh(scene, at, common, 1.0)
@@ -212,21 +221,20 @@ def _settled(
         step = np.linalg.solve(information, score[..., None])[..., 0]
         at = at + step
         moved_by = math.sqrt(max(float(step[0] @ information[0] @ step[0]), 0.0))
-        settled = moved_by <= scene.tuning.settled and abs(float(weights.common[0] - common[0])) <= 0.01 + 3e-3 * float(
-            common[0]
-        )
+        common_change = abs(float(weights.common[0] - common[0]))
+        converged = moved_by <= scene.tuning.settled and common_change <= 0.01 + 3e-3 * float(common[0])
         common = weights.common
-        if settled or number >= most_steps:
-            return Trials(at, common, weights.gain), information[0], number, settled
+        if converged or number >= most_steps:
+            return Trials(at, common, weights.gain), information[0], number, converged
 
 
 def _finished(
     scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, one: Trials, most_steps: int, search_steps: int
 ) -> Solution:
-    """One offset brought to its maximum, with its covariance and evidence."""
-    one, complete, number, settled = _settled(scene, prior, one, most_steps)
+    """One offset at its maximum, with its covariance and evidence."""
+    one, complete, number, converged = _converged(scene, prior, one, most_steps)
     share = len(sample.second) / len(scene.second)
-    axes, score, weights = _missing(sample, prior, one.shared_by(share), share * complete)
+    axes, score, weights = _missing_information(sample, prior, one.scaled(share), share * complete)
     if sample is not scene:
         weights = weigh(scene, one.theta, one.common, 1.0)
         score, _ = _normal_equations(scene, prior, one.theta, weights)
@@ -238,22 +246,22 @@ def _finished(
     log_prior = float(np.sum(prior.log_density - 0.5 * prior.precision * theta**2))
     occam = 0.5 * (float(log_determinant(covariance)) + len(theta) * LOG_2PI)
     likelihood = float(weights.gain[0])
-    # No mean is larger than the maximum, however little the data say of an offset.
+    # A mean of the likelihood over offsets cannot exceed its maximum.
     evidence = likelihood + min(log_prior + occam, 0.0)
-    shared = (int(weights.in_common[0, 0]), int(weights.in_common[0, 1]))
+    in_common = (int(weights.in_common[0, 0]), int(weights.in_common[0, 1]))
     return Solution(
-        theta, covariance, float(weights.common[0]), likelihood, evidence, shared, search_steps + number, settled,
+        theta, covariance, float(weights.common[0]), likelihood, evidence, in_common, search_steps + number, converged,
     )  # fmt: skip
 
 
-def _missing(
+def _missing_information(
     scene: PlacedSources, prior: OffsetPrior, one: Trials, complete: FloatArray
 ) -> tuple[FloatArray, FloatArray, Weighed]:
-    """By how much longer the axes (p, p) of the covariance are than if it were known which pairs are true.
+    """Axes (p, p) of the covariance in units of the complete one, longer by the missing information; also the scores
+    and weights at the offset itself and around it.
 
-    The observed information is taken by central differences of the score over a fifth of a standard error: its
-    eigenvalues, in the units of the complete information (p, p), are the shares of it that are not missing. Also the
-    scores, and the weights, at the offset itself and around.
+    The observed information is found by central differences of the score over a fifth of a standard error. Its
+    eigenvalues, in units of the complete information (p, p), are the shares of it that are not missing.
     """
     p = one.theta.shape[1]
     step = 0.2 / np.sqrt(np.diag(complete))
@@ -269,14 +277,14 @@ def _missing(
 def _stretched(
     scene: PlacedSources, prior: OffsetPrior, theta: FloatArray, common: FloatArray, root: FloatArray
 ) -> FloatArray:
-    """The axes ``root`` (p, p) of the covariance, as long as the posterior of θ reaches along each of them.
+    """The axes ``root`` (p, p) of the covariance, scaled to the posterior's second moment along each of them.
 
-    The likelihood of a few pairs is wider than by its curvature at the maximum: other pairs take over further out,
-    and the number of common objects follows. Second moments along the axes, by the trapezoidal rule.
+    The likelihood of a few pairs is wider than its curvature at the maximum suggests: farther out other pairs gain
+    weight, and the number of common objects changes. The moments are by the trapezoidal rule.
     """
     away = np.array(scene.tuning.away)
     nodes = np.concatenate([theta[None, :], (theta + away[:, None, None] * root.T).reshape(-1, len(theta))])
-    candidates = meet(scene, nodes, 1.0).as_overlapping_at(0)
+    candidates = candidates_at(scene, nodes, 1.0).with_overlap_of(0)
     common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), scene.tuning.roughly).common
     log_density = weighed(scene, candidates, common_at, scene.tuning.closely).gain - 0.5 * np.sum(
         prior.precision * nodes**2, axis=1
@@ -286,14 +294,14 @@ def _stretched(
 
 
 def displacement_sigmas(scene: PlacedSources, one: FloatArray, other: FloatArray) -> float:
-    """By how many standard deviations the records stand apart under two offsets, at most (but for one in ten)."""
+    """Displacement of the records between two offsets, in standard deviations: the 90 % quantile."""
     jacobian = scene.model.jacobian(scene.second.features, one)
     move = np.einsum("nvp,p->nv", jacobian, other - one)
     return float(np.quantile(np.sqrt(np.sum(move**2, axis=1)), 0.9)) / scene.sigma
 
 
 def _distinct(scene: PlacedSources, trials: Trials) -> Trials:
-    """The same offsets, each only once, in their order."""
+    """The offsets without repetitions, in their order."""
     kept: list[int] = []
     for k, one in enumerate(trials.theta):
         if all(displacement_sigmas(scene, one, trials.theta[other]) > 0.1 for other in kept):
@@ -302,7 +310,7 @@ def _distinct(scene: PlacedSources, trials: Trials) -> Trials:
 
 
 def _same(scene: PlacedSources, one: Solution, other: Solution) -> bool:
-    """Whether two solutions are one: by where they put the records, or by how well either is known."""
+    """Whether two solutions are the same, within σ of the records or within their standard errors."""
     apart = other.theta - one.theta
     by_errors = float(mahalanobis_sq(apart, one.covariance))
     return (
@@ -311,7 +319,8 @@ def _same(scene: PlacedSources, one: Solution, other: Solution) -> bool:
     )
 
 
-def _without_doubles(scene: PlacedSources, solutions: list[Solution]) -> list[Solution]:
+def _without_repetitions(scene: PlacedSources, solutions: list[Solution]) -> list[Solution]:
+    """The solutions of which no more probable one is the same."""
     distinct: list[Solution] = []
     for one in solutions:
         if not any(_same(scene, other, one) for other in distinct):
@@ -321,7 +330,7 @@ def _without_doubles(scene: PlacedSources, solutions: list[Solution]) -> list[So
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the offset: value and standard error, in ``unit`` ("" stands for the unit of the features)."""
+    """One parameter of the offset: value and standard error, in ``unit`` ("" for the unit of the features)."""
 
     value: float
     standard_error: float
@@ -331,21 +340,21 @@ class Parameter:
 @in_short
 @dataclass(frozen=True)
 class Registration:
-    """The offset between two sources, and the identification once it is removed.
+    """The offset between two sources, and the identification after removing it.
 
     Attributes
     ----------
-    model : the offset, as placed on the data.
+    model : the offset model, as placed on the data.
     theta, covariance : (p,) and (p, p), in the order of ``model.names``.
     registered : the second source's records moved onto the first's; their covariances include the offset's uncertainty.
     identification : of ``first`` and ``registered``.
     common : expected number of common objects under the offset.
     log_evidence : ln of the odds of this offset against nothing in common.
-    rivals : other offsets that were found, most probable first.
-    probability : of this offset among all that were found and nothing in common.
-    rounds, settled : steps of the refinement, and whether they converged.
-    notes : doubts; empty where there are none.
-    tuning : of the search and the verdict.
+    rivals : other solutions, most probable first.
+    probability : of this offset, among all solutions and nothing in common.
+    rounds, settled : iterations of the refinement, and whether they converged.
+    notes : doubts; empty if there are none.
+    tuning : numbers of the search and the decision.
     """
 
     model: Offset
@@ -364,7 +373,7 @@ class Registration:
 
     @property
     def established(self) -> bool:
-        """Whether this offset, and no other, nor nothing in common, explains the data."""
+        """Whether this offset alone explains the data, neither another one nor chance (nothing in common)."""
         return self.probability >= self.tuning.sure and not any(
             _credible(rival, self.log_evidence, self.tuning) for rival in self.rivals
         )
@@ -393,27 +402,27 @@ def register(
     rounds: int = 40,
     tuning: Tuning = DEFAULT_TUNING,
 ) -> Registration:
-    """The offset of the second source from the first, with its covariance, and the identification without it.
+    """The offset of the second source from the first, with its covariance, and the identification after removing it.
 
-    The search covers every offset that brings any pair of records together; the refinement weighs every pair by its
-    posterior; the solution with the most evidence is the answer, and others that come near are in the notes.
+    The search covers every offset that brings any pair of records together. The refinement weights every pair by its
+    posterior. The solution of largest evidence is the answer; others nearly as good are in the notes.
 
     Parameters
     ----------
-    first, second : records of one feature space. Quoted errors without the offset.
+    first, second : records of one feature space, with errors that do not include the offset.
     model : ``Shift()``, ``Similarity()``, ``Affine()`` or ``SensorBias(position)``; the second source is moved.
-    errors : how residuals spread about the quoted errors in the identification; None estimates it. The offset itself is
+    errors : how residuals relate to the quoted errors in the identification; None estimates it. The offset itself is
         found with the quoted errors.
     density : (ρ₁, ρ₂) of all records of each source; estimated if not given.
-    rule, prior : evidence and belief of the identification, such as ``Field`` and ``CommonObjects(q1, q2)``; if no rule
-        is given, everything is estimated as by ``match``.
-    rounds : most steps of the last refinement. tuning : chosen numbers of the search and the verdict.
+    rule, prior : evidence and prior of the identification, such as ``Field`` and ``CommonObjects(q1, q2)``; without a
+        rule everything is estimated as by ``match``.
+    rounds : most iterations of the last refinement. tuning : numbers of the search and the decision.
 
     Raises
     ------
     InputError : a source without usable records, different spaces, a model that does not suit the space.
 
-    Source: METHOD 6; Levedahl 2002 (the offset belongs into the assignment), Louis 1982 (the covariance).
+    Source: METHOD 6; Levedahl 2002 (offset and assignment are estimated jointly), Louis 1982 (the covariance).
 
     >>> from sameas.registration import Shift
     >>> rng = np.random.default_rng(1)
@@ -434,7 +443,7 @@ def register(
             raise InputError(f"{records.source} has no usable records; no offset can be found")
     placed = model.placed(first, second)
     scene = PlacedSources.of(first, second, placed, tuning)
-    solutions = refine(scene, _beginnings(first, second, placed, tuning), rounds)
+    solutions = refine(scene, _initial_offsets(first, second, placed, tuning), rounds)
     best = solutions[0]
     registered = _registered(scene, best)
     if rule is None:
@@ -449,28 +458,28 @@ def register(
     )  # fmt: skip
 
 
-def _beginnings(first: Records, second: Records, model: Offset, tuning: Tuning) -> Votes:
-    """The most voted offsets, and none at all."""
-    turning = bool(model.turns())
+def _initial_offsets(first: Records, second: Records, model: Offset, tuning: Tuning) -> Votes:
+    """The offsets with the most votes, and the offset 0."""
+    on_grid = bool(model.turns())
     few = min(tuning.beginnings, tuning.refined_records * 16 // len(second))
-    count = tuning.beginnings if turning else max(few, tuning.fewest_beginnings)
+    count = tuning.beginnings if on_grid else max(few, tuning.fewest_beginnings)
     votes = vote(first, second, model, count, tuning)
     theta = np.concatenate([votes.theta, np.zeros((1, len(model.names)))])
     return Votes(theta, np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches)
 
 
 def _credible(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:
-    """Whether a solution comes near the best one, or explains so much that the pattern must repeat.
+    """Whether a solution is nearly as good as the best one, or so good that the pattern must repeat.
 
-    Objects scattered at random never fit twice. Where they do, as on a lattice, the assumptions of the evidence do not
-    hold, and its differences mean little.
+    Randomly scattered objects fit at one offset only. If they fit at two, as on a lattice, the assumptions of the
+    evidence do not hold, and its differences are not reliable.
     """
     decisive = tuning.decisive
     return rival.log_evidence > min(log_evidence - decisive, max(tuning.repeating * log_evidence, decisive))
 
 
 def _registered(scene: PlacedSources, solution: Solution) -> Records:
-    """The second source in the first's space: Σ carried along, plus J C Jᵀ for the offset's own uncertainty."""
+    """The second source moved by the solution: Σ propagated, plus J C Jᵀ for the offset's own uncertainty."""
     features = scene.second.features
     carried = scene.model.carried(features, solution.theta)
     jacobian = scene.model.jacobian(features, solution.theta)

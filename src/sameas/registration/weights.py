@@ -1,10 +1,10 @@
 """Weights of all pairs of two sources under given offsets, and the log likelihood of the identification.
 
-Objects are a Poisson field (METHOD 4.3): under an offset θ a pair weighs w = ρ₁₂ N(Δ(θ); 0, Σ) / (ρ₁ ρ₂), and the
-likelihood is the sum over all one-to-one hypotheses of the product of their weights. Sums over hypotheses are taken by
-messages; the logarithm of the sum is Bethe's, and its derivative with respect to θ is that of the messages' weights, so
-that weights, likelihood and standard errors agree. Many offsets are evaluated together: ``s`` is the number of the
-offset, and every array of pairs runs over the pairs of all of them.
+Objects are a Poisson field (METHOD 4.3). Under an offset θ a pair weighs w = ρ₁₂ N(Δ(θ); 0, Σ) / (ρ₁ ρ₂), and the
+likelihood is the sum over all one-to-one hypotheses of the product of their weights. It is approximated by messages:
+the logarithm of the sum is Bethe's, whose derivative with respect to θ is given by the messages' weights, so that
+weights, likelihood and standard errors are consistent. Many offsets are evaluated together: ``s`` is the number of the
+offset, and arrays of pairs concatenate those of all offsets.
 """
 
 from __future__ import annotations
@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PlacedSources:
-    """Two sources and a placed offset between them.
+    """Two sources and an offset model placed on them.
 
-    flat (n, d) : the first source's positions in the residual's unit, and ``box`` (2, d) the corners of its field.
-    cells : the first source in cells for the search. periods (d,) of the residual's axes. tuning : of the registration.
+    covariance_1, covariance_2 : (n, d, d) of their records. sigma : typical σ of a residual. flat : (n₁, d) the first
+    source's positions in the residual's unit. box : (2, d) corners of its field. cells : its records in cells, for the
+    search of pairs. periods : (d,) of the residual's axes. tuning : of the registration.
     """
 
     first: Records
@@ -57,7 +58,7 @@ class PlacedSources:
         return cls(first, second, model, *errors, sigma, flat, boxed(flat, sigma), cells, periods, tuning)
 
     def of_patch(self, rows: IntArray) -> PlacedSources:
-        """The same with these records of the second source only."""
+        """The same with only these records of the second source."""
         if len(rows) == len(self.second):
             return self
         second = self.second
@@ -75,9 +76,9 @@ class PlacedSources:
 class Weighed:
     """Weights of pairs under s offsets.
 
-    s, i, j : (m,) offset and records of every pair. residual (m, d), precision (m, d, d) Σ⁻¹, weight (m,) posterior.
-    common : (s,) expected number of common objects. gain : (s,) log likelihood less that of nothing in common.
-    in_common : (s, 2) records of either source in the overlap.
+    s, i, j : (m,) offset and records of each pair. residual (m, d), precision (m, d, d) Σ⁻¹, weight (m,) posterior.
+    common : (s,) expected number of common objects. gain : (s,) log likelihood minus that of nothing in common.
+    in_common : (s, 2) number of records of either source in the overlap.
     """
 
     s: IntArray
@@ -109,14 +110,14 @@ class CandidatePairs:
     expected: FloatArray
     in_common: FloatArray
 
-    def as_overlapping_at(self, s: int) -> CandidatePairs:
-        """The same pairs, all with the overlap of offset s."""
+    def with_overlap_of(self, s: int) -> CandidatePairs:
+        """The same pairs, with the overlap of offset s for all offsets."""
         same = np.full(len(self.volume), s)
         return replace(self, volume=self.volume[same], expected=self.expected[same], in_common=self.in_common[same])
 
 
-def meet(scene: PlacedSources, theta: FloatArray, widening: float) -> CandidatePairs:
-    """The pairs under the offsets theta (s, p), with errors ``widening`` times as large as quoted."""
+def candidates_at(scene: PlacedSources, theta: FloatArray, widening: float) -> CandidatePairs:
+    """The candidate pairs under the offsets theta (s, p), with errors ``widening`` times as large as quoted."""
     from sameas.kernels.offsets import both_look, carried_errors
 
     features = scene.second.features
@@ -133,22 +134,25 @@ def meet(scene: PlacedSources, theta: FloatArray, widening: float) -> CandidateP
 def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening: float) -> Weighed:
     """Weights of all pairs under the offsets theta (s, p), for expected numbers of common objects (s,).
 
-    widening : the factor by which errors are taken larger than quoted, for the search.
+    widening : factor on the quoted errors, above 1 in the search.
     """
     return weighed(
-        scene, meet(scene, theta, widening), common, scene.tuning.roughly if widening > 1.0 else scene.tuning.closely
+        scene,
+        candidates_at(scene, theta, widening),
+        common,
+        scene.tuning.roughly if widening > 1.0 else scene.tuning.closely,
     )
 
 
 def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray, settled: float) -> Weighed:
-    """Weights of candidate pairs, by messages until their relative change is below ``settled``."""
+    """Weights of candidate pairs by messages, iterated until their relative change is below ``settled``."""
     from sameas.kernels.offsets import messages
 
     volume, expected = candidates.volume, candidates.expected
     least = scene.tuning.least_common
     in_both = np.clip(common, least, scene.tuning.most_common_share * np.maximum(expected.min(axis=1), 2 * least))
     rest = np.maximum(expected - in_both[:, None], 0.5)
-    # The remaining number plus one: the mean of its inverse is that of the expected number (Poisson).
+    # Of a Poisson number n, the mean of 1 / (n + 1) is nearly 1 / its expectation.
     due = np.maximum(expected - in_both[:, None], 0.0) + 1.0
     log_odds = np.log(in_both) + np.log(np.maximum(volume, 1e-300)) - np.log(due).sum(axis=1)
     s = Ragged(candidates.start).row
@@ -157,7 +161,7 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     share, log_sum, total = messages(
         candidates.start, candidates.i, candidates.j, log_weight, records, scene.tuning.sweeps, settled
     )
-    # The likelihood is that of the remaining number: the pairs are corrected by the difference.
+    # The likelihood has the remaining number ``rest``, the pairs have ``due``: the last term corrects for that.
     alone = candidates.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + in_both[:, None] * np.log(
         due / rest
     )
@@ -189,7 +193,7 @@ def _candidates(scene: PlacedSources, moved: FloatArray, spread: FloatArray, wid
 
 
 def _gated(scene: PlacedSources, moved: FloatArray, spread: FloatArray, widening: float) -> Candidates:
-    """The same on the sphere, by the gate."""
+    """Candidates on the sphere, by the gate."""
     gate = Radius(scene.tuning.gate_sigmas * widening)
     gated = [gate(scene.first, records_moved(scene.second, moved[s], spread[s])) for s in range(len(moved))]
     residual = np.concatenate([pairs.residual for pairs in gated])
@@ -209,14 +213,14 @@ def _in_cells(
     periods: FloatArray,
     per_record: float = DEFAULT_TUNING.cells_per_record,
 ) -> Cells:
-    """Records laid out in cells of their first and last feature; one cell all along an axis with a period."""
+    """Records laid out in cells of their first and last feature, with a single cell along a periodic axis."""
     from sameas.kernels.offsets import Cells
 
     axes = [0, features.shape[1] - 1]
     at = features[:, axes]
     low, span = at.min(axis=0), np.ptp(at, axis=0)
     size = max(size, float(np.sqrt(np.prod(np.maximum(span, size)) / (per_record * len(at)))))
-    # The only feature is the last as well.
+    # With one feature, both axes are the same.
     one_cell = np.isfinite(periods[axes]) | [False, features.shape[1] == 1]
     sizes = np.where(one_cell, np.inf, size)
     shape = (span / sizes).astype(np.int64) + 1
@@ -228,7 +232,7 @@ def _in_cells(
 
 
 def records_moved(second: Records, moved: FloatArray, covariance: FloatArray) -> Records:
-    """The second source's records at their new places (n, d), with covariances (n, d, d)."""
+    """The second source's records at new positions (n, d), with covariances (n, d, d)."""
     upper = np.triu_indices(second.d)
     packed = np.ascontiguousarray(covariance[:, upper[0], upper[1]])
     return replace(second, features=np.ascontiguousarray(moved), covariance=packed)
@@ -240,7 +244,7 @@ def flattened(features: FloatArray, model: Offset, records: Records) -> FloatArr
 
 
 def boxed(flat: FloatArray, sigma: float) -> FloatArray:
-    """(2, …, d) corners of the region that the records (…, n, d) fill: a little more than they span."""
+    """(2, …, d) corners of the field of records (…, n, d): their extent plus their mean spacing and σ on each side."""
     n = flat.shape[-2]
     low, high = flat.min(axis=-2), flat.max(axis=-2)
     more = (high - low) / max(n - 1, 1) + sigma

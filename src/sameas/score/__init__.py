@@ -2,12 +2,12 @@
 
 What to use when:
 
-- pairs and records right, wrong and missed: :func:`score_pairs`, :func:`score_records`;
-- are stated probabilities frequencies: :func:`score_probabilities`, :func:`reliability`;
-- positions found and missed, as one distance: :func:`gospa`;
-- a picture over time, by its identities: :func:`pair_score`, :func:`siap`, :func:`majority_votes`, :func:`nees`;
-- what nearest neighbour, mutual nearest and others would say: :func:`nearest`, :func:`mutual_nearest`,
-:func:`most_pairs`.
+- right, wrong and missed pairs and records: :func:`score_pairs`, :func:`score_records`;
+- calibration of the stated probabilities: :func:`score_probabilities`, :func:`reliability`;
+- positions, missed and false objects as one distance: :func:`gospa`;
+- identities and states of a picture over time: :func:`pair_score`, :func:`siap`, :func:`majority_votes`, :func:`nees`;
+- the answers of nearest neighbour, mutual nearest and other baselines: :func:`nearest`, :func:`mutual_nearest`,
+  :func:`most_pairs`.
 """
 
 import lazy_loader

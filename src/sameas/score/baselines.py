@@ -1,15 +1,15 @@
-"""The older rules, kept for comparison (METHOD 4.4, 3.5): what people did before one-to-one hypotheses.
+"""Baselines: matching rules without one-to-one hypotheses, for comparison (METHOD 4.4, 3.5).
 
-- :func:`nearest`: for each record its nearest candidate, one at a time; several records may name the same one.
-- :func:`mutual_nearest`: pairs that are each other's nearest.
-- :func:`most_pairs`: as many pairs as can be, k = min(N₁, N₂) in every group, with the least sum of ΔᵀΣ⁻¹Δ [T3].
-- :func:`classified`: each record for itself to the candidate, or no partner, of least average risk [F8–F13]; several
-  records may name the same one.
-- :func:`enumerated`: the most probable hypothesis by looking at every one. Exact like ``sameas.assignment``, and
-  hopeless beyond some ten records a group: the oracle for small ones.
+- :func:`nearest`: the nearest candidate of each record; several records may have the same one.
+- :func:`mutual_nearest`: pairs of records that are each other's nearest candidates.
+- :func:`most_pairs`: the largest number of pairs, k = min(N₁, N₂) in every group, with least Σ ΔᵀΣ⁻¹Δ [T3].
+- :func:`classified`: for each record separately, the candidate or no partner, of least average risk [F8–F13]; several
+  records may have the same candidate.
+- :func:`enumerated`: the most probable hypothesis by enumeration. Exact like ``sameas.assignment``, but only feasible
+  up to about ten records in a group: the reference for small groups.
 
-Each gives the chosen candidates, (m,) bool in the order of the gate. Distances are Mahalanobis distances; of equals
-the candidate that the gate lists first is taken.
+Each returns the chosen candidates, (m,) bool in the order of the gate. Distances are Mahalanobis distances; ties go to
+the candidate that the gate lists first.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from sameas.groups import Groups
 from sameas.prior import LogPrior
 from sameas.result import ALL_ALIKE, Loss
 
-#: Hypotheses of one group that may be looked at one by one: some seconds.
+#: Most hypotheses of a group that are enumerated: some seconds.
 AT_MOST = 2_000_000
 
 
 def nearest(pairs: Pairs, *, source: int = 1) -> BoolArray:
-    """(m,) for each record of ``source`` its nearest candidate. Not one to one."""
+    """(m,) the nearest candidate of each record of ``source``. Not one to one."""
     if source not in (1, 2):
         raise InputError(f"source is {source}; give 1 or 2")
     return _first_of_each(pairs.i if source == 1 else pairs.j, pairs.mahalanobis_sq)
@@ -43,9 +43,9 @@ def mutual_nearest(pairs: Pairs) -> BoolArray:
 
 
 def most_pairs(pairs: Pairs, groups: Groups) -> BoolArray:
-    """(m,) in every group as many pairs as can be, and of those sets the one of least Σ ΔᵀΣ⁻¹Δ [T3]. One to one.
+    """(m,) the largest one-to-one set of pairs of every group, of those the one of least Σ ΔᵀΣ⁻¹Δ [T3].
 
-    Where the candidates admit no set of min(N₁, N₂) pairs, the largest that they admit.
+    It has min(N₁, N₂) pairs, or fewer if the candidates do not allow that many.
     """
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import min_weight_full_bipartite_matching
@@ -56,23 +56,23 @@ def most_pairs(pairs: Pairs, groups: Groups) -> BoolArray:
     n1, n2 = len(groups.rows_1), len(groups.rows_2)
     place_1, place_2 = groups.places
     cost = pairs.mahalanobis_sq[groups.order]
-    # A record may stay alone at a price above that of any rearrangement of its group.
-    dearest = np.maximum.reduceat(cost, groups.start[:-1])
-    price = 2.0 + (dearest + 1.0) * (np.minimum(groups.sizes_1, groups.sizes_2) + 1)
+    # A record without partner costs more than any rearrangement of its group.
+    largest = np.maximum.reduceat(cost, groups.start[:-1])
+    price = 2.0 + (largest + 1.0) * (np.minimum(groups.sizes_1, groups.sizes_2) + 1)
     alone = np.repeat(price, groups.sizes_1)
     rows, columns = np.concatenate([place_1, np.arange(n1)]), np.concatenate([place_2, n2 + np.arange(n1)])
-    # The solver takes 0 for no edge; one more for every pair changes nothing among sets of equal size.
+    # The solver treats 0 as no edge; adding 1 to every pair does not change the order of sets of equal size.
     weights = np.concatenate([cost + 1.0, alone])
     graph = csr_matrix((weights, (rows, columns)), shape=(n1, n2 + n1))
-    taken = np.full(n1, n2, np.int64)
-    found_1, found_2 = min_weight_full_bipartite_matching(graph)
-    taken[found_1] = found_2
-    chosen[groups.order] = taken[place_1] == place_2
+    partner = np.full(n1, n2, np.int64)
+    matched_1, matched_2 = min_weight_full_bipartite_matching(graph)
+    partner[matched_1] = matched_2
+    chosen[groups.order] = partner[place_1] == place_2
     return chosen
 
 
 def classified(pairs: Pairs, log_odds: FloatArray, loss: Loss = ALL_ALIKE) -> BoolArray:
-    """(m,) each record of source 1 to the candidate of least average risk, or to no partner. Not one to one.
+    """(m,) for each record of source 1 the candidate of least average risk, unless no partner has less. Not one to one.
 
     z_j = −Σ_k P(k) Π_kj f_k(Y), k over the candidates of the record and no partner (METHOD 3.5 [F8–F13]).
 
@@ -80,7 +80,7 @@ def classified(pairs: Pairs, log_odds: FloatArray, loss: Loss = ALL_ALIKE) -> Bo
     ----------
     log_odds : (m,) ln of λ times the prior odds of every candidate against no partner, f and P of the formula;
         ``Identification.log_odds`` where the prior is linear.
-    loss : the matrix Π. Where every mistake costs the same, the most probable answer is chosen.
+    loss : the matrix Π. If every mistake costs the same, the most probable answer is chosen.
     """
     if log_odds.shape != (len(pairs),):
         raise InputError(f"classified: log_odds has shape {log_odds.shape}; give ({len(pairs)},), one per candidate")
@@ -94,7 +94,7 @@ def classified(pairs: Pairs, log_odds: FloatArray, loss: Loss = ALL_ALIKE) -> Bo
 
 
 def enumerated(groups: Groups, log_ratio: FloatArray, prior: LogPrior) -> BoolArray:
-    """(m,) the most probable hypothesis of every group, by looking at all of them. One to one.
+    """(m,) the most probable hypothesis of every group, by enumeration. One to one.
 
     Raises
     ------
@@ -131,12 +131,12 @@ def number_of_hypotheses(n1: int, n2: int) -> int:
 def _best_of_all(
     local_1: NDArray[np.int32], local_2: NDArray[np.int32], weight: FloatArray, n1: int, log_prior: list[float]
 ) -> list[int]:
-    """The candidates of the best hypothesis of one group: record after record of source 1, with and without it."""
+    """The candidates of the best hypothesis of one group, by depth-first search over the records of source 1."""
     choices: list[list[tuple[int, int, float]]] = [[] for _ in range(n1)]
     for edge, (i, j, w) in enumerate(zip(local_1.tolist(), local_2.tolist(), weight.tolist(), strict=True)):
         choices[i].append((edge, 1 << j, w))
     best, winner = -math.inf, 0
-    # A hypothesis so far: records of source 2 in use, pairs taken (bits), their number, their total.
+    # Partial hypotheses: next record, records of source 2 in use and pairs taken (bits), their number, their total.
     open_ = [(0, 0, 0, 0, 0.0)]
     while open_:
         i, used, taken, k, total = open_.pop()
@@ -152,7 +152,7 @@ def _best_of_all(
 
 
 def _first_of_each(record: NDArray[np.int32], cost: FloatArray) -> BoolArray:
-    """(m,) for each record its candidate of least cost."""
+    """(m,) the candidate of least cost of each record, the first of ties."""
     order = np.lexsort((cost, record))
     ordered = record[order]
     chosen = np.zeros(len(record), np.bool_)

@@ -1,8 +1,8 @@
-"""An identification against the truth: is it right, and is it as sure as it should be?
+"""Scores of an identification against the truth: its decisions and its probabilities.
 
-:func:`score_pairs` and :func:`score_records` judge what was decided; :func:`score_probabilities` and
-:func:`reliability` judge the stated probabilities. All take plain arrays, so that any program can be judged.
-Pairs are given as (rows_1, rows_2), two arrays of equal length, at most one pair a row.
+:func:`score_pairs` and :func:`score_records` score decisions; :func:`score_probabilities` and :func:`reliability` score
+stated probabilities. All take plain arrays, so that any program can be scored. Pairs are given as (rows_1, rows_2), two
+arrays of equal length, each row in at most one pair.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Pairs = tuple[ArrayLike, ArrayLike]
 
 @dataclass(frozen=True)
 class PairScore:
-    """How the claimed pairs compare with the true ones; a ratio without a denominator is NaN."""
+    """Numbers of claimed, true and right pairs; a ratio without a denominator is NaN."""
 
     n_claimed: int
     n_true: int
@@ -47,7 +47,7 @@ class PairScore:
 
 @dataclass(frozen=True)
 class RecordScore:
-    """How many records of each source were given their true partner, or rightly none."""
+    """Numbers of records of each source, and of those assigned their true partner or rightly none."""
 
     n_1: int
     n_2: int
@@ -56,24 +56,24 @@ class RecordScore:
 
     @property
     def share_right(self) -> float:
-        """Share of the records of both sources that were decided rightly; NaN without records."""
+        """Share of the records of both sources with the right decision; NaN without records."""
         total = self.n_1 + self.n_2
         return (self.n_right_1 + self.n_right_2) / total if total else math.nan
 
     @property
     def whole_scene_right(self) -> bool:
-        """Whether every record was decided rightly."""
+        """Whether the decision is right for every record."""
         return self.n_right_1 == self.n_1 and self.n_right_2 == self.n_2
 
 
 @dataclass(frozen=True)
 class ProbabilityScore:
-    """How good n stated probabilities are; each is a mean over the events.
+    """Scores of n stated probabilities, each a mean over the events.
 
     Attributes
     ----------
-    brier : (p − what happened)², 0 is best.
-    log_score : ln of the probability given to what happened, 0 is best, −∞ where the impossible happened.
+    brier : (p − outcome)², outcome 0 or 1; 0 is best.
+    log_score : ln of the probability stated for the outcome; 0 is best, −∞ if an outcome had probability 0.
     expected_calibration_error : |stated − observed| of the bins of :func:`reliability`.
     """
 
@@ -86,15 +86,15 @@ class ProbabilityScore:
 @in_short
 @dataclass(frozen=True)
 class Reliability:
-    """Stated probability against observed frequency, one row a bin, empty bins left out.
+    """Stated probability against observed frequency, one row for each bin that is not empty.
 
     Attributes
     ----------
     stated : (b,) mean of the stated probabilities.
     observed : (b,) share of the events that happened.
     count : (b,) number of events.
-    standard_error : (b,) of ``observed`` if the statements are true and the events independent:
-        √Σ p(1 − p) / count. Events of one group are not quite independent.
+    standard_error : (b,) of ``observed`` for right probabilities and independent events: √Σ p(1 − p) / count. Events of
+        one group are not quite independent.
     """
 
     stated: FloatArray
@@ -106,7 +106,7 @@ class Reliability:
     def deviation(self) -> FloatArray:
         """(b,) observed − stated in standard errors, 0 where both agree to rounding."""
         difference = self.observed - self.stated
-        # Bins at p = 0 or 1 have an error of zero; there any event that differs is infinitely surprising.
+        # Bins at p = 0 or 1 have an error of 0, so any difference there is infinite.
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(np.abs(difference) < 1e-9, 0.0, difference / self.standard_error)
 
@@ -133,7 +133,7 @@ def score_pairs(claimed: Pairs, true: Pairs) -> PairScore:
 
 
 def score_records(claimed: Pairs, true: Pairs, n1: int, n2: int) -> RecordScore:
-    """How many of the n1 and n2 records were given their true partner, or rightly none.
+    """How many of the n1 and n2 records were assigned their true partner, or rightly none.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def score_records(claimed: Pairs, true: Pairs, n1: int, n2: int) -> RecordScore:
     """
     one, two = _one_to_one(claimed, "claimed"), _one_to_one(true, "true")
     right = int(is_true_pair(one, two).sum())
-    # A record that neither list pairs was rightly left alone.
+    # A record in neither list rightly has no partner.
     counts = []
     for n, side in ((n1, 0), (n2, 1)):
         paired = np.zeros(n, bool)
@@ -157,7 +157,7 @@ def score_records(claimed: Pairs, true: Pairs, n1: int, n2: int) -> RecordScore:
 
 
 def is_true_pair(pairs: Pairs, true: Pairs) -> BoolArray:
-    """(m,) whether each of ``pairs``, one to one or not, is among ``true``; both (rows_1, rows_2)."""
+    """(m,) whether each of ``pairs``, not necessarily one to one, is among ``true``; both (rows_1, rows_2)."""
     rows_1, rows_2 = _rows(pairs, "pairs")
     true_1, true_2 = _one_to_one(true, "true")
     size = 1 + max(rows_1.max(initial=-1), true_1.max(initial=-1))
@@ -186,14 +186,14 @@ def score_probabilities(p: ArrayLike, happened: ArrayLike, *, bins: int = 10) ->
 
 
 def reliability(p: ArrayLike, happened: ArrayLike, *, bins: int = 10, width: str = "equal") -> Reliability:
-    """The reliability table: among events stated with probability p, does a fraction p happen?
+    """The reliability table: the observed frequency of events with stated probabilities near p, by bins of p.
 
     Parameters
     ----------
     p : (m,) stated probabilities.
     happened : (m,) whether the event happened.
     bins : number of bins.
-    width : "equal" divides 0 … 1 evenly; "adaptive" puts equally many events into every bin.
+    width : "equal" for bins of equal width from 0 to 1; "adaptive" for bins of equal numbers of events.
 
     >>> table = reliability([0.2, 0.2, 0.2, 0.2, 0.2, 0.9], [True, False, False, False, False, True])
     >>> table.observed
@@ -212,16 +212,16 @@ def reliability(p: ArrayLike, happened: ArrayLike, *, bins: int = 10, width: str
     count, total, hits, variance = (
         np.bincount(number, weights, minlength=bins) for weights in (None, stated, event, stated * (1 - stated))
     )
-    full = count > 0
-    count = count[full]
-    return Reliability(total[full] / count, hits[full] / count, count, np.sqrt(variance[full]) / count)
+    used = count > 0
+    count = count[used]
+    return Reliability(total[used] / count, hits[used] / count, count, np.sqrt(variance[used]) / count)
 
 
 def _events(p: ArrayLike, happened: ArrayLike) -> tuple[FloatArray, BoolArray]:
     stated, event = np.asarray(p, np.float64), np.asarray(happened, bool)
     if stated.ndim != 1 or stated.shape != event.shape:
         raise InputError(f"{stated.shape} probabilities for {event.shape} events; give one per event")
-    # Sums of probabilities overshoot by rounding; anything more is an error of the one who states them.
+    # Sums of probabilities may exceed 1 by rounding; more is an error in the input.
     wrong = np.flatnonzero(~((stated >= -1e-9) & (stated <= 1 + 1e-9)))
     if len(wrong):
         raise InputError(f"{len(wrong)} probabilities lie outside 0 … 1 (first: row {wrong[0]}: {stated[wrong[0]]:g})")

@@ -1,14 +1,14 @@
-"""A picture against the truth: are the right records one object, do objects keep their numbers, are states honest?
+"""Scores of a picture over time against the truth: identification, continuity of object numbers, accuracy of states.
 
-For trials whose truth is known: simulated ones, or real motion with modelled sensors. Identity metrics take a table of
-identities, one row per record and instant, from whatever program: when, of which source, which number the program gave
-its object, and which object it truly is (−1: false). So other programs are judged by the same code.
+For trials of known truth: simulated ones, or real motion with modelled sensors. Identity metrics take a table with one
+row for each record and instant, from any program: time, source, the object number that the program assigned, and the
+number of the true object (−1 for a false record). Other programs can so be scored by the same code.
 
-- :func:`pair_score` : precision, recall and F1 of the pairs of records, and the share of instants wholly right.
-- :func:`siap` : completeness, ambiguity, spuriousness, continuity, switches of identity. :func:`majority_votes` :
-  which true object an object of the picture stands for.
-- :func:`nees` : whether fused states are as near to the truth as their covariances say. :func:`mean_gospa` : how far
-  the picture as a whole is from the truth.
+- :func:`pair_score` : precision, recall and F1 of pairs of records, and the share of instants without an error.
+- :func:`siap` : completeness, ambiguity, spuriousness, continuity, identity switches. :func:`majority_votes` : the true
+  object of each object of the picture.
+- :func:`nees` : consistency of fused states with their covariances. :func:`mean_gospa` : distance of the picture as a
+  whole from the truth.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.score.pairs import PairScore
 
-# GOSPA: how far a fused picture is from the truth, wrong places, missed objects and false ones in one number.
+# GOSPA: position errors, missed objects and false objects as one distance.
 #
 # Generalized optimal sub-pattern assignment with α = 2 (Rahmathullah, García-Fernández, Svensson, "Generalized optimal
 # sub-pattern assignment metric", FUSION 2017, definition 1 and proposition 1):
 #
 #     GOSPA^p = min over one-to-one sets of pairs of  Σ_pairs min(d, c)^p + c^p/2 · (missed + false),
 #
-# d the distance, c the cutoff. It is a matching of greatest Σ (c^p − d^p) over pairs nearer than c, which the gate, the
-# groups and the assignment of this package solve, whatever the size of the picture.
+# d the distance, c the cutoff. It is a matching of largest Σ (c^p − d^p) over pairs nearer than c, which this package's
+# gate, groups and assignment solve for pictures of any size.
 
 
 @dataclass(frozen=True)
 class Gospa:
-    """The metric and its parts; ``distance`` is in the unit of the positions, the parts in that unit to the ``order``.
+    """The metric and its parts; ``distance`` is in the unit of the positions, ``localisation`` in its p-th power.
 
-    localisation : Σ d^p of the matched. missed, false : numbers of objects that nothing was matched to, and of found
-    ones that are matched to nothing.
+    localisation : Σ d^p of the matched pairs. missed, false : numbers of true and of found objects without match.
+    cutoff, order : c and p.
     """
 
     localisation: float
@@ -64,12 +64,12 @@ class Gospa:
 
 
 def gospa(found: ArrayLike, true: ArrayLike, *, cutoff: float, order: float = 2.0) -> Gospa:
-    """How far the objects ``found`` (n, d) are from the ``true`` ones (m, d).
+    """The GOSPA metric of the objects ``found`` (n, d) and the ``true`` ones (m, d).
 
     Parameters
     ----------
-    cutoff : c, the distance from which on a found object is no estimate of a true one.
-    order : p ≥ 1; 2 weighs distances as variances do.
+    cutoff : c, the distance from which on a found object does not match a true one.
+    order : p ≥ 1; 2 for squared distances.
 
     Example
     -------
@@ -85,9 +85,9 @@ def gospa(found: ArrayLike, true: ArrayLike, *, cutoff: float, order: float = 2.
 def nearest_match(
     found: ArrayLike, true: ArrayLike, *, cutoff: float, order: float = 2.0
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """The one-to-one match that the metric takes: rows of ``found`` and ``true``, (k,) each, and their distances (k,).
+    """The one-to-one match of the metric: rows of ``found`` and ``true``, (k,) each, and their distances (k,).
 
-    Pictures that lie farther apart than ``cutoff`` can be matched all at once: the match of each is that of it alone.
+    Several pictures that are farther apart than ``cutoff`` can be matched in one call, with the same result for each.
     """
     if not (0.0 < cutoff < math.inf and 1.0 <= order < math.inf):
         raise InputError(
@@ -123,12 +123,12 @@ FALSE = -1
 @in_short
 @dataclass(frozen=True)
 class Identities:
-    """Which object every record was identified with, and which it is. Make it with :meth:`of`.
+    """The assigned and the true object of every record, in the order of instants. Make it with :meth:`of`.
 
     Attributes
     ----------
     time_s : (n,) the instant. source : (n,) number of the source. assigned : (n,) number of the object in the picture.
-    true : (n,) number of the true object, −1 for a false record. Rows are in the order of instants.
+    true : (n,) number of the true object, −1 for a false record.
     """
 
     time_s: FloatArray
@@ -138,9 +138,9 @@ class Identities:
 
     @classmethod
     def of(cls, records: Mapping[str, ArrayLike], true: ArrayLike) -> Identities:
-        """From the columns time_s, source and object of a picture's records, and the truth of each row.
+        """From the columns time_s, source and object of a picture's records, and the true object of each row.
 
-        A record without an object (masked, or a negative number) is an object of its own.
+        A record without an object (masked, or a negative number) counts as a separate object.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Identities:
 
     @property
     def instants(self) -> tuple[FloatArray, IntArray]:
-        """The distinct times (k,), and which of them every row is of (n,)."""
+        """The distinct times (k,), and the number of each row's time among them (n,)."""
         times, which = np.unique(self.time_s, return_inverse=True)
         return times, which.astype(np.int64)
 
@@ -171,23 +171,23 @@ class Identities:
 @in_short
 @dataclass(frozen=True)
 class PictureScore:
-    """Pairs of records of two sources, over all instants. right : (k,) whether each instant is wholly right."""
+    """Pairs of records of two sources over all instants. right : (k,) whether each instant is without an error."""
 
     pairs: PairScore
     right: BoolArray
 
     @property
     def share_right(self) -> float:
-        """Share of the instants at which every record is with exactly those that are the same object; NaN without."""
+        """Share of the instants at which all objects have exactly the right records; NaN without instants."""
         return float(self.right.mean()) if len(self.right) else math.nan
 
 
 def pair_score(identities: Identities) -> PictureScore:
-    """Precision, recall and F1 of pairs, and instants wholly right.
+    """Precision, recall and F1 of pairs, and the instants without an error.
 
-    A pair is two records of different sources at one instant; it is claimed where both are in one object, true
-    where both are of one true object. Where a source shows an object twice (a track that broke, and its successor),
-    it has as many true pairs with another source as can be made one to one.
+    A pair is two records of different sources at one instant. It is claimed if both are assigned one object, and true
+    if both are of one true object. If a source has several records of an object (a broken track and its successor), the
+    number of true pairs with another source is the largest one-to-one number.
 
     Example
     -------
@@ -199,57 +199,59 @@ def pair_score(identities: Identities) -> PictureScore:
     times, instant = identities.instants
     single = len(identities) + np.arange(len(identities))
     true = np.where(identities.true == FALSE, single, identities.true)
-    of_assigned = _Sightings.of(instant, identities.assigned, identities.source).pairs(len(times))
-    true_of = _Sightings.of(instant, true, identities.source).pairs_one_to_one(len(times))
+    n_claimed = _RecordCounts.of(instant, identities.assigned, identities.source).pairs(len(times))
+    n_true = _RecordCounts.of(instant, true, identities.source).pairs_one_to_one(len(times))
     both = np.unique(np.column_stack([identities.assigned, true]), axis=0, return_inverse=True)[1].reshape(-1)
-    right_of = _Sightings.of(instant, both, identities.source).pairs_one_to_one(len(times))
-    score = PairScore(int(of_assigned.sum()), int(true_of.sum()), int(right_of.sum()))
-    return PictureScore(score, (of_assigned == right_of) & (true_of == right_of))
+    n_right = _RecordCounts.of(instant, both, identities.source).pairs_one_to_one(len(times))
+    score = PairScore(int(n_claimed.sum()), int(n_true.sum()), int(n_right.sum()))
+    return PictureScore(score, (n_claimed == n_right) & (n_true == n_right))
 
 
 @dataclass(frozen=True)
-class _Sightings:
-    """How often each source shows each object at each instant (c,), sources that show it least first."""
+class _RecordCounts:
+    """Numbers of records of each source of each object at each instant (c,), the smallest first for each object.
+
+    instant : (c,) of the count. begins : (c,) whether it is the first of its object. records : (c,) the count.
+    """
 
     instant: IntArray
     begins: BoolArray
-    times: IntArray
+    records: IntArray
 
     @classmethod
-    def of(cls, instant: IntArray, object: IntArray, source: IntArray) -> _Sightings:
-        cells, times = np.unique(np.column_stack([instant, object, source]), axis=0, return_counts=True)
-        order = np.lexsort([times, cells[:, 1], cells[:, 0]])
+    def of(cls, instant: IntArray, object: IntArray, source: IntArray) -> _RecordCounts:
+        cells, records = np.unique(np.column_stack([instant, object, source]), axis=0, return_counts=True)
+        order = np.lexsort([records, cells[:, 1], cells[:, 0]])
         cells, begins = cells[order], np.ones(len(cells), bool)
         begins[1:] = np.any(cells[1:, :2] != cells[:-1, :2], axis=1)
-        return cls(cells[:, 0], begins, times[order])
+        return cls(cells[:, 0], begins, records[order])
 
     def pairs(self, count: int) -> IntArray:
-        """(count,) pairs of records of different sources in one object, per instant."""
+        """(count,) pairs of records of different sources of one object, by instant."""
         first = np.flatnonzero(self.begins)
-        whole, own = (np.add.reduceat(x, first) if len(first) else x for x in (self.times, self.times**2))
-        return np.bincount(self.instant[first], (whole**2 - own) // 2, count).astype(np.int64)
+        total, squares = (np.add.reduceat(x, first) if len(first) else x for x in (self.records, self.records**2))
+        return np.bincount(self.instant[first], (total**2 - squares) // 2, count).astype(np.int64)
 
     def pairs_one_to_one(self, count: int) -> IntArray:
-        """(count,) the most pairs with no record twice between two sources: Σ_{a<b} min(c_a, c_b), per instant."""
+        """(count,) the most pairs, one to one between any two sources, by instant: Σ_{a<b} min(c_a, c_b)."""
         n = len(self.instant)
         ends = np.append(np.flatnonzero(self.begins)[1:], n)
         after = (ends[np.cumsum(self.begins) - 1] if n else ends[:0]) - 1 - np.arange(n)
-        return np.bincount(self.instant, self.times * after, count).astype(np.int64)
+        return np.bincount(self.instant, self.records * after, count).astype(np.int64)
 
 
 @dataclass(frozen=True)
 class Siap:
-    """Metrics of the Single Integrated Air Picture, and switches.
+    """Metrics of the Single Integrated Air Picture, and identity switches.
 
     Attributes
     ----------
-    completeness : share of the true objects, over instants, that an object of the picture stands for; 1 is best.
-    ambiguity : objects of the picture that stand for a true object, per true object that has one; 1 is best.
-    spuriousness : share of the picture's objects that stand for no true object; 0 is best.
-    continuity : share of the true objects' time for which the one that stands for them longest does; 1 is best.
-    number_changes_per_hour : the least number of changes of number with which the picture can be followed, per hour of
-        objects followed.
-    switches : how often a true object's number changes from the one it had last (identity switches of CLEAR MOT).
+    completeness : share of the true objects, over instants, that have an object of the picture; 1 is best.
+    ambiguity : objects of the picture per true object, of those that have one; 1 is best.
+    spuriousness : share of the picture's objects without a true object; 0 is best.
+    continuity : share of the true objects' time that is covered by the longest of their objects; 1 is best.
+    number_changes_per_hour : smallest possible number of changes of object number, per hour of covered true objects.
+    switches : how often a true object's number differs from its previous one (identity switches of CLEAR MOT).
     """
 
     completeness: float
@@ -261,11 +263,10 @@ class Siap:
 
 
 def siap(identities: Identities) -> Siap:
-    """How completely, unambiguously and lastingly the objects of a picture stand for the true ones.
+    """Completeness, ambiguity, spuriousness, continuity and identity switches of a picture.
 
-    An object of the picture stands for the true object that most of its records are of at the instant; where the vote
-    is even, or the most are false, for none. An object that a source shows exists; one that no source shows is not
-    asked for. Times are counted in instants.
+    The true object of an object of the picture is that of most of its records at the instant; with a tie, or if most
+    are false, it has none. Only true objects with a record at the instant are counted. Times are counted in instants.
 
     Source: Votruba, Nisley, Rothrock and Zombro, "Single Integrated Air Picture (SIAP) Metrics Implementation", SIAP SE
     TF Technical Report 2001-001 (2001): completeness, ambiguity, spurious tracks, longest track segment, rate of track
@@ -278,30 +279,30 @@ def siap(identities: Identities) -> Siap:
     >>> found.completeness, found.continuity, found.switches
     (1.0, 0.5, 1)
     """
-    majority = majority_votes(identities)
-    held_by = majority.where(majority.true != FALSE)
+    votes = majority_votes(identities)
+    valid = votes.where(votes.true != FALSE)
     times, instant = identities.instants
     n_true = len(np.unique(np.column_stack([instant, identities.true])[identities.true != FALSE], axis=0))
-    held = len(np.unique(np.column_stack([held_by.instant, held_by.true]), axis=0))
-    single = [held_by.where(held_by.true == one) for one in np.unique(held_by.true)]
-    hours = held * _step(times) / 3600.0
+    n_covered = len(np.unique(np.column_stack([valid.instant, valid.true]), axis=0))
+    by_object = [valid.where(valid.true == one) for one in np.unique(valid.true)]
+    hours = n_covered * _step(times) / 3600.0
     return Siap(
-        completeness=_ratio(held, n_true),
-        ambiguity=_ratio(len(held_by), held),
-        spuriousness=_ratio(len(majority) - len(held_by), len(majority)),
-        continuity=_ratio(sum(_longest(one) for one in single), n_true),
-        number_changes_per_hour=_ratio(sum(_fewest_changes(one) for one in single), hours),
-        switches=sum(_switches(one) for one in single),
+        completeness=_ratio(n_covered, n_true),
+        ambiguity=_ratio(len(valid), n_covered),
+        spuriousness=_ratio(len(votes) - len(valid), len(votes)),
+        continuity=_ratio(sum(_longest(one) for one in by_object), n_true),
+        number_changes_per_hour=_ratio(sum(_fewest_changes(one) for one in by_object), hours),
+        switches=sum(_switches(one) for one in by_object),
     )
 
 
 @in_short
 @dataclass(frozen=True)
 class MajorityVotes:
-    """Per object of the picture and instant (k,), in the order of time: which true object it stands for.
+    """The true object of each object of the picture at each instant (k,), in the order of time.
 
-    instant : which of the distinct times. assigned : the object's number in the picture. true : of the true object that
-    most of its records are of; −1 where the vote is even or the most are false. votes : the number of those records.
+    instant : number among the distinct times. assigned : the object's number in the picture. true : number of the true
+    object of most of its records; −1 for a tie or if most are false. votes : number of those records.
     """
 
     time_s: FloatArray
@@ -319,52 +320,53 @@ class MajorityVotes:
 
 
 def majority_votes(identities: Identities) -> MajorityVotes:
-    """Which true object every object of the picture stands for at every instant."""
+    """The true object of every object of the picture at every instant, by majority of its records."""
     times, instant = identities.instants
     cells, votes = np.unique(
         np.column_stack([instant, identities.assigned, identities.true]), axis=0, return_counts=True
     )
-    # The most votes stand last of each object.
+    # The most votes are the last of each object.
     order = np.lexsort([votes, cells[:, 1], cells[:, 0]])
     cells, votes = cells[order], votes[order]
     last = np.ones(len(cells), bool)
     last[:-1] = np.any(cells[1:, :2] != cells[:-1, :2], axis=1)
-    even = np.zeros(len(cells), bool)
-    even[1:] = ~last[:-1] & (votes[1:] == votes[:-1])
-    true = np.where(even, FALSE, cells[:, 2])
+    tie = np.zeros(len(cells), bool)
+    tie[1:] = ~last[:-1] & (votes[1:] == votes[:-1])
+    true = np.where(tie, FALSE, cells[:, 2])
     return MajorityVotes(times[cells[last, 0]], cells[last, 0], cells[last, 1], true[last], votes[last])
 
 
 def _longest(one: MajorityVotes) -> int:
-    """Instants for which the object that stands longest for a true one does."""
+    """Number of instants of the object of the picture that covers a true object longest."""
     return int(np.unique(one.assigned, return_counts=True)[1].max())
 
 
 def _fewest_changes(one: MajorityVotes) -> int:
-    """Changes of number when every instant keeps the number that lasts longest without a gap."""
-    held = [set(one.assigned[one.instant == step].tolist()) for step in np.unique(one.instant)]
-    changes, going = 0, held[0]
-    for now in held[1:]:
-        going = going & now
-        if not going:
-            changes, going = changes + 1, now
+    """Changes of number if each number is kept as long as it is available."""
+    available = [set(one.assigned[one.instant == step].tolist()) for step in np.unique(one.instant)]
+    changes, kept = 0, available[0]
+    for now in available[1:]:
+        kept = kept & now
+        if not kept:
+            changes, kept = changes + 1, now
     return changes
 
 
 def _switches(one: MajorityVotes) -> int:
-    """Changes of the number that was last, which is kept for as long as it stands for the object."""
-    last, switches = -1, 0
+    """Changes of a true object's number: it is kept while it covers the object, else replaced by that of most votes."""
+    previous, switches = -1, 0
     for step in np.unique(one.instant):
-        here = np.flatnonzero(one.instant == step)
-        if last in one.assigned[here]:
+        rows = np.flatnonzero(one.instant == step)
+        if previous in one.assigned[rows]:
             continue
-        best = int(one.assigned[here[np.lexsort([one.assigned[here], -one.votes[here]])[0]]])
-        switches += last >= 0
-        last = best
+        best = int(one.assigned[rows[np.lexsort([one.assigned[rows], -one.votes[rows]])[0]]])
+        switches += previous >= 0
+        previous = best
     return switches
 
 
 def _step(times: FloatArray) -> float:
+    """Median interval between instants."""
     return float(np.median(np.diff(times))) if len(times) > 1 else math.nan
 
 
@@ -374,10 +376,10 @@ def _ratio(part: float, whole: float) -> float:
 
 @dataclass(frozen=True)
 class Nees:
-    """Normalised estimation error squared of n states of d components: on average d where covariances are honest.
+    """Normalised estimation error squared of n states of d components: d on average if covariances are right.
 
-    low, high : between which the mean lies with 95 % if they are and the states are independent.
-    median, median_due : what a few wild states do not change, and what it is of honest covariances.
+    low, high : 95 % interval of the mean if covariances are right and states independent.
+    median, median_due : the median, which is robust against outliers, and its expected value.
     """
 
     mean: float
@@ -390,11 +392,11 @@ class Nees:
 
 
 def nees(found: ArrayLike, covariance: ArrayLike, true: ArrayLike) -> Nees:
-    """Whether errors of fused states are what their covariances say: (x̂ − x)ᵀ P⁻¹ (x̂ − x).
+    """Consistency of the errors of fused states with their covariances: (x̂ − x)ᵀ P⁻¹ (x̂ − x).
 
     Parameters
     ----------
-    found, true : (n, d) states of the picture's objects and of the objects they stand for; rows with NaN are left out.
+    found, true : (n, d) states of the picture's objects and of their true objects; rows with NaN are ignored.
     covariance : (n, d, d).
 
     Source: Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), 5.4.2.
@@ -406,27 +408,27 @@ def nees(found: ArrayLike, covariance: ArrayLike, true: ArrayLike) -> Nees:
     """
     from scipy.stats import chi2
 
-    off = np.asarray(found, np.float64) - np.asarray(true, np.float64)
-    spread = np.asarray(covariance, np.float64)
-    if off.ndim != 2 or spread.shape != (*off.shape, off.shape[-1]):
-        raise InputError(f"nees: states {off.shape}, covariances {spread.shape}; give (n, d) and (n, d, d)")
-    known = np.isfinite(off).all(axis=1)
-    off, spread = off[known], spread[known]
-    n, d = off.shape
-    due = float(chi2.median(d))
+    error = np.asarray(found, np.float64) - np.asarray(true, np.float64)
+    p = np.asarray(covariance, np.float64)
+    if error.ndim != 2 or p.shape != (*error.shape, error.shape[-1]):
+        raise InputError(f"nees: states {error.shape}, covariances {p.shape}; give (n, d) and (n, d, d)")
+    known = np.isfinite(error).all(axis=1)
+    error, p = error[known], p[known]
+    n, d = error.shape
+    expected_median = float(chi2.median(d))
     if not n:
-        return Nees(math.nan, math.nan, due, math.nan, math.nan, 0, d)
-    square = mahalanobis_sq(off, spread)
-    low, high = (float(chi2.ppf(p, n * d)) / n for p in (0.025, 0.975))
-    return Nees(float(square.mean()), float(np.median(square)), due, low, high, n, d)
+        return Nees(math.nan, math.nan, expected_median, math.nan, math.nan, 0, d)
+    square = mahalanobis_sq(error, p)
+    low, high = (float(chi2.ppf(quantile, n * d)) / n for quantile in (0.025, 0.975))
+    return Nees(float(square.mean()), float(np.median(square)), expected_median, low, high, n, d)
 
 
 def mean_gospa(
     pictures: Iterable[tuple[ArrayLike, ArrayLike]], *, cutoff: float, order: float = 2.0
 ) -> tuple[float, list[Gospa]]:
-    """The mean over instants of :func:`sameas.score.picture`, and its parts at every instant.
+    """The mean over instants of :func:`gospa`'s distance, and the metric at every instant.
 
-    pictures : per instant the positions found (n, d) and the true ones (m, d).
+    pictures : for each instant the positions found (n, d) and the true ones (m, d).
 
     >>> mean, _ = mean_gospa([([[0.0, 0.0]], [[0.0, 3.0]]), ([[0.0, 0.0]], [[0.0, 5.0]])], cutoff=50.0)
     >>> round(mean, 6)
