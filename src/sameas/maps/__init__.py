@@ -1,9 +1,9 @@
-"""Maps: what a map of a picture shows, before anybody draws it.
+"""Maps: the content of a map of a picture, independent of how it is drawn.
 
-- :class:`MapSheet`: objects and records as columns, sensors, alarms, summary; made by whoever has a picture.
-- :func:`outline`: coasts, lakes and borders around a place, in its plane.
+- :class:`MapSheet`: objects and records as columns, sensors, alarms and a summary.
+- :func:`outline`: coasts, lakes and borders around a place, in its local plane.
 
-``sameas.pages.map`` draws a sheet as a page with a time slider, ``sameas.plots.map`` as a picture of one instant.
+``sameas.pages.map`` draws a sheet as a page with a time slider, ``sameas.plots.map`` as a chart of one instant.
 """
 
 from sameas.maps.outline import Outline, outline

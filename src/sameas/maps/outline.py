@@ -1,6 +1,6 @@
 """Coasts, large lakes and borders around a place, in its local plane: the background of a map.
 
-Natural Earth 1:10 million, public domain (outline.txt), true to about a kilometre: for orientation, not navigation.
+Natural Earth 1:10 million, public domain (outline.txt), accurate to about 1 km: for orientation, not navigation.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Outline:
     borders: tuple[FloatArray, ...] = ()
 
     def within(self, west_m: float, south_m: float, east_m: float, north_m: float) -> Outline:
-        """What of it lies in a box: land is cut, lines that reach into it are kept."""
+        """The outline in a box: land is clipped, of lines the segments that reach into the box are kept."""
         box = MapExtent(west_m, south_m, east_m, north_m)
         rings = (_clipped(np.vstack([ring, ring[:1]]), box) for ring in self.land)
         coast, borders = (
@@ -75,8 +75,8 @@ def outline(plane: LocalPlane, west_m: float, south_m: float, east_m: float, nor
 
     Parameters
     ----------
-    plane : whose east and north the lines are in.
-    west_m, south_m, east_m, north_m : the box; what is farther than 2500 km from the origin is left out.
+    plane : of the result's coordinates.
+    west_m, south_m, east_m, north_m : the box; lines farther than 2500 km from the origin are excluded.
 
     Example
     -------
@@ -106,25 +106,25 @@ class _Line:
     steps: IntArray
 
     def in_plane(self, plane: LocalPlane, *, closed: bool) -> FloatArray:
-        """(m, 2) points; a closed ring ends where it began."""
+        """(m, 2) points, metres east and north; a closed ring repeats its first point."""
         steps = np.concatenate([self.steps, self.steps[:1]]) if closed else self.steps
-        number, share = _broken(steps)
+        number, share = _subdivided(steps)
         fine = steps[number] + share[:, None] * (steps[np.minimum(number + 1, len(steps) - 1)] - steps[number])
         lon, lat = fine[:, 0] * STEP_DEG - 180.0, fine[:, 1] * STEP_DEG - 90.0
         east, north, _ = geodesy().geodetic2enu(lat, lon, np.zeros_like(lat), plane.lat_deg, plane.lon_deg, 0.0)
         return np.column_stack([east, north])
 
     def along_cells(self) -> BoolArray:
-        """(m − 1,) which sides of the closed ring only close its cell: they are no coast."""
+        """(m − 1,) sides of the closed ring along the edge of its cell: they are no coast."""
         steps = np.concatenate([self.steps, self.steps[:1]])
         per_cell = round(CELL_DEG / STEP_DEG)
-        here, there = steps[:-1], steps[1:]
-        along = np.any((here == there) & (here % per_cell == 0), axis=1)
-        return np.asarray(along[_broken(steps)[0][:-1]], np.bool_)
+        start, stop = steps[:-1], steps[1:]
+        along = np.any((start == stop) & (start % per_cell == 0), axis=1)
+        return np.asarray(along[_subdivided(steps)[0][:-1]], np.bool_)
 
 
-def _broken(steps: IntArray) -> tuple[IntArray, FloatArray]:
-    """(m,) side and share of it at which each point of the broken up line lies, its end included."""
+def _subdivided(steps: IntArray) -> tuple[IntArray, FloatArray]:
+    """(m,) side, and fraction of that side, of each point of the subdivided line, end point included."""
     longest = np.abs(np.diff(steps, axis=0)).max(axis=1) * STEP_DEG
     pieces = np.maximum(1, np.ceil(longest / LONGEST_DEG - 1e-9)).astype(np.int64)
     points = Ragged.of_sizes(pieces)
@@ -133,7 +133,7 @@ def _broken(steps: IntArray) -> tuple[IntArray, FloatArray]:
 
 @dataclass(frozen=True)
 class _PackedLines:
-    """All lines of a kind, packed: of each its cell, first point and number of points; of all, their steps."""
+    """All lines of a kind, packed: cell, first point and number of points of each; steps of all, concatenated."""
 
     cell: IntArray
     first: IntArray
@@ -141,13 +141,13 @@ class _PackedLines:
     steps: IntArray
 
     def near(self, plane: LocalPlane, box: MapExtent) -> Iterator[_Line]:
-        """The lines of all cells that may reach into the box."""
+        """The lines of all cells that may overlap the box."""
         reach = np.degrees(min(box.farthest_m, FARTHEST_M) / EARTH_M) * 1.1 + CELL_DEG
         row, column = np.divmod(self.cell, COLUMNS)
         lat = np.radians((row + 0.5) * CELL_DEG - 90.0)
         lon = np.radians((column + 0.5) * CELL_DEG - 180.0 - plane.lon_deg)
-        here = np.radians(plane.lat_deg)
-        cosine = np.sin(lat) * np.sin(here) + np.cos(lat) * np.cos(here) * np.cos(lon)
+        origin_lat = np.radians(plane.lat_deg)
+        cosine = np.sin(lat) * np.sin(origin_lat) + np.cos(lat) * np.cos(origin_lat) * np.cos(lon)
         start = np.cumsum(self.length - 1) - (self.length - 1)
         for k in np.flatnonzero(cosine > np.cos(np.radians(reach))):
             corner = np.array([column[k], row[k]]) * round(CELL_DEG / STEP_DEG)
@@ -157,7 +157,7 @@ class _PackedLines:
 
 @cache
 def _read(kind: str) -> _PackedLines:
-    """ "land" or "border" of the data file."""
+    """The lines of the data file of a kind, "land" or "border"."""
     with (files("sameas.maps") / "outline.npz").open("rb") as file, np.load(file) as data:
         zigzag = (data[f"{kind}_low"].astype(np.int64) + (data[f"{kind}_high"].astype(np.int64) << 8)).T
         cell, first, length = (data[f"{kind}_{name}"].astype(np.int64) for name in ("cell", "first", "length"))
@@ -165,7 +165,7 @@ def _read(kind: str) -> _PackedLines:
 
 
 def _clipped(ring: FloatArray, box: MapExtent) -> FloatArray:
-    """(m, 2) the part of a closed ring in the box (Sutherland and Hodgman 1974): what is cut runs along its sides."""
+    """(m, 2) a closed ring clipped to the box (Sutherland and Hodgman 1974); cut parts follow the sides of the box."""
     points = ring[:-1]
     for axis, sign, limit in ((0, -1, box.west_m), (0, 1, box.east_m), (1, -1, box.south_m), (1, 1, box.north_m)):
         if len(points) == 0:
@@ -181,7 +181,7 @@ def _clipped(ring: FloatArray, box: MapExtent) -> FloatArray:
 
 
 def _pieces(line: FloatArray, hidden: BoolArray, box: MapExtent) -> list[FloatArray]:
-    """The runs of a line's sides that reach into the box and are not hidden."""
+    """The runs of consecutive segments of a line that reach into the box and are not hidden."""
     low, high = np.minimum(line[:-1], line[1:]), np.maximum(line[:-1], line[1:])
     inside = (high[:, 0] >= box.west_m) & (low[:, 0] <= box.east_m)
     inside &= (high[:, 1] >= box.south_m) & (low[:, 1] <= box.north_m) & ~hidden
@@ -189,24 +189,24 @@ def _pieces(line: FloatArray, hidden: BoolArray, box: MapExtent) -> list[FloatAr
     return [line[start : stop + 1] for start, stop in edges.reshape(-1, 2)]
 
 
-# A coast of one's own: land and shore lines of a GeoJSON file in the plane of a map.
+# A coast given by the user: land and shore lines of a GeoJSON file in the plane of a map.
 #
-# Harbours need a finer coast than that of the whole world (:mod:`sameas.maps.outline`): extracts of OpenStreetMap, of a
-# chart or of a survey are GeoJSON, or become it by a geographic information system.
+# Harbours need a finer coast than Natural Earth: extracts of OpenStreetMap, of a chart or of a survey are GeoJSON, or
+# can be converted to it by a geographic information system.
 
 
 @dataclass(frozen=True)
 class Coast:
     """Land and shores on the globe.
 
-    lines : each (n, 2) longitude and latitude, degrees. roles : of each: "land", "water" in it, or "shore".
+    lines : each (n, 2) longitude and latitude, degrees. roles : of each line: "land", "water" (a hole) or "shore".
     """
 
     lines: tuple[FloatArray, ...]
     roles: tuple[str, ...]
 
     def in_plane(self, plane: LocalPlane) -> Outline:
-        """The same in metres east and north of a plane; what reaches farther than 2500 km away is left out."""
+        """The coast in metres east and north of a plane; lines that reach farther than 2500 km are excluded."""
         land: list[FloatArray] = []
         coast: list[FloatArray] = []
         for places, role in zip(self.lines, self.roles, strict=True):
@@ -226,11 +226,11 @@ class Coast:
 def read_coast(path: str | os.PathLike[str]) -> Coast:
     """The land and the shores of a GeoJSON file (RFC 7946: WGS84, longitude first).
 
-    path : polygons are land, their holes are water; lines are shores. Points and properties are passed over.
+    path : polygons are land, their holes are water; lines are shores. Points and properties are ignored.
 
     Raises
     ------
-    InputError : the file cannot be read, is not GeoJSON, has no polygon or line, or coordinates that are none.
+    InputError : the file cannot be read, is not GeoJSON, has no polygon or line, or has invalid coordinates.
     """
     try:
         with open(path, encoding="utf-8") as file:
@@ -275,7 +275,7 @@ def _geometries(value: Any, path: str | os.PathLike[str]) -> Iterator[tuple[int,
 
 
 def _lines(geometry: dict[str, Any]) -> Iterator[tuple[Any, str]]:
-    """The coordinates of each line of a geometry, and what it is: land, water or shore."""
+    """The coordinates and the role (land, water or shore) of each line of a geometry."""
     kind, places = geometry.get("type"), geometry.get("coordinates", [])
     if kind in ("Polygon", "MultiPolygon"):
         for polygon in [places] if kind == "Polygon" else places:
@@ -298,6 +298,6 @@ def _places(points: Any, where: str) -> FloatArray:
 
 
 def _area(ring: FloatArray) -> float:
-    """Twice the signed area: positive where it runs anticlockwise."""
+    """Twice the signed area: positive for an anticlockwise ring."""
     x, y = ring.T
     return float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))

@@ -66,7 +66,7 @@ class MapSensor:
 
     @classmethod
     def of(cls, description: Description, plane: LocalPlane | None, file: str = "") -> MapSensor:
-        """From a source's description; ``plane`` None stands for the user's own plane."""
+        """The sensor of a source's description; ``plane`` None: the user's own plane."""
         coverage = description.coverage
         visible = _visible(coverage.sector_deg, coverage.shadows_deg)
         if description.site is None:
@@ -84,7 +84,7 @@ class MapSensor:
 def _visible(
     sector: tuple[float, float] | None, shadows: Sequence[tuple[float, float]]
 ) -> tuple[tuple[float, float], ...]:
-    """A sector less its shadows: bearings (from, to), from 0 up, to at most a turn later."""
+    """Visible bearings (from, to) of a sector minus its shadows; from is at least 0, to at most 360° more."""
     start = 0.0 if sector is None else sector[0] % 360.0
     width = 360.0 if sector is None else (sector[1] - sector[0]) % 360.0 or 360.0
     visible = [(start, start + width)]
@@ -104,7 +104,7 @@ def _visible(
 
 @dataclass(frozen=True)
 class MapAlarm:
-    """An alarm. time_s : when, None: always. objects : numbers of its objects."""
+    """An alarm. time_s : its time, None: active at all times. objects : numbers of its objects."""
 
     text: str
     time_s: float | None = None
@@ -123,10 +123,10 @@ class MapSheet:
     records : columns of :data:`RECORDS`, one row per record and instant, in the order of sources, rows and times.
     instants_s : (k,) ascending times of the picture, empty ones included.
     sensors : all sources of the records, in the order of their colours.
-    plane : in which x and y are; None for the user's own, then there is no coast.
-    summary : lines to be printed beside the map.
-    texts : explanations, by place in ``instants_s`` and number of the object; each holds until the object's next one.
-    ground : coasts of one's own, in the plane; None stands for those of :func:`sameas.maps.outline`.
+    plane : of x and y; None for the user's own plane, which has no coast.
+    summary : lines printed next to the map.
+    texts : explanations by (index in ``instants_s``, number of the object); each is valid until the object's next one.
+    ground : coasts given by the user, in the plane; None: those of :func:`sameas.maps.outline`.
     """
 
     title: str
@@ -155,9 +155,9 @@ class MapSheet:
         texts: Mapping[tuple[int, int], str] | None = None,
         ground: Outline | None = None,
     ) -> MapSheet:
-        """A checked and ordered sheet; columns that it does not know are left out.
+        """A checked and sorted sheet; unknown columns are ignored.
 
-        instants_s : None stands for the times of the objects and records. sensors : sources that are not among them
+        instants_s : None: the times of the objects and records. sensors : sources of records that are not among them
         are added.
 
         Raises
@@ -191,15 +191,15 @@ class MapSheet:
 
     @property
     def utc(self) -> bool:
-        """Whether times are seconds since 1970 in UTC; else they are the user's own seconds."""
+        """Whether times are seconds since 1970 UTC; otherwise they are seconds from an unknown origin."""
         return bool(self.instants_s[0] >= UTC_FROM_S)
 
     def nearest(self, time_s: float) -> int:
-        """Place of the instant that is nearest to a time."""
+        """Index of the instant nearest to a time."""
         return int(np.argmin(np.abs(self.instants_s - time_s)))
 
     def instant_of(self, columns: Columns) -> IntArray:
-        """(n,) place in ``instants_s`` of each row of objects or records."""
+        """(n,) index in ``instants_s`` of each row of objects or records."""
         return np.searchsorted(self.instants_s, columns["time_s"].astype(np.float64))
 
     def extent(self) -> tuple[float, float, float, float]:
@@ -208,7 +208,7 @@ class MapSheet:
         return _around(np.concatenate([*places, self._sites()]))
 
     def home(self) -> tuple[float, float, float, float]:
-        """The same of the first view: sites, and confirmed objects where there are any."""
+        """West, south, east and north of the first view: sites and confirmed objects; the extent if there are none."""
         confirmed = self.objects["stage"] == "confirmed"
         if not confirmed.any():
             return self.extent()
@@ -221,10 +221,10 @@ class MapSheet:
 
 
 def ellipse_axes(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """1σ along and across the longer axis, metres, and the angle of that from east to north, degrees.
+    """1σ along and across the major axis, metres, and the angle of that axis from east to north, degrees.
 
-    columns : with var_x_m2, cov_xy_m2 and var_y_m2 (n,), masked or NaN where there is no position. All are NaN there,
-    and for ellipses wider than the earth, which are not drawn.
+    columns : with var_x_m2, cov_xy_m2 and var_y_m2 (n,), masked or NaN where there is no position. Results are NaN
+    there and for ellipses with σ ≥ 2000 km, which are not drawn.
     """
     names = ("var_x_m2", "cov_xy_m2", "var_y_m2")
     a, b, c = (np.ma.filled(np.ma.asarray(columns[name], np.float64), np.nan) for name in names)
@@ -237,13 +237,13 @@ def ellipse_axes(columns: Columns) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def seen_by_several(objects: Columns) -> BoolArray:
-    """(n,) objects that two or more sources show, unless that is less likely than not; as the page counts them."""
+    """(n,) mask of objects reported by two or more sources with a probability of at least 0.5, or not known."""
     improbable = objects["probability"].astype(np.float64) < 0.5
     return np.asarray((objects["n_sources"] > 1) & ~improbable, np.bool_)
 
 
 def _around(places: FloatArray) -> tuple[float, float, float, float]:
-    """West, south, east and north of places, at least 100 m wide and high."""
+    """West, south, east and north of positions, at least 100 m wide and high."""
     finite = places[np.isfinite(places).all(axis=1)]
     if not len(finite):
         finite = np.zeros((1, 2))
@@ -255,7 +255,7 @@ def _around(places: FloatArray) -> tuple[float, float, float, float]:
 
 
 def _complete(what: str, columns_in: Mapping[str, Any], required: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """All wanted columns: numbers with NaN where absent, texts with ""; an empty mapping is an empty table."""
+    """All required columns: absent numbers are NaN, absent texts ""; an empty mapping is an empty table."""
     lengths = {name: len(columns_in[name]) for name in columns_in if name in required}
     if len(set(lengths.values())) > 1:
         name = next(name for name in lengths if lengths[name] != next(iter(lengths.values())))
@@ -279,7 +279,7 @@ def _complete(what: str, columns_in: Mapping[str, Any], required: Mapping[str, A
 
 
 def _texts(column: Any) -> NDArray[Any]:
-    """(n,) str, "" where there is none."""
+    """(n,) str; "" where masked or missing."""
     hidden = np.ma.getmaskarray(np.ma.asarray(column))
     values = np.ma.getdata(np.ma.asarray(column)).tolist()
     texts = ["" if off or v is None or v != v else str(v) for v, off in zip(values, hidden, strict=True)]
@@ -287,7 +287,7 @@ def _texts(column: Any) -> NDArray[Any]:
 
 
 def _numbers(what: str, column: Any, default: Any) -> NDArray[Any]:
-    """(n,) numbers, the default where there is none."""
+    """(n,) numbers; NaN or the default where masked."""
     values = np.ma.asarray(column)
     if values.dtype.kind not in "iufb":
         raise InputError(f"{what} is of type {values.dtype}; give numbers")
@@ -299,7 +299,7 @@ def _numbers(what: str, column: Any, default: Any) -> NDArray[Any]:
 
 
 def members_of(text: str) -> list[tuple[str, int]]:
-    """(source, row) of a list of members, as tables have it.
+    """(source, row) of each member in a list as written in tables.
 
     Example
     -------

@@ -1,4 +1,4 @@
-"""The page of a frame: the frame to zoom and click in, its records, residuals, magnitudes and plate model."""
+"""The page of an identified frame: its image with marks, and records, residuals, magnitudes and plate model."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sameas.sky.frame.measurements import Flag
 from sameas.sky.frame.outputs import summary, why_missing
 from sameas.sky.frame.photometry import instrumental
 
-#: Most candidates of a measurement on the page, and their least probability (chosen).
+#: Maximum number of candidates per measurement on the page, and their minimum probability (chosen).
 COMPETITORS, LEAST = 6, 1e-6
 
 
@@ -33,8 +33,8 @@ def write_frame_page(
 ) -> None:
     """Writes the page of an identified frame: one file, complete in itself.
 
-    brightest : number of the brightest identified stars that are marked at first, None for all; the page has a slider.
-    facts : of :func:`sameas.sky.frame.outputs.summary` for this frame, where it was made already.
+    brightest : number of the brightest identified stars marked at first, None for all; the page has a slider.
+    facts : result of :func:`sameas.sky.frame.outputs.summary` for this frame; computed here if None.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def _data(found: FrameIdentification, facts: Mapping[str, Any], factor: int, bri
 
 
 def _listed_stars(found: FrameIdentification) -> IntArray:
-    """Rows of the stars on the page: identified, competing, or missing."""
+    """Rows of the catalogue stars on the page: identified, candidates, or missing."""
     listed = np.zeros(len(found.stars), np.bool_)
     listed[found.missing] = True
     listed[found.result.rows_2[found.result.p_pair >= LEAST]] = True
@@ -103,9 +103,9 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
         rows = np.where(np.ma.getmaskarray(partner), 0, np.ma.getdata(partner))
         colour = np.where(np.ma.getmaskarray(partner), np.nan, found.stars.colour[rows])
         magnitude = found.zero_point(m.flux, colour)
-    left, arc, chi = np.full((len(m), 2), np.nan), np.full((len(m), 2), np.nan), np.full(len(m), np.nan)
+    px, arc, chi = np.full((len(m), 2), np.nan), np.full((len(m), 2), np.nan), np.full(len(m), np.nan)
     i = found.pairs[0]
-    left[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
+    px[i], arc[i], chi[i] = found.residual_px, found.residual_arcsec, result.matches.mahalanobis
     excess = np.full(len(m), np.nan)
     excess[i] = found.excess_mag
     return {
@@ -117,24 +117,27 @@ def _measured(found: FrameIdentification, number: IntArray) -> dict[str, Any]:
         "words": flags, "flags": [flags.index(Flag.words(bits)) for bits in m.flags],
         "star": [None if masked else int(number[row]) for row, masked in _masked(partner)],
         "none": column(result.answers_1.p_none.filled(np.nan), 6),
-        "dx": column(left[:, 0], 3), "dy": column(left[:, 1], 3), "de": column(arc[:, 0], 4),
+        "dx": column(px[:, 0], 3), "dy": column(px[:, 1], 3), "de": column(arc[:, 0], 4),
         "dn": column(arc[:, 1], 4), "chi": column(chi, 2),
         "rivals": _rivals(found, number),
     }  # fmt: skip
 
 
 def _rivals(found: FrameIdentification, number: IntArray) -> list[list[list[Any]]]:
-    """Per measurement its candidates, likeliest first: star, probability, offset in px, distance in quoted errors."""
+    """Per measurement its candidates, most probable first.
+
+    Each is [star, probability, offset x, y in px, distance in quoted σ, 1 if chosen].
+    """
     result = found.result
     candidates = np.flatnonzero((result.p_pair >= LEAST) | result.chosen)
     candidates = candidates[np.argsort(-result.p_pair[candidates], kind="stable")]
     rivals: list[list[list[Any]]] = [[] for _ in range(len(found.measured))]
     for e in candidates:
-        own = rivals[int(result.rows_1[e])]
-        if len(own) < COMPETITORS:
+        candidates_of = rivals[int(result.rows_1[e])]
+        if len(candidates_of) < COMPETITORS:
             dx, dy = result.pairs.residual[e]
             chi = float(np.sqrt(result.pairs.mahalanobis_sq[e]))
-            own.append([
+            candidates_of.append([
                 int(number[result.rows_2[e]]), rounded(result.p_pair[e], 6), rounded(dx, 2), rounded(dy, 2),
                 rounded(chi, 2), int(result.chosen[e]),
             ])  # fmt: skip
@@ -147,9 +150,9 @@ def _stars(found: FrameIdentification, listed: IntArray) -> dict[str, Any]:
     owner[found.pairs[1]] = found.pairs[0]
     missing = np.zeros(len(stars), np.bool_)
     missing[found.missing] = True
-    lost = np.flatnonzero(missing[listed])
+    missing_rows = np.flatnonzero(missing[listed])
     words = [""] * len(listed)
-    for k, why in zip(lost, why_missing(found, listed[lost]), strict=True):
+    for k, why in zip(missing_rows, why_missing(found, listed[missing_rows]), strict=True):
         words[int(k)] = why
     return {
         "id": [str(name) for name in stars.ids[listed]], "x": column(px[:, 0], 2), "y": column(px[:, 1], 2),
@@ -162,7 +165,7 @@ def _stars(found: FrameIdentification, listed: IntArray) -> dict[str, Any]:
 
 
 def _relation(found: FrameIdentification) -> list[list[float | None]]:
-    """The magnitudes that follow from instrumental ones, for a line in the diagram."""
+    """Points (instrumental magnitude, magnitude) of the fitted relation, for a line in the diagram."""
     if found.zero_point is None or not len(found.pairs[0]):
         return []
     measured = instrumental(found.measured.flux[found.pairs[0]])

@@ -1,6 +1,6 @@
-"""The page of a picture: a chart with a time slider, its objects and records, and why each is what it is.
+"""The page of a picture over time: a chart with a time slider, objects, records and the reasons.
 
-One file that needs no network: it opens from disk in Chromium, Firefox and Safari of 2023 and later.
+One file without network access; it opens from disk in Chromium, Firefox and Safari of 2023 and later.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from sameas.maps.outline import Outline, outline
 from sameas.maps.sheet import STAGES, Columns, MapSheet, ellipse_axes, members_of
 from sameas.pages.template import POLICY, SERVED_POLICY, asset, page_of, script_safe
 
-# Columns of numbers packed for a page: small in the file, and unpacked by a few lines of script (map-table.js).
+# Packed columns of numbers, small in the file and unpacked by a few lines of script (map-table.js).
 #
-# A column is rounded to a step; of each number the difference from the one before is kept, its sign in the lowest bit
-# (zigzag), in as few bytes as the largest needs. All lowest bytes come first, then the next ones: most bytes of slowly
-# changing columns are then 0, and DEFLATE packs them away. Browsers unpack gzip by themselves.
+# A column is rounded to a step. Each number is stored as its difference from the previous one, with the sign in the
+# lowest bit (zigzag), in as many bytes as the largest difference needs. All lowest bytes come first, then the next
+# ones: most bytes of slowly changing columns are then 0, which DEFLATE compresses well. Browsers can read gzip.
 
 
 def packed(columns: Mapping[str, tuple[NDArray[Any], float]]) -> tuple[list[dict[str, Any]], str]:
-    """What the columns are, in order, and all their numbers as text.
+    """The description of each column, in order, and all their numbers as text.
 
     Parameters
     ----------
-    columns : name to (values (n,), step). NaN says that there is no number.
+    columns : name to (values (n,), step); NaN where there is no number.
 
     Returns
     -------
-    (heads, text) : per column its name, step, length, bytes per number, and whether a byte of presence follows for
-        each; base64 of gzip of the bytes.
+    (heads, text) : per column its name, step, length, bytes per number, and whether a presence byte per number follows
+        (``holes``); base64 of gzip of the bytes.
 
     Example
     -------
@@ -56,32 +56,32 @@ def packed(columns: Mapping[str, tuple[NDArray[Any], float]]) -> tuple[list[dict
 
 
 def squeezed(data: bytes) -> str:
-    """base64 of gzip; the same bytes give the same text."""
+    """base64 of gzip, without a time stamp: equal data give equal text."""
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode("ascii")
 
 
 def _column(name: str, values: FloatArray, step: float) -> tuple[dict[str, Any], bytes]:
-    there = np.isfinite(values)
-    if np.any(np.abs(values[there]) / step >= 2**31):
-        raise InputError(f"map: column {name} holds {np.abs(values[there]).max():g}, too large to show")
-    counts = np.rint(np.where(there, values, 0.0) / step).astype(np.int64)
-    # Where there is none, the number before stands: no difference to keep.
-    last = np.maximum.accumulate(np.where(there, np.arange(len(values)), 0)) if len(values) else np.empty(0, np.int64)
+    present = np.isfinite(values)
+    if np.any(np.abs(values[present]) / step >= 2**31):
+        raise InputError(f"map: column {name} holds {np.abs(values[present]).max():g}, too large to show")
+    counts = np.rint(np.where(present, values, 0.0) / step).astype(np.int64)
+    # An absent number repeats the previous one: its difference is 0.
+    last = np.maximum.accumulate(np.where(present, np.arange(len(values)), 0)) if len(values) else np.empty(0, np.int64)
     difference = np.diff(counts[last], prepend=0)
     zigzag = (difference << 1) ^ (difference >> 63)
     width = next(w for w in (1, 2, 4, 8) if not len(zigzag) or int(zigzag.max()) < 1 << (8 * w))
     planes = [((zigzag >> (8 * k)) & 255).astype(np.uint8).tobytes() for k in range(width)]
-    holes = not bool(there.all())
+    holes = not bool(present.all())
     head = {"name": name, "step": step, "n": len(values), "bytes": width, "holes": holes}
-    return head, b"".join([*planes, there.astype(np.uint8).tobytes() if holes else b""])
+    return head, b"".join([*planes, present.astype(np.uint8).tobytes() if holes else b""])
 
 
-#: The scripts of the page, in the order in which they build on one another.
+#: The scripts of the page, each after those it uses.
 SCRIPTS = ("table", "words", "earth", "marks", "labels", "chart", "ground", "panel", "listing", "hands")
-#: The chart reaches so many times the size of what is shown, and at least so far (m).
+#: Size of the chart relative to the extent of the data, and its least half width in metres.
 ROOM, LEAST_M = 4.0, 20e3
-#: Probabilities are kept to this.
-SHARE = 1e-5
+#: Step of stored probabilities.
+PROBABILITY_STEP = 1e-5
 
 
 def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
@@ -97,25 +97,26 @@ def write_map_page(sheet: MapSheet, path: str | os.PathLike[str]) -> None:
 
 
 def map_page(sheet: MapSheet, live: Mapping[str, Any] | None = None) -> str:
-    """The same as text.
+    """The page of a sheet as text.
 
-    live : of a page that is served and goes on: what ``map-live.js`` needs to know.
+    live : settings for ``map-live.js`` of a served page that is updated; None for a file.
     """
     objects, strings = _objects(sheet)
     records, tracks = _records(sheet)
     heads, columns = packed({f"o.{k}": v for k, v in objects.items()} | {f"r.{k}": v for k, v in records.items()})
-    filled = _filled(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
+    settings = _settings(sheet) | {"columns": heads, "strings": strings | tracks, "live": live}
     marks = {
         "css": asset("map.css"),
         "js": "\n".join(asset(f"map-{name}.js") for name in (SCRIPTS if live is None else (*SCRIPTS, "live"))),
-        "data": script_safe(filled),
+        "data": script_safe(settings),
         "columns": columns,
         "texts": script_safe(_texts(sheet)),
     }
     return page_of("map.html", sheet.title, "map", marks, POLICY if live is None else SERVED_POLICY)
 
 
-def _filled(sheet: MapSheet) -> dict[str, Any]:
+def _settings(sheet: MapSheet) -> dict[str, Any]:
+    """The data of the page other than columns and explanations."""
     plane = sheet.plane
     return {
         "title": sheet.title,
@@ -140,7 +141,7 @@ def _filled(sheet: MapSheet) -> dict[str, Any]:
 
 
 def _ground(sheet: MapSheet) -> dict[str, Any]:
-    """The part of the plane that can be looked at, and coasts and borders in it."""
+    """The box of the plane that can be viewed, and the coasts and borders in it."""
     west, south, east, north = sheet.extent()
     half = max(ROOM * max(east - west, north - south) / 2.0, LEAST_M if sheet.plane is not None else 0.0)
     x, y = (west + east) / 2.0, (south + north) / 2.0
@@ -158,22 +159,22 @@ def _ground(sheet: MapSheet) -> dict[str, Any]:
 
 
 def _points(lines: Iterable[FloatArray]) -> list[list[int]]:
-    """Each line as x, y, x, y … in whole metres."""
+    """Each line as [x, y, x, y, …] in whole metres."""
     return [np.rint(line).astype(np.int64).ravel().tolist() for line in lines]
 
 
 def _texts(sheet: MapSheet) -> dict[str, str]:
-    """Per object all its explanations, by place of the instant: packed together, as they hardly change."""
-    own: dict[int, dict[int, str]] = {}
+    """Per object all its explanations by index of the instant, compressed together: they differ little."""
+    texts_of: dict[int, dict[int, str]] = {}
     for (instant, number), text in sorted(sheet.texts.items()):
-        own.setdefault(number, {})[instant] = text
-    return {str(n): squeezed(json.dumps(texts, ensure_ascii=False).encode()) for n, texts in own.items()}
+        texts_of.setdefault(number, {})[instant] = text
+    return {str(n): squeezed(json.dumps(texts, ensure_ascii=False).encode()) for n, texts in texts_of.items()}
 
 
 def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
-    """Packed columns of the objects, and the lists of texts that some of them count in."""
+    """Columns of the objects with their steps, and the lists of texts that coded columns refer to."""
     o, step = sheet.objects, _step(sheet)
-    numbers, strings = _counted(o, ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type"), "o")
+    numbers, strings = _coded(o, ("label", "mmsi", "icao", "callsign", "name", "mode_a", "type"), "o")
     stage = np.array([STAGES.index(name) for name in o["stage"].tolist()], np.float64)
     first, rows = _runners_up(sheet)
     return {
@@ -181,8 +182,8 @@ def _objects(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], di
         "x": (o["x_m"], step), "y": (o["y_m"], step), "vx": (o["vx_m_per_s"], 0.01), "vy": (o["vy_m_per_s"], 0.01),
         "speed": (o["speed_m_per_s"], 0.01), "course": (o["course_deg"], 0.1), **_ellipses(o, step),
         "height": (o["height_m"], 1.0), "sh": (o["sigma_height_m"], 1.0), "climb": (o["climb_m_per_s"], 0.1),
-        "sources": (o["n_sources"], 1), "p": (o["probability"], SHARE), "ambiguous": (o["ambiguous"], 1),
-        "rival": (o["p_runner_up"], SHARE), "rivals": (first, 1), "rivalRows": (rows, 1), **numbers,
+        "sources": (o["n_sources"], 1), "p": (o["probability"], PROBABILITY_STEP), "ambiguous": (o["ambiguous"], 1),
+        "rival": (o["p_runner_up"], PROBABILITY_STEP), "rivals": (first, 1), "rivalRows": (rows, 1), **numbers,
     }, strings  # fmt: skip
 
 
@@ -190,18 +191,18 @@ def _records(sheet: MapSheet) -> tuple[dict[str, tuple[NDArray[Any], float]], di
     r, step = sheet.records, _step(sheet)
     places = {sensor.name: k for k, sensor in enumerate(sheet.sensors)}
     source = np.array([places[name] for name in r["source"].tolist()], np.float64)
-    numbers, strings = _counted(r, ("track_id",), "r")
+    numbers, strings = _coded(r, ("track_id",), "r")
     return {
         "t": (sheet.instant_of(r), 1), "n": (r["object"], 1), "source": (source, 1), "row": (r["row"], 1),
         "line": (r["line"], 1), "x": (r["x_m"], step), "y": (r["y_m"], step), **_ellipses(r, step),
-        "p": (r["p_object"], SHARE), "alone": (r["p_alone"], SHARE), "age": (r["age_s"], 0.1),
+        "p": (r["p_object"], PROBABILITY_STEP), "alone": (r["p_alone"], PROBABILITY_STEP), "age": (r["age_s"], 0.1),
         "bearing": (r["bearing_deg"], 0.01), "sb": (r["sigma_bearing_deg"], 0.01),
         "sx": (r["sensor_x_m"], step), "sy": (r["sensor_y_m"], step), **numbers,
     }, strings  # fmt: skip
 
 
 def _step(sheet: MapSheet) -> float:
-    """A centimetre in a harbour, a decimetre on a sea."""
+    """Step of stored positions, metres: 0.01 within 20 km of the origin, else 0.1."""
     west, south, east, north = sheet.extent()
     return 0.01 if max(abs(west), abs(south), abs(east), abs(north)) < 20e3 else 0.1
 
@@ -211,24 +212,24 @@ def _ellipses(columns: Columns, step: float) -> dict[str, tuple[NDArray[Any], fl
     return {"major": (major, step), "minor": (minor, step), "angle": (angle, 1.0)}
 
 
-def _counted(
+def _coded(
     columns: Columns, names: Iterable[str], table: str
 ) -> tuple[dict[str, tuple[NDArray[Any], float]], dict[str, list[str]]]:
-    """Texts as places in lists of those that occur."""
+    """Text columns as indices into the lists of their distinct texts."""
     numbers, strings = {}, {}
     for name in names:
-        texts, place = np.unique(columns[name].astype(str), return_inverse=True)
-        numbers[name], strings[f"{table}.{name}"] = (place, 1.0), texts.tolist()
+        texts, index = np.unique(columns[name].astype(str), return_inverse=True)
+        numbers[name], strings[f"{table}.{name}"] = (index, 1.0), texts.tolist()
     return numbers, strings
 
 
 def _runners_up(sheet: MapSheet) -> tuple[IntArray, IntArray]:
-    """Per object row where its second best members begin in the second array, which counts rows of the records."""
+    """The members of each object row's runner-up: offsets (n + 1,) into an array of rows of the records."""
     r = sheet.records
     keys = zip(sheet.instant_of(r).tolist(), r["source"].tolist(), r["row"].tolist(), strict=True)
-    place = {(t, source, int(row)): k for k, (t, source, row) in enumerate(keys)}
+    row_of = {(t, source, int(row)): k for k, (t, source, row) in enumerate(keys)}
     first, rows = [0], []
     for t, text in zip(sheet.instant_of(sheet.objects).tolist(), sheet.objects["runner_up"].tolist(), strict=True):
-        rows += [place[(t, *member)] for member in members_of(text) if (t, *member) in place]
+        rows += [row_of[(t, *member)] for member in members_of(text) if (t, *member) in row_of]
         first.append(len(rows))
     return np.array(first, np.int64), np.array(rows, np.int64)

@@ -1,4 +1,4 @@
-"""The page of what moves: each candidate's blink and stack, its residuals and light, and why it is believed."""
+"""The pages of movers (blink and stack of each candidate, residuals, light, evidence) and of a series of frames."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from sameas.sky.movers.search import Movers
 from sameas.sky.movers.stack import Stack
 from sameas.sky.series import LEAST_FLOOR_ARCSEC, Series, Stars
 
-#: Most candidates and most frames of each on the page (chosen: some megabytes).
+#: Maximum number of candidates, and of frames per candidate, on the page (chosen: some megabytes).
 MOST, MOST_FRAMES = 24, 40
-#: Noise of a pixel: below the sky that is black, and least brightness that is white.
+#: In units of the pixel noise: distance of black below the sky, least white level, softening of asinh.
 _BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
 
 
@@ -30,11 +30,11 @@ def write_movers_page(
     known: KnownObjects | None = None, below: tuple[Movers, Stack, KnownObjects | None] | None = None,
     told: BoolArray | None = None,
 ) -> None:  # fmt: skip
-    """Writes the page of what moves on a series: one file, complete in itself.
+    """Writes the page of the moving objects on a series of frames: one file, complete in itself.
 
-    found : the tracklets. pixels : of the first of them. known : which objects they are, where elements were given.
-    below : the same of those that only the frames added together show, where these were searched. told : (k,) which
-    tracklets the report holds, where there is one.
+    found : the tracklets. pixels : cut-outs of the first of them. known : their known objects, if elements were given.
+    below : the same three for movers that only the stacked frames show, if these were searched. told : (k,) tracklets
+    in the report, None without a report.
 
     Raises
     ------
@@ -72,9 +72,9 @@ def write_movers_page(
 
 def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | None, k: int) -> dict[str, Any]:
     shown = _frames(pixels, k)
-    seen, rows = found.detections, found.members[k][found.members[k] >= 0]
+    detections, rows = found.detections, found.members[k][found.members[k] >= 0]
     east, north = found.rate_arcsec_per_min[k]
-    light = seen.magnitude[rows]
+    light = detections.magnitude[rows]
     fixed = pixels.fixed[k]
     usual = float(np.nanmedian(pixels.error[k])) if np.isfinite(pixels.error[k]).any() else 1.0
     top = max(_WHITE, 0.8 * float(np.nanpercentile(pixels.along[k][shown], 99.7)))
@@ -93,11 +93,12 @@ def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | N
     ]  # fmt: skip
     each = [
         {
-            "frame": seen.frame_names[seen.frame[row]], "mjd": float(seen.mjd_utc[row]), "ra": float(seen.ra_deg[row]),
-            "dec": float(seen.dec_deg[row]), "magnitude": rounded(seen.magnitude[row], 3),
+            "frame": detections.frame_names[detections.frame[row]], "mjd": float(detections.mjd_utc[row]),
+            "ra": float(detections.ra_deg[row]), "dec": float(detections.dec_deg[row]),
+            "magnitude": rounded(detections.magnitude[row], 3),
             "p": rounded(found.p_member[k, n], 6), "east": rounded(found.residual_arcsec[row, 0], 4),
             "north": rounded(found.residual_arcsec[row, 1], 4),
-            "sigma": rounded(float(np.sqrt(seen.covariance[row, 0])), 4),
+            "sigma": rounded(float(np.sqrt(detections.covariance[row, 0])), 4),
         }
         for n, row in enumerate(rows.tolist())
     ]  # fmt: skip
@@ -115,13 +116,13 @@ def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | N
 
 
 def _frames(pixels: Stack, k: int) -> NDArray[np.int64]:
-    """The frames that the page shows of a candidate: all, or evenly those that have it."""
-    there = np.flatnonzero(np.isfinite(pixels.flux[k]) | pixels.detected[k])
-    if len(there) <= MOST_FRAMES:
-        return there
-    detected = there[pixels.detected[k, there]]
-    some = detected if len(detected) >= MOST_FRAMES else there
-    return np.asarray(some[np.unique(np.linspace(0, len(some) - 1, MOST_FRAMES).astype(np.int64))])
+    """The frames of a candidate on the page: those that cover it; of too many, evenly spaced detections or frames."""
+    covering = np.flatnonzero(np.isfinite(pixels.flux[k]) | pixels.detected[k])
+    if len(covering) <= MOST_FRAMES:
+        return covering
+    detected = covering[pixels.detected[k, covering]]
+    choice = detected if len(detected) >= MOST_FRAMES else covering
+    return np.asarray(choice[np.unique(np.linspace(0, len(choice) - 1, MOST_FRAMES).astype(np.int64))])
 
 
 def _known(found: Movers, known: KnownObjects | None, k: int) -> dict[str, Any] | None:
@@ -135,23 +136,26 @@ def _known(found: Movers, known: KnownObjects | None, k: int) -> dict[str, Any] 
 
 
 def _sheet(cuts: NDArray[np.float32], top: float) -> dict[str, Any]:
-    """Cut-outs (f, s, s) in units of their noise side by side as one picture."""
+    """Cut-outs (f, s, s) in units of their noise, side by side as one PNG."""
     light = np.arcsinh(np.maximum(np.nan_to_num(cuts) + _BLACK, 0.0) / _SOFT) / np.arcsinh((top + _BLACK) / _SOFT)
     grey = (255.0 * np.clip(light, 0.0, 1.0)).astype(np.uint8)
     wide = np.ascontiguousarray(grey.transpose(1, 0, 2).reshape(grey.shape[1], -1))
     return {"size": int(cuts.shape[1]), "png": base64.b64encode(png(wide)).decode("ascii")}
 
 
-# The page of a series: its frames with links to their pages, zero points, light curves of its stars, doubts.
+# The page of a series: frames with links to their pages, zero points, light curves of stars, doubts.
 
-#: Most stars on the page, the least constant among them (chosen: a page of some megabytes).
+#: Maximum number of stars on the page, and how many of them are the least constant (chosen: some megabytes).
 MOST_STARS, LEAST_CONSTANT = 600, 200
 
 
 def series_field(
     name: str, series: Series, summary: Sequence[Mapping[str, Any]], doubts: Sequence[Sequence[str]], filter: str = ""
 ) -> dict[str, Any]:
-    """What the page has of one series. told : summaries of its frames, doubts : of each, in the order of time."""
+    """The data of one series for the page.
+
+    summary : of each frame, doubts : of each frame, both in the order of time.
+    """
     stars = series.stars
     shown = _shown(stars)
     ra, dec = series.sky(stars.place[shown])
@@ -183,14 +187,14 @@ def series_field(
 
 
 def _shown(stars: Stars) -> IntArray:
-    """Rows of the stars that the page has: all, or the least constant and the brightest."""
+    """Rows of the stars on the page: all, or the least constant and the brightest."""
     usable = np.flatnonzero(np.isfinite(stars.mean) & np.isfinite(stars.scatter_mag))
     if len(usable) <= MOST_STARS:
         return usable
-    odd = usable[np.argsort(stars.p_constant[usable], kind="stable")][:LEAST_CONSTANT]
+    variable = usable[np.argsort(stars.p_constant[usable], kind="stable")][:LEAST_CONSTANT]
     bright = usable[np.argsort(stars.mean[usable], kind="stable")]
-    bright = bright[~np.isin(bright, odd)][: MOST_STARS - len(odd)]
-    return np.sort(np.concatenate([odd, bright]))
+    bright = bright[~np.isin(bright, variable)][: MOST_STARS - len(variable)]
+    return np.sort(np.concatenate([variable, bright]))
 
 
 def write_series_page(
@@ -204,8 +208,8 @@ def write_series_page(
 ) -> None:
     """Writes the page of a folder of frames: one file, complete in itself.
 
-    fields : of :func:`series_field`. failed : frames that could not be identified, and why. reasons : why frames are in
-    no series. movers : the file of the page of what moves, and the words of the link.
+    fields : results of :func:`series_field`. failed : (name, reason) of frames that could not be identified. reasons :
+    why frames are in no series. movers : file of the page of movers, and the words of the link to it.
 
     Raises
     ------

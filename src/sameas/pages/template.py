@@ -1,4 +1,4 @@
-"""Pages made of a template: its marks filled in, and a policy by which a browser runs only the page's own script."""
+"""HTML pages from templates, with a Content-Security-Policy under which a browser runs only the page's own script."""
 
 from __future__ import annotations
 
@@ -27,49 +27,50 @@ _SCRIPT = re.compile(r"<script>(.*?)</script>", re.DOTALL)
 
 
 def asset(name: str) -> str:
-    """A file of the pages as text."""
+    """Text of a template, style sheet or script of the pages."""
     return (files("sameas.pages") / name).read_text(encoding="utf-8")
 
 
-#: The same of a page that is served: it may talk to the server that it came from, and to no other.
+#: The policy of a served page: it may also connect to its own server.
 SERVED_POLICY = POLICY + "; connect-src 'self'"
 
 
 def page_of(template: str, title: str, kind: str, marks: Mapping[str, str], policy: str = POLICY) -> str:
-    """The head that all pages have and a template, with their marks ``{{name}}`` filled in.
+    """The common head and a template, with their placeholders ``{{name}}`` replaced.
 
-    title, kind : what the window is called; the title is any text, the kind a word of ours.
-    policy : that of the page, to which the digest of its script is added.
+    title, kind : of the window; the title is any text (escaped here), the kind a fixed word.
+    marks : text of each placeholder; those inside the script must come from this package.
+    policy : of the page, with ``{}`` for the digest of its script.
 
-    The marks of the script must be files of ours. All are filled in one pass: what stands for one is no mark itself.
+    All placeholders are replaced in one pass, so a replacement that contains ``{{name}}`` stays as it is.
     """
     text = asset("head.html") + asset(template)
     marks = {"title": html.escape(printable(title)), "kind": kind, "version": html.escape(sameas.__version__), **marks}
-    script = _filled(_SCRIPT.findall(text)[0], marks)
+    script = _replaced(_SCRIPT.findall(text)[0], marks)
     digest = base64.b64encode(hashlib.sha256(script.encode("utf-8")).digest()).decode("ascii")
-    return _filled(text, {**marks, "policy": policy.format(f"sha256-{digest}")})
+    return _replaced(text, {**marks, "policy": policy.format(f"sha256-{digest}")})
 
 
-def _filled(text: str, marks: Mapping[str, str]) -> str:
+def _replaced(text: str, marks: Mapping[str, str]) -> str:
     return re.sub(r"\{\{(\w+)\}\}", lambda found: marks[found[1]], text)
 
 
 def script_safe(value: Any) -> str:
-    """JSON in which nothing can end or open the element that holds it: names come from files and from radio."""
+    """JSON that cannot end or open the script element around it, whatever names from files and radio contain."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-# What pages hold in their data: numbers rounded, and images.
+# Data of pages: rounded numbers and images.
 
 
 def png(grey: NDArray[np.uint8]) -> bytes:
-    """A grey image (rows, columns) of eight bits as the bytes of a PNG file (ISO/IEC 15948), first row on top."""
+    """A PNG file (ISO/IEC 15948) of a grey image (rows, columns) of eight bits, first row on top."""
     rows, columns = grey.shape
-    # Filter 1 (sub) keeps each byte less the one to its left: smooth images compress better.
-    less = grey.copy()
-    less[:, 1:] -= grey[:, :-1]
-    lines = np.concatenate([np.ones((rows, 1), np.uint8), less], axis=1)
+    # Filter 1 (sub) stores differences to the left neighbour: smooth images compress better.
+    differences = grey.copy()
+    differences[:, 1:] -= grey[:, :-1]
+    lines = np.concatenate([np.ones((rows, 1), np.uint8), differences], axis=1)
     head = struct.pack(">IIBBBBB", columns, rows, 8, 0, 0, 0, 0)
     body = zlib.compress(lines.tobytes(), 6)
     return b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", head) + _chunk(b"IDAT", body) + _chunk(b"IEND", b"")
@@ -80,11 +81,11 @@ def _chunk(kind: bytes, data: bytes) -> bytes:
 
 
 def column(values: NDArray[Any], digits: int) -> list[float | None]:
-    """Numbers rounded, null where they are none."""
-    kept = np.round(np.asarray(values, np.float64), digits)
-    return [None if value != value or abs(value) == float("inf") else value for value in kept.tolist()]
+    """Numbers rounded to some digits; None where they are NaN or infinite."""
+    numbers = np.round(np.asarray(values, np.float64), digits).tolist()
+    return [None if value != value or abs(value) == float("inf") else value for value in numbers]
 
 
 def rounded(value: float, digits: int) -> float | None:
-    """A number rounded, null where it is none."""
+    """A number rounded to some digits; None where it is NaN or infinite."""
     return column(np.array([value]), digits)[0]

@@ -1,15 +1,15 @@
-"""Pictures of an identification of two catalogues; each function returns a matplotlib ``Figure``.
+"""Plots of a crossmatch of two catalogues; each function returns a matplotlib ``Figure``.
 
-- :func:`residuals`: the offsets of the identified pairs, before and after motion. What did motion do?
+- :func:`residuals`: offsets of the identified pairs with and without proper motion. Does motion help?
 - :func:`normalised`: the same offsets in units of their quoted errors. Are the errors right?
-- :func:`scatter`: how far the pairs scatter at which quoted error and magnitude. Whose errors, and is there a floor?
-- :func:`group`: records that compete, with error ellipses and probabilities. Why is this one not certain?
-- :func:`certainty`: how sure all of them are, and which share is identified at which magnitude.
-- :func:`brightness`: which share of each catalogue the other shows, how densely what it does not show lies, and how the
-  magnitudes are related.
+- :func:`scatter`: scatter of the pairs by quoted error and by magnitude. Whose errors are wrong, and is there a floor?
+- :func:`group`: competing records with error ellipses and probabilities. Why is this identification ambiguous?
+- :func:`certainty`: expected wrong and lost pairs by a cut on probability, and the identified share by magnitude.
+- :func:`brightness`: completeness of each catalogue in the other, density of records without a partner, relation of the
+  magnitudes.
 
-:func:`save` writes a figure to a file, whole or not at all. They need matplotlib
-(``pip install sameas[plots]``) but neither pyplot nor a display, and change no setting of the session.
+:func:`save` writes a figure to a file atomically. Plots need matplotlib (``pip install sameas[plots]``), neither pyplot
+nor a display, and change no global setting.
 
 >>> from sameas import plots
 >>> plots.save(plots.residuals(match), "residuals.png")  # doctest: +SKIP
@@ -39,7 +39,7 @@ _EVERY = {
 
 
 def every(match: SkyMatch) -> Iterator[tuple[str, Figure]]:
-    """Name and figure of each picture that there is something to draw for.
+    """Name and figure of each plot that this match has data for.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""How sure the identification is, and how complete: by a cut on probability, and along the magnitudes.
+"""Plots of certainty and completeness: by a cut on probability, and by magnitude.
 
-Beside these the density of what is not identified, and how the magnitudes of both catalogues are related.
+Also the density of records without a partner, and the relation of the magnitudes of both catalogues.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 # Expected errors of the identification by a cut on probability, and the identified share of the first catalogue.
 
-#: The highest cut on probability that is drawn is one less this.
+#: 1 minus the highest cut on probability of the plot.
 SUREST = 1e-4
 
 
 def certainty(match: SkyMatch) -> Figure:
-    """Expected numbers of wrong pairs and of lost true pairs against a cut on probability, and the identified share.
+    """Expected numbers of wrong and of lost true pairs by a cut on probability, and the identified share by magnitude.
 
-    The share is of the first catalogue against its magnitude; the panel is left out where it has none.
+    The share is that of the first catalogue; without magnitudes there is no such panel.
     """
     matches = match.result.matches
     title = f"Of {count(len(matches))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
@@ -39,18 +39,18 @@ def certainty(match: SkyMatch) -> Figure:
         return figure
     has_magnitude = match.first.magnitude is not None and np.isfinite(match.first.magnitude).any()
     axes = figure.subplots(1, 2 if has_magnitude else 1, squeeze=False)[0]
-    _cut(axes[0], match)
+    _by_cut(axes[0], match)
     if has_magnitude:
-        _reach(axes[1], match)
+        _share_identified(axes[1], match)
     return figure
 
 
-def _cut(axes: Axes, match: SkyMatch) -> None:
-    """Expected numbers of wrong pairs kept and of true pairs given up, against the least probability kept."""
+def _by_cut(axes: Axes, match: SkyMatch) -> None:
+    """Expected numbers of wrong pairs kept and of true pairs lost, by the minimum probability kept."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     p = np.sort(match.result.matches.p_match)
-    # What a cut does happens near 1: the axis is that of 1 − p, a decade of it as wide as any other.
+    # A cut matters near 1: the axis is logarithmic in 1 − p.
     doubt = np.geomspace(1.0, SUREST, 400)
     cuts = 1.0 - doubt
     first_kept = np.searchsorted(p, cuts)
@@ -69,7 +69,7 @@ def _cut(axes: Axes, match: SkyMatch) -> None:
     shown = (1.0, 0.5, 0.1, 0.01, 1e-3, 1e-4)
     axes.set_xticks(shown, [f"{1.0 - value:g}" for value in shown])
     axes.xaxis.set_minor_locator(NullLocator())
-    # Few wrong ones beside many given up are seen both.
+    # Few wrong pairs and many lost ones must both be readable.
     axes.set_yscale("symlog", linthresh=10.0)
     top = max(float(below.max()), float(wrong_above.max()), 1.0)
     axes.set_yticks(
@@ -81,20 +81,20 @@ def _cut(axes: Axes, match: SkyMatch) -> None:
     tidy(axes, "lowest p_match kept", "expected number of pairs", "pairs kept and lost by a cut in p_match")
 
 
-def _reach(axes: Axes, match: SkyMatch) -> None:
+def _share_identified(axes: Axes, match: SkyMatch) -> None:
     magnitude = match.first.magnitude
     assert magnitude is not None
     usable = match.result.answers_1.usable & np.isfinite(magnitude)
     identified = usable & ~np.ma.getmaskarray(match.result.answers_1.partner)
     low, high = np.floor(magnitude[usable].min()), np.ceil(magnitude[usable].max())
     edges = np.arange(low, high + 0.5, 0.5)
-    every = np.histogram(magnitude[usable], edges)[0]
-    counted = np.histogram(magnitude[identified], edges)[0]
+    total = np.histogram(magnitude[usable], edges)[0]
+    matched = np.histogram(magnitude[identified], edges)[0]
     with np.errstate(invalid="ignore"):
-        share = np.where(every > 0, counted / np.maximum(every, 1), np.nan)
+        share = np.where(total > 0, matched / np.maximum(total, 1), np.nan)
     middle = 0.5 * (edges[1:] + edges[:-1])
     axes.bar(middle, 100.0 * share, width=0.46, color=FOUND, alpha=0.85)
-    for x, y, n in zip(middle, share, every, strict=True):
+    for x, y, n in zip(middle, share, total, strict=True):
         if n:
             axes.text(x, 100.0 * y + 1.0, f"{n}", ha="center", va="bottom", fontsize=7.5, rotation=90)
     axes.set_ylim(0.0, 118.0)
@@ -103,12 +103,12 @@ def _reach(axes: Axes, match: SkyMatch) -> None:
     tidy(axes, brightness, "identified  [%]", "share identified (rows above each bar)")
 
 
-#: Most dots.
+#: Maximum number of pairs drawn.
 MOST_DOTS = 5000
 
 
 def brightness(match: SkyMatch) -> Figure:
-    """Completeness of either catalogue and density of what it has alone by magnitude; the pairs' magnitudes compared.
+    """Completeness of each catalogue and density of its records without a partner, by magnitude; magnitudes of pairs.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def _completeness(axes: Axes, curve: DetectionCurve, label: str, colour: str) ->
 
 
 def _alone(axes: Axes, curve: DetectionCurve, label: str, colour: str) -> None:
-    """Density of the records without a partner in the other catalogue; bins without any are left out."""
+    """Density of the records without a partner in the other catalogue; bins below one standard error are not drawn."""
     some = curve.density > curve.density_error
     density, error = ARCSEC2_PER_DEG2 * curve.density[some], ARCSEC2_PER_DEG2 * curve.density_error[some]
     half = 0.5 * np.diff(curve.edges)[some]
@@ -167,7 +167,7 @@ def _alone(axes: Axes, curve: DetectionCurve, label: str, colour: str) -> None:
 
 
 def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
-    """Magnitude differences of the identified pairs, with the curve of the mean and its scatter."""
+    """Magnitude differences of the identified pairs, with their fitted mean and scatter."""
     photometry, matches = match.estimate.photometry, match.result.matches
     assert photometry is not None
     first, second = match.result.first, match.result.second

@@ -1,4 +1,4 @@
-"""Pictures of an identified frame: the frame with its stars, and the residuals of plate and magnitudes."""
+"""Plots of an identified frame: the image with its stars marked, and residuals of the plate model and magnitudes."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: On the dark sky: identified, not identified, missing; apart for every colour vision, as those of the page.
+#: Marks on the dark sky: identified, not identified, missing; distinct for every colour vision, as on the page.
 BLUE, YELLOW, RED = "#2f9bff", "#ffe14a", "#d9522e"
 NIGHT, PAPER, DIM = "#0b0d12", "#e8e6df", "#a9adb5"
-#: Number of the brightest identified stars whose residuals are arrows.
+#: Maximum number of residual arrows, of the brightest identified stars.
 ARROWS = 1500
 
 
 def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None = None) -> Figure:
-    """The frame with marks on its identified stars, unidentified measurements and missing stars.
+    """The image with marks on identified stars, unidentified measurements and missing stars.
 
-    brightest : mark only so many of the identified stars.
+    brightest : maximum number of identified stars to mark, the brightest first; None: all.
     """
     try:
         from matplotlib.figure import Figure
@@ -59,23 +59,23 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None =
 
 
 def brightest_pairs(found: FrameIdentification, number: int | None) -> IntArray:
-    """(number,) positions of the brightest among the identified pairs, of all where None, brightest first."""
+    """(number,) indices of the identified pairs, brightest first; all if ``number`` is None."""
     order = np.argsort(-found.measured.flux[found.pairs[0]], kind="stable")
     return order[:number]
 
 
 def _marks(axes: Axes, found: FrameIdentification, brightest: int | None) -> list[Any]:
-    """Circles that grow with brightness, crosses and diamonds; returns the handles of the legend."""
+    """Draws circles (larger for brighter stars), crosses and diamonds; returns the handles of the legend."""
     from matplotlib.collections import EllipseCollection
 
     m, (i, _, p) = found.measured, found.pairs
-    kept = brightest_pairs(found, brightest)
+    marked = brightest_pairs(found, brightest)
     unit = m.psf_fwhm_px * max(1.0, m.shape[1] / 1600)
-    magnitude = instrumental(m.flux[i[kept]])
+    magnitude = instrumental(m.flux[i[marked]])
     faint = float(np.nanquantile(instrumental(m.flux), 0.9))
     steps = np.clip(np.nan_to_num(faint - magnitude, nan=0.0), 0.0, 7.0)
     size = unit * (3.2 + 0.75 * steps)
-    sure = p[kept] >= 0.9
+    sure = p[marked] >= 0.9
     for which, style in ((sure, "solid"), (~sure, "dotted")):
         axes.add_collection(
             EllipseCollection(
@@ -88,29 +88,31 @@ def _marks(axes: Axes, found: FrameIdentification, brightest: int | None) -> lis
                 linewidths=0.55,
                 linestyles=style,
                 alpha=0.9,
-                offsets=np.column_stack([m.x_px, m.y_px])[i[kept][which]],
+                offsets=np.column_stack([m.x_px, m.y_px])[i[marked][which]],
                 transOffset=axes.transData,
             )
         )
     beyond = found.beyond_catalogue
-    alone = np.setdiff1d(found.result.leftovers_1, beyond)
-    lost = found.predicted_px[found.missing]
-    axes.plot(m.x_px[alone], m.y_px[alone], "x", color=YELLOW, ms=3.2, mew=0.6, alpha=0.9)
-    axes.plot(*lost.T, "D", color="none", markeredgecolor=RED, ms=4.4, mew=0.7)
-    return _legend(len(kept), len(i), len(alone), len(beyond), len(lost))
+    unidentified = np.setdiff1d(found.result.leftovers_1, beyond)
+    missing = found.predicted_px[found.missing]
+    axes.plot(m.x_px[unidentified], m.y_px[unidentified], "x", color=YELLOW, ms=3.2, mew=0.6, alpha=0.9)
+    axes.plot(*missing.T, "D", color="none", markeredgecolor=RED, ms=4.4, mew=0.7)
+    return _legend(len(marked), len(i), len(unidentified), len(beyond), len(missing))
 
 
-def _legend(marked: int, found: int, alone: int, beyond: int, lost: int) -> list[Any]:
-    """The handles of the legend: what the marks mean, and their numbers."""
+def _legend(marked: int, identified: int, unidentified: int, beyond: int, missing: int) -> list[Any]:
+    """The handles of the legend, with the number of each mark."""
     from matplotlib.lines import Line2D
 
     first = (
-        f"{count(marked)} brightest identified of {count(found)}" if found > marked else f"{count(found)} identified"
+        f"{count(marked)} brightest identified of {count(identified)}"
+        if identified > marked
+        else f"{count(identified)} identified"
     )
     legend = [
         ("o", BLUE, first),
-        ("x", YELLOW, f"{count(alone)} not in the catalogue{_beyond(beyond)}"),
-        ("D", RED, f"{count(lost)} of the catalogue missing"),
+        ("x", YELLOW, f"{count(unidentified)} not in the catalogue{_beyond(beyond)}"),
+        ("D", RED, f"{count(missing)} of the catalogue missing"),
     ]
     return [
         Line2D([], [], ls="", marker=mark, color=colour, label=words, markersize=7, markerfacecolor="none")
@@ -119,7 +121,7 @@ def _legend(marked: int, found: int, alone: int, beyond: int, lost: int) -> list
 
 
 def _beyond(number: int) -> str:
-    """How many more are not marked."""
+    """The number of measurements beyond the catalogue, which are not marked."""
     return f" (and {count(number)} fainter than it reaches, not marked)" if number else ""
 
 
@@ -184,7 +186,7 @@ def _angle(arcsec: float) -> str:
 
 
 def quality(found: FrameIdentification) -> Figure:
-    """Four panels: residuals over the frame, against brightness, the magnitudes, and how complete the frame is."""
+    """Four panels: residuals over the frame and by magnitude, the photometric relation, and completeness."""
     left, i = found.residual_arcsec, found.pairs[0]
     scatter = found.scatter_arcsec
     subtitle = f"{count(len(i))} identified stars of {found.stars.name} on {found.measured.name}; {_model(found)}"
@@ -213,7 +215,7 @@ def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
     rows, columns = found.measured.shape
     px = found.residual_px[kept]
     length = np.hypot(*px.T)
-    # Of the many near ones: wrong pairs and doubles, however many, do not make the arrows of the others short.
+    # A quantile of the small residuals: wrong pairs and doubles must not shorten the other arrows.
     typical = max(float(np.quantile(length, 0.7)), 1e-6)
     magnified = 10.0 ** math.floor(math.log10(0.05 * max(rows, columns) / typical))
     magnified *= max((f for f in (1, 2, 5) if f * magnified * typical <= 0.05 * max(rows, columns)), default=1)
@@ -258,12 +260,12 @@ def _against_brightness(axes: Axes, found: FrameIdentification, left: FloatArray
 
 
 def _dot(points: FloatArray | IntArray) -> float:
-    """Size of a point, larger where there are few."""
+    """Marker size, larger for few points."""
     return 2.6 if len(points) > 200 else 6.0
 
 
 def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> None:
-    """The robust standard deviation of either axis in bins of equal numbers, and the quoted errors there."""
+    """Draws the robust standard deviation per axis in bins of equal number, and the quoted errors."""
     known = np.flatnonzero(np.isfinite(magnitude))
     if len(known) < 60:
         return
@@ -282,7 +284,7 @@ def _running(axes: Axes, magnitude: FloatArray, found: FrameIdentification) -> N
 
 
 def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
-    """The stars' magnitudes against those of the frame, with the fitted relation."""
+    """Catalogue magnitudes against instrumental ones, with the fitted relation."""
     i, j, _ = found.pairs
     measured, zero = instrumental(found.measured.flux[i]), found.zero_point
     if zero is None or not np.isfinite(found.stars.magnitude[j]).any():
@@ -312,7 +314,7 @@ def _zero_words(found: FrameIdentification) -> str:
 
 
 def _complete(axes: Axes, found: FrameIdentification) -> None:
-    """Stars of the catalogue on the frame, the identified ones, and their share with its standard error."""
+    """Catalogue stars on the frame and identified ones by magnitude; the identified share with its standard error."""
     curve = found.completeness
     if curve is None:
         axes.text(0.5, 0.5, "the catalogue has no magnitudes", ha="center", transform=axes.transAxes, color=FAINT)
@@ -337,30 +339,30 @@ def _complete(axes: Axes, found: FrameIdentification) -> None:
     share.tick_params(labelsize=9.5, color=FAINT, labelcolor=SECOND)
 
 
-# The stretch of a frame: the sky nearly black, faint stars visible, bright ones distinct.
+# The intensity stretch: sky nearly black, faint stars visible, bright ones not all white.
 
-#: Standard deviations of the sky: below the sky that is black, above black at which asinh becomes logarithmic (chosen).
+#: In units of the sky noise: distance of black below the sky, and softening of asinh (chosen).
 BLACK, SOFT = 0.7, 3.5
-#: Share of the pixels that are white (chosen).
+#: Fraction of white pixels (chosen).
 WHITE = 0.0008
-#: Most pixels along a side of the picture; larger frames are averaged.
+#: Maximum size of the image, pixels per side; larger frames are binned.
 LARGEST = 2400
 
 
 def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> NDArray[np.uint8]:
-    """(rows, columns) 0 … 255: asinh of the light above the sky.
+    """(rows, columns) grey values 0 … 255: asinh of the intensity above the sky.
 
-    image : (rows, columns). masked : pixels without a number, which become sky.
+    image : (rows, columns). masked : invalid pixels, which get the value of the sky.
     """
     values = np.asarray(image, np.float32)
     used = np.isfinite(values) if masked is None else np.isfinite(values) & ~masked
-    values = values - _slow(np.where(used, values, np.nan))
+    values = values - _sky_gradient(np.where(used, values, np.nan))
     sample = values[used]
     if len(sample) > 1_000_000:
         sample = sample[:: len(sample) // 1_000_000]
     level = float(np.median(sample))
     below = sample[sample <= level]
-    # The noise is that of the pixels below the sky, where no stars are.
+    # The noise is measured on the pixels below the sky level, which contain no stars.
     noise = 1.4826 * float(np.median(level - below)) if len(below) else 1.0
     noise = noise if noise > 0 else max(float(sample.std()), 1e-6)
     low, high = level - BLACK * noise, max(float(np.quantile(sample, 1.0 - WHITE)), level + 10.0 * noise)
@@ -369,8 +371,11 @@ def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> ND
     return np.asarray(255.0 * np.clip(np.arcsinh(np.maximum(light, 0.0)) / top, 0.0, 1.0), np.uint8)
 
 
-def _slow(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(rows, columns) a parabola fitted to the sky: vignetting and moonlight, without nebulae."""
+def _sky_gradient(values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(rows, columns) the gradient of a parabola fitted to the sky (vignetting, moonlight), without its constant.
+
+    (1, 1) zero if too few tiles have valid pixels.
+    """
     rows, columns = values.shape
     size = max(8, min(rows, columns) // 16)
     tiles = [(y, x) for y in range(0, rows - size + 1, size) for x in range(0, columns - size + 1, size)]
@@ -386,7 +391,7 @@ def _slow(values: NDArray[np.float32]) -> NDArray[np.float32]:
         terms = np.column_stack([np.ones_like(u), u, v, u * u, u * v, v * v])
         fit = np.linalg.lstsq(terms * weight[:, None], level * weight, rcond=None)[0]
         left = level - terms @ fit
-        # Tiles with bright stars or nebulae lie above the sky.
+        # Lower weights for outliers: tiles with bright stars or nebulae.
         scatter = max(1.4826 * float(np.median(np.abs(left))), 1e-9)
         weight = np.minimum(1.0, 2.0 * scatter / np.maximum(np.abs(left), 1e-12))
     y, x = np.arange(rows)[:, None] / rows - 0.5, np.arange(columns)[None, :] / columns - 0.5
@@ -395,12 +400,12 @@ def _slow(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def binning(shape: tuple[int, int]) -> int:
-    """Number of pixels along a side that are averaged to one of the picture."""
+    """Binning factor: pixels per side averaged to one pixel of the image."""
     return max(1, -(-max(shape) // LARGEST))
 
 
 def binned(image: NDArray[np.float32], factor: int) -> NDArray[np.float32]:
-    """(rows // factor, columns // factor) means."""
+    """(rows // factor, columns // factor) means of blocks of pixels."""
     if factor == 1:
         return image
     rows, columns = (size // factor * factor for size in image.shape)

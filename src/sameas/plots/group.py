@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Most records of a group that is chosen automatically; larger pictures are not readable.
+#: Maximum size of a group that is chosen automatically; larger plots are not readable.
 READABLE = 12
-#: Most records of a group that the user chooses.
+#: Maximum size of a group that the user chooses.
 DRAWABLE = 60
 #: Share of the true partners inside the dashed contour.
 INSIDE = 0.99
-#: σ; the contour is drawn where its radius is larger. For normal errors it is 3.03 σ.
+#: The contour is drawn if its radius exceeds this, σ. For normal errors the radius is 3.03 σ.
 LEAST_CONTOUR = 3.2
-#: Candidates less probable than this are left out, unless they are of the record that is asked about.
+#: Minimum probability of the candidates drawn, other than those of the requested record.
 LEAST_DRAWN = 1e-3
 DASHES = (0, (5, 4))
 
@@ -37,8 +37,8 @@ DASHES = (0, (5, 4))
 class _CatalogueSide:
     """The records of one catalogue in the group.
 
-    position : (n,) in the result's records. place : (n, 2) arcsec east and north of the middle.
-    covariance : (n, 2, 2). names : labels. colour, marker : how they are drawn.
+    position : (n,) indices in the result's records. place : (n, 2) arcsec east and north of the middle.
+    covariance : (n, 2, 2) arcsec². names : labels. colour, marker : style.
     """
 
     catalogue: Catalogue
@@ -56,9 +56,9 @@ class _CatalogueSide:
 
 
 def most_ambiguous(match: SkyMatch) -> int:
-    """Number of the group of three records or more whose candidates are the most uncertain.
+    """Number of the most ambiguous group of at least three records.
 
-    That is the one of largest Σ H(p) over its candidates, H the entropy of a pair's probability.
+    It has the largest Σ H(p) over its candidates, H the entropy of a pair's probability.
 
     Raises
     ------
@@ -79,16 +79,16 @@ def most_ambiguous(match: SkyMatch) -> int:
 
 
 def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
-    """The records that compete with each other, with their error ellipses at the common epoch.
+    """A group of competing records with their error ellipses at the common epoch.
 
-    Solid ellipses are 1, 2 and 3 quoted σ; the dashed one holds 99 % of true partners by the estimated spread
-    of the errors. Every candidate is a line with its probability, the identified ones are thick. North is up,
+    Solid ellipses are 1, 2 and 3 quoted σ; the dashed one contains 99 % of true partners by the estimated error
+    distribution. Every candidate pair is a line with its probability, identified pairs are thick. North is up,
     east left.
 
     Parameters
     ----------
-    record : id of a record of the group; the most ambiguous group if not given.
-    source : 1 or 2, whose id it is.
+    record : id of a record of the group; None: the most ambiguous group.
+    source : 1 or 2, the catalogue of the id.
 
     Raises
     ------
@@ -124,9 +124,9 @@ def group(match: SkyMatch, *, record: Any = None, source: int = 1) -> Figure:
 
 
 def _competing(result: Identification, pairs: IntArray, own: int | None, source: int) -> IntArray:
-    """The pairs of a group that are worth drawing: probable ones that hang together, about a record if one is named.
+    """The pairs of a group to draw: probable ones connected to each other, and to the requested record if there is one.
 
-    own : position of the record in its source. A candidate far off and next to impossible would make the others small.
+    own : index of that record in its source. A distant, nearly impossible candidate would shrink the rest of the plot.
     """
     i, j, p = result.pairs.i[pairs], result.pairs.j[pairs], result.p_pair[pairs]
     probable = (p >= LEAST_DRAWN) | result.chosen[pairs]
@@ -191,7 +191,7 @@ def _wider(sides: tuple[_CatalogueSide, _CatalogueSide]) -> _CatalogueSide:
 
 
 def _view(places: FloatArray, outlines: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Corners of a square that holds all places, and the outlines unless they lie far out."""
+    """Corners of a square around all positions, and around the ellipses unless they are much larger."""
     low, high = places.min(axis=0), places.max(axis=0)
     margin = 0.6 * float(np.ptp(places, axis=0).max())
     span = np.ptp(outlines, axis=0).max()
@@ -211,7 +211,7 @@ def _lines(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _Cat
         chosen = bool(result.chosen[pair])
         line, ink, weight = (FOUND, FOUND, "bold") if chosen else (FAINT, "#555555", "normal")
         axes.plot(*ends.T, color=line, lw=3.4 if chosen else 1.2, zorder=1, solid_capstyle="round")
-        # Lines that nearly coincide have their numbers at different places.
+        # Lines may nearly coincide: their probabilities are at different fractions of their length.
         share = (0.58, 0.4, 0.75, 0.25)[k % 4]
         x, y = (1.0 - share) * ends[0] + share * ends[1]
         axes.text(
@@ -227,7 +227,7 @@ def _ends(result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], 
 
 
 def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
-    """Draws 1, 2, 3 quoted σ, and dashed ``reach`` σ where that is larger; the points of the outermost."""
+    """Draws 1, 2, 3 quoted σ, and ``reach`` σ dashed if larger; returns the points of the outermost."""
     outermost = []
     for place, covariance in zip(side.place, side.covariance, strict=True):
         for sigmas, alpha in ((3.0, 0.10), (2.0, 0.16), (1.0, 0.30)):
@@ -242,10 +242,10 @@ def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
 
 
 def _labels(axes: Axes, sides: tuple[_CatalogueSide, _CatalogueSide]) -> None:
-    """Names in a column on either side, a line from each to its record; none covers another."""
+    """Names in a column on either side, without overlap, each with a line to its record."""
     places = np.concatenate([side.place for side in sides])
     names = [(name, side.colour) for side in sides for name in side.names]
-    # East is left: the half that lies farther east has its names there.
+    # East is left: the names of the eastern half are on the left.
     eastward = np.argsort(-places[:, 0], kind="stable")
     for rows, x, ha in ((eastward[: len(names) // 2], 0.01, "left"), (eastward[len(names) // 2 :], 0.99, "right")):
         step = min(0.12, 0.86 / max(len(rows), 1))
@@ -276,7 +276,7 @@ def _compass(axes: Axes, half: float) -> None:
 
 
 def _list(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _CatalogueSide], pairs: IntArray) -> None:
-    """Every record of the first catalogue with its candidates, in words."""
+    """Every record of the first catalogue with its candidates, as text."""
     lines: list[tuple[str, str, str]] = []
     for at, name in zip(sides[0].position, sides[0].names, strict=True):
         lines.append((f"{sides[0].catalogue.name} {', '.join(name.split(chr(10)))} is", FIRST, "bold"))
@@ -301,27 +301,27 @@ def _list(axes: Axes, result: Identification, sides: tuple[_CatalogueSide, _Cata
 
 
 def _key(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSide]) -> None:
-    """What the signs mean."""
+    """The legend."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    signs: list[tuple[Any, str]] = []
+    entries: list[tuple[Any, str]] = []
     for side in sides:
         dot = Line2D([], [], color=side.colour, marker=side.marker, ls="", ms=6)
-        signs.append((dot, f"{side.catalogue.name}: error here {_arcsec(side.size)} on each axis"))
-    signs.append((Patch(facecolor=FIRST, alpha=0.3), "ellipses: 1, 2 and 3 σ of the quoted errors"))
+        entries.append((dot, f"{side.catalogue.name}: error here {_arcsec(side.size)} on each axis"))
+    entries.append((Patch(facecolor=FIRST, alpha=0.3), "ellipses: 1, 2 and 3 σ of the quoted errors"))
     if containment(match.estimate.spread, INSIDE) > LEAST_CONTOUR:
         wider = _wider(sides)
         line = Line2D([], [], color=wider.colour, ls=DASHES, lw=1.2)
-        signs.append((line, f"{100 * INSIDE:.0f} % of true partners, by the estimated errors"))
-    signs.append((Line2D([], [], color=FOUND, lw=3.4), "identified, with its probability"))
-    signs.append((Line2D([], [], color=FAINT, lw=1.2), "other candidates, with theirs"))
-    handles, words = zip(*signs, strict=True)
+        entries.append((line, f"{100 * INSIDE:.0f} % of true partners, by the estimated errors"))
+    entries.append((Line2D([], [], color=FOUND, lw=3.4), "identified, with its probability"))
+    entries.append((Line2D([], [], color=FAINT, lw=1.2), "other candidates, with theirs"))
+    handles, words = zip(*entries, strict=True)
     axes.legend(handles, words, loc="lower left", frameon=False, fontsize=9.5, borderaxespad=0.0)
 
 
 def percent(p: float) -> str:
-    """A probability in a label."""
+    """A probability as a label."""
     if p < 0.001:
         return "< 0.1 %"
     if p > 0.999:

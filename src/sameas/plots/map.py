@@ -1,4 +1,4 @@
-"""The chart of a picture at one instant, for a report."""
+"""A static chart of a picture at one instant, for a report."""
 
 from __future__ import annotations
 
@@ -20,21 +20,24 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Lines of latitude and longitude over a part of a plane, or of whole metres where there is no earth.
+# The graticule of a part of a plane, or a grid of metres if the plane has no position on the earth.
 
-#: Steps of the lines, in minutes of arc.
+#: Spacings of the lines, minutes of arc.
 STEPS = (0.01, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800)
-#: Metres of a minute of latitude.
+#: Metres per minute of latitude.
 MINUTE_M = 1853.0
-#: Points of a line.
+#: Points per line.
 POINTS = 49
-#: The northernmost line, and the southernmost; beyond them lies only the pole.
+#: Latitude of the northernmost and southernmost lines, degrees.
 LAST_DEG = 89.9
 
 
 @dataclass(frozen=True)
 class GridLine:
-    """points : (n, 2) metres in the plane. parallel : along it the latitude, or y, is the same."""
+    """A line of the grid.
+
+    points : (n, 2) metres in the plane. parallel : of constant latitude or y, else of constant longitude or x.
+    """
 
     points: FloatArray
     words: str
@@ -44,7 +47,7 @@ class GridLine:
 def graticule(
     plane: LocalPlane | None, west_m: float, south_m: float, east_m: float, north_m: float, lines: int = 5
 ) -> list[GridLine]:
-    """About so many lines each way over a box; of whole metres where ``plane`` is None.
+    """About ``lines`` lines in each direction over a box; a grid of metres if ``plane`` is None.
 
     Example
     -------
@@ -58,7 +61,7 @@ def graticule(
     turn = (lon - plane.lon_deg + 180.0) % 360.0 - 180.0
     low, high, first, last = lat.min(), lat.max(), turn.min(), turn.max()
     for pole in (-90.0, 90.0):
-        if abs(plane.lat_deg - pole) < 20.0 and _holds_pole(plane, pole, (west_m, south_m, east_m, north_m)):
+        if abs(plane.lat_deg - pole) < 20.0 and _contains_pole(plane, pole, (west_m, south_m, east_m, north_m)):
             low, high, first, last = min(low, pole), max(high, pole), -180.0, 180.0
     wide = max(east_m - west_m, north_m - south_m) / lines / MINUTE_M
     up = next((step for step in STEPS if step >= wide), STEPS[-1]) / 60.0
@@ -76,7 +79,7 @@ def graticule(
     return found
 
 
-def _holds_pole(plane: LocalPlane, pole: float, box: tuple[float, float, float, float]) -> bool:
+def _contains_pole(plane: LocalPlane, pole: float, box: tuple[float, float, float, float]) -> bool:
     x, y = _placed(plane, np.array([pole]), np.array([0.0]))[0]
     return bool(box[0] < x < box[2] and box[1] < y < box[3])
 
@@ -87,7 +90,7 @@ def _placed(plane: LocalPlane, lat: FloatArray, lon: FloatArray) -> FloatArray:
 
 
 def _words(degrees: float, letters: str, width: int, step: float) -> str:
-    """50°46′N, with as many decimals of a minute as the step needs."""
+    """An angle as 50°46′N, with as many decimals of a minute as the step needs."""
     digits = next((d for d in (0, 1) if abs(step * 60 * 10**d - round(step * 60 * 10**d)) < 1e-6), 2)
     minutes = round(abs(degrees) * 60.0, digits)
     whole = int(minutes // 60)
@@ -107,28 +110,28 @@ def _metres(west: float, south: float, east: float, north: float, lines: int) ->
     return found
 
 
-#: The colours and marks of sources, as the page has them by day.
+#: Colours and marks of sources, as on the page in day colours.
 COLOURS = ("#0067a5", "#007a58", "#a8407e", "#7a6200", "#5a45a8", "#2f8fc4", "#5c5c5c")
 MARKS, OWN_MARK = ("s", "D", "o", "x", "+", "v", "_"), "^"
 SEA, LAND, COAST, BORDER, GRID, RING, DOUBT, ALARM = (
     "#e4eef4", "#efe7cd", "#9c8d62", "#b9ac86", "#c2d2dd", "#5f8aa8", "#a84300", "#b3121f",
 )  # fmt: skip
 KNOT, MILE_M = 1852.0 / 3600.0, 1852.0
-#: Seconds that course vectors may reach ahead.
+#: Lengths of course vectors, seconds.
 AHEAD_S = (1, 2, 5, 10, 30, 60, 180, 360, 720, 1800, 3600)
 WIDTH_IN = 11.0
 #: West, south, east and north in metres.
 Box = tuple[float, float, float, float]
-#: Labels are drawn for so many objects.
+#: Maximum number of labels.
 MOST_LABELS = 200
 
 
 def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
-    """Objects with their courses, ellipses and records on coast and grid.
+    """A chart of objects with courses, ellipses and records, on coast and grid.
 
     Parameters
     ----------
-    instant_s : the nearest instant of the sheet is drawn; None stands for the last.
+    instant_s : the nearest instant of the sheet is drawn; None: the last.
 
     Raises
     ------
@@ -140,9 +143,9 @@ def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
     >>> save(chart(shown), "map.png")  # doctest: +SKIP
     """
     k = len(drawn.instants_s) - 1 if instant_s is None else drawn.nearest(instant_s)
-    now = _Now.of(drawn, k)
+    now = _Snapshot.of(drawn, k)
     box = _box(drawn)
-    # The chart fills the width; title and legend take the rest of the height.
+    # The chart fills the width; 1.7 inches of height are for title and legend.
     height_in = WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0]) + 1.7
     figure = sheet(f"{drawn.title}: {now.finding}", now.time, WIDTH_IN, height_in)
     axes = _frame(figure, box)
@@ -159,12 +162,15 @@ def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
     return figure
 
 
-class _Now:
-    """What is there at one instant of a sheet: rows of its objects and of its records."""
+class _Snapshot:
+    """One instant of a sheet.
+
+    rows : of its objects. marks : rows of its records. row_of : row of each object by its number.
+    """
 
     def __init__(self, drawn: MapSheet, rows: IntArray, marks: IntArray, time_s: float) -> None:
         self.drawn, self.rows, self.marks, self.time_s = drawn, rows, marks, time_s
-        self.place = {int(drawn.objects["object"][row]): int(row) for row in rows}
+        self.row_of = {int(drawn.objects["object"][row]): int(row) for row in rows}
         self.alarmed = {
             n
             for a in drawn.alarms
@@ -173,10 +179,10 @@ class _Now:
         }
 
     @classmethod
-    def of(cls, drawn: MapSheet, k: int) -> _Now:
+    def of(cls, drawn: MapSheet, k: int) -> _Snapshot:
         o, r = drawn.objects, drawn.records
-        there = (drawn.instant_of(o) == k) & (o["stage"] != "ended") & np.isfinite(o["x_m"].astype(np.float64))
-        return cls(drawn, np.flatnonzero(there), np.flatnonzero(drawn.instant_of(r) == k), float(drawn.instants_s[k]))
+        present = (drawn.instant_of(o) == k) & (o["stage"] != "ended") & np.isfinite(o["x_m"].astype(np.float64))
+        return cls(drawn, np.flatnonzero(present), np.flatnonzero(drawn.instant_of(r) == k), float(drawn.instants_s[k]))
 
     @property
     def finding(self) -> str:
@@ -195,7 +201,7 @@ class _Now:
         return f"{words.removesuffix('.00')} UTC"
 
     def state(self, row: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Place (2,), velocity (2,) and covariance (2, 2) of an object."""
+        """Position (2,) m, velocity (2,) m/s and position covariance (2, 2) m² of an object."""
         o = self.drawn.objects
         a, b, c = (o[name][row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2"))
         place = np.array([o["x_m"][row], o["y_m"][row]], np.float64)
@@ -203,8 +209,8 @@ class _Now:
         return place, velocity, np.array([[a, b], [b, c]], np.float64)
 
     def mark_of(self, r: int) -> FloatArray | None:
-        """Where a record is drawn: its position, or the point of its ray nearest to its object."""
-        m, owner = self.drawn.records, self.place.get(int(self.drawn.records["object"][r]))
+        """Where a record is drawn: at its position, or at the point of its ray nearest to its object."""
+        m, owner = self.drawn.records, self.row_of.get(int(self.drawn.records["object"][r]))
         if np.isfinite(m["x_m"][r]):
             return np.array([m["x_m"][r], m["y_m"][r]], np.float64)
         if owner is None or not np.isfinite(m["sensor_x_m"][r]):
@@ -215,7 +221,7 @@ class _Now:
 
 
 def _box(drawn: MapSheet) -> Box:
-    """West, south, east and north around sites and confirmed objects of all times, not too wide and not too high."""
+    """West, south, east and north around sites and confirmed objects of all times; height 0.6 to 0.83 of the width."""
     west, south, east, north = drawn.home()
     pad = 0.06 * max(east - west, north - south)
     half_x, half_y = (east - west) / 2.0 + pad, (north - south) / 2.0 + pad
@@ -246,7 +252,7 @@ def _ground(axes: Axes, drawn: MapSheet, box: Box) -> None:
         credit = "coast: Natural Earth, ± 1 km, not for navigation" if drawn.ground is None else ""
         axes.text(0.006, 0.008, credit, transform=axes.transAxes, fontsize=7.5, color="#5c6b76", zorder=3)
     if lines.land:
-        # One path, so that cells that touch show no seams.
+        # One path: separate ones would show seams between adjacent cells.
         path = Path.make_compound_path(*(Path(np.vstack([ring, ring[:1]]), closed=True) for ring in lines.land))
         axes.add_patch(PathPatch(path, facecolor=LAND, edgecolor="none", zorder=0.1))
     for line in lines.coast:
@@ -266,7 +272,7 @@ def _ground(axes: Axes, drawn: MapSheet, box: Box) -> None:
 
 
 def _crossing(line: GridLine, box: Box) -> float | None:
-    """Where a parallel crosses the left side of the frame, a meridian its lower one."""
+    """Where a parallel crosses the left side of the frame, or a meridian the lower side; None if it does not."""
     axis, limit = (0, box[0]) if line.parallel else (1, box[1])
     across = line.points[:, axis] - limit
     sides = np.flatnonzero(across[:-1] * across[1:] <= 0)
@@ -281,14 +287,14 @@ def _crossing(line: GridLine, box: Box) -> float | None:
 
 
 def _coverage(axes: Axes, sensor: MapSensor, colour: str) -> None:
-    """Where a sensor sees, and its site."""
+    """The coverage of a sensor, and its site."""
     from matplotlib.patches import Wedge
 
     if sensor.x_m is None or sensor.y_m is None:
         return
     if sensor.range_m is not None:
         for start, stop in sensor.visible_deg:
-            # Matplotlib's angles run from east, anticlockwise.
+            # Matplotlib counts angles anticlockwise from east.
             site, width = (sensor.x_m, sensor.y_m), sensor.range_m - sensor.nearest_m
             wedge = Wedge(
                 site, sensor.range_m, 90.0 - stop, 90.0 - start, width=width, facecolor="none", edgecolor=colour,
@@ -303,7 +309,7 @@ def _coverage(axes: Axes, sensor: MapSensor, colour: str) -> None:
 
 
 def _rings(axes: Axes, drawn: MapSheet, box: Box) -> None:
-    """Ranges from the first sensor that has a site, in nautical miles, or in metres where these are small."""
+    """Range rings around the first sensor with a site, in nautical miles, or in metres for small charts."""
     from matplotlib.patches import Circle
 
     site = next(((s.x_m, s.y_m) for s in drawn.sensors if s.x_m is not None and s.y_m is not None), None)
@@ -322,12 +328,12 @@ def _rings(axes: Axes, drawn: MapSheet, box: Box) -> None:
 
 
 def marks_of(sensors: tuple[MapSensor, ...]) -> list[str]:
-    """A mark for each source: who says himself where he is gets the triangle."""
-    free = iter(MARKS * (1 + len(sensors)))
-    return [OWN_MARK if sensor.kind in ("ais", "ads-b") else next(free) for sensor in sensors]
+    """A mark for each source: triangles for AIS and ADS-B, which report their own position."""
+    other_marks = iter(MARKS * (1 + len(sensors)))
+    return [OWN_MARK if sensor.kind in ("ais", "ads-b") else next(other_marks) for sensor in sensors]
 
 
-def _records(axes: Axes, now: _Now) -> None:
+def _records(axes: Axes, now: _Snapshot) -> None:
     from matplotlib.collections import LineCollection
 
     r, marks = now.drawn.records, marks_of(now.drawn.sensors)
@@ -335,15 +341,15 @@ def _records(axes: Axes, now: _Now) -> None:
         colour, mark = COLOURS[number % len(COLOURS)], marks[number]
         own = now.marks[r["source"][now.marks] == sensor.name]
         places = [(int(row), place) for row in own if (place := now.mark_of(int(row))) is not None]
-        rays, arms = [], []
+        rays, member_lines = [], []
         for row, place in places:
-            owner = now.place.get(int(r["object"][row]))
+            owner = now.row_of.get(int(r["object"][row]))
             if np.isfinite(r["bearing_deg"][row]):
                 rays.append(np.stack([np.array([r["sensor_x_m"][row], r["sensor_y_m"][row]]), place]))
             if owner is not None:
-                arms.append(np.stack([now.state(owner)[0], place]))
+                member_lines.append(np.stack([now.state(owner)[0], place]))
         axes.add_collection(LineCollection(rays, color=colour, lw=0.6, alpha=0.6, zorder=1.0), autolim=False)
-        axes.add_collection(LineCollection(arms, color=colour, lw=0.9, zorder=1.2), autolim=False)
+        axes.add_collection(LineCollection(member_lines, color=colour, lw=0.9, zorder=1.2), autolim=False)
         face = colour if mark in "x+_" else "none"
         points = np.reshape([place for _, place in places], (-1, 2))
         axes.plot(*points.T, ls="", marker=mark, ms=5.0, mew=1.1, mec=colour, mfc=face, zorder=1.6)
@@ -352,46 +358,48 @@ def _records(axes: Axes, now: _Now) -> None:
     )
 
 
-def _rival_lines(now: _Now) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """From ambiguous objects to the records that they would have otherwise."""
+def _rival_lines(now: _Snapshot) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Lines from ambiguous objects to the records of their runner-up that are not theirs."""
     r, o = now.drawn.records, now.drawn.objects
-    place = {(str(r["source"][k]), int(r["row"][k])): int(k) for k in now.marks}
+    row_of = {(str(r["source"][k]), int(r["row"][k])): int(k) for k in now.marks}
     for row in now.rows[o["ambiguous"][now.rows].astype(bool)]:
         for member in members_of(str(o["runner_up"][row])):
-            mark = place.get(member)
+            mark = row_of.get(member)
             if mark is not None and r["object"][mark] != o["object"][row]:
                 end = now.mark_of(mark)
                 if end is not None:
                     yield now.state(int(row))[0], end
 
 
-def _objects(axes: Axes, now: _Now, ahead_s: float) -> None:
-    """Symbols near to those of tracked radar targets: dashed while tentative, crossed while coasting."""
+def _objects(axes: Axes, now: _Snapshot, ahead_s: float) -> None:
+    """Symbols like those of tracked radar targets: pale while tentative, crossed while coasting."""
     o = now.drawn.objects
-    alike: dict[tuple[str, str], list[int]] = {}
+    rows_by_style: dict[tuple[str, str], list[int]] = {}
     for row in now.rows.tolist():
         colour = ALARM if int(o["object"][row]) in now.alarmed else DOUBT if o["ambiguous"][row] else INK
         stage = str(o["stage"][row])
-        alike.setdefault((FAINT if stage == "coasting" and colour == INK else colour, stage), []).append(row)
-    for (colour, stage), rows in alike.items():
-        _alike(axes, now, ahead_s, colour, stage, rows)
-    doubtful = [now.state(row)[0] for row in now.rows.tolist() if o["ambiguous"][row]]
-    axes.plot(*np.reshape(doubtful, (-1, 2)).T, ls="", marker="o", ms=15, mfc="none", mec=DOUBT, mew=0.9, zorder=2.1)
+        rows_by_style.setdefault((FAINT if stage == "coasting" and colour == INK else colour, stage), []).append(row)
+    for (colour, stage), rows in rows_by_style.items():
+        _objects_of_style(axes, now, ahead_s, colour, stage, rows)
+    ambiguous = [now.state(row)[0] for row in now.rows.tolist() if o["ambiguous"][row]]
+    axes.plot(*np.reshape(ambiguous, (-1, 2)).T, ls="", marker="o", ms=15, mfc="none", mec=DOUBT, mew=0.9, zorder=2.1)
     alarmed = [now.state(row)[0] for row in now.rows.tolist() if int(o["object"][row]) in now.alarmed]
     axes.plot(*np.reshape(alarmed, (-1, 2)).T, ls="", marker="^", ms=22, mfc="none", mec=ALARM, mew=1.3, zorder=2.2)
 
 
-def _alike(axes: Axes, now: _Now, ahead_s: float, colour: str, stage: str, rows: Sequence[int]) -> None:
-    """Objects of one colour and stage, lines of one look in one: thousands of artists take minutes."""
+def _objects_of_style(axes: Axes, now: _Snapshot, ahead_s: float, colour: str, stage: str, rows: Sequence[int]) -> None:
+    """Objects of one colour and stage, as few collections: thousands of artists take minutes to draw."""
     from matplotlib.collections import LineCollection
 
     places, velocities, covariances = map(np.array, zip(*(now.state(row) for row in rows), strict=True))
-    wide, fast = np.isfinite(covariances).all(axis=(1, 2)), np.isfinite(velocities).all(axis=1)
-    rims = [ellipse(*each, 2.0, 61) for each in zip(places[wide], covariances[wide], strict=True)]
-    axes.add_collection(LineCollection(rims, color=colour, lw=0.8, alpha=0.7, zorder=1.1), autolim=False)
+    has_covariance, has_velocity = np.isfinite(covariances).all(axis=(1, 2)), np.isfinite(velocities).all(axis=1)
+    outlines = [
+        ellipse(*each, 2.0, 61) for each in zip(places[has_covariance], covariances[has_covariance], strict=True)
+    ]
+    axes.add_collection(LineCollection(outlines, color=colour, lw=0.8, alpha=0.7, zorder=1.1), autolim=False)
     style = "-" if stage == "confirmed" else (0, (4, 2.5))
-    ahead = np.stack([places, places + ahead_s * velocities], axis=1)[fast]
-    axes.add_collection(LineCollection(ahead, color=colour, lw=1.3, ls=style, zorder=1.8), autolim=False)
+    vectors = np.stack([places, places + ahead_s * velocities], axis=1)[has_velocity]
+    axes.add_collection(LineCollection(vectors, color=colour, lw=1.3, ls=style, zorder=1.8), autolim=False)
     axes.plot(*places.T, ls="", marker="o", ms=9.5, mfc="none", mec=colour, mew=1.4 if stage == "confirmed" else 1.0,
               zorder=2.1, alpha=0.6 if stage == "tentative" else 1.0)  # fmt: skip
     if stage == "coasting":
@@ -401,8 +409,8 @@ def _alike(axes: Axes, now: _Now, ahead_s: float, colour: str, stage: str, rows:
         axes.plot(*places[several].T, ls="", marker="o", ms=2.6, mfc=colour, mec="none", zorder=2.1)
 
 
-def _labels(axes: Axes, now: _Now, box: Box) -> None:
-    """Names where there is room, the important ones first."""
+def _labels(axes: Axes, now: _Snapshot, box: Box) -> None:
+    """Names where there is room, those of alarms and ambiguous objects first."""
     from matplotlib.patheffects import withStroke
 
     o = now.drawn.objects
@@ -435,8 +443,8 @@ def _free(spot: FloatArray, taken: list[FloatArray]) -> bool:
     return all(spot[0] >= t[2] or spot[2] <= t[0] or spot[1] >= t[3] or spot[3] <= t[1] for t in taken)
 
 
-def _ahead_s(now: _Now, box: Box) -> float:
-    """Vectors of the faster objects are a tenth of the chart long, less where there are many."""
+def _ahead_s(now: _Snapshot, box: Box) -> float:
+    """Length of course vectors, s: for fast objects a tenth of the chart, shorter if there are many objects."""
     speed = np.array([np.hypot(*now.state(int(row))[1]) for row in now.rows])
     moving = speed[speed > 0.5]
     share = min(0.1, 1.0 / np.sqrt(max(len(now.rows), 1)))
@@ -445,7 +453,7 @@ def _ahead_s(now: _Now, box: Box) -> float:
 
 
 def _scale(axes: Axes, box: Box) -> None:
-    """Bars of metres and of nautical miles, and north, where the plane touches the earth."""
+    """Scale bars in metres and nautical miles, and a north arrow."""
     wide, high = box[2] - box[0], box[3] - box[1]
     metres, miles = nice_length(wide / 5.0), nice_length(wide / 5.0 / MILE_M)
     bars = [(metres, f"{metres / 1e3:g} km" if metres >= 1e3 else f"{metres:g} m")]
@@ -463,7 +471,7 @@ def _scale(axes: Axes, box: Box) -> None:
     axes.text(x, y + 0.004 * high, "N", ha="center", va="bottom", fontsize=10, fontweight="bold", color=INK, zorder=3)
 
 
-def _legend(figure: Figure, now: _Now, ahead_s: float) -> None:
+def _legend(figure: Figure, now: _Snapshot, ahead_s: float) -> None:
     from matplotlib.lines import Line2D
 
     r, marks = now.drawn.records, marks_of(now.drawn.sensors)

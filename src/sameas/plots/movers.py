@@ -1,4 +1,4 @@
-"""The picture of a mover: the frames with the stars standing still, where it is a row of dots, and along its motion."""
+"""The picture of a moving object: all frames aligned on the stars, and aligned on its motion."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Noise of a pixel: below the sky that is black, above black at which asinh becomes logarithmic (chosen).
+#: In units of the pixel noise: distance of black below the sky, and softening of asinh (chosen).
 BLACK, SOFT = 1.0, 4.0
-#: Rings about a mover, in full widths of a star (chosen).
+#: Radius of the ring around a mover, in FWHM of a star (chosen).
 RING_WIDTHS = 1.7
 
 
 def mover_picture(
     found: Movers, series: Series, pixels: Stack, known: KnownObjects | None = None, k: int = 0
 ) -> Figure:
-    """What one candidate looks like, north up and east to the left.
+    """Two images of one candidate, north up and east left.
 
-    found, pixels : of the search and of the stack. known : which objects they are. k : the candidate; the first is the
-    most probable. On the left the brightest of all frames at every place, stars standing still; where the mover goes
-    too far for that, the frame on which it is brightest. On the right the mean along its motion.
+    found, pixels : results of the search and of the stacking. known : known objects. k : the candidate; 0 is the most
+    probable. Left: maximum over the frames at fixed sky positions, or the frame on which it is brightest if the mover
+    goes too far for that. Right: mean along its motion.
 
     Raises
     ------
@@ -43,24 +43,24 @@ def mover_picture(
     fixed = pixels.fixed[k]
     width = RING_WIDTHS * float(np.median([e.psf_fwhm_px for e in series.exposures]))
     left, right = (figure.add_axes((x, 0.045, 0.475, 0.8)) for x in (0.018, 0.507))
-    seen = pixels.detected[k]
+    detected = pixels.detected[k]
     if fixed is not None:
         at = _on_the_sky(pixels, k, fixed.shape[1])
         _show(left, np.nanmax(fixed, axis=0), "fixed on the stars: the brightest of all frames")
-        shown = np.flatnonzero(seen)
+        shown = np.flatnonzero(detected)
         along = at[shown[-1]] - at[shown[0]]
         along = along / max(float(np.hypot(*along)), 1e-9)
         across = np.array([along[1], -along[0]])
-        # A tick for every frame, beside the light; dotted where it was predicted and not detected.
-        for n in np.flatnonzero(np.isfinite(pixels.flux[k]) | seen):
+        # A tick for every frame, next to the image; dotted if predicted but not detected.
+        for n in np.flatnonzero(np.isfinite(pixels.flux[k]) | detected):
             ends = np.array([at[n] + across * f * width for f in (1.15, 1.6)])
-            left.plot(*ends.T, color=YELLOW if seen[n] else PAPER, lw=1.0, ls="-" if seen[n] else ":")
+            left.plot(*ends.T, color=YELLOW if detected[n] else PAPER, lw=1.0, ls="-" if detected[n] else ":")
         for n in (shown[0], shown[-1]):
             words = _clock(series.exposures[n].mjd_utc)
             x, y = (at[n] + across * 2.4 * width).tolist()
             left.text(x, y, words, color=YELLOW, fontsize=9.5, ha="center", va="center")
     else:
-        best = int(np.nanargmax(np.where(seen, pixels.flux[k], np.nan)))
+        best = int(np.nanargmax(np.where(detected, pixels.flux[k], np.nan)))
         _show(left, pixels.along[k][best], f"one frame, {_clock(series.exposures[best].mjd_utc)} UTC")
     stacked = pixels.stacked[k]
     _show(right, stacked, f"fixed on the mover: the mean of {len(pixels.along[k])} frames, S/N {pixels.snr[k]:.0f}")
@@ -75,9 +75,9 @@ def mover_picture(
 
 
 def _on_the_sky(pixels: Stack, k: int, size: int) -> FloatArray:
-    """(f, 2) pixels of the cut-out of the sky at which the mover is; east is to the left."""
+    """(f, 2) pixel positions of the mover in the cut-out at fixed sky position; east is left."""
     off = (pixels.place[k] - pixels.place[k].mean(axis=0)) / pixels.scale_arcsec_per_px
-    # Row 0 of a cut-out is on top.
+    # Row 0 of a cut-out is the top one.
     return np.asarray((size - 1) / 2 + off * [-1.0, -1.0])
 
 

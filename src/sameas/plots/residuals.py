@@ -1,4 +1,4 @@
-"""Offsets of the identified pairs: on the sky, in units of their quoted errors, against these and brightness."""
+"""Plots of residuals: on the sky, in units of their quoted errors, and by quoted error and magnitude."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     from matplotlib.collections import QuadMesh
     from matplotlib.figure import Figure
 
-#: Share of the offsets without motion within the panels, and of those with motion within the inset (chosen).
+#: Fraction of the offsets without motion inside the panels, and of those with motion inside the inset (chosen).
 IN_PANEL = 0.95
 IN_INSET = 0.98
-#: Cells along a side of a panel.
+#: Cells per side of a panel.
 BINS = 120
 
 
 def residuals(match: SkyMatch) -> Figure:
-    """Two maps of the offsets first minus second, each catalogue at its own epoch and both at the common one.
+    """Two density maps of the offsets first minus second: catalogues at their own epochs, and at the common epoch.
 
-    The scale is that of the first map; an inset magnifies the second.
+    Both have the scale of the first; an inset magnifies the second.
     """
     still, moved = match.still_offsets, match.result.matches.residual
     subtitle = f"{count(len(moved))} identified pairs. {_sentence(match, match.moved)}"
@@ -61,19 +61,19 @@ def residuals(match: SkyMatch) -> Figure:
 
 
 def _counted(offsets: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
-    """Edges of the cells within ±limit on both axes, and the pairs in each."""
+    """Edges of the cells within ±limit on both axes, and the number of pairs in each cell."""
     edges = np.linspace(-limit, limit, BINS + 1)
     return edges, np.histogram2d(offsets[:, 0], offsets[:, 1], bins=(edges, edges))[0]
 
 
 def _map(axes: Axes, offsets: FloatArray, limit: float, fullest: float) -> QuadMesh:
-    """Numbers of offsets within ±limit, in logarithmic colours; east is on the left."""
+    """Draws the number of offsets per cell within ±limit, in logarithmic colours; east is left."""
     from matplotlib.colors import LogNorm
 
     edges, number = _counted(offsets, limit)
     norm = LogNorm(0.7, max(float(fullest), 10.0))
-    filled = np.ma.masked_equal(number, 0.0).T
-    mesh = axes.pcolormesh(edges, edges, filled, cmap=DENSITY, norm=norm, rasterized=True)
+    occupied = np.ma.masked_equal(number, 0.0).T
+    mesh = axes.pcolormesh(edges, edges, occupied, cmap=DENSITY, norm=norm, rasterized=True)
     axes.set_aspect("equal")
     axes.set_xlim(limit, -limit)
     axes.set_ylim(-limit, limit)
@@ -100,7 +100,7 @@ def _numbers(axes: Axes, offsets: FloatArray, limit: float) -> None:
 
 
 def _magnified(axes: Axes, offsets: FloatArray, close: float, limit: float) -> None:
-    """The middle of the map once more in its corner, with finer cells of their own colours."""
+    """An inset with the middle of the map, in finer cells with their own colour scale."""
     inset = axes.inset_axes((0.60, 0.08, 0.38, 0.38))
     _map(inset, offsets, close, _counted(offsets, close)[1].max())
     inset.set_xticks([])
@@ -139,7 +139,7 @@ def _sentence(match: SkyMatch, text: str) -> str:
 
 
 def _nice(value: float) -> float:
-    """The next of 1, 2, 3, 5, 7 times a power of ten."""
+    """The smallest of 1, 2, 3, 5, 7 times a power of ten that is at least the value."""
     power = 10.0 ** np.floor(np.log10(max(float(value), 1e-9)))
     return float(next(step * power for step in (1, 2, 3, 5, 7, 10) if step * power >= 0.999 * value))
 
@@ -152,13 +152,13 @@ def _percent(share: float) -> str:
     return f"{100 * share:.1f} %" if share >= 0.001 else f"{100 * share:.2g} %"
 
 
-# Offsets in units of their quoted errors, against the distribution for correct errors and the estimated one.
+# Normalised offsets, compared with the distribution for correct errors and with the estimated one.
 
 
 def normalised(match: SkyMatch) -> Figure:
-    """Histograms of the identified pairs' normalised separations: the bulk linear, the tail logarithmic.
+    """Histograms of the identified pairs' normalised separations: core on a linear, tail on a logarithmic scale.
 
-    With them the Rayleigh density that the quoted errors promise, and that of the errors that were estimated.
+    With the Rayleigh density expected from the quoted errors, and the density of the estimated error distribution.
     """
     distance = match.result.matches.mahalanobis
     errors = match.estimate.spread
@@ -193,7 +193,7 @@ def _bulk(axes: Axes, distance: FloatArray, errors: Errors) -> None:
 
 
 def _tail(axes: Axes, distance: FloatArray, errors: Errors) -> None:
-    """Pairs per step of 10^0.05 in distance: the same areas, counted, so that one pair can be seen."""
+    """Number of pairs per 0.05 dex of distance, so that a single pair is visible."""
     step = 0.05
     high = np.log10(max(10.0, 1.2 * float(distance.max())))
     edges = 10.0 ** np.arange(-1.0, high + step, step)
@@ -225,7 +225,7 @@ def rayleigh_mixture(distance: FloatArray, errors: Errors) -> FloatArray:
 
 
 def containment(errors: Errors, share: float) -> float:
-    """Normalised separation in two dimensions within which ``share`` of true pairs lie."""
+    """Normalised separation in two dimensions that contains a fraction ``share`` of true pairs."""
     scales, shares = np.array(errors.scales), np.array(errors.shares)
     x = np.geomspace(1e-2, 10.0 * scales.max(), 4000)
     inside = 1.0 - np.exp(-0.5 * (x[:, None] / scales) ** 2) @ shares
@@ -233,7 +233,7 @@ def containment(errors: Errors, share: float) -> float:
 
 
 def finding(match: SkyMatch) -> str:
-    """Whether the quoted errors are right, in a sentence."""
+    """One sentence on whether the quoted errors are right."""
     e = match.estimate
     scale = e.quantities["error_scale"].value if "error_scale" in e.quantities else e.typical_scale
     if not len(match.result.matches):
@@ -254,11 +254,11 @@ def _detail(match: SkyMatch) -> str:
     return words
 
 
-# Scatter of the identified pairs against their quoted errors and against brightness.
+# Scatter of the identified pairs by quoted error and by magnitude.
 
-#: Fewest pairs of a bin, and most bins.
+#: Minimum number of pairs per bin, and maximum number of bins.
 LEAST, MOST_BINS = 40, 16
-#: Axes are logarithmic where errors differ by more than this factor.
+#: Axes are logarithmic if errors differ by more than this factor.
 FAR = 20.0
 #: Median separation of two-dimensional normal errors over their σ, and √n times the relative error of that median.
 DUE = math.sqrt(2.0 * math.log(2.0))
@@ -268,27 +268,27 @@ OF_MEDIAN = 1.0 / (DUE * DUE)
 def scatter(match: SkyMatch) -> Figure:
     """Scatter of the identified pairs, σ on each axis, in bins of quoted error and of magnitude.
 
-    With them the quoted errors, and the estimated ones: by a factor, or by factors and a floor.
+    With the quoted errors, and the estimated ones: scaled by a factor, or by factors and a floor.
     """
     figure = sheet(finding(match), _subtitle(match))
     pairs = match.result.matches
     if not len(pairs):
         return figure
     quoted, estimated = _sigmas(match)
-    scattered = np.hypot(*pairs.residual.T) / DUE
+    sigma = np.hypot(*pairs.residual.T) / DUE
     magnitude, words = _magnitude(match)
-    by_error, drawn = _bins(quoted), (scattered, quoted, estimated)
-    # No panel against quoted errors that hardly differ.
+    by_error, sigmas = _bins(quoted), (sigma, quoted, estimated)
+    # No panel by quoted error if these hardly differ.
     panels = (len(by_error) > 1 or magnitude is None) + (magnitude is not None)
     axes = figure.subplots(1, panels, squeeze=False)[0]
     spread = "scatter, σ on each axis  [arcsec]"
     if len(by_error) > 1 or magnitude is None:
-        _against(axes[0], by_error, quoted, drawn)
+        _against(axes[0], by_error, quoted, sigmas)
         tidy(axes[0], "quoted error of the pair, σ on each axis  [arcsec]", spread, "against the quoted error")
         _scaled(axes[0].set_xscale, quoted)
     if magnitude is not None:
         known = np.flatnonzero(np.isfinite(magnitude))
-        _against(axes[-1], [known[part] for part in _bins(magnitude[known])], magnitude, drawn)
+        _against(axes[-1], [known[part] for part in _bins(magnitude[known])], magnitude, sigmas)
         tidy(axes[-1], f"{words}  [mag]", spread, "against brightness")
     for one in axes:
         if not _scaled(one.set_yscale, quoted):
@@ -298,7 +298,7 @@ def scatter(match: SkyMatch) -> Figure:
 
 
 def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
-    """Makes an axis logarithmic where the values reach far; whether it did."""
+    """Makes an axis logarithmic if the values span a large range; returns whether it did."""
     low, high = np.quantile(values, (0.02, 0.98))
     far = bool(high > FAR * low)
     if far:
@@ -307,7 +307,7 @@ def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
 
 
 def _subtitle(match: SkyMatch) -> str:
-    # The line is short: the reasons after the semicolon are in the report.
+    # Room for one clause only: the reasons after the semicolon are in the report.
     words = by_source(match).partition(";")[0]
     return words[:1].upper() + words[1:] if words else "The errors were used as given, not estimated"
 
@@ -328,7 +328,7 @@ def _sigmas(match: SkyMatch) -> tuple[FloatArray, FloatArray]:
 
 
 def _magnitude(match: SkyMatch) -> tuple[FloatArray | None, str]:
-    """(k,) of the identified pairs, from the first catalogue that has some, and its name."""
+    """(k,) magnitudes of the identified pairs, from the first catalogue that has enough, and their name."""
     pairs = match.result.matches
     for catalogue, rows in ((match.first, pairs.rows_1), (match.second, pairs.rows_2)):
         if catalogue.magnitude is not None and np.isfinite(catalogue.magnitude[rows]).sum() >= 2 * LEAST:
@@ -337,7 +337,7 @@ def _magnitude(match: SkyMatch) -> tuple[FloatArray | None, str]:
 
 
 def _bins(values: FloatArray) -> list[NDArray[np.intp]]:
-    """Positions of the values in bins of equal number, rising; one bin where the values hardly differ."""
+    """Indices of the values in ascending bins of equal number; one bin if the values hardly differ."""
     order = np.argsort(values, kind="stable")
     low, high = np.quantile(values, (0.02, 0.98))
     number = 1 if high - low <= 0.02 * abs(high) else max(1, min(MOST_BINS, len(values) // LEAST))
@@ -347,11 +347,11 @@ def _bins(values: FloatArray) -> list[NDArray[np.intp]]:
 def _against(
     axes: Axes, parts: Sequence[NDArray[np.intp]], along: FloatArray, sigmas: tuple[FloatArray, FloatArray, FloatArray]
 ) -> None:
-    """Medians in bins along some values: the scatter with its error, the quoted σ, the estimated σ."""
+    """Draws medians per bin: the scatter with its error, the quoted σ and the estimated σ."""
     x = np.array([np.median(along[part]) for part in parts])
-    scattered, quoted, estimated = (np.array([np.median(values[part]) for part in parts]) for values in sigmas)
-    error = OF_MEDIAN * scattered / np.sqrt([len(part) for part in parts])
+    sigma, quoted, estimated = (np.array([np.median(values[part]) for part in parts]) for values in sigmas)
+    error = OF_MEDIAN * sigma / np.sqrt([len(part) for part in parts])
     mark = "" if len(parts) > 1 else "_"
     axes.plot(x, quoted, "--", marker=mark, ms=18, color=SECOND, lw=2.0, label="as quoted")
     axes.plot(x, estimated, marker=mark, ms=18, color=FOUND, lw=2.2, label="as estimated")
-    axes.errorbar(x, scattered, error, fmt="o", ms=4.5, color=INK, elinewidth=1.0, label="identified pairs, ± 1 σ")
+    axes.errorbar(x, sigma, error, fmt="o", ms=4.5, color=INK, elinewidth=1.0, label="identified pairs, ± 1 σ")

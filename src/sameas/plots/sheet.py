@@ -1,4 +1,4 @@
-"""The sheet that every picture is drawn on: figure, axes, title, colours; and how it is saved."""
+"""The common layout of all plots: figure, axes, title, colours, saving."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ DENSITY = "viridis"
 
 #: Dots per inch of a file, and of a notebook, which is about 900 pixels wide.
 DOTS_PER_INCH, NOTEBOOK_DPI = 150, 80
-#: Of a subtitle, which goes on in a second line.
+#: Letters of a subtitle per inch before it wraps.
 LETTERS_PER_INCH = 12.0
 
 
 def required() -> type[Figure]:
-    """Matplotlib's figure, that every picture needs.
+    """Matplotlib's figure class.
 
     Raises
     ------
@@ -51,21 +51,21 @@ def required() -> type[Figure]:
 
 @cache
 def _shown(figure: type[Figure]) -> type[Figure]:
-    """Matplotlib's figure as notebooks show it, without pyplot and its ``%matplotlib``."""
+    """A subclass of matplotlib's figure that notebooks show without pyplot and ``%matplotlib``."""
 
     class ShownFigure(figure):  # type: ignore[misc, valid-type]
-        """A figure that notebooks draw."""
+        """A figure with a PNG representation for notebooks."""
 
         def _repr_png_(self) -> bytes:
-            drawn = io.BytesIO()
-            self.savefig(drawn, format="png", dpi=NOTEBOOK_DPI)
-            return drawn.getvalue()
+            buffer = io.BytesIO()
+            self.savefig(buffer, format="png", dpi=NOTEBOOK_DPI)
+            return buffer.getvalue()
 
     return ShownFigure
 
 
 def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -> Figure:
-    """An empty figure with its finding as the title; sizes in inches.
+    """An empty figure with a title (the finding) and a wrapped subtitle; sizes in inches.
 
     Raises
     ------
@@ -76,14 +76,14 @@ def sheet(title: str, subtitle: str, width: float = 11.0, height: float = 5.4) -
     head = figure.suptitle(
         title + "\n" * (1 + subtitle.count("\n")), x=0.012, ha="left", fontsize=14, fontweight="bold", color=INK
     )
-    # Constrained layout leaves room for the title only: its empty lines are the subtitle's.
+    # Constrained layout reserves room for the title only: its empty lines make room for the subtitle.
     head.set_linespacing(1.6)
     figure.text(0.012, 0.98 - 0.33 / height, subtitle, ha="left", va="top", fontsize=10.5, color="#4A4A4A")
     return figure
 
 
 def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
-    """Labels with units and a title; spines at the left and below only."""
+    """Sets axis labels and a title; keeps the left and lower spines only."""
     axes.set_xlabel(x, fontsize=10.5, color=INK)
     axes.set_ylabel(y, fontsize=10.5, color=INK)
     axes.tick_params(labelsize=9.5, color=FAINT, labelcolor=INK)
@@ -95,7 +95,7 @@ def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:
-    """Writes a figure; the format is that of the extension (png, pdf, svg), and the file is whole or absent.
+    """Writes a figure atomically; the extension gives the format (png, pdf, svg).
 
     Raises
     ------
@@ -111,7 +111,7 @@ def save(figure: Figure, path: str | os.PathLike[str]) -> None:
 
 @dataclass(frozen=True)
 class TangentAxes:
-    """East and north axes at the middle of some directions; good over a few arcminutes, at the poles too."""
+    """East and north axes at the mean of some directions; accurate over a few arcminutes, also at the poles."""
 
     middle: FloatArray
     east: FloatArray
@@ -127,8 +127,8 @@ class TangentAxes:
         return cls(middle, east[0], north[0])
 
     def __call__(self, position_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) places in arcsec east and north of the middle, and (n, 2, 2) matrices that turn vectors on a
-        record's own east and north into vectors on the frame's."""
+        """(n, 2) positions in arcsec east and north of the middle, and (n, 2, 2) matrices that rotate vectors from
+        each record's own east and north to those of the frame."""
         direction, east, north = _axes(position_deg)
         basis = np.stack([self.east, self.north])
         place = ARCSEC_PER_RADIAN * (direction - self.middle) @ basis.T
@@ -142,7 +142,7 @@ def _axes(position_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def ellipse(place: FloatArray, covariance: FloatArray, sigmas: float, points: int = 121) -> FloatArray:
-    """(points, 2) closed outline of the ellipse of so many σ about a place; east and north, in its unit."""
+    """(points, 2) closed outline of the ellipse at ``sigmas`` σ about a position; east and north, in its unit."""
     angle = np.linspace(0.0, 2.0 * np.pi, points)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     values, vectors = np.linalg.eigh(covariance)
@@ -150,6 +150,6 @@ def ellipse(place: FloatArray, covariance: FloatArray, sigmas: float, points: in
 
 
 def nice_length(most: float) -> float:
-    """The longest of 1, 2, 5 times a power of ten that is not longer than ``most``."""
+    """The largest of 1, 2, 5 times a power of ten that is at most ``most``."""
     power = 10.0 ** np.floor(np.log10(most))
     return float(max(step * power for step in (1, 2, 5) if step * power <= most * (1 + 1e-9)))
