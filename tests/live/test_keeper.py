@@ -309,7 +309,7 @@ def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_ro
     [pages] = two.journal._base.execute("PRAGMA page_count").fetchone()
     two.journal._base.execute(f"PRAGMA max_page_count = {pages}")
     big = Alarm("flood", "source", "x" * 100_000)
-    assert two._kept(lambda journal: journal.alarm(big, 0.0)) is None
+    assert two._try_journal(lambda journal: journal.alarm(big, 0.0)) is None
     frame = two.tick(START_S + 22.0)
     assert [alarm.text for alarm in frame.alarms if alarm.key == "folder"] == [
         f"{tmp_path / 'two'} cannot be written; events are not saved: database or disk is full"

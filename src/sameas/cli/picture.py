@@ -141,7 +141,7 @@ def run(
                 described = read_source_options(sensors) if sensors else None
                 unread: list[InputError] = []
                 sources = read_sources(files, described, start=start, set_aside=unread)
-                sources = method.taken(sources)
+                sources = method.included(sources)
             pace.pause()
             printer(read_lines((source.reports.source, source.lines()) for source in sources))
             left_out = [f"set aside: {in_options(error.words, sensor_option)}" for error in unread]

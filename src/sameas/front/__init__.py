@@ -1,6 +1,6 @@
-"""The front door: anything that holds positions goes in, a result worth looking at comes out.
+"""The user-level interface: sources in any form go in, result objects with reports, plots and files come out.
 
-:func:`~sameas.front.match.match` and its like take what users have and call the stages below; the command does the same
-with files. :mod:`~sameas.front.options` declares the options of both, once; :mod:`~sameas.front.tables` turns what
-users have into tables; :mod:`~sameas.front.request` keeps what was asked for, and says it again in the output.
+:func:`~sameas.front.match.match` and its siblings convert the user's input and call the stages below; the command line
+does the same with files. :mod:`~sameas.front.options` declares the options of both; :mod:`~sameas.front.tables`
+converts input to tables; :mod:`~sameas.front.request` stores the request, so that it can be written to the output.
 """

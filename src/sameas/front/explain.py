@@ -1,8 +1,8 @@
-"""Questions to outputs: why a record was identified as it was, and what two of them give differently.
+"""Explain a record of an output file, and compare two outputs.
 
-An explanation takes what the output itself holds: its inputs may have moved, and nothing is matched again. Where the
-inputs of a match of two catalogues are still there and small, or where it is asked for, the match is repeated, which
-tells the terms of the odds and what other answers would cost.
+An explanation uses the output alone, since its inputs may have moved. Where the inputs of a match of two catalogues
+still exist and are small, or on request, the match is repeated, which adds the terms of the odds and the cost of other
+answers.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
     from sameas.sky.crossmatch import SkyMatch
 
-#: Rows of both catalogues up to which the match is repeated without being asked for: under a second (chosen).
+#: The match is repeated without request up to this number of rows in both catalogues: under a second (chosen).
 REPEATED = 100_000
-#: What an explanation from the table of two catalogues lacks.
+#: Last line of an explanation from the table alone.
 ALONE = "From the table alone; match again for the terms of the odds and the cost of other answers."
-#: Lines on an output that was edited, cut or put together, beside what its reader met.
+#: Message on an output that was edited or truncated, followed by the error of its reader.
 CHANGED = "is not as sameas wrote it"
 #: Tables of a picture's folder.
 _TABLES = ("objects", "identities")
@@ -40,7 +40,7 @@ _TABLES = ("objects", "identities")
 
 @dataclass(frozen=True, repr=False)
 class Lines:
-    """A text for people; ``print`` it, or look at its ``lines``."""
+    """A text; ``print`` it, or use its ``lines``."""
 
     lines: tuple[str, ...]
 
@@ -69,17 +69,17 @@ def explain(
     Parameters
     ----------
     output : the table; of a picture its folder.
-    id : of the record; of a frame the star, or the number of a measurement; of a picture the object's number or label,
-        or with ``source`` a track, line or row.
-    row : instead: of the catalogue, counted from 0; of a frame that of the table.
-    source : number of the catalogue, or its name; of a frame "star" or "measurement"; of a picture the record's source.
-    at : of a picture, the time: seconds, or a date. again : whether to match two catalogues again, for the terms of the
-        odds and the cost of other answers; they must still be where they were.
-    format : of the file where its extension does not tell it. progress : called with what is being done.
+    id : of the record; for a frame the star, or the number of a measurement; for a picture the number or label of an
+        object, or with ``source`` a track, line or row.
+    row : instead of ``id``: row of the catalogue, counted from 0; for a frame row of the table.
+    source : number or name of the catalogue; for a frame "star" or "measurement"; for a picture the record's source.
+    at : for a picture, the time in seconds or as a date. again : whether to repeat the match of two catalogues, for the
+        terms of the odds and the cost of other answers; the inputs must be unchanged in place.
+    format : of the file, if its extension does not determine it. progress : called with the name of each step.
 
     Raises
     ------
-    InputError : the file does not say how it was made, or has no such record.
+    InputError : the file has no provenance, or no such record.
 
     Example: ``print(sameas.explain("identified.fits", 17))``.
     """
@@ -112,7 +112,7 @@ def explain(
 def _of_table(
     kind: str, table: Table, facts: Mapping[str, Any], record: str, number: int, source: int | str, by_row: bool
 ) -> Iterable[str]:
-    """What a table alone tells of a record. number : of its catalogue; source : as it was given."""
+    """The explanation of a record from the table alone. number : of its catalogue. source : as given by the user."""
     from sameas.report.written import frame_lines, many_lines, match_lines
 
     if kind == "match":
@@ -126,7 +126,7 @@ def _of_table(
 
 
 def _kind(facts: Mapping[str, Any], path: Path) -> str:
-    """What an output is of."""
+    """The command that made an output: "match", "many" or "frame"."""
     if "ra_column_1" in facts:
         return "match" if "candidates" in facts else "many"
     if "options_match" in facts and "candidates" in facts:
@@ -137,7 +137,7 @@ def _kind(facts: Mapping[str, Any], path: Path) -> str:
 
 
 def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:
-    """A catalogue's number, from 1."""
+    """The number of a catalogue, from 1."""
     names = {facts[name]: int(name.removeprefix("name_")) for name in facts if name.startswith("name_")}
     number = names.get(str(source), int(source) if str(source).isdecimal() else 0)
     if number not in names.values():
@@ -158,7 +158,7 @@ def _repeated(
     again: bool,
     progress: Callable[[str], None],
 ) -> Lines | None:
-    """What the match says when it is repeated; None where it cannot be, and was not asked for."""
+    """The explanation from a repeated match; None where it cannot be repeated and this was not requested."""
     from sameas.front.match import id_of
     from sameas.front.request import Request
     from sameas.report.explain import explanation_lines
@@ -192,7 +192,7 @@ def _explained(match: SkyMatch, record: str, source: int) -> Any:
 def _either(
     lines: Callable[..., list[str]], table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool
 ) -> list[str]:
-    """The lines of a record; where the other catalogue has it, they say so."""
+    """The lines of a record; an error names the other catalogue where the record is in that one."""
     try:
         return lines(table, facts, record, source, by_row)
     except InputError as error:
@@ -251,36 +251,36 @@ def _is_number(text: float | str) -> bool:
     return True
 
 
-# Two outputs compared: which records the one says are one object, and the other does not; :func:`compare`.
+# Comparison of two outputs: which records are one object in one of them but not in the other; :func:`compare`.
 #
-# What-ifs end here: other errors, another gate, a sensor left out. Records that one of the two does not have are
-# counted, and those of a picture left out of the comparison, so that a sensor left out is no difference by itself.
+# For what-if studies: other errors, another gate, a sensor excluded. Records that only one output has are counted; in
+# pictures they are ignored in the comparison, so that excluding a sensor is not a difference by itself.
 
-#: Differences that are listed (chosen).
+#: Number of differences that are listed (chosen).
 LISTED = 20
-#: A record: the instant of a picture in seconds (0 for catalogues), its source, and its name there.
+#: A record: instant in seconds (0 for catalogues), source, and id within the source.
 Record = tuple[float, str, str]
 
 
 @dataclass(frozen=True)
 class _Objects:
-    """What an output says: the number of the object of each record, and the probability of each object."""
+    """The content of an output: the object number of each record, and the probability of each object."""
 
     title: str
     of: Mapping[Record, int]
     probability: Mapping[int, float]
 
     def sets(self, shared: set[Record], counted: Iterable[Record]) -> dict[Record, frozenset[Record]]:
-        """Of every shared record the counted ones that are one object with it, itself among them."""
+        """For every shared record, the set of counted records of its object, including itself."""
         members: dict[int, list[Record]] = {}
         for record in counted:
             members.setdefault(self.of[record], []).append(record)
-        whole = {number: frozenset(records) for number, records in members.items()}
-        return {record: whole[self.of[record]] for record in shared}
+        sets = {number: frozenset(records) for number, records in members.items()}
+        return {record: sets[self.of[record]] for record in shared}
 
 
 def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines:
-    """Which identities two outputs give differently; ``print`` it.
+    """The differences in identity between two outputs; ``print`` the result.
 
     Parameters
     ----------
@@ -288,7 +288,7 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
 
     Raises
     ------
-    InputError : outputs of different kinds, or without a record in common; a file that does not say how it was made.
+    InputError : outputs of different kinds, or without a common record; a file without provenance.
 
     Example: ``print(sameas.compare("before.fits", "after.fits"))``.
     """
@@ -303,8 +303,8 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
 
 def _lines(first: _Objects, second: _Objects, shared: set[Record]) -> Iterator[str]:
     pictures = any(time_s for time_s, _, _ in shared)
-    # A table of pairs leaves out what has none: a partner that the other table does not have is another answer. At an
-    # instant of a picture, a record that only one of the two has says nothing.
+    # A table of pairs omits records without partner, so a partner that only one table has is a different answer. In a
+    # picture, a record that only one output has at an instant is ignored.
     sources = {name for _, name, _ in shared}
     counted = [shared if pictures else {record for record in one.of if record[1] in sources} for one in (first, second)]
     sides = [(one, one.sets(shared, its)) for one, its in zip((first, second), counted, strict=True)]
@@ -351,7 +351,6 @@ def _read(path: Path) -> _Objects:
 
 
 def _objects_of_picture(folder: Path) -> _Objects:
-
     objects, records = picture_tables(folder)
     times = np.asarray(records["time_s"], dtype=np.float64)
     tracks = texts_of(records["track_id"])
@@ -383,7 +382,7 @@ def _objects_of_table(path: Path) -> _Objects:
         name = str(facts[f"name_{k}"])
         for row in np.flatnonzero(there & chosen).tolist():
             of[0.0, name, str(names[row])] = row
-        # A record that is only among candidates that were not chosen has no line.
+        # A record that is only among the rejected candidates is an object of its own.
         for row in np.flatnonzero(there & ~chosen).tolist():
             of.setdefault((0.0, name, str(names[row])), len(table) + len(of))
     p = next((table[name] for name in ("p_object", "p_match") if name in table.colnames), None)
@@ -394,7 +393,7 @@ def _objects_of_table(path: Path) -> _Objects:
 
 
 def _names(table: Table, facts: Mapping[str, Any], k: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """What the records of a catalogue are called, and where a row has one."""
+    """Ids of the records of a catalogue, and which rows have such a record."""
     place = [facts.get(f"{role}_column_{k}") for role in ("ra", "dec")]
     if None in place or not set(place) <= set(table.colnames):
         raise InputError(

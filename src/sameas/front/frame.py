@@ -1,4 +1,4 @@
-"""A frame identified with a catalogue: :func:`match_frame`, and the :class:`MatchFrame` it gives."""
+"""Identification of an image with a catalogue: :func:`match_frame` and its result, :class:`MatchFrame`."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ if TYPE_CHECKING:
     from sameas.sky.frame.identified import FrameIdentification
     from sameas.sky.frame.image import Frame
 
-#: The pictures of a frame, the one drawn where none is named first.
+#: The plots of a frame; the first is the default.
 PLOTS = ("picture", "quality")
 
 
 @dataclass(frozen=True, repr=False)
 class MatchFrame:
-    """A frame identified with a catalogue: what :func:`match_frame` gives. ``len()`` of it is the number of its pairs.
+    """An image identified with a catalogue, returned by :func:`match_frame`. ``len()`` is the number of pairs.
 
     Attributes
     ----------
     sky : measurements, stars of the field, plate model, and the core's result in pixels.
-    frame, catalogue : what was identified. request : what was asked for. call : the call that made it.
+    frame, catalogue : the input. request : all options. call : the call that made it.
     """
 
     sky: FrameIdentification
@@ -50,7 +50,7 @@ class MatchFrame:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What looks wrong, of the catalogue and of the result; a sentence each."""
+        """One sentence for each doubt about the catalogue or the result."""
         return (*self.catalogue.doubts, *self.sky.notes)
 
     @cached_property
@@ -62,25 +62,25 @@ class MatchFrame:
 
     @cached_property
     def pairs(self) -> Table:
-        """The identified pairs: rows and numbers of the measurements, rows and ids of the stars, probabilities."""
+        """The matched pairs: rows and numbers of the measurements, rows and ids of the stars, probabilities."""
         from sameas.sky.joins import pair_table
 
         return pair_table(self.sky.result)
 
     @property
     def wcs(self) -> WCS:
-        """The plate solution as astropy has it."""
+        """The plate solution as an astropy ``WCS``."""
         return self.sky.plate.to_wcs()
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Place, plate model, counts, scatter, brightness and what was assumed, as plain numbers and texts."""
+        """Position, plate model, counts, scatter, brightness and assumptions, as plain numbers and text."""
         from sameas.front.framing import summary_of
 
         return summary_of(self.sky, self.frame, self.catalogue, partial(renamed, side=0, columns={}))
 
     def report(self) -> str:
-        """The report of the frame, as the command prints it."""
+        """The report that the command prints."""
         from sameas.report.frame import frame_lines
         from sameas.report.prose import in_one
 
@@ -89,7 +89,7 @@ class MatchFrame:
     def explain(
         self, id: Any = None, *, row: int | None = None, source: Literal["measurement", "star"] = "star"
     ) -> Explanation:
-        """Why a star, or a measurement, was identified as it was; ``print`` it. Distances are in pixels.
+        """Why a star, or a measurement, was matched as it was; ``print`` the result. Distances are in pixels.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class MatchFrame:
         return self.sky.result.explain(id_of(records, id, row), source=side)
 
     def plot(self, name: str = PLOTS[0]) -> Figure:
-        """A picture of the frame with its stars, or of the ``quality`` of the plate model; notebooks show it.
+        """A plot of the frame with its stars, or of the ``quality`` of the plate model; notebooks show it.
 
         Raises
         ------
@@ -122,7 +122,7 @@ class MatchFrame:
         return frame.picture(self.sky, self.frame, brightest=self.request.brightest)
 
     def write(self, path: str | os.PathLike[str], *, format: str | None = None, overwrite: bool = True) -> None:
-        """Writes the table and how it was made; to a path without an extension everything that the command writes.
+        """Writes the table with its provenance; for a path without extension, all outputs of the command.
 
         Parameters
         ----------
@@ -147,13 +147,13 @@ class MatchFrame:
 
     @property
     def _kinds(self) -> tuple[str, ...]:
-        """Where frame and catalogue are."""
-        there = "a file" if os.path.exists(self.request.path) else "in memory"
-        return there, self.request.catalogue
+        """ "a file" or "in memory" for the frame, and the name of the catalogue."""
+        frame = "a file" if os.path.exists(self.request.path) else "in memory"
+        return frame, self.request.catalogue
 
     @property
     def headline(self) -> str:
-        """What it is, in one line."""
+        """A summary in one line."""
         from sameas.representation import count
 
         found = self.summary["found"]
@@ -199,27 +199,27 @@ def match_frame(
     progress: Callable[[str], None] = lambda stage: None,
     **columns: Any,
 ) -> MatchFrame:
-    """Which stars are on a frame, and where it points.
+    """Identifies the stars on a frame with a catalogue, and determines where it points.
 
     Parameters
     ----------
     image : path of a FITS file, or a ``sameas.sky.Frame``.
     catalogue : a path, a folder of Parquet files, "bright" (whole sky, G < 10) or "gaia" (online), or anything that
         :func:`sameas.match` takes but ``Records``.
-    aim : middle of the frame: (ra, dec) in degrees, or a ``SkyCoord``. radius : how far off it may be, degrees.
-    scale : arcsec per pixel, or the least and the largest. header : whether to believe the header's plate solution.
+    aim : centre of the frame: (ra, dec) in degrees, or a ``SkyCoord``. radius : largest error of it, degrees.
+    scale : arcsec per pixel, or its lower and upper limit. header : whether to use the header's plate solution.
     time : middle of the exposure: a date, a Julian year or an astropy ``Time``.
-    dark, flat, bias : paths of calibration frames. mask : of an image, not 0 where not usable. hdu : of the image.
+    dark, flat, bias : paths of calibration frames. mask : of an image, not 0
+        at unusable pixels. hdu : of the image.
     threshold : faintest detection in σ. gain, read_noise, saturation : in electrons per unit, electrons, units.
-    order : of the plate model, 1 to 5; what the pairs support if not given. magnitudes : "off" leaves brightness out.
-    faintest : use no fainter stars. motion : False leaves the stars at their own epoch.
-    progress : called with the name of what is being done.
+    order : of the plate model, 1 to 5; chosen from the pairs if not given. magnitudes : "off" ignores brightness.
+    faintest : magnitude limit of the stars. motion : False applies no proper motion.
+    progress : called with the name of each step.
     columns : options of the catalogue's columns, as of :func:`sameas.match`, without numbers: ``sigma=0.1``.
 
     Raises
     ------
-    InputError : no image; nothing known of where it points; no placement that can be believed; options that do not
-        exist.
+    InputError : no image; the approximate pointing is unknown; no reliable solution; unknown options.
     """
     from sameas.front import framing
     from sameas.sky.frame.detect import detect
@@ -238,7 +238,7 @@ def match_frame(
     image, catalogue = as_source(image), as_source(catalogue)
     in_memory = isinstance(image, Frame)
     name = image.name if isinstance(image, Frame) else Path(image).name
-    stars = None if isinstance(catalogue, str) else _understood(catalogue, stated)
+    stars = None if isinstance(catalogue, str) else _catalogue_in_memory(catalogue, stated)
     request = framing.FrameRequest(
         path=name if in_memory else str(image),
         folder="identified",
@@ -269,8 +269,8 @@ def match_frame(
     return MatchFrame(found, frame, stars, request, call_text(match_frame, (image, catalogue), own | stated))
 
 
-def _understood(source: Any, stated: dict[str, Any]) -> Catalogue:
-    """A catalogue in memory."""
+def _catalogue_in_memory(source: Any, stated: dict[str, Any]) -> Catalogue:
+    """The catalogue of an in-memory table, its columns interpreted."""
     from sameas.front.request import Request
     from sameas.sky.crossmatch import MatchOptions
 
@@ -308,5 +308,5 @@ def _scale(scale: float | tuple[float, float] | None) -> tuple[float, float] | N
 
 
 def _time(time: Any) -> str:
-    """A time as text: a date, or a Julian year."""
+    """A time as text: an ISO date, or a Julian year."""
     return str(time.utc.isot) if hasattr(time, "isot") else str(time)

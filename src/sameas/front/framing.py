@@ -1,7 +1,7 @@
-"""One frame, from its file to its outputs: read, calibrate, detect, place, identify, refine, write.
+"""The pipeline of one frame, from its file to its outputs: read, calibrate, detect, place, identify, refine, write.
 
-A :class:`FrameRequest` holds all its options; it travels to another process and back into the summary, by whose
-digest a frame that is done already is known.
+A :class:`FrameRequest` holds all options. It can be sent to another process; its digest is written to the summary, so
+that a frame that is already done is recognised.
 """
 
 from __future__ import annotations
@@ -38,26 +38,26 @@ from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, S
 from sameas.sky.frame.tangent import Pointing
 
 Progress = Callable[[str], None]
-#: What is written beside the table; pages and pictures are left out where they are not wanted.
+#: Outputs in addition to the table; page and pictures are optional.
 ENDINGS = {"solution": ".wcs", "regions": ".reg", "picture": ".png", "quality": "-fit.png", "page": ".html"}
 _TABLES = {"fits": ".stars.fits", "votable": ".stars.vot", "ecsv": ".stars.ecsv", "csv": ".stars.csv"}
 _TABLES["parquet"] = ".stars.parquet"
 
 
-# Where the frame points: what is known from the command line and from its header.
+# Pointing: what the options and the header say of it.
 
 #: Relative tolerance of a scale from focal length and pixels, and of a scale that was given as one number.
 LOOSE, CLOSE = 0.2, 0.05
-#: How far off an aim may be, by default: degrees, and in halves of the frame's diagonal.
+#: Default error of an aim: the larger of this many degrees and this many half diagonals of the frame.
 OFF_DEG, OFF_FRAMES = 0.5, 1.0
 
 
 @dataclass(frozen=True)
 class PointingOptions:
-    """What the user says of where a frame points.
+    """Options on the pointing of a frame.
 
-    aim_deg : right ascension and declination. radius_deg : how far off. scale_arcsec : least and largest.
-    header : whether a plate solution in the header is believed to be nearly right.
+    aim_deg : right ascension and declination. radius_deg : largest error of it. scale_arcsec : limits, per pixel.
+    header : whether a plate solution in the header is used as approximate.
     """
 
     aim_deg: tuple[float, float] | None = None
@@ -67,11 +67,11 @@ class PointingOptions:
 
 
 def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) -> list[Hint]:
-    """From the surest to the least sure: the header's solution, the aim, and nothing but a range of scales.
+    """Hints on the pointing, the most certain first: header solution, aim, whole sky with a range of scales.
 
     Raises
     ------
-    InputError : nothing is known of the place, or not the scale.
+    InputError : the pointing or the scale is unknown.
     """
     found: list[Hint] = []
     wcs = _solution(frame) if pointing.header and pointing.aim_deg is None else None
@@ -133,7 +133,7 @@ def _scale(frame: Frame, wcs: Any) -> tuple[float, float] | None:
 class FrameRequest:
     """A frame and all its options. ``columns`` are fields of ``CatalogueOptions``.
 
-    name : of the outputs in ``folder``. time : middle of the exposure as it was typed. given : fields of ``Given``.
+    name : of the outputs in ``folder``. time : middle of the exposure, as typed. given : fields of ``Given``.
     """
 
     path: str
@@ -161,9 +161,9 @@ class FrameRequest:
     copy: bool = False
 
     def outputs(self) -> dict[str, Path]:
-        """The files that are to be written, by what they are."""
-        left_out = ({"page"} if not self.page else set()) | ({"picture", "quality"} if not self.picture else set())
-        endings = {"table": _TABLES[self.format], **{k: v for k, v in ENDINGS.items() if k not in left_out}}
+        """The paths of the outputs, by kind."""
+        omitted = ({"page"} if not self.page else set()) | ({"picture", "quality"} if not self.picture else set())
+        endings = {"table": _TABLES[self.format], **{k: v for k, v in ENDINGS.items() if k not in omitted}}
         if self.copy:
             endings["copy"] = ".wcs" + "".join(Path(self.path).suffixes[-2:] or [".fits"])
         return {what: Path(self.folder) / (self.name + ending) for what, ending in endings.items()}
@@ -174,7 +174,7 @@ class FrameRequest:
         return Path(self.folder) / f"{self.name}.json"
 
     def digest(self) -> str:
-        """The SHA-256 of the frame, of all other files that it takes, and of all options."""
+        """The SHA-256 of the frame, of all other input files, and of all options."""
         facts = {key: value for key, value in asdict(self).items() if key not in ("folder", "path")}
         files = [self.path, *self.darks, *self.flats, *self.biases, *([self.mask] if self.mask else [])]
         facts["files"] = [_checksum(path, _stamp(path)) for path in files]
@@ -183,7 +183,7 @@ class FrameRequest:
         return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
 
     def done(self) -> dict[str, Any] | None:
-        """The summary of a run with the same files and words whose outputs are all there."""
+        """The summary of an earlier run with the same digest whose outputs all exist; else None."""
         try:
             outcome = json.loads(self.summary_path.read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError):
@@ -195,16 +195,16 @@ class FrameRequest:
 def fulfil(
     request: FrameRequest, progress: Progress = lambda stage: None, words: Callable[[str], str] = str
 ) -> dict[str, Any]:
-    """Does all of it, and returns the summary that it has written too.
+    """Runs the pipeline, writes the outputs, and returns the summary.
 
-    words : how a message that names arguments is put.
+    words : formats a message that names arguments.
 
     Raises
     ------
-    InputError : anything about the frame, the catalogue or the outputs that cannot be used.
+    InputError : the frame, the catalogue or an output path cannot be used.
     """
     began = time.perf_counter()
-    request.digest()  # refuses what is not there before anything is done
+    request.digest()  # refuses missing files before any work
     frame = frame_of(request, progress)
     progress("detecting")
     measured = detect(frame, Detection(threshold_sigmas=request.threshold_sigmas))
@@ -218,9 +218,9 @@ def fulfil(
 def summary_of(
     found: FrameIdentification, frame: Frame, stars: Catalogue, words: Callable[[str], str] = str
 ) -> dict[str, Any]:
-    """The summary of a frame, with what its catalogue was taken for and what looks wrong with it.
+    """The summary of a frame, with the interpretation of its catalogue and the doubts about it.
 
-    words : how a message that names arguments is put.
+    words : formats a message that names arguments.
     """
     notes = [*map(words, found.notes), *(f"doubt: {words(doubt)}" for doubt in stars.doubts)]
     outcome = summary(replace(found, notes=tuple(notes)), frame)
@@ -235,10 +235,10 @@ def write(
     seconds: Sequence[float] = (),
     digest: str | None = None,
 ) -> dict[str, Any]:
-    """Writes all outputs of a request, and returns the summary that it has written too.
+    """Writes all outputs of a request, and returns the summary, which is one of them.
 
-    facts : its summary. seconds : to the detections, and from there to the identification. digest : of what it was made
-    of, where that is not files.
+    facts : the summary so far. seconds : run time of the detection and of the identification. digest : of inputs that
+    are not files.
     """
     began = time.perf_counter()
     outcome = {
@@ -248,7 +248,7 @@ def write(
     with filling(request.folder) as folder:
         drafts = replace(request, folder=str(folder))
         _write(drafts, frame, found, outcome, facts)
-        if "SOURCE_DATE_EPOCH" not in os.environ:  # by which the same command writes the same bytes
+        if "SOURCE_DATE_EPOCH" not in os.environ:  # set for reproducible outputs
             steps = [*seconds, time.perf_counter() - began]
             named = ("to_detections", "to_identification", "to_outputs")[-len(steps) :]
             outcome["seconds"] = {name: round(step, 2) for name, step in zip(named, steps, strict=True)}
@@ -271,7 +271,7 @@ def frame_of(request: FrameRequest, progress: Progress) -> Frame:
 
 
 def _moment(text: str, kind: Any) -> Any:
-    """A time as people type it: a Julian year, or a date."""
+    """The time of a text: a Julian year, or a date."""
     try:
         year = float(text)
     except ValueError:
@@ -286,11 +286,11 @@ def _moment(text: str, kind: Any) -> Any:
 def found_on(
     request: FrameRequest, frame: Frame, measured: Measurements, progress: Progress, given: Catalogue | None = None
 ) -> tuple[FrameIdentification, Catalogue]:
-    """The frame identified, and the catalogue with which it was. given : the catalogue, where it is in memory."""
+    """The identified frame and its catalogue. given : the catalogue, if it is in memory."""
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
-    near = search_cone(own_hints, frame.shape)
+    cone = search_cone(own_hints, frame.shape)
     progress("reading the catalogue")
-    stars = _catalogue(request, near, progress) if given is None else given
+    stars = _catalogue(request, cone, progress) if given is None else given
     moment = frame.facts.mid_time
     moves = stars.epoch_jyr is not None and stars.has_motion
     epoch = None if moment is None else float(moment.tdb.jyear)
@@ -302,7 +302,7 @@ def found_on(
         own_hints,
         epoch_jyr=epoch,
         refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
-        index=None if all_sky is None or given else _index(_key(request, near), epoch, frame.shape, all_sky),
+        index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
         motion=request.motion and not (moves and moment is None),
         faintest=request.faintest,
     )
@@ -322,7 +322,7 @@ def _write(
     rows = listing(found)
     if outcome["epoch_jyr"] is not None:
         rows.meta["REFEPOCH"] = outcome["epoch_jyr"]
-    write_table(rows, paths["table"], provenance=_in_short(outcome))
+    write_table(rows, paths["table"], provenance=_provenance(outcome))
     write_solution(found.plate, paths["solution"])
     radius = 2.0 * found.measured.psf_fwhm_px * outcome["place"]["scale_arcsec_per_px"]
     write_regions(rows, paths["regions"], radius_arcsec=radius)
@@ -342,19 +342,19 @@ def _write(
             save(quality(found), paths["quality"])
 
 
-def _in_short(outcome: Mapping[str, Any]) -> dict[str, Any]:
-    """How the table was made, from the summary."""
+def _provenance(outcome: Mapping[str, Any]) -> dict[str, Any]:
+    """The provenance of the table, from the summary."""
     named = ("program", "version", "digest", "file", "frame", "catalogue", "epoch_jyr")
     return {**{key: outcome[key] for key in named if key in outcome}, "summary": json.dumps(outcome, ensure_ascii=True)}
 
 
 def provenance_of(request: FrameRequest, facts: Mapping[str, Any]) -> dict[str, Any]:
-    """How a table that Python writes was made. facts : the summary."""
+    """The provenance of a table written from Python. facts : the summary."""
     outcome = {**program(), "file": request.path, **facts}
-    return _in_short(outcome)
+    return _provenance(outcome)
 
 
-# ---- kept from frame to frame of one process ----
+# ---- caches, shared by the frames of one process ----
 
 
 @lru_cache(maxsize=4)
@@ -369,27 +369,27 @@ def _calibration(biases: tuple[str, ...], darks: tuple[str, ...], flats: tuple[s
 _Key = tuple[str, str, Cone | None, float | None]
 
 
-def _key(request: FrameRequest, near: Cone | None) -> _Key:
-    """What a catalogue is kept under: the field matters for those that are read field by field."""
+def _key(request: FrameRequest, cone: Cone | None) -> _Key:
+    """The cache key of a catalogue; it has the field only for catalogues that are read by field."""
     by_field = request.catalogue.lower() == GAIA or Path(request.catalogue).is_dir()
     columns = json.dumps(dict(request.columns), sort_keys=True)
-    return request.catalogue, columns, near if by_field else None, request.faintest
+    return request.catalogue, columns, cone if by_field else None, request.faintest
 
 
-def _catalogue(request: FrameRequest, near: Cone | None, progress: Progress) -> Catalogue:
-    return _kept_catalogue(_key(request, near), progress)
+def _catalogue(request: FrameRequest, cone: Cone | None, progress: Progress) -> Catalogue:
+    return _cached_catalogue(_key(request, cone), progress)
 
 
 _catalogues: dict[_Key, Catalogue] = {}
 
 
-def _kept_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Catalogue:
+def _cached_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Catalogue:
     if key not in _catalogues:
-        name, columns, near, faintest = key
+        name, columns, cone, faintest = key
         while len(_catalogues) >= 4:
             _catalogues.pop(next(iter(_catalogues)))
         options = CatalogueOptions(**json.loads(columns))
-        _catalogues[key] = catalogue(name, near, options, faintest=faintest, progress=progress)
+        _catalogues[key] = catalogue(name, cone, options, faintest=faintest, progress=progress)
     return _catalogues[key]
 
 
@@ -397,8 +397,8 @@ def _kept_catalogue(key: _Key, progress: Progress = lambda stage: None) -> Catal
 def _index(key: _Key, epoch_jyr: float | None, shape: tuple[int, int], hint: AllSky) -> SkyIndex:
     from sameas.sky.frame.field import StarField
 
-    # Patterns do not change in a year.
-    return sky_index(StarField.of(_kept_catalogue(key), epoch_jyr).stars(), shape, hint)
+    # Within a year proper motions do not change the star patterns.
+    return sky_index(StarField.of(_cached_catalogue(key), epoch_jyr).stars(), shape, hint)
 
 
 def _stamp(path: str) -> tuple[int, int]:

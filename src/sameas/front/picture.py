@@ -1,4 +1,4 @@
-"""A picture of many sensors: :func:`match_picture`, and the :class:`MatchPicture` it gives, as the command makes it."""
+"""A picture of many sensors: :func:`match_picture` and its result, :class:`MatchPicture`; the command uses both."""
 
 from __future__ import annotations
 
@@ -51,14 +51,14 @@ if TYPE_CHECKING:
     from astropy.table import Table
     from matplotlib.figure import Figure
 
-#: Steps between instants that are chosen from, seconds, and how many instants there may then be.
+#: Default steps between instants in seconds, the shortest that gives at most ``ENOUGH`` instants is used.
 STEPS_S = (1.0, 2.0, 5.0, 10.0, 20.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1200.0, 1800.0, 3600.0)
 ENOUGH = 200
 
 
 @dataclass(frozen=True)
 class Instants:
-    """When the user wants to see the picture."""
+    """The instants that the user asks for: one (``at``), or a series."""
 
     every_s: float | None = None
     at: str | float | None = None
@@ -66,13 +66,13 @@ class Instants:
     end: str | float | None = None
 
     def of(self, span_s: tuple[float, float]) -> FloatArray:
-        """(k,) the instants, ascending, for reports within a span."""
+        """(k,) the instants in seconds, ascending, for reports within a span."""
         if self.at is not None:
             return np.array([_time(self.at, "at", span_s)])
         first = span_s[0] if self.begin is None else _time(self.begin, "begin", span_s)
         last = span_s[1] if self.end is None else _time(self.end, "end", span_s)
         if first > last:
-            words = Message("the picture would be from ", self._in_words(first, last), ": it ends before it begins")
+            words = Message("the picture would be from ", self._range_text(first, last), ": it ends before it begins")
             raise InputError(words)
         if self.every_s is not None and not 0.0 < self.every_s < np.inf:
             raise InputError(Message(Argument("every", f"{self.every_s:g}s"), " is no time between instants"),
@@ -84,7 +84,7 @@ class Instants:
         step = next((step for step in STEPS_S if (last - first) / step <= ENOUGH), (last - first) / ENOUGH)
         return instants((first, last), self.every_s or step)
 
-    def _in_words(self, first_s: float, last_s: float) -> Message:
+    def _range_text(self, first_s: float, last_s: float) -> Message:
         begin, end = span(first_s, last_s).split(" to ", 1)
         given = [Message(" (", Argument(name, str(value)), ")") if value else ""
                  for name, value in (("begin", self.begin), ("end", self.end))]  # fmt: skip
@@ -93,52 +93,51 @@ class Instants:
 
 @dataclass(frozen=True)
 class Method:
-    """What is done beside the positions. without : names of sources that are left out."""
+    """Steps of the method that can be switched off. without : names of excluded sources."""
 
     registration: bool = True
     identity: bool = True
     memory: bool = True
     without: tuple[str, ...] = ()
 
-    def taken(self, sources: Sequence[SensorSource]) -> list[SensorSource]:
-        """The sources that are not left out.
+    def included(self, sources: Sequence[SensorSource]) -> list[SensorSource]:
+        """The sources that are not excluded.
 
         Raises
         ------
-        InputError : a name that no source has; none is left.
+        InputError : a name that no source has; no source remains.
         """
         names = [source.description.name for source in sources]
         for name in self.without:
             if name not in names:
                 words = Message(Argument("without", name), ": there is no such source")
                 raise InputError(words, f"give one of {', '.join(names)}")
-        left = [source for source in sources if source.description.name not in self.without]
-        if not left:
+        included = [source for source in sources if source.description.name not in self.without]
+        if not included:
             raise InputError(Message(Argument("without", ", ".join(self.without)), ": no source is left"))
-        return left
+        return included
 
-    def say(self) -> EvidenceOf:
-        """What counts as evidence at an instant."""
-
+    def evidence(self) -> EvidenceOf:
+        """The evidence that is used at an instant."""
         return partial(all_evidence, identity=self.identity, memory=self.memory)
 
     def watch(self, scene: Scene) -> Watch | PlotPicture:
-        """What the picture carries from instant to instant; without memory every instant is its own."""
+        """The state that is carried from instant to instant; without memory, instants are independent."""
         if not self.memory:
-            return Watch(evidence=self.say(), bound=1.0)
-        return PlotPicture() if nameless(scene) else Watch(evidence=self.say())
+            return Watch(evidence=self.evidence(), bound=1.0)
+        return PlotPicture() if nameless(scene) else Watch(evidence=self.evidence())
 
 
-# What is written: tables, GeoJSON, a map, an image and a summary, into a folder and all at once.
+# Outputs: tables, GeoJSON, map, image and summary, written into a folder atomically.
 
-#: Every file that may be written, without the extension of the tables.
+#: Names of all output files; those of the tables without extension.
 TABLES = ("objects", "identities")
 OTHERS = ("objects.geojson", "summary.json", "map.html", "picture.png")
 
 
 @dataclass(frozen=True)
 class PictureOutputs:
-    """What the user wants to have. format : of the tables. coast : of the map. command : as it was typed."""
+    """The requested outputs. format : of the tables. coast : drawn on the map. command : as typed."""
 
     folder: Path
     format: str = "parquet"
@@ -150,13 +149,13 @@ class PictureOutputs:
 
 @dataclass(frozen=True, repr=False)
 class MatchPicture:
-    """A picture of many sensors: what :func:`match_picture` gives. ``len()`` of it is the number of its instants.
+    """A picture of many sensors, returned by :func:`match_picture`. ``len()`` is the number of instants.
 
     Attributes
     ----------
-    picture : its objects and records at every instant, and their summary.
-    sources : that it was made of. scene : these in one plane, without their offsets. biases : the offsets.
-    source_doubts : what is in doubt of the sources as a whole. call : the call that made it.
+    picture : objects and records at every instant, and their summary.
+    sources : the input. scene : the sources in one plane, corrected for their offsets. biases : the offsets.
+    source_doubts : doubts about whole sources. call : the call that made it.
     """
 
     picture: Picture
@@ -171,7 +170,7 @@ class MatchPicture:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What looks wrong, a sentence each: alarms, then what is in doubt."""
+        """One sentence for each problem: alarms first, then doubts."""
         summary = self.picture.summary
         return (
             *(f"ALARM {alarm}" for alarm in (*summary.alarms, *summary.faults)),
@@ -193,13 +192,13 @@ class MatchPicture:
 
     @cached_property
     def pairs(self) -> Table:
-        """A row for every record at every instant: the object that it is, and how sure; that of identities.parquet."""
+        """A row for every record at every instant, with its object and probability; as in identities.parquet."""
         from astropy.table import Table
 
         return Table(dict(self.picture.records))
 
     def report(self) -> str:
-        """What was read, found, estimated and assumed, as the command prints it."""
+        """The report of the command: input, result, estimates and assumptions."""
         lines = [*read_lines((source.reports.source, source.lines()) for source in self.sources)]
         lines += doubt_lines(self.source_doubts)
         return in_one(
@@ -207,12 +206,12 @@ class MatchPicture:
         )
 
     def explain(self, id: Any, *, source: str | None = None, at: float | str | None = None) -> Lines:
-        """Why an object has its records; ``print`` it.
+        """Why records were assigned to an object; ``print`` the result.
 
         Parameters
         ----------
-        id : number or label of the object; with ``source`` a track, line or row of that source's records.
-        at : the time: seconds, or a date; None stands for the last instant at which it is shown.
+        id : number or label of the object; with ``source``, a track, line or row of that source.
+        at : time in seconds, or a date; the last instant of the object if None.
 
         Raises
         ------
@@ -224,7 +223,7 @@ class MatchPicture:
         return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when)))
 
     def plot(self, at: float | str | None = None) -> Figure:
-        """The chart of an instant, of the fullest if none is given; notebooks show it.
+        """The chart of an instant; by default the last of those with most sources. Notebooks show it.
 
         Raises
         ------
@@ -236,12 +235,12 @@ class MatchPicture:
 
     def write(self, folder: str | os.PathLike[str], *, format: str = "parquet", map: bool = True, image: bool = True,
               coast: str | os.PathLike[str] | None = None) -> None:  # fmt: skip
-        """Writes what the command writes into a folder, all of it or nothing: tables, GeoJSON, summary, map, image.
+        """Writes the outputs of the command into a folder, atomically: tables, GeoJSON, summary, map, image.
 
         Parameters
         ----------
-        format : of the tables, "parquet" or "csv". map, image : whether map.html and picture.png are wanted.
-        coast : GeoJSON with land or shores for the map.
+        format : of the tables, "parquet" or "csv". map, image : whether to write map.html and picture.png.
+        coast : GeoJSON file of land or coastlines for the map.
 
         Raises
         ------
@@ -258,7 +257,7 @@ class MatchPicture:
 
     @property
     def headline(self) -> str:
-        """What it is, in one line."""
+        """A summary in one line."""
         summary = self.picture.summary
         times = f"{counted(summary.instants, 'instant')}, {span(summary.first_s, summary.last_s)}"
         confirmed = counted(sum(summary.by_sources), "confirmed object")
@@ -272,14 +271,14 @@ class MatchPicture:
         return in_html(self.headline, self.report(), self.plot)
 
     def facts(self, command: str) -> dict[str, Any]:
-        """How the outputs were made: the same for the same command on the same files."""
+        """The provenance of the outputs; it depends on the command and the input files only."""
         files = [path for path in dict.fromkeys(source.path for source in self.sources) if path.exists()]
         return made_by(command) | {
             "files": [str(path) for path in files], "sha256": [checksum(path) for path in files],
         }  # fmt: skip
 
     def as_json(self) -> dict[str, Any]:
-        """The summary as JSON has it."""
+        """The summary as a mapping that JSON can encode."""
         summary = self.picture.summary
         return {
             "sources": [_source(source) for source in self.sources],
@@ -297,7 +296,7 @@ class MatchPicture:
         }  # fmt: skip
 
     def sheet(self) -> MapSheet:
-        """What a map shows of it."""
+        """The content of the map."""
         picture, plane = self.picture, self.picture.plane
         sensors = [MapSensor.of(source.description, plane, source.path.name) for source in self.sources]
         title = "Picture of " + listed([source.description.name for source in self.sources])
@@ -311,7 +310,7 @@ class MatchPicture:
 def write(
     made: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object] = warnings.warn
 ) -> list[str]:
-    """Writes everything that is wanted into a folder; the names of the files. warn : takes what cannot be."""
+    """Writes the requested outputs into a folder and returns the file names. warn : called for an omitted one."""
     from astropy.table import Table
 
     from sameas.io import write_table
@@ -333,40 +332,40 @@ def write(
 
 
 def older(folder: Path, written: Sequence[str]) -> list[str]:
-    """Files of an earlier picture that are still in the folder and are not of this one."""
+    """Files of an earlier picture in the folder that this one did not overwrite."""
     known = [*(f"{name}.{extension}" for name in TABLES for extension in ("parquet", "csv")), *OTHERS]
     return [name for name in known if name not in written and (folder / name).exists()]
 
 
 def fullest(picture: Picture) -> float:
-    """The last of the instants at which most sources speak."""
+    """The last of the instants with the largest number of sources."""
     records = picture.records
     sources = [len(np.unique(records["source"][records["time_s"] == t])) for t in picture.instants_s]
     return float(picture.instants_s[np.flatnonzero(np.array(sources) == max(sources))[-1]])
 
 
 def _drawn(made: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object]) -> Iterator[str]:
-    """The map and the image; their names."""
-    shown = made.sheet()
-    if outputs.coast is not None and shown.plane is not None:
-        shown = replace(shown, ground=outputs.coast.in_plane(shown.plane))
+    """Writes the map and the image, and yields their file names."""
+    sheet = made.sheet()
+    if outputs.coast is not None and sheet.plane is not None:
+        sheet = replace(sheet, ground=outputs.coast.in_plane(sheet.plane))
     if outputs.map:
         from sameas.pages.map import write_map_page
 
-        write_map_page(shown, draft / "map.html")
+        write_map_page(sheet, draft / "map.html")
         yield "map.html"
     if outputs.image:
         with _optional_plots(warn):
             from sameas.plots.map import chart
             from sameas.plots.sheet import save
 
-            save(chart(shown, fullest(made.picture)), draft / "picture.png")
+            save(chart(sheet, fullest(made.picture)), draft / "picture.png")
             yield "picture.png"
 
 
 @contextmanager
 def _optional_plots(warn: Callable[[str], object]) -> Iterator[None]:
-    """Without matplotlib there is no image, and a line says so; the rest is there."""
+    """Turns a missing matplotlib into a warning, so that only the image is omitted."""
     try:
         yield
     except InputError as error:
@@ -376,16 +375,16 @@ def _optional_plots(warn: Callable[[str], object]) -> Iterator[None]:
 
 
 def _map_alarms(picture: Picture) -> Iterator[MapAlarm]:
-    """The alarms, with the objects that their records were."""
+    """The alarms and faults, each with the objects of its records."""
     records = picture.records
     for found in picture.summary.alarms:
-        about = np.zeros(len(records["row"]), bool)
+        concerned = np.zeros(len(records["row"]), bool)
         for source, row in (found.alarm.first, found.alarm.second):
-            about |= (records["source"] == source) & (records["row"] == row)
-        yield MapAlarm(str(found), found.first_s, tuple(np.unique(records["object"][about]).tolist()))
+            concerned |= (records["source"] == source) & (records["row"] == row)
+        yield MapAlarm(str(found), found.first_s, tuple(np.unique(records["object"][concerned]).tolist()))
     for fault in picture.summary.faults:
-        about = (records["source"] == fault.source) & (records["track_id"] == (fault.track or None))
-        yield MapAlarm(str(fault), fault.first_s, tuple(np.unique(records["object"][about]).tolist()))
+        concerned = (records["source"] == fault.source) & (records["track_id"] == (fault.track or None))
+        yield MapAlarm(str(fault), fault.first_s, tuple(np.unique(records["object"][concerned]).tolist()))
 
 
 def _source(source: SensorSource) -> dict[str, Any]:
@@ -418,8 +417,8 @@ def pictured(
 
     Parameters
     ----------
-    call : the call or command that makes it. unread : doubts on files that were set aside.
-    progress : called with what is being done. say : called with the lines of the report, part after part.
+    call : the call or command that makes it. unread : doubts about files that could not be read.
+    progress : called with the name of each step. say : called with the lines of the report, section by section.
     """
     progress("the sensors' places and times")
     scene = Scene.of([(source.description, source.reports) for source in sources])
@@ -463,21 +462,21 @@ def match_picture(
     memory: bool = True,
     progress: Callable[[str], object] = lambda stage: None,
 ) -> MatchPicture:
-    """One picture from many sensors: which record of each source is which ship or aircraft, and how sure that is.
+    """One picture from many sensors: which records are the same ship or aircraft, with probabilities.
 
     Parameters
     ----------
-    sources : path, paths, or by the names of the sources paths or tables (data frames, astropy and Arrow tables, dicts
-        of columns) with a time and positions. sensors : TOML file that describes the sources.
-    every : seconds between instants. at : one instant only; begin, end : the first and the last: seconds since 1970, or
-        dates. start : UTC of the first line, for files without a date.
-    without : sources to leave out. registration, identity, memory : whether the sensors' offsets are taken away, and
-        whether identities and the past of tracks are evidence.
-    progress : called with what is being done.
+    sources : path, paths, or a mapping of source names to paths or tables (data frames, astropy and Arrow tables,
+        dicts of columns) with times and positions. sensors : TOML file that describes the sources.
+    every : seconds between instants. at : a single instant. begin, end : first and last instant, in seconds since 1970
+        or as dates. start : UTC of the first line, for files without dates.
+    without : sources to exclude. registration : whether to correct the sensors' offsets. identity, memory : whether
+        reported identities and the history of tracks are evidence.
+    progress : called with the name of each step.
 
     Raises
     ------
-    InputError : what cannot be read or understood, with the remedy.
+    InputError : input that cannot be read or interpreted, with the remedy.
 
     Example
     -------
@@ -498,25 +497,28 @@ def match_picture(
     if at is not None and (every or begin or end):
         raise InputError("match_picture: give at, or every with begin and end, not both")
     described = read_source_options(Path(sensors)) if sensors is not None else {}
-    left_out = (without,) if isinstance(without, str) else tuple(without)
-    method = Method(registration, identity, memory, left_out)
-    every_source = method.taken(_sources(sources, described, start))
-    return pictured(every_source, Instants(every, at, begin, end), method, call=call, progress=progress)
+    excluded = (without,) if isinstance(without, str) else tuple(without)
+    method = Method(registration, identity, memory, excluded)
+    included = method.included(_sources(sources, described, start))
+    return pictured(included, Instants(every, at, begin, end), method, call=call, progress=progress)
 
 
 def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | None) -> list[SensorSource]:
-    """The sources of anything that :func:`match_picture` takes."""
+    """The sources, from any form that :func:`match_picture` accepts."""
     if isinstance(sources, str | os.PathLike):
         sources = [sources]
     if not isinstance(sources, Mapping):
         return read_sources([os.fspath(one) for one in sources], described, start=start)
     files = [f"{name}={os.fspath(one)}" for name, one in sources.items() if isinstance(one, str | os.PathLike)]
-    held = {name: one for name, one in sources.items() if not isinstance(one, str | os.PathLike)}
-    there = {name: one for name, one in described.items() if name not in held}
-    read = read_sources(files, there, start=start) if files or any(one.path for one in there.values()) else []
-    for name, data in held.items():
-        own = data if isinstance(data, Reports) else read_cells(_cells(data, name), name, *_reading(name, described))
-        read.append(source_of(own, described.get(name), Path(name)))
+    in_memory = {name: one for name, one in sources.items() if not isinstance(one, str | os.PathLike)}
+    of_files = {name: one for name, one in described.items() if name not in in_memory}
+    has_files = bool(files) or any(one.path for one in of_files.values())
+    read = read_sources(files, of_files, start=start) if has_files else []
+    for name, data in in_memory.items():
+        reports = (
+            data if isinstance(data, Reports) else read_cells(_cells(data, name), name, *_reading(name, described))
+        )
+        read.append(source_of(reports, described.get(name), Path(name)))
     unused = [name for name in described if name not in sources and described[name].path is None]
     if unused and not files:
         raise InputError(f"{unused[0]} is described, but no file belongs to it; there are {', '.join(sources)}")
@@ -525,7 +527,7 @@ def _sources(sources: Any, described: Mapping[str, SourceOptions], start: str | 
 
 
 def _cells(data: Any, name: str) -> TableText:
-    """The cells of a table in memory; times as seconds since 1970."""
+    """The cells of an in-memory table, with times in seconds since 1970."""
     from sameas.times import Time
 
     table = table_of(data, name)
@@ -538,12 +540,12 @@ def _cells(data: Any, name: str) -> TableText:
             values = values.astype("datetime64[us]").astype(np.int64) / 1e6
         masked = np.ma.getmaskarray(np.ma.asarray(values))
         cells = np.ma.getdata(np.ma.asarray(values)).tolist()
-        columns[column] = [None if off else cell for cell, off in zip(cells, masked.tolist(), strict=True)]
+        columns[column] = [None if missing else cell for cell, missing in zip(cells, masked.tolist(), strict=True)]
     return TableText(columns, np.arange(1, len(table) + 1))
 
 
 def _reading(name: str, described: Mapping[str, SourceOptions]) -> tuple[Any, ...]:
-    """Date, columns and units of a source as it is described."""
+    """Start time, columns and units from the description of a source; empty where it has none."""
     if name not in described:
         return ()
     options = described[name].options
@@ -551,18 +553,18 @@ def _reading(name: str, described: Mapping[str, SourceOptions]) -> tuple[Any, ..
 
 
 def _time(text: str | float, argument: str, span_s: tuple[float, float]) -> float:
-    """A time as the user writes it: ISO text, seconds since 1970, or of the user's own clock; HH:MM[:SS] of the day."""
+    """Seconds, from ISO text, seconds (since 1970 or of another clock), or HH:MM[:SS] of the first day."""
     text = str(text)
-    found = _of_day(text, span_s)
-    moment = instant(text) if found is None else found
-    if moment is None:
+    time_s = _of_day(text, span_s)
+    time_s = instant(text) if time_s is None else time_s
+    if time_s is None:
         words = Message(Argument(argument, text), ": give a time such as 2024-05-01T13:00:00Z, 13:00, or seconds")
         raise InputError(words)
-    return moment
+    return time_s
 
 
 def _of_day(text: str, span_s: tuple[float, float]) -> float | None:
-    """HH:MM or HH:MM:SS on the day on which the reports begin, or on the next where they have got there by then."""
+    """Seconds, from HH:MM[:SS] on the day of the first report, or on the next day if only that is in the span."""
     for form in ("%H:%M", "%H:%M:%S"):
         try:
             clock = datetime.strptime(text.removesuffix("Z"), form)

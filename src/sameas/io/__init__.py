@@ -1,9 +1,9 @@
-"""Files: the tables that astronomers have, read and written; every output is whole or absent.
+"""Files: reading and writing of tables in astronomical formats; outputs are written atomically.
 
-``read_table`` and ``write_table`` know FITS, VOTable, ECSV, CSV and Parquet by the name of the file;
+``read_table`` and ``write_table`` support FITS, VOTable, ECSV, CSV and Parquet, chosen by the file name;
 ``read_table`` also reads catalogues of SExtractor, tables of VizieR, IPAC and the CDS, and text separated by blanks,
-recognized by their content. ``read_provenance`` tells how a file that we wrote was made. ``replacing`` makes any other
-output (a picture, a page of HTML) whole or absent too. Nothing heavy is imported before a file is touched.
+recognized by their content. ``read_provenance`` returns how a file of ours was made. ``replacing`` writes any other
+output (an image, an HTML page) atomically. Heavy libraries are imported only when a file is read or written.
 """
 
 from sameas.io.atomic import replacing

@@ -1,7 +1,7 @@
-"""Whole or absent: an output appears under its name only when the last byte of it is written.
+"""Atomic outputs: a file appears under its name only when it is complete.
 
-For any writer that takes a path: tables, pictures, text. What was there before stays until then. A killed process
-leaves its draft, whose name begins with .sameas-; the next output into that folder removes it.
+For any writer that takes a path: tables, images, text. An earlier file of that name stays until then. The draft of a
+killed process (.sameas-…) is removed by the next output into the same folder.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ _NO_ROOM = {
 
 
 _DRAFT = re.compile(r"\.sameas-([0-9a-f]{8})-(\d+)-[0-9a-f]{12}")
-#: What this process has begun, and what it has written.
+#: Drafts of this process that are not complete, and outputs that it has completed.
 _drafts: set[Path] = set()
 written: list[Path] = []
 
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
-    """The path of a temporary file that becomes ``path`` when the block ends well, and vanishes otherwise.
+    """A temporary file that replaces ``path`` when the block succeeds, and is deleted when it fails.
 
     Parameters
     ----------
-    path : the output; a link is followed. The temporary file lies beside it and has its extension and the
-        permissions of the file replaced, or those the umask gives.
+    path : the output; links are followed. The temporary file is in the same folder, with the same extension and the
+        permissions of the replaced file, or those of the umask.
     overwrite : False refuses a path that exists.
 
     Raises
@@ -69,7 +69,7 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
         return
     target = Path(os.path.realpath(given))
     _check_target(given, target, overwrite)
-    draft = _beside(target)
+    draft = _draft_of(target)
     _drafts.add(draft)
     try:
         with _clear_errors(given):
@@ -79,23 +79,23 @@ def replacing(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterat
             if target.exists():
                 shutil.copymode(target, draft)
             os.replace(draft, target)
-            # A file of a folder that is itself a draft is not there yet.
+            # A file within a draft folder is not complete yet.
             if not _drafts.intersection(target.parents):
                 written.append(given)
     except BaseException:
         with suppress(OSError):
             draft.unlink()
-        _drafts.discard(draft)  # not in a finally: where a signal comes before this, who ends the process removes it
+        _drafts.discard(draft)  # not in a finally: if a signal comes first, ``discard_drafts`` still removes it
         raise
     _drafts.discard(draft)
 
 
 @contextmanager
 def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary folder whose files all come into ``folder`` when the block ends well, and vanish otherwise.
+    """A temporary folder whose files all move into ``folder`` when the block succeeds, and are deleted when it fails.
 
-    What was there before stays, save files of the same names; the one written last comes last. A folder made for this
-    goes where nothing comes of it.
+    Other files in the folder stay. The files are moved in the order in which they were written. A folder that was
+    created for this is removed on failure.
 
     Raises
     ------
@@ -108,10 +108,10 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
     ...     (draft / "note.txt").write_text("all or none")
     """
     target = Path(folder)
-    made = not target.exists()
+    created = not target.exists()
     draft = target / _draft_name()
-    known = Path(os.path.realpath(draft))
-    _drafts.add(known)
+    real_draft = Path(os.path.realpath(draft))
+    _drafts.add(real_draft)
     try:
         try:
             target.mkdir(parents=True, exist_ok=True)
@@ -128,51 +128,51 @@ def filling(folder: str | os.PathLike[str]) -> Iterator[Path]:
                 for file in sorted(draft.iterdir(), key=lambda file: (file.stat().st_mtime_ns, file.name)):
                     os.replace(file, target / file.name)
                 written.append(target)
-        made = False
+        created = False
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-        _drafts.discard(known)
-        if made:
+        _drafts.discard(real_draft)
+        if created:
             with suppress(OSError):
                 target.rmdir()
 
 
-#: Held while files of one output take their places: who ends the process waits for it.
+#: Held while the files of one output are moved; the code that ends the process waits for it.
 placing = threading.RLock()
 
 
 @contextmanager
 def together() -> Iterator[Callable[[], None]]:
-    """A function after whose call Ctrl-C and SIGTERM wait for the end of the block: files of one output come together.
+    """A function that defers SIGINT and SIGTERM to the end of the block, so that several files are moved as one output.
 
-    Only in the main thread, which alone is interrupted.
+    It has an effect in the main thread only, which alone receives signals.
     """
-    came: list[int] = []
-    before: dict[int, Any] = {}
-    armed = ExitStack()
+    deferred: list[int] = []
+    handlers: dict[int, Any] = {}
+    lock = ExitStack()
 
     def arm() -> None:
         if threading.current_thread() is threading.main_thread():
-            armed.enter_context(placing)
+            lock.enter_context(placing)
             for number in (signal.SIGINT, signal.SIGTERM):
-                if signal.getsignal(number) is not None:  # not one of another language
-                    before[number] = signal.signal(number, lambda number, frame: came.append(number))
+                if signal.getsignal(number) is not None:  # None: installed by code that is not Python
+                    handlers[number] = signal.signal(number, lambda number, frame: deferred.append(number))
 
     try:
         yield arm
     finally:
-        armed.close()
-        for number, handler in before.items():
+        lock.close()
+        for number, handler in handlers.items():
             signal.signal(number, handler)
-        for number in came[:1]:
+        for number in deferred[:1]:
             signal.raise_signal(number)
 
 
 @contextmanager
 def _copied_into(device: Path) -> Iterator[Path]:
-    """For a device or a pipe (/dev/stdout), which cannot be replaced: a temporary file, copied at the end.
+    """For a device or a pipe (/dev/stdout), which cannot be replaced: a temporary file, copied into it at the end.
 
-    Libraries never get its name: some remove what they fail to write, and root may remove a device.
+    Libraries do not get the name of the device: some delete a file they failed to write, and root may delete a device.
     """
     with tempfile.TemporaryDirectory(prefix="sameas-") as directory, _clear_errors(device):
         draft = Path(directory) / device.name
@@ -190,15 +190,15 @@ def _check_target(given: Path, target: Path, overwrite: bool) -> None:
         raise InputError(f"cannot write {given}: it exists already; give another name or allow overwriting")
 
 
-def _beside(target: Path) -> Path:
+def _draft_of(target: Path) -> Path:
     _remove_abandoned(target.parent)
     return target.with_name(_draft_name() + "".join(target.suffixes[-2:]))
 
 
 def held(folder: Path) -> sqlite3.Connection:
-    """Holds a folder for this process until what is given back is closed, or the process ends in whatever way.
+    """Locks a folder for this process, until the returned connection is closed or the process ends.
 
-    SQLite's locks are those of the system, on each system; no file but ``lock.sqlite`` is locked.
+    SQLite uses the file locks of the operating system; only ``lock.sqlite`` is locked.
 
     Raises
     ------
@@ -218,13 +218,13 @@ def held(folder: Path) -> sqlite3.Connection:
 
 
 def discard_drafts() -> None:
-    """Removes what has been begun and not ended: for a process that ends without unwinding."""
+    """Removes the incomplete drafts: for a process that exits without unwinding its stack."""
     for draft in list(_drafts):
         _remove(draft)
 
 
 def end_with_parent() -> None:
-    """From now on this worker ends, and its drafts with it, when the process that started it is gone."""
+    """Makes this worker remove its drafts and exit when the process that started it ends."""
     import multiprocessing
 
     parent = multiprocessing.parent_process()
@@ -244,23 +244,23 @@ def _draft_name() -> str:
 
 @cache
 def _machine() -> str:
-    """Eight digits for this machine and its space of process numbers: containers count their own."""
-    space = os.readlink("/proc/self/ns/pid") if os.path.exists("/proc/self/ns/pid") else ""
-    return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
+    """Eight hexadecimal digits that identify the machine and its PID namespace, which containers have of their own."""
+    namespace = os.readlink("/proc/self/ns/pid") if os.path.exists("/proc/self/ns/pid") else ""
+    return hashlib.sha256(f"{platform.node()} {namespace}".encode()).hexdigest()[:8]
 
 
 def _remove_abandoned(folder: Path) -> None:
-    """Removes the drafts of processes of this machine that were killed: no other's, and none that may be at work."""
-    if os.name != "posix":  # elsewhere asking for a process may end it
+    """Removes drafts of processes of this machine that no longer run; drafts of other machines stay."""
+    if os.name != "posix":  # elsewhere os.kill(pid, 0) may end the process
         return
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
             found = _DRAFT.match(entry.name)
-            if found and found[1] == _machine() and not _lives(int(found[2])):
+            if found and found[1] == _machine() and not _is_running(int(found[2])):
                 _remove(Path(entry.path))
 
 
-def _lives(process: int) -> bool:
+def _is_running(process: int) -> bool:
     try:
         os.kill(process, 0)
     except ProcessLookupError:
@@ -292,7 +292,7 @@ def _clear_errors(given: Path) -> Iterator[None]:
 
 
 def refused_by_disk(error: BaseException | None) -> str | None:
-    """Why the device refused, or None; libraries wrap the first error, so its causes are asked too."""
+    """Why the device refused a write, from an error or its causes; None where it did not."""
     while error is not None:
         if isinstance(error, PermissionError):
             return "permission denied"
@@ -304,11 +304,11 @@ def refused_by_disk(error: BaseException | None) -> str | None:
     return None
 
 
-# Outputs: files that are written and must not be one of the inputs.
+# Outputs must not overwrite inputs.
 
 
 def is_input(path: str | os.PathLike[str], inputs: Sequence[str]) -> bool:
-    """Whether a path is that of one of the inputs."""
+    """Whether a path is the same file as one of the inputs."""
     return any(
         (os.path.exists(one) and os.path.exists(path) and os.path.samefile(path, one))
         or os.path.realpath(one) == os.path.realpath(path)
@@ -317,6 +317,6 @@ def is_input(path: str | os.PathLike[str], inputs: Sequence[str]) -> bool:
 
 
 def refuse_inputs(path: str | os.PathLike[str], inputs: Sequence[str]) -> None:
-    """Refuses an output that would destroy an input."""
+    """Refuses an output path that is one of the inputs."""
     if is_input(path, inputs):
         raise InputError(f"{os.fspath(path)}: is also an input; it would be overwritten", "give another name")

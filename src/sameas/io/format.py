@@ -1,8 +1,8 @@
-"""What a module of this package says of the format that it reads and writes.
+"""The description of a file format, and what the formats share: provenance as text, units, text cells.
 
 A format is one module with its ``FORMAT``, ``read(path, hdu)``, ``write(table, path, provenance)`` and
-``provenance(path)``; :data:`sameas.io.tables.FORMATS` lists it. The module imports the library that it needs inside
-these functions, so that the list costs nothing.
+``provenance(path)``; :data:`sameas.io.tables.FORMATS` lists it. The module imports its library inside
+these functions, so that the list is cheap to import.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
 _PLAIN = (".csv", ".tsv", ".txt", ".dat", ".asc", ".ascii", ".cat", ".tbl", ".ipac", ".mrt")
-#: Endings of the names of text files, which do not tell how the text is laid out.
+#: Extensions of text files, which do not determine the format.
 TEXT_EXTENSIONS: tuple[str, ...] = (*_PLAIN, *(f"{extension}.gz" for extension in _PLAIN))
 
 
@@ -37,14 +37,14 @@ class Format:
 
     Attributes
     ----------
-    name : of its module in ``sameas.io``. label : how people call it. extensions : of its files, with their dots.
-    signatures : a file of the format begins with one of these; empty where it has none.
-    markers : a file of the format has one of these, in lower case, among its first bytes.
-    unmarked : whether a file of no known kind may be of this format.
-    recognised : whether a text file is of this format, by its path and its first bytes: any of ``TEXT_EXTENSIONS``
-        may hold it. read_only : whether it is read, never written.
-    several_tables : whether a file may hold several tables, so that ``hdu`` chooses one.
-    sidecar : whether the provenance goes to a file beside; the module then has
+    name : of its module in ``sameas.io``. label : its name in messages. extensions : of its files, with their dots.
+    signatures : files of the format begin with one of these; may be empty.
+    markers : files of the format contain one of these, in lower case, among their first bytes.
+    unmarked : whether a file without a known signature or marker may have this format.
+    recognised : tests, from the path and the first bytes, whether a text file has this format; its extension may be
+        any of ``TEXT_EXTENSIONS``. read_only : whether it is read but not written.
+    several_tables : whether a file may hold several tables, so that ``hdu`` selects one.
+    sidecar : whether the provenance goes to a file of its own; the module then has
         ``write_with_sidecar(table, path, provenance, overwrite)``.
     """
 
@@ -60,11 +60,11 @@ class Format:
     read_only: bool = False
 
     def module(self) -> ModuleType:
-        """The module that reads and writes it."""
+        """The module that reads and writes the format."""
         return importlib.import_module(f"sameas.io.{self.name}")
 
 
-# How a file was made, kept with it: a flat mapping of plain values, and its spelling as text.
+# Provenance: how a file was made, as a flat mapping of plain values, and its encoding as text.
 
 
 def plain(provenance: Mapping[str, Any]) -> dict[str, Any]:
@@ -97,65 +97,65 @@ def _plain_value(key: str, value: Any) -> Any:
 
 
 def to_json(provenance: Mapping[str, Any]) -> str:
-    """One line of ASCII without quotes (') and ampersands, which FITS cards treat specially."""
+    """JSON in one line of ASCII, without the apostrophes and ampersands that FITS cards treat specially."""
     return json.dumps(provenance).replace("'", "\\u0027").replace("&", "\\u0026")
 
 
 def json_text(facts: Mapping[str, Any]) -> str:
-    """JSON for people, in lines, as a file in UTF-8 may hold it.
+    """Indented JSON that can be encoded as UTF-8.
 
-    The name of a file may have bytes that are no UTF-8, which Python keeps as surrogates: all but ASCII is escaped.
+    A file name with bytes that are not UTF-8 has surrogates in Python; then everything but ASCII is escaped.
     """
     text = json.dumps(facts, indent=1, ensure_ascii=False)
     return (text if text.isascii() or not _SURROGATE.search(text) else json.dumps(facts, indent=1)) + "\n"
 
 
 def to_text(value: Any) -> str:
-    """One value as text: a string as it is, where that cannot be taken for another value; else JSON."""
+    """One value as text: a string unchanged where it cannot be mistaken for another value, else JSON."""
     if isinstance(value, str) and value.isprintable() and value.strip() == value and from_text(value) == value:
         return value
     return json.dumps(value)
 
 
 def from_text(text: str) -> Any:
-    """The value that :func:`to_text` spelled."""
+    """The value that :func:`to_text` encoded."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
         return text
 
 
-# Units: what a library makes of them.
+# Units.
 
-#: A power with an exponent of four digits or more, which no unit has; astropy would multiply it out.
+#: A power with an exponent of four or more digits, which no real unit has; astropy would compute it.
 _HUGE_POWER = re.compile(r"(?:\*\*|\^|10[+-])[\s(+-]*\d{4,}")
 
 
 def has_huge_power(unit: str) -> bool:
-    """Whether a unit has a power that astropy would compute for minutes, such as ``10**99999999 deg``."""
+    """Whether a unit has a power that takes astropy minutes to compute, such as ``10**99999999 deg``."""
     return _HUGE_POWER.search(unit) is not None
 
 
 def unit_of(text: str, format: str | None = None) -> UnitBase:
-    """The unit that a text names; an ``UnrecognizedUnit`` where it names none."""
+    """The unit of a text; an ``UnrecognizedUnit`` where the text is not a unit."""
     from astropy.units import Unit, UnrecognizedUnit
 
     return UnrecognizedUnit(text) if has_huge_power(text) else Unit(text, format=format, parse_strict="silent")
 
 
-# Cells of text: bytes to Unicode and back, for whole columns at once.
+# Text cells: bytes to Unicode and back, for whole columns at once.
 #
-# NumPy converts one cell after the other; nearly all text in catalogues is ASCII, where widening is enough.
+# NumPy converts cell by cell; nearly all text in catalogues is ASCII, where it is enough to widen the bytes.
 
 
 def unicode_of(cells: NDArray[Any]) -> NDArray[Any]:
-    """Unicode cells from bytes: ASCII, else UTF-8, else Latin-1, in which every byte means something."""
+    """Unicode cells from bytes: decoded as ASCII, else UTF-8, else Latin-1, which never fails."""
     width = cells.dtype.itemsize
     if width == 0 or cells.size == 0:
         return np.zeros(cells.shape, dtype=f"U{max(width, 1)}")
-    numbers = np.ascontiguousarray(cells).reshape(-1).view(np.uint8)
-    if numbers.max() < 128:
-        return numbers.astype(np.uint32).view(f"U{width}").reshape(cells.shape)
+    codes = np.ascontiguousarray(cells).reshape(-1).view(np.uint8)
+    if codes.max() < 128:
+        return codes.astype(np.uint32).view(f"U{width}").reshape(cells.shape)
     try:
         return np.char.decode(cells, "utf-8")
     except UnicodeDecodeError:
@@ -163,12 +163,12 @@ def unicode_of(cells: NDArray[Any]) -> NDArray[Any]:
 
 
 def ascii_of(cells: NDArray[Any]) -> NDArray[Any] | None:
-    """Bytes from Unicode cells; None when a letter is not ASCII."""
+    """Bytes from Unicode cells; None where a character is not ASCII."""
     width = cells.dtype.itemsize // 4
     if width == 0 or cells.size == 0:
         return np.zeros(cells.shape, dtype=f"S{max(width, 1)}")
     native = np.ascontiguousarray(cells.astype(cells.dtype.newbyteorder("="), copy=False))
-    numbers = native.reshape(-1).view(np.uint32)
-    if numbers.max() > 127:
+    codes = native.reshape(-1).view(np.uint32)
+    if codes.max() > 127:
         return None
-    return numbers.astype(np.uint8).view(f"S{width}").reshape(cells.shape)
+    return codes.astype(np.uint8).view(f"S{width}").reshape(cells.shape)

@@ -1,4 +1,4 @@
-"""IPAC tables, as IRSA and NED give them: names, kinds, units and nulls between bars; read by astropy."""
+"""IPAC tables, as IRSA and NED write them: names, types, units and nulls between bars; parsed by astropy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sameas.io.format import Format
 if TYPE_CHECKING:
     from astropy.table import Table
 
-# No part may match the end of a line in two ways: a thousand blank lines would take for ever.
+# No two parts may match the same line end: backtracking over blank lines would take exponential time.
 _NAMES = re.compile(rb"\A(?:[^\S\n]*(?:\\[^\n]*)?\n)*[^\S\n]*\|[^\n]*\|[^\S\n]*\n\s*\|")
 
 
@@ -39,5 +39,5 @@ def read(path: Path, hdu: None) -> Table:
 
 
 def provenance(path: Path) -> dict[str, Any]:
-    """Such files do not say how they were made."""
+    """Empty: the format has no provenance."""
     return {}

@@ -1,6 +1,6 @@
-"""Tables of journals and of the CDS: columns by their bytes, given in a "Byte-by-byte Description"; read by astropy.
+"""CDS and machine-readable tables: fixed columns, defined by a "Byte-by-byte Description"; parsed by astropy.
 
-The description stands above the rows (machine-readable tables) or in the file ReadMe beside (``table.dat`` of the CDS).
+The description precedes the rows (machine-readable tables) or is in the file ReadMe of the folder (CDS).
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 _BYTES = b"Byte-by-byte Description of file"
-#: Title with the names of files, head of the columns, columns, each behind a line.
+#: Title with the names of files, head of the columns, columns; a rule of dashes after each.
 _SECTION = re.compile(rf"(?m)^{_BYTES.decode()}:?(.*)\n-{{3,}}.*\n.*Bytes.*\n-{{3,}}.*\n(?:[^-].*\n)+-{{3,}}.*\n")
 
 
 def has_description(path: Path, first: bytes) -> bool:
-    """Whether the file describes its bytes, or the ReadMe beside it does."""
+    """Whether the file, or the ReadMe in its folder, has a byte-by-byte description."""
     return _BYTES in first or _description(path) != ""
 
 
@@ -42,21 +42,21 @@ def read(path: Path, hdu: None) -> Table:
 
     text = memoryview(rows_content_of(path)).tobytes().decode("utf-8", "replace")
     if _BYTES.decode() not in text:
-        # As the machine-readable tables have it: the description, a line, the rows.
+        # The layout of machine-readable tables: description, rule, rows.
         text = _description(path) + text
     with warnings.catch_warnings():
-        # Units beyond the standard stay what they are.
+        # Units outside the standard are kept as text.
         warnings.simplefilter("ignore")
         return text_tables.read(text.splitlines(), format="cds")
 
 
 def provenance(path: Path) -> dict[str, Any]:
-    """Such files do not say how they were made."""
+    """Empty: the format has no provenance."""
     return {}
 
 
 def _description(path: Path) -> str:
-    """What the ReadMe beside a file says of its bytes; empty where there is none."""
+    """The byte-by-byte description of a file in the ReadMe of its folder; empty where there is none."""
     for name in ("ReadMe", "readme", "README", "ReadMe.txt"):
         beside = path.with_name(name)
         if beside.is_file():

@@ -1,6 +1,6 @@
-"""VizieR's text: names, units and dashes in three lines, then rows, parted by tabs, semicolons, bars or blanks.
+"""VizieR's text output: lines of names, units and dashes, then rows, separated by tabs, semicolons, bars or blanks.
 
-Comments above tell the catalogue (``#Name``, ``#Title``) and its columns (``#Column``) with descriptions and UCDs.
+Comments above give the catalogue (``#Name``, ``#Title``) and its columns (``#Column``), with descriptions and UCDs.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from sameas.io.format import TEXT_EXTENSIONS, Format, unit_of
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Names, units and dashes; the dashes tell what parts the columns.
+#: Names, units and dashes; the separator of the columns is the one between the dashes.
 _HEAD = re.compile(rb"(?m)^(?P<names>[^#\s-][^\n]*|_[^\n]*)\n(?P<units>[^\n]*)\n(?P<dashes>-+(?:[;\t|, ]+-+)*) *\r?\n")
 _ABOUT = re.compile(r"#(Name|Title|Table):?\s+(.*\S)")
 _UCD = re.compile(r"\[ucd=([^\]]+)\]")
 
 
 def has_dashes(path: Path, first: bytes) -> bool:
-    """Whether a line of dashes stands under the names and units of the columns."""
+    """Whether a line of dashes follows the names and units of the columns."""
     return _HEAD.search(first) is not None
 
 
@@ -34,14 +34,14 @@ FORMAT = Format("vizier", "VizieR table", TEXT_EXTENSIONS, unmarked=True, read_o
 
 @dataclass(frozen=True)
 class _Comments:
-    """What stands above the rows: of the table, and (description, UCD) by column."""
+    """The comments above the rows: metadata of the table, and (description, UCD) of each column."""
 
     meta: dict[str, str]
     columns: dict[str, tuple[str, str]]
 
 
 def read(path: Path, hdu: None) -> Table:
-    """The first table of an answer of VizieR."""
+    """The first table of a file that VizieR wrote."""
     import pyarrow as pa
 
     text = memoryview(rows_content_of(path)).tobytes().replace(b"\r\n", b"\n")
@@ -51,9 +51,9 @@ def read(path: Path, hdu: None) -> Table:
     end = _end_of_rows(text, head.end())
     body = text[head.end() : len(text) if end is None else end]
     dashes = head["dashes"].decode()
-    parted = sorted(set(dashes) - {"-"})
+    separators = sorted(set(dashes) - {"-"})
     names, units = (head[line].decode("utf-8", "replace") for line in ("names", "units"))
-    if parted == [" "]:
+    if separators == [" "]:
         widths = [(word.start(), word.end()) for word in re.finditer("-+", dashes)]
         cells = [[line[start:end].strip() for start, end in widths] for line in (names, units)]
         lines = (
@@ -61,11 +61,11 @@ def read(path: Path, hdu: None) -> Table:
         )
         body, delimiter = b"\n".join(lines) + b"\n", "\t"
     else:
-        delimiter = parted[0] if parted else "\t"
+        delimiter = separators[0] if separators else "\t"
         cells = [[cell.strip() for cell in line.split(delimiter)] for line in (names, units)]
     table = table_of(pa.py_buffer(body), TableHead(distinct(cells[0], path), delimiter, 0), path)
     comments = _comments(text[: head.start()].decode("utf-8", "replace"))
-    table = _described(_without_blanks(table), cells[1], comments)
+    table = _with_descriptions(_without_padding(table), cells[1], comments)
     if end is not None and _HEAD.search(text, end - 1):
         title = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
         table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; used the first{title}"]
@@ -73,7 +73,7 @@ def read(path: Path, hdu: None) -> Table:
 
 
 def provenance(path: Path) -> dict[str, Any]:
-    """What VizieR says of a table is in its metadata."""
+    """Empty: the comments of VizieR are in the metadata of the table."""
     return {}
 
 
@@ -95,14 +95,14 @@ def _comments(text: str) -> _Comments:
             ucd = _UCD.search(line)
             columns[parts[1].strip()] = parts[3].strip(), ucd[1] if ucd else ""
         elif about := _ABOUT.match(line):
-            # The catalogue's first, then the table's.
+            # A key that occurs twice belongs to the catalogue, then to the table.
             key, words = about[1].lower(), about[2].rstrip(":")
             meta[key] = f"{meta[key]}; {words}" if meta.get(key, words) != words else words
     return _Comments(meta, columns)
 
 
-def _without_blanks(table: Table) -> Table:
-    """The table, its words without the blanks that fill cells up; an empty word is a missing one."""
+def _without_padding(table: Table) -> Table:
+    """The table with the padding of text cells removed; empty text is masked."""
     import numpy as np
     from astropy.table import Column, MaskedColumn
 
@@ -116,9 +116,9 @@ def _without_blanks(table: Table) -> Table:
     return table
 
 
-def _described(table: Table, units: list[str], comments: _Comments) -> Table:
+def _with_descriptions(table: Table, units: list[str], comments: _Comments) -> Table:
     for name, unit in zip(table.colnames, units, strict=False):
-        # Of '"h:m:s"' and '"Y:M:D"' the cells themselves tell.
+        # Quoted formats such as '"h:m:s"' and '"Y:M:D"' are not units.
         if unit and not unit.startswith('"'):
             table[name].unit = unit_of(unit)
         description, ucd = comments.columns.get(name, ("", ""))

@@ -1,6 +1,6 @@
-"""A frame: the picture of one tick as others see it, objects and records as plain rows, and the alarms.
+"""A frame: one tick of the picture as plain rows of objects and records, with the alarms.
 
-Everything that leaves the program (journal, outputs, page) is made of frames; nothing of it looks into the picture.
+Journal, outputs and web page are made from frames only; none of them accesses the picture itself.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sameas.picture.live import LiveState
 from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
 from sameas.tracks.coordinates import LocalPlane
 
-#: Columns of an object's row as it is sent to pages, and of a record's.
+#: Columns of the rows that are sent to the web page: of an object, and of a record.
 OBJECT = (
     "n", "stage", "x", "y", "vx", "vy", "speed", "course", "major", "minor", "angle", "sources", "p", "ambiguous",
     "rival", "height", "sh", "climb", "label", "mmsi", "icao", "callsign", "name", "mode_a", "type",
@@ -32,7 +32,7 @@ _STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 @dataclass(frozen=True)
 class Alarm:
-    """An alarm. key : what it is about, the same as long as it goes on. objects : numbers."""
+    """An alarm. key : its condition, the same as long as this lasts. objects : their numbers."""
 
     key: str
     kind: str
@@ -42,7 +42,7 @@ class Alarm:
 
 @dataclass(frozen=True)
 class OwnShipState:
-    """Where own ship is in the plane and how it moves, metres and metres per second; heading in degrees or NaN."""
+    """Position (m) and velocity (m/s) of own ship in the plane; heading in degrees, NaN where unknown."""
 
     x_m: float
     y_m: float
@@ -57,10 +57,11 @@ class Frame:
 
     Attributes
     ----------
-    tick : counted since the state began. time_s : of the picture.
-    objects, records : columns as of :mod:`sameas.picture.picture`. members : by number of an object the source and the
-        track of each of its records.
-    cpa : by number of an object its closest distance to own ship and the time until then, where they near each other.
+    tick : number of the tick since the state was created. time_s : time of the picture.
+    objects, records : columns as of :mod:`sameas.picture.picture`. members : source and track of each record of an
+        object, by the number of the object.
+    cpa : distance (m) and time (s) of the closest approach to own ship, by the number of the object; closing objects
+        only.
     """
 
     tick: int
@@ -91,24 +92,24 @@ class Frame:
             members.setdefault(number, []).append((source, track or f"plot {row}"))
         return cls(
             tick, state.now.instant_s, plane, with_degrees(objects, plane), with_degrees(records, plane),
-            {number: tuple(its) for number, its in members.items()}, tuple(alarms), own_ship,
+            {number: tuple(tracks) for number, tracks in members.items()}, tuple(alarms), own_ship,
         )  # fmt: skip
 
     @cached_property
     def cpa(self) -> dict[int, tuple[float, float]]:
-        """By number (metres, seconds) of the closest approach to own ship that is still to come."""
+        """Distance (m) and time (s) of the closest approach to own ship, by number, where it is still ahead."""
         own, objects = self.own_ship, self.objects
         if own is None or not len(objects["object"]):
             return {}
         place = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m")]) - (own.x_m, own.y_m)
         speed = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("vx_m_per_s", "vy_m_per_s")])
         metres, seconds = closest_approach(place, speed - (own.vx_m_per_s, own.vy_m_per_s))
-        kept = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended"))
-        return {int(objects["object"][k]): (float(metres[k]), float(seconds[k])) for k in kept}
+        closing = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended"))
+        return {int(objects["object"][k]): (float(metres[k]), float(seconds[k])) for k in closing}
 
     @cached_property
     def object_rows(self) -> dict[int, tuple[Any, ...]]:
-        """By number the rows of :data:`OBJECT`; None where there is no number."""
+        """The rows of :data:`OBJECT` by the number of the object; None for unknown values."""
         o = self.objects
         major, minor, angle = ellipse_axes(o)
         stage, unknown = [_STAGES.index(name) for name in o["stage"].tolist()], np.full(len(o["object"]), np.nan)
@@ -125,7 +126,7 @@ class Frame:
 
     @cached_property
     def record_rows(self) -> dict[str, tuple[Any, ...]]:
-        """By source and row the rows of :data:`RECORD`."""
+        """The rows of :data:`RECORD` by ``source:row``."""
         r = self.records
         major, minor, angle = ellipse_axes(r)
         columns = [
@@ -138,7 +139,7 @@ class Frame:
         return {f"{row[1]}:{row[2]}": row for row in zip(*columns, strict=True)}
 
     def listed(self) -> list[dict[str, Any]]:
-        """Every object as a mapping for outputs: numbers in degrees, metres and seconds, None where unknown."""
+        """Every object as a mapping for the outputs, in degrees, metres and seconds; None for unknown values."""
         o, cpa = self.objects, self.cpa
         names = [name for name in ("lat_deg", "lon_deg", "x_m", "y_m", "speed_m_per_s", "course_deg", "height_m",
                                    "climb_m_per_s", "var_x_m2", "cov_xy_m2", "var_y_m2", "probability")
@@ -163,9 +164,9 @@ class Frame:
 
 
 def closest_approach(place: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Distance (n,) of the closest approach of places (n, 2) with relative velocities (n, 2), and seconds until then.
+    """Distance (n,) at closest approach and seconds until then, from relative positions and velocities (n, 2).
 
-    NaN where a velocity is unknown or the two part already.
+    NaN where the velocity is unknown or the distance already increases.
 
     >>> closest_approach(np.array([[0.0, 1000.0], [0.0, 1000.0]]), np.array([[1.0, -10.0], [0.0, 5.0]]))[1].round(1)
     array([99., nan])
@@ -174,8 +175,8 @@ def closest_approach(place: FloatArray, velocity: FloatArray) -> tuple[FloatArra
     with np.errstate(invalid="ignore", divide="ignore"):
         seconds = -(place * velocity).sum(axis=1) / speed_sq
         seconds = np.where((seconds > 0.0) & (speed_sq > 1e-4), seconds, np.nan)
-    there = place + velocity * seconds[:, None]
-    return np.hypot(there[:, 0], there[:, 1]), seconds
+    closest = place + velocity * seconds[:, None]
+    return np.hypot(closest[:, 0], closest[:, 1]), seconds
 
 
 def _numbers(column: NDArray[Any], digits: int) -> list[float | None]:

@@ -1,8 +1,8 @@
-"""Inputs: one reader task a wire, which takes bytes with their time of receipt and connects again when it breaks.
+"""Inputs: one reader task per wire, which queues bytes with their receive time and reconnects when the wire breaks.
 
-Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (connects), ``tcp-listen://``, ``http(s)://`` (asked every
-second), ``serial:`` (with pyserial), ``stdin:``. What arrives goes into a bounded queue: where the picture cannot keep
-up the oldest is dropped and counted, so a flood costs its own source reports and no other anything.
+Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (client), ``tcp-listen://`` (server), ``http(s)://`` (polled
+every second), ``serial:`` (with pyserial), ``stdin:``. The queue of a wire is bounded: when the picture cannot keep up,
+the oldest data are dropped and counted, so that a flood on one wire loses reports of that wire only.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
 from sameas.tracks.reports import Reports
 
-#: Seconds until the first and the longest wait for another try to connect.
+#: Shortest and longest wait in seconds before a wire is reconnected.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
-#: A wire on which nothing has come for this long is connected anew.
+#: A TCP connection without data for this many seconds is closed and reconnected.
 SILENT_S = 120.0
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "serial", "stdin")
 
 
 @dataclass
 class BoundedQueue:
-    """Pieces with their times of receipt; ``most_bytes`` of them, then the oldest go. dropped : how many went."""
+    """Pieces with their receive times. Above ``most_bytes`` in total the oldest are dropped; dropped : their number."""
 
     most_bytes: int = 8 << 20
     dropped: int = 0
@@ -50,7 +50,7 @@ class BoundedQueue:
             self.dropped += 1
 
     def take(self, most_bytes: int) -> list[tuple[float, bytes, bool]]:
-        """The oldest pieces, ``most_bytes`` or one more."""
+        """Removes and returns the oldest pieces, until they have ``most_bytes`` or more."""
         out, size = [], 0
         while self._pieces and size < most_bytes:
             piece = self._pieces.popleft()
@@ -65,7 +65,7 @@ class BoundedQueue:
 
 @dataclass
 class WireState:
-    """What is known of a wire. connected, connections, error : of the wire. received : bytes. last_s : of the last."""
+    """State of a wire. connections : their number. received : bytes in total. last_s : receive time of the last."""
 
     connected: bool = False
     connections: int = 0
@@ -79,8 +79,7 @@ class Wire:
 
     Parameters
     ----------
-    url : as in the module. stream : what reads it. most_bytes : of the queue.
-    clock : seconds of UTC.
+    url : see the module. stream : decodes the bytes. most_bytes : size of the queue. clock : UTC in seconds.
     """
 
     def __init__(
@@ -95,7 +94,7 @@ class Wire:
             raise InputError(f"input {url!r}: has no port", f"give {parts.scheme}://HOST:PORT")
 
     async def run(self) -> None:
-        """Reads for ever; a wire that breaks is connected anew, after longer and longer waits."""
+        """Reads until cancelled; a broken wire is reconnected, after waits that double up to ``LONGEST_WAIT_S``."""
         wait_s = FIRST_WAIT_S
         scheme = urlsplit(self.url).scheme
         reader: Callable[[], Awaitable[None]] = {
@@ -118,23 +117,23 @@ class Wire:
             await asyncio.sleep(wait_s)
 
     def take(self, most_bytes: int = 2 << 20) -> list[Reports]:
-        """The reports of what has come, ``most_bytes`` of it at most.
+        """The reports in the oldest queued pieces, about ``most_bytes`` of them.
 
         Raises
         ------
-        InputError : what came can be no report; it is gone.
+        InputError : the data cannot be decoded to reports; they are dropped.
         """
         for received_s, data, whole in self.queue.take(most_bytes):
             self.stream.feed(data, received_s, whole=whole)
         return self.stream.reports()
 
-    def _came(self, data: bytes, whole: bool = False) -> None:
+    def _received(self, data: bytes, whole: bool = False) -> None:
         now_s = self.clock()
         self.state.received += len(data)
         self.state.last_s, self.state.error = now_s, ""
         self.queue.put(data, now_s, whole)
 
-    def _up(self) -> None:
+    def _set_connected(self) -> None:
         self.state.connected = True
         self.state.connections += 1
         self.state.error = ""
@@ -143,15 +142,15 @@ class Wire:
         parts = urlsplit(self.url)
         host, port = parts.hostname or "0.0.0.0", parts.port or 0
         made = _udp_socket(host, port, parse_qs(parts.query).get("interface", ["0.0.0.0"])[0])
-        loop, came = asyncio.get_running_loop(), self._came
+        loop, received = asyncio.get_running_loop(), self._received
 
         class Receiver(asyncio.DatagramProtocol):
             def datagram_received(self, data: bytes, addr: object) -> None:
-                came(data, True)
+                received(data, True)
 
         transport, _ = await loop.create_datagram_endpoint(Receiver, sock=made)
         try:
-            self._up()
+            self._set_connected()
             await asyncio.Event().wait()
         finally:
             transport.close()
@@ -160,9 +159,9 @@ class Wire:
         parts = urlsplit(self.url)
         reader, writer = await asyncio.wait_for(asyncio.open_connection(parts.hostname, parts.port), 10.0)
         try:
-            self._up()
+            self._set_connected()
             while data := await asyncio.wait_for(reader.read(65536), SILENT_S):
-                self._came(data)
+                self._received(data)
         finally:
             writer.close()
             with suppress(OSError):
@@ -178,13 +177,13 @@ class Wire:
             try:
                 with suppress(OSError):
                     while data := await reader.read(65536):
-                        self._came(data)
+                        self._received(data)
             finally:
                 writers.discard(writer)
                 writer.close()
 
         async with await asyncio.start_server(served, parts.hostname, parts.port) as server:
-            self._up()
+            self._set_connected()
             try:
                 await server.serve_forever()
             finally:
@@ -199,8 +198,8 @@ class Wire:
         while True:
             data = await asyncio.to_thread(asked)
             if not self.state.connected:
-                self._up()
-            self._came(data.replace(b"\n", b" "), True)
+                self._set_connected()
+            self._received(data.replace(b"\n", b" "), True)
             await asyncio.sleep(1.0)
 
     async def _serial(self) -> None:
@@ -215,19 +214,19 @@ class Wire:
         except serial.SerialException as error:
             raise OSError(str(error)) from error
         with line:
-            self._up()
+            self._set_connected()
             while True:
                 if data := await asyncio.to_thread(line.read, max(line.in_waiting, 1)):
-                    self._came(data)
+                    self._received(data)
 
     async def _stdin(self) -> None:
-        self._up()
+        self._set_connected()
         while data := await asyncio.to_thread(os.read, sys.stdin.fileno(), 65536):
-            self._came(data)
+            self._received(data)
 
 
 def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
-    """A socket that receives what is sent to this place; a multicast group is joined."""
+    """A non-blocking socket bound to this address; a multicast group is joined."""
     made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
@@ -248,7 +247,7 @@ def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
 
 @dataclass
 class Replay:
-    """Reports of files, given as their times pass, ``pace`` times as fast as they did.
+    """Replays the reports of files in the order of their times, at ``pace`` times real time.
 
     Parameters
     ----------
@@ -279,21 +278,21 @@ class Replay:
         self._began_s = 0.0
 
     def begin(self, clock_s: float, from_s: float | None = None) -> None:
-        """The replay begins now by the clock, at its first report or at ``from_s``."""
+        """Starts the replay at this time of the clock, with the first report or at ``from_s``."""
         start_s = self.first_s if from_s is None else from_s
         self._began_s = clock_s - (start_s - self.first_s) / self.pace
 
     def now_s(self, clock_s: float) -> float:
-        """The time of the reports at this time of the clock."""
+        """The replayed time at this time of the clock."""
         return self.first_s + self.pace * (clock_s - self._began_s)
 
     @property
     def done(self) -> bool:
-        """Whether all reports were given."""
+        """Whether all reports have been taken."""
         return all(k >= len(reports) for k, (_, reports) in zip(self._next, self.sources, strict=True))
 
     def take(self, until_s: float) -> list[tuple[str, Reports]]:
-        """The reports up to this time that were not given yet."""
+        """The reports up to this time that have not been taken yet."""
         out = []
         for s, (name, reports) in enumerate(self.sources):
             stop = int(reports.time_s.searchsorted(until_s, side="right"))

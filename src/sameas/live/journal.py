@@ -1,9 +1,9 @@
-"""The journal: who was who and when, in SQLite, one transaction a tick; the archive of objects, in Parquet; the state.
+"""The journal of identities and alarms (SQLite, one transaction per tick), the archive of objects (Parquet), the state.
 
-``identities`` has a line when a track joins an object or leaves it, ``objects`` what is known of every object,
-``alarms`` every alarm with who acknowledged it when. SQLite writes ahead (WAL): readers see whole ticks, and a program
-that is killed leaves whole ticks. The state is saved beside it and replaces the one before only when it is whole. What
-waits for the archive, ten minutes at most, is lost with a process that is killed. A folder is one watch's alone.
+Table ``identities`` has a row each time a track joins or leaves an object, ``objects`` the last attributes of every
+object, ``alarms`` every alarm, who acknowledged it and when. SQLite runs in WAL mode: readers, and a restart after a
+kill, see complete ticks only. The state file is replaced atomically. Rows not yet archived, at most ten minutes of
+them, are lost when the process is killed. Only one watch may use a folder.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ CREATE TABLE IF NOT EXISTS alarms (id INTEGER PRIMARY KEY, key TEXT, kind TEXT, 
     last_s REAL, active INTEGER, acknowledged_s REAL, acknowledged_by TEXT);
 CREATE INDEX IF NOT EXISTS alarms_active ON alarms (active, key);
 """
-#: A file of the archive is written at so many rows of objects, or after so many seconds.
+#: An archive file is written after this many rows of objects, or this many seconds.
 ARCHIVE_ROWS, ARCHIVE_S = 200_000, 600.0
-#: Where the disk refuses them, so many rows wait in memory; the oldest go first.
+#: At most this many rows are kept in memory while the disk refuses them; the oldest are dropped first.
 WAITING_ROWS = 4 * ARCHIVE_ROWS
-#: Number of what a state holds; raised with every change of it (``tests/live/test_keeper.py`` notices).
+#: Version of the layout of a saved state, raised with every change of it (``tests/live/test_keeper.py`` checks).
 LAYOUT = 4
 _TEXTS = ("label", "mmsi", "icao", "callsign", "name", "type")
 
 
 class Journal:
-    """The journal and the archive in a folder, which is made for its owner alone.
+    """The journal and the archive in a folder, which is created with access for its owner only.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class Journal:
         self._archived_s = -np.inf
 
     def _joined(self) -> dict[tuple[str, str], int]:
-        """Which object every track is of, by the last lines."""
+        """The object of every track, from the last 200 000 rows of ``identities``."""
         tracks: dict[tuple[str, str], int] = {}
         for source, track, number, event in self._base.execute(
             "SELECT source, track, object, event FROM identities WHERE rowid > "
@@ -94,7 +94,7 @@ class Journal:
         return tracks
 
     def write(self, frame: Frame) -> None:
-        """One tick, in one transaction.
+        """Writes one tick in one transaction.
 
         Raises
         ------
@@ -107,7 +107,7 @@ class Journal:
             self._write_identities(frame)
             self._base.execute("COMMIT")
         except BaseException:
-            # What did not come into the journal is written with the next tick that does.
+            # The next tick writes what this one could not.
             self._tracks, self._known = tracks, {}
             if self._base.in_transaction:
                 self._base.execute("ROLLBACK")
@@ -125,15 +125,15 @@ class Journal:
     def _write_objects(self, frame: Frame) -> None:
         o, rows = frame.objects, []
         stages = o["stage"].tolist()
-        texts = list(zip(*(o[name].tolist() for name in _TEXTS), strict=True)) if len(stages) else []
-        for number, stage, words in zip(o["object"].tolist(), stages, texts, strict=True):
+        attributes = list(zip(*(o[name].tolist() for name in _TEXTS), strict=True)) if len(stages) else []
+        for number, stage, texts in zip(o["object"].tolist(), stages, attributes, strict=True):
             known = self._known.get(number)
             confirmed = int(stage in ("confirmed", "coasting")) or (known[0] if known else 0)
-            # Of what does not change only every minute that it is still there.
-            now = (confirmed, words, int(frame.time_s // 60.0))
-            if known != now:
-                rows.append((number, frame.time_s, frame.time_s, confirmed, *words))
-                self._known[number] = now
+            # Unchanged objects get a new last_s once a minute.
+            current = (confirmed, texts, int(frame.time_s // 60.0))
+            if known != current:
+                rows.append((number, frame.time_s, frame.time_s, confirmed, *texts))
+                self._known[number] = current
             if stage == "ended":
                 self._known.pop(number, None)
         self._base.executemany(
@@ -146,19 +146,19 @@ class Journal:
 
     def _write_identities(self, frame: Frame) -> None:
         tracks = {
-            (source, track): number for number, its in frame.members.items() for source, track in its
+            (source, track): number for number, members in frame.members.items() for source, track in members
             if not track.startswith("plot ")
         }  # fmt: skip
-        chances = np.ma.filled(frame.objects["probability"], np.nan).tolist()
-        p = dict(zip(frame.objects["object"].tolist(), chances, strict=True))
+        probabilities = np.ma.filled(frame.objects["probability"], np.nan).tolist()
+        p_object = dict(zip(frame.objects["object"].tolist(), probabilities, strict=True))
         rows: list[tuple[Any, ...]] = []
         for (source, track), number in tracks.items():
             before = self._tracks.get((source, track))
             if before != number:
                 if before is not None:
                     rows.append((frame.time_s, before, source, track, "left", None))
-                chance = p.get(number, np.nan)
-                rows.append((frame.time_s, number, source, track, "joined", None if chance != chance else chance))
+                p = p_object.get(number, np.nan)
+                rows.append((frame.time_s, number, source, track, "joined", None if p != p else p))
         for key, number in self._tracks.items():
             if key not in tracks:
                 rows.append((frame.time_s, number, *key, "left", None))
@@ -166,7 +166,7 @@ class Journal:
         self._base.executemany("INSERT INTO identities VALUES (?,?,?,?,?,?)", rows)
 
     def flush(self) -> Path | None:
-        """Writes what waits for the archive as a Parquet file; its path, None where nothing waits."""
+        """Writes the rows that wait for the archive to a Parquet file, and returns its path; None where none wait."""
         if not self._archive:
             return None
         import pyarrow as pa
@@ -185,7 +185,7 @@ class Journal:
     # ---- alarms ----
 
     def alarm(self, alarm: Alarm, time_s: float) -> int:
-        """A new alarm; its id."""
+        """Inserts a new alarm and returns its id."""
         cursor = self._base.execute(
             "INSERT INTO alarms (key, kind, text, objects, first_s, last_s, active) VALUES (?,?,?,?,?,?,1)",
             (alarm.key, alarm.kind, alarm.text, " ".join(map(str, alarm.objects)), time_s, time_s),
@@ -193,11 +193,11 @@ class Journal:
         return int(cursor.lastrowid or 0)
 
     def ended(self, alarm_id: int, time_s: float) -> None:
-        """The alarm does not hold any more."""
+        """Marks the alarm as no longer active."""
         self._base.execute("UPDATE alarms SET active = 0, last_s = ? WHERE id = ?", (time_s, alarm_id))
 
     def acknowledge(self, alarm_id: int, who: str, time_s: float) -> bool:
-        """Notes who acknowledged an alarm; False where there is none of that id that was not acknowledged yet."""
+        """Records who acknowledged an alarm; False where the id is unknown or was acknowledged before."""
         cursor = self._base.execute(
             "UPDATE alarms SET acknowledged_s = ?, acknowledged_by = ? WHERE id = ? AND acknowledged_s IS NULL",
             (time_s, who[:80], alarm_id),
@@ -205,7 +205,7 @@ class Journal:
         return cursor.rowcount > 0
 
     def alarms(self, *, most: int = 500) -> list[dict[str, Any]]:
-        """The last alarms, the newest first."""
+        """The last ``most`` alarms, the newest first."""
         cursor = self._base.execute(
             "SELECT id, key, kind, text, objects, first_s, last_s, active, acknowledged_s, acknowledged_by FROM alarms "
             "ORDER BY id DESC LIMIT ?", (most,),
@@ -215,11 +215,11 @@ class Journal:
         return [one | {"objects": [int(n) for n in one["objects"].split()]} for one in out]
 
     def active(self) -> dict[str, int]:
-        """By key the ids of the alarms that held when the journal was closed."""
+        """Ids, by key, of the alarms that were active when the journal was last closed."""
         return self._active
 
     def close(self) -> None:
-        """Writes what waits and closes the files, in any case."""
+        """Writes the waiting rows, and closes the files even when this fails."""
         try:
             self.flush()
         finally:
@@ -228,7 +228,7 @@ class Journal:
 
 
 def save_state(folder: Path, state: Mapping[str, Any]) -> None:
-    """Saves the state: whole, or the one before stays."""
+    """Saves the state atomically; the previous one stays where this fails."""
     with replacing(folder / "state.pickle") as draft:
         draft.write_bytes(dumps({"version": sameas.__version__, "layout": LAYOUT, **state}))
         os.chmod(draft, 0o600)
@@ -239,8 +239,8 @@ def load_state(folder: Path) -> dict[str, Any] | None:
 
     Raises
     ------
-    InputError : the file is damaged, another version of sameas saved it, or its owner is another user. The numbers of
-        its objects are in the journal beside it, so that nothing begins anew there by itself.
+    InputError : the file is damaged, was saved by another version of sameas, or belongs to another user. There is no
+        fresh start instead: the journal next to it refers to the object numbers of this state.
     """
     path = folder / "state.pickle"
     if not path.exists():

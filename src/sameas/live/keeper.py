@@ -1,7 +1,7 @@
-"""The keeper: the loop of a live picture, tick by tick, with its state, its journal and its alarms.
+"""The keeper: the main loop of a live picture, with its state, its journal and its alarms.
 
-A tick takes in what the wires (or a replay) have brought, advances the picture, raises and ends alarms, writes the
-journal, and tells those who listen what has changed. What cannot be used is counted at its source and ends nothing.
+A tick takes the new reports of the wires (or of a replay), advances the picture, raises and ends alarms, writes the
+journal, and notifies the listeners of the changes. Unusable input is counted at its source and never ends the loop.
 """
 
 from __future__ import annotations
@@ -36,17 +36,20 @@ from sameas.tracks.reports import Reports
 
 T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")
-#: An alarm ends when it has not held for this long, in seconds of the picture.
+#: An alarm ends when its condition has been absent for this many seconds of picture time.
 ALARM_ENDS_S = 10.0
-#: Deltas that are kept for listeners who come back.
+#: Number of deltas that are kept for listeners that reconnect.
 KEPT_DELTAS = 300
-#: Ticks whose duration is remembered.
+#: Number of ticks whose durations are kept.
 KEPT_DURATIONS = 600
 
 
 @dataclass
 class SourceState:
-    """Of a source: reports set aside with the last reason, when it was last heard, how late its stamps are."""
+    """State of a source. refused : reports not used. error : the last reason. last_s : last receive time.
+
+    delay_s : receive time minus time stamp, median of the last reports.
+    """
 
     refused: int = 0
     error: str = ""
@@ -56,7 +59,7 @@ class SourceState:
 
 @dataclass
 class Delta:
-    """What has changed from one tick to the next, as it is sent to pages."""
+    """The changes from one tick to the next, as sent to web pages."""
 
     tick: int
     time_s: float
@@ -66,25 +69,25 @@ class Delta:
     lost: list[str] = field(default_factory=list)
 
     @classmethod
-    def between(cls, before: Frame | None, frame: Frame) -> Delta:
-        """From one frame to the next; from None everything is new."""
-        old = {} if before is None else before.object_rows
-        seen = {} if before is None else before.record_rows
+    def between(cls, previous: Frame | None, frame: Frame) -> Delta:
+        """The changes from one frame to the next; all rows of the frame where there was none before."""
+        old_objects = {} if previous is None else previous.object_rows
+        old_records = {} if previous is None else previous.record_rows
         return cls(
-            frame.tick, frame.time_s, [row for n, row in frame.object_rows.items() if old.get(n) != row],
-            [n for n in old if n not in frame.object_rows],
-            [row for key, row in frame.record_rows.items() if seen.get(key) != row],
-            [key for key in seen if key not in frame.record_rows],
+            frame.tick, frame.time_s, [row for n, row in frame.object_rows.items() if old_objects.get(n) != row],
+            [n for n in old_objects if n not in frame.object_rows],
+            [row for key, row in frame.record_rows.items() if old_records.get(key) != row],
+            [key for key in old_records if key not in frame.record_rows],
         )  # fmt: skip
 
 
 class Keeper:
-    """The live picture of some settings.
+    """The live picture for given settings.
 
     Parameters
     ----------
-    settings : sources and the watch. folder : of state, journal and archive; None keeps nothing.
-    replay : reports of files instead of wires. clock : seconds of UTC.
+    settings : sources and watch options. folder : for state, journal and archive; None writes none of them.
+    replay : reports of files instead of wires. clock : UTC in seconds.
 
     Raises
     ------
@@ -133,20 +136,20 @@ class Keeper:
     # ---- one tick ----
 
     def now_s(self) -> float:
-        """The time of the picture now."""
+        """The current time of the picture."""
         clock_s = self.clock()
         now_s = clock_s if self.replay is None else self.replay.now_s(clock_s)
         return now_s - self.settings.watch.behind_s
 
     def tick(self, now_s: float | None = None) -> Frame | None:
-        """Takes in what has come, and gives the picture of this time; None where it failed, which is logged."""
+        """Processes the new reports and returns the frame of this time; None, and a log entry, where this failed."""
         began = time.perf_counter()
         instant_s = max(self.now_s() if now_s is None else now_s, self.picture.instant_s)
-        self._take_in(instant_s)
+        self._take_reports(instant_s)
         try:
             state: PictureState[Any] = self.picture.advance(instant_s)
         except Exception as error:
-            # A fault in one tick must not end the watch: the next one has other reports.
+            # A fault in one tick must not end the watch: the next tick has other reports.
             LOG.exception("tick at %.1f s", instant_s)
             self.counters["faults"] += 1
             self._raise_alarms([Alarm("fault", "fault", f"the picture could not be advanced: {error}")], instant_s)
@@ -155,7 +158,7 @@ class Keeper:
             self._tick += 1
             frame = Frame.of(self._tick, state, self.picture.plane, (), self._own_ship(instant_s, state))
             alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(frame),
-                      *self._close_calls(frame), *self._folder_alarms()]  # fmt: skip
+                      *self._cpa_alarms(frame), *self._folder_alarms()]  # fmt: skip
             frame = Frame(
                 frame.tick, frame.time_s, frame.plane, frame.objects, frame.records, frame.members, tuple(alarms),
                 frame.own_ship,
@@ -163,10 +166,10 @@ class Keeper:
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.frame, frame))
             self.frame = frame
-            self._remember(frame)
-            self._kept(lambda journal: journal.write(frame))
+            self._keep_history(frame)
+            self._try_journal(lambda journal: journal.write(frame))
             if self.journal is not None and instant_s - self._saved_s >= self.settings.watch.save_every_s:
-                self._kept(lambda journal: self.save())
+                self._try_journal(lambda journal: self.save())
         self.durations_s.append(time.perf_counter() - began)
         self.counters["ticks"] += 1
         return frame
@@ -185,26 +188,25 @@ class Keeper:
             self._saved_s = self.picture.instant_s
 
     def register(self) -> None:
-        """Estimates the sources' biases by the last minutes; what fails is said and changes nothing."""
+        """Estimates the biases of the sources from the last minutes; a failure is logged and changes nothing."""
         try:
-            found = estimated(self.picture.recent(), self.picture.plane)
-            self.picture.take_off(found)
+            self.picture.take_off(estimated(self.picture.recent(), self.picture.plane))
         except Exception as error:
-            # What looks for biases must not end the watch: it goes on with those that it has.
+            # A failed bias fit must not end the watch: the previous biases stay in use.
             LOG.info("registration: %s", error, exc_info=not isinstance(error, InputError))
 
     def search(self) -> None:
-        """Looks for deception and for faults of sources in the last minutes; what fails is said and changes nothing.
+        """Searches the last minutes for deception and source faults; a failure is logged and changes nothing.
 
-        A fault is an alarm when two searches in succession have found it: a search every half minute would otherwise
-        make the false alarms of one many.
+        A fault raises an alarm when two successive searches find it: with a search every half minute, the false-alarm
+        rate of a single search would be too high.
         """
         with self.lock:
             recent, sightings = self.picture.recent(), self.picture.sightings()
         try:
             faults = faults_of(recent, sightings, self.picture.plane)
         except Exception as error:
-            # What looks for faults must not become one: the watch goes on without it.
+            # A failed search must not end the watch.
             LOG.info("faults: %s", error, exc_info=not isinstance(error, InputError))
             return
         found = {f"{fault.kind} {fault.source} {fault.track}".rstrip(): fault for fault in reversed(faults)}
@@ -212,7 +214,7 @@ class Keeper:
             self._faults = {key: fault for key, fault in found.items() if key in self._suspected}
             self._suspected = frozenset(found)
 
-    def _take_in(self, until_s: float) -> None:
+    def _take_reports(self, until_s: float) -> None:
         if self.replay is not None:
             for name, reports in self.replay.take(until_s):
                 self._add(name, reports, self.clock())
@@ -247,8 +249,8 @@ class Keeper:
         if self.replay is None:
             state.delay_s = received_s - float(np.median(reports.time_s))
 
-    def _remember(self, frame: Frame) -> None:
-        """Keeps every tenth second of the picture for pages that look back."""
+    def _keep_history(self, frame: Frame) -> None:
+        """Keeps a frame every 10 s, or every tick where these are longer, for the history that pages show."""
         every_s = max(10.0, self.settings.watch.every_s)
         if not self.history or frame.time_s - self.history[-1].time_s >= every_s:
             self.history.append(frame)
@@ -282,7 +284,7 @@ class Keeper:
         return OwnShipState(east, north, *self._own_velocity(), heading)
 
     def _own_velocity(self) -> tuple[float, float]:
-        """By a straight line through the last places."""
+        """Slope (m/s east, north) of a line through the positions of the last 30 s; 0 where they span less than 1 s."""
         recent = [one for one in self._own if one[0] > self._own[-1][0] - 30.0]
         if len(recent) < 2 or recent[-1][0] - recent[0][0] < 1.0:
             return 0.0, 0.0
@@ -290,7 +292,7 @@ class Keeper:
         slope = np.polynomial.polynomial.polyfit(times - times[-1], np.column_stack([east, north]), 1)[1]
         return float(slope[0]), float(slope[1])
 
-    def _close_calls(self, frame: Frame) -> list[Alarm]:
+    def _cpa_alarms(self, frame: Frame) -> list[Alarm]:
         watch, out = self.settings.watch, []
         own = watch.own_ship.mmsi if watch.own_ship else None
         stages = dict(zip(frame.objects["object"].tolist(), frame.objects["stage"].tolist(), strict=True))
@@ -328,10 +330,10 @@ class Keeper:
             return []
         return [Alarm("folder", "fault", f"{self.folder} cannot be written; events are not saved: {self._refusal}")]
 
-    def _kept(self, write: Callable[[Journal], T]) -> T | None:
-        """What writing into the folder gives; None where there is none, or the disk refuses.
+    def _try_journal(self, write: Callable[[Journal], T]) -> T | None:
+        """The result of a write into the folder; None where there is no folder or the disk refuses.
 
-        A full disk must not end the watch: it is an alarm, and what is missing is written when there is room again.
+        A full disk must not end the watch: it raises an alarm, and the missing rows are written once there is room.
         """
         if self.journal is None:
             return None
@@ -347,18 +349,20 @@ class Keeper:
         return value
 
     def _fault_alarms(self, frame: Frame) -> list[Alarm]:
-        """What the last search found: deception of tracks, faults of sources."""
+        """Alarms of the last search: deception of tracks, faults of sources."""
         out = []
         for key, fault in self._faults.items():
             where = (fault.source, fault.track)
-            objects = tuple(number for number, its in frame.members.items() if where in its) if fault.track else ()
+            objects = (
+                tuple(number for number, tracks in frame.members.items() if where in tracks) if fault.track else ()
+            )
             out.append(Alarm(key, "deception" if fault.track else "source", str(fault), objects))
         return out
 
     def _raise_alarms(self, alarms: list[Alarm], now_s: float) -> None:
-        """New alarms are noted in the journal; those that have not held for a while end.
+        """Writes new alarms to the journal, and ends those whose condition has been absent for ``ALARM_ENDS_S``.
 
-        The ids of those that the journal does not hold, or not yet, are below zero.
+        Alarms that are not in the journal have negative ids.
         """
         for alarm in alarms:
             known = self._alarms.get(alarm.key)
@@ -366,20 +370,20 @@ class Keeper:
                 self.counters["alarms"] += 1
             number = -self.counters["alarms"] if known is None else known[0]
             if number < 0:
-                number = self._kept(partial(Journal.alarm, alarm=alarm, time_s=now_s)) or number
+                number = self._try_journal(partial(Journal.alarm, alarm=alarm, time_s=now_s)) or number
             self._alarms[alarm.key] = (number, now_s)
         for key, (alarm_id, held_s) in list(self._alarms.items()):
             if now_s - held_s > ALARM_ENDS_S:
                 del self._alarms[key]
                 if alarm_id > 0:
-                    self._kept(partial(Journal.ended, alarm_id=alarm_id, time_s=held_s))
+                    self._try_journal(partial(Journal.ended, alarm_id=alarm_id, time_s=held_s))
 
     # ---- the loop ----
 
     async def run(self, *, until: Callable[[], bool] | None = None, stop: asyncio.Event | None = None) -> None:
-        """Ticks until it is cancelled, or ``until`` says so; the state is saved at the end.
+        """Ticks until it is cancelled or ``until`` returns True; then saves the state.
 
-        stop : ends the wait for the next tick, so that ``until`` is asked at once.
+        stop : ends the wait for the next tick, so that ``until`` is checked at once.
         """
         readers = [asyncio.create_task(wire.run()) for wire in self.wires.values()]
         every_s = self.settings.watch.every_s
@@ -404,7 +408,7 @@ class Keeper:
                 if due and (search is None or search.done()):
                     self._searched_s = self.picture.instant_s
                     search = asyncio.create_task(asyncio.to_thread(self.search))
-                # A tick that took too long is not made up for: the next one has all reports.
+                # Missed ticks are not caught up: the next one has all reports.
                 next_s = max(next_s + every_s, self.clock())
                 wait_s = max(next_s - self.clock(), 0.0)
                 if stop is None:
@@ -416,9 +420,9 @@ class Keeper:
             for task in readers:
                 task.cancel()
             try:
-                # Whatever they end with, the state is saved.
-                beside = (task for task in (registration, search) if task is not None)
-                await asyncio.gather(*readers, *beside, return_exceptions=True)
+                # The state is saved whatever the tasks raise.
+                background = (task for task in (registration, search) if task is not None)
+                await asyncio.gather(*readers, *background, return_exceptions=True)
             finally:
                 self.close()
 
@@ -427,14 +431,14 @@ class Keeper:
 
         Raises
         ------
-        InputError : the disk refused it; the last state that was saved is there.
+        InputError : the disk refused the state; the last one that was saved stays.
         """
         with self.lock:
             for sink in self.sinks:
                 sink.close()
-            self._kept(lambda journal: self.save())
+            self._try_journal(lambda journal: self.save())
             refusal = self._refusal
-            self._kept(Journal.close)
+            self._try_journal(Journal.close)
             self.journal = None
             if refusal or self._refusal:
                 raise InputError(
@@ -443,21 +447,21 @@ class Keeper:
                 )
 
     def listen(self) -> asyncio.Event:
-        """An event that is set at every tick; give it back to :meth:`leave`."""
+        """An event that is set at every tick; :meth:`leave` ends this."""
         event = asyncio.Event()
         self._listeners.add(event)
         return event
 
     def leave(self, event: asyncio.Event) -> None:
-        """The listener goes."""
+        """Removes a listener."""
         self._listeners.discard(event)
 
-    # ---- what is asked of it ----
+    # ---- queries ----
 
     def alarm_list(self) -> list[dict[str, Any]]:
-        """The alarms, the newest first, with their ids and whether they hold."""
+        """The alarms, the newest first, with their ids and whether they are active."""
         with self.lock:
-            kept = self._kept(Journal.alarms) or []
+            journalled = self._try_journal(Journal.alarms) or []
             active = [] if self.frame is None else self.frame.alarms
             others = [
                 {"id": self._alarms[a.key][0], "key": a.key, "kind": a.kind, "text": a.text, "objects": list(a.objects),
@@ -465,15 +469,15 @@ class Keeper:
                  "acknowledged_s": None, "acknowledged_by": None}
                 for a in active if a.key in self._alarms and self._alarms[a.key][0] < 0
             ]  # fmt: skip
-            return [*others, *kept]
+            return [*others, *journalled]
 
     def acknowledge(self, alarm_id: int, who: str) -> bool:
-        """Notes who acknowledged an alarm."""
+        """Records who acknowledged an alarm."""
         with self.lock:
-            return bool(self._kept(lambda journal: journal.acknowledge(alarm_id, who, self.clock())))
+            return bool(self._try_journal(lambda journal: journal.acknowledge(alarm_id, who, self.clock())))
 
     def health(self) -> dict[str, Any]:
-        """Whether it ticks, and every source and wire in numbers."""
+        """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.frame is None else self.now_s() - self.frame.time_s
         late_s = max(10.0 * self.settings.watch.every_s * (self.replay.pace if self.replay else 1.0), 10.0)
         ticking = age_s is not None and age_s < late_s

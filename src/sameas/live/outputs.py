@@ -1,8 +1,8 @@
-"""Outputs: a frame in the formats of other programs, and where they are sent.
+"""Outputs: frames encoded for other programs, and the sinks to which they are sent.
 
-:data:`FORMATS` has what each gives: ``jsonl`` a line an object, ``nmea`` TTM (with own ship) and TLL sentences, ``cot``
-Cursor on Target events, ``signalk`` a delta an object, ``asterix`` a block of category 062. Objects are those that are
-confirmed or coast; tentative ones are in ``jsonl`` only, where ``stage`` says so.
+:data:`FORMATS`: ``jsonl`` one line per object, ``nmea`` TTM (with own ship) and TLL sentences, ``cot`` Cursor on Target
+events, ``signalk`` one delta per object, ``asterix`` blocks of category 062. Only confirmed and coasting objects are
+sent; ``jsonl`` has the tentative ones too, marked by ``stage``.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from sameas.errors import InputError, reading
 from sameas.live.frame import Frame
 
 _KNOT_M_PER_S, _MILE_M = 1852.0 / 3600.0, 1852.0
-#: Seconds for which a Cursor on Target event holds.
+#: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0
-#: Bytes of a datagram, within which packets are not cut on the way.
+#: Largest datagram in bytes, below the MTU of Ethernet, so that it is not fragmented.
 _DATAGRAM = 1400
 
 
 def geojson(frame: Frame) -> dict[str, Any]:
-    """A FeatureCollection (RFC 7946) of the objects as points; empty where the picture has no place on the earth."""
+    """A FeatureCollection (RFC 7946) of the objects as points; empty where the plane has no geographic origin."""
     features = [
         {
             "type": "Feature", "id": one["object"],
@@ -48,18 +48,18 @@ def geojson(frame: Frame) -> dict[str, Any]:
 
 
 def jsonl(frame: Frame) -> Iterator[bytes]:
-    """A line an object."""
+    """One JSON line per object."""
     for one in frame.listed():
         yield json.dumps({"time_s": frame.time_s, **one}, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
 def nmea(frame: Frame) -> Iterator[bytes]:
-    """TTM of every object where own ship is known, and TLL where the picture is on the earth.
+    """TTM of every object where own ship is known, and TLL where latitudes are known.
 
-    A target has two digits: the number of the object modulo 100. Its name is the object's, else its MMSI.
+    The target number is the object's modulo 100; the name is the object's, else its MMSI, else its label.
     """
     own, clock = frame.own_ship, datetime.fromtimestamp(frame.time_s, UTC).strftime("%H%M%S.%f")[:9]
-    for one in _shown(frame):
+    for one in _confirmed(frame):
         number, name = (
             f"{one['object'] % 100:02d}",
             _plain(one.get("name") or one.get("mmsi") or one.get("label") or ""),
@@ -95,9 +95,9 @@ def sentence(body: str) -> bytes:
 
 
 def cot(frame: Frame) -> Iterator[bytes]:
-    """An event an object: ``a-u-S`` at sea, ``a-u-A`` in the air, ``ce`` the radius that holds it with 90 %."""
+    """One event per object: type ``a-u-S`` at sea, ``a-u-A`` in the air; ``ce`` is the radius of 90 % probability."""
     start, stale = _iso(frame.time_s), _iso(frame.time_s + STALE_S)
-    for one in _shown(frame):
+    for one in _confirmed(frame):
         if one.get("lat_deg") is None:
             continue
         kind = "a-u-A" if one.get("icao") else "a-u-S"
@@ -116,8 +116,8 @@ def cot(frame: Frame) -> Iterator[bytes]:
 
 
 def signalk(frame: Frame) -> Iterator[bytes]:
-    """A delta an object: of the vessel with its MMSI, else of ``urn:mrn:sameas:object:NUMBER``."""
-    for one in _shown(frame):
+    """One delta per object, for the vessel with its MMSI, else for ``urn:mrn:sameas:object:NUMBER``."""
+    for one in _confirmed(frame):
         if one.get("lat_deg") is None:
             continue
         values: list[dict[str, Any]] = [
@@ -138,11 +138,11 @@ def signalk(frame: Frame) -> Iterator[bytes]:
 
 
 def asterix(frame: Frame) -> Iterator[bytes]:
-    """Blocks of category 062, edition 1.18, of some forty tracks each, with accuracies (item 500).
+    """Blocks of category 062, edition 1.18, of up to forty tracks each, with accuracies (item 500).
 
     Items 010, 070, 105, 185, 380 (the address, where there is one), 040, 080 and 500.
     """
-    records = [_record(frame, one) for one in _shown(frame) if one.get("lat_deg") is not None]
+    records = [_record(frame, one) for one in _confirmed(frame) if one.get("lat_deg") is not None]
     for first in range(0, len(records), 40):
         data = b"".join(records[first : first + 40])
         yield bytes([62]) + (len(data) + 3).to_bytes(2, "big") + data
@@ -179,7 +179,7 @@ FORMATS: Mapping[str, Callable[[Frame], Iterator[bytes]]] = {
 }  # fmt: skip
 
 
-def _shown(frame: Frame) -> list[dict[str, Any]]:
+def _confirmed(frame: Frame) -> list[dict[str, Any]]:
     return [one for one in frame.listed() if one["stage"] in ("confirmed", "coasting")]
 
 
@@ -188,12 +188,12 @@ def _iso(time_s: float) -> str:
 
 
 def _printable(text: str) -> str:
-    """Without what XML cannot hold."""
+    """The text with blanks for characters that are not printable, which XML may not contain."""
     return "".join(letter if letter.isprintable() else " " for letter in text)
 
 
 def _plain(text: str) -> str:
-    """What a field of a sentence may hold: no commas, no checksums, no ends of lines."""
+    """The characters of a text that an NMEA field may contain, 20 at most: no comma, ``*`` or line end."""
     return "".join(letter for letter in text if letter.isascii() and (letter.isalnum() or letter in " -_./"))[:20]
 
 
@@ -204,7 +204,7 @@ def _degrees(value: float, digits: int, sides: str) -> str:
 
 @dataclass
 class Sink:
-    """Where frames are sent: ``udp://HOST:PORT`` or ``stdout:``. What cannot be sent is counted, and ends nothing."""
+    """Where frames are sent: ``udp://HOST:PORT`` or ``stdout:``. failed : datagrams that could not be sent."""
 
     url: str
     format: str
@@ -229,7 +229,7 @@ class Sink:
                 self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 1)
 
     def send(self, frame: Frame) -> None:
-        """Sends a frame."""
+        """Encodes and sends a frame."""
         if self._socket is None:
             for part in FORMATS[self.format](frame):
                 sys.stdout.buffer.write(part)
@@ -247,7 +247,7 @@ class Sink:
 
 
 def sinks_of(outputs: Sequence[Mapping[str, str]]) -> list[Sink]:
-    """The sinks of the table ``outputs``."""
+    """The sinks of the setting ``outputs``."""
     sinks: list[Sink] = []
     for one in outputs:
         if not isinstance(one, Mapping) or set(one) != {"url", "format"}:
@@ -258,7 +258,7 @@ def sinks_of(outputs: Sequence[Mapping[str, str]]) -> list[Sink]:
 
 
 def _datagrams(parts: Iterator[bytes], *, joined: bool) -> Iterator[bytes]:
-    """Whole parts in datagrams, as many as fit where they may be joined."""
+    """Parts packed into datagrams, several in one where ``joined``; no part is split."""
     waiting = b""
     for part in parts:
         if not joined:

@@ -1,9 +1,9 @@
-"""The server: the map that goes on, its events, and what other programs ask for.
+"""The web server: live map, event stream, and a JSON interface for other programs.
 
-Bound to the loopback it asks for nothing but that the browser means this host (so no other page can reach it by a name
-of its own); elsewhere it asks for a token: the operator's, who may acknowledge alarms, or a viewer's, who may look. A
-token in the address is taken into a cookie and out of the address. Names of ships are texts to the page, never markup,
-and its policy runs no script but its own.
+On the loopback interface no token is needed, but the Host header must name the loopback (protection against DNS
+rebinding). Elsewhere a token is required: the operator's may acknowledge alarms, the viewer's may read. A token in the
+URL is moved into a cookie. Names of ships are inserted as text, never as markup, and the page's content policy allows
+its own script only.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-#: Seconds between two signs of life of an event stream on which nothing happens.
+#: Seconds between keep-alive comments on an idle event stream.
 SIGN_OF_LIFE_S = 10.0
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _COOKIE = "sameas_token"
@@ -46,7 +46,7 @@ _HEADERS = {
 
 @dataclass(frozen=True)
 class Access:
-    """Who may do what. host : that the server is bound to. operator, viewer : tokens; None on the loopback."""
+    """Access rules. host : to which the server is bound. operator, viewer : tokens; None on the loopback."""
 
     host: str = "127.0.0.1"
     operator: str | None = None
@@ -54,13 +54,13 @@ class Access:
 
     @classmethod
     def of(cls, host: str, operator: str | None = None, viewer: str | None = None) -> Access:
-        """Tokens are made where the server is bound to more than the loopback and none are given."""
+        """The rules for a host; an operator token is generated where none is given and the host is not the loopback."""
         if host not in LOOPBACK and operator is None:
             operator = secrets.token_urlsafe(18)
         return cls(host, operator, viewer)
 
     def role(self, given: str | None) -> str | None:
-        """ "operator", "viewer" or None, of a token."""
+        """The role of a token: "operator", "viewer" or None."""
         if self.operator is None:
             return "operator"
         given = given or ""
@@ -70,8 +70,8 @@ class Access:
             return "viewer"
         return None
 
-    def means_us(self, host_header: str) -> bool:
-        """Whether the browser means this server: on the loopback only by a name of the loopback."""
+    def accepts_host(self, host_header: str) -> bool:
+        """Whether the Host header may be served: on the loopback only a name of the loopback."""
         return (
             self.host not in LOOPBACK
             or host_header.rpartition(":")[0].strip("[]") in LOOPBACK
@@ -81,7 +81,7 @@ class Access:
 
 @dataclass
 class Clients:
-    """How many listen now, and how many may."""
+    """Number of event streams: now, and at most."""
 
     most: int = 100
     now: int = 0
@@ -89,7 +89,7 @@ class Clients:
 
 
 def application(keeper: Keeper, access: Access | None = None) -> Starlette:
-    """The application of a keeper, for uvicorn or any other ASGI server.
+    """The ASGI application of a keeper, for uvicorn or another server.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 
     def guarded(handler: Any, *, operator: bool = False, changes: bool = False) -> Any:
         async def guard(request: Request) -> Response:
-            if not access.means_us(request.headers.get("host", "")):
+            if not access.accepts_host(request.headers.get("host", "")):
                 return answer({"error": "the request names another host"}, 421)
             role = role_of(request)
             if role is None:
@@ -172,8 +172,8 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 
     async def health(request: Request) -> Response:
         state = keeper.health()
-        # Who has no token learns whether it ticks and no more.
-        full = access.means_us(request.headers.get("host", "")) and role_of(request) is not None
+        # Without a token only the overall state is returned.
+        full = access.accepts_host(request.headers.get("host", "")) and role_of(request) is not None
         return answer(state if full else {"ok": state["ok"]}, 200 if state["ok"] else 503)
 
     return Starlette(routes=[
@@ -190,7 +190,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
 
 
 async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncIterator[str]:
-    """Server-sent events: the whole frame, or what a listener has missed since, then a delta a tick."""
+    """Server-sent events: the whole frame, or the deltas missed since tick ``since``; then one delta per tick."""
     listener, sent = keeper.listen(), since
     clients.now += 1
     try:
@@ -236,7 +236,7 @@ def _event(kind: str, keeper: Keeper, frame: Frame, delta: Delta) -> str:
 
 
 def live_page(keeper: Keeper, operator: bool) -> str:
-    """The page of the map, as it is now; events go on from there."""
+    """The map page with the current picture; the event stream continues from it."""
     watch, plane = keeper.settings.watch, keeper.picture.plane
     with keeper.lock:
         frame = keeper.frame

@@ -1,4 +1,4 @@
-"""Settings: the file of sensors, with the wire of each, and a table ``[watch]`` for the picture as a whole.
+"""Settings of a live picture: a TOML file of the sensors with their wires, and a table ``[watch]`` for the whole.
 
     [watch]
     every_s = 1
@@ -12,8 +12,8 @@
     kind = "air radar"
     input = { url = "udp://239.1.1.1:8600", sensor = "048 25/201" }
 
-Sources of one wire share it. Where a wire has several sensors, ``sensor`` says which is meant: the end of its name in a
-file (``ais``, ``arpa``, ``048 SAC/SIC``); without it AIS goes to the source of that kind, targets to the radar.
+Sources may share a wire. ``sensor`` selects one of several sensors on it, by the end of its name in a file (``ais``,
+``arpa``, ``048 SAC/SIC``); without it, AIS reports go to the source of kind AIS and radar targets to the radar.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from sameas.tracks.source import Description, source_tables
 
 @dataclass(frozen=True)
 class OwnShip:
-    """Who own ship is: a fixed place, the object with an MMSI, or what a source's wire says of itself."""
+    """Own ship: a fixed position, the object with an MMSI, or the own-ship sentences on the wire of a source."""
 
     lat_deg: float | None = None
     lon_deg: float | None = None
@@ -48,18 +48,18 @@ class OwnShip:
 class WatchSettings:
     """The table ``[watch]``.
 
-    every_s : between two instants. lag_s : reports may be late by this. behind_s : the picture is of so long ago.
-    register_every_s : between two estimates of the sources' biases; 0: never.
-    plane : origin of the plane; without it, it is about the first site or position.
-    own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object that will pass nearer, and so soon, is an alarm.
-    silent_s : a source that has said nothing for so long is an alarm. clock_s : so is one whose stamps differ from the
-        times of receipt by more.
-    faults_every_s : between two searches for deception and for faults of sources in the last minutes; 0: never. An
-        alarm is what two searches in succession find.
-    archive_every_s : an instant so often goes into the archive; 0: none. history_s : the page looks back so far.
-    save_every_s : between two savings of the state.
+    every_s : time between ticks. lag_s : largest delay of a report. behind_s : delay of the picture behind the clock.
+    register_every_s : time between two estimates of the sources' biases; 0: never.
+    plane : origin of the plane; the first site or position if not given.
+    own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object with a smaller CPA and TCPA raises an alarm.
+    silent_s : a source without reports for this long raises an alarm. clock_s : so does a source whose time stamps
+        differ from the receive times by more.
+    faults_every_s : time between two searches of the last minutes for deception and source faults; 0: never. Two
+        successive searches must find a fault before it raises an alarm.
+    archive_every_s : time between archived ticks; 0: none. history_s : span of the history on the page.
+    save_every_s : time between two writes of the state.
     outputs : ``udp://HOST:PORT`` with a format: ``{ url = …, format = "nmea" }``.
-    chart : GeoJSON of the user, drawn under the objects.
+    chart : GeoJSON file, drawn below the objects.
     """
 
     every_s: float = 1.0
@@ -81,13 +81,13 @@ class WatchSettings:
 
     @property
     def origin(self) -> LocalPlane | None:
-        """The plane that is given."""
+        """The plane about the given origin; None where none is given."""
         return None if self.plane is None else LocalPlane(self.plane["lat_deg"], self.plane["lon_deg"])
 
 
 @dataclass(frozen=True)
 class LiveSource:
-    """One source: its description, its wire (None: it is replayed), its format, and its name on a wire of several."""
+    """One source: description, wire (None: replayed from files), format. sensor : its name on a shared wire."""
 
     description: Description
     url: str | None = None
@@ -96,7 +96,7 @@ class LiveSource:
     options: ReadOptions = field(default_factory=ReadOptions)
 
     def takes(self, reports: Reports) -> bool:
-        """Whether reports of its wire are its own."""
+        """Whether reports from its wire belong to this source."""
         if self.sensor is not None:
             return reports.source.endswith(f":{self.sensor}") or reports.source == self.sensor
         kind = KIND_OF_FORMAT.get(reports.kind)
@@ -105,7 +105,7 @@ class LiveSource:
 
 @dataclass(frozen=True)
 class Settings:
-    """All sources by name, and the watch."""
+    """All sources by name, and the options of the watch."""
 
     sources: Mapping[str, LiveSource]
     watch: WatchSettings = field(default_factory=WatchSettings)
@@ -116,7 +116,7 @@ def read_settings(path: str | Path) -> Settings:
 
     Raises
     ------
-    InputError : not TOML, no sources, a name that is not known, a value that is none.
+    InputError : not TOML, no sources, an unknown name, an invalid value.
     """
     tables = source_tables(path)
     content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -178,8 +178,8 @@ def _own_ship(given: Any, where: str, sources: Mapping[str, LiveSource]) -> OwnS
     if not isinstance(given, Mapping) or not given or not set(given) <= set(known):
         raise InputError(f"{where} is {given!r}; give lat_deg and lon_deg, mmsi, or source")
     if ("lat_deg" in given) != ("lon_deg" in given):
-        there, missing = ("lat_deg", "lon_deg") if "lat_deg" in given else ("lon_deg", "lat_deg")
-        raise InputError(f"{where}: {there}, but not {missing}; give both")
+        present, missing = ("lat_deg", "lon_deg") if "lat_deg" in given else ("lon_deg", "lat_deg")
+        raise InputError(f"{where}: {present}, but not {missing}; give both")
     mmsi, source = given.get("mmsi"), given.get("source")
     if isinstance(mmsi, int) and not isinstance(mmsi, bool):
         mmsi = f"{mmsi:09d}"
@@ -191,7 +191,7 @@ def _own_ship(given: Any, where: str, sources: Mapping[str, LiveSource]) -> OwnS
 
 
 def _place(given: Mapping[str, Any], where: str) -> dict[str, float]:
-    """Latitude and longitude of a table, where it has them."""
+    """The latitude and longitude of a table; empty where it has none."""
     place: dict[str, float] = {}
     for name, most in (("lat_deg", 90.0), ("lon_deg", 360.0)):
         value = given.get(name)
