@@ -1,19 +1,19 @@
-"""Movers below the limit of single frames: the frames added along every motion on a grid of rates.
+"""Movers below the limit of single frames: the frames stacked along each motion on a grid of rates.
 
-Synthetic tracking (Tyson et al. 1992; Shao et al. 2014, ApJ 782, 1; Whidden et al. 2019, AJ 157, 119). Every frame
-becomes a matched filter ψ = Σ k I/v and its variance φ = Σ k²/v, with k the star's profile and v the variance of the
-sky; pixels of stars, of defects and of tracklets found before have no weight, and what faint stars leave is taken away
-as the median of the frames. A motion with rate r through a place has T = Σψ/√Σφ over the frames, which is a normal
-deviate where there is no light.
+Synthetic tracking (Tyson et al. 1992; Shao et al. 2014, ApJ 782, 1; Whidden et al. 2019, AJ 157, 119). Each frame is
+converted to a matched filter ψ = Σ k I/v and its variance φ = Σ k²/v, with k the star's profile and v the variance of
+the sky; pixels of stars, defects and known tracklets get zero weight, and residual light of faint stars is subtracted
+as the median of the frames. A motion with rate r through a position has T = Σψ/√Σφ over the frames, a standard normal
+variable without light.
 
-How many peaks chance makes is counted, not assumed: the same frames in a scrambled order of times have the same noise,
-the same defects and the same remains of stars, and no mover is in line on them. Above the u of the hundred highest
-peaks there, N(>T) = N_u exp(−(T² − u²)/2s²), the tail of a normal distribution with its scale s fitted.
+The number of chance peaks is measured: the same frames with a scrambled order of times have the same noise, defects and
+residuals of stars, but no mover in line. Above u, the lowest of the hundred highest peaks there,
+N(>T) = N_u (T/u)³ exp(−(T² − u²)/2s²), with the scale s fitted.
 
-A candidate then has the probability λ/(λ + ν), ν = −dN/dT that chance makes it and λ that movers do: as many per
-magnitude as their numbers grow with 10^0.4m (λ ∝ T⁻²), tied to the movers linked above the limit, and by rates as the
-model of motion believes. No light counts twice: tracklets are taken away before, and a peak loses the frames on which
-a higher one passes by.
+The probability of a candidate is λ/(λ + ν), with ν = −dN/dT the density of chance peaks and λ that of movers: their
+numbers per magnitude grow with 10^0.4m (λ ∝ T⁻²), normalised by the movers linked above the limit, and with the rates
+of the motion model. No light is used twice: tracklets are removed before, and a peak does not use the frames on which a
+higher one passes it.
 """
 
 from __future__ import annotations
@@ -43,29 +43,29 @@ from sameas.sky.movers.stack import ChipMap, chip_map, predicted
 from sameas.sky.series import Series
 
 Plane = NDArray[np.float32]
-#: Of a pixel of a frame: three planes, and what the median of a strip takes.
+#: Bytes per pixel of a frame: three planes, and the memory for the median of a strip.
 _BYTES = 18
 _NO_LIGHT = Flag.HOT | Flag.COSMIC | Flag.MASKED | Flag.SATURATED
 
 
 @dataclass(frozen=True)
 class BelowLimitTuning:
-    """How the frames are added along motions; all chosen.
+    """Parameters for stacking frames along motions; all chosen.
 
     Attributes
     ----------
-    fewest_frames : fewer are not searched. step_widths : two neighbouring rates differ by so many full widths of a
-    star on the first and on the last frame. least_widths : over all frames a mover moves so many full widths.
-    hidden_widths : pixels so near a source are left out; more for bright ones. clip : what one frame may say at most,
-    in its noise: what stars leave is common at 5 and in line on two or three frames, so that T grew with a tail 1.5
-    times as wide as noise has; at 3 the tail is that of noise, and a mover of 2 on each loses 4 %. measured_clip : the
-    same where a candidate is measured. static : what the median frame shows so clearly stands still.
-    blur_widths : noise about stars is measured over so many full widths, and counts from so much more variance than
-    elsewhere (rough) on.
-    share : of the frames' weight that a place must have. peaks : highest peaks that are weighed.
-    chance : peaks of the scrambled frames that tell the tail. sure : peaks above this T are taken away before the
-    scrambling. own_widths : a peak loses the frames on which a higher one is nearer than this.
-    most_bytes : of the frames held at a time. refined : peaks above this T are measured.
+    fewest_frames : minimum number of frames. step_widths : step of the rates, as the displacement on the first and
+    last frame in FWHM of a star. least_widths : minimum motion over all frames, FWHM. hidden_widths : radius of
+    excluded pixels around sources, FWHM; larger for bright ones. clip : maximum signal of one frame, in its noise:
+    residuals of stars reach 5 often, and are in line on two or three frames, which made the tail of T 1.5 times as wide
+    as that of noise; with 3 the tail is that of noise, and a mover of 2 on each frame loses 4 %. measured_clip : the
+    same for measuring candidates. static : minimum significance on the median frame of static light that is removed.
+    blur_widths, rough : noise around stars is averaged over this many FWHM, and increased where its variance exceeds
+    the typical one by the factor ``rough``.
+    share : minimum share of the frames' weight at a position. peaks : maximum number of peaks.
+    chance : number of peaks of the scrambled frames for the tail. certain : peaks above this T are removed before
+    scrambling. own_widths : a peak does not use frames on which a higher one is closer than this, FWHM.
+    most_bytes : maximum memory for frames. refined : peaks above this T are measured.
     """
 
     fewest_frames: int = 5
@@ -80,7 +80,7 @@ class BelowLimitTuning:
     share: float = 0.5
     peaks: int = 300
     chance: int = 100
-    sure: float = 6.0
+    certain: float = 6.0
     own_widths: float = 1.5
     most_bytes: int = 600_000_000
     refined: float = 5.0
@@ -91,11 +91,11 @@ TUNING = BelowLimitTuning()
 
 @dataclass(frozen=True)
 class Plan:
-    """What a search will do, known before it starts.
+    """The plan of a search, made before it starts.
 
-    rates : (r, 2) arcsec/min east and north. origin : (2,) place of the first pixel of the grid, arcsec. shape : of the
-    grid, rows to the north. scale : arcsec per px of it. minutes : (f,) from the middle. strips : (s + 1,) rows.
-    margin : rows of a strip that its neighbours have too. width : full width of a star, px of the grid.
+    rates : (r, 2) arcsec/min east and north. origin : (2,) position of the first pixel of the grid, arcsec. shape : of
+    the grid, rows to the north. scale : arcsec per pixel of the grid. minutes : (f,) from the middle. strips : (s + 1,)
+    row bounds. margin : rows of overlap on either side of a strip. width : FWHM of a star, px of the grid.
     """
 
     rates: FloatArray
@@ -109,22 +109,22 @@ class Plan:
 
     @property
     def sums(self) -> float:
-        """Pixels that are added, once for the frames and once for the scrambled ones."""
+        """Number of pixel additions, for the frames and the scrambled ones."""
         return 2.0 * len(self.rates) * math.prod(self.shape) * len(self.minutes)
 
     @property
     def peak_bytes(self) -> int:
-        """Of the frames held at a time, with what the median of a strip takes."""
+        """Memory for the frames of a strip, including its median, bytes."""
         rows = max(b - a for a, b in zip(self.strips, self.strips[1:], strict=False)) + 2 * self.margin
         return _BYTES * len(self.minutes) * min(rows, self.shape[0]) * self.shape[1]
 
     @classmethod
     def of(cls, series: Series, fastest: float, tuning: BelowLimitTuning = TUNING) -> Plan:
-        """The plan for a series. fastest : arcsec/min.
+        """The plan for a series. fastest : maximum rate, arcsec/min.
 
         Raises
         ------
-        InputError : too few frames; nothing between the slowest rate that can be told from a star's and the fastest.
+        InputError : too few frames; a maximum rate below the slowest one that can be distinguished from a star.
         """
         if len(series.exposures) < tuning.fewest_frames:
             raise InputError(
@@ -164,12 +164,11 @@ class Plan:
 @in_short
 @dataclass(frozen=True)
 class BelowLimit:
-    """What the frames show together and not one by one; (k,) the most probable first.
+    """Movers found in the stacked frames only; (k,) the most probable first.
 
-    movers : each as three places, of the first, the middle and the last frames added along its motion. snr : signal to
-    noise of all frames together. frames : on which it counts. flux : on the scale of the mean frame. place : (k, f, 2)
-    predicted, arcsec in the system of the series. tail : N_u, u and s of the peaks that chance makes. plan : what was
-    searched.
+    movers : each as three positions, from stacks of the first, middle and last frames along its motion. snr : of all
+    frames together. frames : number of frames used. flux : on the scale of the mean frame. place : (k, f, 2) predicted,
+    arcsec in the system of the series. tail : N_u, u and s of the chance peaks. plan : of the search.
     """
 
     movers: Movers
@@ -186,9 +185,12 @@ class BelowLimit:
 
 @dataclass(frozen=True)
 class _Peaks:
-    """Peaks, (n,): T, as the search adds the frames and as chance is counted; place (n, 2) arcsec in the middle of the
-    time, rate (n, 2) arcsec/min; signal, weight (n, f). Measured to a part of a pixel: snr; flux; parts (n, 3, 3) of
-    the first, middle and last frames: offset east and north from the motion, arcsec, and their signal to noise."""
+    """Peaks, (n,).
+
+    t : T of the search, comparable with chance peaks. place : (n, 2) arcsec at the middle of the time. rate : (n, 2)
+    arcsec/min. signal, weight : (n, f) ψ and φ. snr, flux : measured to a fraction of a pixel. parts : (n, 3, 3) of the
+    first, middle and last frames: offset east and north from the motion, arcsec, and signal to noise.
+    """
 
     t: FloatArray
     place: FloatArray
@@ -203,11 +205,11 @@ class _Peaks:
         return _Peaks(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
 
     def path(self, minutes: FloatArray) -> FloatArray:
-        """(n, f, 2) places at these times, arcsec."""
+        """(n, f, 2) positions at these times, arcsec."""
         return _path(self.place, self.rate, minutes)
 
     @staticmethod
-    def together(parts: Sequence[_Peaks]) -> _Peaks:
+    def concatenated(parts: Sequence[_Peaks]) -> _Peaks:
         return _Peaks(*(np.concatenate([getattr(p, name) for p in parts]) for name in _Peaks.__dataclass_fields__))
 
 
@@ -220,11 +222,11 @@ def search_below_limit(
     least_probability: float = 0.5,
     tuning: BelowLimitTuning = TUNING,
 ) -> BelowLimit:
-    """What moves on the frames together, and shows on none of them by itself.
+    """Movers that are visible in the stacked frames but on no single one.
 
-    found : the tracklets of the series, whose light does not count again, and whose model of motion is believed.
-    frames : give the calibrated frames in the order of ``series.exposures``; each is read once a strip. fastest :
-    arcsec/min; the cost grows with its square (:class:`Plan`).
+    found : the tracklets of the series, whose light is excluded, and whose motion model is used. frames : functions
+    that return the calibrated frames in the order of ``series.exposures``; each is read once per strip. fastest :
+    maximum rate, arcsec/min; the cost grows with its square (:class:`Plan`).
 
     Raises
     ------
@@ -241,30 +243,30 @@ def search_below_limit(
         core = (first - low, last - low)
         strip = _Strip(plan, *planes, plan.origin + np.array([0.0, low * plan.scale]), core, tuning)
         peaks = strip.peaks(plan.minutes)
-        alone = _alone(peaks, plan.minutes, plan, tuning)
-        real.append(strip.measured_peaks(alone, groups))
-        strip.take_away(alone.some(alone.t > tuning.sure))
-        chance.append(_alone(strip.peaks(plan.minutes[order]), plan.minutes[order], plan, tuning))
-    peaks = _alone(_Peaks.together(real), plan.minutes, plan, tuning)
-    chance_peaks = _Peaks.together(chance)
+        own_frames = _with_own_frames(peaks, plan.minutes, plan, tuning)
+        real.append(strip.measured_peaks(own_frames, groups))
+        strip.remove(own_frames.some(own_frames.t > tuning.certain))
+        chance.append(_with_own_frames(strip.peaks(plan.minutes[order]), plan.minutes[order], plan, tuning))
+    peaks = _with_own_frames(_Peaks.concatenated(real), plan.minutes, plan, tuning)
+    chance_peaks = _Peaks.concatenated(chance)
     tail = _tail(chance_peaks.t, tuning)
     speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[: tuning.chance]].T)
     return _answer(found, series, plan, peaks, tail, _Speeds.of(speed, plan), least_probability)
 
 
 def _to_sky(series: Series, n: int) -> ChipMap:
-    """From pixels of a frame to arcsec."""
-    here, exposure = series.frame == n, series.exposures[n]
-    return ChipMap(np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]], series.place[here])
+    """The map from pixels of a frame to arcsec."""
+    in_frame, exposure = series.frame == n, series.exposures[n]
+    return ChipMap(np.column_stack([exposure.x_px, exposure.y_px])[series.row[in_frame]], series.place[in_frame])
 
 
 def _planes(
     series: Series, frames: Sequence[Callable[[], Frame]], plan: Plan, rows: tuple[int, int],
     known: tuple[FloatArray, FloatArray], tuning: BelowLimitTuning,
 ) -> tuple[Plane, Plane, Plane]:  # fmt: skip
-    """(f, h, w) ψ and φ of all frames on some rows of the grid, what stands still taken away; and ψ to measure with.
+    """(f, h, w) ψ and φ of all frames on rows of the grid, with static light removed; and ψ for measuring candidates.
 
-    known : (k, f, 2) places of tracklets and (k,) their signal to noise."""
+    known : (k, f, 2) positions of tracklets and (k,) their signal to noise."""
     height, width = rows[1] - rows[0], plan.shape[1]
     signal = np.zeros((len(frames), height, width), np.float32)
     weight = np.zeros_like(signal)
@@ -280,7 +282,7 @@ def _planes(
         for out, plane, scale in ((signal, psi, factor[n]), (weight, phi, factor[n] ** 2)):
             out[n] = (map_coordinates(plane, at, order=1, cval=0.0) * scale).reshape(height, width)
     _without_static(signal, weight, plan.width, tuning)
-    # What one frame may say is bounded, more so in the search.
+    # The signal of one frame is limited, more strictly in the search.
     measured = signal.copy()
     for plane, most in ((signal, tuning.clip), (measured, tuning.measured_clip)):
         for psi, phi in zip(plane, weight, strict=True):
@@ -290,7 +292,7 @@ def _planes(
 
 
 def _signal_to_noise(found: Movers, series: Series) -> FloatArray:
-    """(k,) the most that a detection of each tracklet has."""
+    """(k,) largest signal to noise among the detections of each tracklet."""
     snr = np.concatenate([e.snr for e in series.exposures])
     return np.array([float(snr[found.detections.rows[one[one >= 0]]].max()) for one in found.members])
 
@@ -298,38 +300,38 @@ def _signal_to_noise(found: Movers, series: Series) -> FloatArray:
 def _filtered(
     frame: Frame, series: Series, n: int, movers: FloatArray, mover_snr: FloatArray, tuning: BelowLimitTuning
 ) -> tuple[Plane, Plane]:
-    """ψ and φ of one frame in its own pixels. movers : (k, 2) places of tracklets, arcsec, and (k,) what they have."""
+    """ψ and φ of one frame in its pixels. movers : (k, 2) positions of tracklets, arcsec. mover_snr : (k,)."""
     exposure = series.exposures[n]
-    full = max(exposure.psf_fwhm_px, 1.5)
-    sigma = full / FWHM_PER_SIGMA
+    fwhm = max(exposure.psf_fwhm_px, 1.5)
+    sigma = fwhm / FWHM_PER_SIGMA
     background = Background.of(frame)
     inverse = np.where(np.isfinite(background.variance), 1.0 / background.variance, 0.0).astype(np.float32)
     inverse[(frame.flags & _NO_LIGHT) != 0] = 0.0
-    here = np.flatnonzero(series.frame == n)
-    own = here[(series.star | series.still | series.fixed | series.spoilt)[here]]
-    chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[own]]
-    snr = np.nan_to_num(exposure.snr[series.row[own]], nan=10.0)
+    in_frame = np.flatnonzero(series.frame == n)
+    known_sources = in_frame[(series.star | series.still | series.fixed | series.spoilt)[in_frame]]
+    chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[known_sources]]
+    snr = np.nan_to_num(exposure.snr[series.row[known_sources]], nan=10.0)
     to_chip = chip_map(series, n)
     for place, light in ((series.stars.place, np.full(len(series.stars), 10.0)), (movers, mover_snr)):
         if len(place):
             chip, snr = np.concatenate([chip, to_chip(place)]), np.concatenate([snr, light])
     snr = np.maximum(snr, 10.0)
-    # The wings of a star fall with the fifth power (Moffat, β 2.5); what they leave beyond this is far below the noise.
-    reach = full * np.maximum(tuning.hidden_widths, 0.5 * (5.0 * snr) ** 0.2)
+    # The wings of a star fall with the fifth power (Moffat, β 2.5); beyond this radius they are far below the noise.
+    reach = fwhm * np.maximum(tuning.hidden_widths, 0.5 * (5.0 * snr) ** 0.2)
     _hide(inverse, chip, reach)
     light = (frame.image - background.level) * inverse
     psi = gaussian_filter(light, sigma, mode="constant", truncate=3.5)
     # k² of a Gaussian is a Gaussian narrower by √2.
     phi = gaussian_filter(inverse, sigma / math.sqrt(2.0), mode="constant", truncate=3.5) / (4 * math.pi * sigma**2)
-    usual = float(np.median(phi[phi > 0])) if (phi > 0).any() else 0.0
-    phi[phi < tuning.share * usual] = 0.0
+    typical = float(np.median(phi[phi > 0])) if (phi > 0).any() else 0.0
+    phi[phi < tuning.share * typical] = 0.0
     psi[phi == 0] = 0.0
     _normalised(psi, phi)
     return psi, phi
 
 
 def _hide(inverse: Plane, at: FloatArray, reach: FloatArray) -> None:
-    """No weight within a reach (m,) of some pixels (m, 2)."""
+    """Sets the weight to zero within radii (m,) of pixels (m, 2)."""
     rows, columns = inverse.shape
     for (x, y), r in zip(at, reach, strict=True):
         a, b, c, d = max(int(y - r), 0), max(int(x - r), 0), min(int(y + r) + 2, rows), min(int(x + r) + 2, columns)
@@ -339,7 +341,7 @@ def _hide(inverse: Plane, at: FloatArray, reach: FloatArray) -> None:
 
 
 def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
-    """Makes ψ/√φ a deviate of mean 0 and width 1 in every box: noise that pixels share, and the light between stars."""
+    """Normalises ψ/√φ to mean 0 and width 1 in each box, for correlated noise and diffuse light; in place."""
     if not (phi > 0).any():
         return
     z = psi / np.sqrt(np.where(phi > 0, phi, 1.0))
@@ -347,58 +349,58 @@ def _normalised(psi: Plane, phi: Plane, box: int = 64) -> None:
     boxes = [max(1, round(n / box)) for n in psi.shape]
     bounds = [np.linspace(0, n, count + 1).astype(int) for n, count in zip(psi.shape, boxes, strict=True)]
     level, scale = np.full(boxes, whole[0], np.float32), np.full(boxes, whole[1], np.float32)
-    told = np.zeros(boxes, bool)
+    measured = np.zeros(boxes, bool)
     for a in range(boxes[0]):
         for b in range(boxes[1]):
             part = slice(*bounds[0][a : a + 2]), slice(*bounds[1][b : b + 2])
             good = phi[part] > 0
-            # Few pixels between stars do not tell how wide their noise is.
+            # A box with few pixels between stars gives no reliable scale.
             if good.mean() > 0.25:
                 level[a, b], scale[a, b] = _level_and_scale(z[part][good])
-                told[a, b] = True
-    # The whole frame is wider than its boxes where the sky between them differs: it tells only what they do not.
-    least = 0.6 * float(np.median(scale[told])) if told.any() else whole[1]
+                measured[a, b] = True
+    # The scale of the whole frame includes variations of the sky; it is used only where a box has none.
+    least = 0.6 * float(np.median(scale[measured])) if measured.any() else whole[1]
     rows, columns = ((np.arange(n) + 0.5) * count / n - 0.5 for n, count in zip(psi.shape, boxes, strict=True))
     grid = np.meshgrid(rows, columns, indexing="ij")
-    between, wide = (map_coordinates(one, grid, order=1, mode="nearest") for one in (level, scale))
-    wide = np.maximum(wide, least)
-    psi[:] = np.where(phi > 0, (z - between) * np.sqrt(phi) / wide**2, 0.0)
-    phi /= wide**2
+    local_level, local_scale = (map_coordinates(one, grid, order=1, mode="nearest") for one in (level, scale))
+    local_scale = np.maximum(local_scale, least)
+    psi[:] = np.where(phi > 0, (z - local_level) * np.sqrt(phi) / local_scale**2, 0.0)
+    phi /= local_scale**2
 
 
 def _level_and_scale(z: FloatArray) -> tuple[float, float]:
-    """Median and width of some deviates; light of stars widens the upper side more than the lower one."""
+    """Median and width of deviates; mostly from the lower side, as light of stars widens the upper one."""
     low, middle, high = np.percentile(z, [15.87, 50.0, 84.13])
     return float(middle), max(float(middle - low), 0.5 * float(high - low), 0.1)
 
 
 def _without_static(signal: Plane, weight: Plane, width: float, tuning: BelowLimitTuning) -> None:
-    """Takes away what the median frame shows, and widens the noise where the frames differ."""
-    usual = np.zeros(signal.shape[1:], np.float32)
+    """Subtracts significant light of the median frame, and increases the noise where the frames differ; in place."""
+    typical_sq = np.zeros(signal.shape[1:], np.float32)
     for row in range(signal.shape[1]):
         psi, phi = signal[:, row], weight[:, row]
-        there = phi > 0
-        flux, inverse = np.where(there, psi / np.where(there, phi, 1.0), np.inf), np.sqrt(phi)
-        middle = _medians(flux, there)
+        present = phi > 0
+        flux, inverse = np.where(present, psi / np.where(present, phi, 1.0), np.inf), np.sqrt(phi)
+        middle = _medians(flux, present)
         clear = np.abs(middle) * np.sqrt(phi.sum(axis=0)) > 1.2533 * tuning.static
         psi -= np.where(clear, middle, 0.0).astype(np.float32) * phi
-        usual[row] = _medians(np.where(there, (psi / np.where(there, inverse, 1.0)) ** 2, np.inf), there)
-    # What most frames differ by is noise there: the seeing, and the wings of stars. A mover is on few of them.
-    seen = (usual > 0).astype(np.float32)
-    near = tuning.blur_widths * width / FWHM_PER_SIGMA
-    mean = gaussian_filter(usual, near) / np.maximum(gaussian_filter(seen, near), 1e-3)
-    if seen.any():
-        mean /= float(np.median(mean[seen > 0]))
-    # The median of few frames is itself uncertain by so much.
-    rough = np.maximum(mean / tuning.rough, 1.0)
+        typical_sq[row] = _medians(np.where(present, (psi / np.where(present, inverse, 1.0)) ** 2, np.inf), present)
+    # Differences between most frames are noise (seeing, wings of stars): a mover is at a pixel on few frames.
+    measured = (typical_sq > 0).astype(np.float32)
+    blur_px = tuning.blur_widths * width / FWHM_PER_SIGMA
+    mean = gaussian_filter(typical_sq, blur_px) / np.maximum(gaussian_filter(measured, blur_px), 1e-3)
+    if measured.any():
+        mean /= float(np.median(mean[measured > 0]))
+    # Smaller excesses are within the uncertainty of the median of few frames.
+    excess = np.maximum(mean / tuning.rough, 1.0)
     for psi, phi in zip(signal, weight, strict=True):
-        psi /= rough
-        phi /= rough
+        psi /= excess
+        phi /= excess
 
 
-def _medians(values: FloatArray, there: NDArray[np.bool_]) -> FloatArray:
-    """(w,) medians of the columns, where something is; 0 of a column with one value or none."""
-    count, columns = there.sum(axis=0), np.arange(values.shape[1])
+def _medians(values: FloatArray, present: NDArray[np.bool_]) -> FloatArray:
+    """(w,) medians of the present values of each column; 0 with fewer than two values."""
+    count, columns = present.sum(axis=0), np.arange(values.shape[1])
     ordered = np.sort(values, axis=0)
     low, high = np.maximum((count - 1) // 2, 0), np.minimum(count // 2, len(values) - 1)
     with np.errstate(invalid="ignore"):
@@ -406,7 +408,7 @@ def _medians(values: FloatArray, there: NDArray[np.bool_]) -> FloatArray:
 
 
 class _Strip:
-    """The planes of some rows of the grid, and the peaks in them."""
+    """The planes of a strip of the grid, and the search for peaks in them."""
 
     def __init__(
         self, plan: Plan, signal: Plane, weight: Plane, measured: Plane, origin: FloatArray, core: tuple[int, int],
@@ -417,12 +419,12 @@ class _Strip:
         self.usual = sum(float(np.median(p[p > 0])) if (p > 0).any() else 0.0 for p in weight[:, ::5, ::5])
 
     def shifts(self, minutes: FloatArray) -> tuple[IntArray, IntArray]:
-        """(r, f) rows and columns by which each rate stands off on each frame."""
-        off = np.rint(self.plan.rates[:, None] * minutes[None, :, None] / self.plan.scale).astype(np.int64)
-        return np.ascontiguousarray(off[..., 1]), np.ascontiguousarray(off[..., 0])
+        """(r, f) shift of each rate on each frame, in rows and columns."""
+        shift = np.rint(self.plan.rates[:, None] * minutes[None, :, None] / self.plan.scale).astype(np.int64)
+        return np.ascontiguousarray(shift[..., 1]), np.ascontiguousarray(shift[..., 0])
 
     def peaks(self, minutes: FloatArray) -> _Peaks:
-        """The highest peaks with the frames at these times, the highest first."""
+        """The highest peaks for frames at these times, in descending order."""
         down, right = self.shifts(minutes)
         shape = self.signal.shape[1:]
         best, which = np.zeros(shape, np.float32), np.zeros(shape, np.int64)
@@ -442,11 +444,11 @@ class _Strip:
         start = self.origin + np.column_stack([u, v]) * self.plan.scale
         place, speed = self._climbed(self.signal, start, self.plan.rates[which[v, u]], minutes)
         psi, phi = self._sampled(self.signal, _path(place, speed, minutes))
-        t, none = _added(psi, phi), np.full(len(v), np.nan)
+        t, none = _stacked_t(psi, phi), np.full(len(v), np.nan)
         return _Peaks(t, place, speed, psi, phi, t, none, np.full((len(v), 3, 3), np.nan))
 
     def _sampled(self, signal: Plane, place: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, f) ψ and φ at places (n, f, 2)."""
+        """(n, f) ψ and φ at positions (n, f, 2), bilinear."""
         at = (place - self.origin) / self.plan.scale
         x, y = (np.clip(at[..., k], 0, signal.shape[2 - k] - 1.001) for k in (0, 1))
         a, b, frames = y.astype(int), x.astype(int), np.arange(at.shape[-2])
@@ -462,27 +464,27 @@ class _Strip:
     def _climbed(
         self, signal: Plane, place: FloatArray, rate: FloatArray, minutes: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Places and rates of peaks (n, 2) moved to where T is highest, by steps that grow smaller, a width at most."""
+        """Positions and rates of peaks (n, 2) at the local maximum of T, by decreasing steps up to one width away."""
         reach, half = self.plan.width * self.plan.scale, float(np.abs(minutes).max())
         start = np.column_stack([place, rate * half])
         least = self.tuning.share * self.usual
 
         def height(x: FloatArray) -> FloatArray:
             psi, phi = self._sampled(signal, _path(x[..., :2], x[..., 2:] / half, minutes))
-            return np.where(phi.sum(axis=-1) > least, _added(psi, phi), -np.inf)
+            return np.where(phi.sum(axis=-1) > least, _stacked_t(psi, phi), -np.inf)
 
-        ways = np.vstack([np.zeros(4), np.eye(4), -np.eye(4)])
+        directions = np.vstack([np.zeros(4), np.eye(4), -np.eye(4)])
         x = start.copy()
         for step in (0.3, 0.3, 0.15, 0.15, 0.15, 0.07, 0.07, 0.07, 0.03, 0.03):
-            tried = x[:, None] + step * reach * ways
-            high = height(tried)
-            high[(np.abs(tried - start[:, None]) > reach).any(axis=-1)] = -np.inf
-            high[:, 0] = np.maximum(high[:, 0], -1e9)
-            x = tried[np.arange(len(x)), high.argmax(axis=1)]
+            trials = x[:, None] + step * reach * directions
+            heights = height(trials)
+            heights[(np.abs(trials - start[:, None]) > reach).any(axis=-1)] = -np.inf
+            heights[:, 0] = np.maximum(heights[:, 0], -1e9)
+            x = trials[np.arange(len(x)), heights.argmax(axis=1)]
         return x[:, :2], x[:, 2:] / half
 
     def measured_peaks(self, peaks: _Peaks, groups: Sequence[IntArray]) -> _Peaks:
-        """The higher peaks measured, and their parts; their T stays, for that of chance was found in the same way."""
+        """The higher peaks measured, with their parts; T is kept, to be comparable with that of chance peaks."""
         high = np.flatnonzero(peaks.t > self.tuning.refined)
         minutes, reach = self.plan.minutes, self.plan.width * self.plan.scale
         place, rate = peaks.place.copy(), peaks.rate.copy()
@@ -490,19 +492,19 @@ class _Strip:
         snr, flux, parts = peaks.snr.copy(), peaks.flux.copy(), peaks.parts.copy()
         path = _path(place[high], rate[high], minutes)
         psi, phi = self._sampled(self.measured, path)
-        snr[high], flux[high] = _added(psi, phi), psi.sum(axis=1) / np.maximum(phi.sum(axis=1), 1e-30)
+        snr[high], flux[high] = _stacked_t(psi, phi), psi.sum(axis=1) / np.maximum(phi.sum(axis=1), 1e-30)
         grid = np.linspace(-0.6, 0.6, 13) * reach
         around = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
         for k, at in zip(high, path, strict=True):
-            # Of the first, the middle and the last frames: the highest place within half a width.
+            # For the first, middle and last frames: the maximum within about half a width.
             psi, phi = self._sampled(self.measured, at[None] + around[:, None])
             for g, frames in enumerate(groups):
-                t = _added(psi[:, frames], phi[:, frames])
+                t = _stacked_t(psi[:, frames], phi[:, frames])
                 parts[k, g] = [*around[int(np.argmax(t))], t.max()]
         return replace(peaks, place=place, rate=rate, snr=snr, flux=flux, parts=parts)
 
-    def take_away(self, peaks: _Peaks) -> None:
-        """No weight where these peaks have their light."""
+    def remove(self, peaks: _Peaks) -> None:
+        """Sets the weight to zero along these peaks."""
         for at in (peaks.path(self.plan.minutes) - self.origin) / self.plan.scale:
             for n, one in enumerate(at):
                 _hide(self.weight[n], one[None], np.array([1.5 * self.plan.width]))
@@ -510,17 +512,17 @@ class _Strip:
 
 
 def _path(place: FloatArray, rate: FloatArray, minutes: FloatArray) -> FloatArray:
-    """(…, f, 2) places at some times of motions (…, 2)."""
+    """(…, f, 2) positions at some times of motions (…, 2)."""
     return np.asarray(place[..., None, :] + minutes[:, None] * rate[..., None, :])
 
 
-def _added(psi: FloatArray, phi: FloatArray) -> FloatArray:
-    """T of some frames, (…, f) each."""
+def _stacked_t(psi: FloatArray, phi: FloatArray) -> FloatArray:
+    """T of ψ and φ (…, f), stacked over the frames."""
     return np.asarray(psi.sum(axis=-1) / np.sqrt(np.maximum(phi.sum(axis=-1), 1e-30)))
 
 
-def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTuning) -> _Peaks:
-    """The peaks, the highest first, each without the frames on which a higher one passes by; what is left of T."""
+def _with_own_frames(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTuning) -> _Peaks:
+    """The peaks, the highest first, each without the frames on which a higher one passes it, with the remaining T."""
     peaks = peaks.some(np.argsort(-peaks.t, kind="stable"))
     path = peaks.path(minutes)
     reach = tuning.own_widths * plan.width * plan.scale
@@ -532,10 +534,10 @@ def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTun
             near = (np.hypot(*(path[kept] - path[k]).transpose(2, 0, 1)) < reach).any(axis=0)
             if near.any():
                 weight[k, near] = signal[k, near] = 0.0
-                left = float(weight[k].sum())
-                # Half of its light has to be its own.
-                enough = left > tuning.share * float(peaks.weight[k].sum())
-                t[k] = signal[k].sum() / math.sqrt(left) if enough else 0.0
+                remaining = float(weight[k].sum())
+                # It must keep at least this share of its weight.
+                enough = remaining > tuning.share * float(peaks.weight[k].sum())
+                t[k] = signal[k].sum() / math.sqrt(remaining) if enough else 0.0
         if t[k] >= floor:
             kept.append(k)
     rows = np.array(kept, np.int64)
@@ -543,16 +545,16 @@ def _alone(peaks: _Peaks, minutes: FloatArray, plan: Plan, tuning: BelowLimitTun
 
 
 def _scrambled(frames: int) -> IntArray:
-    """An order of the frames that keeps no motion: of a thousand the least like the true one, or its reverse."""
+    """A scrambled order of the frames: of a thousand the least similar to the true one or its reverse."""
     rng, t = np.random.default_rng(0), np.arange(frames)
     orders = [rng.permutation(frames) for _ in range(1000)]
 
-    def likeness(order: IntArray) -> float:
-        # Three frames in a row that keep their distances are in line on a straight motion.
-        together = float((np.abs(np.diff(order)) == 1).mean())
-        return together + abs(float(np.corrcoef(order, t)[0, 1]))
+    def similarity(order: IntArray) -> float:
+        # Consecutive frames that stay consecutive keep parts of a motion in line.
+        adjacent = float((np.abs(np.diff(order)) == 1).mean())
+        return adjacent + abs(float(np.corrcoef(order, t)[0, 1]))
 
-    return np.asarray(min(orders, key=likeness))
+    return np.asarray(min(orders, key=similarity))
 
 
 def _thirds(frames: int) -> list[IntArray]:
@@ -566,7 +568,7 @@ def _tail(t: FloatArray, tuning: BelowLimitTuning) -> tuple[float, float, float]
         return 1.0, 5.0, 1.0
     u = float(t[-1])
     scales = np.geomspace(0.9, 3.0, 121)
-    # A scale of one, which noise alone has, is believed within a fifth beforehand.
+    # Prior of the scale: 1 (pure noise) within 20 %.
     score = [float(_log_rate(t, u, s).sum()) - 0.5 * (math.log(s) / 0.2) ** 2 for s in scales]
     return float(len(t)), u, float(scales[int(np.argmax(score))])
 
@@ -577,13 +579,13 @@ def _log_tail(t: FloatArray, u: float, s: float) -> FloatArray:
 
 
 def _log_rate(t: FloatArray, u: float, s: float) -> FloatArray:
-    """ln of −dN/dT over N_u."""
+    """ln of −dN/dT / N_u."""
     return np.asarray(_log_tail(t, u, s) + np.log(np.maximum(t / s**2 - 3.0 / np.maximum(t, 1e-9), 1e-3)))
 
 
 @dataclass(frozen=True)
 class _Speeds:
-    """How often chance has which speed, against evenly over the rates: what stars leave makes slow ones.
+    """Speeds of chance peaks relative to a uniform distribution over the rates: residuals of stars make slow ones.
 
     edge : (b + 1,) arcsec/min. log_ratio : (b,) natural logarithms.
     """
@@ -593,12 +595,12 @@ class _Speeds:
 
     @classmethod
     def of(cls, speed: FloatArray, plan: Plan, bins: int = 6) -> _Speeds:
-        every = np.hypot(*plan.rates.T)
-        edge = np.geomspace(every.min(), every.max(), bins + 1)
+        speeds_of_plan = np.hypot(*plan.rates.T)
+        edge = np.geomspace(speeds_of_plan.min(), speeds_of_plan.max(), bins + 1)
         edge[0], edge[-1] = 0.0, np.inf
-        share = np.histogram(every, edge)[0] / len(every)
+        share = np.histogram(speeds_of_plan, edge)[0] / len(speeds_of_plan)
         count = np.histogram(speed, edge)[0]
-        # Three more of each, as even rates have them.
+        # Three pseudo-counts, distributed as the rates.
         return cls(edge, np.log((count + 3.0) / (len(speed) * share + 3.0)))
 
     def __call__(self, speed: FloatArray) -> FloatArray:
@@ -609,10 +611,11 @@ def _answer(
     found: Movers, series: Series, plan: Plan, peaks: _Peaks, tail: tuple[float, float, float], speeds: _Speeds,
     least: float,
 ) -> BelowLimit:  # fmt: skip
-    many, u, s = tail
-    at_rate = math.log(many) + speeds(np.hypot(*peaks.rate.T))
+    """The peaks with their probabilities, those of at least ``least`` as movers."""
+    n_chance, u, s = tail
+    at_rate = math.log(n_chance) + speeds(np.hypot(*peaks.rate.T))
     log_chance = at_rate + _log_tail(peaks.t, u, s)
-    # T of a mover at the limit of a single frame; as many as were linked are brighter.
+    # T of a mover at the limit of a single frame; the linked movers are the brighter ones.
     limit = 5.0 * math.sqrt(len(plan.minutes))
     linked = 0.5 + float(found.p_tracklet.sum())
     log_mover = (
@@ -622,14 +625,14 @@ def _answer(
     p = np.asarray(expit(log_weight))
     keep = np.flatnonzero((p >= least) & np.isfinite(peaks.parts).all(axis=(1, 2)) & (peaks.t > u))
     keep = keep[np.argsort(-p[keep], kind="stable")]
-    mine = peaks.some(keep)
-    path = mine.path(plan.minutes)
-    movers = _movers(found, series, plan, mine, p[keep], log_weight[keep], np.exp(log_chance[keep]))
-    return BelowLimit(movers, mine.snr, (mine.weight > 0).sum(axis=1), mine.flux, path, tail, plan)
+    chosen = peaks.some(keep)
+    path = chosen.path(plan.minutes)
+    movers = _movers(found, series, plan, chosen, p[keep], log_weight[keep], np.exp(log_chance[keep]))
+    return BelowLimit(movers, chosen.snr, (chosen.weight > 0).sum(axis=1), chosen.flux, path, tail, plan)
 
 
 def _rate_ratio(found: Movers, series: Series, plan: Plan, peaks: _Peaks) -> FloatArray:
-    """(n,) ln of the density of rates that is believed over the even one of chance."""
+    """(n,) ln ratio of the model's rate density to the uniform one of chance."""
     if not len(peaks.t):
         return np.empty(0)
     ra, dec = series.sky(peaks.place)
@@ -648,33 +651,33 @@ def _movers(
     found: Movers, series: Series, plan: Plan, peaks: _Peaks, p: FloatArray, log_weight: FloatArray,
     chance: FloatArray,
 ) -> Movers:  # fmt: skip
-    """The candidates as tracklets of three places, of the first, middle and last frames."""
+    """The candidates as tracklets of three positions, of the first, middle and last frames."""
     groups, k = _thirds(len(plan.minutes)), len(p)
     names = tuple(f"frames {g[0] + 1}–{g[-1] + 1} stacked" for g in groups)
     if not k:
         return replace(found, prefix=ADDED).only(np.empty(0, np.int64))
     mjd0 = 0.5 * (series.exposures[0].mjd_utc + series.exposures[-1].mjd_utc)
-    when, at, sigma = np.empty((k, 3)), np.empty((k, 3, 2)), np.empty((k, 3))
+    minutes, places, sigma = np.empty((k, 3)), np.empty((k, 3, 2)), np.empty((k, 3))
     for g, rows in enumerate(groups):
         weight = np.maximum(peaks.weight[:, rows], 1e-12)
-        when[:, g] = (weight * plan.minutes[rows]).sum(axis=1) / weight.sum(axis=1)
-        at[:, g] = peaks.place + when[:, g, None] * peaks.rate + peaks.parts[:, g, :2]
-        # A Gaussian star against the sky: √2 σ over the signal to noise.
+        minutes[:, g] = (weight * plan.minutes[rows]).sum(axis=1) / weight.sum(axis=1)
+        places[:, g] = peaks.place + minutes[:, g, None] * peaks.rate + peaks.parts[:, g, :2]
+        # Centroid error of a Gaussian star limited by the sky: √2 σ over the signal to noise.
         sigma[:, g] = math.sqrt(2.0) * plan.width / FWHM_PER_SIGMA * plan.scale / np.maximum(peaks.parts[:, g, 2], 1.0)
-    ra, dec = series.sky(at.reshape(-1, 2))
+    ra, dec = series.sky(places.reshape(-1, 2))
     zero = series.stars.zero_point
-    bright = (
+    magnitude = (
         np.nanmean(zero) - 2.5 * np.log10(np.maximum(peaks.flux, 1e-9))
         if np.isfinite(zero).any()
         else np.full(k, np.nan)
     )
-    seen = Detections.of(
-        ra, dec, (mjd0 + when / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
-        frame=np.tile([0, 1, 2], k), magnitude=np.repeat(bright, 3),
+    detections = Detections.of(
+        ra, dec, (mjd0 + minutes / 1440.0).ravel(), sigma_arcsec=sigma.ravel(),
+        frame=np.tile([0, 1, 2], k), magnitude=np.repeat(magnitude, 3),
         magnitude_error=np.repeat(1.0857 / np.maximum(peaks.snr, 1.0), 3), name="frames stacked along motions",
     )  # fmt: skip
-    seen = replace(seen, frame_names=names)
+    detections = replace(detections, frame_names=names)
     members = np.arange(3 * k).reshape(k, 3)
-    even = np.repeat(p[:, None], 3, axis=1)
-    return Movers(seen, found.model, members, p, p, even, log_weight, chance, 0.0, np.zeros((k, 6)),
+    p_member = np.repeat(p[:, None], 3, axis=1)
+    return Movers(detections, found.model, members, p, p, p_member, log_weight, chance, 0.0, np.zeros((k, 6)),
                   np.full(k, 3), np.zeros(k), prefix=ADDED)  # fmt: skip

@@ -1,23 +1,23 @@
-"""Tracklets in the pixels: cut-outs along the motion, what every frame shows at the predicted place, and the stack.
+"""Tracklets in the pixels: forced photometry at the predicted positions, cut-outs along the motion, stacks, trails.
 
-A tracklet predicts where its mover is on every frame, those on which nothing was detected too. Light is measured there
-with the star's profile (forced photometry); on frames without a detection it is evidence of its own. With F the flux of
-the mover, f ± e what is measured, and a share ε of places where it does not show (a star, a cloud), a frame weighs
+A tracklet predicts the position of its mover on every frame, including those without a detection. The flux is measured
+there with the star's profile (forced photometry); on frames without a detection it is additional evidence. With F the
+flux of the mover, f ± e the measured one, and ε the probability that the mover is hidden (by a star, a cloud), the log
+ratio of a frame is
 
     ln [(1 − ε) N(f; F, e² + (0.3 F)²) + ε N(f; 0, e²)] − ln N(f; 0, e²),
 
-instead of ln(1 − P_d), the miss of its detection. e is measured at places beside the track (Tuning: controls), so
-that crowding and noise that pixels share are in it.
+instead of ln(1 − P_d) for the missed detection. e is measured at positions around the track (``StackTuning.controls``)
+and so includes crowding and correlated noise.
 
-What moves while the shutter is open draws a trail (:func:`with_trails`). Windows as wide as a star find it in parts, or
-at a place that wanders along it, and do not settle; such measurements were lost. What is left over of a frame, and what
-did not settle, is tried as a trail: first by sums of the matched filter along lines through it, then by a fit of a
-Gaussian star that moves evenly along a straight line,
+A source that moves during the exposure makes a trail (:func:`with_trails`). Windows as wide as a star detect parts of
+it, or do not converge. Unexplained and unconverged measurements are tested as trails: first by sums of the matched
+filter along lines through them, then by a fit of a Gaussian star moving uniformly along a straight line,
 
     I(a, c) = F/L · exp(−c²/2σ²)/(√2π σ) · ½ [erf((a + L/2)/√2σ) − erf((a − L/2)/√2σ)],
 
-a along and c across the trail, L its length (Vereš et al. 2012, PASP 124, 1197). Its middle is the place at the middle
-of the exposure; its length and angle are the rate but for the sign, which links take as evidence.
+a along and c across the trail, L its length (Vereš et al. 2012, PASP 124, 1197). Its middle is the position at the
+middle of the exposure; its length and angle give the rate except for the sign, evidence for the links.
 """
 
 from __future__ import annotations
@@ -42,14 +42,15 @@ from sameas.sky.series import Series, Trails
 
 @dataclass(frozen=True)
 class StackTuning:
-    """How tracklets are measured in the pixels; all chosen.
+    """Parameters for measuring tracklets in the pixels; all chosen.
 
     Attributes
     ----------
-    half_px : of a cut-out along the motion. most_half_px : of one of the sky, in which the mover moves.
-    controls : places beside the track, on each frame, by which the noise is measured. far_widths : in full widths.
-    hidden_widths : a star nearer than this hides the mover. absent : share ε of the places where it does not show.
-    variable : relative 1σ of its flux. most : so many tracklets are measured, the first ones.
+    half_px : half-size of a cut-out along the motion. most_half_px : maximum half-size of one fixed on the sky.
+    controls : number of positions around the track, per frame, that give the noise. far_widths : their maximum
+        distance, FWHM.
+    hidden_widths : a star closer than this (FWHM) hides the mover. absent : probability ε that it is not visible.
+    variable : relative 1σ of its flux. most : maximum number of tracklets, the first ones.
     """
 
     half_px: int = 24
@@ -68,18 +69,18 @@ TUNING = StackTuning()
 @in_short
 @dataclass(frozen=True)
 class Stack:
-    """The first k tracklets in the pixels of f frames.
+    """Measurements of the first k tracklets in the pixels of f frames.
 
     Attributes
     ----------
     place : (k, f, 2) predicted, arcsec in the system of the series. chip : (k, f, 2) the same in pixels of the frame.
-    flux, error : (k, f) measured there, on the scale of the mean frame; NaN off the frame or where it is not usable.
+    flux, error : (k, f) measured there, on the scale of the mean frame; NaN outside the frame or where unusable.
     hidden : (k, f) by a star. detected : (k, f) the tracklet has a detection.
-    log_ratio : (k,) what the frames without a detection say, the misses of the search undone; natural logarithm.
-    p : (k,) probability of the tracklet with it.
-    along : (k, f, s, s) cut-outs about the predicted place, in units of the noise of a pixel of the frame.
-    fixed : (k,) cut-outs of the sky, (f, t, t) each, north up and east to the left, as those along; None where the
-        mover moves farther than they reach.
+    log_ratio : (k,) evidence of the frames without a detection, in place of the misses; natural logarithm.
+    p : (k,) probability of the tracklet including it.
+    along : (k, f, s, s) cut-outs around the predicted position, in units of the pixel noise of the frame.
+    fixed : (k,) cut-outs fixed on the sky, (f, t, t) each, north up and east left, same units; None if the motion is
+        too large.
     stacked : (k, s, s) the mean along the motion. snr : (k,) of the flux in all frames together.
     scale_arcsec_per_px : of the cut-outs.
     """
@@ -108,8 +109,8 @@ def stack(
 ) -> Stack:  # fmt: skip
     """The tracklets measured in the pixels of the frames.
 
-    found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``; one is held at a time.
-    place : (k, f, 2) where they are, arcsec, of those that no frame shows by itself; None for tracklets of detections.
+    found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
+    place : (k, f, 2) arcsec, positions of movers below the limit of single frames; None for tracklets of detections.
     """
     k, f = min(len(found), tuning.most), len(series.exposures)
     scale = series.scale_arcsec_per_px
@@ -128,7 +129,7 @@ def stack(
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
         hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
-        measured = _Measuring(frame, width / FWHM_PER_SIGMA)
+        measured = _FramePixels(frame, width / FWHM_PER_SIGMA)
         flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
         noise = measured.noise()
         for i in range(k):
@@ -152,30 +153,30 @@ def stack(
 
 
 def predicted(found: Movers, series: Series) -> FloatArray:
-    """(k, f, 2) places of straight or, with enough detections over enough time, bent motion, arcsec."""
+    """(k, f, 2) positions by a fit of linear motion, or quadratic with enough detections and time, arcsec."""
     minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
     minutes -= minutes.mean()
-    out = np.empty((len(found), len(minutes), 2))
+    path = np.empty((len(found), len(minutes), 2))
     for k, members in enumerate(found.members):
         rows = found.detections.rows[members[members >= 0]]
-        t, at = minutes[series.frame[rows]], series.place[rows]
+        t, positions = minutes[series.frame[rows]], series.place[rows]
         weight = 1.0 / series.sigma_arcsec[rows]
         order = 2 if len(rows) >= 6 and np.ptp(t) > 0.7 * np.ptp(minutes) else 1
         terms = np.vander(t, order + 1)
-        fit = np.linalg.lstsq(terms * weight[:, None], at * weight[:, None], rcond=None)[0]
-        out[k] = np.vander(minutes, order + 1) @ fit
-    return out
+        fit = np.linalg.lstsq(terms * weight[:, None], positions * weight[:, None], rcond=None)[0]
+        path[k] = np.vander(minutes, order + 1) @ fit
+    return path
 
 
 def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[int | None]:
-    """Half the side of the cut-out of the sky of each tracklet, px; None where its motion does not fit."""
-    far = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
-    need = np.ceil(far + 0.6 * tuning.half_px).astype(int)
-    return [max(int(h), tuning.half_px) if h <= tuning.most_half_px else None for h in need]
+    """Half-size of the cut-out fixed on the sky of each tracklet, px; None if its motion is too large."""
+    motion_px = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
+    half = np.ceil(motion_px + 0.6 * tuning.half_px).astype(int)
+    return [max(int(h), tuning.half_px) if h <= tuning.most_half_px else None for h in half]
 
 
 class ChipMap:
-    """From places, arcsec, to pixels of one frame, or back: a polynomial through its measurements."""
+    """A polynomial map from positions, arcsec, to pixels of one frame, or back, fitted to its measurements."""
 
     def __init__(self, place: FloatArray, chip: FloatArray) -> None:
         self.middle, self.unit = place.mean(axis=0), max(float(np.abs(place - place.mean(axis=0)).max()), 1.0)
@@ -194,63 +195,63 @@ class ChipMap:
 
 
 def chip_map(series: Series, n: int) -> ChipMap:
-    """From places, arcsec, to pixels of a frame."""
-    here, exposure = series.frame == n, series.exposures[n]
-    return ChipMap(series.place[here], np.column_stack([exposure.x_px, exposure.y_px])[series.row[here]])
+    """The map from positions, arcsec, to pixels of a frame."""
+    in_frame, exposure = series.frame == n, series.exposures[n]
+    return ChipMap(series.place[in_frame], np.column_stack([exposure.x_px, exposure.y_px])[series.row[in_frame]])
 
 
 def _width(series: Series, n: int) -> float:
-    """Full width at half maximum of the stars of a frame, px."""
+    """FWHM of the stars of a frame, px."""
     return float(series.exposures[n].psf_fwhm_px)
 
 
 def _near_star(series: Series, n: int, place: FloatArray, reach: float) -> BoolArray:
-    """(k,) whether something that stands still is nearer than so many arcsec."""
+    """(k,) mask of the positions within ``reach`` arcsec of a star of the series."""
     stars = series.stars.place
     if not len(stars):
         return np.zeros(len(place), bool)
     return np.asarray(cKDTree(stars).query(place)[0] < reach)
 
 
-class _Measuring:
-    """The light of one frame: cut-outs, and matched filters at given pixels."""
+class _FramePixels:
+    """The pixels of one frame: cut-outs, and matched-filter fluxes at given positions."""
 
     def __init__(self, frame: Frame, sigma_px: float) -> None:
         self.image, self.bad, self.sigma = frame.image, frame.flags != 0, sigma_px
         self.reach = math.ceil(3.0 * sigma_px)
         self.level = float(np.median(self.image[::7, ::7][~self.bad[::7, ::7]]))
-        # What differs over some pixels is noise, and no slope of the sky.
+        # Noise from differences over a few pixels, insensitive to gradients of the sky.
         apart = max(3, math.ceil(2.0 * sigma_px))
         good = ~(self.bad[:, apart:] | self.bad[:, :-apart])[::3, ::3]
         rough = (self.image[:, apart:] - self.image[:, :-apart])[::3, ::3][good]
         self._noise = max(1.4826 / math.sqrt(2.0) * float(np.median(np.abs(rough))), 1e-6)
 
     def noise(self) -> float:
-        """Standard deviation of the sky of a pixel."""
+        """Standard deviation of a pixel of the sky."""
         return self._noise
 
     def cut(self, chip: FloatArray) -> NDArray[np.float32]:
-        """(s, s) light above a plane of the sky at pixels (s, s, 2)."""
+        """(s, s) light above a fitted plane of the sky, at pixels (s, s, 2)."""
         out = map_coordinates(self.image, [chip[..., 1], chip[..., 0]], order=1, mode="constant", cval=self.level)
         v, u = np.mgrid[-1.0 : 1.0 : out.shape[0] * 1j, -1.0 : 1.0 : out.shape[1] * 1j]
         terms = np.column_stack([np.ones(out.size), u.ravel(), v.ravel()])
         low = out.ravel() <= np.percentile(out, 75.0)
         sky = terms @ np.linalg.lstsq(terms[low], out.ravel()[low], rcond=None)[0]
-        left = out - sky.reshape(out.shape)
-        return np.asarray(left - np.median(left), np.float32)
+        residual = out - sky.reshape(out.shape)
+        return np.asarray(residual - np.median(residual), np.float32)
 
     def flux(self, chip: FloatArray) -> FloatArray:
-        """(m,) flux of a Gaussian star at pixels (m, 2), NaN where most of its pixels are not usable."""
+        """(m,) flux of a Gaussian star at pixels (m, 2), NaN where most of its pixels are unusable."""
         out = np.full(len(chip), np.nan)
-        far = self.reach + math.ceil(4 * self.sigma)
+        half = self.reach + math.ceil(4 * self.sigma)
         rows, columns = self.image.shape
         for i, (x, y) in enumerate(chip):
-            if not (far <= x < columns - far - 1 and far <= y < rows - far - 1):
+            if not (half <= x < columns - half - 1 and half <= y < rows - half - 1):
                 continue
-            a, b = round(y) - far, round(x) - far
-            box = self.image[a : a + 2 * far + 1, b : b + 2 * far + 1]
-            good = ~self.bad[a : a + 2 * far + 1, b : b + 2 * far + 1]
-            v, u = np.mgrid[a : a + 2 * far + 1, b : b + 2 * far + 1]
+            a, b = round(y) - half, round(x) - half
+            box = self.image[a : a + 2 * half + 1, b : b + 2 * half + 1]
+            good = ~self.bad[a : a + 2 * half + 1, b : b + 2 * half + 1]
+            v, u = np.mgrid[a : a + 2 * half + 1, b : b + 2 * half + 1]
             r2 = (u - x) ** 2 + (v - y) ** 2
             profile = np.exp(-0.5 * r2 / self.sigma**2) / (2 * math.pi * self.sigma**2)
             core, ring = good & (r2 <= self.reach**2), good & (r2 > self.reach**2)
@@ -260,22 +261,22 @@ class _Measuring:
 
 
 def _forced(
-    measured: _Measuring, chip: FloatArray, to_chip: ChipMap, place: FloatArray, width: float, scale: float,
+    measured: _FramePixels, chip: FloatArray, to_chip: ChipMap, place: FloatArray, width: float, scale: float,
     rng: np.random.Generator, tuning: StackTuning,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-    """(k,) fluxes at the places, and their errors from places around each."""
+    """(k,) fluxes at the positions, and their errors from control positions around each."""
     flux, error = measured.flux(chip), np.full(len(chip), np.nan)
     for i in np.flatnonzero(np.isfinite(flux)):
         angle = rng.uniform(0, 2 * math.pi, tuning.controls)
         radius = width * scale * (2.0 + (tuning.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, tuning.controls)))
-        beside = place[i] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        other = measured.flux(to_chip(beside))
-        other = other[np.isfinite(other)]
+        control_places = place[i] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        control_flux = measured.flux(to_chip(control_places))
+        control_flux = control_flux[np.isfinite(control_flux)]
         least = measured.noise() * 2.0 * math.sqrt(math.pi) * measured.sigma
-        if len(other) >= tuning.controls // 3:
-            # Stars beside the track make the upper half of the controls wide: what is below tells the noise.
-            middle = float(np.percentile(other, 40.0))
-            low = float(np.percentile(other, 12.0))
+        if len(control_flux) >= tuning.controls // 3:
+            # Stars near the track widen the upper half of the controls; the lower half gives the noise.
+            middle = float(np.percentile(control_flux, 40.0))
+            low = float(np.percentile(control_flux, 12.0))
             error[i] = max((middle - low) / 0.9215, least)
             flux[i] -= min(middle, 0.0)
         else:
@@ -284,14 +285,14 @@ def _forced(
 
 
 def _grid(place: FloatArray, half: int, scale: float) -> FloatArray:
-    """(s, s, 2) places around one, the first row northernmost, the first column easternmost."""
+    """(s, s, 2) grid of positions around one, the first row northernmost, the first column easternmost."""
     steps = np.arange(-half, half + 1) * scale
     north, east = np.meshgrid(-steps, -steps, indexing="ij")
     return np.asarray(place + np.stack([east, north], axis=-1))
 
 
 def _detected(found: Movers, series: Series) -> BoolArray:
-    """(k, f) whether each tracklet has a detection on each frame."""
+    """(k, f) mask of the frames on which each tracklet has a detection."""
     out = np.zeros((len(found), len(series.exposures)), bool)
     k, column = np.nonzero(found.members >= 0)
     out[k, series.frame[found.detections.rows[found.members[k, column]]]] = True
@@ -301,72 +302,74 @@ def _detected(found: Movers, series: Series) -> BoolArray:
 def _evidence(
     found: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray, tuning: StackTuning
 ) -> FloatArray:
-    """(k,) what the frames without a detection say."""
+    """(k,) log ratio by the frames without a detection."""
     usable = np.isfinite(flux) & ~hidden
-    seen = usable & detected
-    weight = np.where(seen, 1.0 / np.where(seen, error, 1.0) ** 2, 0.0)
-    mean = (weight * np.where(seen, flux, 0.0)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
+    measured = usable & detected
+    weight = np.where(measured, 1.0 / np.where(measured, error, 1.0) ** 2, 0.0)
+    mean = (weight * np.where(measured, flux, 0.0)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
     mean = np.where(mean > 0, mean, np.nan)[:, None]
-    blank = usable & ~detected & np.isfinite(mean)
+    missed = usable & ~detected & np.isfinite(mean)
     with np.errstate(invalid="ignore", divide="ignore"):
-        wide = error**2 + (tuning.variable * mean) ** 2
-        there = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / wide + np.log(wide))
-        none = -0.5 * ((flux / error) ** 2 + np.log(error**2))
-        each = np.logaddexp(there, math.log(tuning.absent) + none) - none
-    # Where a star that no frame lists stands, the track has much light and is none: no frame says more than this.
-    gain = np.where(blank, np.minimum(each, 3.0), 0.0).sum(axis=1)
-    # What the search made of exposures that did not list it the pixels now say, or a star that hides it does.
+        variance = error**2 + (tuning.variable * mean) ** 2
+        log_visible = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
+        log_absent = -0.5 * ((flux / error) ** 2 + np.log(error**2))
+        log_ratio = np.logaddexp(log_visible, math.log(tuning.absent) + log_absent) - log_absent
+    # An unlisted star on the track would give much light: the evidence per frame is limited.
+    gain = np.where(missed, np.minimum(log_ratio, 3.0), 0.0).sum(axis=1)
+    # This replaces the misses counted by the search.
     return np.asarray(gain - found.log_missed[: len(flux)])
 
 
 def _stacked(
     along: NDArray[np.float32], flux: FloatArray, error: FloatArray, hidden: BoolArray
 ) -> tuple[NDArray[np.float32], FloatArray]:
-    """(k, s, s) mean along the motion, pixels far above the others left out, and (k,) signal to noise of the flux."""
+    """(k, s, s) mean along the motion, clipped 5σ above the median, and (k,) signal to noise of the flux."""
     usable = np.isfinite(flux) & ~hidden
     weight = np.where(usable, 1.0 / np.where(usable, error, 1.0) ** 2, 0.0)
     total = weight.sum(axis=1)
     snr = (weight * np.where(usable, flux, 0.0)).sum(axis=1) / np.sqrt(np.maximum(total, 1e-30))
     out = np.zeros((along.shape[0], *along.shape[2:]), np.float32)
     for i, cuts in enumerate(along):
-        there = np.isfinite(flux[i])
-        if there.any():
-            some = cuts[there]
-            # The noise of the mean is that of a pixel again.
-            out[i] = np.clip(some, None, np.median(some, axis=0) + 5.0).mean(axis=0) * math.sqrt(there.sum())
+        usable_frames = np.isfinite(flux[i])
+        if usable_frames.any():
+            usable_cuts = cuts[usable_frames]
+            # Scaled to the noise of a pixel.
+            out[i] = np.clip(usable_cuts, None, np.median(usable_cuts, axis=0) + 5.0).mean(axis=0) * math.sqrt(
+                usable_frames.sum()
+            )
     return out, snr
 
 
 def confirmed(found: Movers, stacked: Stack, least_probability: float) -> tuple[Movers, Stack]:
-    """The tracklets with the probability that the pixels leave them, those below a least one left out."""
+    """The tracklets with the probabilities after forced photometry, those below the minimum excluded."""
     p = np.concatenate([stacked.p, found.p_tracklet[len(stacked) :]])
     found = replace(found, p_tracklet=p)
     keep = p >= least_probability
-    mine = keep[: len(stacked)]
+    measured = keep[: len(stacked)]
     names = ("place", "chip", "flux", "error", "hidden", "detected", "log_ratio", "p", "along", "stacked", "snr")
-    parts = {name: getattr(stacked, name)[mine] for name in names}
-    fixed = tuple(one for one, kept in zip(stacked.fixed, mine, strict=True) if kept)
+    parts = {name: getattr(stacked, name)[measured] for name in names}
+    fixed = tuple(cutouts for cutouts, used in zip(stacked.fixed, measured, strict=True) if used)
     return found.only(keep), replace(stacked, **parts, fixed=fixed)
 
 
-#: Measurements of these are no light of the sky, or not all of it.
+#: Flags of measurements that are not light of the sky, or incomplete.
 _NO_LIGHT = int(Flag.HOT | Flag.COSMIC | Flag.EDGE)
 
 
 @dataclass(frozen=True)
 class TrailTuning:
-    """How trails are measured; all chosen on injected ones (``scripts/bench movers --rounds``).
+    """Parameters for measuring trails; chosen on injected ones (``scripts/bench movers --rounds``).
 
     Attributes
     ----------
-    least_widths : shorter trails, in full widths of a star, are measured as stars.
-    most_px : half of the longest trail; longer ones are of satellites and are taken away.
-    angles : directions that are tried.
-    gain : χ² by which a trail fits better than a star.
-    least_sigmas : of the length.
-    hidden_widths : pixels so near another source, in full widths, are left out; more for bright ones.
-    gap : a trail ends where the light is less than this share of what it is in the middle.
-    most : trails that are fitted on a frame, the most significant first.
+    least_widths : minimum length, FWHM; shorter trails are measured as stars.
+    most_px : maximum half-length; longer trails are of satellites and are removed.
+    angles : number of directions that are tried.
+    gain : minimum decrease of χ² by a trail against a star.
+    least_sigmas : minimum significance of the length.
+    hidden_widths : radius of excluded pixels around other sources, FWHM; larger for bright ones.
+    gap : a trail ends where the light falls below this share of the maximum near the middle.
+    most : maximum number of fits per frame, the most significant candidates first.
     """
 
     least_widths: float = 0.8
@@ -384,7 +387,7 @@ TRAIL_TUNING = TrailTuning()
 
 @dataclass(frozen=True)
 class _Trail:
-    """A trail fitted: middle and half of its vector, px, covariance (4, 4) of both, flux and its error."""
+    """A fitted trail: its middle and half its vector, px, covariance (4, 4) of both, flux and its error."""
 
     middle: FloatArray
     half: FloatArray
@@ -394,21 +397,21 @@ class _Trail:
 
     @property
     def length(self) -> float:
-        """In px."""
+        """Length, px."""
         return 2.0 * float(np.hypot(*self.half))
 
     def covers(self, at: FloatArray, width: float, beyond: float = 1.0) -> BoolArray:
-        """(n,) whether some pixels lie on it, or no farther from its ends than so many full widths."""
+        """(n,) mask of the pixels on the trail or up to ``beyond`` FWHM from its ends."""
         unit, off = 2.0 * self.half / self.length, at - self.middle
         along, across = off @ unit, off @ np.array([-unit[1], unit[0]])
         return np.asarray((np.abs(across) < 1.2 * width) & (np.abs(along) < 0.5 * self.length + beyond * width))
 
 
 def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = TRAIL_TUNING) -> Series:
-    """The series with what is left over measured as trails where that fits better.
+    """The series with unexplained measurements remeasured as trails where these fit better.
 
-    frames : calibrated, in the order of ``series.exposures``; one is held at a time. Parts of a trail beside its
-    measurement are spoilt, and so is what is longer than ``most_px`` allows, all along its line.
+    frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
+    trail are marked as spoilt, and so are all along lines of trails longer than ``most_px`` allows.
     """
     place, sigma, spoilt = series.place.copy(), series.sigma_arcsec.copy(), series.spoilt.copy()
     vector, error = np.full((len(place), 2), np.nan), np.full(len(place), np.nan)
@@ -480,31 +483,33 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
 
 
 def _long_lines(trails: list[_Trail], width: float, longest: float) -> list[list[int]]:
-    """Trails that are longer than any mover's alone or, where stars cut them, together with others on their line."""
-    lines, left = [], set(range(len(trails)))
+    """Groups of collinear trails that are together longer than any mover's, as of satellites cut by stars."""
+    lines, remaining = [], set(range(len(trails)))
     for k, one in enumerate(trails):
-        if k not in left:
+        if k not in remaining:
             continue
         unit = 2.0 * one.half / one.length
-        same = [
-            m for m in sorted(left)
+        collinear = [
+            m for m in sorted(remaining)
             if one.covers(trails[m].middle[None], width, math.inf)[0]
             and abs(float(trails[m].half @ np.array([-unit[1], unit[0]]))) < 0.1 * trails[m].length
         ]  # fmt: skip
-        ends = [float((trails[m].middle + s * trails[m].half - one.middle) @ unit) for m in same for s in (-1.0, 1.0)]
+        ends = [
+            float((trails[m].middle + s * trails[m].half - one.middle) @ unit) for m in collinear for s in (-1.0, 1.0)
+        ]
         if max(ends) - min(ends) > longest:
-            lines.append(same)
-            left -= set(same)
+            lines.append(collinear)
+            remaining -= set(collinear)
     return lines
 
 
 @dataclass(frozen=True)
 class _Pixels:
-    """The pixels of a frame in which trails are looked for.
+    """The pixels of a frame that is searched for trails.
 
-    image : without what stands still. good : (rows, columns) pixels that count. smooth : the same after the matched
-    filter of a star. noise : of a pixel. inverse_gain : variance of the photons over their light. width : full width of
-    a star, px.
+    image : with excluded pixels at the sky level. good : (rows, columns) mask of usable pixels without known sources.
+    smooth : the image after the matched filter of a star. noise : of a pixel. inverse_gain : photon variance over
+    light. width : FWHM of a star, px.
     """
 
     image: FloatArray
@@ -517,7 +522,7 @@ class _Pixels:
 
     @classmethod
     def of(cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float, tuning: TrailTuning) -> _Pixels:
-        """Those of a frame. sources : (n, 2) pixels of what stands still, snr : (n,)."""
+        """The pixels of a frame. sources : (n, 2) pixels of known sources, excluded. snr : (n,)."""
         image = np.asarray(frame.image, np.float64).copy()
         good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(image)
         level = float(np.median(image[good][::7]))
@@ -537,21 +542,21 @@ class _Pixels:
                    1.0 / gain if gain > 0 else 0.0, width, tuning)  # fmt: skip
 
     def candidates(self, at: FloatArray) -> list[tuple[int, FloatArray]]:
-        """Which of some pixels (n, 2) may lie on a trail, the most significant first, and (2, 2) where it may end.
+        """The pixels (n, 2) that may be on a trail, as indices, the most significant first, with its ends (2, 2).
 
-        A trail shows in the sum of the star's filter along a line, S = Σ s/√count: it is tried where S² exceeds that of
-        the star alone by half of the gain that a fit needs.
+        The sum of the star's filter along a line, S = Σ s/√count, is used: a trail is tried if S² exceeds that of the
+        star alone by half of the gain required of a fit.
         """
         steps = np.arange(1, max(int(self.tuning.most_px / self.width), 2) + 1) * self.width
         angle = np.arange(self.tuning.angles) * math.pi / self.tuning.angles
-        way = np.column_stack([np.cos(angle), np.sin(angle)])
-        both = np.concatenate([-steps[::-1], [0.0], steps])
-        points = at[:, None, None] + way[None, :, None] * both[None, None, :, None]  # (n, angles, steps, 2)
+        direction = np.column_stack([np.cos(angle), np.sin(angle)])
+        offsets = np.concatenate([-steps[::-1], [0.0], steps])
+        points = at[:, None, None] + direction[None, :, None] * offsets[None, None, :, None]  # (n, angles, steps, 2)
         s = map_coordinates(self.smooth, [points[..., 1], points[..., 0]], order=1, mode="constant")
-        # The sky around differs from the frame's; what is far along the lines tells it.
+        # The local sky is the median along all lines.
         s = s - np.median(s, axis=(1, 2))[:, None, None]
         m = len(steps)
-        # A trail is as bright everywhere: it does not go on beyond a gap, and what is much brighter is another source.
+        # A trail has uniform brightness: it ends at a gap, and much brighter parts are other sources.
         top = np.max(s[..., max(m - 1, 0) : m + 2], axis=(1, 2))[:, None, None]
         s = np.minimum(s, 1.3 * np.maximum(top, 1.0))
         gap = s < np.maximum(self.tuning.gap * top, 0.5)
@@ -567,27 +572,27 @@ class _Pixels:
         flat = total.reshape(len(at), -1)
         best = np.argmax(flat, axis=1)
         score = flat[np.arange(len(at)), best]
-        turn, a, b = np.unravel_index(best, total.shape[1:])
+        best_angle, a, b = np.unravel_index(best, total.shape[1:])
         alone = np.maximum(s[:, 0, m], 0.0)
         order = np.argsort(-score)
         chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * self.tuning.gain]
-        ends = [np.stack([at[k] - a[k] * self.width * way[turn[k]], at[k] + b[k] * self.width * way[turn[k]]])
-                for k in chosen]  # fmt: skip
+        best = direction[best_angle]
+        ends = [np.stack([at[k] - a[k] * self.width * best[k], at[k] + b[k] * self.width * best[k]]) for k in chosen]
         return list(zip(map(int, chosen), ends, strict=True))[: self.tuning.most]
 
     def fitted(self, at: FloatArray, ends: FloatArray) -> _Trail | None:
-        """The trail between about these ends (2, 2); None where a star fits as well, or nothing does."""
+        """The trail fitted from initial ends (2, 2); None if a star fits as well, or the fit fails."""
         from scipy.optimize import least_squares
 
         middle, half = ends.mean(axis=0), 0.5 * (ends[1] - ends[0])
         length = float(np.hypot(*half))
-        way = half / length if length > 0 else np.array([1.0, 0.0])
+        direction = half / length if length > 0 else np.array([1.0, 0.0])
         reach = length + 2.5 * self.width
         a, b = (max(math.floor(v - reach), 0) for v in middle[::-1])
         c, d = (math.ceil(v + reach) + 1 for v in middle[::-1])
         v, u = np.mgrid[a : min(c, self.image.shape[0]), b : min(d, self.image.shape[1])]
-        along = (u - middle[0]) * way[0] + (v - middle[1]) * way[1]
-        across = (v - middle[1]) * way[0] - (u - middle[0]) * way[1]
+        along = (u - middle[0]) * direction[0] + (v - middle[1]) * direction[1]
+        across = (v - middle[1]) * direction[0] - (u - middle[0]) * direction[1]
         inside = self.good[v, u] & (np.abs(along) < reach) & (np.abs(across) < 2.5 * self.width)
         if inside.sum() < 30:
             return None
@@ -596,7 +601,7 @@ class _Pixels:
         level = float(np.percentile(light, 30.0))
         flux = max(float((light - level).sum()), self.noise)
         error = np.sqrt(self.noise**2 + self.inverse_gain * np.maximum(light - level, 0.0))
-        start = np.array([*middle, *(np.maximum(length, 0.5 * self.width) * way), 1.0, 0.0])
+        start = np.array([*middle, *(np.maximum(length, 0.5 * self.width) * direction), 1.0, 0.0])
 
         def misfit(values: FloatArray) -> FloatArray:
             model = _line(u, v, values[:2], values[2:4], self.width / FWHM_PER_SIGMA)
@@ -617,22 +622,22 @@ class _Pixels:
         size = float(np.hypot(*half))
         if fit.x[4] <= 0 or not np.isfinite(fit.x).all() or size > 2.0 * reach:
             return None
-        if not (np.diagonal(covariance) > 0.0).all():  # of a fit that leaves a value open the inverse is anything
+        if not (np.diagonal(covariance) > 0.0).all():  # a parameter is undetermined, the inverse meaningless
             return None
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
-        better = 2.0 * (point.cost - fit.cost) / chi
+        gain = 2.0 * (point.cost - fit.cost) / chi
         long = 2.0 * size > self.tuning.least_widths * self.width and size > self.tuning.least_sigmas * spread
-        if better < self.tuning.gain or not long:
+        if gain < self.tuning.gain or not long:
             return None
         trail = _Trail(fit.x[:2], half, covariance[:4, :4], float(fit.x[4] * flux),
                        float(flux * math.sqrt(covariance[4, 4])))  # fmt: skip
-        # A fit that has slid onto something else says nothing of this measurement.
+        # The fit may have moved to another source.
         return trail if trail.covers(at[None], self.width)[0] else None
 
 
 def _line(u: FloatArray, v: FloatArray, middle: FloatArray, half: FloatArray, sigma: float) -> FloatArray:
-    """(k,) share of the light of a trail in pixels (u, v)."""
+    """(k,) fraction of the flux of a trail in pixels (u, v)."""
     from scipy.special import erf
 
     size = max(float(np.hypot(*half)), 1e-3)
@@ -640,5 +645,5 @@ def _line(u: FloatArray, v: FloatArray, middle: FloatArray, half: FloatArray, si
     along = (u - middle[0]) * unit[0] + (v - middle[1]) * unit[1]
     across = (v - middle[1]) * unit[0] - (u - middle[0]) * unit[1]
     profile = np.exp(-0.5 * (across / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
-    wide = math.sqrt(2.0) * sigma
-    return np.asarray(profile * (erf((along + size) / wide) - erf((along - size) / wide)) / (4.0 * size))
+    scale = math.sqrt(2.0) * sigma
+    return np.asarray(profile * (erf((along + size) / scale) - erf((along - size) / scale)) / (4.0 * size))
