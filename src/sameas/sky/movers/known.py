@@ -1,7 +1,7 @@
-"""Known objects among the tracklets: identified one to one with what their orbits predict, with probability.
+"""Known objects among the tracklets: a one-to-one crossmatch with ephemerides, with probabilities.
 
-The records of one source are tracklets, those of the other ephemerides: place at the middle of the tracklet's time, and
-rate times its length, with the errors of both (METHOD 1's D_τ).
+The records of one source are tracklets, those of the other are ephemerides: mean position over the tracklet's time, and
+motion over its length, with the errors of both (METHOD 1's D_τ).
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from sameas.space import ARCSEC_PER_RADIAN, mean_direction
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Elements are wrong by more than their age says as often as this many times: predicted places are so much wider.
-_DOUBT = 2.0
-#: Odds that an object whose orbit is known, and that is predicted in the field, is one of the tracklets (chosen).
+#: Factor on the predicted errors, as elements are often worse than their age suggests.
+_ERROR_FACTOR = 2.0
+#: Prior odds that a known object predicted in the field is one of the tracklets (chosen).
 _ODDS = 0.5
-#: Tracklets farther apart are named field by field, in cells of so many degrees.
+#: Tracklets farther apart are matched field by field, in cells of this size.
 FIELD_DEG = 4.0
-#: Objects whose elements are older name nothing: they were lost, and could be anywhere.
+#: Maximum age of elements; older objects were lost.
 OLDEST_YEARS = 20.0
 
 
 @dataclass(frozen=True)
 class KnownObjects:
-    """Which tracklets are which known objects.
+    """The known objects among the tracklets.
 
-    elements : those predicted near the field. object : (k,) row of the elements of each tracklet, −1 for none known.
-    p : (k,) probability of it. offset_arcsec : (n, 2) observed minus computed of every detection, east and north, NaN
-    where its tracklet is not known. magnitude : (k,) predicted V.
+    elements : of the objects predicted near the field. object : (k,) row of the elements of each tracklet, −1 for none.
+    p : (k,) its probability. offset_arcsec : (n, 2) observed minus computed of each detection, east and north, NaN
+    without a known object. magnitude : (k,) predicted V.
     """
 
     elements: Elements
@@ -52,11 +52,11 @@ class KnownObjects:
     magnitude: FloatArray
 
     def name(self, k: int) -> str:
-        """What tracklet k is called, '' where it is not known."""
+        """The name of tracklet k, '' if it is not known."""
         return self.elements.name[self.object[k]] if self.object[k] >= 0 else ""
 
     def number(self, k: int) -> str:
-        """The permanent number of tracklet k, '' where there is none."""
+        """The permanent number of tracklet k, '' if it has none."""
         return self.elements.number[self.object[k]] if self.object[k] >= 0 else ""
 
     def mean_offset(self, found: Movers, k: int) -> FloatArray:
@@ -65,13 +65,13 @@ class KnownObjects:
         return np.asarray(np.mean(self.offset_arcsec[rows[rows >= 0]], axis=0))
 
     def into(self, table: Table, found: Movers) -> None:
-        """Adds which object each tracklet is, how probably, and its mean O−C to the table of the tracklets."""
-        there = self.object >= 0
-        off = np.array([self.mean_offset(found, k) if there[k] else [np.nan] * 2 for k in range(len(found))])
-        off = off.reshape(-1, 2)
-        table["object"] = np.ma.MaskedArray(np.array([self.name(k) for k in range(len(found))], dtype=str), ~there)
-        table["p_object"] = np.ma.MaskedArray(self.p, ~there)
-        for name, values in (("o_c_east_arcsec", off[:, 0]), ("o_c_north_arcsec", off[:, 1])):
+        """Adds the object of each tracklet, its probability and mean O−C to the table of the tracklets."""
+        known = self.object >= 0
+        offset = np.array([self.mean_offset(found, k) if known[k] else [np.nan] * 2 for k in range(len(found))])
+        offset = offset.reshape(-1, 2)
+        table["object"] = np.ma.MaskedArray(np.array([self.name(k) for k in range(len(found))], dtype=str), ~known)
+        table["p_object"] = np.ma.MaskedArray(self.p, ~known)
+        for name, values in (("o_c_east_arcsec", offset[:, 0]), ("o_c_north_arcsec", offset[:, 1])):
             table[name] = np.ma.masked_invalid(values)
             table[name].unit = "arcsec"
 
@@ -79,73 +79,75 @@ class KnownObjects:
 def name_movers(
     found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None, least_probability: float = 0.5
 ) -> KnownObjects:
-    """The tracklets that are known objects.
+    """The known objects among the tracklets.
 
-    found : the tracklets. elements : of known objects. site : latitude, longitude (degrees, east positive) and height
-    (metres) of the observer; None for the middle of the Earth, which costs the main belt up to 8″.
-    least_probability : a name is given from this probability on. Elements older than twenty years are left out.
+    found : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,
+    longitude (degrees, east positive) and height (metres) of the observer; None for the centre of the Earth, an error
+    of up to 8″ for the main belt. least_probability : minimum probability of a match.
 
     Example
     -------
     >>> named = name_movers(found, Elements.read("MPCORB.DAT"), site=(42.61, -71.485, 100.0))  # doctest: +SKIP
     """
-    k, seen = len(found), found.detections
+    k, detections = len(found), found.detections
     owner, p = np.full(k, -1), np.zeros(k)
-    offset, magnitude = np.full((len(seen), 2), np.nan), np.full(k, np.nan)
+    offset, magnitude = np.full((len(detections), 2), np.nan), np.full(k, np.nan)
     if not k:
         return KnownObjects(elements.some(np.empty(0, np.int64)), owner, p, offset, magnitude)
-    unit = seen.axes().unit
+    unit = detections.axes().unit
     fields = _fields(unit[found.members[:, 0]])
-    middle = float(np.median(seen.mjd_utc))
+    middle = float(np.median(detections.mjd_utc))
     elements = elements.some(np.flatnonzero(np.abs(elements.epoch_mjd - middle) < 365.25 * OLDEST_YEARS))
-    # Of several fields all orbits are followed to the night at once; from there it is hours.
+    # With several fields all orbits are integrated to the night once; from there only over hours.
     state = states(elements, middle) if len(fields) > 1 else None
-    there = np.zeros(len(elements), bool)
+    is_near = np.zeros(len(elements), bool)
     for rows in fields:
-        mine = found.only(rows)
-        one = _of_field(mine, unit[mine.members[mine.members >= 0]], elements, state, middle, site, least_probability)
-        there[one.near] = True
-        owner[rows], p[rows], magnitude[rows] = one.owner, one.p, one.magnitude
-        offset[one.rows] = one.offset
+        in_field = found.only(rows)
+        match = _of_field(
+            in_field, unit[in_field.members[in_field.members >= 0]], elements, state, middle, site, least_probability
+        )
+        is_near[match.near] = True
+        owner[rows], p[rows], magnitude[rows] = match.owner, match.p, match.magnitude
+        offset[match.rows] = match.offset
     owner = _once(owner, p)
     p = np.where(owner >= 0, p, 0.0)
-    lost = found.members[owner < 0]
-    offset[lost[lost >= 0]] = np.nan
+    unmatched = found.members[owner < 0]
+    offset[unmatched[unmatched >= 0]] = np.nan
     magnitude[owner < 0] = np.nan
-    near_all = np.flatnonzero(there)
+    near_all = np.flatnonzero(is_near)
     known = owner >= 0
     owner[known] = np.searchsorted(near_all, owner[known])
     return KnownObjects(elements.some(near_all), owner, p, offset, magnitude)
 
 
 def _fields(unit: FloatArray) -> list[IntArray]:
-    """The tracklets of each field: all, or those of each cell of the sky where they are of many fields."""
+    """The tracklets of each field: all in one, or by cells of the sky if they are far apart."""
     middle = unit.mean(axis=0)
     if np.linalg.norm(middle) > math.cos(math.radians(FIELD_DEG)):
         return [np.arange(len(unit))]
     dec = np.degrees(np.arcsin(np.clip(unit[:, 2], -1, 1)))
     row = np.floor((dec + 90.0) / FIELD_DEG).astype(np.int64)
-    wide = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * FIELD_DEG - 90.0)) / FIELD_DEG))
-    column = np.floor(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0 / 360.0 * wide).astype(np.int64)
+    n_columns = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * FIELD_DEG - 90.0)) / FIELD_DEG))
+    column = np.floor(np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0 / 360.0 * n_columns).astype(np.int64)
     _, cell = np.unique(row * 1000 + column, return_inverse=True)
     order = np.argsort(cell, kind="stable")
     return [np.asarray(part) for part in np.split(order, np.flatnonzero(np.diff(cell[order])) + 1)]
 
 
 def _once(owner: IntArray, p: FloatArray) -> IntArray:
-    """(k,) the objects, −1 where another tracklet is the same one more probably."""
-    out, seen = np.full(len(owner), -1), set[int]()
+    """(k,) the objects, −1 if another tracklet is more probably the same object."""
+    out, used = np.full(len(owner), -1), set[int]()
     for k in np.argsort(-p, kind="stable").tolist():
-        if owner[k] >= 0 and int(owner[k]) not in seen:
+        if owner[k] >= 0 and int(owner[k]) not in used:
             out[k] = owner[k]
-            seen.add(int(owner[k]))
+            used.add(int(owner[k]))
     return out
 
 
 @dataclass(frozen=True)
-class _FieldNames:
-    """Of the tracklets of one field: rows of the elements near it, of each tracklet's object, p, magnitude; rows of the
-    detections and their offsets."""
+class _FieldMatch:
+    """The matches of one field: rows of the elements near it; for each tracklet the row of its object, p and magnitude;
+    rows of the matched detections and their offsets."""
 
     near: IntArray
     owner: IntArray
@@ -156,40 +158,39 @@ class _FieldNames:
 
 
 def _of_field(
-    found: Movers, unit_of: FloatArray, every: Elements, state: FloatArray | None, middle: float,
+    found: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
     site: tuple[float, float, float] | None, least_probability: float,
-) -> _FieldNames:  # fmt: skip
-    """The objects that the tracklets of one field are. unit_of : (m, 3) directions of their detections."""
-    k, seen = len(found), found.detections
+) -> _FieldMatch:  # fmt: skip
+    """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
+    k, detections = len(found), found.detections
     owner, p, magnitude = np.full(k, -1), np.zeros(k), np.full(k, np.nan)
-    offset = np.full((len(seen), 2), np.nan)
+    offset = np.full((len(detections), 2), np.nan)
     unit = mean_direction(unit_of)
     radius = float(np.degrees(np.arccos(np.clip(unit_of @ unit, -1, 1)).max()))
     ra0, dec0 = math.degrees(math.atan2(unit[1], unit[0])) % 360.0, math.degrees(math.asin(unit[2]))
-    there_rows = near(every, middle, ra0, dec0, radius + 0.1)
-    no = np.empty(0, np.int64)
-    if not len(there_rows):
-        return _FieldNames(no, owner, p, magnitude, no, np.empty((0, 2)))
-    elements = every.some(there_rows)
-    times = np.unique(seen.mjd_utc[found.members[found.members >= 0]])
+    near_rows = near(all_elements, middle, ra0, dec0, radius + 0.1)
+    no_rows = np.empty(0, np.int64)
+    if not len(near_rows):
+        return _FieldMatch(no_rows, owner, p, magnitude, no_rows, np.empty((0, 2)))
+    elements = all_elements.some(near_rows)
+    times = np.unique(detections.mjd_utc[found.members[found.members >= 0]])
     place = None if site is None else geocentric_km(*site, times)
-    start = None if state is None else (middle, state[:, :, there_rows])
-    there = ephemeris(elements, times, place, start=start)
-    at = _plane(there.ra_deg, there.dec_deg, ra0, dec0)  # (objects, times, 2)
-    measured, spread = _records_of(found, ra0, dec0, times)
+    start = None if state is None else (middle, state[:, :, near_rows])
+    predicted_sky = ephemeris(elements, times, place, start=start)
+    at = _plane(predicted_sky.ra_deg, predicted_sky.dec_deg, ra0, dec0)  # (objects, times, 2)
+    measured, covariance = _records_of(found, ra0, dec0, times)
     predicted = np.empty((k, len(elements), 4))
     for row in range(k):
         rows = found.members[row][found.members[row] >= 0]
-        which = np.searchsorted(times, seen.mjd_utc[rows])
-        predicted[row] = _mean_and_motion(at[:, which], times[which])
-    # All tracklets share the nights' times but for rounding where they are of one series; others compare at their own.
-    sigma = _DOUBT * np.hypot(there.sigma_arcsec.mean(axis=1), 0.05)
+        time_index = np.searchsorted(times, detections.mjd_utc[rows])
+        predicted[row] = _mean_and_motion(at[:, time_index], times[time_index])
+    sigma = _ERROR_FACTOR * np.hypot(predicted_sky.sigma_arcsec.mean(axis=1), 0.05)
     area = math.pi * (3600.0 * (radius + 0.1)) ** 2
     span = float(np.ptp(times)) * 1440.0
     density = 1.0 / (area * math.pi * max(span, 1.0) ** 2)
     residual = measured[:, None] - predicted
-    first = Records.of(measured, covariance=spread, source="tracklets")
-    # The ephemeris of each object at the times of the tracklet that it is nearest to.
+    first = Records.of(measured, covariance=covariance, source="tracklets")
+    # The ephemeris of each object is taken at the times of the nearest tracklet.
     nearest = np.argmin((residual[..., :2] ** 2).sum(axis=-1), axis=0)
     error = np.zeros((len(elements), 4, 4))
     error[:, [0, 1], [0, 1]] = (sigma**2)[:, None]
@@ -202,35 +203,35 @@ def _of_field(
             continue
         owner[row], p[row] = known, probability
         rows = found.members[row][found.members[row] >= 0]
-        which = np.searchsorted(times, seen.mjd_utc[rows])
-        observed = _plane(seen.ra_deg[rows], seen.dec_deg[rows], ra0, dec0)
-        offset[rows] = observed - at[known, which]
-        magnitude[row] = float(there.magnitude[known, which].mean())
+        time_index = np.searchsorted(times, detections.mjd_utc[rows])
+        observed = _plane(detections.ra_deg[rows], detections.dec_deg[rows], ra0, dec0)
+        offset[rows] = observed - at[known, time_index]
+        magnitude[row] = float(predicted_sky.magnitude[known, time_index].mean())
     known = np.flatnonzero(np.isfinite(offset).all(axis=1))
-    owner[owner >= 0] = there_rows[owner[owner >= 0]]
-    return _FieldNames(there_rows, owner, p, magnitude, known, offset[known])
+    owner[owner >= 0] = near_rows[owner[owner >= 0]]
+    return _FieldMatch(near_rows, owner, p, magnitude, known, offset[known])
 
 
 def _records_of(found: Movers, ra0: float, dec0: float, times: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(k, 4) mean place and motion over the tracklet, arcsec, and (k, 4, 4) their covariances."""
-    seen = found.detections
-    out, spread = np.empty((len(found), 4)), np.zeros((len(found), 4, 4))
+    """(k, 4) mean position and motion of each tracklet, arcsec, and (k, 4, 4) their covariances."""
+    detections = found.detections
+    out, covariance = np.empty((len(found), 4)), np.zeros((len(found), 4, 4))
     for row, members in enumerate(found.members):
         rows = members[members >= 0]
-        t = seen.mjd_utc[rows]
-        out[row] = _mean_and_motion(_plane(seen.ra_deg[rows], seen.dec_deg[rows], ra0, dec0)[None], t)[0]
-        variance = seen.covariance[rows][:, [0, 2]].mean(axis=0) + 0.05**2
-        around = t - t.mean()
-        spread[row, [0, 1], [0, 1]] = variance / len(rows) + 0.1**2
-        spread[row, [2, 3], [2, 3]] = variance * np.ptp(t) ** 2 / np.maximum((around**2).sum(), 1e-12)
-    return out, spread
+        t = detections.mjd_utc[rows]
+        out[row] = _mean_and_motion(_plane(detections.ra_deg[rows], detections.dec_deg[rows], ra0, dec0)[None], t)[0]
+        variance = detections.covariance[rows][:, [0, 2]].mean(axis=0) + 0.05**2
+        time_off = t - t.mean()
+        covariance[row, [0, 1], [0, 1]] = variance / len(rows) + 0.1**2
+        covariance[row, [2, 3], [2, 3]] = variance * np.ptp(t) ** 2 / np.maximum((time_off**2).sum(), 1e-12)
+    return out, covariance
 
 
-def _mean_and_motion(place: FloatArray, t: FloatArray) -> FloatArray:
-    """(n, 4) mean of places (n, t, 2), and the motion from the first time to the last of a straight line."""
-    around = t - t.mean()
-    slope = np.einsum("t,ntd->nd", around, place) / max(float((around**2).sum()), 1e-15)
-    return np.concatenate([place.mean(axis=1), slope * np.ptp(t)], axis=1)
+def _mean_and_motion(position: FloatArray, t: FloatArray) -> FloatArray:
+    """(n, 4) mean of positions (n, t, 2), and the motion of a fitted line from the first to the last time."""
+    time_off = t - t.mean()
+    slope = np.einsum("t,ntd->nd", time_off, position) / max(float((time_off**2).sum()), 1e-15)
+    return np.concatenate([position.mean(axis=1), slope * np.ptp(t)], axis=1)
 
 
 def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> FloatArray:
@@ -245,11 +246,11 @@ def _plane(ra_deg: FloatArray, dec_deg: FloatArray, ra0: float, dec0: float) -> 
 
 # Orbit classes of tracklets: the score of ``digest2``, of the Minor Planet Center, for a near-Earth object.
 #
-# digest2 (Keys et al. 2019, PASP 131, 064501; public domain) draws orbits through the ends of a tracklet, and compares
-# them with a model of the Solar System. It takes a station's parallax from a list that it downloads; here every
-# detection is given with the observer's place instead, as for a satellite, so that no list is needed.
+# digest2 (Keys et al. 2019, PASP 131, 064501; public domain) samples orbits through the ends of a tracklet, and
+# compares them with a model of the Solar System. It takes a station's parallax from a list that it downloads; here each
+# detection is given with the observer's position, as for a satellite, so that no list is needed.
 
-#: A list of one station, the middle of the Earth.
+#: A list of one station, the centre of the Earth.
 _STATIONS = "Code  Long.   cos      sin    Name\n500   0.00000 0.000000 0.000000Geocentric\n"
 
 
@@ -257,8 +258,8 @@ def near_earth_scores(found: Movers, site: tuple[float, float, float] | None = N
     """(k,) scores from 0 to 100 that tracklets are near-Earth objects without a designation; None without ``digest2``.
 
     found : the tracklets. site : latitude, longitude (degrees, east positive) and height (metres) of the observer; None
-    for the middle of the Earth. Scores of 65 and more go to the confirmation page of the Minor Planet Center.
-    Magnitudes are taken as V.
+    for the centre of the Earth. Scores of 65 and more go to the confirmation page of the Minor Planet Center.
+    Magnitudes are assumed to be V.
 
     Example
     -------
@@ -269,11 +270,11 @@ def near_earth_scores(found: Movers, site: tuple[float, float, float] | None = N
         from digest2 import Digest2, Observation
     except ImportError:
         return None
-    seen, out = found.detections, np.full(len(found), np.nan)
+    detections, out = found.detections, np.full(len(found), np.nan)
     if not len(found):
         return out
-    sigma = np.sqrt(seen.covariance[:, [0, 2]])
-    bright = np.nan_to_num(seen.magnitude)
+    sigma = np.sqrt(detections.covariance[:, [0, 2]])
+    magnitude = np.nan_to_num(detections.magnitude)
     with tempfile.TemporaryDirectory() as folder:
         stations = Path(folder) / "stations"
         stations.write_text(_STATIONS, encoding="ascii")
@@ -282,11 +283,12 @@ def near_earth_scores(found: Movers, site: tuple[float, float, float] | None = N
                 rows = members[members >= 0]
                 observer = np.zeros((len(rows), 3))
                 if site is not None:
-                    observer = geocentric_km(*site, seen.mjd_utc[rows]) / AU_KM
+                    observer = geocentric_km(*site, detections.mjd_utc[rows]) / AU_KM
                 observations = [
                     Observation(
-                        mjd=float(seen.mjd_utc[row]), ra=float(seen.ra_deg[row]), dec=float(seen.dec_deg[row]),
-                        mag=float(bright[row]), rms_ra=float(sigma[row, 0]), rms_dec=float(sigma[row, 1]),
+                        mjd=float(detections.mjd_utc[row]), ra=float(detections.ra_deg[row]),
+                        dec=float(detections.dec_deg[row]),
+                        mag=float(magnitude[row]), rms_ra=float(sigma[row, 0]), rms_dec=float(sigma[row, 1]),
                         spacebased=True, earth_obs=place.tolist(),
                     )
                     for row, place in zip(rows.tolist(), observer, strict=True)

@@ -1,9 +1,8 @@
-"""Known objects: where asteroids and comets are at a time, from their orbital elements.
+"""Ephemerides of known asteroids and comets, from their orbital elements.
 
-Elements are turned to place and velocity at their epoch and integrated with the attraction of the Sun, the planets, the
-Moon and Pluto and the Sun's relativistic term (SciPy's DOP853; planets of the ephemeris DE421). Light time and the
-observer's place on the Earth are taken into account; the place is astrometric, ICRS. Objects of one epoch are
-integrated together.
+Elements are converted to position and velocity at their epoch and integrated with the attraction of the Sun, the
+planets, the Moon and Pluto and the Sun's relativistic term (SciPy's DOP853; planets of the ephemeris DE421). Light time
+and the observer's position on the Earth are included; positions are astrometric, ICRS. Objects are integrated together.
 """
 
 from __future__ import annotations
@@ -29,25 +28,25 @@ from sameas.errors import InputError, reading
 _GM_SUN = 0.01720209895**2
 #: Masses of Mercury, Venus, the Earth and the Moon together, Mars … Neptune, Pluto: the Sun's over theirs (DE421).
 _MASS_RATIO = (6023600.0, 408523.71, 328900.56, 3098708.0, 1047.3486, 3497.898, 22902.98, 19412.24, 135200000.0)
-#: Pluto among them, which lists of asteroids have as (134340): it does not attract what is so near, for that is itself.
+#: Index of Pluto, (134340) in lists of asteroids: an object closer than this is Pluto itself and not attracted by it.
 _PLUTO, _PLUTO_ITSELF_AU = 8, 0.03
 AU_KM = 149597870.7
 _LIGHT_AU_PER_DAY = 173.14463267424034
 _TILT = math.radians(84381.448 / 3600.0)
-#: Parts of the ecliptic of J2000 along the axes of the ICRS equator.
+#: Rotation from the ecliptic of J2000 to the axes of the ICRS equator.
 _TO_EQUATOR = np.array(
     [[1.0, 0.0, 0.0], [0.0, math.cos(_TILT), -math.sin(_TILT)], [0.0, math.sin(_TILT), math.cos(_TILT)]]
 )
-#: What a file of elements is called that comes with the package; ``elements.json`` names its source.
+#: Name of the elements that come with the package; ``elements.json`` gives their source.
 DEMO = "demo"
-#: Of an error of place, relative to the distance, that the integrator may make in a step.
+#: Relative error of the integrator per step.
 _TOLERANCE = 1e-10
-#: Elements that covariances are of, by their names in JPL's answers and here; angles in degrees, times in days.
+#: Elements of covariances: names in JPL's answers and here; angles in degrees, times in days.
 _COVARIANCE = {"e": "eccentricity", "q": "perihelion_au", "tp": "perihelion_mjd", "om": "node_deg",
                "w": "argument_deg", "i": "inclination_deg"}  # fmt: skip
-#: What JPL's covariances call two of them.
+#: Alternative names of two of them in JPL's covariances.
 _LABELS = {"node": "om", "peri": "w"}
-#: Places of the planets are tabulated so finely, in tables of so many days.
+#: Step and length of the tables of planetary positions, days.
 _GRID_DAYS, _BLOCK_DAYS = 2.0, 4000.0
 
 
@@ -55,11 +54,11 @@ _GRID_DAYS, _BLOCK_DAYS = 2.0, 4000.0
 class Elements:
     """Orbital elements of objects, heliocentric, ecliptic and equinox of J2000; (n,) each.
 
-    name : as people call them. number : permanent number, '' without one. epoch_mjd : TDB. perihelion_au, eccentricity,
+    name : common name. number : permanent number, '' without one. epoch_mjd : TDB. perihelion_au, eccentricity,
     inclination_deg, node_deg, argument_deg : of the orbit. perihelion_mjd : time of perihelion, TDB. h, g : absolute
     magnitude and slope, NaN where not known. uncertainty : MPC's U of 0 … 9, NaN where not known.
     covariance : (n, 6, 6) of e, perihelion_au, perihelion_mjd, node_deg, argument_deg, inclination_deg at the epoch;
-    NaN where not known. None where of no object.
+    NaN where not known. None if not known for any object.
     """
 
     name: tuple[str, ...]
@@ -94,14 +93,16 @@ class Elements:
 
     @classmethod
     def read(cls, path: str | Path) -> Elements:
-        """From MPCORB.DAT, or JSON of JPL's small-body database: of a query (``fields`` and ``data``), or of objects
-        (``orbit``, with the covariance if asked for by ``cov=mat``), one or a list.
+        """Elements from MPCORB.DAT, or JSON of JPL's small-body database.
+
+        JSON may be of a query (``fields`` and ``data``), or of one object or a list of objects (``orbit``, with the
+        covariance if requested by ``cov=mat``).
 
         path : of the file; ``"demo"`` for the five that come with the package: (1) to (4) and (2713).
 
         Raises
         ------
-        InputError : neither of the two; a row without its elements.
+        InputError : neither of the two formats; no row with all elements.
 
         Example
         -------
@@ -153,12 +154,11 @@ def _of_json(text: str, path: Any) -> Elements:
 
 
 def _of_objects(objects: Sequence[Any], path: Any) -> Elements:
-    """From answers of JPL's small-body database about single objects.
+    """Elements from answers of JPL's small-body database about single objects.
 
-    Where there is a covariance, its own elements and epoch are those that it is of.
-    Source: ssd-api.jpl.nasa.gov/doc/sbdb.html.
+    If there is a covariance, the elements and epoch it belongs to are used. Source: ssd-api.jpl.nasa.gov/doc/sbdb.html.
     """
-    rows, names, numbers, spread = [], [], [], np.full((len(objects), 6, 6), np.nan)
+    rows, names, numbers, covariance = [], [], [], np.full((len(objects), 6, 6), np.nan)
     for k, one in enumerate(objects):
         orbit, body = one["orbit"], one.get("object", {})
         given = orbit.get("covariance") or {}
@@ -176,14 +176,14 @@ def _of_objects(objects: Sequence[Any], path: Any) -> Elements:
         labels = [_LABELS.get(label, label) for label in given.get("labels", [])]
         if given.get("data") is not None and set(_COVARIANCE) <= set(labels):
             at = [labels.index(label) for label in _COVARIANCE]  # others are of non-gravitational forces
-            spread[k] = np.array(given["data"], dtype=np.float64)[np.ix_(at, at)]
+            covariance[k] = np.array(given["data"], dtype=np.float64)[np.ix_(at, at)]
     found = _elements(names, numbers, *np.array(rows, dtype=np.float64).T)
-    known = np.isfinite(spread).all(axis=(1, 2))
-    return _usable(replace(found, covariance=spread) if known.any() else found, path)
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    return _usable(replace(found, covariance=covariance) if known.any() else found, path)
 
 
 def _elements(names: Sequence[str], numbers: Sequence[str], *columns: FloatArray) -> Elements:
-    """Elements of names, numbers and columns in their order."""
+    """Elements from names, numbers and columns in the order of the fields."""
     return Elements(tuple(names), tuple(numbers), *columns)
 
 
@@ -228,7 +228,7 @@ def _packed_date(text: str) -> float:
 
 
 def _number_of(packed: str) -> str:
-    """A permanent number of MPC's packed form; '' for a provisional designation."""
+    """The permanent number from MPC's packed form; '' for a provisional designation."""
     if not packed.removeprefix("~").isalnum() or not packed.isascii():
         return ""
     letters = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
@@ -255,10 +255,10 @@ def _usable(found: Elements, path: Any) -> Elements:
 
 @dataclass(frozen=True)
 class Ephemeris:
-    """Places of n objects at t times; (n, t).
+    """Predicted positions of n objects at t times; (n, t).
 
-    ra_deg, dec_deg : astrometric, ICRS, from the observer's place. distance_au, sun_au : from the observer and the Sun.
-    magnitude : predicted in V, NaN where H is not known. sigma_arcsec : how far elements of this age may be wrong.
+    ra_deg, dec_deg : astrometric, ICRS, from the observer. distance_au, sun_au : from the observer and the Sun.
+    magnitude : predicted V, NaN where H is not known. sigma_arcsec : error by the covariance or age of the elements.
     """
 
     ra_deg: FloatArray
@@ -270,7 +270,7 @@ class Ephemeris:
 
 
 def states(elements: Elements, mjd_utc: float) -> FloatArray:
-    """(2, 3, n) heliocentric places, au, and velocities, au/day, of the objects at a time, on ICRS axes."""
+    """(2, 3, n) heliocentric positions, au, and velocities, au/day, of the objects at a time, on ICRS axes."""
     from sameas.times import Time
 
     planets = _planets()
@@ -278,16 +278,17 @@ def states(elements: Elements, mjd_utc: float) -> FloatArray:
     middle = float(Time(mjd_utc, format="mjd", scale="utc").tdb.mjd)
     state = np.empty((2, 3, len(elements)))
     days = middle - elements.epoch_mjd
-    # Each object goes its own way from its epoch, in shares of it; those whose ways are alike in length go together.
-    length = np.floor(np.log2(np.maximum(np.abs(days), 16.0)))
-    for one in np.unique(length):
-        rows = np.flatnonzero(length == one)
-        some = elements.some(rows)
-        epochs, which = np.unique(some.epoch_mjd, return_inverse=True)
-        start = np.concatenate([_state(some.some(np.flatnonzero(which == k)), epoch) for k, epoch in enumerate(epochs)],
-                               axis=2)  # fmt: skip
-        order = np.argsort(which, kind="stable")
-        state[:, :, rows[order]] = _followed(start, epochs, which[order], middle, planets)
+    # Each object is integrated from its own epoch in fractions of its time span; similar spans are integrated together.
+    log2_days = np.floor(np.log2(np.maximum(np.abs(days), 16.0)))
+    for octave in np.unique(log2_days):
+        rows = np.flatnonzero(log2_days == octave)
+        group = elements.some(rows)
+        epochs, epoch_of_object = np.unique(group.epoch_mjd, return_inverse=True)
+        start = np.concatenate(
+            [_state(group.some(np.flatnonzero(epoch_of_object == k)), epoch) for k, epoch in enumerate(epochs)], axis=2
+        )
+        order = np.argsort(epoch_of_object, kind="stable")
+        state[:, :, rows[order]] = _integrated_from_epochs(start, epochs, epoch_of_object[order], middle, planets)
     return state
 
 
@@ -295,16 +296,16 @@ def ephemeris(
     elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray | None = None, *,
     start: tuple[float, FloatArray] | None = None,
 ) -> Ephemeris:  # fmt: skip
-    """Where the objects are at some times.
+    """The predicted positions of the objects at some times.
 
-    elements : n objects. mjd_utc : (t,) times. observer_km : (t, 3) of the observer from the middle of the Earth on the
-    ICRS axes, as :func:`geocentric_km` gives it; None for the middle of the Earth. start : a time, UTC, and the
-    :func:`states` then, where they are known.
+    elements : n objects. mjd_utc : (t,) times. observer_km : (t, 3) position of the observer from the centre of the
+    Earth on ICRS axes, from :func:`geocentric_km`; None for the centre of the Earth. start : a time, UTC, and the
+    :func:`states` then, if known.
 
-    The error of a place is, where the covariance of the elements is known, what that makes of it: every element is
-    moved along the axes of the covariance and integrated too. Else it grows from 0.1″ with the years between the
-    elements' epoch and the time as MPC's U says (the middle of its class of runoff in longitude, 648000″^(U − ½)/9 in
-    ten years; 0.05″ a year for U of 0 and where U is not known); that is a scale for the gate.
+    The error of a position follows from the covariance of the elements if known: the elements are displaced along each
+    axis of the covariance and integrated too. Else it grows from 0.1″ with the years between the elements' epoch and
+    the time by MPC's U (the middle of its class of runoff in longitude, 648000″^(U − ½)/9 in ten years; 0.05″ per year
+    for U = 0 and if U is not known); this sets the scale of the gate.
     """
     from sameas.times import Time
 
@@ -318,77 +319,77 @@ def ephemeris(
     middle_utc, state = start or (float(np.asarray(mjd_utc)[order[len(order) // 2]]), None)
     state = states(elements, middle_utc) if state is None else state
     middle = float(Time(middle_utc, format="mjd", scale="utc").tdb.mjd)
-    there = np.empty((2, 3, *shape))
-    late = tdb >= middle
-    for side in (late, ~late):
+    state_at = np.empty((2, 3, *shape))
+    later = tdb >= middle
+    for side in (later, ~later):
         at = np.flatnonzero(side)
         at = at[np.argsort(np.abs(tdb[at] - middle))]
         if len(at):
-            there[..., at] = _integrated(state, middle, tdb[at], planets)
-    place, velocity = there[0] + planets.sun(tdb)[:, None, :], there[1]
-    to = place - observer[:, None, :]
-    # The Sun's own motion, 0.01 km/s, moves nothing by a milliarcsecond in the light time.
+            state_at[..., at] = _integrated(state, middle, tdb[at], planets)
+    place, velocity = state_at[0] + planets.sun(tdb)[:, None, :], state_at[1]
+    to_object = place - observer[:, None, :]
+    # The motion of the Sun during the light time, 0.01 km/s, is negligible (below 1 mas).
     for _ in range(2):
-        late = np.linalg.norm(to, axis=0) / _LIGHT_AU_PER_DAY
-        to = place - velocity * late - observer[:, None, :]
-    distance = np.linalg.norm(to, axis=0)
+        light_days = np.linalg.norm(to_object, axis=0) / _LIGHT_AU_PER_DAY
+        to_object = place - velocity * light_days - observer[:, None, :]
+    distance = np.linalg.norm(to_object, axis=0)
     sun_at = planets.sun(tdb)
     sun = np.linalg.norm(place - sun_at[:, None, :], axis=0)
-    ra = np.degrees(np.arctan2(to[1], to[0])) % 360.0
-    dec = np.degrees(np.arcsin(to[2] / distance))
+    ra = np.degrees(np.arctan2(to_object[1], to_object[0])) % 360.0
+    dec = np.degrees(np.arcsin(to_object[2] / distance))
     age = np.abs(np.asarray(mjd_utc)[None] - elements.epoch_mjd[:, None]) / 365.25
     per_year = 0.1 * 648000.0 ** ((np.nan_to_num(elements.uncertainty, nan=0.0) - 0.5) / 9.0)
     sigma = np.hypot(0.1, per_year[:, None] * age)
-    sigma = _of_covariance(elements, mjd_utc, observer_km, ra, dec, sigma)
-    between = np.linalg.norm(sun_at - observer, axis=0)
-    return Ephemeris(ra, dec, distance, sun, _magnitude(elements, distance, sun, between), sigma)
+    sigma = _sigma_by_covariance(elements, mjd_utc, observer_km, ra, dec, sigma)
+    sun_distance = np.linalg.norm(sun_at - observer, axis=0)
+    return Ephemeris(ra, dec, distance, sun, _magnitude(elements, distance, sun, sun_distance), sigma)
 
 
-def _of_covariance(
+def _sigma_by_covariance(
     elements: Elements, mjd_utc: FloatArray, observer_km: FloatArray | None, ra_deg: FloatArray, dec_deg: FloatArray,
     sigma: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """(n, t) the error of places, arcsec, the larger axis; replaced where the covariance of the elements is known."""
+    """(n, t) errors of positions, arcsec: by the covariance of the elements (major axis) if known, else ``sigma``."""
     if elements.covariance is None:
         return sigma
     rows = np.flatnonzero(np.isfinite(elements.covariance).all(axis=(1, 2)))
     if not len(rows):
         return sigma
-    # Elements differ by many powers of ten: the axes are those of their correlation.
+    # Elements differ by many powers of ten: the principal axes are those of the correlation matrix.
     scale = np.sqrt(np.maximum(np.diagonal(elements.covariance[rows], axis1=1, axis2=2), 1e-40))
     value, axis = np.linalg.eigh(elements.covariance[rows] / scale[:, :, None] / scale[:, None, :])
     step = axis * np.sqrt(np.maximum(value, 0.0))[:, None, :] * scale[:, :, None]  # (n, 6 elements, 6 axes)
-    moved = replace(elements.some(np.repeat(rows, 6)), covariance=None).displaced(
+    displaced_elements = replace(elements.some(np.repeat(rows, 6)), covariance=None).displaced(
         step.transpose(0, 2, 1).reshape(-1, 6)
     )
-    there = ephemeris(moved, mjd_utc, observer_km)
+    displaced = ephemeris(displaced_elements, mjd_utc, observer_km)
     shape = (len(rows), 6, -1)
-    north = 3600.0 * (there.dec_deg.reshape(shape) - dec_deg[rows, None])
-    east = 3600.0 * ((there.ra_deg.reshape(shape) - ra_deg[rows, None] + 180.0) % 360.0 - 180.0)
+    north = 3600.0 * (displaced.dec_deg.reshape(shape) - dec_deg[rows, None])
+    east = 3600.0 * ((displaced.ra_deg.reshape(shape) - ra_deg[rows, None] + 180.0) % 360.0 - 180.0)
     east = east * np.cos(np.radians(dec_deg[rows, None]))
-    both = np.stack([east, north], axis=-1)
-    spread = np.einsum("nkta,nktb->ntab", both, both)
+    offset = np.stack([east, north], axis=-1)
+    covariance = np.einsum("nkta,nktb->ntab", offset, offset)
     out = sigma.copy()
-    out[rows] = np.sqrt(np.linalg.eigvalsh(spread)[..., -1])
+    out[rows] = np.sqrt(np.linalg.eigvalsh(covariance)[..., -1])
     return out
 
 
 def near(elements: Elements, mjd_utc: float, ra_deg: float, dec_deg: float, radius_deg: float) -> IntArray:
-    """Rows of the objects that two-body motion puts within a radius of a direction, as seen from the Earth's middle.
+    """Rows of the objects within a radius of a direction by two-body motion, seen from the centre of the Earth.
 
-    The radius is widened by what the planets do, some 0.3° a year of the elements' age for the main belt, more for
-    objects near the Earth.
+    The radius is widened for perturbations, by 0.1° plus 0.3° per year of the elements' age, more for objects near the
+    Earth.
     """
     planets = _planets()
     time = np.array([mjd_utc])
     earth = planets.earth(time) - planets.sun(time)
-    to = _state(elements, mjd_utc)[0] - earth
-    distance = np.linalg.norm(to, axis=0)
+    to_object = _state(elements, mjd_utc)[0] - earth
+    distance = np.linalg.norm(to_object, axis=0)
     ra, dec = math.radians(ra_deg), math.radians(dec_deg)
     unit = np.array([math.cos(dec) * math.cos(ra), math.cos(dec) * math.sin(ra), math.sin(dec)])
-    off = np.degrees(np.arccos(np.clip(unit @ to / distance, -1.0, 1.0)))
+    distance_deg = np.degrees(np.arccos(np.clip(unit @ to_object / distance, -1.0, 1.0)))
     age = np.abs(mjd_utc - elements.epoch_mjd) / 365.25
-    return np.flatnonzero(off < radius_deg + (0.1 + 0.3 * age) * np.maximum(1.0, 1.7 / distance))
+    return np.flatnonzero(distance_deg < radius_deg + (0.1 + 0.3 * age) * np.maximum(1.0, 1.7 / distance))
 
 
 def _magnitude(elements: Elements, distance: FloatArray, sun: FloatArray, between: FloatArray) -> FloatArray:
@@ -401,7 +402,7 @@ def _magnitude(elements: Elements, distance: FloatArray, sun: FloatArray, betwee
 
 
 def _state(elements: Elements, mjd: float) -> FloatArray:
-    """(2, 3, n) heliocentric place, au, and velocity, au/day, of the osculating orbits at a time, on ICRS axes."""
+    """(2, 3, n) heliocentric position, au, and velocity, au/day, of the osculating orbits at a time, on ICRS axes."""
     e, q = elements.eccentricity, elements.perihelion_au
     days = mjd - elements.perihelion_mjd
     radius, anomaly = _two_body(q, e, days)
@@ -419,37 +420,37 @@ def _state(elements: Elements, mjd: float) -> FloatArray:
 
 
 def _two_body(q: FloatArray, e: FloatArray, days: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Radius and true anomaly after perihelion, for every eccentricity."""
+    """Radius, au, and true anomaly at a time from perihelion, for any eccentricity."""
     radius, anomaly = np.empty_like(q), np.empty_like(q)
-    closed, near, opened = e < 0.9999, np.abs(e - 1) <= 1e-4, e > 1.0001
-    if closed.any():
-        a, ec = q[closed] / (1 - e[closed]), e[closed]
-        mean = np.remainder(math.sqrt(_GM_SUN) / a**1.5 * days[closed] + np.pi, 2 * np.pi) - np.pi
+    elliptic, near_parabolic, hyperbolic = e < 0.9999, np.abs(e - 1) <= 1e-4, e > 1.0001
+    if elliptic.any():
+        a, ec = q[elliptic] / (1 - e[elliptic]), e[elliptic]
+        mean = np.remainder(math.sqrt(_GM_SUN) / a**1.5 * days[elliptic] + np.pi, 2 * np.pi) - np.pi
         angle = mean + ec * np.sin(mean)
         for _ in range(50):
             angle = angle - (angle - ec * np.sin(angle) - mean) / (1 - ec * np.cos(angle))
-        anomaly[closed] = 2 * np.arctan2(np.sqrt(1 + ec) * np.sin(angle / 2), np.sqrt(1 - ec) * np.cos(angle / 2))
-        radius[closed] = a * (1 - ec * np.cos(angle))
-    if opened.any():
-        a, ec = q[opened] / (e[opened] - 1), e[opened]
-        mean = math.sqrt(_GM_SUN) / a**1.5 * days[opened]
+        anomaly[elliptic] = 2 * np.arctan2(np.sqrt(1 + ec) * np.sin(angle / 2), np.sqrt(1 - ec) * np.cos(angle / 2))
+        radius[elliptic] = a * (1 - ec * np.cos(angle))
+    if hyperbolic.any():
+        a, ec = q[hyperbolic] / (e[hyperbolic] - 1), e[hyperbolic]
+        mean = math.sqrt(_GM_SUN) / a**1.5 * days[hyperbolic]
         angle = np.arcsinh(mean / ec)
         for _ in range(80):
             angle = angle - (ec * np.sinh(angle) - angle - mean) / (ec * np.cosh(angle) - 1)
-        anomaly[opened] = 2 * np.arctan(np.sqrt((ec + 1) / (ec - 1)) * np.tanh(angle / 2))
-        radius[opened] = a * (ec * np.cosh(angle) - 1)
-    rest = ~(closed | opened) | (near & ~closed & ~opened)
-    if rest.any():
-        w = 3.0 * math.sqrt(_GM_SUN) / np.sqrt(2.0 * q[rest] ** 3) * days[rest]
+        anomaly[hyperbolic] = 2 * np.arctan(np.sqrt((ec + 1) / (ec - 1)) * np.tanh(angle / 2))
+        radius[hyperbolic] = a * (ec * np.cosh(angle) - 1)
+    parabolic = ~(elliptic | hyperbolic) | (near_parabolic & ~elliptic & ~hyperbolic)
+    if parabolic.any():
+        w = 3.0 * math.sqrt(_GM_SUN) / np.sqrt(2.0 * q[parabolic] ** 3) * days[parabolic]
         y = np.cbrt(w / 2 + np.sqrt(w * w / 4 + 1))
         s = y - 1 / y
-        anomaly[rest] = 2 * np.arctan(s)
-        radius[rest] = q[rest] * (1 + s * s)
+        anomaly[parabolic] = 2 * np.arctan(s)
+        radius[parabolic] = q[parabolic] * (1 + s * s)
     return radius, anomaly
 
 
 def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Planets) -> FloatArray:
-    """(2, 3, n, t) the heliocentric states (2, 3, n) of a time at others, all later or all earlier, nearest first."""
+    """(2, 3, n, t) states at times all later or all earlier, nearest first, from states (2, 3, n) at ``begin``."""
     from scipy.integrate import solve_ivp
 
     n = state.shape[2]
@@ -462,56 +463,63 @@ def _integrated(state: FloatArray, begin: float, times: FloatArray, planets: _Pl
 
     steps, at = np.unique(times, return_inverse=True)
     ascending = times[-1] >= begin
-    done = solve_ivp(
+    solution = solve_ivp(
         derivative, (begin, float(times[-1])), state.ravel(), method="DOP853", rtol=_TOLERANCE, atol=1e-13,
         t_eval=steps if ascending else steps[::-1],
     )  # fmt: skip
-    if not done.success:
-        raise InputError(f"the orbits could not be integrated from MJD {begin:g} to {times[-1]:g} ({done.message})")
-    values = done.y if ascending else done.y[:, ::-1]
+    if not solution.success:
+        raise InputError(f"the orbits could not be integrated from MJD {begin:g} to {times[-1]:g} ({solution.message})")
+    values = solution.y if ascending else solution.y[:, ::-1]
     return np.asarray(values[:, at].reshape(2, 3, n, len(times)))
 
 
-def _followed(
+def _integrated_from_epochs(
     state: FloatArray, epochs: FloatArray, which: IntArray, end: float, planets: _Planets
 ) -> FloatArray:  # fmt: skip
-    """(2, 3, n) the heliocentric states (2, 3, n) of objects at their epochs, the ``which`` of (m,), at one time."""
+    """(2, 3, n) states at one time from states (2, 3, n) at ``epochs[which]``."""
     from scipy.integrate import solve_ivp
 
     n, days = state.shape[2], end - epochs
     if not days.any():
         return state
 
-    def derivative(share: float, y: FloatArray) -> FloatArray:
+    def derivative(fraction: float, y: FloatArray) -> FloatArray:
         r, v = y.reshape(2, 3, n)
-        bodies = planets.perturbers(epochs + share * days)
+        bodies = planets.perturbers(epochs + fraction * days)
         return np.asarray(days[which] * np.stack([v, _acceleration(bodies[..., which], r, v)])).ravel()
 
-    done = solve_ivp(derivative, (0.0, 1.0), state.ravel(), method="DOP853", rtol=_TOLERANCE, atol=1e-13, t_eval=[1.0])
-    if not done.success:
-        raise InputError(f"the orbits could not be integrated to MJD {end:g} ({done.message})")
-    return np.asarray(done.y[:, 0].reshape(2, 3, n))
+    solution = solve_ivp(
+        derivative, (0.0, 1.0), state.ravel(), method="DOP853", rtol=_TOLERANCE, atol=1e-13, t_eval=[1.0]
+    )
+    if not solution.success:
+        raise InputError(f"the orbits could not be integrated to MJD {end:g} ({solution.message})")
+    return np.asarray(solution.y[:, 0].reshape(2, 3, n))
 
 
 def _acceleration(bodies: FloatArray, r: FloatArray, v: FloatArray) -> FloatArray:
-    """(3, n) au/day² of heliocentric places and velocities (3, n); planets (9, 3, n), or (9, 3, 1) of one time."""
+    """(3, n) acceleration, au/day², at heliocentric positions and velocities (3, n).
+
+    bodies : planets (9, 3, n), or (9, 3, 1) at one time.
+    """
     distance = np.sqrt((r * r).sum(axis=0))
     # The Sun's field to the first order of general relativity (Schwarzschild, harmonic coordinates).
     c2 = _LIGHT_AU_PER_DAY**2
-    speed2, radial = (v * v).sum(axis=0), (r * v).sum(axis=0)
+    speed_sq, radial = (v * v).sum(axis=0), (r * v).sum(axis=0)
     out = -_GM_SUN * r / distance**3
-    out += _GM_SUN / (c2 * distance**3) * ((4 * _GM_SUN / distance - speed2) * r + 4 * radial * v)
+    out += _GM_SUN / (c2 * distance**3) * ((4 * _GM_SUN / distance - speed_sq) * r + 4 * radial * v)
     for body, (planet, ratio) in enumerate(zip(bodies, _MASS_RATIO, strict=True)):
-        off = planet - r
+        to_planet = planet - r
         gm = np.full(r.shape[1], _GM_SUN / ratio)
         if body == _PLUTO:
-            gm[(off * off).sum(axis=0) < _PLUTO_ITSELF_AU**2] = 0.0
-        out += gm * (off / ((off * off).sum(axis=0)) ** 1.5 - planet / ((planet * planet).sum(axis=0)) ** 1.5)
+            gm[(to_planet * to_planet).sum(axis=0) < _PLUTO_ITSELF_AU**2] = 0.0
+        out += gm * (
+            to_planet / ((to_planet * to_planet).sum(axis=0)) ** 1.5 - planet / ((planet * planet).sum(axis=0)) ** 1.5
+        )
     return np.asarray(out)
 
 
 class _Planets:
-    """Places of the planets, from a file of the Jet Propulsion Laboratory."""
+    """Positions of the planets from a JPL ephemeris file."""
 
     def __init__(self, kernel: Any) -> None:
         self.kernel = kernel
@@ -519,28 +527,28 @@ class _Planets:
         self.first, self.last = kernel[0, 3].start_jd - 2400000.5, kernel[0, 3].end_jd - 2400000.5
 
     def _of(self, body: int, mjd: Any) -> FloatArray:
-        """(3, t) au from the barycentre of the Solar System."""
+        """(3, t) position, au, from the barycentre of the Solar System."""
         return np.asarray(self.kernel[0, body].compute(2400000.5, mjd)[:3]) / AU_KM
 
     def sun(self, mjd: FloatArray) -> FloatArray:
-        """(3, t)."""
+        """(3, t) barycentric position of the Sun, au."""
         self.check(mjd)
         return self._of(10, mjd)
 
     def earth(self, mjd: FloatArray) -> FloatArray:
-        """(3, t) the middle of the Earth."""
+        """(3, t) barycentric position of the centre of the Earth, au."""
         self.check(mjd)
         return self._of(3, mjd) + np.asarray(self.kernel[3, 399].compute(2400000.5, mjd)[:3]) / AU_KM
 
     def check(self, mjd: FloatArray) -> None:
-        """Refuses times that the file does not have."""
+        """Refuses times outside the file."""
         if np.min(mjd) < self.first or np.max(mjd) > self.last:
             raise InputError(
                 f"the planetary ephemeris covers MJD {self.first:.0f} to {self.last:.0f} only, not at {np.max(mjd):.1f}"
             )
 
     def perturbers(self, mjd: FloatArray) -> FloatArray:
-        """(9, 3, t) heliocentric places of the planets, between those of every two days (Mercury to 100 km)."""
+        """(9, 3, t) heliocentric positions of the planets, interpolated between every two days (Mercury to 100 km)."""
         block = (mjd // _BLOCK_DAYS).astype(np.int64)
         out = np.empty((9, 3, len(mjd)))
         for one in set(block.tolist()):
@@ -562,7 +570,7 @@ class _Planets:
 
 @lru_cache(maxsize=1)
 def _planets() -> _Planets:
-    """Those of DE421, from the package ``skyfield-data``."""
+    """The planets of DE421, from the package ``skyfield-data``."""
     try:
         from jplephem.spk import SPK
         from skyfield_data import get_skyfield_data_path
@@ -571,7 +579,7 @@ def _planets() -> _Planets:
             "known objects need the packages jplephem and skyfield-data; pip install 'sameas[movers]' installs them"
         ) from None
     with warnings.catch_warnings():
-        # It warns of its tables of the Earth's rotation, which are not used here.
+        # It warns about its tables of the Earth's rotation, which are not used here.
         warnings.simplefilter("ignore")
         folder = get_skyfield_data_path()
     kernel = SPK.open(str(Path(folder) / "de421.bsp"))
@@ -580,7 +588,7 @@ def _planets() -> _Planets:
 
 
 def geocentric_km(lat_deg: float, lon_deg: float, height_m: float, mjd_utc: FloatArray) -> FloatArray:
-    """(t, 3) of a place on the Earth, on the ICRS axes, at some times. Degrees, east positive; metres."""
+    """(t, 3) geocentric position of a site on ICRS axes, km. Latitude and longitude in degrees, east positive."""
     from astropy import units as u
     from astropy.coordinates import EarthLocation
 
