@@ -1,14 +1,14 @@
-"""Images: one frame of a FITS file, with the facts of its exposure and the flags of its pixels, and its calibration.
+"""Images: a frame from a FITS file with its facts and pixel flags, and its calibration.
 
-:func:`read` takes plain and compressed files (``.gz``, tile-compressed ``.fz``), any of several extensions, whole
-numbers (scaled and unsigned) and floats, planes of errors and of data quality beside the image, and a mask of the
-user. ``frame.facts`` has a line for every assumption.
+:func:`read` accepts plain and compressed files (``.gz``, tile-compressed ``.fz``), several extensions, integers (scaled
+and unsigned) and floats, error and data-quality planes, and a user's mask. ``frame.facts`` has a line for every
+assumption.
 
-Dark, bias and flat are taken off, and the pixels that darks and flats show to be bad are flagged:
+Bias, dark and flat are applied, and bad pixels of darks and flats are flagged:
 
-    light = (raw − bias − (dark − bias) t/t_dark) / flat,   raw − dark where there is no bias,
+    light = (raw − bias − (dark − bias) t/t_dark) / flat,   raw − dark without a bias,
 
-each a median of several frames, so that a particle's hit in one of them does no harm.
+each a median of several frames, robust against cosmic rays.
 """
 
 from __future__ import annotations
@@ -60,12 +60,12 @@ class Frame:
 
     Attributes
     ----------
-    image : (rows, columns) pixel values in ADU, or the unit of BUNIT; ``image[y, x]``. Pixels without a number hold 0.
+    image : (rows, columns) pixel values in ADU, or the unit of BUNIT; ``image[y, x]``. Pixels without a number are 0.
     flags : (rows, columns) bits of :class:`Flag`: saturated, hot, cosmic, masked.
     facts : gain, noise, exposure, time, station and aim, and every assumption.
-    header : of the image, with the cards of the primary header that it lacks.
+    header : of the image, completed with cards of the primary header.
     name : of the file, used in messages.
-    sigma : (rows, columns) standard deviation of every pixel, or None where the file has no such plane.
+    sigma : (rows, columns) standard deviation of each pixel, or None without such a plane.
     """
 
     image: Image
@@ -83,7 +83,7 @@ class Frame:
 
     @property
     def masked(self) -> BoolArray:
-        """(rows, columns) the pixels without a usable number."""
+        """(rows, columns) mask of the unusable pixels."""
         return np.asarray((self.flags & Flag.MASKED) != 0)
 
     def marked(self, where: BoolArray, flag: Flag) -> Frame:
@@ -104,12 +104,12 @@ class Frame:
     ) -> Frame:
         """A frame from arrays, checked.
 
-        image : (rows, columns). Pixels that are not finite are masked. mask : (rows, columns), true or not zero where
-        a pixel is not usable. flags : (rows, columns) bits of :class:`Flag`. sigma : standard deviation of every pixel.
+        image : (rows, columns). Pixels that are not finite are masked. mask : (rows, columns), true or non-zero for
+        unusable pixels. flags : (rows, columns) bits of :class:`Flag`. sigma : standard deviation of each pixel.
 
         Raises
         ------
-        InputError : not two-dimensional, nothing usable, planes of another shape, every pixel the same.
+        InputError : not two-dimensional, no usable pixel, planes of another shape, all pixels equal.
         """
         values = np.asarray(image)
         if values.ndim > 2 and values.size == np.prod(values.shape[-2:]):
@@ -118,23 +118,23 @@ class Frame:
             raise InputError(
                 f"{name}: the image has shape {values.shape}; give one of two dimensions, 8 pixels or more"
             )
-        marks = np.zeros(values.shape, np.uint16) if flags is None else flags & np.uint16(PIXEL_FLAGS)
+        pixel_flags = np.zeros(values.shape, np.uint16) if flags is None else flags & np.uint16(PIXEL_FLAGS)
         if mask is not None:
-            marks = marks | _masked(mask, values.shape, name)
+            pixel_flags = pixel_flags | _masked(mask, values.shape, name)
         finite = np.isfinite(values)
         if not finite.any():
             raise InputError(f"{name}: no pixel is a finite number; the frame is empty, calibrate or copy it again")
-        marks = marks | np.where(finite, 0, Flag.MASKED).astype(np.uint16)
-        usable = (marks & Flag.MASKED) == 0
+        pixel_flags = pixel_flags | np.where(finite, 0, Flag.MASKED).astype(np.uint16)
+        usable = (pixel_flags & Flag.MASKED) == 0
         if not usable.any():
             raise InputError(f"{name}: every pixel is masked; check the mask or the data-quality plane")
         facts = Facts() if facts is None else facts
         facts = facts.with_saturation(values[usable], np.asarray(image).dtype)
-        marks |= np.where(usable & (values >= facts.saturation_adu), Flag.SATURATED, 0).astype(np.uint16)
+        pixel_flags |= np.where(usable & (values >= facts.saturation_adu), Flag.SATURATED, 0).astype(np.uint16)
         _refuse_flat(values[usable], facts, name)
         sigma = None if sigma is None else _plane(sigma, values.shape, name, "sigma")
         pixels = np.where(usable, values, 0).astype(np.float32)
-        return cls(pixels, marks, facts, header, name, sigma)
+        return cls(pixels, pixel_flags, facts, header, name, sigma)
 
 
 def read(
@@ -150,12 +150,12 @@ def read(
     ----------
     path : plain, ``.gz`` or tile-compressed ``.fz``.
     hdu : number or EXTNAME of the image; by default the first extension named SCI, else the first image.
-    mask : a second FITS file, not zero where a pixel is not usable.
+    mask : a second FITS file, non-zero for unusable pixels.
     given : facts that replace those of the header.
 
     Raises
     ------
-    InputError : no such file, not FITS, cut short, no image, no such extension, nothing but NaN, all saturated.
+    InputError : no such file, not FITS, truncated, no image, no such extension, only NaN, all saturated.
     """
     path = Path(path)
     name = path.name
@@ -175,7 +175,7 @@ def read(
 
 
 def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tuple[str, ...]]:
-    """The image with its planes, its header, and remarks on the choice."""
+    """The image with its planes, its header, and notes on the choice of the extension."""
     from astropy.utils.exceptions import AstropyWarning
 
     if not path.is_file():
@@ -183,7 +183,7 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", AstropyWarning)
-            # Without this astropy warns only, and fails later or gives zeros.
+            # Otherwise astropy only warns, and fails later or returns zeros.
             warnings.filterwarnings("error", message="File may have been truncated")
             with _opened(path) as hdus:
                 chosen, notes = _chosen(hdus, hdu, path)
@@ -197,17 +197,17 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
         raise
     except Warning as warning:
         raise InputError(f"{path.name}: the file is cut short ({warning}); copy it again") from warning
-    except Exception as error:  # astropy fails in many ways on what it did not foresee
+    except Exception as error:  # astropy raises many types of errors on damaged files
         raise InputError(
             f"{path.name}: the file cannot be read as FITS ({first_line(error)}); copy it again or convert it"
         ) from error
     return planes, header, notes
 
 
-#: The decoder of HCOMPRESS, C code within astropy, writes beyond its memory where the data are damaged (found by
-#: fuzzing astropy 7.2): it runs in a process of its own, whose end is no more than a file that cannot be read.
+#: The decoder of HCOMPRESS, C code in astropy, writes out of bounds on damaged data (found by fuzzing astropy 7.2): it
+#: runs in a separate process, so that a crash is only an unreadable file.
 _DECODER = "HCOMPRESS_1"
-#: Seconds after which it is ended: an image takes one or two, and memory that is damaged can make it wait for ever.
+#: Timeout of the decoder, seconds: an image takes one or two, damaged memory can make it hang.
 _DECODED_S = 120
 _DECODE = """
 import sys, warnings
@@ -223,7 +223,7 @@ with fits.open(sys.argv[1], memmap=False) as hdus:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The extensions of a FITS file; images of HCOMPRESS are decoded elsewhere first."""
+    """The extensions of a FITS file; HCOMPRESS images are decoded in a separate process."""
     from astropy.io import fits
 
     checked = checked_fits(path)
@@ -248,7 +248,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[int, tuple[str, ...]]:
-    """Index of the image, and a remark where there were several."""
+    """Index of the image, and a note if there are several."""
     images = [k for k, each in enumerate(hdus) if each.is_image and each.header.get("NAXIS", 0) >= 2 and each.size]
     science = [k for k in images if hdus[k].name.upper() not in _QUALITY + _ERROR + _VARIANCE]
     if hdu is not None:
@@ -275,7 +275,7 @@ def _contents(hdus: Any) -> str:
 
 
 def _companions(hdus: Any, chosen: int, shape: tuple[int, ...]) -> dict[str, Any]:
-    """Planes of errors and of quality that belong to the image: same shape, same EXTVER."""
+    """The error and quality planes of the image: same shape, same EXTVER."""
     planes: dict[str, Any] = {"quality": None, "sigma": None}
     for k, each in enumerate(hdus):
         name = each.name.upper()
@@ -291,7 +291,7 @@ def _companions(hdus: Any, chosen: int, shape: tuple[int, ...]) -> dict[str, Any
 
 
 def _quality(data: NDArray[Any], header: Header) -> PixelFlags:
-    """Flags from a plane of data quality: any bit marks a pixel, except where the header names its bits."""
+    """Flags from a data-quality plane: any bit masks a pixel, unless the header defines the bits."""
     named = {key: flag for key, flag in _PLANES.items() if key in header}
     if not named:
         return np.where(data != 0, Flag.MASKED, 0).astype(np.uint16)
@@ -329,27 +329,27 @@ def _refuse_flat(values: NDArray[Any], facts: Facts, name: str) -> None:
         )
 
 
-#: A pixel of the dark is hot beyond this many robust standard deviations from its surroundings (chosen).
+#: A pixel of the dark is hot above this many robust standard deviations from its surroundings (chosen).
 _HOT_SIGMAS = 8.0
-#: Hot pixels change from frame to frame by about this share of their excess (chosen).
+#: Variation of hot pixels from frame to frame, as a share of their excess (chosen).
 _UNSTEADY = 0.05
-#: Pixels of a flat below this sensitivity, relative to the median, are blind (chosen).
+#: Pixels of a flat below this sensitivity, relative to the median, are dead (chosen).
 _DARKEST_FLAT = 0.2
-#: Exposures count as equal within this share (chosen).
+#: Relative difference within which exposures are equal (chosen).
 _SAME_EXPOSURE = 0.02
 
 
 @dataclass(frozen=True)
 class MasterFrames:
-    """Master frames; make them with :meth:`MasterFrames.of`, call them with a frame: ``masters(frame)``.
+    """Master frames; make them with :meth:`MasterFrames.of`, apply them by ``masters(frame)``.
 
     Attributes
     ----------
-    bias, dark : (rows, columns) ADU or None; the dark holds the bias unless there is one.
+    bias, dark : (rows, columns) ADU or None; the dark includes the bias unless there is one.
     dark_exposure_s : exposure of the darks, NaN without them.
     flat : (rows, columns) sensitivity around 1, or None.
-    excess : (rows, columns) ADU of hot pixels above their surroundings in the dark, 0 for the others, or None.
-    dead : (rows, columns) mask of the pixels that are blind in the flats, or None.
+    excess : (rows, columns) ADU of hot pixels above their surroundings in the dark, 0 for others, or None.
+    dead : (rows, columns) mask of the dead pixels of the flats, or None.
     """
 
     bias: FloatArray | None = None
@@ -382,7 +382,7 @@ class MasterFrames:
         return cls(bias, dark, exposure_s, flat, excess, dead)
 
     def __call__(self, frame: Frame) -> Frame:
-        """The frame calibrated, its bad pixels flagged, one line in its facts for each step.
+        """The calibrated frame, with bad pixels flagged and a line in its facts for each step.
 
         Raises
         ------
@@ -400,7 +400,7 @@ class MasterFrames:
         sigma = frame.sigma
         if sigma is not None and self.flat is not None:
             sigma = (sigma / np.maximum(self.flat, _DARKEST_FLAT)).astype(np.float32)
-        # Saturated pixels are marked already; their level falls with what is subtracted.
+        # Saturated pixels are flagged already; the level is reduced by what is subtracted.
         level = frame.facts.saturation_adu - float(np.median(offset))
         facts = replace(frame.facts, saturation_adu=level, pedestal_adu=0.0, lines=(*frame.facts.lines, *lines))
         result = replace(frame, image=image.astype(np.float32), sigma=sigma, facts=facts)
@@ -457,7 +457,7 @@ def _dark(darks: Sequence[Frame], bias: FloatArray | None) -> tuple[FloatArray, 
 
 
 def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | None, dark_s: float) -> FloatArray:
-    """Sensitivity: each flat is divided by its median before they are combined, because the light changes."""
+    """Sensitivity: each flat is divided by its median before they are combined, because the illumination varies."""
     dim = MasterFrames(bias=bias, dark=dark, dark_exposure_s=dark_s)
     normal = []
     for frame in flats:
@@ -471,7 +471,7 @@ def _flat(flats: Sequence[Frame], bias: FloatArray | None, dark: FloatArray | No
 
 
 def _excess(dark: FloatArray) -> FloatArray:
-    """ADU of pixels above the median of their 5 × 5 surroundings, 0 where it is noise; amplifier glow drops out."""
+    """ADU of pixels above the median of their 5 × 5 surroundings, 0 within the noise; insensitive to amplifier glow."""
     from scipy.ndimage import median_filter
 
     excess = dark - median_filter(dark, 5, mode="reflect")
@@ -480,7 +480,7 @@ def _excess(dark: FloatArray) -> FloatArray:
 
 
 def _harmful(excess: FloatArray, frame: Frame) -> BoolArray:
-    """Hot pixels whose own noise, which subtracting the dark leaves, is at least half of that of the frame."""
+    """Mask of the hot pixels whose noise, which remains after subtraction, is at least half of the frame's noise."""
     gain = frame.facts.gain_e_per_adu if math.isfinite(frame.facts.gain_e_per_adu) else 1.0
     step = np.diff(frame.image[:, ::2], axis=1)
     variance = (1.4826 * float(np.median(np.abs(step - np.median(step))))) ** 2 / 2

@@ -1,20 +1,18 @@
-"""Keywords: the facts of an exposure from its header, each with the line that says where it comes from.
+"""Keywords: the facts of an exposure from its FITS header, each with a line on its origin.
 
 These are the station, the direction of the telescope, the middle of the exposure, and the properties of the camera.
+``facts.lines`` are for printing: each fact with its keyword, assumptions ("assumed: …") and doubts ("doubt: …").
 
-``facts.lines`` are printed: each fact with its keyword, what was assumed ("assumed: …") and what is doubtful
-("doubt: …").
+Observatories use many names for one fact: each is looked up in a list of keywords, the more reliable ones first
+(:class:`Cards`), and comes with a line on the keyword and its interpretation.
 
-A header is read through :class:`Cards`, because observatories write one fact under many names: each fact is looked up
-by a list of names, the more certain ones first, and comes with a line on its keyword and how it was read.
-
-- :func:`station`: the sign of a longitude differs. TheSkyX and the national observatories of the United States count
-  west as positive, most others east. A letter or a comment decides it, else the sidereal time of the header, else the
-  program that wrote the header; else east is assumed, and a line says so.
-- :func:`aim`: the direction, from the first pair of keywords that holds one.
+- :func:`station`: the sign of the longitude varies. TheSkyX and the national observatories of the United States count
+  west as positive, most others east. It is decided by a letter, else by the sidereal time of the header, else by the
+  comment, else by the program that wrote the header; else east positive is assumed.
+- :func:`aim`: the direction, from the first valid pair of keywords.
 - :func:`middle`: in this order the middle of the exposure, its start and end, its start and duration. DATE-OBS with a
-  time of day is preferred to MJD-OBS and JD, which are often of another moment; where they differ by more than the
-  exposure, a line says so. The scale is that of TIMESYS, UTC without one.
+  time of day is preferred to MJD-OBS and JD, which often refer to another moment; a difference of more than the
+  exposure is reported. The scale is that of TIMESYS, else UTC.
 """
 
 from __future__ import annotations
@@ -53,7 +51,7 @@ class Card:
     comment: str = ""
 
     def number(self) -> float:
-        """The value as a number, NaN where it is none; a unit behind it is passed over."""
+        """The value as a number, else NaN; a unit after it is ignored."""
         if isinstance(self.value, bool):
             return math.nan
         if isinstance(self.value, int | float):
@@ -62,7 +60,7 @@ class Card:
         return float(match[1].replace("D", "E").replace("d", "e")) if match else math.nan
 
     def angle(self) -> tuple[float, bool]:
-        """The value in its first unit (hours or degrees), and whether it was sexagesimal; NaN where it is neither."""
+        """The value in its first unit (hours or degrees), and whether it is sexagesimal; NaN if it is not an angle."""
         match = _SEXAGESIMAL.match(str(self.value)) if isinstance(self.value, str) else None
         if match is None:
             return self.number(), False
@@ -73,11 +71,11 @@ class Card:
         return sign * (first + minutes / 60 + seconds / 3600), True
 
     def text(self) -> str:
-        """The value as text, without blanks around it."""
+        """The value as text, stripped."""
         return str(self.value).strip()
 
     def says(self, pattern: str) -> bool:
-        """Whether the comment holds the pattern, in letters of any case."""
+        """Whether the comment matches the pattern, ignoring case."""
         return re.search(pattern, self.comment, re.IGNORECASE) is not None
 
 
@@ -88,7 +86,7 @@ class Cards:
     header: Header
 
     def all(self, names: Iterable[str]) -> list[Card]:
-        """The cards of those names that the header has with a value, in the order of the names."""
+        """The cards of the names that have a value, in the order of the names."""
         cards = []
         for name in names:
             for key in (name, f"HIERARCH {name}"):
@@ -101,11 +99,11 @@ class Cards:
         return cards
 
     def first(self, names: Iterable[str]) -> Card | None:
-        """The card of the first of the names that the header has with a value."""
+        """The card of the first name that has a value."""
         return next(iter(self.all(names)), None)
 
     def number(self, names: Iterable[str]) -> Card | None:
-        """The card of the first of the names whose value is a finite number."""
+        """The card of the first name that has a finite number."""
         return next((card for card in self.all(names) if math.isfinite(card.number())), None)
 
 
@@ -138,13 +136,13 @@ _AIMS += (
     ("OBJRA", "OBJDEC"),
     ("CRVAL1", "CRVAL2"),
 )
-#: Hours by which a sidereal time may differ: it may be that of the start, the middle or the end.
+#: Tolerance of a sidereal time, hours: it may refer to the start, middle or end of the exposure.
 _SIDEREAL_TOLERANCE_H = 0.3
 
 
 @dataclass(frozen=True)
 class Station:
-    """A place on the Earth: degrees, east positive; metres above the ellipsoid, NaN if unknown; MPC code or ''."""
+    """An observing site: degrees, east positive; metres above the ellipsoid, NaN if not known; MPC code or ''."""
 
     lat_deg: float
     lon_deg: float
@@ -153,7 +151,7 @@ class Station:
 
 
 def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str, ...]]:
-    """The station, None where the header has none, and the lines on how it was read."""
+    """The station, None if the header has none, and the lines on its origin."""
     lat, lon = cards.first(_LATITUDE), cards.first(_LONGITUDE)
     if lat is None or lon is None:
         return None, ()
@@ -172,7 +170,7 @@ def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str,
 
 
 def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[float, str]:
-    """The longitude counted to the east, and by what its sign was decided."""
+    """The longitude, east positive, and how its sign was decided."""
     letter = re.search(r"[EWew]\s*$", card.text())
     if letter:
         return (lon_deg if letter[0].strip().upper() == "E" else -lon_deg), "its letter"
@@ -181,9 +179,11 @@ def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[
     sidereal = cards.first(_SIDEREAL)
     hours = math.nan if sidereal is None else sidereal.angle()[0]
     if time is not None and sidereal is not None and math.isfinite(hours):
-        off = {sign: abs((sidereal_time_h(time) + sign * lon_deg / 15 - hours + 12) % 24 - 12) for sign in (1, -1)}
-        best = 1 if off[1] < off[-1] else -1
-        if off[best] < _SIDEREAL_TOLERANCE_H and off[-best] > 3 * _SIDEREAL_TOLERANCE_H:
+        difference_h = {
+            sign: abs((sidereal_time_h(time) + sign * lon_deg / 15 - hours + 12) % 24 - 12) for sign in (1, -1)
+        }
+        best = 1 if difference_h[1] < difference_h[-1] else -1
+        if difference_h[best] < _SIDEREAL_TOLERANCE_H and difference_h[-best] > 3 * _SIDEREAL_TOLERANCE_H:
             return best * lon_deg, f"{'east' if best > 0 else 'west'} positive by {sidereal.name}"
     if card.says(r"\bwest\b|\(\+?w\)|\+\s*w\b") and not card.says(r"\beast\b|west(ern)?\s*(is\s*)?(neg|-)"):
         return -lon_deg, "west positive by its comment"
@@ -196,12 +196,12 @@ def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[
 
 
 def sidereal_time_h(time: Time) -> float:
-    """Greenwich mean sidereal time in hours, good to a few seconds (Meeus, Astronomical Algorithms, eq. 12.4)."""
+    """Greenwich mean sidereal time in hours, accurate to a few seconds (Meeus, Astronomical Algorithms, eq. 12.4)."""
     return float((18.697374558 + 24.06570982441908 * (time.mjd - 51544.5)) % 24)
 
 
 def _code(cards: Cards) -> str:
-    """The code of the Minor Planet Center, three letters and digits in parentheses or alone under its own name."""
+    """The MPC code: three letters and digits in parentheses, or alone under OBSCODE or MPCCODE."""
     for card in cards.all(_PLACES):
         match = re.search(r"\(([0-9A-Z]\d{2})\)", card.text())
         if match is None and card.name in ("OBSCODE", "MPCCODE"):
@@ -234,7 +234,7 @@ def _is_equatorial(cards: Cards) -> bool:
 
 
 def _to_icrs(cards: Cards, ra_deg: float, dec_deg: float) -> tuple[float, float, str]:
-    """A direction of the header's EQUINOX, in ICRS. EPOCH is not used: it is often that of the exposure."""
+    """A direction at the header's EQUINOX converted to ICRS. EPOCH is not used: it is often that of the exposure."""
     card = cards.number(["EQUINOX"])
     year = 2000.0 if card is None else card.number()
     if abs(year - 2000) < 0.01 or not 1800 < year < 2200:
@@ -257,7 +257,7 @@ _SCALES |= {"TCG": "tcg", "UT1": "ut1"}
 _ISO = re.compile(r"^(\d{4})[-/](\d{1,2})[-/](\d{1,2})(?:[T\s]+(\S.*?)Z?)?$")
 _OLD = re.compile(r"^(\d{1,2})[/-](\d{1,2})[/-](\d{2}|\d{4})$")
 _FIRST_UTC_YEAR = 1960
-#: TT − UT in seconds before there was UTC (Espenak & Meeus 2006, NASA/TP-2006-214141, from Morrison & Stephenson 2004).
+#: TT − UT in seconds before UTC existed (Espenak & Meeus 2006, NASA/TP-2006-214141, from Morrison & Stephenson 2004).
 _DELTA_T = (
     (1880, -5.0),
     (1900, -2.7),
@@ -272,9 +272,9 @@ _S_PER_DAY = 86400.0
 
 
 def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...]]:
-    """The middle of the exposure, None where the header has no time, and the lines on how it was read.
+    """The middle of the exposure, None if the header has no time, and the lines on its origin.
 
-    exposure_s : NaN if it is not known; the start is then taken for the middle, and a line says so.
+    exposure_s : NaN if it is not known; the start is then used as the middle, and a line reports it.
     """
     scale, lines = _time_scale(cards)
     for card in cards.all(_MIDDLE):
@@ -300,7 +300,7 @@ def middle(cards: Cards, exposure_s: float) -> tuple[Time | None, tuple[str, ...
 
 
 def _time_of(day: float, scale: str, how: str, lines: tuple[str, ...]) -> tuple[Time, tuple[str, ...]]:
-    """The time of an MJD on a scale, in TT before there was UTC, and the lines with the one on ``how`` it was read."""
+    """The time of an MJD on a scale (TT before UTC existed), and the lines, with one on its origin ``how``."""
     from sameas.times import Time
 
     year = 1858.8 + day / 365.25
@@ -334,7 +334,7 @@ def _time_scale(cards: Cards) -> tuple[str, tuple[str, ...]]:
 
 
 def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
-    """The card of the start, its MJD, and what was assumed."""
+    """The card of the start, its MJD, and the assumptions."""
     dates = [(card, _date(card.text())) for card in cards.all(_START)]
     for card, date in dates:
         if date is not None and date[1] is not None:
@@ -342,9 +342,9 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
     dated = next(((card, date[0]) for card, date in dates if date is not None), None)
     if dated is not None:
         for clock in cards.all(_CLOCK):
-            share = _time_of_day(clock.text())
-            if share is not None:
-                return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + share, ()
+            fraction = _time_of_day(clock.text())
+            if fraction is not None:
+                return Card(f"{dated[0].name} and {clock.name}", None, clock.comment), dated[1] + fraction, ()
     for card in cards.all(_COUNTED):
         day = _day(card, cards)
         if day is not None:
@@ -355,7 +355,7 @@ def _start(cards: Cards) -> tuple[Card, float, tuple[str, ...]] | None:
 
 
 def _day(card: Card, cards: Cards) -> float | None:
-    """MJD of a card that holds an MJD, a JD or a date with a time; None for anything else."""
+    """MJD of a card with an MJD, a JD or a date with a time; else None."""
     value = card.number()
     if math.isfinite(value):
         if value > 2_000_000:
@@ -366,7 +366,7 @@ def _day(card: Card, cards: Cards) -> float | None:
 
 
 def _date(text: str) -> tuple[float, float | None] | None:
-    """MJD of the day and fraction of the day, None where the text has no time of day."""
+    """MJD of the day and fraction of the day (None without a time of day); None if the text is not a date."""
     iso, old = _ISO.match(text), _OLD.match(text)
     if iso:
         year, month, day, clock = int(iso[1]), int(iso[2]), int(iso[3]), iso[4]
@@ -379,12 +379,12 @@ def _date(text: str) -> tuple[float, float | None] | None:
         mjd = float((datetime(year, month, day) - datetime(1858, 11, 17)).days)
     except ValueError:
         return None
-    share = None if clock is None else _time_of_day(clock)
-    return mjd, None if share is None else share - _zone_of(clock or "")
+    fraction = None if clock is None else _time_of_day(clock)
+    return mjd, None if fraction is None else fraction - _zone_of(clock or "")
 
 
 def _zone_of(clock: str) -> float:
-    """By what share of a day a time is ahead of UTC: 0 unless a zone stands behind it, as in 18:33:43-0700."""
+    """Offset of a time from UTC in days: 0 without a time zone as in 18:33:43-0700."""
     zone = re.search(r":\d{2}(?:\.\d*)?\s*([+-])(\d{2}):?(\d{2})?$", clock.strip())
     if zone is None:
         return 0.0
@@ -425,19 +425,19 @@ _READ_NOISE = (
     "ESO DET OUT1 RON",
 )
 _SATURATION = ("SATURATE", "SATLEVEL", "SATURAT", "SATURATI", "MAXLIN", "WELLDEPT", "SATUR_LV")
-# Arcsec per pixel, as observatories call it.
+#: Names of the scale, arcsec per pixel.
 _SCALE_NAMES = (
     "SECPIX", "PIXSCALE", "SECPIX1", "PIXSCAL1", "ARCSECPP", "IM_SCALE", "IMSCALE", "PIXELSCL", "PIXSCAL", "SECPPIX",
     "CCDSCALE",
 )  # fmt: skip
 _CALLED = {"gain_e_per_adu": "gain", "read_noise_e": "read noise", "saturation_adu": "saturation"}
-#: Highest gain, e⁻ per ADU; a larger value of GAIN is a setting of the camera (chosen).
+#: Maximum gain, e⁻ per ADU; a larger value of GAIN is a setting of the camera (chosen).
 _HIGHEST_GAIN = 30.0
 
 
 @dataclass(frozen=True)
 class Given:
-    """What the user knows better than the header; None leaves it to the header."""
+    """Values given by the user that replace those of the header; None uses the header."""
 
     gain_e_per_adu: float | None = None
     read_noise_e: float | None = None
@@ -457,20 +457,20 @@ class Given:
 @in_short
 @dataclass(frozen=True)
 class Facts:
-    """What is known of an exposure.
+    """The facts of an exposure.
 
     Attributes
     ----------
-    gain_e_per_adu, read_noise_e : NaN if not known; the noise is then taken from the image alone.
+    gain_e_per_adu, read_noise_e : NaN if not known; the noise is then measured on the image alone.
     saturation_adu : lowest value of a saturated pixel, infinite if not known.
     exposure_s : NaN if not known.
     mid_time : middle of the exposure with its scale, or None.
-    station : where it was taken, or None.
-    aim_deg : (ra, dec) ICRS that the telescope was aimed at, or None.
+    station : observing site, or None.
+    aim_deg : (ra, dec) ICRS direction of the telescope, or None.
     scale_arcsec_per_px : from the focal length and the pixels, NaN if not known; often wrong by ten per cent.
-    pedestal_adu : number that was added to all pixels, to be taken away.
-    kind : "light", "dark", "bias", "flat" or "" as the header says.
-    lines : how all this was read; printable.
+    pedestal_adu : constant that was added to all pixels, to be subtracted.
+    kind : "light", "dark", "bias", "flat" or "" by the header.
+    lines : on the origin of all this, for printing.
     name : of the frame.
     """
 
@@ -491,7 +491,7 @@ class Facts:
     def of(
         cls, header: Header, given: Given | None = None, *, name: str = "frame", notes: tuple[str, ...] = ()
     ) -> Facts:
-        """The facts of a header; what is given goes before it."""
+        """The facts of a header; given values take precedence."""
         given = given or Given()
         cards = Cards(header)
         exposure, lines = _exposure(cards)
@@ -534,12 +534,12 @@ class Facts:
         return self.mid_time
 
     def with_saturation(self, values: NDArray[Any], kind: np.dtype[Any]) -> Facts:
-        """The facts with a level of saturation read off the pixels, where none was known."""
+        """The facts with a saturation level estimated from the pixels if none was known."""
         if math.isfinite(self.saturation_adu):
             return self
         level, line = plateau(values), "saturation at {:g}: many of the brightest pixels have this value"
         if not math.isfinite(level) and kind.kind in "ui" and kind.itemsize <= 2:
-            # A converter of fewer bits than the file has makes a plateau; without one the whole range is used.
+            # A converter with fewer bits than the file makes a plateau; without one the full range is assumed.
             level, line = float(np.iinfo(kind).max), "assumed: saturation at {:g}, the largest number of the file"
         if not math.isfinite(level):
             return self
@@ -547,10 +547,10 @@ class Facts:
 
 
 def plateau(values: NDArray[Any]) -> float:
-    """Level where the brightest pixels pile up, infinite if they do not.
+    """The saturation level from a peak in the histogram of the brightest pixels, infinite without one.
 
-    Above the sky the number of pixels falls with brightness. It rises again at the limit of a detector and on a
-    blackened plate. The level is where that peak has risen to half its height.
+    Above the sky the number of pixels falls with brightness; it rises again at the limit of a detector or of a
+    blackened plate. The level is at half the height of this peak.
     """
     middle_value, highest = float(np.median(values)), float(values.max())
     if not highest > middle_value:
@@ -562,7 +562,7 @@ def plateau(values: NDArray[Any]) -> float:
         return math.inf
     half = 0.5 * (counts[top] + counts[lowest])
     first = lowest + int(np.argmax(counts[lowest : top + 1] >= half))
-    # A peak in the uppermost bin is the limit of the numbers: all its pixels have the highest value.
+    # A peak in the uppermost bin is the limit of the converter: all its pixels have the highest value.
     return float(edges[first]) if first < len(counts) - 1 else highest
 
 
@@ -589,7 +589,7 @@ def _electronics(cards: Cards, given: Given) -> tuple[dict[str, float], tuple[st
             lines += (f"{_CALLED[key]} {card.number():g} {unit} ({card.name})",)
     pedestal = cards.number(["PEDESTAL"])
     if pedestal is not None and pedestal.number():
-        # The keyword is defined as "add this to each pixel for a zero-based level": minus what was added.
+        # PEDESTAL is defined as "add this to each pixel for a zero-based level": the negative of what was added.
         facts["pedestal_adu"] = -pedestal.number()
         lines += (f"pedestal {-pedestal.number():g} ADU, subtracted in calibration (PEDESTAL)",)
     for key in ("gain_e_per_adu", "read_noise_e", "saturation_adu"):

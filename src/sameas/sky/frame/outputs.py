@@ -1,14 +1,14 @@
-"""What is written of an identified frame: its listing, and its summary as plain numbers and texts, ready for JSON.
+"""Outputs of an identified frame: its listing as a table, and its summary as numbers and texts for JSON.
 
-The listing has one row per measurement, and one per star of the frame that was not identified. ``fate`` is one of
+The listing has one row per measurement, and one per star on the frame that was not identified. ``fate`` is one of
 
 - ``identified``: a measurement with its star;
-- ``unidentified``: a measurement that is no star of the catalogue;
-- ``missing``: a star that the frame should show and no measurement is; ``remark`` says what was measured there;
-- ``too faint``: a star of the catalogue that the frame shows with a probability below a half.
+- ``unidentified``: a measurement without a star of the catalogue;
+- ``missing``: a star that should be detected but has no measurement; ``remark`` says what was measured there;
+- ``too faint``: a star of the catalogue with a detection probability below a half.
 
-Measurements come first, brightest first, then stars. Pixels are given twice: ``x_px`` counts from 0, ``x_image`` as in
-FITS headers, DS9 and SExtractor from 1.
+Measurements come first, brightest first, then stars. Pixels are given twice: ``x_px`` is 0-based, ``x_image`` 1-based
+as in FITS headers, DS9 and SExtractor.
 """
 
 from __future__ import annotations
@@ -31,25 +31,25 @@ from sameas.sky.output_columns import meta_of
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Two stars nearer than this, in full widths of a star, are measured as one (chosen).
+#: Two stars closer than this, FWHM, are measured as one (chosen).
 MERGED_WIDTHS = 1.5
-#: A saturated star hides what lies within this distance, in full widths of a star (chosen).
+#: Radius within which a saturated star hides others, FWHM (chosen).
 HIDDEN_WIDTHS = 4.0
-#: Magnitudes by which a saturated star must be brighter to hide another (chosen).
+#: Minimum difference in magnitude for a saturated star to hide another (chosen).
 BRIGHTER = 0.5
 
 
 def listing(identification: FrameIdentification, *, faint: bool = True) -> Table:
     """The table of a frame; absent values are masked.
 
-    faint : whether the stars that the frame cannot show are listed too.
+    faint : whether stars that are too faint for the frame are listed too.
     """
     from astropy.table import MaskedColumn, Table
 
-    lost = _lost(identification, faint)
+    unidentified = _unidentified_stars(identification, faint)
     table = Table(masked=True)
-    for name, (measured, star, unit, words) in _columns(identification, lost).items():
-        parts = [_masked(measured, len(identification.measured)), _masked(star, len(lost))]
+    for name, (measured, star, unit, words) in _columns(identification, unidentified).items():
+        parts = [_masked(measured, len(identification.measured)), _masked(star, len(unidentified))]
         kinds = [part for part in parts if part.dtype != object]
         dtype = np.result_type(*(part.dtype for part in kinds)) if kinds else np.dtype("U1")
         values = np.ma.concatenate([_cast(part, dtype) for part in parts])  # type: ignore[no-untyped-call]
@@ -58,13 +58,13 @@ def listing(identification: FrameIdentification, *, faint: bool = True) -> Table
     return table
 
 
-def _lost(identification: FrameIdentification, faint: bool) -> IntArray:
-    """Rows of the stars on the frame that no measurement is, brightest first."""
-    alone = identification.inside.copy()
-    alone[identification.pairs[1]] = False
+def _unidentified_stars(identification: FrameIdentification, faint: bool) -> IntArray:
+    """Rows of the stars on the frame without a measurement, brightest first."""
+    unidentified = identification.inside.copy()
+    unidentified[identification.pairs[1]] = False
     if not faint:
-        alone &= identification.p_detect >= EXPECTED
-    rows = np.flatnonzero(alone)
+        unidentified &= identification.p_detect >= EXPECTED
+    rows = np.flatnonzero(unidentified)
     return rows[np.argsort(np.nan_to_num(identification.stars.magnitude[rows], nan=99.0), kind="stable")]
 
 
@@ -72,29 +72,29 @@ def _lost(identification: FrameIdentification, faint: bool) -> IntArray:
 _Column = tuple[Any, Any, str, str]
 
 
-def _columns(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+def _columns(identification: FrameIdentification, unidentified: IntArray) -> dict[str, _Column]:
     return {
-        **_what(identification, lost),
-        **_where(identification, lost),
-        **_how_sure(identification, lost),
-        **_how_bright(identification, lost),
+        **_identity_columns(identification, unidentified),
+        **_position_columns(identification, unidentified),
+        **_probability_columns(identification, unidentified),
+        **_photometry_columns(identification, unidentified),
     }
 
 
-def _what(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+def _identity_columns(identification: FrameIdentification, unidentified: IntArray) -> dict[str, _Column]:
     m, stars = identification.measured, identification.stars
     partner = identification.result.answers_1.partner
     fate = np.where(np.ma.getmaskarray(partner), "unidentified", "identified")
-    ids = _taken(stars.ids, partner)
-    expected = identification.p_detect[lost] >= EXPECTED
+    ids = _selected(stars.ids, partner)
+    expected = identification.p_detect[unidentified] >= EXPECTED
     return {
         "fate": (fate, np.where(expected, "missing", "too faint"), "", "fate of the row"),
         "measurement": (np.arange(len(m)), None, "", "number of the measurement, brightest first"),
-        "star": (ids, stars.ids[lost], "", f"identifier in {stars.name}"),
-        "star_row": (_taken(stars.rows, partner), stars.rows[lost], "", f"row in {stars.name}"),
+        "star": (ids, stars.ids[unidentified], "", f"identifier in {stars.name}"),
+        "star_row": (_selected(stars.rows, partner), stars.rows[unidentified], "", f"row in {stars.name}"),
         "remark": (
             np.array(_remarks(identification), dtype=str),
-            np.array(why_missing(identification, lost), dtype=str),
+            np.array(why_missing(identification, unidentified), dtype=str),
             "",
             "flags of a measurement, and whether its star is brighter or fainter than catalogued; what stands in the "
             "place of a missing star",
@@ -112,7 +112,7 @@ def _remarks(identification: FrameIdentification) -> list[str]:
 
 
 def odd_words(excess_mag: float) -> str:
-    """How a star differs from its catalogued magnitude.
+    """Text on the difference of a star from its catalogued magnitude.
 
     >>> odd_words(-2.31)
     '2.3 mag brighter than catalogued'
@@ -120,12 +120,12 @@ def odd_words(excess_mag: float) -> str:
     return f"{abs(excess_mag):.1f} mag {'brighter' if excess_mag < 0 else 'fainter'} than catalogued"
 
 
-def _where(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+def _position_columns(identification: FrameIdentification, unidentified: IntArray) -> dict[str, _Column]:
     m, stars, px = identification.measured, identification.stars, identification.predicted_px
     partner = identification.result.answers_1.partner
     ra, dec, sky = identification.plate.to_sky(m.x_px, m.y_px, m.covariance)
-    star_px, star_cov = px[lost], identification.predicted_covariance[lost]
-    left_px, left_sky = (
+    star_px, star_cov = px[unidentified], identification.predicted_covariance[unidentified]
+    residual_px, residual_sky = (
         _per_measurement(identification, values)
         for values in (identification.residual_px, identification.residual_arcsec)
     )
@@ -138,60 +138,70 @@ def _where(identification: FrameIdentification, lost: IntArray) -> dict[str, _Co
         "cov_xx_px2": (m.covariance[:, 0], star_cov[:, 0], "pix2", "variance along x"),
         "cov_xy_px2": (m.covariance[:, 1], star_cov[:, 1], "pix2", "covariance of x and y"),
         "cov_yy_px2": (m.covariance[:, 2], star_cov[:, 2], "pix2", "variance along y"),
-        "ra_deg": (ra, stars.ra_deg[lost], "deg", "ICRS, of the measurement by the plate model"),
-        "dec_deg": (dec, stars.dec_deg[lost], "deg", "ICRS, of the measurement by the plate model"),
-        "cov_ee_arcsec2": (sky[:, 0], stars.covariance_arcsec[lost, 0], "arcsec2", "variance east"),
-        "cov_en_arcsec2": (sky[:, 1], stars.covariance_arcsec[lost, 1], "arcsec2", "covariance of east and north"),
-        "cov_nn_arcsec2": (sky[:, 2], stars.covariance_arcsec[lost, 2], "arcsec2", "variance north"),
-        "star_x_px": (_taken(px[:, 0], partner), star_px[:, 0], "pix", "predicted by the plate model"),
-        "star_y_px": (_taken(px[:, 1], partner), star_px[:, 1], "pix", "predicted by the plate model"),
-        "star_ra_deg": (_taken(stars.ra_deg, partner), stars.ra_deg[lost], "deg", predicted),
-        "star_dec_deg": (_taken(stars.dec_deg, partner), stars.dec_deg[lost], "deg", predicted),
+        "ra_deg": (ra, stars.ra_deg[unidentified], "deg", "ICRS, of the measurement by the plate model"),
+        "dec_deg": (dec, stars.dec_deg[unidentified], "deg", "ICRS, of the measurement by the plate model"),
+        "cov_ee_arcsec2": (sky[:, 0], stars.covariance_arcsec[unidentified, 0], "arcsec2", "variance east"),
+        "cov_en_arcsec2": (
+            sky[:, 1],
+            stars.covariance_arcsec[unidentified, 1],
+            "arcsec2",
+            "covariance of east and north",
+        ),
+        "cov_nn_arcsec2": (sky[:, 2], stars.covariance_arcsec[unidentified, 2], "arcsec2", "variance north"),
+        "star_x_px": (_selected(px[:, 0], partner), star_px[:, 0], "pix", "predicted by the plate model"),
+        "star_y_px": (_selected(px[:, 1], partner), star_px[:, 1], "pix", "predicted by the plate model"),
+        "star_ra_deg": (_selected(stars.ra_deg, partner), stars.ra_deg[unidentified], "deg", predicted),
+        "star_dec_deg": (_selected(stars.dec_deg, partner), stars.dec_deg[unidentified], "deg", predicted),
         "moved_east_arcsec": (
             _moved(identification, partner, 0),
-            stars.moved_arcsec[lost, 0],
+            stars.moved_arcsec[unidentified, 0],
             "arcsec",
             "since its own epoch",
         ),
         "moved_north_arcsec": (
             _moved(identification, partner, 1),
-            stars.moved_arcsec[lost, 1],
+            stars.moved_arcsec[unidentified, 1],
             "arcsec",
             "since its own epoch",
         ),
-        "residual_x_px": (left_px[:, 0], None, "pix", "measured minus predicted"),
-        "residual_y_px": (left_px[:, 1], None, "pix", "measured minus predicted"),
-        "residual_east_arcsec": (left_sky[:, 0], None, "arcsec", "measured minus catalogue"),
-        "residual_north_arcsec": (left_sky[:, 1], None, "arcsec", "measured minus catalogue"),
+        "residual_x_px": (residual_px[:, 0], None, "pix", "measured minus predicted"),
+        "residual_y_px": (residual_px[:, 1], None, "pix", "measured minus predicted"),
+        "residual_east_arcsec": (residual_sky[:, 0], None, "arcsec", "measured minus catalogue"),
+        "residual_north_arcsec": (residual_sky[:, 1], None, "arcsec", "measured minus catalogue"),
     }
 
 
-def _how_sure(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+def _probability_columns(identification: FrameIdentification, unidentified: IntArray) -> dict[str, _Column]:
     one, two = identification.result.answers_1, identification.result.answers_2
     distance = np.full(len(identification.measured), np.nan)
     distance[identification.pairs[0]] = identification.result.matches.mahalanobis
-    other = _taken(np.arange(len(identification.measured)), two.second)[lost]
+    second_measurement = _selected(np.arange(len(identification.measured)), two.second)[unidentified]
     return {
         "p_match": (one.p_match, None, "", "probability that the measurement is this star"),
-        "p_none": (one.p_none, two.p_none[lost], "", "probability of having no partner"),
-        "p_second": (one.p_second, two.p_second[lost], "", "probability of the next best candidate"),
+        "p_none": (one.p_none, two.p_none[unidentified], "", "probability of having no partner"),
+        "p_second": (one.p_second, two.p_second[unidentified], "", "probability of the next best candidate"),
         "second_star": (
-            _taken(identification.stars.ids, one.second),
+            _selected(identification.stars.ids, one.second),
             None,
             "",
             "the next best candidate of a measurement",
         ),
-        "second_measurement": (None, other, "", "the best candidate of a missing star"),
-        "candidates": (one.candidates, two.candidates[lost], "", "candidates within the gate"),
+        "second_measurement": (None, second_measurement, "", "the best candidate of a missing star"),
+        "candidates": (one.candidates, two.candidates[unidentified], "", "candidates within the gate"),
         "distance_sigma": (distance, None, "", "residual over its quoted error"),
-        "p_detect": (None, identification.p_detect[lost], "", "completeness of the frame at the star's magnitude"),
+        "p_detect": (
+            None,
+            identification.p_detect[unidentified],
+            "",
+            "completeness of the frame at the star's magnitude",
+        ),
     }
 
 
-def _how_bright(identification: FrameIdentification, lost: IntArray) -> dict[str, _Column]:
+def _photometry_columns(identification: FrameIdentification, unidentified: IntArray) -> dict[str, _Column]:
     m, stars = identification.measured, identification.stars
     partner = identification.result.answers_1.partner
-    colour = _taken(stars.colour, partner)
+    colour = _selected(stars.colour, partner)
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(m.flux > 0, 1.0857 * m.flux_err / m.flux, np.nan)
     zero_point = identification.zero_point
@@ -201,15 +211,20 @@ def _how_bright(identification: FrameIdentification, lost: IntArray) -> dict[str
         "flux_err": (m.flux_err, None, "", "its standard deviation"),
         "magnitude": (magnitude, None, "mag", f"from the flux, in the band of {stars.name}"),
         "magnitude_err": (error, None, "mag", "from the error of the flux alone"),
-        "star_magnitude": (_taken(stars.magnitude, partner), stars.magnitude[lost], "mag", f"from {stars.name}"),
-        "star_colour": (colour, stars.colour[lost], "mag", stars.colour_name or "not known"),
+        "star_magnitude": (
+            _selected(stars.magnitude, partner),
+            stars.magnitude[unidentified],
+            "mag",
+            f"from {stars.name}",
+        ),
+        "star_colour": (colour, stars.colour[unidentified], "mag", stars.colour_name or "not known"),
         "snr": (m.snr, None, "", "significance of the detection"),
         "fwhm_px": (m.fwhm_px, None, "pix", "width at half maximum"),
     }
 
 
-def why_missing(identification: FrameIdentification, lost: IntArray) -> list[str]:
-    """Why these stars, (k,) rows, were not identified: what was measured in the place of each, in words."""
+def why_missing(identification: FrameIdentification, rows: IntArray) -> list[str]:
+    """Texts on why stars, rows (k,), were not identified: what was measured at the position of each."""
     from scipy.spatial import cKDTree
 
     m, px = identification.measured, identification.predicted_px
@@ -217,16 +232,18 @@ def why_missing(identification: FrameIdentification, lost: IntArray) -> list[str
     owner = identification.result.answers_1.partner
     tree = cKDTree(np.column_stack([m.x_px, m.y_px]))
     reach = [width * MERGED_WIDTHS, width * HIDDEN_WIDTHS]
-    close, wide = (tree.query_ball_point(px[lost], radius, return_sorted=True) for radius in reach)
-    edge = np.minimum(px[lost], np.array(m.shape[::-1]) - 1 - px[lost]).min(axis=1)
+    close, in_wings = (tree.query_ball_point(px[rows], radius, return_sorted=True) for radius in reach)
+    edge = np.minimum(px[rows], np.array(m.shape[::-1]) - 1 - px[rows]).min(axis=1)
     words = []
-    for k, row in enumerate(lost):
+    for k, row in enumerate(rows):
         hidden = [
-            i for i in wide[k] if m.flags[i] & Flag.SATURATED and _is_brighter(identification, int(i), int(row), owner)
+            i
+            for i in in_wings[k]
+            if m.flags[i] & Flag.SATURATED and _is_brighter(identification, int(i), int(row), owner)
         ]
         if close[k]:
             i = min(close[k], key=lambda i: float(np.hypot(m.x_px[i] - px[row, 0], m.y_px[i] - px[row, 1])))
-            words.append(_in_its_place(identification, int(i), int(row), owner))
+            words.append(_nearby_measurement(identification, int(i), int(row), owner))
         elif edge[k] < width:
             words.append("on the edge of the frame")
         elif identification.p_detect[row] < EXPECTED:
@@ -244,33 +261,33 @@ def _is_brighter(identification: FrameIdentification, i: int, row: int, owner: n
     return bool(identification.stars.magnitude[owner[i]] < identification.stars.magnitude[row] - BRIGHTER)
 
 
-def _in_its_place(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:
+def _nearby_measurement(identification: FrameIdentification, i: int, row: int, owner: np.ma.MaskedArray) -> str:
     m, px = identification.measured, identification.predicted_px[row]
-    off = float(np.hypot(m.x_px[i] - px[0], m.y_px[i] - px[1]))
+    distance = float(np.hypot(m.x_px[i] - px[0], m.y_px[i] - px[1]))
     if np.ma.getmaskarray(owner)[i]:
-        return f"measurement {i} is {off:.1f} px away, too far for their errors"
-    return f"measurement {i}, {off:.1f} px away, is {identification.stars.ids[owner[i]]}; one mark for both"
+        return f"measurement {i} is {distance:.1f} px away, too far for their errors"
+    return f"measurement {i}, {distance:.1f} px away, is {identification.stars.ids[owner[i]]}; one mark for both"
 
 
 def _per_measurement(identification: FrameIdentification, values: FloatArray) -> FloatArray:
-    """(n, d) values of the identified pairs, per measurement; NaN where it is not identified."""
+    """(n, d) values of the identified pairs per measurement; NaN for unidentified ones."""
     column = np.full((len(identification.measured), values.shape[1]), np.nan)
     column[identification.pairs[0]] = values
     return column
 
 
 def _moved(identification: FrameIdentification, partner: np.ma.MaskedArray, axis: int) -> np.ma.MaskedArray:
-    return _taken(identification.stars.moved_arcsec[:, axis], partner)
+    return _selected(identification.stars.moved_arcsec[:, axis], partner)
 
 
-def _taken(values: NDArray[Any], rows: np.ma.MaskedArray) -> np.ma.MaskedArray:
-    """``values`` at ``rows``, masked where there is no row."""
+def _selected(values: NDArray[Any], rows: np.ma.MaskedArray) -> np.ma.MaskedArray:
+    """``values`` at ``rows``, masked where the row is masked."""
     absent = np.ma.getmaskarray(rows)
     return np.ma.MaskedArray(values[np.where(absent, 0, np.ma.getdata(rows))], absent.copy())
 
 
 def _masked(values: Any, n: int) -> np.ma.MaskedArray:
-    """A part of a column: all of it absent where there are no values, and where they are not finite."""
+    """Part of a column, masked where not finite; all masked if ``values`` is None."""
     if values is None:
         return np.ma.MaskedArray(np.zeros(n, dtype=object), np.ones(n, bool))
     column: np.ma.MaskedArray = np.ma.MaskedArray(values, copy=True)
@@ -285,7 +302,7 @@ def _cast(values: np.ma.MaskedArray, dtype: np.dtype[Any]) -> np.ma.MaskedArray:
     return np.ma.MaskedArray(values, dtype=dtype)
 
 
-#: The names of the terms of the error model in a summary.
+#: Names of the terms of the error model in the summary.
 ERROR_NAMES = {
     "factor_1": "error_factor_frame",
     "factor_2": "error_factor_catalogue",
@@ -296,7 +313,7 @@ ERROR_NAMES = {
 
 
 def summary(identification: FrameIdentification, frame: Frame | None = None) -> dict[str, Any]:
-    """Numbers, texts, lists and nulls, ready for JSON; angles in degrees, units in the names.
+    """The summary for JSON; angles in degrees, units in the names.
 
     frame : adds the facts of its header.
     """
@@ -355,7 +372,7 @@ def _place(identification: FrameIdentification) -> dict[str, Any]:
 
 
 def orientation(identification: FrameIdentification) -> tuple[float, float, int]:
-    """Arcsec per pixel, direction of the y axis from north through east in degrees, and the parity, in the middle."""
+    """Arcsec per pixel, direction of the y axis in degrees from north through east, and parity, at the middle."""
     plate, rows, columns = identification.plate, *identification.measured.shape
     slope = plate.polynomial.slope(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
     determinant = float(np.linalg.det(slope))
@@ -404,7 +421,7 @@ def _counts(identification: FrameIdentification) -> dict[str, Any]:
 
 
 def _estimated(identification: FrameIdentification) -> dict[str, list[float]]:
-    """The quantities that were estimated with the identification, each with its standard error.
+    """The quantities estimated with the identification, each with its standard error.
 
     Densities per square arcminute of measurements without a star and of candidate stars without a measurement; the
     error scale; factors on the errors of the frame and of the catalogue or of both, and floors in arcsec.
@@ -473,7 +490,7 @@ def _brightness(identification: FrameIdentification) -> dict[str, Any]:
 
 
 def _odd(identification: FrameIdentification) -> dict[str, Any] | None:
-    """The stars that are much brighter or fainter than catalogued, None where there are none."""
+    """The number of stars much brighter or fainter than catalogued, None if there are none."""
     odd, excess = identification.odd_brightness, identification.excess_mag
     if not len(odd):
         return None
