@@ -528,7 +528,7 @@ def near_pairs(
     return found
 
 
-def both_look(
+def overlap(
     box: np.ndarray, one: np.ndarray, two: np.ndarray, margin: float, periods: np.ndarray
 ) -> tuple[float, list[float], list[int]]:
     """(volume where both look, where each looks, records of each in the first)."""

@@ -60,9 +60,9 @@ def test_where_both_sources_look(seed, space):
     one, two = rng.uniform(0.0, 25.0, (20, d)), rng.uniform(-10.0, 20.0, (4, 15, d))
     two[3] += 100.0  # nowhere
     box = np.stack([one.min(axis=0) - 1.0, one.max(axis=0) + 1.0])
-    volume, whole, inside = offsets.both_look(box, one, two, 0.5, periods)
+    volume, whole, inside = offsets.overlap(box, one, two, 0.5, periods)
     for s in range(4):
-        expected = naive.both_look(box, one, two[s], 0.5, periods)
+        expected = naive.overlap(box, one, two[s], 0.5, periods)
         assert (volume[s], *whole[s], *inside[s]) == pytest.approx((expected[0], *expected[1], *expected[2]))
 
 

@@ -1,1 +1,1 @@
-"""Our identification behind the verbs of other libraries; each module needs the library that it is named after."""
+"""Identification through the interfaces of other libraries; each module needs the library that it is named after."""

@@ -1,13 +1,13 @@
-"""LSDB's ``crossmatch``, decided one to one: ``left.crossmatch(right, algorithm=OneToOne(found), how="outer")``.
+"""One-to-one ``crossmatch`` for LSDB: ``left.crossmatch(right, algorithm=OneToOne(found), how="outer")``.
 
-What is not known is estimated once, from the catalogues on disk: ``found = sameas.match("left_hats", "right_hats")``.
-LSDB then brings every partition with its margins, and this says which of its rows are pairs; each pair is emitted by
-the partition of its left row, and no right row twice.
+Everything is estimated once, from the catalogues on disk: ``found = sameas.match("left_hats", "right_hats")``. LSDB
+then passes every partition with its margins, and the algorithm returns its pairs. Each pair is returned for the
+partition of its left row, and no right row twice.
 
-LSDB brings the left margin for ``how="outer"`` alone, and from version 0.11 on; without it rows beyond a border
-compete for nothing, and are claimed twice. So other joins, older versions and narrow margins are refused. Unlike
-``found.write(...)``, nothing is decided again with a wider halo, and records that move or reach farther than the margin
-are not brought to where they belong.
+LSDB passes the left margin only for ``how="outer"``, and from version 0.11 on. Without it, rows beyond a border could
+not compete and would be matched twice, so other joins, older versions and narrow margins are refused. Unlike with
+``found.write(...)``, nothing is decided again with a wider halo, and records whose motion or error exceeds the margin
+are not read.
 
 Needs ``pip install sameas[lsdb]``.
 """
@@ -38,12 +38,12 @@ class OneToOne(AbstractCrossmatchAlgorithm):
 
     Parameters
     ----------
-    match : of the same two catalogues on disk, for what is estimated once.
-    margin_arcsec : that both catalogues need; :attr:`halo_arcsec` if not given. Narrower ones decide some rows wrongly.
+    match : of the same two catalogues on disk, for its estimates.
+    margin_arcsec : required of both catalogues; by default :attr:`halo_arcsec`. With less, some rows are wrong.
 
     Raises
     ------
-    InputError : LSDB is older than 0.11; at ``crossmatch``: another join than "outer", no margins, or too narrow ones.
+    InputError : LSDB is older than 0.11; at ``crossmatch``: a join other than "outer", missing or too narrow margins.
     """
 
     extra_columns = pd.DataFrame({name: pd.Series(dtype=_NUMBER) for name in _COLUMNS})
@@ -53,16 +53,16 @@ class OneToOne(AbstractCrossmatchAlgorithm):
         _refuse_old()
         self.work = match.estimated.work
         self.margin_arcsec = self.halo_arcsec if margin_arcsec is None else margin_arcsec
-        # LSDB asks for a left margin of so much, and a right one of twice as much.
+        # LSDB requires a left margin of this width, and a right one of twice this width.
         self.radius_arcsec = 0.5 * self.margin_arcsec
 
     @property
     def halo_arcsec(self) -> float:
-        """The halo that the groups of the sample need, arcsec: build both margins no narrower."""
+        """The halo that nearly all groups of the sample need, arcsec: the smallest width of both margins."""
         return self.work.margin_arcsec
 
     def validate(self, left: Any, right: Any) -> None:
-        """Refuses catalogues without margins as wide as the halo."""
+        """Refuse catalogues without margins of the required width."""
         super().validate(left, right)
         for side, catalogue in (("left", left), ("right", right)):
             margin = catalogue.margin
@@ -79,27 +79,27 @@ class OneToOne(AbstractCrossmatchAlgorithm):
     def crossmatch(
         self, crossmatch_args: CrossmatchArgs, how: str, suffixes: tuple[str, str], suffix_method: str = "all_columns"
     ) -> Any:
-        """The joined rows of a partition, as LSDB asks for them."""
+        """The joined rows of a partition."""
         if how != "outer":
             raise _only_outer(how)
         return super().crossmatch(crossmatch_args, how, suffixes, suffix_method)
 
     def crossmatch_nested(self, crossmatch_args: CrossmatchArgs, nested_column_name: str, how: str) -> Any:
-        """Refused: nested joins bring no left margin."""
+        """Refused, as LSDB passes no left margin for nested joins."""
         raise _only_outer(f"{how} (nested)")
 
     def perform_crossmatch(self, crossmatch_args: CrossmatchArgs) -> tuple[Any, Any, pd.DataFrame]:
-        """Positions of the pairs' rows in both frames, and what is said of them."""
+        """Row positions of the pairs in both frames, and their columns."""
         if crossmatch_args.left_native_len is None:
             raise _only_outer("of a version of LSDB that brings no left margin")
         one, two = (
             side.rows(_arrow(frame, side.columns(self.work.magnitudes, self.work.evidence)))
             for side, frame in zip(self.work.sides, (crossmatch_args.left_df, crossmatch_args.right_df), strict=True)
         )
-        found = self.work.identified(one, two).matches
-        values = (found.p_match, found.log_odds, np.linalg.norm(found.residual, axis=1))
-        answers = pd.DataFrame({name: pd.Series(v, dtype=_NUMBER) for name, v in zip(_COLUMNS, values, strict=True)})
-        return found.rows_1, found.rows_2, answers
+        matches = self.work.identified(one, two).matches
+        values = (matches.p_match, matches.log_odds, np.linalg.norm(matches.residual, axis=1))
+        columns = pd.DataFrame({name: pd.Series(v, dtype=_NUMBER) for name, v in zip(_COLUMNS, values, strict=True)})
+        return matches.rows_1, matches.rows_2, columns
 
 
 def _arrow(frame: Any, columns: list[str]) -> pa.Table:

@@ -1,12 +1,12 @@
-"""Compiled exact sums around each record, with messages for what lies beyond.
+"""Compiled exact sums around each record, with messages from the records beyond.
 
-The *ball* of a row is that row, its center, and the rows that compete with it most. Claims from outside weigh on the
-columns: with the odds of a pair divided by what the column counts when nobody inside takes it, a column that is left
-counts 1, and one that a single row of the ball wants is no more than odds of that row to need none of the others.
+The *ball* of a row is that row, its center, and the rows that compete with it most. Messages from outside act on the
+columns. The odds of each pair are divided by what its column counts if no row of the ball takes it, so that an untaken
+column counts 1; a column that only one row of the ball can take is part of that row's odds to take none of the others.
 
-What the rows but the center do is enumerated, but for two of them: these can do all that the one can, times all that
-the other can, except where both take one column. With every sum goes the part of it in which a column is taken: the
-rest of it is what is left to the center.
+The options of the rows except the center are enumerated, except for the last two rows, whose sum is a product minus the
+terms in which both take the same column. With every sum, its part in which a column is taken is summed too: the rest is
+available to the center.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ import numpy as np
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import inlined, kernel, part
 
-#: Odds are not divided by less: products of them over the rows of a ball stay finite.
+#: Lower limit of the divisor of odds, so that their products over the rows of a ball stay finite.
 TINY = 1e-30
-#: Weaker claims call no row into a ball, unless the reduced odds of both pairs are a good part of those of the best
-#: hypothesis: around a loop of pairs that hardly leave each other alone messages grow over-confident without bound.
+#: Rivals of a weaker claim are not in the ball, unless the reduced odds of both pairs have a product above TIGHT:
+#: around a loop of pairs that nearly exclude no partner, messages become over-confident without bound.
 WEAKEST, TIGHT = 1e-9, 1e-6
-#: Where less than this share of the sums is left to the center, differences have lost digits.
+#: If less than this share of the sums is available to the center, differences have lost digits.
 CANCELLED = 1e-6
-#: Where less than this is left, messages alone answer.
+#: If less than this is available to the center, its probabilities are by messages alone.
 LEAST = 1e-200
 UNKNOWN, NONE = -1, -1
 
-#: A graph by rows: CSR starts; of the pairs the columns, the reduced odds, and those with which rows claim columns.
-#: The same pairs by columns: CSR starts, rows, claims, reduced odds. Odds of rows and of columns to have no partner.
+#: A graph. By row: CSR starts; columns, reduced odds and messages to the columns (claims) of the pairs. By column: CSR
+#: starts, rows, claims and reduced odds of the pairs. Odds of rows and of columns to have no partner.
 Graph = namedtuple("Graph", "start column odds claim column_start rival rival_claim rival_odds none free")
-#: Room for a ball. Its rows, and the next rival of each. Of all rows whether they are inside, of all columns the number
-#: in the ball. Of the ball's columns what each counts when nobody takes it, whether rows share it, whether one has
-#: taken it, what is lost to the center by that, the weights that the last two rows give it. Options of the rows: where
-#: they begin and end, columns, weights. By depth of the enumeration: the weight so far, the sum beyond, the next
+#: Workspace of a ball. Its rows, and the next rival of each; of all rows whether they are inside; of all columns the
+#: number in the ball. Of the ball's columns: what each counts untaken, whether rows share it, whether it is taken, the
+#: part of the sum that is then lost to the center, the weights of it of the last two rows. Options of the rows: first
+#: and last, columns, weights. By depth of the enumeration: the weight so far, the sum of deeper levels, the next
 #: option, the column held.
 Ball = namedtuple(
     "Ball",
@@ -67,38 +67,38 @@ def by_columns(
 
 @kernel
 def rank_rivals(first: int, last: int, graph: Graph, rivals: Int32Array, strength: FloatArray) -> None:
-    """Fill ``rivals`` (n1, k) with the k rows that compete with each of some rows most, NONE where there are fewer.
+    """Write to ``rivals`` (n1, k) the k rows that compete most with each of some rows, NONE if there are fewer.
 
-    strength (n1, k) : a rival's claim on a column counts for as much as the row itself can want that; claims that are
-    next to nothing although duality lets them be count least.
+    strength (n1, k) : the product of both rows' claims on a column, each at most 1; negligible claims of pairs with
+    large reduced odds have the smallest strength.
     """
     most = rivals.shape[1]
     for row in range(first, last):
-        found = np.int64(0)
+        count = np.int64(0)
         for e in range(graph.start[row], graph.start[row + 1]):
-            wanted = min(graph.claim[e], 1.0)
+            own_claim = min(graph.claim[e], 1.0)
             c = graph.column[e]
             for p in range(graph.column_start[c], graph.column_start[c + 1]):
-                claim = min(graph.rival_claim[p], 1.0) * wanted
+                claim = min(graph.rival_claim[p], 1.0) * own_claim
                 rival = graph.rival[p]
                 if claim <= WEAKEST:
                     tight = graph.rival_odds[p] * graph.odds[e]
                     claim = WEAKEST * tight if tight > TIGHT else 0.0
-                if claim == 0.0 or rival == row or (found == most and claim <= strength[row, most - 1]):
+                if claim == 0.0 or rival == row or (count == most and claim <= strength[row, most - 1]):
                     continue
                 at = np.int64(0)
-                while at < found and rivals[row, at] != rival:
+                while at < count and rivals[row, at] != rival:
                     at += 1
-                if at == found:
-                    found = min(found + 1, most)
-                    at = found - 1
+                if at == count:
+                    count = min(count + 1, most)
+                    at = count - 1
                 elif claim <= strength[row, at]:
                     continue
                 while at > 0 and strength[row, at - 1] < claim:
                     rivals[row, at], strength[row, at] = rivals[row, at - 1], strength[row, at - 1]
                     at -= 1
                 rivals[row, at], strength[row, at] = rival, claim
-        for k in range(found, most):
+        for k in range(count, most):
             rivals[row, k] = NONE
 
 
@@ -112,10 +112,10 @@ def balls(
     most_bits: float,
     share: FloatArray,
 ) -> None:
-    """Posterior of the pairs of rows first … last − 1 of a :data:`Graph`.
+    """Write the posterior ``share`` of the pairs of rows first … last − 1 of a :data:`Graph`.
 
-    Each row is solved exactly together with the rows that compete with it most, up to as many as ``rivals`` has columns
-    and ``most_bits`` of choices; what lies outside answers by its messages at the border.
+    Each row is summed exactly together with the rows that compete with it most, at most as many as ``rivals`` has
+    columns, with at most ``most_bits`` of choices; other rows act by their messages.
     """
     ball = room_for(graph, rivals.shape[1])
     for center in range(first, last):
@@ -132,7 +132,7 @@ def balls(
 
 @part
 def room_for(graph: Graph, most_rows: int) -> Ball:
-    """Room for balls of a graph."""
+    """A workspace for balls of a graph."""
     longest = np.int64(0)
     for r in range(len(graph.none)):
         longest = max(longest, graph.start[r + 1] - graph.start[r])
@@ -164,7 +164,7 @@ def room_for(graph: Graph, most_rows: int) -> Ball:
 def gather_rows(
     center: int, graph: Graph, rivals: Int32Array, strength: FloatArray, most_bits: float, ball: Ball
 ) -> int:
-    """List the rows of a ball, always the strongest rival of one of those inside; returns their number."""
+    """List the rows of a ball, adding the strongest rival of any row inside; returns their number."""
     most = rivals.shape[1]
     count = np.int64(0)
     row = np.int64(center)
@@ -193,9 +193,9 @@ def gather_rows(
 
 @part
 def gather_options(count: int, graph: Graph, ball: Ball) -> int:
-    """List what the rows of a ball can do: of the center every pair, of others those with columns that are shared.
+    """List the options of the rows of a ball: every pair of the center, of other rows those with shared columns.
 
-    The last entry of a row is all else. Weights of a row sum to 1. Returns the number of rows, at least three.
+    The last option of a row stands for all others. Weights of a row sum to 1. Returns the number of rows, at least 3.
     """
     columns, pairs = np.int64(0), np.int64(0)
     for t in range(count):
@@ -233,7 +233,7 @@ def gather_options(count: int, graph: Graph, ball: Ball) -> int:
             total += ball.weight[k]
         for k in range(low, pairs):
             ball.weight[k] /= total
-    # Two rows are summed at once: those that can do most.
+    # The two rows of most options come last, as they are summed together.
     for t in range(2, count):
         low, high = ball.first[t], ball.last[t]
         at = t
@@ -256,9 +256,9 @@ def gather_options(count: int, graph: Graph, ball: Ball) -> int:
 
 @part
 def sum_others(rows: int, ball: Ball) -> float:
-    """Sum of the weights of all that the rows but the center can do without conflict.
+    """Sum of the weights of all combinations of options, without conflict, of the rows except the center.
 
-    ``lost`` of each column grows by the part of it in which that column is taken.
+    ``lost`` of each column is increased by the part of the sum in which that column is taken.
     """
     depth, inner = np.int64(1), rows - 2
     ball.so_far[1], ball.option[1], ball.held[1], ball.total[1] = 1.0, ball.first[1], NONE, 0.0
@@ -292,10 +292,10 @@ def sum_others(rows: int, ball: Ball) -> float:
 
 @inlined
 def sum_two(weight: float, a: int, ball: Ball) -> float:
-    """The same for the last two rows, a and b, of what others leave: all that a can do times all that b can, except
-    where both take one column.
+    """:func:`sum_others` for the last two rows, a and b, given the other rows: the product of their sums without the
+    terms in which both take the same column.
 
-    No difference loses digits: the greatest weight of a row is not subtracted, but left out.
+    No difference loses digits: a row's largest weight is not subtracted, but the others are summed.
     """
     first_a, last_a, first_b, last_b = ball.first[a], ball.last[a] - 1, ball.first[a + 1], ball.last[a + 1] - 1
     at_a, top_a, rest_a = greatest(first_a, last_a, ball)
@@ -317,8 +317,8 @@ def sum_two(weight: float, a: int, ball: Ball) -> float:
 
 @inlined
 def greatest(first: int, last: int, ball: Ball) -> tuple[int, float, float]:
-    """Of what one row can do without conflict, all else at ``last``: the column of the greatest weight, NONE for all
-    else, that weight, and the sum of the others."""
+    """Column (NONE for that at ``last``) and weight of a row's possible option of largest weight, and the sum of the
+    other weights."""
     at, top, rest = np.int64(NONE), ball.weight[last], 0.0
     for k in range(first, last):
         if not ball.taken[ball.column[k]]:
@@ -333,16 +333,16 @@ def greatest(first: int, last: int, ball: Ball) -> tuple[int, float, float]:
 
 @part
 def sum_ball(rows: int, ball: Ball, share: FloatArray) -> bool:
-    """Fill ``share`` of the center's pairs; False where all that is left to it underflows."""
+    """Write ``share`` of the center's pairs; False if the sum of its options underflows."""
     pairs = len(share)
-    every = sum_others(rows, ball)
-    alone = ball.weight[pairs] * every
+    others = sum_others(rows, ball)
+    alone = ball.weight[pairs] * others
     total = alone
     for k in range(pairs):
-        share[k] = ball.weight[k] * (every - ball.lost[ball.column[k]])
+        share[k] = ball.weight[k] * (others - ball.lost[ball.column[k]])
         total += share[k]
-    if not total > CANCELLED * every:
-        # Others want whatever the center wants: each of its options is summed by itself, without a difference.
+    if not total > CANCELLED * others:
+        # Nearly all columns of the center are taken by others: each option is summed separately, without a difference.
         total = alone
         for k in range(pairs):
             ball.taken[ball.column[k]] = True
@@ -358,7 +358,7 @@ def sum_ball(rows: int, ball: Ball, share: FloatArray) -> bool:
 
 @part
 def from_messages(row: int, graph: Graph, share: FloatArray) -> None:
-    """The posterior of one row from its messages alone."""
+    """Write the posterior of one row from messages alone."""
     low = graph.start[row]
     total = graph.none[row]
     for k in range(len(share)):

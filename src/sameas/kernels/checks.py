@@ -1,4 +1,4 @@
-"""Compiled check of what a source says: one look at every row."""
+"""Compiled validation of the records of a source, row by row."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ USABLE, NO_POSITION, NO_ERROR, NOT_POSITIVE, BEYOND_POLE = 0, 1, 2, 3, 4
 
 @small
 def check_rows(features: FloatArray, packed: FloatArray, directions: bool, reasons: NDArray[np.int8]) -> int:
-    """Fill ``reasons`` (n,) with 0 where a row can be used, else the number of what is wrong; returns how many are.
+    """Write to ``reasons`` (n,) 0 for a usable row, else the number of its error; returns the number of unusable rows.
 
     directions : features are longitude and latitude in degrees.
     """
@@ -48,7 +48,7 @@ def check_rows(features: FloatArray, packed: FloatArray, directions: bool, reaso
 
 @small
 def pack(matrices: FloatArray, packed: FloatArray) -> bool:
-    """Fill ``packed`` (n, d(d+1)/2) with upper triangles, row by row; returns whether all matrices are symmetric."""
+    """Write upper triangles to ``packed`` (n, d(d+1)/2), row by row; returns whether all matrices are symmetric."""
     d = matrices.shape[1]
     symmetric = True
     if d == 2:
@@ -68,7 +68,7 @@ def pack(matrices: FloatArray, packed: FloatArray) -> bool:
 
 @part
 def definite(packed: FloatArray, k: int, d: int, factor: FloatArray) -> bool:
-    """Whether a packed covariance is positive definite: correlations of ±1 leave rounding errors only, no inverse."""
+    """Whether a packed covariance is positive definite beyond rounding errors, which correlations of ±1 are not."""
     least = 1e-14 if d == 2 else 1e-12
     t = 0
     for v in range(d):

@@ -1,4 +1,4 @@
-"""Compiled weights of covariance intersection, object by object (:mod:`sameas.many.fusion`)."""
+"""Compiled weights of covariance intersection (:mod:`sameas.many.fusion`)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.kernels.compiled import part, small_by
 
-#: Sweeps over the elements of a matrix, at most, until its eigenvalues have converged, and the share of its square that
-#: may be left beside them.
-SWEEPS, BESIDE = 30, 1e-30
-#: A slope that is greater is not below 0 by rounding.
+#: Jacobi's method: most sweeps, and the sum of squares off the diagonal, relative to that on it, at convergence.
+SWEEPS, OFF_DIAGONAL = 30, 1e-30
+#: A larger slope is positive in spite of rounding.
 CERTAIN = 1e-6
 
 
 def _work(information: FloatArray, *_: Any) -> float:
-    # An element of a matrix is used some dozens of times.
+    # Each element of a matrix is used some dozens of times.
     return 30.0 * information.size
 
 
@@ -26,20 +25,19 @@ def _work(information: FloatArray, *_: Any) -> float:
 def weights_of_least_determinant(
     information: FloatArray, steps: int, optimal: float, halvings: int, weights: FloatArray
 ) -> None:
-    """Writes the weights (n, k) of n objects of k estimates by their information (n, k, d, d): those of the greatest
-    determinant of Σ w I.
+    """Write the weights (n, k) of n objects of k estimates that maximise |Σ w I|, I their information (n, k, d, d).
 
-    Found by vertex exchange: the estimate of the greatest slope tr(I (Σ w I)⁻¹) gets as much of the weight of the one
-    of the least as is best, until no slope is greater than d by more than its share ``optimal``; ``steps`` at most.
+    By vertex exchange: the estimate of largest slope tr(I (Σ w I)⁻¹) takes the best amount of the weight of that of
+    smallest slope, until no slope exceeds d by more than the relative ``optimal``, or for ``steps`` iterations.
     """
     for row in range(len(information)):
         weigh(information[row], steps, optimal, halvings, weights[row])
 
 
 @part
-def weigh(ours: FloatArray, steps: int, optimal: float, halvings: int, w: FloatArray) -> None:
-    """Writes the weights (k,) of the estimates of one object, by their information (k, d, d)."""
-    k, d, _ = ours.shape
+def weigh(information: FloatArray, steps: int, optimal: float, halvings: int, w: FloatArray) -> None:
+    """Write the weights w (k,) of the estimates of one object, from their information (k, d, d)."""
+    k, d, _ = information.shape
     total, root, half, change = np.empty((d, d)), np.empty((d, d)), np.empty((d, d)), np.empty((d, d))
     slope = np.empty(k)
     w[:] = 1.0 / k
@@ -48,17 +46,17 @@ def weigh(ours: FloatArray, steps: int, optimal: float, halvings: int, w: FloatA
         for one in range(k):
             for a in range(d):
                 for b in range(a + 1):
-                    total[a, b] += w[one] * ours[one, a, b]
+                    total[a, b] += w[one] * information[one, a, b]
         inverse_root(total, root)
-        to, off = 0, -1
+        to, off = 0, -1  # estimates of largest and of smallest slope
         for one in range(k):
-            # Of L⁻¹ I L⁻ᵀ the trace.
+            # tr(L⁻¹ I L⁻ᵀ)
             slope[one] = 0.0
             for a in range(d):
                 for b in range(a + 1):
                     value = 0.0
                     for c in range(a + 1):
-                        value += root[a, c] * ours[one, c, b]
+                        value += root[a, c] * information[one, c, b]
                     slope[one] += value * root[a, b]
             slope[one] /= d
             if slope[one] > slope[to]:
@@ -71,30 +69,30 @@ def weigh(ours: FloatArray, steps: int, optimal: float, halvings: int, w: FloatA
             for b in range(d):
                 half[a, b] = 0.0
                 for c in range(a + 1):
-                    half[a, b] += root[a, c] * (ours[to, c, b] - ours[off, c, b])
+                    half[a, b] += root[a, c] * (information[to, c, b] - information[off, c, b])
         for a in range(d):
             for b in range(a + 1):
                 value = 0.0
                 for c in range(b + 1):
                     value += half[a, c] * root[b, c]
                 change[a, b] = change[b, a] = value
-        # Most often one estimate takes all the weight of another, which is seen without the eigenvalues.
+        # In most cases one estimate takes all the weight of the other, which needs no eigenvalues to see.
         step = w[off]
         if not _slope_at(change, step, total, root) > CERTAIN:
             _to_eigenvalues(change)
             step = _best_exchange(change, w[off], halvings)
         w[to] += step
         w[off] -= step
-        every = 0.0
+        total_weight = 0.0
         for one in range(k):
-            every += w[one]
+            total_weight += w[one]
         for one in range(k):
-            w[one] /= every
+            w[one] /= total_weight
 
 
 @part
 def inverse_root(matrix: FloatArray, inverse: FloatArray) -> None:
-    """Writes L⁻¹ of a matrix L Lᵀ, of which the lower triangle is given, and is lost."""
+    """Write L⁻¹ of a matrix L Lᵀ, whose lower triangle is used and overwritten."""
     d = len(matrix)
     for a in range(d):
         for b in range(a + 1):
@@ -113,15 +111,15 @@ def inverse_root(matrix: FloatArray, inverse: FloatArray) -> None:
 
 @part
 def _to_eigenvalues(matrix: FloatArray) -> None:
-    """Rotates a symmetric matrix until its eigenvalues stand on its diagonal (Jacobi)."""
+    """Rotate a symmetric matrix until its eigenvalues are on its diagonal (Jacobi)."""
     d = len(matrix)
     for _ in range(SWEEPS):
-        beside, whole = 0.0, 0.0
+        off_diagonal, diagonal = 0.0, 0.0
         for a in range(d):
-            whole += matrix[a, a] * matrix[a, a]
+            diagonal += matrix[a, a] * matrix[a, a]
             for b in range(a):
-                beside += matrix[a, b] * matrix[a, b]
-        if beside <= BESIDE * whole:
+                off_diagonal += matrix[a, b] * matrix[a, b]
+        if off_diagonal <= OFF_DIAGONAL * diagonal:
             return
         for a in range(1, d):
             for b in range(a):
@@ -142,7 +140,7 @@ def _to_eigenvalues(matrix: FloatArray) -> None:
 
 @part
 def _slope_at(change: FloatArray, most: float, whole: FloatArray, root: FloatArray) -> float:
-    """The slope of ln|1 + δ D| at δ = ``most``, tr(D (1 + δ D)⁻¹), D being ``change``; whole, root : scratch."""
+    """The slope of ln|1 + δ D| at δ = ``most``: tr(D (1 + δ D)⁻¹), with D = ``change``. whole, root : scratch."""
     for a in range(len(change)):
         for b in range(a + 1):
             whole[a, b] = most * change[a, b] + (1.0 if a == b else 0.0)
@@ -159,10 +157,10 @@ def _slope_at(change: FloatArray, most: float, whole: FloatArray, root: FloatArr
 
 @part
 def _best_exchange(change: FloatArray, most: float, halvings: int) -> float:
-    """The δ of 0 … ``most`` at which ln|1 + δ D| is greatest; D has its eigenvalues μ on the diagonal of ``change``.
+    """The δ in 0 … ``most`` that maximises ln|1 + δ D|; the diagonal of ``change`` has the eigenvalues μ of D.
 
-    Its slope Σ μ/(1 + δ μ) falls in δ: halving finds where it is 0, to 2^−halvings of ``most``. What is not below 0 at
-    ``most`` goes all the way.
+    The slope Σ μ/(1 + δ μ) decreases with δ. Its zero is found by bisection to 2^−halvings of ``most``; δ is ``most``
+    if the slope is not negative there.
     """
     slope = 0.0
     for v in range(len(change)):

@@ -1,7 +1,7 @@
-"""Compiled sums over nested cells: four of one size make one of the next, cell ``c`` lies in ``c >> 2``.
+"""Compiled sums over nested cells: four cells make one of the next size, cell ``c`` is in cell ``c >> 2``.
 
-Cells of a size are runs of the occupied finest ones, which rise: every level is one pass over these, in which nothing
-is kept but where its run ends.
+Cells of any size are runs of the occupied finest cells, which ascend. Each size takes one pass over the finest cells
+and no further memory.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from sameas.kernels.compiled import part, small
 
 @part
 def run_end(cells: IntArray, begin: int, shift: int) -> int:
-    """Where the finest cells end that lie with the one at ``begin`` in a cell ``shift`` bits coarser."""
+    """End of the run of finest cells that are in the same cell, ``shift`` bits coarser, as that at ``begin``."""
     own, end = cells[begin] >> shift, begin + 1
     while end < len(cells) and cells[end] >> shift == own:
         end += 1
@@ -22,21 +22,21 @@ def run_end(cells: IntArray, begin: int, shift: int) -> int:
 
 
 @part
-def strewn_over(records: float, sharing: float, most: float, partly: float) -> float:
-    """Over how many cells records are strewn of which so many pairs share theirs: all of ``most``, unless these are by
-    more than ``partly`` standard deviations too many for chance."""
-    due = records * records / most
-    if sharing > due + partly * math.sqrt(2.0 * due) + 1.0:
+def effective_cells(records: float, sharing: float, most: float, partly: float) -> float:
+    """Number of cells over which records are scattered, from the number of pairs that share a cell: ``most``, unless
+    there are more such pairs than by chance by over ``partly`` standard deviations."""
+    expected = records * records / most
+    if sharing > expected + partly * math.sqrt(2.0 * expected) + 1.0:
         return max(records * records / max(sharing, 1.0), 1.0)
     return most
 
 
 @part
 def covered_part(numbers: AnyIntArray, begin: int, end: int, most: float, partly: float) -> tuple[float, float, float]:
-    """Records of both sources in a run of the finest cells, and how many of ``most`` of these lie within the field.
+    """Records of both sources in a run of the finest cells, and how many of its ``most`` cells are within the field.
 
-    Cells reach beyond the border of a field, and into holes: of N records that are strewn over K of the finest cells
-    N²/K pairs share theirs on average, from which K follows. The source that has more records there tells.
+    A cell may extend beyond the border of the field or into holes. N records scattered over K of the finest cells have
+    N²/K pairs in the same cell on average, which gives K. It is taken from the source with more records there.
     """
     one = two = sharing_1 = sharing_2 = 0.0
     for k in range(begin, end):
@@ -46,10 +46,10 @@ def covered_part(numbers: AnyIntArray, begin: int, end: int, most: float, partly
         sharing_1 += n_1 * (n_1 - 1.0)
         sharing_2 += n_2 * (n_2 - 1.0)
     if one > two:
-        return one, two, strewn_over(one, sharing_1, most, partly)
+        return one, two, effective_cells(one, sharing_1, most, partly)
     if two > one:
-        return one, two, strewn_over(two, sharing_2, most, partly)
-    both = strewn_over(one, sharing_1, most, partly) + strewn_over(two, sharing_2, most, partly)
+        return one, two, effective_cells(two, sharing_2, most, partly)
+    both = effective_cells(one, sharing_1, most, partly) + effective_cells(two, sharing_2, most, partly)
     return one, two, 0.5 * both
 
 
@@ -57,11 +57,11 @@ def covered_part(numbers: AnyIntArray, begin: int, end: int, most: float, partly
 def covered_cells(
     cells: IntArray, numbers: AnyIntArray, shift: int, partly: float, own: IntArray, out: FloatArray
 ) -> int:
-    """Write the cells ``shift`` bits coarser into ``own`` (u,), and how many of the finest cells of each lie within the
-    field into ``out`` (u,); returns how many there are.
+    """Write the cells ``shift`` bits coarser to ``own`` (u,), and the number of their finest cells within the field to
+    ``out`` (u,); returns the number of coarser cells.
 
-    cells : (u,) the occupied finest cells, rising. numbers : (u, 2) records of either source. partly : see
-    :func:`covered_part`.
+    cells : (u,) the occupied finest cells, ascending. numbers : (u, 2) records of either source. partly : see
+    :func:`effective_cells`.
     """
     begin, found = 0, 0
     while begin < len(cells):
@@ -86,11 +86,11 @@ def look_nested(
     highest: FloatArray,
     seen: BoolArray,
 ) -> None:
-    """Clear ``seen`` (u, 2) where the other source does not look, by the cells ``shift`` bits coarser, and refine the
-    ``density`` (u, 2) of the other source by their counts, as ``coverage.look`` does.
+    """Clear ``seen`` (u, 2) where the other source does not observe, judged by the cells ``shift`` bits coarser, and
+    refine the ``density`` (u, 2) of the other source by their counts, as ``coverage.look`` does.
 
-    volume : of a finest cell. least : (2,) records of a source that such a cell holds. hole : records of the other to
-    be expected in it. highest : (u, 2) of the densities so far.
+    volume : of a finest cell. least : (2,) least records of a source in a cell that may be a hole of the other. hole :
+    least expected records of the other in it. highest : (u, 2) highest densities so far.
     """
     begin = 0
     while begin < len(cells):
@@ -119,11 +119,12 @@ def score_nested(
     own: FloatArray,
     score: FloatArray,
 ) -> None:
-    """Add to ``score`` (2, m) ln of how probable pseudo-counts ``smooths`` (m,) make the places of both sources'
-    records, by the others in their cells ``shift`` bits coarser; to ``score[:, m]`` squares of the cells' numbers.
+    """Add to ``score`` (2, m) the log likelihood of pseudo-counts ``smooths`` (m,) for the positions of both sources'
+    records, by the other records in their cells ``shift`` bits coarser; to ``score[:, m]`` the squares of the cells'
+    counts.
 
-    volume : of a finest cell. asked : the part of the finest cells that are asked; which ones depends on their numbers
-    alone. own : (u, 2) densities as coarser cells have them.
+    volume : of a finest cell. asked : share of the finest cells that are used, selected by their cell numbers alone.
+    own : (u, 2) densities by coarser cells.
     """
     begin, m = 0, len(smooths)
     while begin < len(cells):
@@ -133,16 +134,16 @@ def score_nested(
         score[0, m] += one * one
         score[1, m] += two * two
         for k in range(begin, end):
-            # The golden ratio turns numbers that follow each other into ones that are spread evenly over 0 … 1.
-            turned = (cells[k] & 0xFFFFFFFF) * 0.6180339887498949
-            if turned - math.floor(turned) >= asked:
+            # Multiples of the golden ratio spread consecutive numbers evenly over 0 … 1.
+            multiple = (cells[k] & 0xFFFFFFFF) * 0.6180339887498949
+            if multiple - math.floor(multiple) >= asked:
                 continue
             for s in range(2):
                 if numbers[k, s]:
                     left = max((one if s == 0 else two) - 1.0, 0.0)
                     for c in range(m):
-                        due = (left + smooths[c]) / (size + smooths[c] / own[k, s])
-                        score[s, c] += numbers[k, s] * math.log(due)
+                        density = (left + smooths[c]) / (size + smooths[c] / own[k, s])
+                        score[s, c] += numbers[k, s] * math.log(density)
         begin = end
 
 
@@ -159,11 +160,11 @@ def refine_nested(
     own: FloatArray,
     others: FloatArray,
 ) -> None:
-    """Draw densities, in place, towards the counts of cells ``shift`` bits coarser: ``own`` (u, 2) at the records of
-    either source, ``others`` (u, 2) at those of the other.
+    """Refine densities in place by the counts of cells ``shift`` bits coarser: ``own`` (u, 2) at the records of the
+    source itself, ``others`` (u, 2) at those of the other source.
 
-    volume : of a finest cell. smooth, left_out : (2,) pseudo-counts of the sources, and how much of a record does not
-    count at its own place. open_ : (2,) whether a source is refined still.
+    volume : of a finest cell. smooth, left_out : (2,) pseudo-counts of the sources, and the part of a record that is
+    not counted at its own position. open_ : (2,) whether a source is still refined.
     """
     begin = 0
     while begin < len(cells):
@@ -191,8 +192,8 @@ def refine_share_nested(
     pseudo_count: float,
     share: FloatArray,
 ) -> None:
-    """Draw shares (u,), in place, towards ``parts``/``weights`` (c,) of the coarser cells ``known`` (c,), rising; where
-    none is known they stay. pseudo_count : see ``coverage.refine_share``."""
+    """Refine shares (u,) in place by ``parts``/``weights`` (c,) of the coarser cells ``known`` (c,), ascending; in
+    other cells they do not change. pseudo_count : see ``coverage.refine_share``."""
     at = 0
     for k in range(len(cells)):
         own = cells[k] >> shift

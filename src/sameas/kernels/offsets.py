@@ -1,7 +1,6 @@
 """Compiled search for the offset between two sources: pairs under many offsets, their messages, scores and information.
 
-Arrays of pairs run over the pairs of all offsets, offset by offset: those of offset s are ``start[s]`` to
-``start[s + 1]``.
+Arrays of pairs concatenate the pairs of all offsets: those of offset s are ``start[s]`` … ``start[s + 1] − 1``.
 """
 
 from __future__ import annotations
@@ -20,15 +19,15 @@ from sameas.kernels.spans import folded
 
 LOG_2PI = math.log(2.0 * math.pi)
 
-#: A source laid out in cells of its first and last axis, row by row: positions (n, d), errors (n, d, d), rows (n,); the
-#: first record of every cell, start (cells + 1,); of either axis the edge of the first cell, low (2,), a cell's size,
-#: size (2,), infinite where there is one cell, and how many there are, shape (2,).
+#: A source laid out in cells of its first and last axis, row by row: positions (n, d), errors (n, d, d), rows (n,);
+#: start (cells + 1,), the first record of every cell; of both axes the edge of the first cell low (2,), the size of a
+#: cell size (2,), infinite for a single cell, and the number of cells shape (2,).
 Cells = namedtuple("Cells", "position error rows start low size shape")
 
 
 @part
 def longer(array: FloatArray | IntArray, length: int) -> FloatArray | IntArray:
-    """The same with room for more along its first axis."""
+    """The array with its first axis extended to ``length``."""
     grown = np.empty((length, *array.shape[1:]), array.dtype)
     grown[: len(array)] = array
     return grown
@@ -38,7 +37,7 @@ def longer(array: FloatArray | IntArray, length: int) -> FloatArray | IntArray:
 def near_pairs(
     one: Cells, two: FloatArray, covariance_2: FloatArray, periods: FloatArray, sigmas: float, widening: float
 ) -> tuple[FloatArray | IntArray, ...]:
-    """Pairs within ``sigmas`` standard deviations, of errors that are taken ``widening`` times as large.
+    """Pairs within ``sigmas`` standard deviations, with errors ``widening`` times as large as quoted.
 
     one : the first source. two, covariance_2 : (s, k, d) and (s, k, d, d) of the second, under every offset. periods
     (d,) of the axes, infinite for most.
@@ -46,15 +45,15 @@ def near_pairs(
     """
     sets, many, d = two.shape
     start = np.zeros(sets + 1, np.int64)
-    room = max(4 * sets * many, 64)
-    i, j, log_normal = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room)
-    residual, precision = np.empty((room, d)), np.empty((room, d, d))
+    capacity = max(4 * sets * many, 64)
+    i, j, log_normal = np.empty(capacity, np.int64), np.empty(capacity, np.int64), np.empty(capacity)
+    residual, precision = np.empty((capacity, d)), np.empty((capacity, d, d))
     matrix, delta, count = np.empty((3, d, d)), np.empty((2, d)), 0
     farthest = np.array([sigmas * widening * math.sqrt(one.error[:, v, v].max()) for v in (0, d - 1)])
     for s in range(sets):
         for b in range(many):
             error = covariance_2[s, b]
-            # At most the sum of both, which is quick.
+            # The sum of both σ is a quick upper bound of the residual's.
             reach_x = farthest[0] + sigmas * widening * math.sqrt(error[0, 0])
             reach_y = farthest[1] + sigmas * widening * math.sqrt(error[d - 1, d - 1])
             left, right = span_of_cells(one, 0, two[s, b, 0], reach_x)
@@ -62,17 +61,17 @@ def near_pairs(
             for strip in range(bottom * one.shape[0], top * one.shape[0], one.shape[0]):
                 for k in range(one.start[strip + left], one.start[strip + right]):
                     distance, determinant = np.inf, 1.0
-                    if stands_near(one, k, two[s, b], error, periods, sigmas, widening, matrix, delta):
+                    if in_box(one, k, two[s, b], error, periods, sigmas, widening, matrix, delta):
                         distance, determinant = measured(delta, matrix)
                     if distance > sigmas * sigmas:
                         continue
-                    if count == room:
-                        room *= 2
-                        i, j, log_normal = longer(i, room), longer(j, room), longer(log_normal, room)
-                        residual, precision = longer(residual, room), longer(precision, room)
+                    if count == capacity:
+                        capacity *= 2
+                        i, j, log_normal = longer(i, capacity), longer(j, capacity), longer(log_normal, capacity)
+                        residual, precision = longer(residual, capacity), longer(precision, capacity)
                     i[count], j[count] = one.rows[k], b
                     log_normal[count] = -0.5 * (distance + math.log(determinant) + d * LOG_2PI)
-                    keep(delta, matrix, residual, precision, count)
+                    write_pair(delta, matrix, residual, precision, count)
                     count += 1
         start[s + 1] = count
     return start, i[:count], j[:count], residual[:count], precision[:count], log_normal[:count]
@@ -80,7 +79,7 @@ def near_pairs(
 
 @inlined
 def span_of_cells(one: Cells, axis: int, at: float, reach: float) -> tuple[int, int]:
-    """First cell along an axis that a reach touches, and the one after the last; at least an empty span of them."""
+    """Range [first, end) of the cells along an axis that ``at`` ± ``reach`` overlaps; (0, 0) for none."""
     last = one.shape[axis] - 1
     from_cell = (at - reach - one.low[axis]) / one.size[axis]
     to_cell = (at + reach - one.low[axis]) / one.size[axis]
@@ -90,15 +89,16 @@ def span_of_cells(one: Cells, axis: int, at: float, reach: float) -> tuple[int, 
 
 
 @inlined
-def stands_near(
+def in_box(
     one: Cells, k: int, two: FloatArray, error: FloatArray, periods: FloatArray, sigmas: float, widening: float,
     matrix: FloatArray, delta: FloatArray,
 ) -> bool:  # fmt: skip
-    """Whether a pair lies within its box, with its residual in ``delta[0]`` and its covariance in ``matrix[1]``."""
+    """Whether a pair is in the box around its gate; writes its residual to ``delta[0]`` and, if it is, its covariance
+    to ``matrix[1]``."""
     d, square = len(two), widening * widening
     for v in range(d):
         delta[0, v] = folded(one.position[k, v] - two[v], periods[v])
-        # No ellipse reaches further along an axis than its box.
+        # The gate's ellipse is inside this box.
         if delta[0, v] * delta[0, v] > sigmas * sigmas * square * (one.error[k, v, v] + error[v, v]):
             return False
     for v in range(d):
@@ -108,8 +108,8 @@ def stands_near(
 
 
 @inlined
-def keep(delta: FloatArray, matrix: FloatArray, residual: FloatArray, precision: FloatArray, count: int) -> None:
-    """Write a pair's residual and the inverse of its covariance in their places."""
+def write_pair(delta: FloatArray, matrix: FloatArray, residual: FloatArray, precision: FloatArray, count: int) -> None:
+    """Write the residual and the precision of the pair number ``count``."""
     for v in range(delta.shape[1]):
         residual[count, v] = delta[0, v]
         for w in range(delta.shape[1]):
@@ -118,7 +118,7 @@ def keep(delta: FloatArray, matrix: FloatArray, residual: FloatArray, precision:
 
 @inlined
 def measured(delta: FloatArray, matrix: FloatArray) -> tuple[float, float]:
-    """(Mahalanobis distance squared, determinant) of ``delta[0]`` with covariance ``matrix[1]``; its inverse in [0]."""
+    """χ² of ``delta[0]`` with covariance ``matrix[1]``, and its determinant; writes its inverse to ``matrix[0]``."""
     d = delta.shape[1]
     if d == 2:
         x, y = delta[0, 0], delta[0, 1]
@@ -136,14 +136,15 @@ def measured(delta: FloatArray, matrix: FloatArray) -> tuple[float, float]:
 
 
 @kernel
-def both_look(
+def overlap(
     box: FloatArray, one: FloatArray, two: FloatArray, margin: float, periods: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Where both sources look under every offset.
+    """The overlap of both sources' fields under every offset.
 
-    box : (2, d) corners of where the first looks. one (n, d), two (s, k, d) : positions. margin : how much further than
-    its records the second looks, beside the mean gap between two of them. All of an axis with a period is looked at.
-    Returns the volume (s,) where both look, (s, 2) where each looks, and (s, 2) records of each where both look.
+    box : (2, d) corners of the first field. one (n, d), two (s, k, d) : positions. margin : by which the second field
+    extends beyond its records, in addition to their mean spacing. Fields cover the whole of a periodic axis.
+    Returns the volume of the overlap (s,), the volumes of both fields (s, 2), and the records of each in the overlap
+    (s, 2).
     """
     sets, many, d = two.shape
     volume, whole, inside = np.ones(sets), np.ones((sets, 2)), np.zeros((sets, 2))
@@ -166,7 +167,7 @@ def both_look(
 
 @part
 def number_within(points: FloatArray, low: FloatArray, high: FloatArray, periods: FloatArray) -> float:
-    """How many of the points (n, d) lie in a box, whatever their place on axes with a period."""
+    """Number of the points (n, d) in a box, which covers the whole of periodic axes."""
     number = 0.0
     for k in range(len(points)):
         within = True
@@ -187,11 +188,11 @@ def messages(
     sweeps: int,
     settled: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Sum-product messages under every offset: how probable each pair is, and how much all hypotheses weigh together.
+    """Sum-product messages under every offset: probabilities of pairs, and the sum over hypotheses.
 
-    records : of either source. At most ``sweeps`` sweeps; fewer when no message changes by more than its share
-    ``settled``. Returns the probabilities (m,), the log of the sum over all hypotheses (s,) after Bethe, and the
-    expected number of common objects (s,).
+    records : numbers of records of both sources. At most ``sweeps`` sweeps, fewer if no message changes by more than
+    the relative ``settled``. Returns the probabilities (m,), the log of the sum over all hypotheses (s,) in Bethe's
+    approximation, and the expected number of common objects (s,).
     """
     sets, m = len(start) - 1, len(i)
     share, log_sum, common = np.empty(m), np.zeros(sets), np.zeros(sets)
@@ -219,7 +220,7 @@ def messages(
 
 @part
 def by_component(i: IntArray, j: IntArray, records: tuple[int, int]) -> tuple[IntArray, IntArray]:
-    """The pairs in the order of their connected components, and where each component ends."""
+    """The pairs ordered by connected component, and the components' starts and end."""
     parent = np.empty(records[0] + records[1], np.int64)
     join(j, i, parent, records[1])
     number, count = np.full(len(parent), -1), 0
@@ -244,7 +245,7 @@ def exchange(
     pairs: IntArray, i: IntArray, j: IntArray, weight: FloatArray, to_row: FloatArray, to_column: FloatArray,
     by_row: FloatArray, by_column: FloatArray, sweeps: int, settled: float,
 ) -> None:  # fmt: skip
-    """Send messages along the pairs of one component until they settle; leave the sum of every record in its place."""
+    """Iterate the messages of one component until they converge; writes the sums of its records."""
     for _ in range(sweeps):
         moving = False
         sum_by_row(pairs, i, weight, to_row, by_row)
@@ -263,7 +264,7 @@ def exchange(
 
 @inlined
 def sum_by_row(pairs: IntArray, i: IntArray, weight: FloatArray, to_row: FloatArray, by_row: FloatArray) -> None:
-    """1 for having no partner, and the sum of the messages of these pairs to each record of the first source."""
+    """Write for each record of the first source 1 (no partner) + the sum of these pairs' messages to it."""
     for e in pairs:
         by_row[i[e]] = 1.0
     for e in pairs:
@@ -272,7 +273,7 @@ def sum_by_row(pairs: IntArray, i: IntArray, weight: FloatArray, to_row: FloatAr
 
 @inlined
 def sum_by_column(pairs: IntArray, j: IntArray, to_column: FloatArray, by_column: FloatArray) -> None:
-    """1 for having no partner, and the sum of the messages of these pairs to each record of the second source."""
+    """Write for each record of the second source 1 (no partner) + the sum of these pairs' messages to it."""
     for e in pairs:
         by_column[j[e]] = 1.0
     for e in pairs:
@@ -287,36 +288,36 @@ def score_and_information(
     precision: FloatArray,
     weight: FloatArray,
     jacobian: FloatArray,
-    faint: float,
+    min_weight: float,
 ) -> tuple[FloatArray, FloatArray]:
     """The score of the pairs at every offset: Σ w Jᵀ Σ⁻¹ Δ (s, p), and their information Σ w Jᵀ Σ⁻¹ J (s, p, p).
 
-    s, j : (m,) offset and record of the second source of every pair. jacobian : (s, k, d, p). Pairs of less weight than
-    ``faint`` are left out.
+    s, j : (m,) offset and record of the second source of every pair. jacobian : (s, k, d, p). Pairs of weight up to
+    ``min_weight`` are ignored.
     """
     sets, _, d, p = jacobian.shape
     score, information = np.zeros((sets, p)), np.zeros((sets, p, p))
     gradient = np.empty((d, p))
     for e in range(len(s)):
-        if weight[e] <= faint:
+        if weight[e] <= min_weight:
             continue
-        here = jacobian[s[e], j[e]]
+        h = jacobian[s[e], j[e]]
         for v in range(d):
             for q in range(p):
                 gradient[v, q] = 0.0
                 for w in range(d):
-                    gradient[v, q] += weight[e] * precision[e, v, w] * here[w, q]
+                    gradient[v, q] += weight[e] * precision[e, v, w] * h[w, q]
         for q in range(p):
             for v in range(d):
                 score[s[e], q] += gradient[v, q] * residual[e, v]
                 for r in range(p):
-                    information[s[e], q, r] += gradient[v, q] * here[v, r]
+                    information[s[e], q, r] += gradient[v, q] * h[v, r]
     return score, information
 
 
 @kernel
 def carried_errors(carried: FloatArray, covariance: FloatArray) -> FloatArray:
-    """(s, k, d, d) A Σ Aᵀ, the errors Σ (k, d, d) of records once moved, with A (s, k, d, d)."""
+    """(s, k, d, d) A Σ Aᵀ, the errors Σ (k, d, d) of records propagated by A (s, k, d, d)."""
     sets, many, d, _ = carried.shape
     out = np.zeros((sets, many, d, d))
     half = np.empty((d, d))
@@ -338,10 +339,10 @@ def carried_errors(carried: FloatArray, covariance: FloatArray) -> FloatArray:
 def tally(
     one: FloatArray, two: FloatArray, periods: FloatArray, low: FloatArray, size: FloatArray, cells: IntArray
 ) -> FloatArray:
-    """How many of the differences of one (n, d) and two (k, d) fall into each cell of a picture, flat.
+    """Number of differences of one (n, d) and two (k, d) in each cell of a grid, flattened.
 
-    periods (d,) of the axes. low (d,) : corner of the first cell. size, cells (d,) : of a cell, and how many there are.
-    The outermost cells are left empty, so that every cell with votes has neighbours.
+    periods (d,) of the axes. low (d,) : corner of the first cell. size, cells (d,) : size and number of cells. The
+    outermost cells stay empty, so that every cell with votes has neighbours.
     """
     votes = np.zeros(np.prod(cells))
     for b in range(len(two)):
@@ -358,7 +359,7 @@ def tally(
 
 @kernel
 def blocks(votes: FloatArray, place: IntArray, around: IntArray) -> FloatArray:
-    """(k,) votes of the cells around each ``place`` (k,): in the flat picture ``votes``, ``around`` (b,) steps away."""
+    """(k,) sum of the votes of the cells at ``around`` (b,) steps from each ``place`` (k,) in the flattened grid."""
     out = np.zeros(len(place))
     for k in range(len(place)):
         for b in range(len(around)):

@@ -1,8 +1,8 @@
-"""Compiled layout of the records of one source: by zone, then x, then the rest of what they say.
+"""Compiled layout of the records of one source: by zone, then x, then their other content.
 
-Records are dealt into zones; then every zone, small enough to stay in the processor's memory, is put in order by
-itself: it is cut into cells of x, some for every record, and the few records that share a cell are sorted one by one.
-The same cells tell the search later where to look.
+Records are distributed to zones. Then every zone, small enough for the processor's cache, is sorted: it is divided into
+cells of x, a few for each record, and the few records that share a cell are sorted by comparison. The search later uses
+the same cells to find its starting point.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ import numpy as np
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
 
-#: A source as it is laid out: guard (n, 4; see ``order.into_zones``); content, the covariance (n, p), on a plane after
-#: the features (n, d + p), without rows where the guard says it all; rows (n,).
+#: A laid out source. guard : (n, 4) coordinates and variances, see ``order.into_zones``. content : covariances (n, p),
+#: on a plane features and covariances (n, d + p), without rows if the guard has everything. rows : (n,).
 Side = namedtuple("Side", "content guard rows")
 
-#: Cells of a zone for each of its records: few enough to be looked up fast, enough that few records share one.
+#: Cells of a zone for each of its records: few enough for fast look-up, enough that few records share one.
 CELLS = 2
 
 
 @small
 def extent(features: FloatArray) -> FloatArray:
-    """(2, d) the least and the greatest value of every feature."""
+    """(2, d) the smallest and the largest value of every feature."""
     ends = np.empty((2, features.shape[1]))
     for v in range(features.shape[1]):
         low = high = features[0, v]
@@ -48,7 +48,7 @@ def tally(
     per_y: float,
     counts: IntArray,
 ) -> None:
-    """Add to ``counts`` (c, c) how many records lie in each square of a grid of so many squares per unit."""
+    """Add to ``counts`` (c, c) the number of records in each cell of a grid of per_x and per_y cells per unit."""
     last = len(counts) - 1.0
     for k in range(len(features)):
         x = min(max((features[k, axis_x] - low_x) * per_x, 0.0), last)
@@ -60,7 +60,7 @@ def tally(
 def zones_of(
     features: FloatArray, rows: Int32Array, axis_y: int, low: float, per_y: float, zone: Int32Array, ends: IntArray
 ) -> None:
-    """Fill ``zone`` (n,) with the zone of each of the ``rows``, ends (z+1,) with how many lie in those before each.
+    """Write the zone of each of the ``rows`` to ``zone`` (n,), and the starts of the zones to ``ends`` (z+1,).
 
     per_y : zones per unit of y."""
     last = len(ends) - 2.0
@@ -85,8 +85,8 @@ def into_zones(
 ) -> None:
     """Write the ``rows`` and their guards to ``side`` (``order.Side``), zone by zone.
 
-    The guard holds x, y and the variances in x and in y; on the sphere the third is to become the cosine of y.
-    variance (n, d), or (n, 1) for all axes. fill (z,) : the first place of every zone.
+    The guard is x, y and the variances of x and y; on the sphere the third is later replaced by the cosine of y.
+    variance (n, d), or (n, 1) for all axes. fill (z,) : the first place of every zone, advanced.
     """
     at_x, at_y = (axis_x, axis_y) if variance.shape[1] > 1 else (0, 0)
     guard = side.guard
@@ -113,11 +113,11 @@ def into_cells(
     grid: tuple[IntArray, Int32Array, FloatArray],
     side: Side,
 ) -> bool:
-    """Put every zone in order by x, then content, then ``rank`` (one for each row of features), and note its cells.
+    """Sort every zone by x, then content, then ``rank`` (one for each row of features), and write its cells.
 
-    ends (z+1,), side : what :func:`zones_of` and :func:`into_zones` gave. frame : (low, extent) of x. grid : (first
-    (z+1,), starts, scale (z,)) of ``spans.Grid``, to be filled, with places from ``base`` on. Returns False where two
-    records say the same and ``rank`` is empty: call again with it.
+    ends (z+1,), side : results of :func:`zones_of` and :func:`into_zones`. frame : (low, extent) of x. grid : (first
+    (z+1,), starts, scale (z,)) of ``spans.Grid``, written, with places from ``base`` on. Returns False if two records
+    have the same content and ``rank`` is empty: call again with ranks.
     """
     first, starts, scale = grid
     x_low, x_extent = frame
@@ -125,35 +125,36 @@ def into_cells(
     cell, order = np.empty(most, np.int32), np.empty(most, np.int32)
     fill = np.empty(most + 1, np.int32)
     guard, rows, cosine = np.empty((most, 4)), np.empty(most, np.int32), np.empty(most)
-    settled = True
+    sorted_ = True
     for z in range(len(scale)):
         low, high = ends[z], ends[z + 1]
-        here = guard[: high - low]
+        own = guard[: high - low]
         for t in range(high - low):
             rows[t] = side.rows[low + t]
             for v in range(4):
-                here[t, v] = side.guard[low + t, v]
+                own[t, v] = side.guard[low + t, v]
         cells = fill[: first[z + 1] - first[z] + 1]
-        by_cell(here, x_low, scale[z], cell, cells, order)
-        settled &= sort_cells(features, covariance, rank, rows, here, cells, order)
-        # Every cell has been filled up to where the next one starts.
+        by_cell(own, x_low, scale[z], cell, cells, order)
+        sorted_ &= sort_cells(features, covariance, rank, rows, own, cells, order)
+        # ``cells`` are ends by now: each is the start of the next cell.
         starts[first[z]] = base + low
         for c in range(1, len(cells) - 1):
             starts[first[z] + c] = base + low + cells[c - 1]
         for t in range(high - low):
             k = order[t]
             side.rows[low + t] = rows[k]
-            side.guard[low + t, 0], side.guard[low + t, 1] = here[k, 0], here[k, 1]
-            side.guard[low + t, 2], side.guard[low + t, 3] = here[k, 2], here[k, 3]
+            side.guard[low + t, 0], side.guard[low + t, 1] = own[k, 0], own[k, 1]
+            side.guard[low + t, 2], side.guard[low + t, 3] = own[k, 2], own[k, 3]
         if turning:
             cosines(side.guard[low:high], cosine)
     starts[-1] = base + ends[-1]
-    return settled
+    return sorted_
 
 
 @part
 def cut(ends: IntArray, x_extent: float, first: IntArray, scale: FloatArray) -> int:
-    """Fill ``first`` (z+1,) with the first cell of every zone, ``scale`` with its cells per unit; returns the most."""
+    """Write the first cell of every zone to ``first`` (z+1,), its cells per unit to ``scale``; returns the largest
+    number of cells of a zone."""
     first[0] = 0
     most = 0
     for z in range(len(scale)):
@@ -166,7 +167,7 @@ def cut(ends: IntArray, x_extent: float, first: IntArray, scale: FloatArray) -> 
 
 @part
 def cosines(guard: FloatArray, cosine: FloatArray) -> None:
-    """Write the cosine of y to the third column of ``guard``; by way of ``cosine``, to work on many at once."""
+    """Write the cosine of y to the third column of ``guard``, through the contiguous ``cosine``, for vectorisation."""
     for t in range(len(guard)):
         cosine[t] = guard[t, 1]
     for t in range(len(guard)):
@@ -179,7 +180,7 @@ def cosines(guard: FloatArray, cosine: FloatArray) -> None:
 def by_cell(
     guard: FloatArray, x_low: float, scale: float, cell: Int32Array, fill: Int32Array, order: Int32Array
 ) -> None:
-    """Fill ``order`` with the numbers of a zone's records cell by cell, ``fill`` with where the cells end."""
+    """Write the numbers of a zone's records by cell to ``order``, and the ends of the cells to ``fill``."""
     n = len(guard)
     fill[:] = 0
     for t in range(n):
@@ -196,7 +197,7 @@ def by_cell(
 
 @part
 def cell_of(at: float, count: int) -> int:
-    """The cell of a zone at so many cells from the first one's edge; beyond the first and the last, those."""
+    """The cell at a distance of ``at`` cells from the first one's edge, limited to the first and the last."""
     return np.int64(min(max(at, 0.0), count - 1.0))
 
 
@@ -210,7 +211,7 @@ def sort_cells(
     ends: Int32Array,
     order: Int32Array,
 ) -> bool:
-    """Put the records of a zone that share a cell in order; see :func:`into_cells`."""
+    """Sort the records of a zone that share a cell; see :func:`into_cells`."""
     start = 0
     for c in range(len(ends) - 1):
         stop = ends[c]
@@ -224,7 +225,7 @@ def sort_cells(
 def sort_run(
     features: FloatArray, covariance: FloatArray, rank: IntArray, rows: Int32Array, guard: FloatArray, order: Int32Array
 ) -> bool:
-    """Sort the numbers of a few records, or of many, by x, content and rank: Shell's sort."""
+    """Sort the numbers of records by x, content and rank (Shell sort); False for a tie without ranks."""
     gap = np.int64(1)
     while 9 * gap < len(order):
         gap = 3 * gap + 1
@@ -252,7 +253,7 @@ def sort_run(
 
 @part
 def precedes(features: FloatArray, covariance: FloatArray, rank: IntArray, a: int, b: int) -> int:
-    """1 where row a comes before row b; −1 where after; 0 where both say the same and there is no rank."""
+    """1 if row a comes before row b, −1 if after, 0 if both have the same content and there is no rank."""
     for v in range(features.shape[1]):
         if features[a, v] != features[b, v]:
             return 1 if features[a, v] < features[b, v] else -1
@@ -266,11 +267,11 @@ def precedes(features: FloatArray, covariance: FloatArray, rank: IntArray, a: in
 
 @small
 def take_rows(features: FloatArray, covariance: FloatArray, rows: Int32Array, content: FloatArray) -> None:
-    """Fill ``content`` with features, where there is room for them, and covariance of the rows."""
+    """Write features, if ``content`` has columns for them, and covariances of the rows to ``content``."""
     p = covariance.shape[1]
     copied = content.shape[1] - p
     if copied == 0 and p == 3:
-        # So bare that the memory is asked for many rows at once.
+        # Without inner loops, so that memory is read for many rows at once.
         for k in range(len(content)):
             row = rows[k]
             content[k, 0], content[k, 1], content[k, 2] = covariance[row, 0], covariance[row, 1], covariance[row, 2]
@@ -284,7 +285,7 @@ def take_rows(features: FloatArray, covariance: FloatArray, rows: Int32Array, co
 
 @part
 def sine(degrees: float) -> float:
-    """The sine of 0 … 90°, by its series: the library's takes as long as the rest of the loop."""
+    """The sine of 0 … 90°, by its series: the library's would take as long as the rest of the loop."""
     x = degrees * (math.pi / 180.0)
     z = x * x
     total = 1.0 / 51090942171709440000.0
@@ -302,7 +303,7 @@ def sine(degrees: float) -> float:
 
 @small
 def widest(covariance: FloatArray, out: FloatArray) -> None:
-    """Fill ``out`` (n, 1) with the largest variance in any direction of packed covariances (n, 3)."""
+    """Write to ``out`` (n, 1) the largest variance in any direction of packed covariances (n, 3)."""
     for k in range(len(covariance)):
         xx, xy, yy = covariance[k, 0], covariance[k, 1], covariance[k, 2]
         out[k, 0] = 0.5 * (xx + yy) + math.sqrt(0.25 * (xx - yy) * (xx - yy) + xy * xy)
@@ -312,8 +313,8 @@ def widest(covariance: FloatArray, out: FloatArray) -> None:
 def merge_rows(
     one: IntArray, other: IntArray, number: IntArray, time_s: FloatArray, serial: IntArray, merged: IntArray
 ) -> None:
-    """Writes the rows of two lists as one in the order of their numbers, then times, then serial numbers, in which
-    both lists are. number, time_s, serial : (n,) of all rows."""
+    """Merge two lists of rows, both sorted by number, then time, then serial number. number, time_s, serial : (n,) of
+    all rows."""
     a = b = 0
     for k in range(len(merged)):
         if b == len(other):

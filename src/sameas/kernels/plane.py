@@ -1,6 +1,6 @@
-"""Compiled search in a feature space: differences of the features, folded into half a period where they have one.
+"""Compiled search in a feature space: differences of the features, reduced to half a period for periodic ones.
 
-:func:`sweep_few` searches among few records, where all that a large search lays out first costs more than it saves.
+:func:`sweep_few` is for few records, for which the layout of a large search costs more than it saves.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def add_spread(packed: FloatArray, k: int, at: int, d: int, out: FloatArray) -> 
 
 @part
 def whitened(matrix: FloatArray, residual: FloatArray, solved: FloatArray) -> tuple[float, float]:
-    """(Mahalanobis distance squared, determinant); the lower triangle of ``matrix`` becomes its Cholesky factor."""
+    """χ² of the residual, and the determinant; the lower triangle of ``matrix`` is replaced by its Cholesky factor."""
     d = len(residual)
     distance = 0.0
     determinant = 1.0
@@ -69,14 +69,14 @@ def sweep_plane(
     last: int,
     out: tuple[FloatArray | Int32Array, ...],
 ) -> tuple[int, int]:
-    """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
+    """Write the candidates of the records at places ``first`` ≤ k < ``last`` of source 1 to the arrays ``out``.
 
-    one, two : ``order.Side``. grid, reach : of what lies in source 2. folds : periods of x and y. listed : see
-    ``spans.near``, from ``first`` on. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written,
-    next k): next k < last when out is full.
+    one, two : ``order.Side``. grid, reach : of source 2. folds : periods of x and y. listed : see ``spans.near``, from
+    ``first`` on. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written, next k); next k < last
+    if out is full.
     """
     room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
-    count = np.int64(0)  # not a literal: numba would compile for it apart
+    count = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
     at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
     while True:
         found, at = near(one, two, grid, reach, folds, listed, at, last, room)
@@ -100,7 +100,7 @@ def measured_on_plane(
     count: int,
     out: tuple[FloatArray | Int32Array, ...],
 ) -> tuple[int, int]:
-    """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
+    """Write the pairs that pass the gate; returns (candidates written, pairs tested before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     d = len(periods)
     matrix = np.empty((d, d))
@@ -115,7 +115,7 @@ def measured_on_plane(
         inside = True
         for v in range(d):
             delta[v] = folded(one.content[k, v] - two.content[q, v], periods[v])
-            # No ellipse reaches further along an axis than its box.
+            # The gate's ellipse is inside this box.
             inside = inside and delta[v] * delta[v] <= reach * matrix[v, v]
         if not inside:
             continue
@@ -141,7 +141,7 @@ def measured_on_plane(
 
 @small
 def plane_covariances(cov1: FloatArray, cov2: FloatArray, i: Int32Array, j: Int32Array, out: FloatArray) -> None:
-    """Fill ``out`` (m, d, d) with the covariance of each pair's residual."""
+    """Write the covariance of each pair's residual to ``out`` (m, d, d)."""
     d = out.shape[1]
     out[:] = 0.0
     for k in range(len(i)):
@@ -163,20 +163,20 @@ def sweep_few(
     periods: FloatArray,
     out: tuple[FloatArray | Int32Array, ...],
 ) -> int:
-    """Candidates of two sources of few records on a plane, written into the columns ``out`` of ``gate.Pairs``.
+    """Write the candidates of two sources of few records on a plane to the columns ``out`` of ``gate.Pairs``.
 
-    Returns their number; −1 where ``out`` is too small for them, or two records of a source say exactly the same.
+    Returns their number; −1 if ``out`` is too small, or two records of a source have the same content.
     """
-    one, single1 = _in_order(features1, packed1, periods)
-    two, single2 = _in_order(features2, packed2, periods)
-    if not (single1 and single2):
+    one, distinct1 = _in_order(features1, packed1, periods)
+    two, distinct2 = _in_order(features2, packed2, periods)
+    if not (distinct1 and distinct2):
         return -1
     n2, d = features2.shape
     variance1, variance2 = _along_axes(one.content, d), _along_axes(two.content, d)
     widest = 0.0
     for k in range(n2):
         widest = max(widest, variance2[k, 0])
-    # Candidates are measured many at a time: each time costs what twenty of them do.
+    # Candidates are measured in batches: the overhead of each is that of twenty candidates.
     of1, of2 = np.empty(2 * n2 + 512, np.int32), np.empty(2 * n2 + 512, np.int32)
     enough = limit * (1.0 + 1e-6)
     count, found = np.int64(0), 0
@@ -207,7 +207,7 @@ def _near(
     periods: FloatArray,
     enough: float,
 ) -> bool:
-    """Whether no axis tells two records apart."""
+    """Whether two records are within the gate's box on every axis."""
     for v in range(variance1.shape[1]):
         apart = abs(content1[k, v] - content2[q, v])
         apart = min(apart, periods[v] - apart)
@@ -218,7 +218,7 @@ def _near(
 
 @part
 def _along_axes(content: FloatArray, d: int) -> FloatArray:
-    """(n, d) variances of the features, of records (n, d + p): first the features, then the packed covariance."""
+    """(n, d) variances of the features, from content (n, d + p) of features and packed covariances."""
     variance = np.zeros((len(content), d))
     matrix = np.zeros((d, d))
     for k in range(len(content)):
@@ -231,7 +231,7 @@ def _along_axes(content: FloatArray, d: int) -> FloatArray:
 
 @part
 def _in_order(features: FloatArray, packed: FloatArray, periods: FloatArray) -> tuple[Side, bool]:
-    """A source by its features, one after another, then its errors; whether every record has a place of its own."""
+    """A source sorted by its features and then its errors, and whether no two records have the same content."""
     n, d = features.shape
     content = np.empty((n, d + packed.shape[1]))
     for k in range(n):
@@ -244,7 +244,7 @@ def _in_order(features: FloatArray, packed: FloatArray, periods: FloatArray) -> 
         for v in range(packed.shape[1]):
             content[k, d + v] = packed[k, v]
     rows = np.argsort(content[:, 0]).astype(np.int32)
-    gap = 0  # Shell's sort where some say the same of their first feature: halves the gap each time
+    gap = 0  # Shell sort if some records have the same first feature
     for k in range(1, n):
         if content[rows[k], 0] == content[rows[k - 1], 0]:
             gap = n // 2
@@ -256,10 +256,10 @@ def _in_order(features: FloatArray, packed: FloatArray, periods: FloatArray) -> 
                 at -= gap
             rows[at] = row
         gap //= 2
-    single = True
+    distinct = True
     for k in range(1, n):
-        single = single and _precedes(content, rows[k - 1], rows[k])
-    return Side(content[rows], np.empty((0, 4)), rows), single
+        distinct = distinct and _precedes(content, rows[k - 1], rows[k])
+    return Side(content[rows], np.empty((0, 4)), rows), distinct
 
 
 @part

@@ -1,4 +1,4 @@
-"""Compiled search on the sphere: residuals east and north, the covariances turned to the axes halfway."""
+"""Compiled search on the sphere: residuals east and north, covariances rotated to the axes at the midpoint."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sameas.kernels.spans import ROOM, Grid, Reach, near, taken_back
 
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
-#: Directions closer than this in longitude and latitude are measured by series.
+#: Residuals of directions closer than this in longitude and in latitude are computed by series.
 CLOSE_DEG = 0.8
 
 
@@ -30,7 +30,7 @@ def spread_2d(packed: FloatArray, k: int, at: int) -> tuple[float, float, float]
 
 @part
 def turned(xx: float, xy: float, yy: float, c: float, s: float) -> tuple[float, float, float]:
-    """A covariance turned counter-clockwise by the angle of cosine c and sine s."""
+    """A covariance rotated counter-clockwise by the angle of cosine c and sine s."""
     return (
         c * c * xx - 2.0 * c * s * xy + s * s * yy,
         c * s * (xx - yy) + (c * c - s * s) * xy,
@@ -69,7 +69,7 @@ def close_residual(dlon: float, dlat: float, cosines: float) -> tuple[float, flo
 
 @part
 def close_turn(dlon: float, dlat: float, latitudes: float) -> float:
-    """The tangent of half the turn between the axes of two directions as close; latitudes: δ₁ + δ₂."""
+    """tan of half the rotation between the axes of two directions less than CLOSE_DEG apart; latitudes: δ₁ + δ₂."""
     sin_lon, cos_lon, _, cos_lat = close_series(dlon, dlat)
     middle = 0.5 * latitudes
     return sin_lon * math.copysign(sine(abs(middle)), middle) / (cos_lon * cos_lat)
@@ -89,7 +89,7 @@ def wide_residual(dlon: float, dlat: float, latitudes: float) -> tuple[float, fl
 
 @part
 def wide_turn(dlon: float, dlat: float, latitudes: float) -> float:
-    """The tangent of half the turn between the axes of any two directions."""
+    """tan of half the rotation between the axes of any two directions."""
     across = math.sin(0.5 * DEG * dlon) * math.sin(0.5 * DEG * latitudes)
     along = math.cos(0.5 * DEG * dlon) * math.cos(0.5 * DEG * dlat)
     return across / max(along, 1e-300)
@@ -105,7 +105,7 @@ def shorter_way(dlon: float) -> float:
 def sphere_spread(
     packed1: FloatArray, k1: int, packed2: FloatArray, k2: int, at: int, turn: float
 ) -> tuple[float, float, float]:
-    """(xx, xy, yy) of the sum of both covariances on the axes halfway; turn: the tangent of half their turn."""
+    """(xx, xy, yy) of the sum of both covariances on the axes at the midpoint; turn: tan of half their rotation."""
     ax, axy, ay = spread_2d(packed1, k1, at)
     bx, bxy, by = spread_2d(packed2, k2, at)
     c = 1.0 / math.sqrt(1.0 + turn * turn)
@@ -123,7 +123,7 @@ def shorter_ways(dlon: FloatArray) -> FloatArray:
 def spreads(
     one: Side, two: Side, k: IntArray, q: IntArray, dlon: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(m,) each: xx, xy, yy of the sums of both covariances, as the sweep has them, of pairs of close records."""
+    """(m,) each: xx, xy, yy of the sum of both covariances of pairs of close records, as :func:`sweep_sphere`."""
     if not len(one.content):
         xx = one.guard[k, 3] + two.guard[q, 3]
         return xx, np.zeros(len(xx)), xx
@@ -151,15 +151,15 @@ def sweep_sphere(
     last: int,
     out: tuple[FloatArray | Int32Array, ...],
 ) -> tuple[int, int]:
-    """Candidates of the records at places ``first`` ≤ k < ``last`` of source 1, written into the arrays ``out``.
+    """Write the candidates of the records at places ``first`` ≤ k < ``last`` of source 1 to the arrays ``out``.
 
-    one, two : ``order.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of what lies in source
-    2. listed : see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written,
-    next k): next k < last when out is full.
+    one, two : ``order.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of source 2. listed :
+    see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written, next k);
+    next k < last if out is full.
     """
     room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
     terms = np.empty((7, ROOM))
-    count = np.int64(0)  # not a literal: numba would compile for it apart
+    count = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
     at = (np.int64(first), np.int64(0), np.int64(0), np.int64(0))
     while True:
         found, at = near(one, two, grid, reach, None, listed, at, last, room)
@@ -174,7 +174,8 @@ def sweep_sphere(
 def residuals(
     one: Side, two: Side, of1: Int32Array, of2: Int32Array, found: int, circles: bool, terms: FloatArray
 ) -> None:
-    """Fill terms[0], terms[1] with residuals east and north of so many pairs; terms[2] with turns, unless circles."""
+    """Write the residuals east and north of the first ``found`` pairs to terms[0], terms[1], and their rotations to
+    terms[2], unless all errors are circles."""
     east, north, turn, dlon, dlat, cosines, latitudes = terms
     close = True
     for t in range(found):
@@ -211,7 +212,7 @@ def measured_on_sphere(
     count: int,
     out: tuple[FloatArray | Int32Array, ...],
 ) -> tuple[int, int]:
-    """Write those of the pairs that pass the gate; returns (candidates written, pairs done before out was full)."""
+    """Write the pairs that pass the gate; returns (candidates written, pairs tested before out was full)."""
     place1, place2, i, j, residual, distance, determinant = out
     circles = len(one.content) == 0
     residuals(one, two, of1, of2, found, circles, terms)
@@ -249,9 +250,9 @@ def sphere_covariances(
     j: Int32Array,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (m, 2, 2) with the covariance of each pair's residual."""
+    """Write the covariance of each pair's residual to ``out`` (m, 2, 2)."""
     for k in range(len(i)):
-        # Records keep the longitudes that they were given, any number of turns away; the search has folded its own.
+        # Records keep their longitudes as given, which may be outside 0 … 360°; the search has reduced its own.
         dlon = shorter_way(features1[i[k], 0] % 360.0 - features2[j[k], 0] % 360.0)
         lat1, lat2 = features1[i[k], 1], features2[j[k], 1]
         xx, xy, yy = sphere_spread(cov1, i[k], cov2, j[k], 0, wide_turn(dlon, lat1 - lat2, lat1 + lat2))

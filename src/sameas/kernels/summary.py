@@ -12,7 +12,7 @@ from sameas.kernels.compiled import small
 def per_record(
     record: Int32Array, n: int, chosen: BoolArray, p_pair: FloatArray
 ) -> tuple[FloatArray | Int32Array | IntArray, ...]:
-    """For each of n records its chosen pair or −1, its most probable other pair or −1, candidates, Σ p of its pairs."""
+    """(n,) of each record: its chosen pair or −1, its most probable other pair or −1, number and Σ p of its pairs."""
     partner = np.full(n, -1, np.int64)
     second = np.full(n, -1, np.int64)
     count = np.zeros(n, np.int32)
@@ -30,7 +30,7 @@ def per_record(
 
 @small
 def greatest_pair(position: Int32Array, n: int, value: FloatArray) -> IntArray:
-    """(n,) the pair of greatest value of each record, the first of equal ones; −1 without pairs.
+    """(n,) the pair of largest value of each record, the first of ties; −1 without pairs.
 
     position : (m,) record of each pair. value : (m,).
     """
@@ -52,12 +52,12 @@ def by_row(
     counts: tuple[Int32Array, Int32Array, IntArray],
     absent: tuple[BoolArray, ...],
 ) -> None:
-    """Write what is told of each record to its row ``at[k]`` of the table.
+    """Write the summary of each record k to row ``at[k]`` of the table.
 
-    of_record : what :func:`per_record` gave. pairs : probability and position of the other record, (m,) each, the rows
-    (n,) of such records, the group (m,), and the sizes of the groups. Filled are rows (partner, pair, second), shares
-    (p_match, p_none, p_second), counts (candidates, group, group_size), and in absent, all True at first, what is
-    there: (partner, second, group, record).
+    of_record : result of :func:`per_record`. pairs : probability (m,), position of the other record (m,), table rows of
+    the other source's records (n,), group (m,), sizes of the groups. Writes rows (partner, pair, second), shares
+    (p_match, p_none, p_second) and counts (candidates, group, group_size), and clears the masks absent (partner,
+    second, group, record), all True before.
     """
     partner, second, number, total = of_record
     p, other, other_rows, group_of, size = pairs
@@ -69,7 +69,7 @@ def by_row(
         r = at[k]
         unusable[r] = False
         candidates[r] = number[k]
-        # 1 − Σ p is the probability of no partner; rounding must not make it negative.
+        # 1 − Σ p is the probability of no partner; rounding may make it negative.
         p_none[r] = min(max(1.0 - total[k], 0.0), 1.0)
         if partner[k] >= 0:
             alone[r] = False

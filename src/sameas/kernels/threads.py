@@ -1,4 +1,4 @@
-"""How many threads the compiled loops use, and running them side by side over independent ranges."""
+"""Threads: their number, and parallel runs of compiled loops over independent ranges."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ U = TypeVar("U")
 
 
 def count() -> int:
-    """SAMEAS_THREADS where it is set, else the number of processors this process may run on."""
-    given = os.environ.get("SAMEAS_THREADS", "")
-    if given.isdigit() and int(given) > 0:
-        return int(given)
+    """Number of threads: SAMEAS_THREADS if set, else the number of processors that this process may use."""
+    setting = os.environ.get("SAMEAS_THREADS", "")
+    if setting.isdigit() and int(setting) > 0:
+        return int(setting)
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
-    """``work(bounds[t], bounds[t + 1])`` for every t, side by side; results in the order of the ranges."""
+    """``work(bounds[t], bounds[t + 1])`` for every t, in parallel; results in the order of the ranges."""
     ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if b > a]
     if len(ranges) <= 1:
         return [work(a, b) for a, b in ranges]
@@ -30,7 +30,7 @@ def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
 
 
 def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
-    """The results of several independent pieces of work, side by side where that is worth it for ``size`` items."""
+    """The results of several independent functions, run in parallel if ``size`` items make two ranges or more."""
     if len(even(size)) <= 2:
         return [work() for work in works]
     with ThreadPoolExecutor(min(len(works), count())) as pool:
@@ -38,13 +38,13 @@ def each(works: Sequence[Callable[[], T]], size: int) -> list[T]:
 
 
 def both(one: Callable[[], T], other: Callable[[], U], size: int) -> tuple[T, U]:
-    """The same of two pieces of work of different kinds."""
-    made: list[T | U] = each([one, other], size)
-    return made[0], made[1]
+    """:func:`each` for two functions of different result types."""
+    results: list[T | U] = each([one, other], size)
+    return results[0], results[1]
 
 
 def even(n: int, least: int = 4096) -> list[int]:
-    """Bounds that cut n items in as many even ranges as there are threads, none smaller than ``least``."""
+    """Bounds that divide n items into one range for each thread, or fewer so that none is smaller than ``least``."""
     if n < 2 * least:
         return [0, n]
     parts = max(1, min(count(), n // least))

@@ -118,7 +118,7 @@ class CandidatePairs:
 
 def candidates_at(scene: PlacedSources, theta: FloatArray, widening: float) -> CandidatePairs:
     """The candidate pairs under the offsets theta (s, p), with errors ``widening`` times as large as quoted."""
-    from sameas.kernels.offsets import both_look, carried_errors
+    from sameas.kernels.offsets import carried_errors, overlap
 
     features = scene.second.features
     shape = (len(theta), *features.shape)
@@ -126,7 +126,7 @@ def candidates_at(scene: PlacedSources, theta: FloatArray, widening: float) -> C
     carried = np.broadcast_to(scene.model.carried(features, theta[:, None, :]), (*shape, scene.first.d))
     spread = carried_errors(np.ascontiguousarray(carried), scene.covariance_2)
     flat = np.ascontiguousarray(flattened(moved, scene.model, scene.second))
-    volume, volumes, inside = both_look(scene.box, scene.flat, flat, scene.sigma, scene.periods)
+    volume, volumes, inside = overlap(scene.box, scene.flat, flat, scene.sigma, scene.periods)
     expected = np.array([len(scene.first), len(scene.second)]) / volumes * volume[:, None]
     return CandidatePairs(*_candidates(scene, moved, spread, widening), volume, expected, inside)
 

@@ -1,11 +1,11 @@
-"""Scenes whose truth is known, to try a method on before it sees the real thing.
+"""Simulated scenes with known truth, for testing a method before using it on real data.
 
 What to use when:
 
 - records of two sources: :func:`poisson_field`, :func:`line`, :func:`grid`, :func:`sky_field`, :func:`crowded_sky`;
 - catalogues with magnitudes, as repeated exposures of one field: :func:`exposure` of a :class:`Sky`;
 - a CCD frame, pixel by pixel: :func:`frame_of_sky` of a :class:`Camera`;
-- radars and transponders that watch moving targets: :class:`Sensor`, :class:`Tracker` on :class:`TrueMotion`.
+- radars and transponders that observe moving targets: :class:`Sensor`, :class:`Tracker` on :class:`TrueMotion`.
 """
 
 import lazy_loader

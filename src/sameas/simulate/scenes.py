@@ -1,9 +1,8 @@
-"""Scenes with known truth: two sources of the same objects, with errors as stated.
+"""Scenes of known truth: two sources of the same objects whose errors follow the quoted covariances.
 
 Use :func:`poisson_field` for the assumptions of the method in any number of features, :func:`sky_field` and
-:func:`crowded_sky` for large catalogues on the sphere, :func:`line` and :func:`grid` for the papers' targets.
-Errors are drawn exactly from the covariances that the records state, rows are shuffled, and every random
-number comes from the Generator that the caller gives.
+:func:`crowded_sky` for large catalogues on the sphere, :func:`line` and :func:`grid` for the papers' targets. Rows are
+shuffled, and every random number comes from the caller's Generator.
 """
 
 from __future__ import annotations
@@ -18,8 +17,6 @@ from sameas.errors import InputError
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Plane, Sphere, displaced, half_convergence, rotations
-
-# Areas of the sphere to scatter directions over, and directions moved along it.
 
 
 @dataclass(frozen=True)
@@ -61,7 +58,7 @@ class Cap:
 
 @dataclass(frozen=True)
 class LonLatBox:
-    """The directions between two meridians and two parallels, (low, high) each; longitude may pass 360."""
+    """The directions between two meridians and two parallels, (low, high) each; longitude may exceed 360."""
 
     lon_deg: tuple[float, float]
     lat_deg: tuple[float, float]
@@ -95,8 +92,8 @@ class SimulatedScene:
     Attributes
     ----------
     first, second : the records of the two sources, n1 and n2.
-    truth_1, truth_2 : (n1,) and (n2,) number of the object that each record describes. A false detection
-        describes an object of its own, so that every record has a number and no two of a source share one.
+    truth_1, truth_2 : (n1,) and (n2,) number of the true object of each record. A false detection has its own number,
+        so that the numbers of a source are distinct.
     false_1, false_2 : (n1,) and (n2,) masks of the false detections.
     """
 
@@ -147,8 +144,8 @@ def poisson_field(
     sigma_1, sigma_2 : standard deviation of each feature's error; (low, high) draws one per record,
         log-uniform.
     false_1, false_2 : mean number of false detections per unit volume, scattered like objects.
-    correlated : give each record a full covariance: per record the axes of the error are turned at random and
-        stretched by independent log-uniform factors in ½ … 2.
+    correlated : give each record a full covariance: the axes of its error are rotated at random and stretched by
+        independent log-uniform factors in ½ … 2.
     space : a Plane; records are wrapped into its periods. Periods equal to ``extent`` leave no edge.
     names : of the two sources.
 
@@ -215,7 +212,7 @@ def grid(
 
     Parameters
     ----------
-    shape : (d,) number of targets along each feature; one target stands at the origin.
+    shape : (d,) number of targets along each feature; one target is at the origin.
     spacing_sigmas : the papers' d, in units of the residual's standard deviation σ = √(σ₁² + σ₂²).
     q1, q2 : probability that the source misses a target.
     sigma_1, sigma_2 : standard deviation of every feature's error.
@@ -264,9 +261,9 @@ def _plane_scene(
 
 
 def _random_axes(rng: np.random.Generator, spread: FloatArray, d: int) -> FloatArray:
-    """(n, d, d) factors A of covariances A Aᵀ: turned at random, stretched by ½ … 2 per axis."""
-    turned = np.linalg.qr(rng.standard_normal((len(spread), d, d)))[0] if len(spread) else np.empty((0, d, d))
-    return turned * (spread[:, None] * 2.0 ** rng.uniform(-1, 1, (len(spread), d)))[:, None, :]
+    """(n, d, d) factors A of covariances A Aᵀ: rotated at random, stretched by ½ … 2 along each axis."""
+    rotated = np.linalg.qr(rng.standard_normal((len(spread), d, d)))[0] if len(spread) else np.empty((0, d, d))
+    return rotated * (spread[:, None] * 2.0 ** rng.uniform(-1, 1, (len(spread), d)))[:, None, :]
 
 
 # ---- on the sphere ----
@@ -283,14 +280,14 @@ def sky_field(
     elliptical: bool = False,
     names: tuple[str, str] = ("first", "second"),
 ) -> SimulatedScene:
-    """Directions evenly scattered over an area of the sky, some in both sources and some in one of them.
+    """Directions uniformly scattered over an area of the sky, some in both sources and some in one of them.
 
     Parameters
     ----------
     rng : source of all random numbers.
     n_common, n_only_1, n_only_2 : number of objects in both, in the first only, in the second only.
     sigma_arcsec : error on each axis; (low, high) draws one per record, log-uniform.
-    area : where the objects are, the whole sky if not given.
+    area : of the objects; by default the whole sky.
     elliptical : give each record a full covariance of mean variance σ²: variances σ²(1 ± e) along two axes at
         a random position angle, e uniform in 0 … 0.8.
     names : of the two sources.
@@ -329,15 +326,15 @@ def crowded_sky(
 ) -> SimulatedScene:
     """The workload of the benchmarks: a cap in which a record has ``lam`` chance candidates on average.
 
-    Of the objects 80 % are in both sources and 10 % in each alone; each source has ``n`` rows. A chance
-    candidate lies within 3 √(σ₁² + σ₂²) and is another object. ``elliptical`` (see :func:`sky_field`) keeps
-    the mean variance; its gates ΔᵀΣ⁻¹Δ ≤ 9 are a few per cent smaller, and so is the true ``lam``.
+    80 % of the objects are in both sources and 10 % in each alone; each source has ``n`` rows. A chance candidate is
+    another object within 3 √(σ₁² + σ₂²). ``elliptical`` (see :func:`sky_field`) keeps the mean variance; its gates
+    ΔᵀΣ⁻¹Δ ≤ 9 are a few per cent smaller, and so is the true ``lam``.
 
     Parameters
     ----------
     n : rows of each source.
     lam : mean number of chance candidates of a record (the benchmarks take 0.05, 0.5, 2, 8).
-    centre_deg : longitude and latitude of the cap's centre; latitude ±90 puts a pole into it.
+    centre_deg : longitude and latitude of the cap's centre; with latitude ±90 it contains a pole.
     """
     steradians = chance_area_steradians(n, lam, sigma_arcsec)
     if steradians > 4 * math.pi:
@@ -372,13 +369,13 @@ def chance_area_steradians(n: int, lam: float, sigma_arcsec: Sigma, gate_sigmas:
 
 
 def _circular_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
-    """Directions displaced by their stated errors, σ (n,) on both axes."""
+    """Directions displaced by their quoted errors, σ (n,) on both axes."""
     offset = rng.standard_normal(position_deg.shape) * spread[:, None]
     return Records.of(displaced(position_deg, offset), variance=(spread**2)[:, None], space=Sphere(), source=name)
 
 
 def _elliptical_sky(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
-    """Directions displaced by their stated errors, in covariances along their own east and north."""
+    """Directions displaced by their quoted errors, with covariances along their own east and north."""
     stretch = rng.uniform(0, 0.8, len(spread))
     axes = rotations(rng.uniform(0, np.pi, len(spread)))
     axes *= (spread[:, None] * np.sqrt(np.stack([1 + stretch, 1 - stretch], axis=1)))[:, None, :]
@@ -393,7 +390,7 @@ def _elliptical_sky(rng: np.random.Generator, position_deg: FloatArray, spread: 
 
 
 def _detected(rng: np.random.Generator, n: int, q1: float, q2: float) -> tuple[IntArray, IntArray]:
-    """Numbers of the objects, of n, that each source did not miss."""
+    """Numbers of the n objects that each source detects."""
     for name, q in (("q1", q1), ("q2", q2)):
         if not 0 <= q <= 1:
             raise InputError(f"{name} is {q}; give a probability between 0 and 1")
@@ -401,7 +398,7 @@ def _detected(rng: np.random.Generator, n: int, q1: float, q2: float) -> tuple[I
 
 
 def _log_uniform(rng: np.random.Generator, sigma: Sigma, n: int, name: str) -> FloatArray:
-    """(n,) standard deviations: the number itself, or log-uniform between the two."""
+    """(n,) standard deviations: the given number, or log-uniform between two."""
     low, high = _bounds(sigma, name)
     return np.full(n, low) if low == high else low * (high / low) ** rng.uniform(size=n)
 

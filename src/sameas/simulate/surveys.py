@@ -1,9 +1,9 @@
-"""Scenes as surveys make them, in which two catalogues differ by more than their quoted errors.
+"""Scenes like those of surveys, in which two catalogues differ by more than their quoted errors.
 
-- :func:`blended_field`: a coarse source on a fine one; objects closer than its resolution are one of its records.
-- :func:`counterparts`: few sources with wide errors in a deep catalogue.
-- :func:`formal_field`, :func:`growing_field`, :func:`couples_field`: quoted errors are formal ones, of the noise alone,
-  while the sources also err by what nobody quotes.
+- :func:`blended_field`: a source of low resolution and a fine one; objects closer than its resolution are blended.
+- :func:`counterparts`: few sources with large errors in a deep catalogue.
+- :func:`formal_field`, :func:`growing_field`: quoted errors are formal, of the noise alone; there are others as well.
+- :func:`couples_field`: more close pairs of objects than a Poisson field has.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from sameas.space import Sphere, displaced
 @in_short
 @dataclass(frozen=True)
 class BlendedField:
-    """A coarse source, a fine one, and which objects each coarse record is.
+    """A coarse source, a fine one, and the objects of each coarse record.
 
-    parts : (n₁, 2) records of the fine source, −1 where there is none. flux : (n₂,) in the coarse source's band.
+    parts : (n₁, 2) records of the fine source, −1 for none. flux : (n₂,) in the coarse source's band.
     """
 
     first: Records
@@ -48,16 +48,17 @@ def blended_field(
     sigma_arcsec: tuple[float, float] = (0.1, 0.4),
     steepness: float = 4.0,
 ) -> BlendedField:
-    """A field like WISE's on Gaia's: couples at separation s are one record with probability 2^−(s/ℓ)⁴.
+    """A field like WISE's on Gaia's: two objects at separation s are blended with probability 2^−(s/ℓ)⁴.
 
     Parameters
     ----------
     rng : source of all random numbers.
-    objects, per_deg2 : of the fine source. share : of them, or of couples that are one, that the coarse source shows.
-    only_coarse : records that the fine source has not, per record of it.
-    resolution_arcsec, steepness : ℓ, and how fast couples part beyond it. Nearer couples are dealt first, and no object
-        takes part in two.
-    sigma_arcsec : error of a coarse record per axis, log-uniform between; those of the fine source are 0.001.
+    objects, per_deg2 : number and density of objects of the fine source. share : of them, or of blends, that the coarse
+        source has.
+    only_coarse : records of the coarse source only, per object of the fine source.
+    resolution_arcsec, steepness : ℓ, and the exponent (4). Closer couples are blended first; an object is in one blend
+        at most.
+    sigma_arcsec : (low, high) error of a coarse record on each axis, log-uniform; the fine source's errors are 0.001.
 
     Raises
     ------
@@ -84,15 +85,15 @@ def blended_field(
             taken[[j, k]] = True
             units.append((j, k))
     units += [(int(j), -1) for j in np.flatnonzero(~taken)]
-    shown = np.array(units)[rng.uniform(size=len(units)) < share]
-    one, two = shown[:, 0], np.where(shown[:, 1] < 0, shown[:, 0], shown[:, 1])
+    detected = np.array(units)[rng.uniform(size=len(units)) < share]
+    one, two = detected[:, 0], np.where(detected[:, 1] < 0, detected[:, 0], detected[:, 1])
     w = (flux[one] / (flux[one] + flux[two]))[:, None]
     offset = np.column_stack(
         [(place[two, 0] - place[one, 0]) * np.cos(np.radians(place[one, 1])), place[two, 1] - place[one, 1]]
     )
     more = round(only_coarse * objects)
     at = np.concatenate([displaced(place[one], 3600.0 * (1.0 - w) * offset), field.draw(rng, more)])
-    parts = np.concatenate([shown, np.full((more, 2), -1)])
+    parts = np.concatenate([detected, np.full((more, 2), -1)])
     low, high = sigma_arcsec
     sigma = np.exp(rng.uniform(math.log(low), math.log(high), len(at)))
     order = rng.permutation(len(at))
@@ -104,7 +105,7 @@ def blended_field(
 
 
 def _couples(flat: FloatArray, reach: float) -> list[tuple[float, int, int]]:
-    """(separation, j, k) of all couples of points within reach, nearest first."""
+    """(separation, j, k) of all pairs of points closer than ``reach``, the closest first."""
     order = np.argsort(flat[:, 1], kind="stable")
     y, out = flat[order, 1], []
     last = np.searchsorted(y, y + reach, side="right")
@@ -115,9 +116,7 @@ def _couples(flat: FloatArray, reach: float) -> list[tuple[float, int, int]]:
     return sorted(out)
 
 
-# Counterparts of few sources with wide errors in a deep catalogue: X-ray sources and optical objects.
-
-#: Error of the catalogue's positions per axis, arcsec.
+#: Error of the positions of the catalogue of :func:`counterparts` on each axis, arcsec.
 CATALOGUE_SIGMA_ARCSEC = 0.1
 
 
@@ -126,8 +125,8 @@ CATALOGUE_SIGMA_ARCSEC = 0.1
 class Counterparts:
     """Few sources, a deep catalogue, and the columns of both.
 
-    scene : records and truth. flux : (n₁,) log₁₀ of the sources' fluxes, which counterparts' magnitudes go with.
-    magnitude, colour : (n₂,) mag. kind : (n₂,) "point" or "extended". noise : (n₂,) a column that tells nothing.
+    scene : records and truth. flux : (n₁,) log₁₀ of the sources' fluxes, correlated with the counterparts' magnitudes.
+    magnitude, colour : (n₂,) mag. kind : (n₂,) "point" or "extended". noise : (n₂,) a column without information.
     area_arcsec2 : of the field.
     """
 
@@ -149,22 +148,22 @@ def counterparts(
     chance: float = 0.3,
     sigma_arcsec: tuple[float, float] = (1.0, 2.0),
 ) -> Counterparts:
-    """Sources of which a share has a counterpart, brighter and bluer than the catalogue's other records.
+    """Sources some of which have a counterpart, brighter and bluer than the catalogue's other records.
 
     Parameters
     ----------
     rng : source of all random numbers.
-    sources, records : of the first and of the second source.
-    share : of the sources that have a counterpart.
+    sources, records : numbers of records of the first and of the second source.
+    share : of the sources with a counterpart.
     chance : mean number of unrelated records within 3σ of a source.
-    sigma_arcsec : error of a source per axis, log-uniform between; the records of the catalogue have 0.1″.
+    sigma_arcsec : (low, high) error of a source on each axis, log-uniform; the catalogue's errors are 0.1″.
 
     Raises
     ------
     InputError : a number that is out of range.
 
-    Source: the manner of NWAY's COSMOS example (X-ray sources with errors of 1–2″, the counterparts' magnitudes about
-    21.5, the catalogue's counts rising as 10^(0.3 m) to 26).
+    Source: modelled on NWAY's COSMOS example (X-ray sources with errors of 1–2″, counterparts' magnitudes about 21.5,
+    counts of the catalogue rising as 10^(0.3 m) to 26).
 
     >>> made = counterparts(np.random.default_rng(1), sources=60, records=2_000)
     >>> len(made.scene.true_pairs()[0])
@@ -192,7 +191,7 @@ def counterparts(
         one, two, np.zeros(sources, np.bool_), np.zeros(records, np.bool_),
     )  # fmt: skip
     flux, bright = rng.normal(0.0, 0.6, objects), np.arange(objects) < sources
-    # Counts that rise as 10^(0.3 m) to magnitude 26; those of sources follow their fluxes.
+    # Counts rise as 10^(0.3 m) to magnitude 26; the sources' magnitudes follow their fluxes.
     counted = 26.0 + np.log10(rng.uniform(size=objects)) / 0.3
     magnitude = np.where(bright, 21.5 - 1.8 * flux + rng.normal(0.0, 1.3, objects), counted)
     colour = np.where(bright, 0.45, 0.9) + 0.06 * (magnitude - 22.0) + rng.normal(0.0, 0.4, objects)
@@ -223,10 +222,10 @@ def formal_field(
     rng : source of all random numbers.
     objects : number of real objects in the field.
     per_deg2 : real objects per square degree.
-    quoted_arcsec : least and largest quoted error of a record per axis, log-uniform between, arcsec.
-    scale : errors over those quoted. floor_arcsec : error of the second source that is not quoted, per axis, arcsec.
-    missing : probability with which either source misses an object.
-    false_share : false records of either source per object, scattered evenly.
+    quoted_arcsec : (low, high) quoted error of a record on each axis, log-uniform.
+    scale : true over quoted errors. floor_arcsec : additional error of the second source on each axis, not quoted.
+    missing : probability that the first and the second source miss an object.
+    false_share : false records of either source per object, uniformly scattered.
 
     Raises
     ------
@@ -250,8 +249,8 @@ def formal_field(
     numbers = np.split(np.arange(objects, len(place)), [false[0]])
     sides, truths = [], []
     for source, (name, own) in enumerate((("first", 0.0), ("second", floor_arcsec))):
-        seen = np.flatnonzero(rng.uniform(size=objects) >= missing[source])
-        truth = rng.permutation(np.concatenate([seen, numbers[source]]))
+        detected = np.flatnonzero(rng.uniform(size=objects) >= missing[source])
+        truth = rng.permutation(np.concatenate([detected, numbers[source]]))
         sides.append(_measured(rng, place[truth], quoted_arcsec, scale, own, name))
         truths.append(truth)
     false_1, false_2 = (truth >= objects for truth in truths)
@@ -267,21 +266,21 @@ def growing_field(
     chance: float = 1.0,
     missing: float = 0.15,
 ) -> tuple[SimulatedScene, tuple[FloatArray, FloatArray], FloatArray]:
-    """Two sources of a crowded square that quote one error for all, which is that of the first; the second's grow.
+    """Two sources of a crowded square that quote the same error for all records; the second source's errors grow.
 
     Parameters
     ----------
     rng : source of all random numbers.
     objects : number of real objects in the field.
-    error_arcsec : (n,) errors of the second source per axis, of magnitudes (n,) and distances (n,) from the centre
-        over that of a corner.
-    quoted_arcsec : what both quote, and the error of the first.
-    chance : other objects within 3σ of a pair with 1.5 times those errors, on average.
-    missing : probability with which either source misses an object.
+    error_arcsec : function of magnitudes (n,) and of distances (n,) from the centre, relative to a corner's, that gives
+        the true errors (n,) of the second source on each axis.
+    quoted_arcsec : error quoted by both sources, the true one of the first.
+    chance : mean number of other objects within 3σ of a pair with 1.5 times the quoted errors.
+    missing : probability that a source misses an object.
 
     Returns
     -------
-    The scene, the magnitudes of its records, and the true errors of the second source's, arcsec.
+    The scene, the magnitudes of its records, and the true errors of the second source's records, arcsec.
 
     Raises
     ------
@@ -326,19 +325,19 @@ def couples_field(
     missing: float = 0.3,
     members: int = 2,
 ) -> SimulatedScene:
-    """Two sources of a square with more close couples than a Poisson field has; each misses objects by itself.
+    """Two sources of a square with more close couples than a Poisson field; each source misses objects independently.
 
     Parameters
     ----------
     rng : source of all random numbers.
     objects : number of real objects in the field.
-    share : of them that lie in couples.
-    separation : of a couple, in standard errors of a record of the first source per axis, in any direction.
-    sigma_arcsec : error of a record of either source per axis, quoted as it is.
-    chance : other objects within 3σ of a pair, on average, beside companions.
-    missing : probability with which either source misses an object.
-    members : of a couple; where more than two, the others lie about the first with ``separation`` as their standard
-        deviation per axis.
+    share : of the objects that are in couples.
+    separation : of a couple, in any direction, in standard errors of a record of the first source on each axis.
+    sigma_arcsec : true and quoted error of the records of the first and of the second source on each axis.
+    chance : mean number of other objects within 3σ of a pair, without companions.
+    missing : probability that a source misses an object.
+    members : of a couple; if more than two, the others are scattered about the first with ``separation`` as standard
+        deviation on each axis.
 
     Raises
     ------
