@@ -72,9 +72,9 @@ def written_out(coarse, fine, flux):
 def test_probabilities_are_the_sums_over_all_hypotheses(seed):
     rng = np.random.default_rng([11, seed])
     first, second, flux = small(rng)
-    tuning = Tuning(least_log_odds=-np.inf, most_hypotheses=1e9)
+    tuning = Tuning(min_log_odds=-np.inf, max_hypotheses=1e9)
     found = candidates_of(first, second, RESOLUTION, Errors(), flux, tuning)
-    shown = Shown(Merging.of(found.couples, found.blended, 4, tuning.most_ways), SHARE)
+    shown = Shown(Merging.of(found.couples, found.blended, 4, tuning.max_ways), SHARE)
     log_density, log_odds = log_odds_of(found, shown, np.ones(1), np.full(3, ALONE))
     summed = hypotheses(found, log_density, log_odds, shown, 3, tuning)
     due = written_out(first.features, second.features, flux)
@@ -154,7 +154,7 @@ def test_residuals_that_point_to_a_neighbour_suggest_blends(seed):
     number, within, sigmas = suspected(answer, estimate.errors, estimate.coverage, 0)
     assert number > 20 and 3.0 < within < 12.0 and sigmas > 10.0
     # Of many pairs some are asked.
-    fewer, _, _ = suspected(answer, estimate.errors, estimate.coverage, 0, Tuning(asked=len(answer.pairs) // 5))
+    fewer, _, _ = suspected(answer, estimate.errors, estimate.coverage, 0, Tuning(max_pairs=len(answer.pairs) // 5))
     assert fewer < number
     assert suspected(answer, estimate.errors, estimate.coverage, 1) is None
 

@@ -1,17 +1,18 @@
 """Blends: one record of a coarse source may be two objects of a fine one (METHOD 11.3).
 
 Two objects of the fine source (2) at separation s give one record of the coarse source (1) with probability B(s), which
-is 1 at s = 0 and ½ at the resolution; else each is shown by itself. Couples merge or part from the nearest on, and no
-object is of two. With c the probability that the coarse source shows an object, or the two that are one record, and ρ₁
-its density of other records, a hypothesis weighs, beside that in which nothing has a partner,
+is 1 at s = 0 and ½ at the resolution; otherwise each is shown separately. Couples (two objects near each other) merge
+or not in order of separation, and no object merges twice. With c the probability that the coarse source shows an object
+or a merged couple, and ρ₁ its density of other records, the weight of a hypothesis relative to the one without partners
+is
 
     Π N(x_i − x_j; Σ) / ρ₁  Π N(x_i − w x_j − (1 − w) x_k; Σ) / ρ₁  Q(hypothesis) / Q(nothing)
 
-over its records of one object and of two. Q = Σ P(M) c^shown (1 − c)^(units − shown) over the ways M in which couples
-may have merged: those that have merged the hypothesis' couples and none of its single objects. Units are couples that
-merged, and objects that did not; w is j's share of the flux, or all of 0 to 1 where fluxes are not given. Hypotheses
-of a group are summed exactly: every record of the coarse source has no partner, one, or two, and no object is taken
-twice. c, ρ₁ and the shares of the error scales are estimated from the result in turn.
+over its records of one object and of two. Q = Σ P(M) c^shown (1 − c)^(units − shown) over the sets M of merged couples
+that contain the hypothesis' couples and none of its single objects. Units are merged couples and unmerged objects; w is
+j's share of the flux, or averaged over 0 to 1 without fluxes. Hypotheses of a group are summed exactly: every record of
+the coarse source has no partner, one, or two, and no object is assigned twice. c, ρ₁ and the shares of the error
+scales are estimated from the result by iteration.
 """
 
 from __future__ import annotations
@@ -35,24 +36,25 @@ from sameas.result import Identification
 
 @dataclass(frozen=True)
 class BlendTuning:
-    """How blends are looked for; chosen with ``scripts/bench field --only blends``.
+    """Parameters of the search for blends; chosen with ``scripts/bench field --only blends``.
 
     Attributes
     ----------
     steepness : B(s) = exp(−ln 2 · (s/resolution)^steepness).
-    reach : objects farther apart than so many resolutions are never blended.
-    gate_sigmas, tail_sigmas : farther than this from where it is due no partner is, in typical standard deviations and
-        in those of the widest scale of the errors, the latter to a resolution at most.
-    flux_shares : shares w that are averaged over where fluxes are not given.
-    most_ways : in which objects near each other may have merged; with more, the widest couples never merge.
-    least_log_odds : candidates of smaller ln of the odds against no partner are left out.
-    most_hypotheses : of a group; with more, its least probable candidates are left out until it has fewer.
-    asked, beyond_sigmas, within_sigmas : pairs that are asked whether the coarse source may show two objects as one, at
-        most, how many standard deviations of theirs their neighbours must be away, and within how many of the typical
-        pair's they are looked for, where few lie there by chance.
-    fewest, suspected : of such neighbours, and the standard errors by which residuals must point to them.
-    rounds, settled : of the estimation, and the change of c that ends it.
-    least_share : of c, and of 1 − c.
+    reach : greatest separation of a blend, in resolutions.
+    gate_sigmas, tail_sigmas : greatest distance of a partner from its expected position, in typical standard
+        deviations, and in those of the widest scale of the errors; the latter at most a resolution.
+    flux_shares : number of shares w that are averaged over without fluxes.
+    max_ways : sets of merged couples of a cluster; with more, the widest couples never merge.
+    min_log_odds : candidates of smaller ln odds against no partner are dropped.
+    max_hypotheses : of a group; with more, its least probable candidates are dropped.
+    max_pairs, min_sigmas, max_sigmas : for the test whether the coarse source shows two objects as one: greatest number
+        of pairs, and range of the distance of their unmatched neighbours: least one in standard deviations of the pair,
+        greatest one in those of the typical pair (less where more than one would be there by chance).
+    min_neighbours, min_significance : of such neighbours, and of the offset of residuals towards them, in standard
+        errors.
+    max_iterations, tolerance : of the estimation, and the change of c at convergence.
+    least_share : lower limit of c, and of 1 − c.
     """
 
     steepness: float = 4.0
@@ -60,16 +62,16 @@ class BlendTuning:
     gate_sigmas: float = 6.4
     tail_sigmas: float = 3.0
     flux_shares: int = 9
-    most_ways: int = 1_000
-    least_log_odds: float = math.log(1e-6)
-    most_hypotheses: float = 1e4
-    asked: int = 5_000
-    beyond_sigmas: float = 4.0
-    within_sigmas: float = 60.0
-    fewest: int = 20
-    suspected: float = 6.0
-    rounds: int = 10
-    settled: float = 1e-3
+    max_ways: int = 1_000
+    min_log_odds: float = math.log(1e-6)
+    max_hypotheses: float = 1e4
+    max_pairs: int = 5_000
+    min_sigmas: float = 4.0
+    max_sigmas: float = 60.0
+    min_neighbours: int = 20
+    min_significance: float = 6.0
+    max_iterations: int = 10
+    tolerance: float = 1e-3
     least_share: float = 1e-3
 
 
@@ -79,10 +81,10 @@ DEFAULT_BLENDS = BlendTuning()
 @in_short
 @dataclass(frozen=True)
 class Candidates:
-    """What records of the coarse source may be: o candidates, those of one object first.
+    """The candidates of records of the coarse source, o in number, those of one object first.
 
-    i, j, k : (o,) record of source 1, of source 2, and the other of a blend, −1 where there is none.
-    log_density : (o, s) ln N by every scale of the errors. couple : (o,) which couple it is, −1 for one object.
+    i, j, k : (o,) record of source 1, of source 2, and the second one of a blend, −1 if none.
+    log_density : (o, s) ln N by every scale of the errors. couple : (o,) index of the couple, −1 for one object.
     couples : (q, 2) objects of source 2 that may be one record. blended : (q,) B of each.
     """
 
@@ -109,11 +111,11 @@ class Blends:
 
     Attributes
     ----------
-    partner, other : (n₁,) records of source 2 by the most probable answer of each group, the other of a blend; masked
-        where there is none.
-    p_match : (n₁,) probability of that answer, of no partner where it has none. p_blend : (n₁,) probability that the
-        record is two objects, whichever.
-    candidates, p : (o,) what records may be, and how probable it is.
+    partner, other : (n₁,) records of source 2 in the most probable hypothesis of each group, and the second one of a
+        blend; masked where there is none.
+    p_match : (n₁,) probability of that answer (no partner, where masked). p_blend : (n₁,) probability that the record
+        is two objects, of any couple.
+    candidates, p : (o,) candidates and their probabilities.
     share : c, the probability that the coarse source shows an object. shares : of the error scales.
     exact : (n₁,) whether all candidates of the record's group were summed.
     """
@@ -139,22 +141,22 @@ def find_blends(
     coverage: Coverage | None = None,
     tuning: BlendTuning = DEFAULT_BLENDS,
 ) -> Blends:
-    """Which records of a coarse source are one object of a fine one, which are two, and how sure that is.
+    """Which records of a coarse source are one object of a fine one, and which are two, with probabilities.
 
     Parameters
     ----------
     first, second : the coarse and the fine source.
     resolution : separation in the unit of the residuals (arcsec on the sphere) at which half of the couples are one
         record of the coarse source.
-    errors : how residuals spread about the quoted errors, as :func:`sameas.estimate.match.match` estimates them.
-    flux : (n₂,) of the fine source's records in the coarse source's band; NaN where not known.
-    coverage : of both, where it is known already.
+    errors : distribution of the residuals, as estimated by :func:`sameas.estimate.match.match`.
+    flux : (n₂,) of the fine source's records in the coarse source's band; NaN where unknown.
+    coverage : of both, if known already.
 
     Raises
     ------
-    InputError : a resolution that is not positive, fluxes that are not those of the records.
+    InputError : a resolution that is not positive, fluxes that are not one above 0 per record.
 
-    Source: METHOD 11.3, with the probability that neither of a couple is shown written out.
+    Source: METHOD 11.3, with the probability that neither object of a couple is shown included.
 
     >>> rng = np.random.default_rng(3)
     >>> fine = rng.uniform(0.0, 100.0, (60, 2))
@@ -173,41 +175,42 @@ def find_blends(
     coverage = Coverage.of(first, second) if coverage is None else coverage
     n1, n2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     density = coverage.covered_densities[0][0]
-    every = candidates_of(first, second, resolution, errors, flux, tuning)
-    merging = Merging.of(every.couples, every.blended, len(second), tuning.most_ways)
+    all_candidates = candidates_of(first, second, resolution, errors, flux, tuning)
+    merging = Merging.of(all_candidates.couples, all_candidates.blended, len(second), tuning.max_ways)
     share, alone, shares = 0.5, 0.5, np.asarray(errors.shares)
-    for _ in range(tuning.rounds):
+    for _ in range(tuning.max_iterations):
         shown_with = Shown(merging, share)
-        log_density, log_odds = log_odds_of(every, shown_with, shares, density * alone)
-        kept = log_odds > tuning.least_log_odds
-        found = every.part(kept)
-        summed = hypotheses(found, log_density[kept], log_odds[kept], shown_with, len(first), tuning)
-        shown, two = float(summed.p.sum()), float(summed.p[found.k >= 0].sum())
-        before = share
-        # Of couples that are one record, a share c is shown: so many more objects than units that may be.
+        log_density, log_odds = log_odds_of(all_candidates, shown_with, shares, density * alone)
+        kept = log_odds > tuning.min_log_odds
+        candidates = all_candidates.part(kept)
+        solution = hypotheses(candidates, log_density[kept], log_odds[kept], shown_with, len(first), tuning)
+        shown, two = float(solution.p.sum()), float(solution.p[candidates.k >= 0].sum())
+        previous = share
+        # A share c of the merged couples is shown; each merged couple is one unit less.
         units = max(n2 - two / share, 1.0)
         share = float(np.clip((shown + 0.5) / (units + 1.0), tuning.least_share, 1.0 - tuning.least_share))
         alone = min(max(1.0 - shown / n1, tuning.least_share), 1.0)
-        part = shares * np.exp(found.log_density - found.log_density.max(axis=1, keepdims=True, initial=-np.inf))
-        shares = (summed.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (shown + 1.0)
-        if abs(share - before) < tuning.settled:
+        log_n = candidates.log_density
+        part = shares * np.exp(log_n - log_n.max(axis=1, keepdims=True, initial=-np.inf))
+        shares = (solution.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (shown + 1.0)
+        if abs(share - previous) < tuning.tolerance:
             break
-    return _answered(found, summed, len(first), share, shares)
+    return _to_blends(candidates, solution, len(first), share, shares)
 
 
 def suspected(
     answer: Identification, errors: Errors, coverage: Coverage, coarse: int, tuning: BlendTuning = DEFAULT_BLENDS
 ) -> tuple[int, float, float] | None:
-    """Whether source ``coarse`` (0 or 1) seems to show two objects of the other as one: of how many pairs the fine
-    record has a neighbour without partner, within what distance, and by how many standard errors residuals point to it.
+    """Whether source ``coarse`` (0 or 1) seems to show two objects of the other as one; None if it does not.
 
-    A record that is two objects lies between them, where that of one object is as often on this side as on that. None
-    where they point nowhere.
+    Returns the number of pairs whose fine record has an unmatched neighbour, the greatest distance of these neighbours,
+    and the significance, in standard errors, of the offset of residuals towards them. A record of two objects lies
+    between them; residuals of one object have no preferred side.
     """
     fine = (answer.second, answer.first)[coarse]
     chosen = np.flatnonzero(answer.chosen)
-    chosen = chosen[:: max(1, len(chosen) // tuning.asked)]
-    if len(chosen) < tuning.fewest:
+    chosen = chosen[:: max(1, len(chosen) // tuning.max_pairs)]
+    if len(chosen) < tuning.min_neighbours:
         return None
     rows = ((answer.pairs.j, answer.pairs.i)[coarse])[answer.chosen]
     alone = np.ones(len(fine), np.bool_)
@@ -215,30 +218,30 @@ def suspected(
     some = errors.pairs(answer.pairs.part(chosen))
     own = (some.j, some.i)[coarse]
     without = np.flatnonzero(alone)
-    if len(without) < tuning.fewest:
+    if len(without) < tuning.min_neighbours:
         return None
-    # To the coarse record, on the axes of the pair.
+    # Towards the coarse record, on the axes of the pair.
     toward = some.residual if coarse == 0 else -some.residual
     sigma = np.sqrt(np.einsum("mdd->m", some.covariance) / some.d)
     spacing = math.sqrt(coverage.common_volume / (math.pi * len(without)))
-    reach = min(tuning.within_sigmas * float(np.median(sigma)), spacing)
+    reach = min(tuning.max_sigmas * float(np.median(sigma)), spacing)
     here, there = (fine.part(at.astype(np.int64)).with_errors(0.0, 0.5) for at in (own, without))
     near = Radius(reach)(here, there)
-    # The residual of two fine records is the first minus the second: to the neighbour it is the other way.
+    # The residual of two fine records is the first minus the second, so the direction to the neighbour is its negative.
     separation = np.sqrt((near.residual**2).sum(axis=1))
     order = np.lexsort((separation, near.i))
     nearest = order[np.unique(near.i[order], return_index=True)[1]]
-    nearest = nearest[separation[nearest] > tuning.beyond_sigmas * sigma[near.i[nearest]]]
+    nearest = nearest[separation[nearest] > tuning.min_sigmas * sigma[near.i[nearest]]]
     nearest = nearest[np.argsort(separation[nearest], kind="stable")]
-    if len(nearest) < tuning.fewest:
+    if len(nearest) < tuning.min_neighbours:
         return None
     at = near.i[nearest]
     along = -(toward[at] * near.residual[nearest]).sum(axis=1) / (separation[nearest] * sigma[at])
     number = np.arange(1, len(along) + 1)
     significance = np.cumsum(np.clip(along, -3.0, 3.0)) / np.sqrt(number)
-    significance[: tuning.fewest - 1] = 0.0
+    significance[: tuning.min_neighbours - 1] = 0.0
     best = int(np.argmax(significance))
-    if significance[best] < tuning.suspected:
+    if significance[best] < tuning.min_significance:
         return None
     return best + 1, float(separation[nearest[best]]), float(significance[best])
 
@@ -246,20 +249,21 @@ def suspected(
 def candidates_of(
     first: Records, second: Records, resolution: float, errors: Errors, flux: FloatArray | None, tuning: BlendTuning
 ) -> Candidates:
-    """All that records of the coarse source may be, one object or two, without regard to how dense they are."""
+    """All candidates of records of the coarse source, one object or two."""
     by_model = errors.records(first, second)
     sigma = math.sqrt(sum(float(np.einsum("ndd->nd", one.full_covariance()).max()) for one in by_model))
     in_tail = min(sigma * tuning.tail_sigmas * max(errors.scales), resolution)
     off = max(sigma * tuning.gate_sigmas * errors.typical_scale, in_tail)
-    apart, alike = tuning.reach * resolution, [records.with_errors(0.0, 0.5) for records in (first, second)]
-    near = Radius(apart + off)(*alike).of(*by_model)
+    greatest_separation = tuning.reach * resolution
+    alike = [records.with_errors(0.0, 0.5) for records in (first, second)]
+    near = Radius(greatest_separation + off)(*alike).of(*by_model)
     order = np.lexsort((near.j, near.i))
     i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
     covariance = near.covariance[order]
     single = _log_densities(residual, covariance, errors)
-    e, f = _of_one_record(i)
+    e, f = _pairs_of_equal(i)
     separation = np.sqrt(((residual[e] - residual[f]) ** 2).sum(axis=1))
-    close = separation <= apart
+    close = separation <= greatest_separation
     e, f, separation = e[close], f[close], separation[close]
     blended = np.exp(-math.log(2.0) * (separation / resolution) ** tuning.steepness)
     couples, at, which = np.unique(np.column_stack([j[e], j[f]]), axis=0, return_index=True, return_inverse=True)
@@ -281,8 +285,8 @@ def candidates_of(
     )  # fmt: skip
 
 
-def _of_one_record(i: IntArray) -> tuple[IntArray, IntArray]:
-    """(c,), (c,) every two places with the same number, of numbers that rise."""
+def _pairs_of_equal(i: IntArray) -> tuple[IntArray, IntArray]:
+    """(c,), (c,) all pairs of positions with equal numbers, for ascending numbers."""
     count = np.bincount(i) if len(i) else np.zeros(1, np.int64)
     parts = [(np.empty(0, np.int64), np.empty(0, np.int64))]
     for step in range(1, int(count.max())):
@@ -303,11 +307,11 @@ Couple = tuple[int, int]
 @in_short
 @dataclass(frozen=True)
 class Merging:
-    """In which ways the objects of the fine source may be one record, two by two. Make it with :meth:`Merging.of`.
+    """The ways in which objects of the fine source may merge, two by two. Make it with :meth:`Merging.of`.
 
-    cluster : (n₂,) of each object; those of one cluster may merge, directly or one after the other. couples : (q, 2).
-    sizes : objects of each cluster. ways : of each cluster of more than one, the probability of every way, the couples
-    that have merged in it, and their objects.
+    cluster : (n₂,) of each object; objects of one cluster may merge, directly or through others. couples : (q, 2).
+    sizes : number of objects in each cluster. ways : for each cluster of several objects, the probability of every way,
+    the merged couples, and their objects.
     """
 
     cluster: IntArray
@@ -317,7 +321,7 @@ class Merging:
 
     @classmethod
     def of(cls, couples: IntArray, blended: FloatArray, n2: int, most: int) -> Merging:
-        """Of couples (q, 2) of n₂ objects that merge with these probabilities (q,), at most so many ways a cluster."""
+        """From couples (q, 2) of n₂ objects with merging probabilities (q,); at most ``most`` ways per cluster."""
         cluster = _components(couples[:, 0], couples[:, 1], n2)
         of_cluster: dict[int, list[tuple[float, Couple]]] = {}
         named = [(int(j), int(k)) for j, k in couples]
@@ -330,52 +334,52 @@ class Merging:
 def _ways(
     nearest_first: list[tuple[float, Couple]], most: int
 ) -> list[tuple[float, frozenset[Couple], frozenset[int]]]:
-    """Every way in which couples merge or part, from the nearest on."""
+    """All ways in which couples merge or not, with probabilities, starting with the nearest couple."""
     ways: list[tuple[float, frozenset[Couple], frozenset[int]]] = [(1.0, frozenset(), frozenset())]
     for b, couple in nearest_first:
-        more = []
+        longer = []
         for p, merged, objects in ways:
             if couple[0] in objects or couple[1] in objects:
-                more.append((p, merged, objects))
+                longer.append((p, merged, objects))
                 continue
-            more.append((p * (1.0 - b), merged, objects))
-            more.append((p * b, merged | {couple}, objects | set(couple)))
-        if len(more) > most:
+            longer.append((p * (1.0 - b), merged, objects))
+            longer.append((p * b, merged | {couple}, objects | set(couple)))
+        if len(longer) > most:
             break
-        ways = more
+        ways = longer
     return [way for way in ways if way[0] > 0.0]
 
 
 class Shown:
-    """How probable it is that some objects and couples are shown, and no others, when objects are with probability c.
+    """The probability that given objects and couples are shown, and no others, if each is with probability c.
 
-    merging : in which ways couples may have merged. share : c.
+    merging : ways in which couples may have merged. share : c.
     """
 
     def __init__(self, merging: Merging, share: float) -> None:
         self.merging, self._shown, self._missed = merging, share, 1.0 - share
-        self._known: dict[tuple[int, frozenset[Couple], frozenset[int]], float] = {}
+        self._cache: dict[tuple[int, frozenset[Couple], frozenset[int]], float] = {}
 
     def log_ratio(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
-        """ln of the probability of showing these couples and single objects of a cluster over that of showing none."""
+        """ln of the probability that these couples and single objects of a cluster are shown, over that of none."""
         none = self._probability(cluster, frozenset(), frozenset())
         shown = self._probability(cluster, couples, single) / none
         return math.log(shown) if shown > 0.0 else -math.inf
 
     def _probability(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
         key = cluster, couples, single
-        if key not in self._known:
+        if key not in self._cache:
             size, shown = int(self.merging.sizes[cluster]), len(couples) + len(single)
             ways = self.merging.ways.get(cluster, [(1.0, frozenset(), frozenset())])
-            self._known[key] = sum(
+            self._cache[key] = sum(
                 p * self._shown**shown * self._missed ** (size - len(merged) - shown)
                 for p, merged, objects in ways
                 if couples <= merged and not (single & objects)
             )
-        return self._known[key]
+        return self._cache[key]
 
     def of_all(self, sets: list[tuple[list[int], list[Couple]]]) -> list[float]:
-        """ln of the same of several sets of single objects and couples, of whatever clusters."""
+        """:meth:`log_ratio` of several sets of single objects and couples, of any clusters."""
         out = []
         for objects, couples in sets:
             parts: dict[int, tuple[set[Couple], set[int]]] = {}
@@ -388,20 +392,20 @@ class Shown:
 
 
 def log_odds_of(
-    found: Candidates, shown: Shown, shares: FloatArray, alone: FloatArray
+    candidates: Candidates, shown: Shown, shares: FloatArray, alone: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(o,) ln of N / ρ₁ of each candidate, and ln of its odds against no partner where nothing else has one.
+    """(o,) ln of N / ρ₁ of each candidate, and (o,) ln of its odds against no partner if no other record has one.
 
-    shares : (s,) of the error scales. alone : (n₁,) density ρ₁ of coarse records that are nothing else.
+    shares : (s,) of the error scales. alone : (n₁,) density ρ₁ of coarse records without a partner.
     """
     with np.errstate(divide="ignore"):
-        log_density = np.logaddexp.reduce(found.log_density + np.log(shares), axis=1) - np.log(alone[found.i])
-    objects, at = np.unique(found.j[found.k < 0], return_inverse=True)
+        log_density = np.logaddexp.reduce(candidates.log_density + np.log(shares), axis=1) - np.log(alone[candidates.i])
+    objects, at = np.unique(candidates.j[candidates.k < 0], return_inverse=True)
     log_odds = np.empty(len(log_density))
-    log_odds[found.k < 0] = np.array(shown.of_all([([j], []) for j in objects.tolist()]))[at]
+    log_odds[candidates.k < 0] = np.array(shown.of_all([([j], []) for j in objects.tolist()]))[at]
     couples = np.array(shown.of_all([([], [couple]) for couple in shown.merging.couples]))
     if len(couples):
-        log_odds[found.k >= 0] = couples[found.couple[found.k >= 0]]
+        log_odds[candidates.k >= 0] = couples[candidates.couple[candidates.k >= 0]]
     return log_density, log_density + log_odds
 
 
@@ -416,7 +420,7 @@ class Summed:
 
 
 def hypotheses(
-    found: Candidates,
+    candidates: Candidates,
     log_density: FloatArray,
     log_odds: FloatArray,
     shown: Shown,
@@ -430,10 +434,10 @@ def hypotheses(
     p, chosen, exact = np.zeros(len(log_odds)), np.zeros(len(log_odds), np.bool_), np.ones(n1, np.bool_)
     if not len(log_odds):
         return Summed(p, chosen, exact)
-    group = _groups(found, n1, shown.merging.cluster)
-    order = np.lexsort((found.i, group))
+    group = _groups(candidates, n1, shown.merging.cluster)
+    order = np.lexsort((candidates.i, group))
     for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
-        i = found.i[rows]
+        i = candidates.i[rows]
         if i[0] == i[-1]:
             w = np.exp(np.minimum(log_odds[rows], 700.0))
             p[rows] = w / (1.0 + w.sum())
@@ -441,23 +445,23 @@ def hypotheses(
             chosen[rows[best]] = w[best] > 1.0
             continue
         least = -np.inf
-        while np.prod(np.bincount(np.unique(i, return_inverse=True)[1]) + 1.0) > tuning.most_hypotheses:
+        while np.prod(np.bincount(np.unique(i, return_inverse=True)[1]) + 1.0) > tuning.max_hypotheses:
             least = float(np.quantile(log_odds[rows], 0.2))
             rows = rows[log_odds[rows] > least]
-            i = found.i[rows]
+            i = candidates.i[rows]
         exact[i] = np.isneginf(least)
-        p[rows], chosen[rows] = _enumerated(found, rows, log_density[rows], shown)
+        p[rows], chosen[rows] = _enumerate(candidates, rows, log_density[rows], shown)
     return Summed(p, chosen, exact)
 
 
-def _groups(found: Candidates, n1: int, cluster: IntArray) -> IntArray:
-    """(o,) number of the group of each candidate: of records that compete, or whose objects may merge."""
-    objects = n1 + cluster[found.j]
-    return _components(found.i, objects, int(objects.max()) + 1)[found.i]
+def _groups(candidates: Candidates, n1: int, cluster: IntArray) -> IntArray:
+    """(o,) group of each candidate: of records that compete, or whose objects may merge."""
+    objects = n1 + cluster[candidates.j]
+    return _components(candidates.i, objects, int(objects.max()) + 1)[candidates.i]
 
 
 def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
-    """(n,) which of n nodes hang together by these edges (q,), (q,)."""
+    """(n,) connected component of each of n nodes with the edges (q,), (q,)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -465,30 +469,30 @@ def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
     return np.asarray(connected_components(joined, directed=False)[1], np.int64)
 
 
-def _enumerated(
-    found: Candidates, rows: IntArray, log_density: FloatArray, shown: Shown
+def _enumerate(
+    candidates: Candidates, rows: IntArray, log_density: FloatArray, shown: Shown
 ) -> tuple[FloatArray, BoolArray]:
-    """Probabilities of the candidates ``rows`` of one group, and which are in its most probable answer."""
+    """Probabilities of the candidates ``rows`` of one group, and which are in its most probable hypothesis."""
     options: dict[int, list[int]] = {}
     for place, row in enumerate(rows):
-        options.setdefault(int(found.i[row]), []).append(place)
-    j, k = found.j[rows].tolist(), found.k[rows].tolist()
+        options.setdefault(int(candidates.i[row]), []).append(place)
+    j, k = candidates.j[rows].tolist(), candidates.k[rows].tolist()
 
-    def walked(level: int, taken: frozenset[int]) -> Iterator[tuple[int, ...]]:
-        """The candidates of every way to go on from the first ``level`` records."""
+    def assignments(level: int, taken: frozenset[int]) -> Iterator[tuple[int, ...]]:
+        """All assignments of candidates to the records from ``level`` on, without the objects ``taken``."""
         if level == len(lists):
             yield ()
             return
-        yield from walked(level + 1, taken)
+        yield from assignments(level + 1, taken)
         for place in lists[level]:
             one, two = j[place], k[place]
             if one in taken or two in taken:
                 continue
-            for others in walked(level + 1, taken | ({one} if two < 0 else {one, two})):
+            for others in assignments(level + 1, taken | ({one} if two < 0 else {one, two})):
                 yield (place, *others)
 
     lists = list(options.values())
-    ways = list(walked(0, frozenset()))
+    ways = list(assignments(0, frozenset()))
     sets = [([j[at] for at in way if k[at] < 0], [(j[at], k[at]) for at in way if k[at] >= 0]) for way in ways]
     weight = np.array(shown.of_all(sets)) + [float(sum(log_density[at] for at in way)) for way in ways]
     weight = np.exp(weight - weight.max())
@@ -501,13 +505,15 @@ def _enumerated(
     return p, chosen
 
 
-def _answered(found: Candidates, summed: Summed, n1: int, share: float, shares: FloatArray) -> Blends:
+def _to_blends(candidates: Candidates, solution: Summed, n1: int, share: float, shares: FloatArray) -> Blends:
+    """The result by record of the coarse source."""
     partner, other = (np.ma.array(np.zeros(n1, np.int64), mask=True) for _ in range(2))
-    p_match: FloatArray = np.clip(1.0 - np.bincount(found.i, summed.p, n1), 0.0, 1.0)
-    at = np.flatnonzero(summed.chosen)
-    partner[found.i[at]] = found.j[at]
-    p_match[found.i[at]] = summed.p[at]
-    two = at[found.k[at] >= 0]
-    other[found.i[two]] = found.k[two]
-    p_blend: FloatArray = np.clip(np.bincount(found.i, summed.p * (found.k >= 0), n1), 0.0, 1.0)
-    return Blends(partner, other, p_match, p_blend, found, summed.p, share, tuple(shares.tolist()), summed.exact)
+    p_match: FloatArray = np.clip(1.0 - np.bincount(candidates.i, solution.p, n1), 0.0, 1.0)
+    at = np.flatnonzero(solution.chosen)
+    partner[candidates.i[at]] = candidates.j[at]
+    p_match[candidates.i[at]] = solution.p[at]
+    two = at[candidates.k[at] >= 0]
+    other[candidates.i[two]] = candidates.k[two]
+    p_blend: FloatArray = np.clip(np.bincount(candidates.i, solution.p * (candidates.k >= 0), n1), 0.0, 1.0)
+    scale_shares = tuple(shares.tolist())
+    return Blends(partner, other, p_match, p_blend, candidates, solution.p, share, scale_shares, solution.exact)

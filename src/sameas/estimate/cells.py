@@ -229,11 +229,11 @@ def _level(one: IntArray, two: IntArray, total: int, volumes: Callable[[IntArray
 
     of_first, of_second = np.empty(len(one), np.int32), np.empty(len(two), np.int32)
     if total <= 4 * (len(one) + len(two)) + 1024:
-        known = renumber(one, two, total, of_first, of_second)
+        occupied = renumber(one, two, total, of_first, of_second)
     else:
-        known, index = np.unique(np.concatenate([one, two]), return_inverse=True)
+        occupied, index = np.unique(np.concatenate([one, two]), return_inverse=True)
         of_first[:], of_second[:] = index[: len(one)], index[len(one) :]
-    parts = threads.over(lambda a, b: volumes(known[a:b]), threads.even(len(known)))
+    parts = threads.over(lambda a, b: volumes(occupied[a:b]), threads.even(len(occupied)))
     return GridLevel(of_first, of_second, np.concatenate(parts))
 
 
@@ -290,12 +290,12 @@ class _SphereCells:
         works = [partial(sphere_cells, of, *ring, cell) for of, cell in ((first, one), (second, two))]
         threads.each(works, len(first))
 
-        def volumes(known: IntArray) -> FloatArray:
-            whole: FloatArray = sizes(known, begin, volume)
+        def volumes(occupied: IntArray) -> FloatArray:
+            whole: FloatArray = sizes(occupied, begin, volume)
             if self.outline is None:
                 return whole
-            ring = np.searchsorted(begin, known, side="right") - 1
-            number, height = known - begin[ring], (self.high - self.low) / len(volume)
+            ring = np.searchsorted(begin, occupied, side="right") - 1
+            number, height = occupied - begin[ring], (self.high - self.low) / len(volume)
             width = self.arc / (begin[ring + 1] - begin[ring])
             south, north = (np.sin(np.radians(self.low + height * at)) for at in (ring, ring + 1))
             low = np.column_stack([number * width, south])
@@ -345,11 +345,11 @@ class _BoxCells:
             box_cells(features, self.low, self.extent, cuts, cell)
         whole = self.volume / float(cuts) ** d
 
-        def volumes(known: IntArray) -> FloatArray:
+        def volumes(occupied: IntArray) -> FloatArray:
             if self.outline is None:
-                return np.full(len(known), whole)
+                return np.full(len(occupied), whole)
             side = self.extent / cuts
-            low = self.low + np.column_stack([known // cuts, known % cuts]) * side
+            low = self.low + np.column_stack([occupied // cuts, occupied % cuts]) * side
             return whole * self.outline.part(low, low + side)
 
         return one, two, cuts**d, volumes

@@ -1,11 +1,11 @@
-"""Grades of precision: what the sizes of the quoted errors say of pairs, learned along with the identification.
+"""Grades of precision: evidence of the sizes of quoted errors, estimated together with the identification.
 
-The records of either source are graded by the volume of their quoted errors, in about equal numbers; where there are
-magnitudes, among records of like magnitude, so that only what magnitudes leave unsaid is counted. The pairs of each two
-grades are counted with their probabilities, and set against what two different objects at one place would give.
+The records of each source are graded by the volume of their quoted errors, in about equal numbers; with magnitudes,
+within ranges of magnitude, so that only information beyond the magnitudes counts. The pairs of every two grades are
+counted with their probabilities, and compared with two different objects at the same position.
 
-Without this, records of a source that sees deeper are believed too easily where their errors are large: to a rule of
-positions every neighbour of such a record is a good one, and it does not know that the other source hardly shows any.
+Otherwise matches of a deeper source's records with large errors would be too probable: by position every neighbour of
+such a record fits, although the other source shows few of these objects.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ from sameas.ragged import Ragged
 from sameas.records import Records
 from sameas.representation import in_short
 
-#: Records of the poorer source for each two grades, and most grades.
-PER_TWO_GRADES, MOST = 20.0, 16
-#: Pairs that each two grades begin with, as if they had nothing to do with each other.
+#: Records of the poorer source per cell of the table of two grades, and greatest number of grades.
+RECORDS_PER_CELL, MAX_GRADES = 20.0, 16
+#: Pseudo-pairs per cell of the table, distributed as for unrelated grades.
 PSEUDO_COUNT = 0.1
-#: What the grades say is believed when it betters twice ln of the likelihood by so much for each two grades. Those that
-#: say nothing stay below 4, even in crowds where pairs are not sure; those of stars reach 30 and more.
-TELLING = 6.0
-#: Where records are few the grades are as everywhere, which counts as so many.
+#: The evidence is used if twice its gain in ln likelihood exceeds this per cell of the table. Uninformative grades stay
+#: below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and more.
+MIN_GAIN = 6.0
+#: Pseudo-count that draws the grades in a cell of the sky to those of all records.
 SHARED_PSEUDO_COUNT = 2.0
-#: Records of the poorer source in a cell, on average, for its grades to be counted by themselves.
-CELL = 25.0
-#: Records that a scale is taken from: more would not better it noticeably; for each grade in a range of magnitudes.
-ENOUGH, PER_GRADE = 1_000, 8
-#: Records without a magnitude, of those that have a scale, that are graded by themselves.
-UNMEASURED = 100
-#: Errors that differ by less than this factor, in volume, are all alike.
-ALIKE = 1.0 + 1e-9
+#: Mean number of records of the poorer source in the cells of the sky whose grades are counted separately.
+RECORDS_PER_SKY_CELL = 25.0
+#: Records from which a scale is made (more give no noticeable gain), and records per grade in a range of magnitudes.
+SCALE_RECORDS, RECORDS_PER_GRADE = 1_000, 8
+#: Number of records without a magnitude, among those of the scale, from which they get grades of their own.
+MIN_UNMEASURED = 100
+#: Errors that differ by less than this factor in volume are equal.
+MIN_VOLUME_RATIO = 1.0 + 1e-9
 
 Both = tuple[FloatArray, FloatArray]
 BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
@@ -51,11 +51,11 @@ BothGrades = tuple[NDArray[np.int32], NDArray[np.int32]]
 @in_short
 @dataclass(frozen=True)
 class Scale:
-    """How one source's records are graded: by the volume of their errors, among those of like magnitude.
+    """The grading of one source's records by the volume of their errors, within ranges of magnitude.
 
-    number : of grades. edges : (b − 1,) between ranges of magnitude; what has none is of another range, the last.
-    limits : ((b + 1)(number − 1),) volumes between the grades, range after range. apart : whether records without a
-    magnitude have grades of their own.
+    number : of grades. edges : (b − 1,) between ranges of magnitude; records without one are in the last range.
+    limits : ((b + 1)(number − 1),) volumes between the grades, by range. apart : whether records without a magnitude
+    have grades of their own.
     """
 
     number: int
@@ -65,28 +65,28 @@ class Scale:
 
     @classmethod
     def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
-        """For records with errors of these volumes (n,), and magnitudes (n,), NaN where they have none."""
-        every, parts = max(1, len(volume) // ENOUGH), np.arange(1, number)
+        """From records with errors of these volumes (n,), and magnitudes (n,), NaN where missing."""
+        every, parts = max(1, len(volume) // SCALE_RECORDS), np.arange(1, number)
         some, seen = volume[::every], None if magnitude is None else magnitude[::every]
         measured = np.empty(0) if seen is None else seen[np.isfinite(seen)]
-        ranges = max(1, len(measured) // (PER_GRADE * number))
+        ranges = max(1, len(measured) // (RECORDS_PER_GRADE * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
-        apart = len(measured) > 0 and len(some) - len(measured) >= UNMEASURED
+        apart = len(measured) > 0 and len(some) - len(measured) >= MIN_UNMEASURED
         scale = cls(number, edges, np.empty(0), apart)
         within = scale._range(seen, len(some))
         line = np.sort(some) if seen is None else some[np.lexsort((some, within))]
         count = np.bincount(within, minlength=ranges + 1)
         at = Ragged.of_sizes(count).start[:-1, None] + count[:, None] * parts // number
-        # The limits of a range without records are never asked for.
+        # The limits of a range without records are never used.
         return replace(scale, limits=line[np.minimum(at, len(line) - 1)].ravel())
 
     @property
     def size(self) -> int:
-        """Number of grades, with those of records without a magnitude."""
+        """Number of grades, including those of records without a magnitude."""
         return self.number * (1 + self.apart)
 
     def grades(self, volume: FloatArray, magnitude: FloatArray | None) -> NDArray[np.int32]:
-        """(n,) of records, from 0."""
+        """(n,) grades of records, from 0."""
         from sameas.kernels.mixture import grade
 
         within, grades = self._range(magnitude, len(volume)), np.empty(len(volume), np.int32)
@@ -96,7 +96,7 @@ class Scale:
         return grades
 
     def _range(self, magnitude: FloatArray | None, n: int) -> IntArray:
-        """(n,) the ranges of magnitude of the records."""
+        """(n,) ranges of magnitude of the records."""
         if magnitude is None:
             return np.zeros(n, np.int64)
         return np.where(np.isfinite(magnitude), np.searchsorted(self.edges, magnitude), len(self.edges) + 1)
@@ -104,11 +104,11 @@ class Scale:
 
 @dataclass(frozen=True)
 class Grades:
-    """The grades of two sources' records, and what has been learned of them. Make it with :meth:`Grades.of`.
+    """The grades of two sources' records, and their evidence. Make it with :meth:`Grades.of`.
 
-    scales : of either source. grades : (n₁,), (n₂,) of the records. cells : (n₁,), (n₂,) in which the records lie.
-    rule : None as long as nothing was learned, or where the grades say too little. by_magnitude : whether records are
-    graded among those of like magnitude.
+    scales : of each source. grades : (n₁,), (n₂,) of the records. cells : (n₁,), (n₂,) of the sky, of the records.
+    rule : None before the first fit, and if the grades are not informative. by_magnitude : whether records are graded
+    within ranges of magnitude.
     """
 
     scales: tuple[Scale, Scale] = field(repr=False)
@@ -119,22 +119,22 @@ class Grades:
 
     @classmethod
     def of(cls, setting: Setting, photometry: Photometry | None) -> Grades | None:
-        """Nothing learned yet; None where records are too few, or the errors of either source all alike."""
-        number = min(int(math.sqrt(min(setting.n_counted) / PER_TWO_GRADES)), MOST)
+        """Before any fit; None with too few records, or with equal errors in both sources."""
+        number = min(int(math.sqrt(min(setting.n_counted) / RECORDS_PER_CELL)), MAX_GRADES)
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        if number < 2 or all(volume.max() < ALIKE * volume.min() for volume in volumes):
+        if number < 2 or all(volume.max() < MIN_VOLUME_RATIO * volume.min() for volume in volumes):
             return None
         one, two = (
             Scale.of(volume, magnitude, number)
             for volume, magnitude in zip(volumes, _magnitudes(photometry), strict=True)
         )
-        placed = _placed((one, two), volumes, setting, photometry)
+        placed = _grades_and_cells((one, two), volumes, setting, photometry)
         return cls((one, two), *placed, by_magnitude=photometry is not None)
 
     def for_setting(self, setting: Setting, photometry: Photometry | None) -> Grades:
-        """The same where other records take part, with the magnitudes of these."""
+        """The same evidence for other records, with their magnitudes."""
         volumes = [_volume(records) for records in (setting.pairs.first, setting.pairs.second)]
-        grades, cells = _placed(self.scales, volumes, setting, photometry if self.by_magnitude else None)
+        grades, cells = _grades_and_cells(self.scales, volumes, setting, photometry if self.by_magnitude else None)
         return replace(
             self, grades=grades, cells=cells, rule=self.rule and replace(self.rule, grades=grades, training=None)
         )
@@ -145,33 +145,34 @@ class Grades:
         p_counted: FloatArray,
         partner: Both,
         covered: tuple[BoolArray, ...],
-        like: Both | None = None,
+        likelihood_ratio: Both | None = None,
     ) -> Grades:
-        """What pairs of these probabilities (m,) say.
+        """The M-step, from pairs with these probabilities (m,).
 
-        partner : (n₁,), (n₂,) probability of having one. covered : (n₁,), (n₂,) whether a record tells of it.
-        like : (n₁,), (n₂,) how much likelier partners are than others to have what else is known of a record; records
-        without a partner count with it, so that only what this leaves unsaid is counted.
+        partner : (n₁,), (n₂,) probability of having one. covered : (n₁,), (n₂,) whether a record is used.
+        likelihood_ratio : (n₁,), (n₂,) of a record's other evidence with a partner over that without. Records without
+        a partner get it as weight, so that the grades add only information beyond that evidence.
         """
         from sameas.kernels.mixture import count_pairs
 
         k1, k2 = (scale.size for scale in self.scales)
-        common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered, like)
+        common, chance = np.zeros((k1, k2)), self._by_chance(partner, covered, likelihood_ratio)
         at = count_pairs(pairs.i, pairs.j, *self.grades, p_counted, common)
-        apart = _margin(common, 1)[:, None] * _margin(common, 0) * chance
-        apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-        counted = common + PSEUDO_COUNT * k1 * k2 * apart / apart.sum()
+        unrelated = _margin(common, 1)[:, None] * _margin(common, 0) * chance
+        unrelated /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
+        counted = common + PSEUDO_COUNT * k1 * k2 * unrelated / unrelated.sum()
         log_ratio = np.log(counted / counted.sum()) - np.log(chance)
-        # A pair must not be its own witness: what its own count adds to ln of the counts.
+        # The pair's own contribution to ln of the counts, subtracted from its evidence.
         own = -np.log1p(-np.minimum(p_counted / counted.ravel()[at], 1.0 - 1e-9))
-        gained = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
-        tells = gained > TELLING * (k1 * k2 - 1)
-        return replace(self, rule=Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if tells else None)
+        twice_gain = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
+        significant = twice_gain > MIN_GAIN * (k1 * k2 - 1)
+        rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
+        return replace(self, rule=rule)
 
-    def _by_chance(self, partner: Both, covered: tuple[BoolArray, ...], like: Both | None) -> FloatArray:
-        """(k₁, k₂) how probable each two grades are of two different objects, where common objects lie.
+    def _by_chance(self, partner: Both, covered: tuple[BoolArray, ...], likelihood_ratio: Both | None) -> FloatArray:
+        """(k₁, k₂) probability of every two grades for two different objects, where common objects lie.
 
-        Cell by cell, because grades that change over the sky alike say nothing of which two records are one object.
+        By cells of the sky, because grades that vary together over the sky are no evidence for a pair.
         """
         from sameas.kernels.mixture import count_alone
 
@@ -179,8 +180,8 @@ class Grades:
         for source in range(2):
             count = np.zeros((number, self.scales[source].size))
             alone = partner[source]
-            if like is not None:
-                alone = 1.0 - (1.0 - alone) * like[source]
+            if likelihood_ratio is not None:
+                alone = 1.0 - (1.0 - alone) * likelihood_ratio[source]
             count_alone(self.cells[source], self.grades[source], alone, covered[source], count)
             count += SHARED_PSEUDO_COUNT * _margin(count, 0)
             parts.append(count / count.sum(axis=1, keepdims=True))
@@ -189,29 +190,29 @@ class Grades:
 
 
 def _margin(count: FloatArray, axis: int) -> FloatArray:
-    """What shares of the counts remain when summed over an axis, none of them nothing."""
+    """Shares of the counts summed over an axis, with half a pseudo-count."""
     sums = count.sum(axis=axis) + 0.5
     return np.asarray(sums / sums.sum())
 
 
 def _volume(records: Records) -> FloatArray:
-    """(n,) products of the quoted variances, whose order no unit of a feature changes."""
+    """(n,) products of the quoted variances, whose order does not depend on units."""
     return np.asarray(records.variances.prod(axis=1))
 
 
 def _magnitudes(photometry: Photometry | None) -> tuple[FloatArray | None, FloatArray | None]:
-    """(n₁,), (n₂,) in the first band of either source."""
+    """(n₁,), (n₂,) magnitudes in the first band of each source."""
     if photometry is None:
         return None, None
     one, two = photometry.sides
     return one.measured.values[:, 0], two.measured.values[:, 0]
 
 
-def _placed(
+def _grades_and_cells(
     scales: tuple[Scale, Scale], volumes: Sequence[FloatArray], setting: Setting, photometry: Photometry | None
 ) -> tuple[BothGrades, BothGrades]:
-    """The grades of either source's records, with errors of these volumes, and their cells."""
-    most = min(setting.n_counted) / CELL
+    """The grades of both sources' records, with errors of these volumes, and their cells."""
+    most = min(setting.n_counted) / RECORDS_PER_SKY_CELL
     one, two = (
         scale.grades(volume, magnitude)
         for scale, volume, magnitude in zip(scales, volumes, _magnitudes(photometry), strict=True)

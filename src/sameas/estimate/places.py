@@ -1,14 +1,14 @@
-"""What is known of two sources at every place, learned once: densities, coverage, shares, errors, magnitudes.
+"""Estimates for two sources in partitions, made once: densities, coverage, shares, errors, magnitudes.
 
-Sources that outgrow one machine are identified part by part. No part may estimate for itself (shares would scatter by
-a per cent, and decisions near a border would depend on which part asks), so all that evidence is made of is
+Sources too large for one machine are identified in parts. If each part made its own estimates, shares would scatter by
+a per cent, and decisions near a border would depend on the part. Therefore the estimates are
 
-- counted in cells by every part, and added up (:class:`Counts`): local densities, and where a source does not look;
-- estimated from a sample of cells with all that competes there (:func:`learn`), by the rounds of ``estimate.match``;
-- handed to all parts as one value (:class:`Learned`), whose rule depends on a pair and its places alone.
+- counts in cells, by every part, and summed (:class:`Counts`): local densities, and where a source does not observe;
+- fitted to a sample of cells with all competing records (:func:`learn`), by the EM iterations of ``estimate.match``;
+- given to all parts as one value (:class:`Learned`), whose rule depends only on a pair and its positions.
 
-Cells are nested: four of one size make one of the next, cell ``c`` lies in ``c >> 2``. All cells of a size are equal in
-volume, as those of HEALPix are.
+Cells are nested: four of one size make one of the next, cell ``c`` lies in ``c >> 2``. All cells of a size have equal
+volumes, as in HEALPix.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ from sameas.kernels.nested import covered_cells, look_nested, refine_nested, ref
 from sameas.records import Records
 from sameas.representation import in_short
 
-#: Cells so large that they hold so many records on average tell no more than the mean of all.
+#: The coarsest cells hold this many records on average; larger ones give no more than the overall mean.
 COARSEST = 100_000.0
-#: A larger cell lies within the field for all of it, unless by so many standard deviations more pairs of its records
-#: share one of its finest cells than by chance.
+#: A cell lies entirely within the field unless pairs of its records that share one of its finest cells exceed chance by
+#: this many standard deviations.
 PARTLY = 2.0
-#: About so many cells tell how strongly densities are smoothed; borders, which tell most, are few of them.
-ASKED = 300_000
-_NOTHING = np.empty(0)
+#: The smoothing of densities is chosen with about this many cells; those at borders, which matter most, are few.
+SMOOTHING_CELLS = 300_000
+_EMPTY = np.empty(0)
 
 
 @in_short
@@ -60,7 +60,7 @@ _NOTHING = np.empty(0)
 class Counts:
     """Records of both sources in occupied cells.
 
-    cells : (u,) their numbers, rising. numbers : (u, 2) records of either source.
+    cells : (u,) their numbers, ascending. numbers : (u, 2) records of each source.
     """
 
     cells: IntArray
@@ -68,14 +68,14 @@ class Counts:
 
     @classmethod
     def of(cls, cells_1: IntArray, cells_2: IntArray) -> Counts:
-        """Of records in these cells, (n₁,) and (n₂,)."""
+        """From the cells of records, (n₁,) and (n₂,)."""
         numbers = np.zeros((len(cells_1) + len(cells_2), 2), np.int32)
         numbers[: len(cells_1), 0] = numbers[len(cells_1) :, 1] = 1
         return cls._summed(np.concatenate([cells_1, cells_2]), numbers)
 
     @classmethod
     def sum(cls, parts: Sequence[Counts]) -> Counts:
-        """All of several parts."""
+        """The sum of several parts."""
         return cls._summed(np.concatenate([part.cells for part in parts]), np.concatenate([p.numbers for p in parts]))
 
     @classmethod
@@ -89,11 +89,11 @@ class Counts:
         return cls(cells[start], np.add.reduceat(numbers, start, axis=0))
 
     def coarser(self, steps: int) -> Counts:
-        """In cells ``4 ** steps`` times as large."""
+        """The counts in cells ``4 ** steps`` times as large."""
         return self._summed(self.cells >> (2 * steps), self.numbers.astype(np.int64))
 
     def at(self, cells: IntArray) -> IntArray:
-        """Places among the occupied cells of some cells, which are among them."""
+        """Indices of cells among the occupied ones, which must contain them."""
         return np.minimum(np.searchsorted(self.cells, cells), len(self.cells) - 1)
 
 
@@ -102,9 +102,9 @@ class Counts:
 class Places:
     """Densities, coverage and shares in cells. Make it with :meth:`of`.
 
-    cells : (u,) the occupied cells, rising; each in ``steps`` steps from the cells that were counted.
-    density : (u, 2, 2) of the covered records of source k + 1 at those of its own, [:, k, 0], and at those of
-    the other source, [:, k, 1]. seen : (u, 2) whether the other source looks there.
+    cells : (u,) the occupied cells, ascending, ``steps`` steps above the counted cells.
+    density : (u, 2, 2) of the covered records of source k + 1 at records of its own, [:, k, 0], and of the other
+    source, [:, k, 1]. seen : (u, 2) whether the other source observes there.
     share : (u, 2) of the records of a source there that have a partner. levels : steps from these to coarser cells.
     volume : of a cell.
     """
@@ -119,7 +119,7 @@ class Places:
 
     @classmethod
     def of(cls, counts: Counts, volume: float) -> Places:
-        """From the counts of all records, in cells of this volume; shares are not known yet.
+        """From the counts of all records, in cells of this volume; shares are NaN.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class Places:
         totals = counts.numbers.sum(axis=0)
         if not totals.all():
             raise InputError("one of the catalogues has no usable records; nothing can be identified")
-        # Only one size of cells is held at once, besides those that were counted.
+        # To limit memory, only one size is kept in addition to the counted cells.
         richer, level, last, finest = int(np.argmax(totals)), counts, 0, 0
         while True:
             number = level.numbers[:, richer].astype(np.float64)
@@ -144,11 +144,11 @@ class Places:
         return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)
 
     def at(self, counted: IntArray) -> IntArray:
-        """The places of records among ``cells``, from the cells in which they were counted."""
+        """Indices of records into ``cells``, from the cells in which they were counted."""
         return np.minimum(np.searchsorted(self.cells, counted >> (2 * self.steps)), len(self.cells) - 1)
 
     def within(self, counts: Counts, cells: IntArray, steps: int) -> float:
-        """The volume of cells that lies within the field, ``steps`` steps from those in which the ``counts`` are."""
+        """The volume of ``cells`` inside the field; they are ``steps`` steps above the cells of ``counts``."""
         if steps < self.steps:
             return len(cells) * self.volume / 4.0 ** (self.steps - steps)
         counts = counts.coarser(self.steps)
@@ -157,46 +157,46 @@ class Places:
         return float(covered[:number][np.isin(own[:number], cells)].sum()) * self.volume
 
     def folds(self, counted: Sequence[IntArray]) -> tuple[IntArray, IntArray]:
-        """(n₁,), (n₂,) the parts into which cells of some dozens of records are dealt, that columns are learned by."""
+        """(n₁,), (n₂,) folds of records for the fit of columns, by cells of some dozens of records."""
         one, two = ((cells >> 2 * (self.steps + 2)) % DEFAULT_COLUMNS.folds for cells in counted)
         return one, two
 
     def densities(self, at_1: IntArray, at_2: IntArray) -> tuple[tuple[FloatArray, FloatArray], ...]:
-        """Of source 1, and of source 2, each at the records of both."""
+        """Densities of source 1, and of source 2, each at the records of both."""
         one, two = self.density[:, 0], self.density[:, 1]
         return (one[at_1, 0], one[at_2, 1]), (two[at_1, 1], two[at_2, 0])
 
     def with_shares(
         self, cells: Sequence[IntArray], part: Sequence[FloatArray], weight: Sequence[FloatArray]
     ) -> Places:
-        """With the shares of a sample: ``part`` of ``weight``, of the records of either source, in these cells."""
+        """With the shares of a sample: ``part`` of ``weight``, of the records of each source, in these cells."""
         share = np.column_stack([self._share(*side) for side in zip(cells, part, weight, strict=True)])
         return replace(self, share=share)
 
     def _share(self, counted: IntArray, part: FloatArray, weight: FloatArray) -> FloatArray:
-        """Drawn from that of coarser cells towards that of each, level after level, as ``coverage.local_share``."""
+        """Shares by level, each drawn towards that of the coarser cells, as in ``coverage.local_share``."""
         share = np.full(len(self.cells), (float(part.sum()) + 0.5) / (float(weight.sum()) + 1.0))
         cells = counted >> (2 * self.steps)
-        # One cell says no more than the mean of all, and the finest say next to nothing.
+        # The coarsest level gives the mean of all; the finest has too few records a cell.
         for steps in self.levels[1:-1] or self.levels:
-            known, at = np.unique(cells >> (2 * steps), return_inverse=True)
+            coarse, at = np.unique(cells >> (2 * steps), return_inverse=True)
             parts, weights = np.bincount(at, part), np.bincount(at, weight)
-            refine_share_nested(self.cells, known, parts, weights, 2 * steps, SHARED_PSEUDO_COUNT, share)
+            refine_share_nested(self.cells, coarse, parts, weights, 2 * steps, SHARED_PSEUDO_COUNT, share)
         return share
 
     def write(self, folder: Path) -> None:
-        """Into files of a folder, from which parts read what they need only."""
+        """Write the columns to files in a folder, of which parts read only what they need."""
         folder.mkdir(parents=True, exist_ok=True)
         for name in _COLUMNS:
             np.save(folder / f"{name}.npy", getattr(self, name))
 
     def without_columns(self) -> Places:
-        """All but what :meth:`write` writes."""
-        nothing: dict[str, Any] = dict.fromkeys(_COLUMNS, _NOTHING)
-        return replace(self, **nothing)
+        """Without the columns that :meth:`write` writes."""
+        empty: dict[str, Any] = dict.fromkeys(_COLUMNS, _EMPTY)
+        return replace(self, **empty)
 
     def with_columns(self, folder: Path) -> Places:
-        """With what was written into a folder."""
+        """With the columns that were written to a folder."""
         stored: dict[str, Any] = {name: np.load(folder / f"{name}.npy", mmap_mode="r") for name in _COLUMNS}
         return replace(self, **stored)
 
@@ -205,7 +205,7 @@ _COLUMNS = ("cells", "density", "seen", "share")
 
 
 def _seen(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
-    """(u, 2) whether the other source looks there, as ``kernels.coverage.look`` has it. volume : of a cell."""
+    """(u, 2) whether the other source observes there, as by ``kernels.coverage.look``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
     density = np.tile(total[::-1] / _covered(cells, numbers, levels[0], volume), (len(cells), 1))
     highest, seen = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
@@ -218,15 +218,15 @@ def _seen(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: 
 
 
 def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> FloatArray:
-    """(u, 2, 2) densities of the counted records of either source at those of their own, [:, k, 0], and at others, as
-    ``Coverage.density``. volume : of a cell."""
+    """(u, 2, 2) densities of the counted records of each source at its own records, [:, k, 0], and at the other's, as
+    by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
     own[:] = others[:] = (total + 0.5) / _covered(cells, numbers, levels[0], volume)
-    smooths, asked, open_ = np.array(SMOOTHS), min(ASKED / len(cells), 1.0), total > 0.0
+    smooths, sampled, open_ = np.array(SMOOTHS), min(SMOOTHING_CELLS / len(cells), 1.0), total > 0.0
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
-        score_nested(cells, numbers, 2 * steps, PARTLY, volume, asked, smooths, own, score)
+        score_nested(cells, numbers, 2 * steps, PARTLY, volume, sampled, smooths, own, score)
         finest = (score[:, -1] <= FINEST * total) | (steps == 0)
         smooth = smooths[np.argmax(score[:, :-1] - LOG_PRIOR_STEP * np.arange(len(smooths)), axis=1)]
         left_out = np.where(finest, LEFT_OUT, 1.0)
@@ -236,16 +236,16 @@ def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volum
 
 
 def _covered(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float) -> float:
-    """The volume of all cells that lies within the field."""
+    """The volume of all cells inside the field."""
     own, covered = np.empty(len(cells), np.int64), np.empty(len(cells))
     number = covered_cells(cells, numbers, 2 * steps, PARTLY, own, covered)
     return volume * float(covered[:number].sum())
 
 
 def drawn(counts: Counts, sampling: Sampling = Sampling()) -> tuple[int, IntArray]:  # noqa: B008
-    """Cells that hold enough records of both sources, from the counts of all: steps to their size, and their numbers.
+    """A sample of cells with enough records of both sources: steps to their size, and their numbers.
 
-    The draw depends on where records lie alone.
+    The sample depends only on the positions of the records.
     """
     total, steps, level = int(counts.numbers.sum()), 0, counts
     while len(level.cells) * sampling.cell > total and len(level.cells) > 1 and steps < 25:
@@ -259,39 +259,39 @@ def drawn(counts: Counts, sampling: Sampling = Sampling()) -> tuple[int, IntArra
 @in_short
 @dataclass(frozen=True)
 class _SampleCoverage(Coverage):
-    """The coverage of a sample, known from all records."""
+    """The coverage of a sample, computed from all records."""
 
-    known_counted: tuple[BoolArray, BoolArray] = field(repr=False)
-    known_covered: tuple[BoolArray, BoolArray] = field(repr=False)
-    known_densities: tuple[tuple[FloatArray, FloatArray], ...] = field(repr=False)
+    given_counted: tuple[BoolArray, BoolArray] = field(repr=False)
+    given_covered: tuple[BoolArray, BoolArray] = field(repr=False)
+    given_densities: tuple[tuple[FloatArray, FloatArray], ...] = field(repr=False)
 
     @property
     def counted(self) -> tuple[BoolArray, BoolArray]:
-        return self.known_counted
+        return self.given_counted
 
     @property
     def covered(self) -> tuple[BoolArray, BoolArray]:
-        return self.known_covered
+        return self.given_covered
 
     @property
     def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], ...]:  # type: ignore[override]
-        return self.known_densities
+        return self.given_densities
 
     @property
     def common_volume(self) -> float:
-        seen, counted = self.known_covered, self.known_counted
+        seen, counted = self.given_covered, self.given_counted
         return self.volume * min(float(s[c].mean()) if c.any() else 1.0 for s, c in zip(seen, counted, strict=True))
 
 
 @in_short
 @dataclass(frozen=True)
 class Learned:
-    """All that evidence is made of, for any part of both sources. Make it with :func:`learn`.
+    """The estimates for the evidence of any part of both sources. Make it with :func:`learn`.
 
-    errors : of the evidence. start, gate_sigmas : the errors by which the gate measures, and its radius in these.
-    means : shares of all that have a partner. photometry : without magnitudes of its own. grades : without records.
-    columns : without records. density : of all records of either source where the user gave them. places : densities,
-    coverage and shares. estimate : of the sample, for reports; None where it is not needed.
+    errors : of the evidence. start, gate_sigmas : errors of the gate's distances, and its radius in these.
+    means : overall shares with a partner. photometry, grades, columns : fits without records.
+    density : of all records of each source if given by the user. places : densities, coverage and shares.
+    estimate : of the sample, for reports; None if not needed.
     """
 
     errors: Errors
@@ -317,31 +317,31 @@ class Learned:
         measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes] | None = None,
         columns: ColumnEvidence | None = None,
     ) -> Rule:
-        """The evidence of pairs whose records lie in these cells, (n₁,) and (n₂,), of those that were counted.
+        """The evidence of pairs whose records lie in these counted cells, (n₁,) and (n₂,).
 
-        measured : magnitudes of the records; None where magnitudes are no evidence. columns : of the records, of which
-        nothing is learned; None where they are no evidence.
+        measured : magnitudes of the records; None without evidence of magnitudes. columns : of the records, without
+        fits; None without evidence of columns.
         """
         n1, n2 = len(pairs.first), len(pairs.second)
         at_1, at_2 = self.places.at(cells[0]), self.places.at(cells[1])
-        every = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
+        counted = np.ones(n1, np.bool_), np.ones(n2, np.bool_)
         level = GridLevel(np.zeros(n1, np.int32), np.zeros(n2, np.int32), np.ones(1))
         ((d_1, _), (_, d_2)), share = self.places.densities(at_1, at_2), self.places.share
-        setting = Setting(pairs, (np.arange(n1), np.arange(n2)), (level,), every, every, (d_1, d_2))
+        setting = Setting(pairs, (np.arange(n1), np.arange(n2)), (level,), counted, counted, (d_1, d_2))
         photometry = self._photometry(measured)
-        known = Estimates(
-            setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), every,
+        estimates = Estimates(
+            setting, (np.full(n1, self.means[0]), np.full(n2, self.means[1])), counted,
             (share[at_1, 0], share[at_2, 1]), self.errors, False, photometry,
             self.density,
         )  # fmt: skip
         if self.grades is not None:
-            known = replace(known, grades=self.grades.for_setting(setting, photometry))
+            estimates = replace(estimates, grades=self.grades.for_setting(setting, photometry))
         if self.columns is not None and columns is not None:
-            known = replace(known, columns=self.columns.over(columns, self.places.folds(cells)))
-        return known.rule()
+            estimates = replace(estimates, columns=self.columns.over(columns, self.places.folds(cells)))
+        return estimates.rule()
 
     def seen(self, cells: IntArray, source: int) -> BoolArray:
-        """(n,) whether the other source looks where records of ``source`` (1 or 2) lie."""
+        """(n,) whether the other source observes at records of ``source`` (1 or 2)."""
         return np.asarray(self.places.seen[self.places.at(cells), source - 1])
 
     def _photometry(self, measured: tuple[MeasuredMagnitudes, MeasuredMagnitudes] | None) -> Photometry | None:
@@ -367,14 +367,14 @@ def learn(
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Learned:
-    """What a sample says, for all.
+    """The estimates for all records, from a sample.
 
     Parameters
     ----------
-    records : of the sample: those that count, and all that compete with them. cells : (n₁,), (n₂,) of them, of the
-        size that was counted. counted : (n₁,), (n₂,).
+    records : of the sample: counted ones, and all that compete with them. cells : (n₁,), (n₂,) of the records, of the
+        counted size. counted : (n₁,), (n₂,).
     places : densities and coverage, from the counts of all records. volume : of the sample.
-    errors, gate, density, brightness, precision, evidence : as of ``estimate.match.match``.
+    errors, gate, density, brightness, precision, evidence : as for ``estimate.match.match``.
 
     Raises
     ------
@@ -394,22 +394,23 @@ def learn(
         coverage, errors=errors, gate=gate, density=density, brightness=brightness, precision=precision,
         columns=columns, tuning=tuning, progress=progress,
     )  # fmt: skip
-    known = found.estimates
-    weights = [(s & c).astype(np.float64) for s, c in zip(seen, known.counted, strict=True)]
-    part = [p * w for p, w in zip(known.p_partner, weights, strict=True)]
+    estimates = found.estimates
+    weights = [(s & c).astype(np.float64) for s, c in zip(seen, estimates.counted, strict=True)]
+    part = [p * w for p, w in zip(estimates.p_partner, weights, strict=True)]
     places = places.with_shares(cells, part, weights)
     return Learned(
-        known.errors, found.gate_errors, found.gate_sigmas, known.mean_shares, _without_records(known.photometry),
-        None if known.grades is None or known.grades.rule is None else _without_grades(known.grades),
-        known.columns and known.columns.without_records(), density, places,
+        estimates.errors, found.gate_errors, found.gate_sigmas, estimates.mean_shares,
+        _without_records(estimates.photometry),
+        None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
+        estimates.columns and estimates.columns.without_records(), density, places,
         found.estimate,
     )  # fmt: skip
 
 
 def _level(one: IntArray, two: IntArray, steps: int, volume: float) -> GridLevel:
-    known, at = np.unique(np.concatenate([one, two]) >> (2 * steps), return_inverse=True)
+    cells, at = np.unique(np.concatenate([one, two]) >> (2 * steps), return_inverse=True)
     at = at.astype(np.int32)
-    return GridLevel(at[: len(one)], at[len(one) :], np.full(len(known), volume * 4.0**steps))
+    return GridLevel(at[: len(one)], at[len(one) :], np.full(len(cells), volume * 4.0**steps))
 
 
 def _without_records(photometry: Photometry | None) -> Photometry | None:

@@ -57,8 +57,8 @@ def quantities(
     """
     works = [partial(_Share.of, answer, coverage, source, learned_from[source - 1]) for source in (1, 2)]
     shares = threads.each(works, len(answer.pairs))
-    best_known = min(shares, key=lambda share: share.count_error)
-    common = Quantity(best_known.found, best_known.count_error)
+    best = min(shares, key=lambda share: share.count_error)
+    common = Quantity(best.found, best.count_error)
     found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
     volume = coverage.common_volume
     if volume > 0.0:

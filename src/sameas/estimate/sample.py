@@ -1,8 +1,8 @@
-"""Sample: a part of two large sources that stands for all of them while what is not known is estimated.
+"""Sample of two large sources, from which estimates are made.
 
-Cells of the sky (or of any space) are drawn until enough records of both sources lie in them. All candidates of their
-records take part, and the candidates that compete with these; what is counted is the records of the cells alone. So
-nothing is lost at the borders of cells, and the draw depends on where records lie, not on their rows.
+Cells of the sky (or of any space) are drawn until they hold enough records of both sources. The sample has all
+candidates of their records, and the candidates that compete with these, but only the records of the cells are counted.
+So borders of cells cause no loss. The sample depends on the positions of records, not on their rows.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ class Sampling:
 
     Attributes
     ----------
-    enough : records of each source that estimation needs.
-    worth_sampling : how many times more records there must be; below that all of them are taken.
-    cell : the least mean number of records of both sources in a cell that is drawn.
+    enough : records of each source in a sample.
+    worth_sampling : a sample is drawn if there are more than this many times as many records; else all are used.
+    cell : least mean number of records of both sources in a cell.
     seed : of the generator that draws the cells.
     """
 
@@ -40,16 +40,16 @@ class Sampling:
 @in_short
 @dataclass(frozen=True)
 class Setting:
-    """What stays the same in all EM iterations of an estimation.
+    """The candidates and records of an estimation, which stay the same in all EM iterations.
 
     Attributes
     ----------
-    pairs : the candidates, of the records below.
-    rows : which of all records take part, (n₁,), (n₂,).
+    pairs : the candidates.
+    rows : (n₁,), (n₂,) indices of their records among all records.
     levels : their cells, coarse to fine.
-    seen : whether the other source looks there, (n₁,), (n₂,).
-    counted : whether a record counts; others only compete, (n₁,), (n₂,).
-    densities : (n₁,), (n₂,) local densities of the covered records of either source, at these without themselves.
+    seen : (n₁,), (n₂,) whether the other source observes there.
+    counted : (n₁,), (n₂,) whether a record counts; others only compete.
+    densities : (n₁,), (n₂,) local densities of the source's other covered records.
     """
 
     pairs: Pairs
@@ -69,21 +69,21 @@ class Setting:
 
     @property
     def n_counted(self) -> tuple[int, int]:
-        """How many records of either source are counted."""
+        """Number of counted records of each source."""
         one, two = (int(np.count_nonzero(counted)) for counted in self.counted)
         return one, two
 
     def p_counted(self, p_pair: FloatArray) -> FloatArray:
-        """(m,) probabilities of the pairs whose record 1 is counted, 0 of the others."""
+        """(m,) probabilities of the pairs whose record 1 is counted, 0 for the others."""
         return p_pair if self.counted[0].all() else p_pair * self.counted[0][self.pairs.i]
 
     def by_chance(self, p_counted: FloatArray) -> float:
-        """Mean number of candidates of a record that are there by chance, with these probabilities (m,)."""
+        """Mean number of chance candidates of a record, with these probabilities (m,)."""
         candidates = np.count_nonzero(self.counted[0][self.pairs.i])
         return max(int(candidates) - float(p_counted.sum()), 0.0) / min(self.n_counted)
 
     def sample(self, sampling: Sampling) -> Setting:
-        """Enough of it: itself where it is not large."""
+        """A sample; itself if it is not large."""
         chosen = self._drawn(sampling)
         if chosen is None:
             return self
@@ -99,7 +99,7 @@ class Setting:
         )  # fmt: skip
 
     def _drawn(self, sampling: Sampling) -> tuple[GridLevel, BoolArray] | None:
-        """Cells that hold enough records of both sources; None where these would be most of all."""
+        """Sampled cells with enough records of both sources; None if they would hold most of all records."""
         n = len(self.pairs.first), len(self.pairs.second)
         if min(n) <= sampling.worth_sampling * sampling.enough:
             return None
@@ -111,7 +111,7 @@ class Setting:
 
 
 def _competing(pairs: Pairs, counted_1: BoolArray, counted_2: BoolArray) -> tuple[IntArray, BoolArray, BoolArray]:
-    """Pairs of the counted records and of those that they could have, and which records these and the counted are."""
+    """Indices of the pairs of counted records and of their candidates, and masks of the records of these pairs."""
     touched_1, touched_2 = counted_1.copy(), counted_2.copy()
     one, two = counted_1[pairs.i], counted_2[pairs.j]
     touched_2[pairs.j[one]] = True
@@ -123,7 +123,7 @@ def _competing(pairs: Pairs, counted_1: BoolArray, counted_2: BoolArray) -> tupl
 
 
 def _part(pairs: Pairs, kept: IntArray, rows_1: IntArray, rows_2: IntArray) -> Pairs:
-    """The pairs ``kept``, of the records ``rows_1`` and ``rows_2`` alone."""
+    """The pairs ``kept``, with the records ``rows_1`` and ``rows_2`` only."""
     i, j = (_renumbered(at[kept], rows) for at, rows in ((pairs.i, rows_1), (pairs.j, rows_2)))
     place_1, place_2 = (_renumbered(place[kept], _places(place[kept])) for place in (pairs.place_1, pairs.place_2))
     return Pairs(
@@ -133,14 +133,14 @@ def _part(pairs: Pairs, kept: IntArray, rows_1: IntArray, rows_2: IntArray) -> P
 
 
 def _places(place: NDArray[np.int32]) -> IntArray:
-    """The places that occur, rising."""
-    held = np.zeros(int(place.max(initial=-1)) + 1, np.bool_)
-    held[place] = True
-    return np.flatnonzero(held)
+    """The places that occur, ascending."""
+    occurs = np.zeros(int(place.max(initial=-1)) + 1, np.bool_)
+    occurs[place] = True
+    return np.flatnonzero(occurs)
 
 
-def _renumbered(at: NDArray[np.int32], known: IntArray) -> NDArray[np.int32]:
-    """Positions among the rising numbers ``known`` of numbers that are all among them."""
-    number = np.zeros(int(known.max(initial=-1)) + 1, np.int32)
-    number[known] = np.arange(len(known), dtype=np.int32)
+def _renumbered(at: NDArray[np.int32], numbers: IntArray) -> NDArray[np.int32]:
+    """Indices into the ascending ``numbers``, which must contain all of ``at``."""
+    number = np.zeros(int(numbers.max(initial=-1)) + 1, np.int32)
+    number[numbers] = np.arange(len(numbers), dtype=np.int32)
     return number[at]
