@@ -1,16 +1,16 @@
-"""sameas tells which records of two or more sources are the same real thing, and how sure it is.
+"""sameas finds which records of two or more sources are the same real object, with probabilities.
 
 What to use when:
 
-- two sources, and nothing known of them but what they say: :func:`match`, of files, tables, data frames, records;
+- two sources, with everything estimated from the data: :func:`match`, of files, tables, data frames, records;
 - two sources whose densities, miss rates or costs you know: :func:`identify` with a rule and a prior;
-- more than two sources: :func:`identify_many`; one after the other, as they come: :func:`identify_sequentially`;
-- one source shifted, turned or biased against the other: :func:`register`;
+- more than two sources: :func:`identify_many`; one after the other, in order of arrival: :func:`identify_sequentially`;
+- one source shifted, rotated or biased relative to the other: :func:`register`;
 - star catalogues and CCD frames: :mod:`sameas.sky`; radar, AIS, ADS-B: :mod:`sameas.tracks` and :mod:`sameas.picture`;
 - scenes whose truth is known, and scores against it: :mod:`sameas.simulate`, :mod:`sameas.score`.
 
-``__init__.pyi`` is the one list of public names, here and in the subpackages; what it does not list is private. Names
-are imported when they are first used, so ``import sameas`` costs nothing.
+``__init__.pyi`` is the list of public names, here and in the subpackages; all others are private. Names are imported
+when first used, so that ``import sameas`` takes no time.
 """
 
 import lazy_loader

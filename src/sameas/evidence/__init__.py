@@ -1,6 +1,6 @@
-"""Evidence: how much more probable a pair's residual is if both records are one object than if they are two.
+"""Evidence: the likelihood ratio of a pair, if both records are one object over if they are two.
 
-Every rule gives a natural logarithm per pair, term by term; rules add with ``+``.
+Every rule gives natural logarithms per pair, by term; rules add with ``+``.
 
 - :class:`Field`: a different object lies anywhere with constant density (METHOD 3.1, the papers' uniform rule).
 - :class:`PoissonField`: objects are a Poisson field; the densities of common and of unrelated objects are known or
@@ -8,16 +8,16 @@ Every rule gives a natural logarithm per pair, term by term; rules add with ``+`
 - :class:`ConstantCost`: frame and catalogue, every unmatched record costs the constant density C
   (METHOD 3.4 [F15–F17]); ``ConstantCost.calibrated`` is its form with a detection probability and the density of
   other measurements.
-- :class:`CloseObjects`: a different object lies near, but not nearer than two objects can be
+- :class:`CloseObjects`: a different object is near, but not nearer than two objects can be
   (METHOD 3.2 [T14–T19, T26]). For pictures of a few targets.
-- :class:`Brightness`: magnitudes and colours, beside positions; ``sameas.match`` learns it from the
+- :class:`Brightness`: magnitudes and colours, added to positions; ``sameas.match`` fits it to the
   :class:`Magnitudes` of both sources.
-- :class:`Columns`: any columns of one source, beside all others; ``sameas.match`` learns it from each :class:`Column`,
-  and of :class:`Related` columns of both; an :class:`OddsTable` is a prior of one's own.
-- :class:`Precision`: the sizes of both quoted errors, beside positions and magnitudes; ``sameas.match`` learns it.
-- :class:`Identity`: addresses, callsigns, names, types, lengths, beside positions, each attribute with a model of its
-  errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms` are one identity at two places.
-- :class:`Heights`: heights of aircraft, beside positions.
+- :class:`Columns`: any columns of one source, added to other rules; ``sameas.match`` fits it to each :class:`Column`,
+  and to :class:`Related` columns of both sources; an :class:`OddsTable` is a prior given by the user.
+- :class:`Precision`: the sizes of both quoted errors, added to positions and magnitudes; ``sameas.match`` fits it.
+- :class:`Identity`: addresses, callsigns, names, types, lengths, added to positions, each attribute with a model of its
+  errors: :class:`Code`, :class:`Category`, :class:`Size`. :func:`alarms` finds one identity at two positions.
+- :class:`Heights`: heights of aircraft, added to positions.
 - :class:`Universal`: any density of objects and of their neighbours, as a mixture, samples or functions
   (METHOD 3.3 [T13]). Where the densities are known and are none of the above.
 """

@@ -1,7 +1,7 @@
-"""Zones: how the search lays two sources out, so that what is near in space is near in memory.
+"""Zones: the layout of two sources for the search, in which records near in space are near in memory.
 
-Records are sorted into zones of one coordinate and along the other within each; the few of very different errors are
-laid out apart, class by class. The order depends on the records' content, not on their rows.
+Records are sorted into zones of one coordinate, and by the other coordinate within each; the few records with much larger
+errors are separate classes. The order depends on the records' content, not on their rows.
 """
 
 from __future__ import annotations
@@ -27,23 +27,22 @@ Rows = NDArray[np.int32]
 
 @dataclass(frozen=True)
 class Tuning:
-    """How the search lays records out: the answer stays the same, the time does not (tuned by timing).
+    """Parameters of the layout, which affect the time of the search only, not its result (tuned by timing).
 
     Attributes
     ----------
-    each_with_each : up to this many records of both sources together on a plane are compared each with each.
-    most_by_arrays : up to this many pairs in the same strip of latitude are tested by arrays while the kernel would be
-        interpreted.
-    one_zone : up to this many records are laid out in one zone: more zones cost as much as to test them all.
-    square : a zone is as high as a square that holds this many records: to look up a stretch costs as much as some
-        tests.
-    few_tests : a class of errors is laid out apart where that saves at least this many tests a record.
-    squares, most_squares : squares along either axis of the grid that shows where records lie; finer, up to the latter,
-        where most are empty and the others crowded.
-    sample : records in a row whose candidates are counted to estimate the room for all.
-    few_rows : fewer rows than this are looked through without a compiled loop.
-    bytes_of_pair : what a pair takes in all stages together, measured. Pairs that would need more than there is are
-        refused; where the system does not say what there is, more than ``memory`` bytes.
+    each_with_each : up to this many records of both sources together on a plane, all pairs are tested.
+    most_by_arrays : up to this many pairs in the same strip of latitude are tested by array operations if the kernel
+        is interpreted.
+    one_zone : up to this many records get one zone: more zones cost as much as testing all.
+    square : a zone is as high as a square with this many records: one look-up costs as much as some tests.
+    few_tests : a class of errors is separate if that saves at least this many tests per record.
+    squares, most_squares : squares along each axis of the grid that measures the area with records; refined, up to the
+        latter, if most are empty and the others crowded.
+    sample : length of the samples of successive records whose candidates are counted to estimate the memory.
+    few_rows : fewer rows than this are scanned without a compiled loop.
+    bytes_of_pair : memory for a pair in all stages together, measured. Pairs that need more than the available memory
+        are refused; if that is unknown, more than ``memory`` bytes.
     """
 
     each_with_each: int = 512
@@ -65,10 +64,10 @@ DEFAULT_TUNING = Tuning()
 @in_short
 @dataclass(frozen=True)
 class Geometry:
-    """The feature space as the kernels take it: which coordinate makes the zones (y), which is swept (x).
+    """The feature space for the kernels: the coordinate of the zones (y), and that of the sweep (x).
 
-    opening : by how much a variance of one opens the gate, squared, in the unit of the features.
-    bare : whether x, y and one variance are all that there is to know of a record.
+    opening : squared half width of the gate per unit of variance, in the unit of the features.
+    bare : whether a record consists of x, y and one variance only.
     """
 
     sphere: bool
@@ -84,7 +83,7 @@ class Geometry:
     @classmethod
     def of(cls, first: Records, second: Records, limit: float, box: bool, tuning: Tuning) -> Geometry:
         if isinstance(first.space, Sphere):
-            # Box edges reach √2 further than the ellipse that they enclose.
+            # Box corners lie √2 farther out than the ellipse inside.
             opening = limit * (2.0 if box else 1.0) / 3600.0**2
             bare = first.covariance.shape[1] == second.covariance.shape[1] == 1
             return cls(True, box, bare, limit, opening, np.array([360.0, np.inf]), 0, 1, tuning)
@@ -92,7 +91,7 @@ class Geometry:
         periods = np.array(first.space.period_list(first.d))
         if first.d == 1 or len(first) + len(second) <= tuning.one_zone:
             return cls(False, box, False, limit, limit, periods, 0, 0, tuning)
-        # Sweep along the feature that separates best for its errors; zones of the second best.
+        # Sweep along the feature with the widest range in units of its errors; zones of the second widest.
         sharpness = np.minimum(_sharpness(first), _sharpness(second))
         best = np.argsort(-sharpness, kind="stable")
         return cls(False, box, False, limit, limit, periods, int(best[0]), int(best[1]), tuning)
@@ -104,7 +103,7 @@ class Geometry:
 
 
 def _extent(values: FloatArray) -> FloatArray:
-    """(2, d) the least and the greatest of every column; a few thousand rows are no work for the compiler."""
+    """(2, d) least and greatest value of every column; few rows are not worth a compilation."""
     if 0 < len(values) < DEFAULT_TUNING.few_rows:
         return np.stack([values.min(axis=0), values.max(axis=0)])
     from sameas.kernels.order import extent
@@ -115,10 +114,10 @@ def _extent(values: FloatArray) -> FloatArray:
 @in_short
 @dataclass(frozen=True)
 class Source:
-    """Records of one source as the search sees them.
+    """Records of one source for the search.
 
-    features are folded into one period; variance (n, 1) or (n, d) opens the gate along the axes; ends (2, d) are the
-    least and greatest features.
+    features : folded into one period. variance : (n, 1) or (n, d), of the gate along the axes. ends : (2, d) least and
+    greatest features.
     """
 
     features: FloatArray
@@ -143,9 +142,9 @@ class Source:
         return cls(features, records.covariance, variance, records, ends)
 
     def classes(self, others: float, few_tests: float) -> list[Rows]:
-        """The rows split by the size of their errors, narrowest first: the few widest apart, as long as it saves work.
+        """The rows by classes of their errors, smallest first; the few largest are separate if that saves tests.
 
-        others : how many records of the other source lie in the area that a variance of one opens. few_tests : see
+        others : number of records of the other source in the gate's area per unit of variance. few_tests : see
         :class:`Tuning`.
         """
         remaining = np.arange(len(self.features), dtype=np.int32)
@@ -162,7 +161,7 @@ class Source:
                 break
             part = remaining[wide]
             if parts and 6.0 * widest * others * len(part) < few_tests * len(self.features):
-                # So few that another layout would cost more than to test them as widely as those before.
+                # So few that another class would cost more than testing them with the gate of the previous one.
                 parts[-1] = np.concatenate([parts[-1], part])
             else:
                 parts.append(part)
@@ -171,24 +170,24 @@ class Source:
         return [remaining, *parts[::-1]]
 
     def widest(self, rows: Rows, geometry: Geometry) -> tuple[float, float]:
-        """The largest variances in x and in y of some of the rows, or of all."""
+        """The largest variances in x and in y of these rows."""
         largest = _extent(self.variance if len(rows) == len(self.variance) else self.variance[rows])[1].tolist()
         return (largest[0], largest[0]) if len(largest) == 1 else (largest[geometry.x], largest[geometry.y])
 
     def rank(self) -> IntArray:
-        """The place of each record's id among the ids: what orders records that are equal in all else."""
+        """The rank of each record's id, which orders records that are otherwise equal."""
         ids = self.records.ids[self.records.rows]
         rank = np.empty(len(ids), np.int64)
-        # Ids of several kinds have no order among themselves, but their texts have.
+        # Ids of different types have no order, but their texts have.
         rank[np.argsort(ids.astype(str) if ids.dtype.kind == "O" else ids, kind="stable")] = np.arange(len(ids))
         return rank
 
 
 @dataclass(frozen=True)
 class Extent:
-    """Where the records of two sources lie: (low, high) of x and of y without outliers, and the area in them.
+    """The region of two sources: (low, high) of x and of y without outliers, and the area with records.
 
-    The area counts the squares of a grid that hold records; it is 0 where there is no y.
+    The area is that of the occupied squares of a grid; it is 0 without y.
     """
 
     x: tuple[float, float]
@@ -214,7 +213,7 @@ class Extent:
             held = int(np.count_nonzero(counts))
             if 4 * held > squares**2 or total < 64 * held or squares >= geometry.tuning.most_squares:
                 break
-            squares *= 8  # fields far from each other: the squares are far larger than they
+            squares *= 8  # fields far apart are much smaller than the squares
         shrink = np.ones(squares)
         if geometry.sphere:
             shrink = np.maximum(np.cos(np.radians(low[1] + size[1] * (np.arange(squares) + 0.5))), 1e-6)
@@ -227,7 +226,7 @@ class Extent:
 
 @dataclass(frozen=True)
 class Zones:
-    """Zones of equal height in y; whether they close to a ring."""
+    """Zones of equal height in y; ``wraps`` if they form a ring."""
 
     low: float
     height: float
@@ -236,7 +235,7 @@ class Zones:
 
     @classmethod
     def of(cls, n: int, reach: float, extent: Extent, geometry: Geometry) -> Zones:
-        """Zones for n records whose own errors reach as far as ``reach`` in y."""
+        """Zones for n records whose gate by their own errors extends to ``reach`` in y."""
         if geometry.x == geometry.y:
             return cls(0.0, math.inf, 1, False)
         height = max(math.sqrt(geometry.tuning.square * extent.area / n), 0.25 * reach)
@@ -246,7 +245,7 @@ class Zones:
         return cls(low, max((high - low) / count, 1e-290), count, math.isfinite(period) and count > 1)
 
     def stretch(self, reach: float, geometry: Geometry) -> FloatArray:
-        """(zones,) by how much what lies within reach stretches in x, per unit of it, up to so great a reach."""
+        """(zones,) half width in x of the region within a distance in y, per unit of that distance, up to ``reach``."""
         if not geometry.sphere:
             return np.ones(self.count)
         return _longitudes(self.low, self.height, self.count, reach)
@@ -254,12 +253,12 @@ class Zones:
 
 @dataclass(frozen=True)
 class Layout:
-    """A source laid out, class by class of errors, narrowest first.
+    """The layout of a source, by classes of errors, smallest first.
 
     Attributes
     ----------
-    side : all records, class after class. starts : the first place of each class, and the end.
-    zones, grids : of every class. widest : their largest variances in x and in y.
+    side : all records, by class. starts : first place of each class, and the end.
+    zones, grids : of every class. widest : largest variances in x and in y of every class.
     """
 
     side: order.Side
@@ -270,7 +269,7 @@ class Layout:
 
     @classmethod
     def of(cls, source: Source, classes: list[Rows], extent: Extent, geometry: Geometry) -> Layout:
-        """Every class in zones of its own, its records by zone, then x, then the rest of the content, then id."""
+        """Each class in its own zones, its records sorted by zone, x, other content, and id."""
         from sameas.kernels.order import Side
 
         n, width = len(source.features), source.covariance.shape[1]
@@ -289,7 +288,7 @@ class Layout:
         return cls(side, starts, zones, grids, widest)
 
     def reach(self, which: int, visitors: tuple[float, float], end: int, geometry: Geometry) -> spans.Reach:
-        """How far records of variances up to those of ``visitors``, at places before ``end``, reach into a class."""
+        """The reach into a class of records with variances up to those of ``visitors``, at places before ``end``."""
         from sameas.kernels.spans import Reach
 
         opening = geometry.opening * (1.0 + 1e-6)
@@ -301,7 +300,7 @@ class Layout:
 def _laid_out(
     source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: order.Side, base: int
 ) -> spans.Grid:
-    """Write one class into ``side`` from place ``base`` on."""
+    """Write one class to ``side`` from place ``base`` on, and return its grid."""
     from sameas.kernels.order import CELLS, Side, into_cells, into_zones, take_rows, zones_of
     from sameas.kernels.spans import Grid
 
@@ -321,7 +320,7 @@ def _laid_out(
 
 
 def _bulk(ends: tuple[float, float], counts: IntArray, values: list[FloatArray]) -> tuple[float, float]:
-    """The ends of what holds the bulk of some values, where a few outliers leave most of the whole empty."""
+    """The range of the bulk of some values, if a few outliers leave most of the whole range empty."""
     share = np.cumsum(counts)
     middle = np.searchsorted(share, share[-1] * np.array([0.005, 0.995]))
     if middle[1] - middle[0] >= len(counts) // 8:
@@ -332,10 +331,10 @@ def _bulk(ends: tuple[float, float], counts: IntArray, values: list[FloatArray])
 
 
 def _longitudes(low: float, height: float, count: int, reach_deg: float) -> FloatArray:
-    """(zones,) half width in longitude of what lies within reach of any point of each zone, per unit of that reach.
+    """(zones,) half width in longitude of the region within reach of any point of each zone, per unit of reach.
 
-    From sin²(s/2) ≥ cos δ₁ cos δ₂ sin²(Δα/2), with the least cosines that the zone and its reach contain. The width
-    grows faster than the reach, but for that of sin(s/2): the quotient for the greatest is enough for all.
+    From sin²(s/2) ≥ cos δ₁ cos δ₂ sin²(Δα/2), with the least cosines in the zone and its reach. The width grows faster
+    than sin(s/2), so the quotient for the greatest reach is sufficient for all.
     """
     bottom = low + height * np.arange(count)
     farthest = np.minimum(np.maximum(np.abs(bottom), np.abs(bottom + height)), 90.0)
@@ -351,14 +350,14 @@ def _longitudes(low: float, height: float, count: int, reach_deg: float) -> Floa
 
 
 def _sharpness(records: Records) -> FloatArray:
-    """Per feature, how many standard deviations wide the bulk of the records lies."""
+    """Per feature, the width of the bulk of the records in standard deviations."""
     middle = _percentiles(records.features, (0.05, 0.95))
     return np.asarray((middle[1] - middle[0]) / np.sqrt(records.variances.mean(axis=0)))
 
 
 def _percentiles(values: FloatArray, shares: tuple[float, ...]) -> FloatArray:
-    """(k, d) the values of every column that these shares of it do not exceed, as of ``np.quantile``, which takes four
-    times as long for a few hundred rows."""
+    """(k, d) quantiles of every column, equal to ``np.quantile``, which takes four times as long for a few hundred
+    rows."""
     places = [share * (len(values) - 1) for share in shares]
     ends = [(int(place), min(int(place) + 1, len(values) - 1)) for place in places]
     ordered = np.partition(values, sorted({end for both in ends for end in both}), axis=0)
@@ -372,7 +371,7 @@ def _between(low: FloatArray, high: FloatArray, share: float) -> FloatArray:
 
 
 def _widest(records: Records) -> FloatArray:
-    """(n, 1) the largest variance in any direction of directions on the sphere: their axes turn from pair to pair."""
+    """(n, 1) the largest variance along any direction, for positions on the sphere: their axes rotate with the pair."""
     if records.covariance.shape[1] == 1:
         return records.covariance
     if records.covariance.shape[1] == 2:

@@ -1,8 +1,8 @@
-"""The result: which records are the same object, how sure it is, and why.
+"""The result: which records are the same object, with probabilities and explanations.
 
-- :class:`Identification`: the answer of :func:`sameas.identify`, with every stage's value.
+- :class:`Identification`: the answer of :func:`sameas.identify`, with the values of all stages.
 - :class:`Explanation`: why one record was identified as it was.
-- :func:`least_loss`, :func:`most_right`: another choice of pairs, where a wrong one costs more than a missed one.
+- :func:`least_loss`, :func:`most_right`: other choices of pairs, such as where wrong pairs cost more than missed ones.
 """
 
 from sameas.result.explanation import Competitor, Explanation
