@@ -2,11 +2,11 @@
 
 What to use when:
 
-- two catalogues: :func:`sameas.match`; a :class:`Catalogue` and its :class:`CatalogueOptions` where you want to look at
-  what is understood before;
-- three catalogues or more: :func:`sameas.match_many`;
-- a CCD frame and a catalogue: :func:`detect` its stars, :func:`solve` where it points and which star is which;
-- what moves among the detections of several exposures: :func:`find_movers` of :class:`Detections`.
+- two catalogues: :func:`sameas.match`; a :class:`Catalogue` with :class:`CatalogueOptions` to check the interpretation
+  of the columns first;
+- three or more catalogues: :func:`sameas.match_many`;
+- a CCD frame and a catalogue: :func:`detect` the stars, :func:`solve` for the pointing and the identification;
+- movers among the detections of several exposures: :func:`find_movers` in :class:`Detections`.
 """
 
 import lazy_loader

@@ -207,7 +207,7 @@ PLAIN_CIRCLES = tuple(
     for suffix in ("", "_arcsec", "_mas", "_deg")
 )
 
-# Header keywords of a frame or a table that tell when it was observed. Not EPOCH: in FITS it is the equinox.
+# Header keywords for the time of observation. Not EPOCH: in FITS it is the equinox.
 HEADER_EPOCHS = (
     "REF_EPOCH",
     "REFEPOCH",
@@ -404,14 +404,14 @@ _TYCHO2 = Convention(
     position=("RAmdeg", "DEmdeg"),
     marks=("TYC1", "VTmag", "BTmag"),
     ids=("TYC",),
-    # The errors are those of the mean epoch of the observations, near 1991.5, the position is that of 2000.0.
+    # The errors refer to the mean epoch of the observations, near 1991.5, the position to 2000.0.
     errors=(ErrorNames("axes", ("e_RAmdeg", "e_DEmdeg"), "mas"),),
     motions=(_VIZIER_MOTION,),
     epoch_jyr=2000.0,
     magnitudes=(("VTmag", "e_VTmag"), ("BTmag", "e_BTmag")),
     over=("RA(ICRS)", "RAdeg", "_RAJ2000", "RAJ2000"),
 )
-# Sexagesimal in columns of its own, as the CDS and journals have it.
+# Sexagesimal parts in separate columns, as at the CDS and in journals.
 _IN_PARTS = Convention(
     title="CDS, in parts",
     position=("RAh", "DEd"),
@@ -456,7 +456,7 @@ _ECLIPTIC_POSITIONS = (
 
 
 def plain(position: tuple[str, str], title: str = "plain names", frame: SkyFrame = "icrs") -> Convention:
-    """The convention of a position of any other name: whatever of the usual names is there."""
+    """The convention of a position with any other names, with the usual names of the other columns."""
     ra, dec = position
     return Convention(
         frame=frame,
@@ -471,7 +471,7 @@ def plain(position: tuple[str, str], title: str = "plain names", frame: SkyFrame
     )
 
 
-# Order matters among equals only: known surveys first.
+# The order only breaks ties: known surveys first.
 CONVENTIONS: tuple[Convention, ...] = (
     _GAIA,
     _GAIA_VIZIER,
@@ -491,14 +491,14 @@ CONVENTIONS: tuple[Convention, ...] = (
     *(plain(position) for position in _PLAIN_POSITIONS),
     _IN_PARTS,
 )
-#: Looked for where there is no right ascension.
+#: Used if there is no right ascension.
 OTHER_FRAMES: tuple[Convention, ...] = (
     *(plain(position, "galactic coordinates", "galactic") for position in _GALACTIC_POSITIONS),
     *(plain(position, "ecliptic coordinates", "ecliptic") for position in _ECLIPTIC_POSITIONS),
 )
 
 
-# The covariance of the new reduction of Hipparcos (I/311, "hip2"), which it tells in a hidden way.
+# The covariance of the new reduction of Hipparcos (I/311, "hip2"), encoded in its weights.
 #
 # The catalogue gives five formal errors σᵢ and the 15 elements ``UW`` of an upper triangular matrix, column by
 # column. The diagonal elements are scaled by the errors, the others are not:
@@ -510,17 +510,17 @@ OTHER_FRAMES: tuple[Convention, ...] = (
 #
 #     u² = [ √(2 / 9ν) F2 + 1 − 2 / 9ν ]³
 #
-# (Michalik, Lindegren, Hobbs and Lammers 2014, A&A 571, A85, appendix B, tell how it is read; this form was
+# (Michalik, Lindegren, Hobbs and Lammers 2014, A&A 571, A85, appendix B, describe the decoding; this form was
 # found from the data: √Cᵢᵢ = σᵢ within the rounding of two decimals for solutions of five parameters.) Where
-# the diagonal does not return the quoted errors (solutions of seven and more parameters, whose further
-# elements are in other files) the correlations are not known and are left at zero.
+# the diagonal does not reproduce the quoted errors (solutions of seven and more parameters, whose further
+# elements are in other files) the correlations are not known and set to zero.
 
-# Rounding of UW to 0.01 moves the diagonal by less than 1 % in 98 % of the five-parameter solutions.
+# Rounding of UW to 0.01 changes the diagonal by less than 1 % in 98 % of the five-parameter solutions.
 _TOLERANCE = 0.03
 
 
 def correlations(weights: FloatArray, errors: FloatArray, f2: FloatArray, n_transits: FloatArray) -> FloatArray:
-    """(n, 5, 5) correlations of ra*, dec, parallax, pm ra*, pm dec; the identity where they cannot be told.
+    """(n, 5, 5) correlations of ra*, dec, parallax, pm ra*, pm dec; the identity where not known.
 
     weights : (n, 15) UW. errors : (n, 5) quoted formal errors in mas and mas/yr. f2 : (n,) goodness of fit.
     n_transits : (n,) Ntr, the number of field transits used.
@@ -543,7 +543,7 @@ def correlations(weights: FloatArray, errors: FloatArray, f2: FloatArray, n_tran
 
 
 def _scaled_triangle(weights: FloatArray, unscaled_errors: FloatArray) -> FloatArray:
-    """(n, 5, 5) the triangle U in units of the errors, U'ᵢⱼ = Uᵢⱼ σⱼ / u: its inverse gives correlations."""
+    """(n, 5, 5) triangle U in units of the errors, U'ᵢⱼ = Uᵢⱼ σⱼ / u; its inverse gives the correlations."""
     triangle = np.zeros((len(weights), 5, 5))
     k = 0
     for j in range(5):

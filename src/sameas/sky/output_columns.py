@@ -1,4 +1,4 @@
-"""What sameas adds to tables of the sky: which rows a join has, and the columns with their UCDs.
+"""Columns that sameas adds to tables of the sky, with their UCDs, and the types of joins.
 
 UCDs are IVOA's Unified Content Descriptors, version 1+.
 """
@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
-#: The types of joins of two catalogues, by the names of STILTS; the first is taken where none is named.
+#: Types of joins of two catalogues, with the names of STILTS; the first is the default.
 JOINS = ("all1", "1and2", "all2", "1or2", "1not2", "2not1", "1xor2", "pairs")
 
 
 _X, _Y, _RA, _DEC = "pos.cartesian.x", "pos.cartesian.y", "pos.eq.ra", "pos.eq.dec"
 UCDS = {
-    # Of two catalogues.
+    # Two catalogues.
     "sep_arcsec": "pos.angDistance", "dx_arcsec": f"{_RA};arith.diff", "dy_arcsec": f"{_DEC};arith.diff",
     "mahalanobis": "stat.fit.residual", "log_odds": "stat.likelihood", "p_match": "stat.probability",
     "p_none": "stat.probability", "p_second": "stat.probability", "id_second": "meta.id.cross",
@@ -21,14 +21,14 @@ UCDS = {
     "covered": "meta.code", "p_any": "stat.probability", "p_i": "stat.probability",
     "dist_bayesfactor": "stat.likelihood", "id_1": "meta.id", "id_2": "meta.id.cross", "row_1": "meta.record",
     "row_2": "meta.record",
-    # Of three catalogues and more.
+    # Three or more catalogues.
     "n_catalogues": "meta.number", "p_object": "stat.probability", "p_runner_up": "stat.probability",
     "runner_up": "meta.id.cross", "ra_object": f"{_RA};meta.main", "dec_object": f"{_DEC};meta.main",
     "ra_object_error": f"stat.error;{_RA};meta.main", "dec_object_error": f"stat.error;{_DEC};meta.main",
     "ra_dec_object_corr": f"stat.correlation;{_RA};{_DEC}", "pmra_object": f"pos.pm;{_RA}",
     "pmdec_object": f"pos.pm;{_DEC}", "pmra_object_error": f"stat.error;pos.pm;{_RA}",
     "pmdec_object_error": f"stat.error;pos.pm;{_DEC}", "epoch_object": "time.epoch", "chi_sq": "stat.fit.chi2",
-    # Of a frame.
+    # A frame.
     "fate": "meta.code.class", "measurement": "meta.id;meta.main", "star": "meta.id.cross", "star_row": "meta.record",
     "remark": "meta.note", "flags": "meta.code.qual", "x_px": f"{_X};instr.det", "y_px": f"{_Y};instr.det",
     "x_image": f"{_X};instr.det", "y_image": f"{_Y};instr.det", "cov_xx_px2": f"stat.variance;{_X};instr.det",
@@ -47,7 +47,7 @@ UCDS = {
 
 
 def meta_of(name: str) -> dict[str, Any]:
-    """The metadata of a column of that name: its UCD, where it has one.
+    """The metadata of a column by its name: its UCD, if it has one.
 
     >>> meta_of("p_match"), meta_of("x_m")
     ({'ucd': 'stat.probability'}, {})
