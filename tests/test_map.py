@@ -171,7 +171,7 @@ def test_members_are_read_from_their_list() -> None:
 
 
 def unpack(heads: list[dict[str, Any]], text: str) -> dict[str, NDArray[Any]]:
-    """Straight from the definition in packing.py."""
+    """Straight from the definition in pages/map.py."""
     data, at, found = gzip.decompress(base64.b64decode(text)), 0, {}
     for head in heads:
         n, total, values = head["n"], 0, []

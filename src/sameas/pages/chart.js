@@ -1,10 +1,10 @@
-// What every page of the sky has: words for numbers, tables, and diagrams on a canvas.
+// Shared by the pages of frames, series and movers: number formats, tables, and diagrams on a canvas.
 "use strict";
 const el = id => document.getElementById(id);
 const css = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const colour = {};
 
-// ---- light and dark: what the reader has chosen, else what the system has ----
+// ---- light and dark: the reader's choice, else the setting of the system ----
 const SCHEME = "sameas-theme";
 function stored() { try { return localStorage.getItem(SCHEME); } catch { return null; } }
 function themed(day) {
@@ -13,14 +13,14 @@ function themed(day) {
 }
 const isDay = () => document.documentElement.classList.contains("day");
 themed((stored() ?? (window.matchMedia("(prefers-color-scheme: light)").matches ? "day" : "night")) === "day");
-// redraw : what draws everything anew in other colours.
+// redraw : called after the colours have changed.
 function onTheme(redraw) {
   const turn = () => { themed(!isDay()); try { localStorage.setItem(SCHEME, isDay() ? "day" : "night"); } catch { /* a page from disk may have no store */ } redraw(); };
   el("theme").addEventListener("click", turn);
   document.addEventListener("keydown", e => { if ((e.key === "d" || e.key === "D") && !e.ctrlKey && !e.metaKey && !["INPUT", "SELECT"].includes(e.target.tagName)) turn(); });
 }
 
-// ---- words ----
+// ---- formats ----
 const fix = (v, n) => v === null || v === undefined || !isFinite(v) ? "–" : v.toFixed(n).replace(/^-(?=[0.]*$)/, "").replace("-", "−");
 const grouped = n => String(n).replace(/\B(?=(\d{3})+(?!\d))/g, " ");
 const probability = p => p === null ? "–" : p > 0.9999 ? "> 0.9999" : p < 1e-6 ? "< 0.000001" : p < 0.001 ? p.toExponential(1).replace("-", "−") : p.toFixed(4);

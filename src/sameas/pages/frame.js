@@ -1,9 +1,9 @@
 "use strict";
 (() => {
 const data = JSON.parse(document.getElementById("data").textContent);
-const m = data.measured, s = data.stars, told = data.summary;
+const m = data.measured, s = data.stars, summary = data.summary;
 const [rows, columns] = data.shape;
-// Rows of measurements, and of missing stars. Those fainter than the catalogue reaches are not held against it.
+// Rows of measurements: identified, not in the catalogue, fainter than it reaches; and rows of missing stars.
 const found = [], alone = [], lost = [], beyond = m.beyond, isBeyond = new Set(beyond);
 m.x.forEach((_, i) => { if (m.star[i] !== null) found.push(i); else if (!isBeyond.has(i)) alone.push(i); });
 s.missing.forEach((is, k) => { if (is) lost.push(k); });
@@ -30,7 +30,7 @@ function paint() {
   if (show.grid.checked) graticule(c, w, h);
   const inside = (x, y, r) => x > -r && x < w + r && y > -r && y < h + r;
   c.lineWidth = 1.15;
-  // Of a whole frame on a small screen marks are small, or they hide it.
+  // Small marks while a whole frame is shown on a small screen, or they would hide it.
   const least = Math.min(Math.max(4 * view.scale, 1.5), 3);
   if (show.found.checked) {
     c.strokeStyle = colour.found;
@@ -79,7 +79,7 @@ function paint() {
 function arrows(c) {
   const grown = +el("grown").value, most = 0.045 * Math.max(columns, rows);
   c.strokeStyle = colour.odd; c.lineWidth = 1.2;
-  // An outlier's arrow is cut at a length that does not cover its neighbours', and dashed.
+  // Arrows of outliers are cut short and dashed, so that they do not cover others.
   for (const cut of [false, true]) {
     c.setLineDash(cut ? [3, 3] : []); c.beginPath();
     for (const i of found) {
@@ -93,12 +93,12 @@ function arrows(c) {
   }
   c.setLineDash([]);
 }
-function sayCut() {
+function showCut() {
   const grown = +el("grown").value, most = 0.045 * Math.max(columns, rows), cut = found.filter(i => grown * Math.hypot(m.dx[i], m.dy[i]) > most).length;
   el("cut").textContent = cut && show.arrows.checked ? `${grouped(cut)} longer ones are cut short and dashed` : "";
 }
 
-// ---- stretch: a table of 256 shades, applied to the picture once ----
+// ---- intensity stretch: a table of 256 grey values, applied to the image once per change ----
 let shades = null, stretched = null;
 function stretch() {
   const black = +el("black").value, white = Math.max(+el("white").value, black + 5), power = 2 ** (-+el("middle").value / 50), negative = el("negative").checked;
@@ -114,8 +114,8 @@ function stretch() {
   c.putImageData(image, 0, 0); draw();
 }
 
-// ---- the sky: the plate model, (ξ, η) = Σ c uᵃ vᵇ on the plane that touches it (METHOD of the plate) ----
-const plate = told.plate, RAD = Math.PI / 180, ARC = 3600 / RAD;
+// ---- pixels to sky by the plate model, (ξ, η) = Σ c uᵃ vᵇ on the tangent plane (METHOD of the plate) ----
+const plate = summary.plate, RAD = Math.PI / 180, ARC = 3600 / RAD;
 const powers = []; for (let n = 0; n <= plate.order; n++) for (let b = 0; b <= n; b++) powers.push([n - b, b]);
 const ra0 = plate.tangent_ra_deg * RAD, dec0 = plate.tangent_dec_deg * RAD, [s0, c0] = [Math.sin(dec0), Math.cos(dec0)];
 function toPlane(x, y) {
@@ -155,7 +155,7 @@ function graticule(c, w, h) {
   const line = (points, words, edge) => {
     let last = null, named = false; c.beginPath();
     for (const p of points) { const s = p && toScreen(...p); if (s && last) { c.moveTo(...last); c.lineTo(...s);
-        // The name stands where the line leaves the picture: below, or on the left.
+        // The label is where the line leaves the image: at the lower edge, or at the left one.
         const crosses = edge === "below" ? (last[1] - (h - 26)) * (s[1] - (h - 26)) <= 0 : (last[0] - 6) * (s[0] - 6) <= 0;
         if (crosses && !named) { const f = edge === "below" ? (h - 26 - last[1]) / (s[1] - last[1] || 1) : (6 - last[0]) / (s[0] - last[0] || 1), x = last[0] + f * (s[0] - last[0]), y = last[1] + f * (s[1] - last[1]);
           if (x > -1 && x < w - 60 && y > 60 && y < h - 20) { c.save(); c.globalAlpha = 1; c.strokeStyle = colour.night; c.lineWidth = 3; c.strokeText(words, x + 4, y - 4); c.fillText(words, x + 4, y - 4); c.restore(); named = true; } } }
@@ -179,9 +179,9 @@ function zoom(factor, u = sky.clientWidth / 2, v = sky.clientHeight / 2) {
   const [x, y] = toPixel(u, v);
   view.scale = Math.min(Math.max(view.scale * factor, view.least), 60);
   view.x = x - (u - sky.clientWidth / 2) / view.scale; view.y = y + (v - sky.clientHeight / 2) / view.scale;
-  keep(); draw();
+  clampView(); draw();
 }
-function keep() { view.x = Math.min(Math.max(view.x, 0), columns - 1); view.y = Math.min(Math.max(view.y, 0), rows - 1); }
+function clampView() { view.x = Math.min(Math.max(view.x, 0), columns - 1); view.y = Math.min(Math.max(view.y, 0), rows - 1); }
 function whole() { fit(); view.scale = view.least; view.x = (columns - 1) / 2; view.y = (rows - 1) / 2; draw(); }
 
 function nearest(u, v) {
@@ -196,11 +196,11 @@ function nearest(u, v) {
 }
 function pick(p, centre) {
   picked = p;
-  if (p && centre) { [view.x, view.y] = where(p); view.scale = Math.max(view.scale, 4 * view.least, 3); keep(); }
+  if (p && centre) { [view.x, view.y] = where(p); view.scale = Math.max(view.scale, 4 * view.least, 3); clampView(); }
   record(); draw();
 }
 
-// ---- the record ----
+// ---- the selected record ----
 function record() {
   const box = el("record"); box.replaceChildren();
   if (!picked) { box.append(text("p", "Click a mark to see what it is, and what else it might be.", "hint")); return; }
@@ -273,7 +273,7 @@ let byMagnitude = null;
 function diagrams() {
   const bright = i => s.mag[m.star[i]] ?? null, known = found.filter(i => bright(i) !== null);
   const list = known.length > 2 ? known : found, value = known.length > 2 ? bright : i => m.inst[i];
-  const scatter = told.residuals.scatter_arcsec.map(v => v ?? 1), limit = 5 * Math.max(...scatter, 1e-4);
+  const scatter = summary.residuals.scatter_arcsec.map(v => v ?? 1), limit = 5 * Math.max(...scatter, 1e-4);
   const name = known.length > 2 ? "magnitude" : "instrumental magnitude";
   const clip = v => Math.min(Math.max(v, -limit), limit);
   let [c, X, Y] = axes(el("by-magnitude"), range(list.map(value), 0.03), [-1.05 * limit, 1.05 * limit], name, "measured − catalogue [″]");
@@ -281,7 +281,7 @@ function diagrams() {
   const clipped = list.filter(i => Math.max(Math.abs(m.de[i]), Math.abs(m.dn[i])) > limit).length;
   el("clipped").textContent = clipped ? `; at the edge: ${grouped(clipped)} beyond ± ${fix(limit, limit < 0.1 ? 3 : 2)}″` : "";
   byMagnitude = { list, points: i => [[X(value(i)), Y(clip(m.de[i]))], [X(value(i)), Y(clip(m.dn[i]))]] };
-  const zero = told.brightness.zero_point;
+  const zero = summary.brightness.zero_point;
   el("zero").textContent = zero ? zero.words : "no magnitudes to compare";
   if (zero) {
     const [a, b] = range(known.map(i => m.inst[i]), 0.03), [p, q] = range(known.map(bright), 0.03);
@@ -289,7 +289,7 @@ function diagrams() {
     dots(c, known.map(i => [m.inst[i], bright(i)]), X, Y, colour.east); dots(c, data.odd.map(i => [m.inst[i], bright(i)]), X, Y, colour.odd);
     c.strokeStyle = colour.north; c.lineWidth = 2; c.beginPath(); data.relation.forEach(([x, y], k) => k ? c.lineTo(X(x), Y(y)) : c.moveTo(X(x), Y(y))); c.stroke();
   }
-  const curve = told.brightness.completeness;
+  const curve = summary.brightness.completeness;
   el("shown").textContent = curve ? curve.words : "the catalogue has no magnitudes";
   if (curve) {
     const e = curve.edges_mag; [c, X, Y] = axes(el("complete"), [e[0], e[e.length - 1]], [0, 1.2 * Math.max(...curve.stars, 1)], "magnitude", "stars on the frame");
@@ -304,16 +304,16 @@ function diagrams() {
 }
 
 // ---- facts ----
-// As the report says it: the median residual over the one that the quoted errors give.
+// The same quantity as in the report: the median residual over that expected from the quoted errors.
 function errorWords() {
-  const scale = told.estimated && told.estimated.error_scale;
-  return scale ? `the median residual is ${fix(scale[0], 2)} ± ${fix(scale[1], 2)} times that of the quoted errors` : `${fix(told.found.typical_error_scale, 2)} times those quoted`;
+  const scale = summary.estimated && summary.estimated.error_scale;
+  return scale ? `the median residual is ${fix(scale[0], 2)} ± ${fix(scale[1], 2)} times that of the quoted errors` : `${fix(summary.found.typical_error_scale, 2)} times those quoted`;
 }
 function facts() {
-  const p = told.place, r = told.residuals, f = told.found, plate = told.plate;
+  const p = summary.place, r = summary.residuals, f = summary.found, plate = summary.plate;
   const angle = d => d >= 1 ? fix(d, 2) + "°" : d >= 1 / 60 ? fix(60 * d, 1) + "′" : fix(3600 * d, 1) + "″";
   el("about").textContent = `${hms(p.middle_ra_deg)} ${dms(p.middle_dec_deg)} · ${angle(p.width_deg)} × ${angle(p.height_deg)} · ${fix(p.scale_arcsec_per_px, 4)}″ per pixel`
-    + (told.exposure && told.exposure.mid_time ? ` · ${told.exposure.mid_time}` : "") + ` · ${data.catalogue}`;
+    + (summary.exposure && summary.exposure.mid_time ? ` · ${summary.exposure.mid_time}` : "") + ` · ${data.catalogue}`;
   el("n-found").textContent = grouped(found.length); el("n-alone").textContent = grouped(alone.length); el("n-beyond").textContent = grouped(beyond.length); el("beyond").hidden = !beyond.length; el("n-lost").textContent = grouped(lost.length);
   table(el("plate"), [["placed by", `${p.found_by}, odds ${p.odds}; next best ${p.next_best_odds}`], ["order", `${plate.order} (BIC ${Object.entries(plate.bic).map(([o, v]) => `${o}: ${fix(v, 0)}`).join(", ")})`],
     ["residuals, robust 1σ", `${fix(r.scatter_arcsec[0], 3)}″ east, ${fix(r.scatter_arcsec[1], 3)}″ north`], ["rms", `${fix(r.rms_arcsec[0], 3)}″, ${fix(r.rms_arcsec[1], 3)}″`],
@@ -325,16 +325,16 @@ function facts() {
     line([n, fix(plate.coefficients_arcsec[0][k], 4), fix(plate.coefficients_sigma_arcsec[0][k], 4), fix(plate.coefficients_arcsec[1][k], 4), fix(plate.coefficients_sigma_arcsec[1][k], 4)], "td")));
   table(el("counts"), [["measurements", grouped(f.measurements)], ["stars on the frame", grouped(f.stars_on_frame)], ["identified", grouped(f.identified)], ["expected wrong", fix(f.expected_wrong, 1)],
     ["with probability below 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified) + (f.beyond_catalogue ? `, of which ${grouped(f.beyond_catalogue)} are fainter than it reaches` : "")], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["errors", errorWords()]]);
-  el("notes").replaceChildren(...[...(told.exposure ? told.exposure.read : []), ...told.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
+  el("notes").replaceChildren(...[...(summary.exposure ? summary.exposure.read : []), ...summary.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
   const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest ?? found.length, found.length);
-  const say = () => { el("n-many").textContent = grouped(+many.value); }; say(); many.addEventListener("input", () => { say(); draw(); });
+  const showCount = () => { el("n-many").textContent = grouped(+many.value); }; showCount(); many.addEventListener("input", () => { showCount(); draw(); });
   const lengths = found.map(i => Math.hypot(m.dx[i], m.dy[i])).sort((a, b) => a - b), typical = lengths[Math.floor(0.7 * lengths.length)] || 1;
   const ideal = 0.02 * columns / typical, steps = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000];
   el("grown").replaceChildren(...steps.map(n => { const o = text("option", String(n)); o.value = n; return o; }));
-  el("grown").value = steps.filter(n => n <= ideal).pop() || 1; sayCut(); oddList();
+  el("grown").value = steps.filter(n => n <= ideal).pop() || 1; showCut(); oddList();
 }
 
-// ---- what people do ----
+// ---- input ----
 let drag = null;
 sky.addEventListener("wheel", e => { e.preventDefault(); zoom(Math.exp(-0.0016 * e.deltaY), e.offsetX, e.offsetY); }, { passive: false });
 sky.addEventListener("pointerdown", e => { drag = { u: e.offsetX, v: e.offsetY, x: view.x, y: view.y, moved: false }; sky.setPointerCapture(e.pointerId); });
@@ -343,17 +343,17 @@ sky.addEventListener("pointermove", e => {
   el("place").textContent = `${hms(ra)} ${dms(dec)}   ${fix(ra, 5)}° ${fix(dec, 5)}°   x ${fix(x, 1)} y ${fix(y, 1)}`;
   if (!drag) return;
   if (Math.hypot(e.offsetX - drag.u, e.offsetY - drag.v) > 4) drag.moved = true;
-  if (drag.moved) { view.x = drag.x - (e.offsetX - drag.u) / view.scale; view.y = drag.y + (e.offsetY - drag.v) / view.scale; keep(); draw(); }
+  if (drag.moved) { view.x = drag.x - (e.offsetX - drag.u) / view.scale; view.y = drag.y + (e.offsetY - drag.v) / view.scale; clampView(); draw(); }
 });
 sky.addEventListener("pointerup", e => { if (drag && !drag.moved) pick(nearest(e.offsetX, e.offsetY), false); drag = null; });
 sky.addEventListener("dblclick", e => zoom(2, e.offsetX, e.offsetY));
 sky.addEventListener("keydown", e => { if (e.key === "+" || e.key === "=") zoom(1.5); else if (e.key === "-") zoom(1 / 1.5); else if (e.key === "0") whole();
-  else if (e.key.startsWith("Arrow")) { const d = 60 / view.scale; view.x += { ArrowLeft: -d, ArrowRight: d }[e.key] || 0; view.y += { ArrowUp: d, ArrowDown: -d }[e.key] || 0; keep(); draw(); e.preventDefault(); } });
+  else if (e.key.startsWith("Arrow")) { const d = 60 / view.scale; view.x += { ArrowLeft: -d, ArrowRight: d }[e.key] || 0; view.y += { ArrowUp: d, ArrowDown: -d }[e.key] || 0; clampView(); draw(); e.preventDefault(); } });
 el("closer").addEventListener("click", () => zoom(1.6)); el("farther").addEventListener("click", () => zoom(1 / 1.6)); el("whole").addEventListener("click", whole);
-for (const id of ["grown", "show-arrows"]) el(id).addEventListener("change", () => { sayCut(); draw(); });
+for (const id of ["grown", "show-arrows"]) el(id).addEventListener("change", () => { showCut(); draw(); });
 for (const id of ["black", "middle", "white"]) el(id).addEventListener("input", stretch);
 el("negative").addEventListener("change", stretch);
-// On paper stars are black.
+// In the light theme stars are black on white.
 onTheme(() => { el("negative").checked = isDay(); stretch(); record(); diagrams(); });
 el("negative").checked = isDay(); for (const box of Object.values(show)) box.addEventListener("change", draw);
 el("search").addEventListener("change", search);

@@ -1,9 +1,9 @@
-// ---- the chart: what part of the plane is seen, and what is drawn on it ----
+// ---- the chart: the visible part of the plane, and the drawing of objects and records ----
 const chart = el("chart");
 const [boxWest, boxSouth, boxEast, boxNorth] = data.box;
-// Metres in the middle, pixels per metre and their limits, and the size of the chart in pixels.
+// Centre, metres; scale and its limits, pixels per metre; size of the chart, pixels.
 const view = { x: 0, y: 0, scale: 1, least: 1e-9, most: 1, w: 1, h: 1 };
-// What a page that goes on draws above all, and says of an object.
+// Filled by map-live.js: functions that draw above everything, and functions that return further facts of an object.
 const overlays = [],
   furtherFacts = [];
 let picked = null,
@@ -25,7 +25,7 @@ function surface(canvas) {
   c.setTransform(ratio, 0, 0, ratio, 0, 0);
   return [c, w, h];
 }
-function keep() {
+function clampView() {
   view.scale = Math.min(Math.max(view.scale, view.least), view.most);
   const halfX = view.w / 2 / view.scale,
     halfY = view.h / 2 / view.scale;
@@ -44,7 +44,7 @@ function whole() {
     free = Math.min(70, chart.clientWidth / 8);
   limits();
   const { w, h } = view;
-  // What lies under the open legend is not seen: on a wide chart everything is put beside it.
+  // On a wide chart the open legend must not cover anything.
   const covered = el("legend").open && w > 760 ? el("legend").offsetWidth : 0;
   view.scale = Math.max(
     view.least,
@@ -52,7 +52,7 @@ function whole() {
   );
   view.x = (west + east) / 2 - covered / 2 / view.scale;
   view.y = (south + north) / 2;
-  keep();
+  clampView();
   draw();
 }
 function zoom(factor, u = view.w / 2, v = view.h / 2) {
@@ -60,7 +60,7 @@ function zoom(factor, u = view.w / 2, v = view.h / 2) {
   view.scale = Math.min(Math.max(view.scale * factor, view.least), view.most);
   view.x = x - (u - view.w / 2) / view.scale;
   view.y = y + (v - view.h / 2) / view.scale;
-  keep();
+  clampView();
   draw();
 }
 function centre(x, y, closer) {
@@ -68,7 +68,7 @@ function centre(x, y, closer) {
   view.x = x;
   view.y = y;
   if (closer) view.scale = Math.max(view.scale, closer);
-  keep();
+  clampView();
   draw();
 }
 const draw = () => {
@@ -81,16 +81,16 @@ const draw = () => {
   }
 };
 
-function keepPicked() {
+function followPicked() {
   const r = now.rowOf.get(picked);
   if (!following || r === undefined || !Number.isFinite(objects.x[r])) return;
   view.x = objects.x[r];
   view.y = objects.y[r];
-  keep();
+  clampView();
 }
 function paint() {
   if (!now) return;
-  keepPicked();
+  followPicked();
   const [c, w, h] = surface(chart);
   c.lineJoin = "round";
   c.lineCap = "butt";
@@ -128,8 +128,8 @@ function paint() {
   document.body.dataset.drawn = String(now.k);
 }
 
-// The distance between neighbours, px, where there are objects, decides what is drawn: dots, then rings with vectors, then
-// also trails, records, ellipses and member lines. What is picked, ambiguous or alarmed is always drawn whole.
+// The typical distance between neighbours, px, decides what is drawn: dots, then rings with vectors, then also trails,
+// records, ellipses and member lines. Objects that are picked, ambiguous or in an alarm are always drawn in full.
 const CELL = 64,
   VECTORS_FROM = 22,
   DETAILS_FROM = 44,
@@ -142,31 +142,31 @@ function crowding(drawn) {
   for (const d of inside) cells.set(cellOf(d.u, d.v), (cells.get(cellOf(d.u, d.v)) || 0) + 1);
   const spacing = inside.length > 60 ? CELL * Math.sqrt(cells.size / inside.length) : Infinity;
   return {
-    // In steps of half a pixel, or symbols would breathe while the chart is moved.
+    // In steps of half a pixel, so that symbols keep their size while the chart is panned.
     radius: Math.min(8, Math.max(2, Math.round(spacing / 2) / 2)),
     vectors: spacing > VECTORS_FROM,
     details: spacing > DETAILS_FROM,
     cells,
   };
 }
-// Whether an object has few others around it.
+// Whether an object has few neighbours.
 function isApart(d) {
   let n = 0;
   for (const u of [d.u - CELL, d.u, d.u + CELL])
     for (const v of [d.v - CELL, d.v, d.v + CELL]) n += crowd.cells.get(cellOf(u, v)) || 0;
   return n <= 6;
 }
-function matters(n) {
+function isImportant(n) {
   return n === picked || now.alarmed.has(n) || !!objects.ambiguous[now.rowOf.get(n)];
 }
-const drawnWhole = n => crowd.details || matters(n);
+const drawnInFull = n => crowd.details || isImportant(n);
 
 function trails(c, w, h, drawn) {
   const back = +el("trail").value;
   if (!back) return;
   const kinds = new Map();
   for (const d of drawn) {
-    if (!drawnWhole(d.n)) continue;
+    if (!drawnInFull(d.n)) continue;
     const ink = d.n === picked ? colour.accent : colour.old,
       path = groupPath(kinds, ink, { ink }),
       first = rowsOf.get(d.n)[0];
@@ -199,7 +199,7 @@ function addEllipse(path, table, row, u, v) {
   const major = 2 * table.major[row] * view.scale,
     minor = Math.max(2 * table.minor[row] * view.scale, 0.5),
     angle = -table.angle[row] * RAD;
-  // One that is smaller than the symbol would only blot it.
+  // An ellipse inside the symbol would make it illegible.
   if (!(major < 5000) || major < crowd.radius) return;
   path.moveTo(u + major * Math.cos(angle), v + major * Math.sin(angle));
   path.ellipse(u, v, major, minor, angle, 0, 2 * Math.PI);
@@ -207,7 +207,7 @@ function addEllipse(path, table, row, u, v) {
 function ellipses(c, drawn) {
   const kinds = new Map();
   for (const d of drawn) {
-    if (!d.inside || objects.stage[d.r] === STAGE.ended || !drawnWhole(d.n)) continue;
+    if (!d.inside || objects.stage[d.r] === STAGE.ended || !drawnInFull(d.n)) continue;
     const ink = objects.ambiguous[d.r] ? colour.warn : d.n === picked ? colour.accent : colour.dim;
     addEllipse(groupPath(kinds, ink, { ink, dash: [] }), objects, d.r, d.u, d.v);
   }
@@ -225,7 +225,7 @@ function ellipses(c, drawn) {
   c.setLineDash([]);
 }
 
-// The record where it is drawn: its position, or for a direction the point of the ray nearest to the object.
+// Where a record is drawn: at its position, or for a direction at the point of its ray nearest to the object.
 function markPlace(r) {
   if (Number.isFinite(records.x[r])) return [records.x[r], records.y[r]];
   const site = [records.sx[r], records.sy[r]],
@@ -239,17 +239,17 @@ function marks(c, w, h) {
   if (!shown.records) return;
   const directions = [];
   for (const r of now.marks) {
-    if (!shown.source[records.source[r]] || !drawnWhole(records.n[r])) continue;
+    if (!shown.source[records.source[r]] || !drawnInFull(records.n[r])) continue;
     const place = rowsOf.has(records.n[r]) && markPlace(r),
       [u, v] = place ? toScreen(...place) : [NaN, NaN],
       inside = u > -10 && v > -10 && u < w + 10 && v < h + 10;
     if (Number.isFinite(records.bearing[r]) && Number.isFinite(records.sx[r])) directions.push({ r, placed: !!place, inside });
     if (inside) hits.push({ u, v, r, n: records.n[r], record: true });
   }
-  // Many directions would cover the chart: then, and to what is out of sight, only those of objects that matter are drawn.
-  // A direction that no object explains has no other mark.
+  // Many directions would cover the chart: if there are many, or the object is out of sight, only those of important
+  // objects are drawn. A direction without an object is always drawn: it has no other mark.
   const few = directions.filter(d => d.inside).length <= MOST_RAYS;
-  for (const { r, placed, inside } of directions) if (!placed || (inside && few) || matters(records.n[r])) ray(c, r, w, h);
+  for (const { r, placed, inside } of directions) if (!placed || (inside && few) || isImportant(records.n[r])) ray(c, r, w, h);
 }
 function markSymbols(c) {
   withSprites(c, copy => {
@@ -294,7 +294,7 @@ function memberLines(c, drawn) {
     path.lineTo(u, v);
   };
   for (const d of drawn) {
-    if (!drawnWhole(d.n)) continue;
+    if (!drawnInFull(d.n)) continue;
     for (const r of now.members.get(d.n)) join(d, r, colourOf(records.source[r]), d.n === picked ? 2 : 1, []);
     if (!objects.ambiguous[d.r] && d.n !== picked) continue;
     for (const r of rivalsOf(d.r)) if (records.n[r] !== d.n) join(d, r, colour.warn, 1.4, [5, 4]);
@@ -312,13 +312,13 @@ function symbols(c, drawn) {
   const inside = drawn.filter(d => d.inside);
   vectors(c, inside);
   withSprites(c, copy => {
-    // What matters lies on top.
+    // Important objects on top.
     for (const d of inside.sort((a, b) => rank(b) - rank(a))) {
       const how = {
         several: isSeveral(d.r),
         ambiguous: !!objects.ambiguous[d.r],
         alarmed: now.alarmed.has(d.n),
-        r: matters(d.n) ? 8 : crowd.radius,
+        r: isImportant(d.n) ? 8 : crowd.radius,
       };
       copy(symbolSprite(objects.stage[d.r], how), d.u, d.v);
       hits.push({ u: d.u, v: d.v, n: d.n, r: d.r, record: false });
@@ -330,7 +330,7 @@ function symbols(c, drawn) {
 function vectors(c, inside) {
   const kinds = new Map();
   for (const d of inside) {
-    if (!d.ahead || !(crowd.vectors || matters(d.n))) continue;
+    if (!d.ahead || !(crowd.vectors || isImportant(d.n))) continue;
     const stage = objects.stage[d.r],
       dashed = stage === STAGE.coasting || stage === STAGE.tentative,
       ink = objects.ambiguous[d.r] ? colour.warn : colour.ink;
@@ -343,13 +343,13 @@ function vectors(c, inside) {
     strokeOnHalo(c, path, ink, 1.7, crowd.details ? 4.2 : 0);
   }
 }
-// The path of all lines of one kind, which are stroked together.
+// The path that collects all lines of one style, to be stroked at once.
 function groupPath(kinds, key, kind) {
   if (!kinds.has(key)) kinds.set(key, { ...kind, path: new Path2D() });
   return kinds.get(key).path;
 }
 
-// Where the vector of an object ends on the screen, or null.
+// The end of an object's course vector on the screen, or null.
 function vectorEnd(r, u, v) {
   const far = +el("vector").value * view.scale,
     du = objects.vx[r] * far,
@@ -357,7 +357,7 @@ function vectorEnd(r, u, v) {
   return objects.stage[r] !== STAGE.ended && Math.hypot(du, dv) > 3 ? [u + du, v + dv] : null;
 }
 
-// The object under the hand; where several lie, the next one after that picked.
+// The object at a point of the screen; of several, the one after the picked one.
 function nearest(u, v) {
   const close = hits
     .map(hit => ({ n: hit.n, d: Math.hypot(hit.u - u, hit.v - v) + (hit.record ? 6 : 0) }))

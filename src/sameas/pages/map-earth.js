@@ -1,4 +1,4 @@
-// ---- between the plane of the map and the earth (WGS84), as sameas.tracks.coordinates has it ----
+// ---- conversion between the plane of the map and the earth (WGS84), as in sameas.tracks.coordinates ----
 const A = 6378137,
   B = 6356752.314245179,
   E2 = 1 - (B / A) ** 2,
@@ -21,7 +21,7 @@ const earth =
       const p = onEarth(lat * RAD, lon * RAD).map((v, k) => v - o[k]);
       return dot(p, up) < -4e6 ? null : [dot(p, east), dot(p, north)];
     };
-    // [lat, lon] of the foot, or null beyond the edge of the earth.
+    // [lat, lon] below a point of the plane, or null if there is none.
     const toEarth = (x, y) => {
       const above = o.map((v, k) => v + x * east[k] + y * north[k]),
         w = [1 / A ** 2, 1 / A ** 2, 1 / B ** 2];
@@ -35,7 +35,7 @@ const earth =
         p = above.map((v, k) => v + h * up[k]);
       return [Math.atan2(p[2], (1 - E2) * Math.hypot(p[0], p[1])) / RAD, Math.atan2(p[1], p[0]) / RAD];
     };
-    // The direction of true north at a place, degrees clockwise from the plane's.
+    // Direction of true north at a place, degrees clockwise from the plane's north.
     const north_at = (x, y) => {
       const g = toEarth(x, y);
       if (!g || Math.abs(g[0]) > 89.99) return 0;
@@ -91,7 +91,7 @@ const STEPS = [
   1 / 60000,
 ];
 const digitsOf = step => (step >= 1 / 60 ? 0 : step >= 1 / 600 ? 1 : step >= 1 / 6000 ? 2 : 3);
-// Lines of latitude and longitude over a part of the plane: { points, words, parallel }.
+// The graticule over a part of the plane: { points, words, parallel } per line.
 function graticule(west, south, east, north, apart) {
   const lats = [],
     lons = [],

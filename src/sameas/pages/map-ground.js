@@ -1,4 +1,4 @@
-// ---- under the objects: land, grid, coverage, rings; above them: scale, north ----
+// ---- background: land, grid, coverage, range rings, sites; foreground: scale bars, north arrow ----
 const path = (lines, closed) => {
   const p = new Path2D();
   for (const line of lines) {
@@ -60,7 +60,7 @@ function grid(c, w, h) {
     c.beginPath();
     points.forEach(([u, v], k) => (k ? c.lineTo(u, v) : c.moveTo(u, v)));
     c.stroke();
-    const edge = line.parallel ? w - 4 : 10; // parallels are named at the right, meridians at the top
+    const edge = line.parallel ? w - 4 : 10; // parallels are labelled at the right, meridians at the top
     for (let k = 1; k < points.length; k++) {
       const [a, b] = [points[k - 1], points[k]],
         axis = line.parallel ? 0 : 1;
@@ -150,7 +150,7 @@ function sites(c) {
   });
 }
 
-// The place that rings, bearings and ranges are counted from.
+// The origin of range rings, bearings and ranges.
 function ringCentre() {
   const chosen = el("ring").value;
   if (chosen === "object") {

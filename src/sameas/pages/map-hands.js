@@ -1,4 +1,4 @@
-// ---- what people do: time, picking, keys, hands ----
+// ---- controls: time, selection, keys, pointer ----
 const slider = el("slider");
 let last = data.instants.length - 1,
   playing = 0,
@@ -49,11 +49,11 @@ function remember() {
 function recall() {
   const kept = new URLSearchParams(location.hash.slice(1)),
     number = +kept.get("object");
-  show(kept.has("t") && Number.isFinite(+kept.get("t")) ? +kept.get("t") : firstWorth());
+  show(kept.has("t") && Number.isFinite(+kept.get("t")) ? +kept.get("t") : firstFullInstant());
   if (kept.has("object") && rowsOf.has(number)) pick(number);
 }
-// The map opens at the first instant at which nearly all is there that there ever is at once.
-const firstWorth = () => {
+// The first instant with at least 0.9 of the largest number of records: there the map opens.
+const firstFullInstant = () => {
   let most = 0;
   for (let k = 0; k <= last; k++) most = Math.max(most, recordsAt(k).length);
   let k = 0;
@@ -85,7 +85,7 @@ function showHidden() {
   if (u < 20 || v < 20 || u > view.w - 20 || v > view.h - 20) centre(objects.x[row], objects.y[row]);
 }
 
-// Above the slider: how many objects, and of those ambiguous; alarms as ticks.
+// Above the slider: numbers of objects and of ambiguous ones; alarms as ticks.
 const counted = k => {
   let live = 0,
     doubt = 0;
@@ -137,7 +137,7 @@ function theme(dark) {
 }
 const nearestPeriod = (wanted, periods) =>
   periods.reduce((best, s) => (Math.abs(Math.log(s / wanted)) < Math.abs(Math.log(best / wanted)) ? s : best));
-// Vectors of the faster objects are a tenth of the chart long, less where there are many.
+// Default length of course vectors: for fast objects a tenth of the chart, shorter if there are many objects.
 function usualAhead() {
   const speeds = [...objects.speed].filter(v => v > 0.5).sort((a, b) => a - b);
   const fast = speeds[Math.floor(0.9 * speeds.length)] || 1;
@@ -232,7 +232,7 @@ function pointers() {
       el("follow").setAttribute("aria-pressed", "false");
       view.x = drag.x - (e.offsetX - drag.u) / view.scale;
       view.y = drag.y + (e.offsetY - drag.v) / view.scale;
-      keep();
+      clampView();
       draw();
     }
   });
@@ -320,7 +320,7 @@ function onButtons() {
     if (playing) play(true);
   });
 }
-// While everything is shown, everything stays shown when the window changes.
+// A view that shows everything still does so after the window was resized.
 function onResize() {
   let fitted = 0;
   return () => {
@@ -330,7 +330,7 @@ function onResize() {
       fitted = view.scale;
     } else {
       limits();
-      keep();
+      clampView();
       draw();
     }
     strip();

@@ -1,11 +1,11 @@
-// ---- labels beside their symbols: the important ones first; one that finds no free place is left out ----
+// ---- labels next to their symbols, important ones first; a label without a free place is not drawn ----
 const LINE_HEIGHT = 14;
 
-// The boxes [left, top, right, bottom] of the chart that are taken, by cells so that few are compared.
+// Occupied boxes [left, top, right, bottom] of the chart, in cells so that few are compared.
 function takenRoom() {
   const size = 40,
     cells = new Map();
-  // Calls visit for the boxes of each cell that a box touches, until it returns true.
+  // Calls visit for each cell that a box touches, until it returns true.
   const some = (box, visit) => {
     for (let i = Math.floor(box[0] / size); i <= Math.floor(box[2] / size); i++)
       for (let j = Math.floor(box[1] / size); j <= Math.floor(box[3] / size); j++) if (visit(i * 4096 + j)) return true;
@@ -21,7 +21,7 @@ function takenRoom() {
   };
   return { free, take };
 }
-// Widths of texts in the font of the labels.
+// Widths of texts in the label font, cached.
 const textWidths = new Map();
 function textWidth(c, words) {
   if (!textWidths.has(words)) textWidths.set(words, c.measureText(words).width);
@@ -29,11 +29,11 @@ function textWidth(c, words) {
 }
 function takeSymbols(room, drawn) {
   for (const d of drawn) {
-    // Dots of a crowd may lie under labels, or it would have none.
-    const half = crowd.vectors || matters(d.n) ? 7 : isApart(d) ? 4 : 0;
+    // Labels may cover dots in a crowd, or there would be no labels.
+    const half = crowd.vectors || isImportant(d.n) ? 7 : isApart(d) ? 4 : 0;
     if (!half) continue;
     room.take([d.u - half, d.v - half, d.u + half, d.v + half]);
-    const steps = d.ahead && drawnWhole(d.n) ? Math.min(12, Math.hypot(d.ahead[0] - d.u, d.ahead[1] - d.v) / 9) : 0;
+    const steps = d.ahead && drawnInFull(d.n) ? Math.min(12, Math.hypot(d.ahead[0] - d.u, d.ahead[1] - d.v) / 9) : 0;
     for (let k = 1; k <= steps; k++) {
       const u = d.u + ((d.ahead[0] - d.u) * k) / steps;
       const v = d.v + ((d.ahead[1] - d.v) * k) / steps;
@@ -41,7 +41,7 @@ function takeSymbols(room, drawn) {
     }
   }
 }
-// What lies over the chart, and what is written on it before the labels.
+// Controls above the chart, scale bars, north arrow and sites.
 function takeFurniture(room, w, h) {
   for (const id of ["tools", "legend"]) {
     const box = el(id);
@@ -77,7 +77,7 @@ function labelInk(d) {
   if (now.alarmed.has(d.n)) return colour.alarm;
   return objects.ambiguous[d.r] ? colour.warn : colour.ink;
 }
-// Draws the lines at the first free place around the symbol; returns its box, or undefined.
+// Draws the lines of a label at the first free place around the symbol; returns its box, or undefined.
 function placed(c, room, d, lines, w) {
   const wide = Math.max(...lines.map(t => textWidth(c, t))) + 4;
   const high = LINE_HEIGHT * lines.length;
@@ -111,8 +111,8 @@ function labels(c, w, h, drawn) {
     const full = Number.isFinite(objects.speed[d.r]) && (named.length < 60 || d.n === picked);
     const high = Number.isFinite(objects.height[d.r]) ? ` ${flightLevel(objects.height[d.r])}` : "";
     const moving = `${knots(objects.speed[d.r])} ${course(courseOf(d.r))}${high}`;
-    // Labels of dots are so far apart that they are read as some of many.
-    if (!crowd.vectors && !matters(d.n) && !isApart(d) && !others.free([d.u - 92, d.v - 46, d.u + 92, d.v + 46])) continue;
+    // Labels of dots keep a distance, or they could not be assigned to their dots.
+    if (!crowd.vectors && !isImportant(d.n) && !isApart(d) && !others.free([d.u - 92, d.v - 46, d.u + 92, d.v + 46])) continue;
     const box = (full && placed(c, room, d, [name, moving], w)) || placed(c, room, d, [name], w);
     if (box) others.take(box);
   }

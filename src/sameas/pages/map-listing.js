@@ -14,10 +14,10 @@ const COLUMNS = [
   },
 ];
 const order = { key: "number", down: false };
-// Only the rows in sight are in the page: a picture may have thousands of objects.
+// Only visible rows are in the document: a picture may have thousands of objects.
 const ROW_HEIGHT = 25,
   MARGIN = 4;
-// Icons of sources in a row; of more sources the rest is a number.
+// Maximum number of source icons in a row; further sources are counted.
 const MOST_ICONS = 4;
 const lines = [],
   spacers = [0, 1].map(() => {
@@ -52,7 +52,7 @@ function wanted(r, words) {
   return (
     !words ||
     ["label", "name", "callsign", "mmsi", "icao", "mode_a", "type"].some(key =>
-      said("o", key, r).toLowerCase().includes(words),
+      textOf("o", key, r).toLowerCase().includes(words),
     ) ||
     String(numberOf(r)) === words.replace("#", "")
   );

@@ -1,7 +1,7 @@
-// ---- a page that goes on: deltas from the server, joined to the tables that the page has ----
-// A frame is an instant: its rows by number of the object, or by source and row of the record. The newest is the
-// present; every ten seconds one stays behind, for the slider and the trails. All tables are made anew of the frames,
-// at most MOST_ROWS of them, as the file's page has them: objects together, in the order of time.
+// ---- live page: deltas from the server update the tables ----
+// A frame is an instant: rows by number of the object, or by source and row of the record. The newest is the present;
+// every ten seconds one is kept as history, for the slider and the trails. The tables are rebuilt from all frames (at
+// most MOST_ROWS rows) in the layout of the page from a file: rows of an object together, in the order of time.
 const MOST_ROWS = 60000;
 const O = Object.fromEntries(data.live.object.map((name, k) => [name, k])),
   R = Object.fromEntries(data.live.record.map((name, k) => [name, k]));
@@ -11,7 +11,7 @@ let frames = [],
   present = { t: NaN, objects: new Map(), records: new Map(), own: null, cpa: {} },
   tick = 0,
   watching = true,
-  heardAt = performance.now();
+  receivedAt = performance.now();
 const interned = new Map();
 function numberOfText(key, words) {
   if (!interned.has(key)) {
@@ -48,7 +48,7 @@ function assemble() {
         table[name][at] = OBJECT_TEXTS.includes(name) ? numberOfText(`o.${name}`, row[O[name]] || "") : orNaN(row[O[name]]);
       at++;
     }
-  // Records of the present, and of the frames that stay behind none: the slider shows objects.
+  // Records of the present only: history frames have none.
   const marks = [...present.records.values()],
     r = { t: new Float64Array(marks.length).fill(all.length - 1), line: new Float64Array(marks.length).fill(-1) };
   for (const name in R)
@@ -69,7 +69,7 @@ function assemble() {
   slider.max = last;
   counts = data.instants.map((_, k) => counted(k));
 }
-function thin() {
+function dropOldFrames() {
   let rows = 0;
   for (const frame of frames) rows += frame.objects.size;
   while (frames.length && (rows > MOST_ROWS || present.t - frames[0].t > data.live.history)) {
@@ -77,7 +77,7 @@ function thin() {
     frames.shift();
   }
 }
-function take(delta) {
+function applyDelta(delta) {
   if (Number.isFinite(present.t) && (!frames.length || present.t - frames[frames.length - 1].t >= data.live.every))
     frames.push({ t: present.t, objects: new Map(present.objects) });
   if (delta.whole) {
@@ -88,12 +88,11 @@ function take(delta) {
   for (const n of delta.gone) present.objects.delete(n);
   for (const row of delta.records) present.records.set(`${row[R.source]}:${row[R.row]}`, row);
   for (const key of delta.lost) present.records.delete(key);
-  // What is said once, by an object that has ended, is not said again.
   present.t = delta.t;
   present.own = delta.own;
   present.cpa = delta.cpa || {};
-  takeAlarms(delta.alarms || []);
-  thin();
+  applyAlarms(delta.alarms || []);
+  dropOldFrames();
 }
 function renew() {
   const shownTime = now && !watching ? now.time : null;
@@ -103,9 +102,9 @@ function renew() {
   show(k);
 }
 
-// ---- alarms, acknowledged by those who may ----
+// ---- alarms; operators may acknowledge them ----
 let alarmWords = "";
-function takeAlarms(alarms) {
+function applyAlarms(alarms) {
   const words = JSON.stringify(alarms);
   if (words === alarmWords) return;
   alarmWords = words;
@@ -158,7 +157,7 @@ furtherFacts.push(r => {
     : [];
 });
 
-// ---- time: the present until someone goes back ----
+// ---- time: the present, unless the user goes back ----
 slider.addEventListener("input", () => {
   watching = +slider.value >= last;
   mark();
@@ -181,7 +180,7 @@ const liveMark = document.createElement("span");
 liveMark.id = "live-state";
 el("clock").append(" ", liveMark);
 function mark() {
-  const silent = (performance.now() - heardAt) / 1000,
+  const silent = (performance.now() - receivedAt) / 1000,
     broken = silent > Math.max(5, 5 * data.live.tick);
   liveMark.textContent = broken ? `no news for ${Math.round(silent)} s` : watching ? "live" : "looking back";
   liveMark.className = broken ? "broken-live" : watching ? "on-live" : "";
@@ -191,18 +190,18 @@ setInterval(mark, 1000);
 
 // ---- the server ----
 let queued = false;
-function heard(event) {
+function receive(event) {
   const delta = JSON.parse(event.data);
-  heardAt = performance.now();
+  receivedAt = performance.now();
   tick = delta.tick;
-  take(delta);
+  applyDelta(delta);
   mark();
   if (queued) return;
   queued = true;
   requestAnimationFrame(() => {
     queued = false;
     if (!watching && now) {
-      // Whoever looks back keeps his instant; the tables wait.
+      // While the user looks at the past, the tables are not updated.
       if (now.k < last) return;
     }
     renew();
@@ -210,15 +209,15 @@ function heard(event) {
   });
 }
 try {
-  const told = await (await fetch("history")).json();
-  for (const frame of told.frames)
+  const history = await (await fetch("history")).json();
+  for (const frame of history.frames)
     frames.push({ t: frame.t, objects: new Map(frame.objects.map(row => [row[O.n], row])) });
 } catch {
   /* without a past the page begins with the present */
 }
 const events = new EventSource("events");
-events.addEventListener("whole", heard);
-events.addEventListener("delta", heard);
+events.addEventListener("whole", receive);
+events.addEventListener("delta", receive);
 window.mapPage.live = {
   get tick() {
     return tick;

@@ -1,6 +1,6 @@
-// ---- how things look: colours of day and night, marks of sources, symbols of objects ----
-// After Okabe and Ito, darker by day and lighter by night: told apart by every kind of colour vision. Orange and red are
-// kept for what is doubtful and for alarms.
+// ---- appearance: colours by day and night, marks of sources, symbols of objects ----
+// After Okabe and Ito, darker by day and lighter by night: distinct for every colour vision. Orange and red are
+// reserved for ambiguity and alarms.
 const PALETTE = {
   day: ["#0067a5", "#007a58", "#a8407e", "#7a6200", "#5a45a8", "#2f8fc4", "#5c5c5c"],
   night: ["#5fb4f0", "#2fcf9b", "#f09ac6", "#d7d36a", "#b3a1ff", "#9fd8ff", "#bdbdbd"],
@@ -30,7 +30,7 @@ function readColours() {
     colour[name] = style.getPropertyValue("--" + name).trim();
 }
 const colourOf = source => PALETTE[night ? "night" : "day"][source % PALETTE.day.length];
-// Who says himself where he is gets the triangle, as AIS targets have on radars.
+// Sources that report their own position (AIS, ADS-B) get the triangle, as AIS targets have on radars.
 const markOf = (() => {
   const own = data.sensors.map(s => (/^(ais|ads-b)$/.test(s.kind) ? "triangle" : null));
   let used = 0;
@@ -46,7 +46,7 @@ const shown = {
   grid: true,
 };
 
-// Outlines about 0, 0 of size 1, for the chart and for icons.
+// Outlines around (0, 0) of size 1, for the chart and for icons.
 const OUTLINES = {
   square: "M-.85-.85h1.7v1.7h-1.7z",
   triangle: "M0-1.2 1 .8H-1z",
@@ -63,7 +63,7 @@ function outlineAt(kind, x, y, r) {
   path.addPath(outlinePaths[kind], { a: r, d: r, e: x, f: y });
   return path;
 }
-// A line that is seen on any ground: on a wider one in the colour of the ground, unless that is 0 wide.
+// A line that is visible on any background: on a wider line in the background colour (none if its width is 0).
 function strokeOnHalo(c, path, ink, wide, halo = wide + 2.5) {
   if (halo) {
     c.strokeStyle = colour.halo;
@@ -79,8 +79,8 @@ function drawMark(c, source, x, y, r = 4) {
   strokeOnHalo(c, outlineAt(markOf[source], x, y, r), colourOf(source), 1.7, 3.4);
 }
 
-// Sprites: each kind of symbol is stroked once, into a canvas of its own, and copied from there. Stroking 1000 objects
-// and their 1500 records takes 50 ms a frame without a graphics card, copying them 5 ms.
+// Sprites: each kind of symbol is drawn once into its own canvas and copied from there. A frame of 500 objects with
+// 800 records takes 34 ms of the processor without a graphics card if all are stroked, 22 ms with sprites and shared paths.
 const sprites = new Map();
 function sprite(key, half, drawAt) {
   const ratio = window.devicePixelRatio || 1,
@@ -95,7 +95,7 @@ function sprite(key, half, drawAt) {
   }
   return sprites.get(own);
 }
-// Calls draw with a function that copies a sprite to a place, at whole pixels of the screen: so it stays sharp.
+// Calls draw with a function that copies a sprite to a place, aligned to device pixels so that it stays sharp.
 function withSprites(c, draw) {
   const ratio = window.devicePixelRatio || 1;
   c.save();
@@ -107,8 +107,8 @@ const markSprite = (source, r) => sprite(`mark ${source} ${r}`, 1.2 * r + 3, c =
 const symbolSprite = (stage, how) =>
   sprite(`object ${stage} ${how.several} ${how.ambiguous} ${how.alarmed} ${how.r}`, how.r + 14, c => drawSymbol(c, stage, 0, 0, how));
 
-// Symbols of objects, near to those of tracked radar targets (IMO SN.1/Circ.243): dashed while being acquired, a
-// circle when tracked, crossed when lost; a dot where two or more sources see it.
+// Symbols of objects, similar to those of tracked radar targets (IMO SN.1/Circ.243): dashed while tentative, a circle
+// when confirmed, crossed while coasting; a dot if two or more sources report it.
 function symbolInk(stage, ambiguous, alarmed) {
   if (alarmed) return colour.alarm;
   if (ambiguous) return colour.warn;
@@ -119,7 +119,7 @@ function drawSymbol(c, stage, x, y, { several = false, ambiguous = false, alarme
   c.setLineDash([]);
   c.lineWidth = 1.5;
   if (stage === STAGE.ended) return c.stroke(outlineAt("cross", x, y, 4));
-  // Among thousands an object is a dot, pale where no source shows it for certain.
+  // In a crowd an object is a dot, pale unless confirmed.
   if (r < 4 && !ambiguous && !alarmed) {
     c.globalAlpha = stage === STAGE.confirmed ? 1 : 0.55;
     c.fill(outlineAt("circle", x, y, Math.max(r, 1.6)));

@@ -1,4 +1,4 @@
-// ---- the picked object, explained ----
+// ---- the panel of the selected object ----
 const tag = (words, cls = "") => text("span", words, `tag ${cls}`);
 const facts = pairs => {
   const t = document.createElement("table");
@@ -11,7 +11,7 @@ const sourceCell = source => {
   return cell;
 };
 const recordWords = r =>
-  `${data.sensors[records.source[r]].name} ${said("r", "track_id", r) || (records.line[r] >= 0 ? `line ${records.line[r]}` : `row ${records.row[r]}`)}`;
+  `${data.sensors[records.source[r]].name} ${textOf("r", "track_id", r) || (records.line[r] >= 0 ? `line ${records.line[r]}` : `row ${records.row[r]}`)}`;
 
 async function showObject() {
   const box = el("object");
@@ -43,10 +43,10 @@ async function showObject() {
   const why = document.createElement("div");
   box.replaceChildren(shut, text("h2", nameOf(r)), tags(r), facts(state(r)), ...membership(r), why);
   box.hidden = false;
-  const told = await whyText(number, instantShown);
-  if (!told || picked !== number || now.k !== instantShown) return;
-  const since = told.at < instantShown ? `, as at ${clock(data.instants[told.at])[0]}` : "";
-  why.replaceChildren(text("h3", `Why${since}`), ...paragraphs(told.words));
+  const explanation = await whyText(number, instantShown);
+  if (!explanation || picked !== number || now.k !== instantShown) return;
+  const since = explanation.at < instantShown ? `, as at ${clock(data.instants[explanation.at])[0]}` : "";
+  why.replaceChildren(text("h3", `Why${since}`), ...paragraphs(explanation.words));
 }
 // Lines of a table keep their columns, and scroll sideways; others wrap.
 function paragraphs(words) {
@@ -105,9 +105,9 @@ function state(r) {
       ["ICAO", "icao"],
       ["Mode A", "mode_a"],
       ["Type", "type"],
-    ].map(([label, key]) => [label, said("o", key, r)]),
+    ].map(([label, key]) => [label, textOf("o", key, r)]),
     ...furtherFacts.flatMap(of => of(r)),
-    ...data.alarms.filter(a => a.objects.includes(numberOf(r)) && holds(a, now.k)).map(a => ["Alarm", a.text]),
+    ...data.alarms.filter(a => a.objects.includes(numberOf(r)) && isActive(a, now.k)).map(a => ["Alarm", a.text]),
   ];
 }
 function membership(r) {
@@ -133,7 +133,7 @@ function membership(r) {
     ]
       .filter(Boolean)
       .join("; ");
-    // A rival of records that are not on the map has no words.
+    // Records of the runner-up may not be on the map; then there is nothing to list.
     if (change) parts.push(text("h3", `Otherwise, with probability ${probability(objects.rival[r])}: ${change}`));
     if (change && objects.rival[r] > objects.p[r])
       parts.push(
@@ -149,7 +149,7 @@ function memberTable(r, rows, cls = "") {
   t.append(tableRow(...["source", "track, line", "off", "age", "p"].map(words => text("th", words))));
   for (const m of rows) {
     const file = data.sensors[records.source[m]].file,
-      track = said("r", "track_id", m),
+      track = textOf("r", "track_id", m),
       line = records.line[m] >= 0 ? `line ${records.line[m]}` : `row ${records.row[m]}`;
     const place = markPlace(m),
       off = place ? Math.hypot(place[0] - objects.x[r], place[1] - objects.y[r]) : NaN;
@@ -193,9 +193,9 @@ function listAlarms() {
 function showAlarms() {
   const items = el("alarms").querySelectorAll("li");
   data.alarms.forEach((a, k) => {
-    items[k].className = holds(a, now.k) ? "current" : "past";
+    items[k].className = isActive(a, now.k) ? "current" : "past";
   });
-  const current = data.alarms.filter(a => holds(a, now.k)).length;
+  const current = data.alarms.filter(a => isActive(a, now.k)).length;
   el("tab-alarms").replaceChildren(
     "Alarms",
     ...(data.alarms.length ? [text("span", ` ${data.alarms.length}`, current ? "warn" : "")] : []),

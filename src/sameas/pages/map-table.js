@@ -1,4 +1,4 @@
-// ---- the data of the page: columns packed by packing.py, and what they are called ----
+// ---- the data of the page: columns packed by pages/map.py ----
 const data = JSON.parse(document.getElementById("data").textContent);
 const packedTexts = JSON.parse(document.getElementById("texts").textContent);
 const el = id => document.getElementById(id);
@@ -31,7 +31,7 @@ function column(head, bytes, at) {
   return [out, at];
 }
 
-// Rows of a table by the instant that its column t names: start[t] … start[t + 1] in order.
+// Rows of a table by instant (its column t).
 function byInstant(t) {
   const start = new Uint32Array(data.instants.length + 1),
     order = new Uint32Array(t.length);
@@ -53,21 +53,21 @@ try {
     [tables[table][name], at] = column(head, bytes, at);
   }
 } catch (error) {
-  const said = document.createElement("p");
-  said.className = "broken";
-  said.textContent = `The map cannot be shown: ${error.message}`;
-  document.body.replaceChildren(said);
+  const message = document.createElement("p");
+  message.className = "broken";
+  message.textContent = `The map cannot be shown: ${error.message}`;
+  document.body.replaceChildren(message);
   return;
 }
-// A page that goes on puts longer tables in their place (map-live.js).
+// map-live.js replaces the tables.
 let objects = tables.o,
   records = tables.r,
   objectsAt = byInstant(objects.t),
   recordsAt = byInstant(records.t);
-const said = (table, name, row) => data.strings[`${table}.${name}`][tables[table][name][row]];
+const textOf = (table, name, row) => data.strings[`${table}.${name}`][tables[table][name][row]];
 const STAGE = Object.fromEntries(data.stages.map((name, k) => [name, k]));
 
-// Rows of an object lie together, in the order of time.
+// Rows of an object are contiguous, in the order of time.
 const rowsOf = new Map();
 function findRows() {
   rowsOf.clear();
@@ -84,7 +84,7 @@ async function whyText(number, instant) {
   if (!packedTexts[number]) return null;
   if (!unpackedTexts.has(number))
     unpackedTexts.set(number, JSON.parse(new TextDecoder().decode(await unpacked(packedTexts[number]))));
-  // A text holds until the next one.
+  // An explanation is valid until the next one.
   const texts = unpackedTexts.get(number);
   const since = Object.keys(texts)
     .map(Number)
@@ -92,13 +92,13 @@ async function whyText(number, instant) {
   return since.length ? { words: texts[Math.max(...since)], at: Math.max(...since) } : null;
 }
 
-// The instant at which an alarm is shown: the nearest; null for one that always holds.
+// The instant of an alarm: the nearest one; null for an alarm that is always active.
 const nearestInstant = t =>
   data.instants.reduce((best, v, k) => (Math.abs(v - t) < Math.abs(data.instants[best] - t) ? k : best), 0);
 for (const a of data.alarms) a.instant = a.time === null ? null : nearestInstant(a.time);
-const holds = (alarm, k) => alarm.instant === null || alarm.instant === k;
+const isActive = (alarm, k) => alarm.instant === null || alarm.instant === k;
 
-// What is known of the instant that is shown.
+// The displayed instant.
 let now = null;
 function instant(k) {
   const rows = [...objectsAt(k)],
@@ -107,12 +107,12 @@ function instant(k) {
   for (const r of marks) members.get(records.n[r])?.push(r);
   const rowOf = new Map(rows.map(row => [objects.n[row], row]));
   const alarmed = new Set();
-  for (const a of data.alarms) if (holds(a, k)) for (const n of a.objects) alarmed.add(n);
+  for (const a of data.alarms) if (isActive(a, k)) for (const n of a.objects) alarmed.add(n);
   return { k, time: data.instants[k], rows, marks, members, rowOf, alarmed };
 }
 const rivalsOf = row => [...objects.rivalRows.subarray(objects.rivals[row], objects.rivals[row + 1])];
 const numberOf = row => objects.n[row];
-// Whether several sources show an object: what is said of it everywhere follows the probability that they do.
+// Whether several sources report an object, by the probability of its members; used wherever this is displayed.
 const LIKELY = 0.5;
 const isSeveral = row => objects.sources[row] > 1 && !(objects.p[row] < LIKELY);
-const nameOf = row => said("o", "label", row) || `#${numberOf(row)}`;
+const nameOf = row => textOf("o", "label", row) || `#${numberOf(row)}`;

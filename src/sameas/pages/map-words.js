@@ -1,4 +1,4 @@
-// ---- numbers as people at sea and in the air read them ----
+// ---- number formats of shipping and aviation ----
 const KNOT = 1852 / 3600,
   MILE = 1852;
 const fix = (v, n) => (Number.isFinite(v) ? v.toFixed(n).replace("-", "−") : "–");
@@ -24,14 +24,14 @@ const metres = m =>
         : `${fix(m, 1)} m`;
 const distance = m => (nautical && m >= 0.1 * MILE ? `${fix(m / MILE, m < 10 * MILE ? 2 : 1)} nm` : metres(m));
 const knots = speed => (Number.isFinite(speed) ? `${fix(speed / KNOT, 1)} kn` : "–");
-// What shows no speed has no course to be steered by.
+// An object at rest has no meaningful course.
 const courseOf = r => (objects.speed[r] < 0.05 * KNOT ? NaN : objects.course[r]);
 // Flight levels are hundreds of feet.
 const flightLevel = m => `FL${String(Math.max(Math.round(m / 30.48), 0)).padStart(3, "0")}`;
 const plural = (n, word) => `${grouped(n)} ${word}${n === 1 ? "" : "s"}`;
 const duration = s =>
   s < 60 ? `${+s.toFixed(1)} s` : s < 3600 ? `${+(s / 60).toFixed(1)} min` : `${+(s / 3600).toFixed(1)} h`;
-// A length of time that an axis or a menu may have.
+// Durations offered in menus, seconds.
 const PERIODS = [1, 2, 5, 10, 30, 60, 180, 360, 720, 1800, 3600, 7200, 21600];
 const nice = most => {
   const p = 10 ** Math.floor(Math.log10(most));

@@ -20,8 +20,8 @@ function frames() {
 }
 function bars(c, points, X, Y, fill) { c.strokeStyle = fill; c.lineWidth = 1.2; for (const [x, y, e] of points) { c.beginPath(); c.moveTo(X(x), Y(y - e)); c.lineTo(X(x), Y(y + e)); c.stroke(); } dots(c, points, X, Y, fill); }
 function overTime(id, sets, label, down) {
-  const t = field.frames.map(f => minutes(f.mjd)), every = sets.flatMap(([points]) => points.flatMap(([, y, e]) => [y - (e || 0), y + (e || 0)]));
-  const r = range(every, 0.08), [c, X, Y] = axes(el(id), range(t, 0.04), down ? [r[1], r[0]] : r, "minutes since the first frame", label);
+  const t = field.frames.map(f => minutes(f.mjd)), limits = sets.flatMap(([points]) => points.flatMap(([, y, e]) => [y - (e || 0), y + (e || 0)]));
+  const r = range(limits, 0.08), [c, X, Y] = axes(el(id), range(t, 0.04), down ? [r[1], r[0]] : r, "minutes since the first frame", label);
   for (const [points, fill] of sets) bars(c, points.map(([x, y, e]) => [x, y, e || 0]), X, Y, fill);
 }
 function series() {
@@ -36,8 +36,8 @@ function series() {
   const one = (k, fill) => { if (!marks[k]) return; c.fillStyle = fill; c.beginPath(); c.arc(...marks[k], fill === colour.alone ? 4 : 2.6, 0, 7); c.fill(); };
   s.mag.forEach((_, k) => one(k, s.p[k] !== null && s.p[k] < 0.001 ? colour.alone : colour.east));
   if (chosen >= 0 && marks[chosen]) { c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(...marks[chosen], 9, 0, 7); c.stroke(); }
-  const odd = s.p.filter(p => p !== null && p < 0.001).length;
-  el("scatter-words").textContent = `${grouped(field.count)} stars${field.count > s.mag.length ? `, ${grouped(s.mag.length)} on this page, the brightest and most variable` : ""}; yellow: ${odd} that scatter as constant ones do less than once in a thousand`;
+  const variable = s.p.filter(p => p !== null && p < 0.001).length;
+  el("scatter-words").textContent = `${grouped(field.count)} stars${field.count > s.mag.length ? `, ${grouped(s.mag.length)} on this page, the brightest and most variable` : ""}; yellow: ${variable} that scatter as constant ones do less than once in a thousand`;
   star();
 }
 function star() {
@@ -51,11 +51,11 @@ function star() {
   overTime("residuals", [[s.de[k].map((v, n) => [t[n], v]).filter(p => p[1] !== null), colour.east], [s.dn[k].map((v, n) => [t[n], v]).filter(p => p[1] !== null), colour.north]], "residual [″]");
 }
 function notes() {
-  // What is said of many frames, with other numbers, stands once.
+  // A doubt about several frames that differs in numbers only is listed once.
   const alike = new Map(), plain = d => d.replace(/^doubt: /, "");
   for (const f of field ? field.frames : []) for (const d of f.doubts) { const key = d.replace(/[0-9.e]+/g, "#"); alike.set(key, [...(alike.get(key) ?? []), `${f.name}: ${plain(d)}`]); }
-  const told = [...alike.values()].map(d => d.length > 1 ? `${d.length} frames, the first ${d[0]}` : d[0]);
-  const list = [...(field ? field.notes : []), ...told, ...data.reasons];
+  const doubts = [...alike.values()].map(d => d.length > 1 ? `${d.length} frames, the first ${d[0]}` : d[0]);
+  const list = [...(field ? field.notes : []), ...doubts, ...data.reasons];
   el("notes").replaceChildren(...(list.length ? list : ["nothing"]).map(n => text("li", n, list.length ? "doubt" : "")));
 }
 function show(f) {
