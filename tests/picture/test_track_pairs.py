@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
-from sameas.kernels.kalman import best_others, swap_evidence
+from sameas.kernels.kalman import best_others
 from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_factors import LEAST_M2, error_update
 from sameas.picture.named_tracks import prior_covariance
@@ -150,29 +150,3 @@ def test_the_best_other_of_a_set_is_the_first_of_the_highest(rng, way):
     for k in range(30):
         others = [at for at in range(30) if label[at] == label[k] and at != k]
         assert best[k] == (max(others, key=lambda at: (values[at], -at)) if others else -1)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_what_a_set_says_of_swaps_is_affine_in_their_rate(rng, way):
-    label, near = rng.integers(0, 5, 40), np.where(rng.random(40) < 0.5, 0.0, rng.random(40))
-    near[label == 3] = 0.0
-    stayed, swapped = 8.0 * rng.standard_normal((2, 40))
-    sums, some = np.empty((3, 5)), np.empty(5, bool)
-    getattr(swap_evidence, way)(label, stayed, swapped, near, *sums, some)
-    assert some.tolist() == [bool((near[label == one] > 0.0).any()) for one in range(5)]
-    for one in np.flatnonzero(some):
-        most, without, change = sums[:, one]
-        for rate in (1e-3, 0.3):
-            p, here = rate * near[label == one], label == one
-            log_p = np.log((1.0 - p) * np.exp(stayed[here]) + p * np.exp(swapped[here]))
-            assert most + np.log(without + rate * change) == pytest.approx(np.logaddexp.reduce(log_p), abs=1e-10)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_tracks_that_have_gone_far_apart_leave_the_rates_of_swaps_finite(way):
-    # A pair that was near once, kilometres apart now: neither with a swap nor without is its weight above 0.
-    stayed, swapped, near = np.array([-2478.0]), np.array([-1428.0]), np.array([5.5e-322])
-    sums, some = np.empty((3, 1)), np.empty(1, bool)
-    getattr(swap_evidence, way)(np.zeros(1, np.int64), stayed, swapped, near, *sums, some)
-    most, without, change = sums[:, 0]
-    assert most + np.log(without + 1e-3 * change) == pytest.approx(-1428.0 + np.log(5.5e-322) + np.log(1e-3), abs=1e-6)

@@ -69,35 +69,6 @@ def best_others(label: IntArray, values: FloatArray, best: IntArray) -> None:
 
 
 @small
-def swap_evidence(
-    label: IntArray, log_stayed: FloatArray, log_swapped: FloatArray, near: FloatArray, most: FloatArray,
-    stayed: FloatArray, change: FloatArray, some: BoolArray,
-) -> None:  # fmt: skip
-    """Write sums over the pairs of each label (n,), with which its likelihood is an affine function of the swap rate h.
-
-    label, log_stayed, log_swapped, near : (k,) ln of a pair's weight without and with a swap, and the probability of a
-    swap for h = 1. most : ln of a common factor of both sums. stayed, change : Σ of the weights without a swap, and
-    Σ near · (weight with a swap − weight without). some : whether any pair of the label may be swapped.
-    """
-    most[:] = -np.inf
-    stayed[:] = 0.0
-    change[:] = 0.0
-    some[:] = False
-    for k in range(len(label)):
-        one = label[k]
-        # A swap may be very improbable: ``near`` has to be part of its weight, or both sums would underflow to 0.
-        most[one] = max(most[one], log_stayed[k], log_swapped[k] + math.log(near[k]) if near[k] > 0.0 else -np.inf)
-        some[one] = some[one] or near[k] > 0.0
-    for k in range(len(label)):
-        one = label[k]
-        if some[one]:
-            without = math.exp(log_stayed[k] - most[one])
-            stayed[one] += without
-            if near[k] > 0.0:
-                change[one] += math.exp(log_swapped[k] + math.log(near[k]) - most[one]) - near[k] * without
-
-
-@small
 def joint_in_plane(
     sets: IntArray, place: FloatArray, precision: FloatArray, log_peak: FloatArray, centre: FloatArray,
     prior: FloatArray, log_density: FloatArray,

@@ -15,7 +15,7 @@ The reports also weight the last two hypotheses against each other.
 Id swaps: after a report, two tracks of one source at distance χ² have exchanged their ids with probability
 h e^(−χ²/8), and with probability ε at any distance. A pair then has the history of its best rival and its errors are
 unknown, so its state is a mixture of its own and of a pair without history. h is estimated per source
-(:class:`SwapRates`) from the probabilities of the next reports with and without a swap.
+(:class:`SwapRates`) by how probable the reports are under each of several rates.
 
 The state of a pair is the mean and covariance of (e_a, z_a, z_b) for one object, z the constant part of the errors, and
 of (e_a, z_a, z_b, d) for a convoy.
@@ -37,7 +37,7 @@ from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
-from sameas.kernels.kalman import best_others, swap_evidence
+from sameas.kernels.kalman import best_others
 from sameas.kernels.track_pairs import WIDTH, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_factors import LEAST_M2, ErrorCorrelation
 from sameas.picture.named_tracks import Step
@@ -97,7 +97,8 @@ class TrackPairs(ColumnTable):
         (e_a, z_a, z_b, d) for a convoy, in the layout of :mod:`sameas.kernels.track_pairs`: of the pairs of the last
         step, and of the pairs added since. row : row of each pair in the two tables stacked.
     log_convoy : log-odds of convoy against independent motion, given two objects.
-    log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`.
+    log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`. log_by_rate : (k, r) the same for
+        each of ``swap_rates``, for their estimation.
     log_reported : ln N(δ; 0, P_a + P_b) at the last report of either track. log_now : the same at the instant.
     chi_sq : χ² of δ at the instant.
     anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
@@ -131,6 +132,7 @@ class TrackPairs(ColumnTable):
     offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
     agreed_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    log_by_rate: FloatArray = field(default_factory=lambda: np.empty((0, len(DEFAULT_TUNING.swap_rates))))
     errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
     new_errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
     distant: DistantPairs = field(default_factory=DistantPairs)
@@ -157,7 +159,8 @@ class TrackPairs(ColumnTable):
             first, second, np.arange(k), zero, zero, log_n, log_n, chi_sq,
             np.full(k, np.nan), np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(k, bool),
             np.zeros_like(delta), np.zeros(k, np.int64), np.full(k, -np.inf),
-            np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s), errors,
+            np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s),
+            np.zeros((k, len(DEFAULT_TUNING.swap_rates))), errors,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -169,7 +172,8 @@ class TrackPairs(ColumnTable):
         if not len(others):
             return self
         log_ratio, distant = self.distant.without(others.first, others.second)
-        others = replace(others, log_ratio=others.log_ratio + log_ratio)
+        by_rate = others.log_by_rate + log_ratio[:, None]
+        others = replace(others, log_ratio=others.log_ratio + log_ratio, log_by_rate=by_rate)
         new_errors = np.concatenate([self.new_errors, others.errors, others.new_errors])
         both = self.stacked(replace(others, row=len(self.errors) + len(self.new_errors) + others.row))
         both = both.take(np.argsort(keys(both.first, both.second), kind="stable"))
@@ -199,13 +203,16 @@ class TrackPairs(ColumnTable):
         updated = replace(updated, distant=self.distant.advance(step, newly_distant, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         log_weight = self.log_ratio[rows] + self.log_reported[rows]
-        log_rival, log_swapped, p_swap = _swap_hypotheses(
-            self.log_ratio[rows], log_weight, log_two, step, (a, b), rivals, tuning
-        )
+        best, log_report, p_swap = _swap_hypotheses(log_weight, log_two, step, (a, b), rivals, tuning)
+        log_rival = np.append(self.log_ratio[rows], 0.0)[best]
         rate = np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)])
-        for side, track in ((0, b), (1, a)):
-            log_weights = updated.log_ratio + updated.log_now, log_swapped[:, side] + updated.log_now
-            swaps = swaps.updated(rivals.sides[side], step.source[track], *log_weights, p_swap[:, side], tuning)
+        gain = updated.log_ratio - self.log_ratio[rows]
+        by_rate = self.log_by_rate[rows], self.log_reported[rows]
+        log_by_rate, swaps = swaps.updated(
+            by_rate, gain, updated.log_now, (best, log_report, p_swap), rivals,
+            (step.source[b], step.source[a]), (reassigned, math.log(per_m2)), tuning,
+        )  # fmt: skip
+        updated = replace(updated, log_by_rate=log_by_rate)
         # The factor allows for several swaps between two instants, and for swaps among more than two tracks.
         swapped = log_rival, np.minimum(tuning.swap_caution * rate, max(tuning.swap_rates)) * p_swap
         return updated._with_id_changes(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
@@ -236,7 +243,8 @@ class TrackPairs(ColumnTable):
             chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
             self.offset[rows], self.n_offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
-            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]), errors,
+            np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
+            self.log_by_rate[rows], errors,
         ), log_two  # fmt: skip
 
     def _with_id_changes(
@@ -327,21 +335,21 @@ _OFFSETS = ("offset", "n_offsets", "offset_s", "offset_new", "offset_chi_sq", "l
 
 
 def _swap_hypotheses(
-    log_ratio: FloatArray, log_weight: FloatArray, log_two: FloatArray, step: Step,
-    tracks: tuple[IntArray, IntArray], rivals: Rivals, tuning: Tuning,
-) -> tuple[FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: ln r
-    of the rival before the step (0 without one), ln r of the pair if their ids were swapped, and the probability of a
-    swap for h = 1.
+    log_weight: FloatArray, log_two: FloatArray, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals,
+    tuning: Tuning,
+) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: the
+    rival (−1 without one), ln p of the pair's new reports apart from the position if their ids were swapped, and the
+    probability of a swap for h = 1.
 
-    log_ratio : (k,) before the step. log_weight : (k,) with the positions of the last reports. log_two : (k,) ln p of
-    the new reports given two objects.
+    log_weight : (k,) ln r with the positions of the last reports. log_two : (k,) ln p of the new reports given two
+    objects.
 
     After a swap the pair has the rival's ``log_weight``, and its new report agrees with the other track rather than
     with the prediction of its own: the subtracted term is ``log_two`` less that of the other track's report. Leaving
     either out would excuse a rival whose last report was an outlier, and inflate the estimated swap rates.
     """
-    log_rival, log_swapped, p_swap = np.zeros((3, len(log_weight), 2))
+    rival, (log_report, p_swap) = np.full((len(log_weight), 2), -1), np.zeros((2, len(log_weight), 2))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
         best = rivals.best_other(log_weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
@@ -353,9 +361,9 @@ def _swap_hypotheses(
         leads = (best >= 0) & (log_weight >= log_weight[best])
         total = np.bincount(rivals.sides[side], np.where(leads, 0.0, p))[rivals.sides[side]]
         p_swap[at, side] = np.where(leads, np.minimum(total, 1.0), p / np.maximum(total, 1.0))[at]
-        log_rival[at, side] = log_ratio[best[at]]
-        log_swapped[at, side] = log_weight[best[at]] - (log_two - step.log_own[tracks[side]])[at]
-    return log_rival, log_swapped, p_swap
+        rival[at, side] = best[at]
+        log_report[at, side] = -(log_two - step.log_own[tracks[side]])[at]
+    return rival, log_report, p_swap
 
 
 def _without_history(
@@ -443,28 +451,60 @@ class SwapRates:
         return np.asarray((weight @ np.array(tuning.swap_rates) / weight.sum(axis=1))[source])
 
     def updated(
-        self, rivals: IntArray, source: IntArray, log_stayed: FloatArray, log_swapped: FloatArray,
-        p_swap: FloatArray, tuning: Tuning,
-    ) -> SwapRates:  # fmt: skip
-        """The rates after new reports.
+        self, before: tuple[FloatArray, FloatArray], gain: FloatArray, log_now: FloatArray,
+        swap: tuple[IntArray, FloatArray, FloatArray], rivals: Rivals, sources: tuple[IntArray, IntArray],
+        limits: tuple[float, float], tuning: Tuning,
+    ) -> tuple[FloatArray, SwapRates]:  # fmt: skip
+        """ln r of pairs for every rate after new reports, (k, r), and the rates.
 
-        rivals : (k,) set of each pair. source : (k,) source of the tracks that differ within the set. log_stayed,
-        log_swapped : (k,) ln of the pairs' weights by all reports, without and with a swap before the last one.
-        p_swap : (k,) probability of a swap for h = 1.
+        A swap of near objects shows in no single report, but in many after it. So each rate has its own ln r of every
+        pair, and is as probable as these predict the reports: p(reports) of a set of pairs is the sum of its weights,
+        that of no pair included, over the sum before.
+
+        before : (k, r), (k,) ln r for every rate, and ln N of the positions of the last reports. gain, log_now : (k,)
+        what the new reports add to ln r without swaps, and ln N of the present positions. swap : of
+        :func:`_swap_hypotheses`. sources : (k,), (k,) sources of the tracks that differ within the sets of
+        ``rivals.sides``. limits : ε, and ln of the density of objects anywhere.
         """
-        n = int(rivals.max(initial=-1)) + 1
-        sums, can_swap, source_of = np.empty((3, n)), np.empty(n, bool), np.zeros(n, np.int64)
-        swap_evidence(rivals, log_stayed, log_swapped, p_swap, *sums, can_swap)
-        source_of[rivals] = source
-        if not can_swap.any():
-            return self
-        log_scale, stayed, change = sums[:, can_swap]
-        # With probability p = h · p_swap a pair weighs (1 − p) w + p w′, so the sum over a set is affine in h.
-        log_sum = log_scale + np.log(stayed + np.array(tuning.swap_rates)[:, None] * change)
-        log_probable = self.log_probable.copy()
-        for r in range(len(log_sum)):
-            log_probable[:, r] += np.bincount(source_of[can_swap], log_sum[r], len(log_probable))
-        return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
+        log_ratio, log_reported = before
+        out, log_probable = log_ratio + gain[:, None], self.log_probable.copy()
+        at = np.flatnonzero((swap[2] > LEAST_SWAP).any(axis=1))
+        if not len(at):
+            return out, self
+        (rival, log_report, p_swap), now = (part[at] for part in swap), log_now[at, None]
+        log_before = log_ratio + log_reported[:, None]
+        stays, p_stays = out[at] + now, np.ones((len(at), len(tuning.swap_rates)))
+        weights, rates = [], np.array(tuning.swap_rates)
+        for side in range(2):
+            # Sources that name themselves never swap.
+            possible = np.isfinite(log_probable[sources[side][at]])
+            p = np.minimum(np.where(possible, rates, rates.min()) * p_swap[:, side, None], 0.4)
+            p_stays -= p
+            with np.errstate(divide="ignore"):
+                weights.append(np.log(p) + log_before[rival[:, side]] + log_report[:, side, None] + now)
+        log_after = np.logaddexp(np.log(p_stays) + stays, np.logaddexp(*weights))
+        bound = math.log((1.0 - limits[0]) / limits[0])
+        out[at] = np.clip(log_after - now, -2.0 * bound, bound)
+        # Both tracks of another source see the same swap.
+        share = 0.5
+        for side in range(2):
+            _, first, label = np.unique(rivals.sides[side][at], return_index=True, return_inverse=True)
+            gained = _log_sums(label, log_after, limits[1]) - _log_sums(label, log_before[at], limits[1])
+            np.add.at(log_probable, sources[side][at][first], share * gained)
+        return out, SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
+
+
+#: Swaps that are less probable than this for h = 1 are not counted.
+LEAST_SWAP = 1e-3
+
+
+def _log_sums(label: IntArray, values: FloatArray, least: float) -> FloatArray:
+    """(n, r) ln of the sums of exp(values) (k, r) per label (k,) from 0, and of exp(least)."""
+    top = np.full((int(label.max(initial=-1)) + 1, values.shape[1]), least)
+    np.maximum.at(top, label, values)
+    total = np.exp(least - top)
+    np.add.at(total, label, np.exp(values - top[label]))
+    return np.asarray(top + np.log(total))
 
 
 def with_manoeuvres(
