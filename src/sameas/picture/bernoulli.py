@@ -1,15 +1,15 @@
-"""Bernoulli objects: a rule with known objects, each with its probability of existence, beside unknown ones.
+"""Bernoulli objects: a rule with known objects, each with a probability of existence, and unknown ones.
 
 Unknown objects are a Poisson field, as for :class:`sameas.many.rules.PoissonObjects`; the known objects are the records
-of one more source, predicted states with their covariances. Unlike there the miss probability depends on the place, and
-for a known object on its own hits and misses: a camera that has missed this boat six times will miss it again. With r_i
-the probability that known object i exists, and A the records of it,
+of an additional source: predicted states with covariances. In contrast to that rule, the miss probability depends on
+the place, and for a known object on its own hits and misses: a camera that missed a boat six times will miss it again.
+With r_i the probability that known object i exists, and A its records,
 
     w({i} ∪ A) = r_i ∏_{s∈A} (1−q_is) ∏_{s∉A} q_is J(i, A)/J(i),    w({i}) = 1 − r_i + r_i ∏_s q_is,
     w(A) = ρ ∏_{s∈A} (1−q_s) ∏_{s∉A} q_s J(A) for others,           w({z}) = ρ (1−q_s) ∏_{t≠s} q_t J(z) + β_s,
 
 the local hypotheses of Poisson multi-Bernoulli filters (Williams 2015, IEEE Trans. AES 51, 1664), with J of
-:mod:`sameas.many.joint`. ln q_s is that of the place of each record, in the mean over those of A.
+:mod:`sameas.many.joint`. ln q_s is the mean over the records of A of its values at their places.
 """
 
 from __future__ import annotations
@@ -43,15 +43,16 @@ def log_odds(q: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class BernoulliObjects(ObjectsRule):
-    """See the module.
+    """The rule of known and unknown objects; see the module.
 
     Parameters
     ----------
     density : ρ, unknown objects per unit volume of the state at the centre of the region.
-    sources : names of all sources, also of those without records: the columns of the tables of q.
-    q : by source the table (rows of its records, sources) of miss probabilities at the place of the record.
-    false : by source β, false records per unit volume of its features.
-    existence : (n,) r of each record of the source :data:`KNOWN`, 0 < r < 1. known_q : (n, sources).
+    sources : names of all sources, including those without records: the columns of the tables of q.
+    q : by source, (rows of its records, sources) miss probabilities at the place of the record.
+    false : by source, β, false records per unit volume of its features.
+    existence : (n,) r of each record of the source :data:`KNOWN`, 0 < r < 1. known_q : (n, sources) its miss
+        probabilities.
     """
 
     density: float
@@ -72,7 +73,7 @@ class BernoulliObjects(ObjectsRule):
         i, j = pooled.i, pooled.j
         has_known = parts.is_known[i] | parts.is_known[j]
         known_place, record = np.where(parts.is_known[i], i, j), np.where(parts.is_known[i], j, i)
-        # ln ∏q of a set is the mean over its records; with a known object it is in the object's own terms.
+        # ln ∏q of a set is the mean over its records; a known object has its own q instead.
         missed = np.where(has_known, -parts.log_missed[record], -0.5 * (parts.log_missed[i] + parts.log_missed[j]))
         own_log_odds = np.zeros(len(i))
         at = np.flatnonzero(has_known)
@@ -111,16 +112,16 @@ class BernoulliObjects(ObjectsRule):
         log_missed, log_detected, clutter = np.zeros(n), np.zeros(n), np.zeros(n)
         is_known, row, column = np.zeros(n, bool), np.zeros(n, np.int64), np.full(n, -1)
         for s, source in enumerate(pooled.sources):
-            here, records = slice(pooled.start[s], pooled.start[s + 1]), records_of(source)
-            row[here] = records.rows
+            own, records = slice(pooled.start[s], pooled.start[s + 1]), records_of(source)
+            row[own] = records.rows
             if records.source == KNOWN:
-                is_known[here] = True
+                is_known[own] = True
                 continue
-            column[here] = self.sources.index(records.source)
+            column[own] = self.sources.index(records.source)
             q = self.q[records.source][records.rows]
-            log_missed[here] = math.log(self.density) + np.log(q).sum(axis=1)
-            log_detected[here] = log_odds(q[:, self.sources.index(records.source)])
-            clutter[here] = self.false[records.source]
+            log_missed[own] = math.log(self.density) + np.log(q).sum(axis=1)
+            log_detected[own] = log_odds(q[:, self.sources.index(records.source)])
+            clutter[own] = self.false[records.source]
         with np.errstate(divide="ignore"):
             log_alone = np.logaddexp(log_missed + log_detected + log_j, np.log(clutter))
         return _Parts(log_j, log_missed, log_detected, np.where(is_known, 0.0, log_alone), is_known, row, column)
@@ -128,8 +129,9 @@ class BernoulliObjects(ObjectsRule):
 
 @dataclass(frozen=True)
 class _Parts:
-    """Per pooled record (n,): ln J of it alone, ln ρ∏q where it is, ln((1−q)/q) of its own source there, ln w of it
-    alone; whether it is a known object, its row in its table, and its source's column (−1 for known objects)."""
+    """Per pooled record (n,): ln J of the record alone, ln ρ∏q and ln((1−q)/q) of its own source at its place, ln w of
+    the record alone; whether it is a known object, its row in its table, and its source's column (−1 for known
+    objects)."""
 
     log_j: FloatArray
     log_missed: FloatArray
@@ -142,11 +144,11 @@ class _Parts:
 
 @dataclass(frozen=True)
 class Sighting:
-    """Detections of the known objects in the completed scans.
+    """The detections of the known objects in the completed scans.
 
     p_detected : (m, S) probability that a record of the source, in a completed scan, is of the object.
-    scans : (S,) completed scans of the source: 1 or 0, a part of a rotation for an antenna that rotates.
-    q : (m, S) expected probability of a miss.
+    scans : (S,) completed scans of the source: 1 or 0, or a part of a rotation for a rotating antenna.
+    q : (m, S) expected miss probability.
     """
 
     p_detected: FloatArray
@@ -156,14 +158,14 @@ class Sighting:
 
 @dataclass(frozen=True)
 class BernoulliTable(ObjectTable):
-    """The known objects, (m,) each, by the completed scans, every scan counted once.
+    """The known objects, (m,) each, given the completed scans, each counted once.
 
-    A source that has missed an object six times is not expected to show it now, so every object has its own counts of
-    hits and misses. Two objects at one place that no scan has shown as two are one, listed twice (:meth:`merged`).
+    A source that missed an object six times is not expected to detect it now, so each object has its own counts of hits
+    and misses. Two objects at one place that no scan resolves are duplicates of one object (:meth:`merged`).
 
-    existence : probability that it exists.
-    hits, misses : (m, S) scans of each source that showed it, and that did not; older ones count less.
-    separate_log_odds : (m, m) ln odds by the scans that two objects are two and not one.
+    existence : probability of existence.
+    hits, misses : (m, S) weighted numbers of scans of each source that detected and missed it; older ones count less.
+    separate_log_odds : (m, m) log-odds, by the scans, that two objects are not one.
     """
 
     WHOLE = frozenset({"separate_log_odds"})
@@ -181,9 +183,9 @@ class BernoulliTable(ObjectTable):
 
     @classmethod
     def none(cls, sources: int) -> BernoulliTable:
-        """No objects, for a number of sources."""
-        nothing = np.empty((0, sources))
-        return cls(hits=nothing, misses=nothing)
+        """An empty table for a number of sources."""
+        empty = np.empty((0, sources))
+        return cls(hits=empty, misses=empty)
 
     @classmethod
     def born(
@@ -205,7 +207,7 @@ class BernoulliTable(ObjectTable):
         return replace(super().take(which), separate_log_odds=self.separate_log_odds[which][:, which])
 
     def with_(self, more: BernoulliTable) -> BernoulliTable:
-        """These and others."""
+        """The table with more objects."""
         separate_log_odds = np.zeros((len(self) + len(more),) * 2)
         separate_log_odds[: len(self), : len(self)], separate_log_odds[len(self) :, len(self) :] = (
             self.separate_log_odds,
@@ -214,18 +216,18 @@ class BernoulliTable(ObjectTable):
         return replace(self.stacked(more), separate_log_odds=separate_log_odds)
 
     def aged(self, dt_s: float, lifetime_s: float, memory_s: float) -> BernoulliTable:
-        """The objects after dt: less probable by their lifetime, with hits and misses that count less."""
-        older = math.exp(-dt_s / memory_s)
+        """The objects after ``dt_s``: existence decays with their lifetime, hits and misses with ``memory_s``."""
+        decay = math.exp(-dt_s / memory_s)
         existence = self.existence * math.exp(-dt_s / lifetime_s)
-        return replace(self, existence=existence, hits=self.hits * older, misses=self.misses * older)
+        return replace(self, existence=existence, hits=self.hits * decay, misses=self.misses * decay)
 
     def expected_q(self, usual_q: FloatArray, scans: float, least: float) -> FloatArray:
-        """(m, S) probability of a miss: that of any object at its place, with a weight of ``scans``, and its own."""
+        """(m, S) miss probability: the mean of the described one, weighted as ``scans`` scans, and the object's own."""
         q = (scans * usual_q + self.misses) / (scans + self.misses + self.hits)
         return np.asarray(np.clip(q, least, 1.0 - least))
 
     def after(self, sighting: Sighting, least: float = DEFAULT_TUNING.least_probability) -> BernoulliTable:
-        """The existence, hits and misses of the objects after completed scans; states stay."""
+        """The objects with existence, hits and misses after completed scans; their states do not change."""
         p_detected, r = sighting.p_detected, self.existence
         p_missed = r * np.prod(sighting.q**sighting.scans, axis=1)
         p_undetected = np.prod(1.0 - p_detected, axis=1)
@@ -238,12 +240,12 @@ class BernoulliTable(ObjectTable):
     def with_separate_odds(
         self, p_detected: FloatArray, usual_q: FloatArray, split: FloatArray, tuning: Tuning = DEFAULT_TUNING
     ) -> BernoulliTable:
-        """The objects with the odds, after completed scans, that any two are two.
+        """The objects with the odds, after completed scans, that two of them are separate objects.
 
-        A scan that shows both has the probability (1 − q)² if they are two, and (1 − q) times that of a split if they
-        are one; a scan that shows one of them (1 − q) q against 1 − q.
+        A scan that detects both has the probability (1 − q)² if they are separate, and (1 − q) times that of a split if
+        they are one; a scan that detects one of them (1 − q) q and 1 − q.
 
-        p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) probability that any object there is missed.
+        p_detected : (m, S) as of :class:`Sighting`. usual_q : (m, S) described miss probability at their places.
         split : (S,) probability that a scan of the source shows one object as two.
         """
         separate_log_odds = self.separate_log_odds.copy()
@@ -259,11 +261,11 @@ class BernoulliTable(ObjectTable):
         )
 
     def merged(self, density_per_m2: float, tuning: Tuning = DEFAULT_TUNING) -> BernoulliTable:
-        """The objects without those that are listed twice; the lower number stays.
+        """The objects without duplicates; the lower number of two stays.
 
-        Two are one where the evidence of their positions for it, ln N(Δ; 0, P + P′)/ρ, exceeds that of the scans
-        against it by ``merging_log_odds``. The state of the one that was detected more often stays: the other may be
-        the end of its hull.
+        Two are merged if the evidence of their positions, ln N(Δ; 0, P + P′)/ρ, exceeds the log-odds of the scans that
+        they are separate by ``merging_log_odds``. The state of the one detected more often stays: the other may be the
+        end of its hull.
         """
         objects = self
         while len(objects) > 1:
@@ -287,7 +289,7 @@ class BernoulliTable(ObjectTable):
         return log_n - math.log(density_per_m2), chi_sq < agree, place > differ
 
     def _joined(self, i: int, j: int) -> BernoulliTable:
-        """Objects i and j as one, at i."""
+        """The table with objects i and j merged into row i."""
         columns = {f.name: getattr(self, f.name).copy() for f in fields(self)}
         kept_place = max(i, j, key=lambda k: (self.existence[k] * self.hits[k].sum(), *self.state[k]))
         columns["state"][i], columns["covariance"][i] = self.state[kept_place], self.covariance[kept_place]

@@ -1,14 +1,14 @@
-"""Deception: what names itself says one thing, and the sensors that look keep seeing another.
+"""Deception: a cooperative track (AIS, ADS-B) that contradicts the sensors that tracked the same object.
 
-A track that names itself, as AIS and ADS-B do, was one object with a sensor's track for a while. Then
+A cooperative track was one object with a sensor's track for a while. Then
 
-- it says it is elsewhere, and the sensor goes on seeing the ship where it was ("dragged"). The sensor's tracker may
-  have gone over to a neighbour instead; against that speak other sensors that go on with it, and that no sensor which
-  covers the place shows anything where the track says it is.
-- it says nothing more, while others of its source speak on, and the sensor goes on seeing the ship ("silent").
+- its reported positions move away, while the sensor continues to track the ship where it was ("dragged"). Instead, the
+  sensor's tracker may have swapped to a neighbour; the evidence against that is other sensors that continue too, and
+  that no sensor covering the reported position detects anything there.
+- its reports end, while others of its source continue and the sensor still tracks the ship ("silent").
 
-:func:`deceptions` finds both in the records of a picture, each with ln of its odds; :func:`faults_and_deceptions` those
-that no fault of a source explains, and these faults.
+:func:`deceptions` finds both in the records of a picture, each with its log-odds; :func:`faults_and_deceptions` gives
+the faults of sources, and the deceptions that these do not explain.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from sameas.tracks.feed import LASTING, Feed
 
 
 @dataclass(frozen=True)
-class Followed:
-    """One track in the records of a picture (k,): places in ``instants``, objects, places (k, 2) and variances (k,).
+class PictureTrack:
+    """One track in the records of a picture, (k,) each.
 
-    source : number of its source, and its name. track : its id.
+    source, track : number of its source, and its id. at : indices of its instants. object : numbers of its objects.
+    place, variance : (k, 2), (k,) positions and the larger variance of their axes.
     """
 
     source: int
@@ -44,8 +45,8 @@ class Followed:
     variance: FloatArray
 
 
-def _followed(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants: FloatArray) -> list[Followed]:
-    """All tracks of sources that number what they show."""
+def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants: FloatArray) -> list[PictureTrack]:
+    """All tracks of sources with track ids."""
     out = []
     at = np.searchsorted(instants, records["time_s"])
     hidden = np.ma.getmaskarray(records["x_m"])
@@ -54,16 +55,16 @@ def _followed(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instan
     for s, feed in enumerate(feeds):
         if feed.reports.track is None:
             continue
-        mine = np.flatnonzero((records["source"] == feed.description.name) & ~hidden)
-        names, number = np.unique(records["track_id"][mine].astype(str), return_inverse=True)
+        own = np.flatnonzero((records["source"] == feed.description.name) & ~hidden)
+        names, number = np.unique(records["track_id"][own].astype(str), return_inverse=True)
         order = np.argsort(number, kind="stable")
-        for name, rows in zip(names, np.split(mine[order], np.flatnonzero(np.diff(number[order])) + 1), strict=False):
-            out.append(Followed(s, str(name), at[rows], records["object"][rows], place[rows], variance[rows]))
+        for name, rows in zip(names, np.split(own[order], np.flatnonzero(np.diff(number[order])) + 1), strict=False):
+            out.append(PictureTrack(s, str(name), at[rows], records["object"][rows], place[rows], variance[rows]))
     return out
 
 
 def sightings_of(state: PictureState[Carried]) -> dict[str, NDArray[Any]]:
-    """The columns of the records of a picture's instant that :func:`deceptions` reads."""
+    """The columns that :func:`deceptions` needs of the records of a picture state."""
     scan = state.scan
     names = np.array([description.name for description in scan.now.descriptions] or [""], dtype=object)
     return {
@@ -79,70 +80,71 @@ def sightings_of(state: PictureState[Carried]) -> dict[str, NDArray[Any]]:
 
 
 @dataclass(frozen=True)
-class _Together:
-    """Which tracks were one object with which: (k,) keys of instant and object, ascending, and numbers of tracks."""
+class _ObjectIndex:
+    """The tracks by instant and object: (k,) keys of instant and object, ascending, and indices of tracks."""
 
-    tracks: list[Followed]
+    tracks: list[PictureTrack]
     key: IntArray
     track: IntArray
 
     @classmethod
-    def of(cls, tracks: list[Followed]) -> _Together:
-        key = np.concatenate([_key(one) for one in tracks])
-        track = np.repeat(np.arange(len(tracks)), [len(one.at) for one in tracks])
+    def of(cls, tracks: list[PictureTrack]) -> _ObjectIndex:
+        key = np.concatenate([_key(track) for track in tracks])
+        number = np.repeat(np.arange(len(tracks)), [len(track.at) for track in tracks])
         order = np.argsort(key, kind="stable")
-        return cls(tracks, key[order], track[order])
+        return cls(tracks, key[order], number[order])
 
-    def with_(self, own: Followed) -> list[Followed]:
+    def partners(self, own: PictureTrack) -> list[PictureTrack]:
         """The tracks of other sources that were one object with this one at any instant."""
         keys = _key(own)
         low, high = np.searchsorted(self.key, keys), np.searchsorted(self.key, keys, side="right")
         _, rows = ranges(low, high - low)
-        return [one for k in np.unique(self.track[rows]) if (one := self.tracks[k]).source != own.source]
+        return [track for k in np.unique(self.track[rows]) if (track := self.tracks[k]).source != own.source]
 
 
-def _key(one: Followed) -> IntArray:
-    return np.asarray(one.at.astype(np.int64) << 32 | one.object.astype(np.int64))
+def _key(track: PictureTrack) -> IntArray:
+    return np.asarray(track.at.astype(np.int64) << 32 | track.object.astype(np.int64))
 
 
 def deceptions(
     feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
 ) -> tuple[Fault, ...]:
-    """The deceptions that the records of a picture show, in the order of time."""
+    """The deceptions in the records of a picture with a probability above ``sure_deception``, in order of time."""
     if not len(records["time_s"]) or len(feeds) < 2:
         return ()
     instants = np.unique(records["time_s"])
-    tracks = _followed(feeds, records, instants)
+    tracks = _tracks(feeds, records, instants)
     if not tracks:
         return ()
-    together = _Together.of(tracks)
-    found: list[Fault] = []
-    for own in [one for one in tracks if feeds[one.source].description.kind in LASTING]:
-        others = together.with_(own)
-        found += _dragged(own, others, feeds, instants, tuning)
-        found += _silent(own, others, feeds, instants, tuning)
-    found = [fault for fault in found if fault.probability > tuning.sure_deception]
-    return tuple(sorted(found, key=lambda fault: fault.first_s))
+    index = _ObjectIndex.of(tracks)
+    alarms: list[Fault] = []
+    for own in [track for track in tracks if feeds[track.source].description.kind in LASTING]:
+        others = index.partners(own)
+        alarms += _dragged(own, others, feeds, instants, tuning)
+        alarms += _silent(own, others, feeds, instants, tuning)
+    alarms = [fault for fault in alarms if fault.probability > tuning.sure_deception]
+    return tuple(sorted(alarms, key=lambda fault: fault.first_s))
 
 
 def faults_and_deceptions(
     feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
 ) -> tuple[Fault, ...]:
-    """The faults of the sources and the deceptions that the records of a picture show.
+    """The faults of the sources, and the deceptions in the records of a picture that they do not explain.
 
-    The source is doubted first: where its clock jumps or it freezes, all of its ships are elsewhere than they are seen,
-    and that is no deception by each of them.
+    A clock that jumps or a source that freezes displaces all its ships; that is not a deception by each of them.
     """
     faults = source_faults(feeds)
-    doubted = [fault for fault in faults if fault.kind in ("clock", "frozen")]
+    displacing = [fault for fault in faults if fault.kind in ("clock", "frozen")]
     return (*faults, *(
         one for one in (deceptions(feeds, records, tuning) if records else ())
-        if not any(one.source == fault.source and one.first_s > fault.first_s - tuning.silent_s for fault in doubted)
+        if not any(one.source == fault.source and one.first_s > fault.first_s - tuning.silent_s for fault in displacing)
     ))  # fmt: skip
 
 
-def _companions(own: Followed, others: Sequence[Followed], tuning: Tuning) -> Iterator[tuple[Followed, int]]:
-    """Those that were one object with it for a while, and the place of the last such instant."""
+def _companions(
+    own: PictureTrack, others: Sequence[PictureTrack], tuning: Tuning
+) -> Iterator[tuple[PictureTrack, int]]:
+    """The tracks that were one object with it for ``known_instants`` instants, and the index of the last of these."""
     for other in others:
         both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
         together = own.object[i] == other.object[j]
@@ -151,42 +153,43 @@ def _companions(own: Followed, others: Sequence[Followed], tuning: Tuning) -> It
 
 
 def _dragged(
-    own: Followed, others: Sequence[Followed], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    own: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
 ) -> Iterator[Fault]:
-    """The track says it is elsewhere than the sensors that knew it go on seeing the ship."""
-    stay, begins = [], []
+    """An alarm if the track's positions moved away from those of the sensors that tracked the same object before."""
+    contradicting, begins = [], []
     after = np.zeros(len(own.at), bool)
     for other, last in _companions(own, others, tuning):
         both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-        away = np.sum((own.place[i] - other.place[j]) ** 2, axis=1) / (own.variance[i] + other.variance[j])
-        apart = (both > last) & (away > tuning.apart_sigmas**2)
-        # A sensor that tracks it anew tells it is there: the track was lost, not the ship.
+        chi_sq = np.sum((own.place[i] - other.place[j]) ** 2, axis=1) / (own.variance[i] + other.variance[j])
+        apart = (both > last) & (chi_sq > tuning.apart_sigmas**2)
         if apart.sum() >= tuning.apart_instants and apart[-1]:
-            stay.append((other, float(np.sqrt(np.sum((own.place[i[-1]] - other.place[j[-1]]) ** 2)))))
+            contradicting.append((other, float(np.sqrt(np.sum((own.place[i[-1]] - other.place[j[-1]]) ** 2)))))
             begins.append(int(both[apart][0]))
             after |= own.at >= both[apart][0]
-    if not stay:
+    if not contradicting:
         return
-    alone = after & ~_seen(own, others)
+    # If a sensor tracks an object at the reported position, the sensor lost its old track; nothing was dragged.
+    alone = after & ~_has_partner(own, others)
     if alone.sum() < 0.8 * after.sum():
         return
-    empty = sum(
+    log_undetected = sum(
         min(float(-np.log(feed.q_at(own.place[alone], float(instants[own.at[alone][0]]))).sum()), tuning.empty_vote)
         for feed in feeds
         if feed.sensor_m is not None and feed.description.kind not in LASTING and feed.reports.track is not None
     )
-    sensors = sorted({feeds[other.source].description.name for other, _ in stay})
-    log_odds = math.log(tuning.dragged_odds) + empty - (len(sensors) - 1) * math.log(tuning.swap)
+    sensors = sorted({feeds[other.source].description.name for other, _ in contradicting})
+    log_odds = math.log(tuning.dragged_odds) + log_undetected - (len(sensors) - 1) * math.log(tuning.swap)
     name, first = feeds[own.source].description.name, float(instants[min(begins)])
+    distance_m = max(distance for _, distance in contradicting)
     words = (
         f"{name} reports {own.track} at one place, {' and '.join(sensors)} {'sees' if len(sensors) == 1 else 'see'} it "
-        f"at another, {max(away for _, away in stay):.0f} m away at the end, and nothing at the place reported; its "
+        f"at another, {distance_m:.0f} m away at the end, and nothing at the place reported; its "
         "positions are forged or faulty"
     )
     yield Fault("dragged", name, first, float(instants[own.at[-1]]), log_odds, words, own.track)
 
 
-def _seen(own: Followed, others: Sequence[Followed]) -> BoolArray:
+def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:
     """(k,) whether another source's track is one object with it."""
     out = np.zeros(len(own.at), bool)
     for other in others:
@@ -196,13 +199,12 @@ def _seen(own: Followed, others: Sequence[Followed]) -> BoolArray:
 
 
 def _silent(
-    own: Followed, others: Sequence[Followed], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    own: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
 ) -> Iterator[Fault]:
-    """The track says nothing more, while its source speaks on and a sensor goes on seeing the ship."""
+    """An alarm if the track's reports end while its source continues and a sensor still tracks the ship."""
     reports = feeds[own.source].reports
     assert reports.track is not None
-    mine = reports.track.astype(str) == own.track
-    times = np.unique(reports.time_s[mine])
+    times = np.unique(reports.time_s[reports.track.astype(str) == own.track])
     if len(times) < tuning.known_reports:
         return
     pauses, end = np.diff(times), float(reports.time_s.max())
@@ -211,7 +213,7 @@ def _silent(
     for other, last in _companions(own, others, tuning):
         if instants[last] < times[-1] - longest or other.at[-1] <= last:
             continue
-        # The same track of the sensor goes on, at every instant or nearly so.
+        # The sensor's track must continue without large gaps.
         until = float(instants[other.at[-1]])
         if np.sum(other.at > last) < 0.8 * (other.at[-1] - last):
             continue

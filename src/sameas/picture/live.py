@@ -1,15 +1,14 @@
-"""The live picture: fed with reports as they arrive, asked for instants as time goes on.
+"""The live picture: reports are added as they arrive, and instants computed as time advances.
 
     picture = LivePicture([radar_description, ais_description], plane=LocalPlane(50.7, -1.1))
     picture.add("radar", reports)
     state = picture.advance(now_s)
 
-It is what :class:`~sameas.picture.picture.Picture` makes of the whole files, as far as it can be known by then:
-on the same reports, none later than its lag, it decides the same. :meth:`LivePicture.register` estimates the biases of
-sources by the reports of the last minutes, and takes them off at all later instants; :meth:`LivePicture.faults` tells
-what of them is deception or the fault of a source.
+On the same reports, none later than its lag, it gives the same objects as :class:`~sameas.picture.picture.Picture`
+gives from whole files. :meth:`LivePicture.register` estimates the biases of sources from the reports of the last
+minutes and subtracts them at all later instants; :meth:`LivePicture.faults` gives deceptions and faults of sources.
 
-It can be pickled, and goes on where it was: so a program that is killed keeps the numbers of its objects.
+It can be pickled and continues from there, so a program that is killed keeps the numbers of its objects.
 """
 
 from __future__ import annotations
@@ -45,8 +44,10 @@ LiveState = PictureState[Watch] | PictureState[PlotPicture]
 
 @dataclass(frozen=True)
 class Window:
-    """The reports by which biases and faults are found: those of the last ``span_s`` seconds, at most ``reports`` a
-    source. sightings_s : seconds between two instants whose records are kept, by which deception is found."""
+    """The reports used for biases and faults: of the last ``span_s`` seconds, at most ``reports`` per source.
+
+    sightings_s : seconds between the instants whose records are kept to find deception.
+    """
 
     span_s: float = 600.0
     reports: int = 50_000
@@ -54,17 +55,17 @@ class Window:
 
 
 class LivePicture:
-    """A picture that is fed while it goes on.
+    """A picture from reports that arrive one after another.
 
     Parameters
     ----------
-    descriptions : of all sources, by which :meth:`add` knows them.
-    plane : of the picture. None: about the first site or position on the earth; the user's own metres where none is.
-    watch : the start: evidence, memory and stages. None: a :class:`PlotPicture` while no source has named anything,
-        else a :class:`Watch`.
-    lag_s : reports may be late by this and are filtered in their place.
+    descriptions : of all sources.
+    plane : of the picture. None: about the first site or position on the earth, else the user's own metres.
+    watch : the initial state: evidence, memory and stages. None: a :class:`PlotPicture` while no source has ids, else a
+        :class:`Watch`.
+    lag_s : reports late by at most this are inserted by their time.
     features : as of ``Scene.at``.
-    window : for :meth:`register`.
+    window : for :meth:`register` and :meth:`faults`.
 
     Example
     -------
@@ -110,40 +111,40 @@ class LivePicture:
         self._last_s = -math.inf
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without the reports of the last minutes: biases that were found stay, others are found by the next ones."""
+        """The state without the reports of the last minutes; estimated biases stay."""
         return self.__dict__ | {"_recent": {name: deque() for name in self._recent}, "_sightings": deque()}
 
     @property
     def descriptions(self) -> tuple[Description, ...]:
-        """Of the sources, in their order."""
+        """The descriptions of the sources, in their order."""
         return tuple(feed.description for feed in self._feeds.values())
 
     @property
     def instant_s(self) -> float:
-        """The last instant; −∞ before the first."""
+        """The latest instant; −∞ before the first."""
         return self._last_s
 
     @property
     def counts(self) -> Mapping[str, Counts]:
-        """By source what became of its reports."""
+        """By source, the counts of its reports."""
         return {name: feed.counts for name, feed in self._feeds.items()}
 
     @property
     def biases(self) -> Mapping[str, SourceBiases]:
-        """By source the biases that are taken off."""
+        """By source, the biases that are subtracted."""
         return dict(self._biases)
 
     @property
     def errors(self) -> tuple[str, ...]:
-        """Printable lines on sources whose errors are not as stated, by what the picture has seen."""
+        """Printable lines on sources whose errors, as estimated by the picture, are not as stated."""
         return tuple(error_lines(self._carried)) if self._carried is not None else ()
 
     def add(self, source: str, reports: Reports) -> None:
-        """Takes in reports of a source; they may be of any time within the lag.
+        """Adds reports of a source, of any time within the lag.
 
         Raises
         ------
-        InputError : an unknown source; a number is missing that the reports need. Nothing is taken in then.
+        InputError : an unknown source; a number is missing that the reports need. Then nothing is added.
         """
         if source not in self._feeds:
             raise InputError(f"live picture: there is no source {source!r}", f"give one of {', '.join(self._feeds)}")
@@ -159,23 +160,23 @@ class LivePicture:
                     f"{source}: gives latitudes and longitudes, others metres of their own", "give the plane"
                 )
             self.plane = LocalPlane.about(places[0], places[1])
-            for every in self._feeds.values():
-                every.plane = self.plane
+            for other in self._feeds.values():
+                other.plane = self.plane
         feed.add(reports)
         recent = self._recent[source]
         recent.append(reports)
-        n = sum(len(one) for one in recent)
+        n = sum(len(part) for part in recent)
         while len(recent) > 1 and (
             n > self.window.reports or float(recent[0].time_s.max()) < feed.counts.newest_s - self.window.span_s
         ):
             n -= len(recent.popleft())
 
     def advance(self, instant_s: float) -> LiveState:
-        """The picture at an instant not before the last.
+        """The picture at an instant not before the previous one.
 
         Raises
         ------
-        InputError : the instant is before the last.
+        InputError : the instant is before the previous one.
         """
         if not instant_s >= self._last_s:
             raise InputError(
@@ -197,39 +198,39 @@ class LivePicture:
         return state
 
     def register(self) -> tuple[SourceBiases, ...]:
-        """Estimates the biases of the sources by the reports of the last minutes, and takes those off that are sure.
+        """Estimates the biases of the sources from the reports of the last minutes, and subtracts the established ones.
 
-        It takes as long as for a file of these minutes; :meth:`recent` and :meth:`take_off` are its halves, for those
-        who estimate elsewhere.
+        It takes as long as for a file of these minutes. To estimate in another process, use :meth:`recent`,
+        :func:`estimated` and :meth:`take_off`.
         """
         found = estimated(self.recent(), self.plane)
         self.take_off(found)
         return found.biases
 
     def recent(self) -> list[tuple[Description, Reports]]:
-        """The sources with their reports of the last minutes, of those that have any."""
+        """The sources that have reports in the last minutes, with these reports."""
         return [
             (self._feeds[name].description, joined(list(recent))) for name, recent in self._recent.items() if recent
         ]
 
     def faults(self) -> tuple[Fault, ...]:
-        """The deceptions and faults of sources that the last minutes show, each with its evidence and probability.
+        """The deceptions and faults of sources in the last minutes, each with its evidence and probability.
 
-        It takes as long as for a file of these minutes; :meth:`recent`, :meth:`sightings` and :func:`faults_of` are its
-        parts, for those who look elsewhere.
+        It takes as long as for a file of these minutes. To run it in another process, use :meth:`recent`,
+        :meth:`sightings` and :func:`faults_of`.
         """
         return faults_of(self.recent(), self.sightings(), self.plane)
 
     def sightings(self) -> Columns:
-        """The records of instants of the last minutes: what :func:`sameas.picture.deception.deceptions` reads."""
+        """The records of instants of the last minutes, for :func:`sameas.picture.deception.deceptions`."""
         return gathered(list(self._sightings))
 
     def take_off(self, found: Registered) -> None:
-        """Takes these biases off the later instants; those that are not established leave what is taken off."""
+        """Subtracts the established biases at later instants; for the other sources the previous ones stay."""
         self._heights = found.heights or self._heights
-        for one in found.biases:
-            if one.established and one.theta is not None:
-                self._biases[one.source] = one
+        for biases in found.biases:
+            if biases.established and biases.theta is not None:
+                self._biases[biases.source] = biases
 
     def _keep_sightings(self, state: LiveState) -> None:
         kept, now_s = self._sightings, state.now.instant_s
@@ -240,11 +241,11 @@ class LivePicture:
         while kept and now_s - float(kept[0]["time_s"][0]) > self.window.span_s:
             kept.popleft()
 
-    def _feed(self, growing: GrowingFeed, instant_s: float) -> Feed:
-        feed, known = growing.feed(instant_s), self._biases.get(growing.description.name)
-        if known is None or known.theta is None or known.covariance is None:
+    def _feed(self, live_feed: GrowingFeed, instant_s: float) -> Feed:
+        feed, biases = live_feed.feed(instant_s), self._biases.get(live_feed.description.name)
+        if biases is None or biases.theta is None or biases.covariance is None:
             return feed
-        return unbiased_now(feed, known.theta, known.covariance)
+        return unbiased_now(feed, biases.theta, biases.covariance)
 
     def _start(self) -> Watch | PlotPicture:
         reporting = [feed for feed in self._feeds.values() if feed.has_reports]
@@ -254,7 +255,7 @@ class LivePicture:
         return PlotPicture() if bare else Watch()
 
     def _named(self, carried: Watch | PlotPicture) -> Watch | PlotPicture:
-        """What is carried; a picture of plots ends when a source begins to name what it shows, its numbers go on."""
+        """The state to continue from: a plot picture is replaced by a watch once a source has ids; numbers continue."""
         if isinstance(carried, Watch) or not any(feed.named for feed in self._feeds.values()):
             return carried
         watch = Watch()
@@ -264,14 +265,14 @@ class LivePicture:
 
 @dataclass(frozen=True)
 class Registered:
-    """What some minutes of reports show: the biases of the sources, and how their heights are brought to one kind."""
+    """The biases of the sources from some minutes of reports, and the model of their heights."""
 
     biases: tuple[SourceBiases, ...] = ()
     heights: HeightModel | None = None
 
 
 def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane | None = None) -> Registered:
-    """The biases of sources and of their heights by some minutes of their reports; none where there is but one."""
+    """The biases of sources and of their heights from some minutes of their reports; empty for a single source."""
     if len(sources) < 2:
         return Registered()
     scene, biases = Scene.of(sources, plane).registered()
@@ -281,11 +282,11 @@ def estimated(sources: Sequence[tuple[Description, Reports]], plane: LocalPlane 
 def faults_of(
     sources: Sequence[tuple[Description, Reports]], sightings: Columns, plane: LocalPlane | None = None
 ) -> tuple[Fault, ...]:
-    """The deceptions and faults in some minutes of the reports of sources, and in the records of pictures of them.
+    """The deceptions and faults in some minutes of the reports of sources and in the records of their picture.
 
     Raises
     ------
-    InputError : the sources have no plane in common.
+    InputError : the sources have no common plane.
     """
     if not sources:
         return ()

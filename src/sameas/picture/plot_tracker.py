@@ -1,21 +1,21 @@
-"""Plot tracker: objects tracked from scan to scan, where sources give bare plots and directions without ids.
+"""Plot tracker: objects tracked from scan to scan, for sources of plots and directions without ids.
 
     tracker, tracks = PlotTracker(), None
     for t in instants:
         tracks = tracker.advance(scene.at(t, features=POSITION_AND_VELOCITY), tracks)
 
-At every instant the current scan of each source is its last one. All current scans are identified jointly, together
-with the prior objects of the scans before them (:mod:`sameas.picture.bernoulli`). A scan updates the prior once, when
-the next scan of its source replaces it, with the members that it had last: until then they may still change. So
-nothing fused returns as evidence of itself.
+The current scan of a source is its last one. At each instant all current scans are identified jointly, together with
+the prior objects of previous scans (:mod:`sameas.picture.bernoulli`). A scan updates the prior once, when the next scan
+of its source replaces it, with its latest assignment, which may change until then. So fused states are never evidence
+for themselves.
 
-The errors of successive scans are correlated: the same side of a hull, the same error of a compass. In the states a
-scan counts as the share Δt/τ of an independent one. Sources miss the same objects repeatedly, so every object has its
-own miss probabilities.
+The errors of successive scans are correlated: the same side of a hull, the same compass error. For the states, a scan
+counts as the share Δt/τ of an independent one. Sources miss the same objects repeatedly, so each object has its own
+miss probabilities.
 
-Use it where no source has ids; tracks with ids have :class:`sameas.picture.Watch`, and a whole picture of bare plots
-:class:`sameas.picture.PlotPicture`. Source: METHOD 7; Bernoulli objects with a Poisson field of unknown ones as in
-Williams 2015, of which the most probable hypothesis is kept.
+Use it where no source has ids; use :class:`sameas.picture.Watch` for tracks with ids, and
+:class:`sameas.picture.PlotPicture` for a whole picture of plots without ids. Source: METHOD 7; Bernoulli objects with a
+Poisson field of unknown ones as in Williams 2015, keeping the most probable hypothesis only.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ from sameas.tracks.snapshot import pointed_at
 
 @dataclass(frozen=True)
 class PlotTracker:
-    """The parameters by which objects are tracked.
+    """The parameters of the tracker.
 
     Parameters
     ----------
     correlation_s : τ, correlation time of the errors of scans; 10 s (chosen).
     lifetime_s : mean time that undetected objects exist. sighting_scans : weight, in scans, of the described miss
-        probability against the object's own hits and misses, which count for sighting_s.
-    least_q : miss probabilities stay this far from 0 and 1: misses of one object repeat.
+        probability relative to the object's own hits and misses. sighting_s : time constant of the latter.
+    least_q : miss probabilities are clipped to least_q … 1 − least_q, since misses of one object are correlated.
     tuning : other chosen numbers.
     """
 
@@ -79,12 +79,11 @@ class PlotTracker:
     def advance(self, now: Instant, before: TrackedPlots | None = None) -> TrackedPlots:
         """The objects at an instant: those of ``before``, detected again or not, and new ones.
 
-        now : with velocities among its features, all sources of the scene at every instant.
+        now : with velocities among its features, and with the same sources at each instant.
 
         Raises
         ------
-        InputError : positions only, a source with ids of its objects, an instant before the last, other sources than
-            before.
+        InputError : positions only; a source with ids; an instant before the previous one; other sources than before.
         """
         _require_plots(now, before)
         prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
@@ -99,7 +98,8 @@ class PlotTracker:
         return TrackedPlots.of(now, before, prior_objects, rule, usual_q, self.tuning)
 
     def _carried(self, before: TrackedPlots, now: Instant) -> BernoulliTable:
-        """The prior objects when the scans of ``now`` are current."""
+        """The prior objects for the scans of ``now``: those of ``before`` updated by its scans that are not current any
+        more, and predicted."""
         dt = now.instant_s - before.now.instant_s
         retired = before.retired_members(now)
         p_detected, (new, new_q) = before.p_detected(retired), before.new_objects(retired)
@@ -117,13 +117,13 @@ class PlotTracker:
         return objects.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
 
     def _usual_q(self, feed: Feed, places: FloatArray, now: Instant) -> FloatArray:
-        """(n,) the probability that any object at these places is missed."""
+        """(n,) the described miss probability at these places."""
         return np.clip(feed.q_at(places, now.instant_s), self.least_q, 1.0 - self.least_q)
 
     def _q_of(self, feed: Feed, source: Source, places: FloatArray, now: Instant) -> FloatArray:
-        """(rows, S) for every record of a source, the probability that each source misses an object at its place.
+        """(rows, S) the probability that each source misses an object at the place of each record of a source.
 
-        The places of a direction are the records of others in it; without any it is anywhere.
+        A direction has the places of other records along it; without any, the mean over all places is used.
         """
         records = records_of(source)
         if not isinstance(feed.reports, Directions):
@@ -146,13 +146,13 @@ class TrackedPlots:
 
     Attributes
     ----------
-    now : the instant. number : of every object, its own as long as it exists.
-    members : (n, S) rows of the sources' records at the instant, −1 for none; all −1 where an object is only predicted.
-    probability : that exactly these records are that object. existence : probability that the object exists.
-    prior_objects : the objects predicted to the instant, without the current scans. prior_of : place of each object
+    now : the instant. number : of each object, constant while it exists.
+    members : (n, S) rows of the sources' records at the instant, −1 for none; all −1 if the object is only predicted.
+    probability : that exactly these records are the object. existence : probability that the object exists.
+    prior_objects : the objects predicted to the instant, without the current scans. prior_of : row of each object
         among them, −1 for new ones.
-    rule, usual_q, identification : of the records; identification is None where no scan is current.
-    scan_s, gap_s : (S,) the time of each source's last scan, and the time since the scan before it.
+    rule, usual_q, identification : of the records; identification is None if no scan is current.
+    scan_s, gap_s : (S,) the time of each source's last scan, and the time between its last two scans.
     n_numbers : the highest number in use.
     tuning : of the tracker.
     """
@@ -185,7 +185,7 @@ class TrackedPlots:
         usual_q: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> TrackedPlots:
-        """The current scans identified with the prior objects."""
+        """The objects from the joint identification of the current scans and the prior objects."""
         with_records = [s for s, source in enumerate(now.sources) if len(records_of(source))]
         scan_s, gap_s = _scan_times(now, before)
         n_numbers = 0 if before is None else before.n_numbers
@@ -208,17 +208,17 @@ class TrackedPlots:
 
     @property
     def state(self) -> FloatArray:
-        """(n, 4) east, north and their velocities; a record counts by the probability that it is the object's."""
+        """(n, 4) east, north and their velocities; records are weighted by their probability to be of the object."""
         return self._joint[0]
 
     @property
     def covariance(self) -> FloatArray:
-        """(n, 4, 4) of the states, with the errors that all sources have in common."""
+        """(n, 4, 4) of the states, including the common error of all sources."""
         return self._joint[1]
 
     @cached_property
     def _joint(self) -> tuple[FloatArray, FloatArray]:
-        """States and covariances; those of prior objects do not depend on the region."""
+        """States and covariances; those of prior objects are not constrained by the region."""
         state, covariance = np.empty((len(self), 4)), np.empty((len(self), 4, 4))
         for region, which in ((self._wide_region, self.prior_of >= 0), (self.now.region, self.prior_of < 0)):
             joint = self._pooled(which, self.members[which], np.ones(len(self.scan_s)), region)
@@ -228,14 +228,14 @@ class TrackedPlots:
 
     @property
     def _wide_region(self) -> Region:
-        """A region so wide that it does not constrain prior objects."""
+        """The region with its covariance times ``region_factor``: it does not constrain prior objects."""
         region = self.now.region
         return Region(region.centre, self.tuning.region_factor * region.covariance)
 
     def _pooled(self, which: NDArray[Any], sets: IntArray, count: FloatArray, region: Region) -> Joint:
-        """States of some of the objects from their priors and the records ``sets``.
+        """The states of the objects ``which`` from their priors and their records ``sets``.
 
-        count : (S,) the weight of a record that is certainly the object's.
+        count : (S,) the weight of a record that is certainly of its object, per source.
         """
         pairs = zip(self.now.sources, self.p_own, count, strict=True)
         sources = [_weighted(source, p_own * share, self.tuning.least_probability) for source, p_own, share in pairs]
@@ -245,14 +245,14 @@ class TrackedPlots:
 
     @cached_property
     def last_number(self) -> Mapping[tuple[int, int], int]:
-        """The number of the object of every current record, by source and row of its reports."""
+        """By source and row of its reports, the object number of each current record."""
         at, s = np.nonzero(self.members >= 0)
         ids = [records_of(source).ids for source in self.now.sources]
         rows = self.members[at, s].tolist()
         return {(k, int(ids[k][row])): n for k, row, n in zip(s.tolist(), rows, self.number[at].tolist(), strict=True)}
 
     def retired_members(self, now: Instant) -> IntArray:
-        """(n, S) the members that are not current any more at a later instant, −1 for the others."""
+        """(n, S) the members whose scans are not current at a later instant, −1 for the others."""
         out = self.members.copy()
         for s, (before, after) in enumerate(zip(self.now.sources, now.sources, strict=True)):
             is_current = np.append(np.isin(records_of(before).ids, records_of(after).ids), True)
@@ -260,7 +260,7 @@ class TrackedPlots:
         return out
 
     def scans_over(self, now: Instant) -> FloatArray:
-        """(S,) the completed scans of each source at a later instant."""
+        """(S,) the number of scans of each source completed since: 1 or 0, or a part of a rotation."""
         dt = now.instant_s - self.now.instant_s
         share = [math.inf if feed.rotation is None else dt / feed.rotation.period_s for feed in now.feeds]
         scanned = np.isfinite(self.scan_s) & (_scan_times(now, self)[0] > self.scan_s)
@@ -268,7 +268,7 @@ class TrackedPlots:
 
     @cached_property
     def p_association(self) -> tuple[FloatArray, ...]:
-        """Per source (m, rows): the probability that each prior object is each row of its table."""
+        """Per source (m, rows): the probability that each prior object and each record are one object."""
         out = tuple(np.zeros((len(self.prior_objects), records_of(source).n_table)) for source in self.now.sources)
         if self.identification is None or not len(self.prior_objects):
             return out
@@ -285,7 +285,7 @@ class TrackedPlots:
         return out
 
     def p_detected(self, sets: IntArray) -> FloatArray:
-        """(m, S) probability that each prior object is one of the records ``sets``, source by source."""
+        """(m, S) probability that each prior object has one of the records ``sets`` of each source."""
         parts = [
             p[:, np.unique(rows[rows >= 0])].sum(axis=1) for p, rows in zip(self.p_association, sets.T, strict=True)
         ]
@@ -293,7 +293,7 @@ class TrackedPlots:
 
     @cached_property
     def p_own(self) -> tuple[FloatArray, ...]:
-        """Per source (rows,) probability that a record is of its prior object, 1 for new ones."""
+        """Per source (rows,) probability that a record is of its assigned prior object, 1 for new objects."""
         out = tuple(np.ones(p.shape[1]) for p in self.p_association)
         at, s = np.nonzero((self.members >= 0) & (self.prior_of >= 0)[:, None])
         for n, source in zip(at.tolist(), s.tolist(), strict=True):
@@ -302,10 +302,8 @@ class TrackedPlots:
         return out
 
     def fused(self, sets: IntArray, correlation_s: float) -> BernoulliTable:
-        """The prior objects updated by their records ``sets``.
-
-        A record counts as the share Δt/τ of one, times the probability that it is the object's.
-        """
+        """The prior objects updated by their records ``sets``, weighted by Δt/τ (at most 1) times the probability that
+        the record is of the object."""
         at = np.flatnonzero((self.prior_of >= 0) & (sets >= 0).any(axis=1))
         if not len(at):
             return self.prior_objects
@@ -316,10 +314,8 @@ class TrackedPlots:
         return replace(self.prior_objects, state=state, covariance=covariance)
 
     def new_objects(self, sets: IntArray) -> tuple[BernoulliTable, FloatArray]:
-        """New objects, from those of the records ``sets`` with positions.
-
-        And (b, S) the probability that any object there is missed.
-        """
+        """The new objects with positions among the records ``sets``, and (b, S) the described miss probabilities at
+        their places."""
         placed = np.array([not isinstance(feed.reports, Directions) for feed in self.now.feeds], dtype=bool)
         at = np.flatnonzero((self.prior_of < 0) & ((sets >= 0) & placed).any(axis=1))
         if not len(at):
@@ -360,7 +356,7 @@ def _require_plots(now: Instant, before: TrackedPlots | None) -> None:
 
 
 def _scan_times(now: Instant, before: TrackedPlots | None) -> tuple[FloatArray, FloatArray]:
-    """(S,) the time of each source's last scan, −inf for none, and (S,) the time since the scan before it."""
+    """(S,) the time of each source's last scan, −inf for none, and (S,) the time between its last two scans."""
     scan_s = np.array(
         [feed.scan_times_s[feed.scan_times_s <= now.instant_s].max(initial=-math.inf) for feed in now.feeds]
     )
@@ -377,14 +373,14 @@ def _places(source: Source) -> FloatArray:
 
 
 def _weighted(source: Source, share: FloatArray, least: float) -> Source:
-    """A source whose records have weights (rows,)."""
+    """The source with the covariances of its records divided by weights (rows,) of at least ``least``."""
     records = records_of(source)
     weighted = replace(records, covariance=records.covariance / np.maximum(share[records.rows], least)[:, None])
     return replace(source, records=weighted) if isinstance(source, Observations) else weighted
 
 
 def _existence(identification: Objects, rule: BernoulliObjects) -> FloatArray:
-    """(n,) probability of existence: below 1 for lone records and for prior objects without one."""
+    """(n,) probability of existence: below 1 for single records and for prior objects without a record."""
     pooled, exists = identification.pooled, rule.exists(identification.pooled)
     members = identification.sets.members[identification.set_of_object]
     out = np.where(identification.n_members > 1, identification.probability, exists[members.max(axis=1)])
@@ -406,7 +402,7 @@ def _numbered(
     members: IntArray,
     n_numbers: int,
 ) -> tuple[IntArray, int]:
-    """(n,) numbers: those of the priors, those that their records had before, else new ones."""
+    """(n,) numbers, and the highest in use: that of the prior, else the previous one of a record, else a new one."""
     ids = [records_of(source).ids for source in now.sources]
     earlier = {} if before is None else before.last_number
     taken = set(prior_objects.number.tolist())

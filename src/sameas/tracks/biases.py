@@ -1,13 +1,13 @@
-"""Biases: how a wrongly set up source displaces its records, and its records without them.
+"""Biases: the effect of a source's calibration errors on its positions, and reports corrected for them.
 
-Six numbers say it, in the order of :data:`BIASES`. A sensor with a site reads ranges and azimuths too large; any
-source may be shifted as a whole, and its stamps may be late.
+Six numbers, in the order of :data:`BIASES`: a sensor with a site has offsets of range and azimuth and a range gain; any
+source may be late and displaced as a whole.
 
 - :class:`BiasModel`: from the place of an object to its measured place, and back, with derivatives.
 - :class:`RelativeBias`: the offset between two such sources, for :mod:`sameas.registration`.
 - :class:`AzimuthBias`: the same for directions.
 
-A bias in range is one along the ground: for targets at a steep elevation it is not quite that of the slant range.
+The range bias is along the ground; at steep elevations it differs from that of the slant range.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Displaced:
 class BiasModel:
     """The effect of biases θ (…, 6), in the order of :data:`BIASES`, on the positions of one source.
 
-    site_m : (2,), or (n, 2) where it moves, east and north of the sensor; None for a source that is in no one place.
+    site_m : (2,), or (n, 2) if it moves, east and north of the sensor; None for a source without a site.
     """
 
     site_m: ArrayLike | None = None
@@ -59,12 +59,12 @@ class BiasModel:
             site = np.asarray(self.site_m, dtype=np.float64)
             true_m, along, across = _polar(before - site)
             measured_m = true_m * (1.0 + theta[..., GAIN]) + theta[..., RANGE]
-            along_read, across_read = _rotated(along, across, theta[..., AZIMUTH])
-            measured = site + measured_m[..., None] * along_read
-            stretched = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_read, along)
-            by_place = stretched + (measured_m / true_m)[..., None, None] * _outer(across_read, across)
-            moves = along_read, RADIAN * measured_m[..., None] * across_read, true_m[..., None] * along_read
-            polar = np.stack(np.broadcast_arrays(*moves), axis=-1)
+            along_out, across_out = _rotated(along, across, theta[..., AZIMUTH])
+            measured = site + measured_m[..., None] * along_out
+            by_range = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_out, along)
+            by_place = by_range + (measured_m / true_m)[..., None, None] * _outer(across_out, across)
+            by_polar = along_out, RADIAN * measured_m[..., None] * across_out, true_m[..., None] * along_out
+            polar = np.stack(np.broadcast_arrays(*by_polar), axis=-1)
         late = -np.einsum("...vw,...w->...v", by_place, np.broadcast_to(velocity, before.shape))
         by_bias = np.concatenate([polar, late[..., None], np.broadcast_to(eye, by_place.shape)], axis=-1)
         return Displaced(measured + shift, by_place, by_bias)
@@ -74,8 +74,8 @@ class BiasModel:
         measured = measured_place - theta[..., EAST:]
         if self.site_m is not None:
             site = np.asarray(self.site_m, dtype=np.float64)
-            measured_m, along_read, across_read = _polar(measured - site)
-            along, _ = _rotated(along_read, across_read, -theta[..., AZIMUTH])
+            measured_m, along_out, across_out = _polar(measured - site)
+            along, _ = _rotated(along_out, across_out, -theta[..., AZIMUTH])
             measured = site + ((measured_m - theta[..., RANGE]) / (1.0 + theta[..., GAIN]))[..., None] * along
         place = measured + velocity * theta[..., TIME, None]
         forward = self.forward(place, velocity, theta)
@@ -84,7 +84,7 @@ class BiasModel:
 
 
 def _polar(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Range, and the unit vectors along and across (clockwise) the line of sight; away from the sensor itself."""
+    """Range (at least 1e-6 m), and the unit vectors along and across (clockwise) the line of sight."""
     angle = np.arctan2(arm[..., 0], arm[..., 1])
     sine, cosine = np.sin(angle), np.cos(angle)
     distance = np.maximum(np.hypot(arm[..., 0], arm[..., 1]), 1e-6)
@@ -92,13 +92,13 @@ def _polar(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _rotated(along: FloatArray, across: FloatArray, azimuth_deg: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The same unit vectors, clockwise by an angle."""
+    """The unit vectors rotated clockwise by an angle."""
     cosine, sine = np.cos(RADIAN * azimuth_deg)[..., None], np.sin(RADIAN * azimuth_deg)[..., None]
     return cosine * along + sine * across, cosine * across - sine * along
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Of (…, 2, 2), faster than for any size."""
+    """The inverse of (…, 2, 2), in closed form: faster than ``np.linalg.inv``."""
     (a, b), (c, d) = (matrix[..., 0, 0], matrix[..., 0, 1]), (matrix[..., 1, 0], matrix[..., 1, 1])
     adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
     return np.asarray(adjugate / (a * d - b * c)[..., None, None])
@@ -110,10 +110,10 @@ def _outer(one: FloatArray, other: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class RelativeBias(Offset):
-    """The offset between two sources: the second's records are moved to where the first would measure them.
+    """The offset between two sources: moves the second's records to where the first would measure them.
 
-    first, second : their models. velocity : (n, 2) of the second source's records, 0 where not known.
-    prior : (12,) prior standard deviations of the biases of the first and of the second; 0 leaves one out.
+    first, second : their models. velocity : (n, 2) of the second source's records, 0 where unknown.
+    prior : (12,) prior standard deviations of the biases of the first and the second; 0 to exclude one.
     """
 
     first: BiasModel
@@ -151,18 +151,18 @@ class RelativeBias(Offset):
         return self._displaced(features, theta).by_place
 
     def _displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
-        every = np.zeros((*theta.shape[:-1], 12))
-        every[..., list(self.which)] = theta
+        theta_12 = np.zeros((*theta.shape[:-1], 12))
+        theta_12[..., list(self.which)] = theta
         if not any(self.prior[:6]):
-            true = self.second.inverse(features, self.velocity, every[..., 6:])
+            true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
             return replace(true, by_bias=np.concatenate([np.zeros_like(true.by_bias), true.by_bias], axis=-1))
         if not any(self.prior[6:]):
-            measured = self.first.forward(features, self.velocity, every[..., :6])
+            measured = self.first.forward(features, self.velocity, theta_12[..., :6])
             return replace(
                 measured, by_bias=np.concatenate([measured.by_bias, np.zeros_like(measured.by_bias)], axis=-1)
             )
-        true = self.second.inverse(features, self.velocity, every[..., 6:])
-        measured = self.first.forward(true.place, self.velocity, every[..., :6])
+        true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
+        measured = self.first.forward(true.place, self.velocity, theta_12[..., :6])
         by_bias = np.concatenate(np.broadcast_arrays(measured.by_bias, measured.by_place @ true.by_bias), axis=-1)
         return Displaced(measured.place, measured.by_place @ true.by_place, by_bias)
 
@@ -179,9 +179,9 @@ class RelativeBias(Offset):
     def voted(self, d: int) -> list[tuple[int | None, float]]:
         start, site = self._charted()
         pair = (EAST, NORTH) if site is None else (RANGE, AZIMUTH)
-        # What the first reads too much is added to the records; what the second reads too much is taken off.
-        per = -1.0 if start else 1.0
-        return [(self.which.index(k + start) if k + start in self.which else None, per) for k in pair]
+        # Biases of the first source are added to the records, those of the second subtracted.
+        sign = -1.0 if start else 1.0
+        return [(self.which.index(k + start) if k + start in self.which else None, sign) for k in pair]
 
     def turns(self) -> list[tuple[FloatArray, float]]:
         charted = {at for at, _ in self.voted(2)}
@@ -199,7 +199,10 @@ class RelativeBias(Offset):
 
 @dataclass(frozen=True)
 class AzimuthBias(Offset):
-    """The azimuth bias of a source of directions, the second: features are degrees clockwise from north."""
+    """The azimuth bias of the second source, one of directions; features are degrees clockwise from north.
+
+    azimuth_deg : its prior standard deviation.
+    """
 
     azimuth_deg: float
 
@@ -238,33 +241,33 @@ CERTAIN = np.zeros((len(BIASES), len(BIASES)))
 def corrected(
     reports: States | Directions, sensor_m: FloatArray | None, biases: FloatArray, covariance: FloatArray = CERTAIN
 ) -> States | Directions:
-    """The reports of a source without its biases.
+    """The reports of a source corrected for its biases.
 
-    Covariances are transformed too: an error along the line of sight stays along the true one. The uncertainty of the
-    biases is added to each report's; its correlation between reports is not kept.
+    Covariances are transformed as well: an error along the line of sight stays along the corrected one. The uncertainty
+    of the biases is added to each report; its correlation between reports is ignored.
 
     Parameters
     ----------
     sensor_m : (n, 2) place of the sensor at each report; None for a source without a site, which has no range and
         azimuth biases.
-    biases, covariance : (6,) and (6, 6), in the order of :data:`sameas.tracks.biases.BIASES`.
+    biases, covariance : (6,) and (6, 6), in the order of :data:`BIASES`.
     """
     time_s = reports.time_s - biases[TIME]
     if isinstance(reports, Directions):
         sigma = np.hypot(reports.sigma_deg, np.sqrt(covariance[AZIMUTH, AZIMUTH]))
         bearing = (reports.bearing_deg - biases[AZIMUTH]) % 360.0
         return replace(reports, time_s=time_s, bearing_deg=bearing, sigma_deg=sigma)
-    known = reports.usable
-    state, spread = reports.state.copy(), reports.covariance.copy()
-    model = BiasModel(None if sensor_m is None else sensor_m[known])
-    # The stamps were put right: nothing is left for them to move.
-    untimed = np.where(np.arange(len(BIASES)) == TIME, 0.0, biases)
-    true = model.inverse(state[known, :2], state[known, 2:], untimed)
-    turn = np.zeros((len(true.place), 4, 4))
-    turn[:, :2, :2] = turn[:, 2:, 2:] = true.by_place
-    state[known] = np.einsum("nvw,nw->nv", turn, state[known])
-    state[known, :2] = true.place
-    grown = propagated(turn, spread[known])
-    grown[:, :2, :2] += propagated(true.by_bias, covariance)
-    spread[known] = grown
-    return replace(reports, time_s=time_s, state=state, covariance=spread)
+    usable = reports.usable
+    state, out_covariance = reports.state.copy(), reports.covariance.copy()
+    model = BiasModel(None if sensor_m is None else sensor_m[usable])
+    # The time bias is corrected in the stamps; positions must not be moved for it again.
+    without_time = np.where(np.arange(len(BIASES)) == TIME, 0.0, biases)
+    true = model.inverse(state[usable, :2], state[usable, 2:], without_time)
+    jacobian = np.zeros((len(true.place), 4, 4))
+    jacobian[:, :2, :2] = jacobian[:, 2:, 2:] = true.by_place
+    state[usable] = np.einsum("nvw,nw->nv", jacobian, state[usable])
+    state[usable, :2] = true.place
+    corrected_covariance = propagated(jacobian, out_covariance[usable])
+    corrected_covariance[:, :2, :2] += propagated(true.by_bias, covariance)
+    out_covariance[usable] = corrected_covariance
+    return replace(reports, time_s=time_s, state=state, covariance=out_covariance)

@@ -1,23 +1,22 @@
-"""Offsets of a radar's bare plots against tracks, by every plot of every scan.
+"""Offsets of a radar's plots without ids relative to tracks, from all plots of all scans.
 
-A small radar in clutter shows one or two of the vessels that others name in a scan, and ten echoes of land, buoys and
-sea: no scan tells an offset, all of them together do. Every track that may be in sight is one voter. Given biases θ its
-plots are a Poisson process about its path,
+A small radar in clutter detects one or two of the tracked vessels per scan, and ten echoes of land, buoys and sea: a
+single scan does not determine an offset, all scans together do. Given biases θ, the plots of a track are a Poisson
+process about its path,
 
     ln L(θ) = Σ_k ln(1 + μ N(z_k; h(t_k, θ), Σ_k) / β_k) − μ n
 
-over plots k near it in n scans, averaged over the mean number μ of its plots in a scan, so that a hull may give many
-plots or none. β_k is the density of other plots at that place, per scan: those that the radar shows there some time
-before and after, when a moving object has gone, so that what stays in place is background and not chance, and those at
-this range in any direction, such as the sea's.
+over plots k near it in n scans, averaged over the mean number μ of its plots per scan, so that a hull may give many
+plots or none. β_k is the density of other plots at that place, per scan: plots at the same place some time before and
+after, when a moving object would have left (fixed echoes), plus plots at the same range in any direction (sea clutter).
 
-Plots of one object agree or disagree together: its hull, the other source's antenna and the company it keeps err alike
-in all scans. So a track's vote saturates: with probability ε something else moves beside a track of its own, and
-L/(1 + ε L) is what counts against nothing in common. The place of an echo on the hull that stays is a number of each
-track in the last fit, and so in the standard errors.
+The plots of one object are not independent: errors of its hull, the antenna of the other source and its companions are
+the same in all scans. So the evidence of a track is bounded: with probability ε another object accompanies the track,
+and L/(1 + ε L) is its likelihood ratio against no object in common. A constant place of the echo on the hull is a
+parameter of each track in the final fit, and so included in the standard errors.
 
-The azimuth is searched over all that its prior allows, whose tails are Cauchy's: a compass that is set up wrongly is so
-by any angle.
+The azimuth is searched over the whole range of its prior, which is a Cauchy distribution: a wrongly installed compass
+may be off by any angle.
 """
 
 from __future__ import annotations
@@ -46,7 +45,8 @@ FITTED = (RANGE, AZIMUTH, GAIN, TIME)
 
 
 def shows_bare_plots(feed: Feed) -> bool:
-    """Whether a source's offsets are found by its plots: positions without names, by a sensor that may be turned."""
+    """Whether a source's offsets are fitted from its plots: positions without ids, from a sensor with unknown
+    azimuth bias and no unknown shift."""
     widths, reports = bias_widths(feed), feed.reports
     polar = isinstance(reports, States) and reports.track is None and feed.sensor_m is not None
     return polar and bool(widths[AZIMUTH] > 0.0) and not (widths[EAST] or widths[NORTH])
@@ -61,7 +61,7 @@ def shows_tracks(feed: Feed) -> bool:
 class Plots:
     """A radar's plots (n,): time, scan, place east and north, place of the sensor, range, azimuth (°).
 
-    variance : (n, 2) m² along and across the line of sight, without what stays with an object.
+    variance : (n, 2) m² along and across the line of sight, without the constant errors of an object.
     """
 
     time_s: FloatArray
@@ -74,24 +74,24 @@ class Plots:
 
     @classmethod
     def of(cls, feed: Feed) -> Plots:
-        """In the order of time."""
+        """The plots of a feed, in order of time."""
         reports = feed.reports
         assert isinstance(reports, States) and feed.sensor_m is not None
         rows = np.flatnonzero(reports.usable & np.isfinite(feed.sensor_m).all(axis=1))
         rows = rows[np.argsort(reports.time_s[rows], kind="stable")]
         place, sensor = reports.state[rows, :2], feed.sensor_m[rows]
-        away, azimuth, frame = _sight(place - sensor)
-        spread = np.einsum("nav,nvw,naw->na", frame, reports.covariance[rows, :2, :2], frame)
-        least = np.maximum(spread - (feed.description.errors.extent_m or 0.0) ** 2, 0.05 * spread)
+        range_m, azimuth, frame = _sight(place - sensor)
+        stated = np.einsum("nav,nvw,naw->na", frame, reports.covariance[rows, :2, :2], frame)
+        variance = np.maximum(stated - (feed.description.errors.extent_m or 0.0) ** 2, 0.05 * stated)
         scan = np.unique(feed.scan_s[rows], return_inverse=True)[1]
-        return cls(reports.time_s[rows], scan, place, sensor, away, azimuth, least)
+        return cls(reports.time_s[rows], scan, place, sensor, range_m, azimuth, variance)
 
     def __len__(self) -> int:
         return len(self.time_s)
 
 
 def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Range, azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight (n, 2)."""
+    """Range (at least 1 m), azimuth (°) and (n, 2, 2) unit vectors along and across (clockwise) lines of sight."""
     angle = np.arctan2(arm[:, 0], arm[:, 1])
     sine, cosine = np.sin(angle), np.cos(angle)
     frame = np.stack([np.stack([sine, cosine], axis=-1), np.stack([cosine, -sine], axis=-1)], axis=-2)
@@ -100,12 +100,13 @@ def _sight(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class Candidates:
-    """Plots that may be of tracks, whatever the biases (m,).
+    """Pairs of a plot and a track that are possible under any allowed biases, (m,) each.
 
-    plot, track : numbers. residual : (m, 2) range (m) and azimuth (as metres across) by which the plot is beyond the
-    track's place. jacobian : (m, 2, 4) of that by FITTED. variance : (m, 2) m², without what stays with a track.
-    background : other plots per m² and scan at the plot. scans : (v,) scans in which each track may be shown.
-    lasting_m2 : variance per axis of what stays with a track. frame : (m, 2, 2) along and across the line of sight.
+    plot, track : their numbers. residual : (m, 2) range (m) and azimuth (as metres across) of the plot minus that of
+    the track. jacobian : (m, 2, 4) of the residual by FITTED. variance : (m, 2) m², without the constant errors of a
+    track. background : density of other plots at the plot, per m² and scan. scans : (v,) number of scans that may
+    detect each track. lasting_m2 : variance per axis of the constant errors of a track. frame : (m, 2, 2) unit vectors
+    along and across the line of sight.
     """
 
     plot: IntArray
@@ -120,62 +121,62 @@ class Candidates:
 
 
 def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tuning) -> Candidates:
-    """All plots within the reach of the biases of all tracks of the partners."""
+    """The candidate pairs of all plots and all tracks of the partners."""
     widths = bias_widths(feed)
     reach_deg = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
     parts: list[tuple[NDArray[Any], ...]] = []
     scans: list[float] = []
     lasting = (feed.description.errors.extent_m or 0.0) ** 2
-    looks = _first_of_scans(plots)
+    scan_starts = _first_of_scans(plots)
     for partner in partners:
         lasting = max(lasting, sum((f.description.errors.extent_m or 0.0) ** 2 for f in (feed, partner)))
         for path in _paths(partner):
-            state, spread = path.at(plots.time_s)
+            state, covariance = path.at(plots.time_s)
             arm = state[:, :2] - plots.sensor
-            away, azimuth, frame = _sight(arm)
-            along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], spread[:, :2, :2], frame[:, a]) for a in (0, 1))
+            range_m, azimuth, frame = _sight(arm)
+            along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], covariance[:, :2, :2], frame[:, a]) for a in (0, 1))
             known = np.maximum(along, across) < tuning.path_m**2
-            known &= (away > tuning.beside_m) & (away <= (feed.description.coverage.range_m or np.inf))
+            known &= (range_m > tuning.beside_m) & (range_m <= (feed.description.coverage.range_m or np.inf))
             if not known.any():
                 continue
-            turn = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
+            d_azimuth = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
             variance = plots.variance + np.column_stack([along, across])
-            slack = tuning.gate_sigmas * np.sqrt(
-                variance[:, 0] + lasting + widths[RANGE] ** 2 + (widths[GAIN] * away) ** 2
+            gate_m = tuning.gate_sigmas * np.sqrt(
+                variance[:, 0] + lasting + widths[RANGE] ** 2 + (widths[GAIN] * range_m) ** 2
             )
-            beyond = plots.range_m - away
-            near = np.flatnonzero(known & (np.abs(beyond) <= slack) & (np.abs(turn) <= reach_deg))
+            d_range = plots.range_m - range_m
+            near = np.flatnonzero(known & (np.abs(d_range) <= gate_m) & (np.abs(d_azimuth) <= reach_deg))
             velocity = np.einsum("nav,nv->na", frame, state[:, 2:])[near]
-            one, zero, r = np.ones(len(near)), np.zeros(len(near)), away[near]
+            one, zero, r = np.ones(len(near)), np.zeros(len(near)), range_m[near]
             jacobian = np.stack(
                 [np.stack([one, zero, r, -velocity[:, 0]], axis=-1),
                  np.stack([zero, RADIAN * r, zero, -velocity[:, 1]], axis=-1)], axis=-2,
             )  # fmt: skip
-            residual = np.column_stack([beyond[near], RADIAN * turn[near] * r])
+            residual = np.column_stack([d_range[near], RADIAN * d_azimuth[near] * r])
             parts.append((near, np.full(len(near), len(scans)), residual, jacobian, variance[near], frame[near]))
-            scans.append(float(np.sum(known[looks])))
+            scans.append(float(np.sum(known[scan_starts])))
     if not sum(len(part[0]) for part in parts):
         none, empty = np.empty(0, np.int64), np.empty((0, 2))
         return Candidates(
             none, none, empty, np.empty((0, 2, 4)), empty, np.empty(0), np.empty(0), lasting, np.empty((0, 2, 2))
         )
     plot, track, residual, jacobian, variance, frame = (np.concatenate(part) for part in zip(*parts, strict=True))
-    shown = np.unique(plot)
+    in_gate = np.unique(plot)
     background = np.zeros(len(plots))
-    background[shown] = _background(plots, shown, tuning)
+    background[in_gate] = _background(plots, in_gate, tuning)
     return Candidates(
         plot, track, residual, jacobian, variance, background[plot], np.array(scans), lasting, frame
     )  # fmt: skip
 
 
 def _first_of_scans(plots: Plots) -> IntArray:
-    """One plot of each scan."""
+    """(l,) the first plot of each scan."""
     return np.unique(plots.scan, return_index=True)[1]
 
 
 @dataclass(frozen=True)
 class Path:
-    """One track's reports in order: times, states (k, 4), covariances (k, 4, 4), q (k,) of its motion, timeout."""
+    """One track's reports in order: times (k,), states (k, 4), covariances (k, 4, 4), motion noise (k,) in m²/s³."""
 
     time_s: FloatArray
     state: FloatArray
@@ -183,15 +184,15 @@ class Path:
     walk: FloatArray
 
     def at(self, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """States and covariances at any times: of the reports before and after, each moved there."""
+        """States and covariances at any times: the weighted mean of the reports before and after, moved there."""
         after = np.searchsorted(self.time_s, time_s, side="right")
         before, after = np.maximum(after - 1, 0), np.minimum(after, len(self.time_s) - 1)
         ends = [
             moved(self.state[k], self.covariance[k], time_s - self.time_s[k], self.walk[k]) for k in (before, after)
         ]
-        # The nearer in certainty counts more; a report is moved by its velocity either way.
-        trust = [1.0 / np.einsum("nvv->n", spread[:, :2, :2]) for _, spread in ends]
-        share = trust[0] / (trust[0] + trust[1])
+        # The weights are the precisions of the two moved positions.
+        precision = [1.0 / np.einsum("nvv->n", covariance[:, :2, :2]) for _, covariance in ends]
+        share = precision[0] / (precision[0] + precision[1])
         state = share[:, None] * ends[0][0] + (1.0 - share)[:, None] * ends[1][0]
         return state, share[:, None, None] * ends[0][1] + (1.0 - share)[:, None, None] * ends[1][1]
 
@@ -211,11 +212,11 @@ def _paths(feed: Feed) -> list[Path]:
 
 
 def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
-    """(m,) density of other plots at some of the plots, per m² and scan: of what stays in place, and of the range."""
+    """(m,) density of other plots at the plots ``rows``, per m² and scan: of fixed echoes, plus that of the range."""
     from scipy.spatial import cKDTree
 
     tree = cKDTree(plots.place)
-    looks = plots.time_s[_first_of_scans(plots)]
+    scans_s = plots.time_s[_first_of_scans(plots)]
     width = np.sqrt(2.0 * plots.variance[rows]) + tuning.echo_m
     frame = _sight(plots.place[rows] - plots.sensor[rows])[2]
     owner, other = flattened(tree.query_ball_point(plots.place[rows], 3.0 * width.max(axis=1), return_sorted=False))
@@ -226,53 +227,53 @@ def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
     kernel = np.exp(-0.5 * np.sum(step**2, axis=1)) / (2.0 * np.pi * width[owner].prod(axis=1))
     at = plots.time_s[rows]
     window = sum(
-        np.searchsorted(looks, at + high) - np.searchsorted(looks, at + low)
+        np.searchsorted(scans_s, at + high) - np.searchsorted(scans_s, at + low)
         for low, high in ((-tuning.stays_s, -tuning.gone_s), (tuning.gone_s, tuning.stays_s))
     )
-    stays = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
-    return stays + _by_range(plots, rows, len(looks), tuning)
+    fixed = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
+    return fixed + _by_range(plots, rows, len(scans_s), tuning)
 
 
-def _by_range(plots: Plots, rows: IntArray, looks: int, tuning: Tuning) -> FloatArray:
-    """(m,) plots per m² and scan at the range of some of the plots, in whatever direction."""
+def _by_range(plots: Plots, rows: IntArray, n_scans: int, tuning: Tuning) -> FloatArray:
+    """(m,) plots per m² and scan at the range of the plots ``rows``, averaged over all directions."""
     order = np.sort(plots.range_m)
     count = max(int(tuning.ring_share * len(order)), 10)
     middle = np.searchsorted(order, plots.range_m[rows])
     low, high = np.maximum(middle - count, 0), np.minimum(middle + count, len(order) - 1)
     inner, outer = np.where(low == 0, 0.0, order[low]), order[high] + 1.0
-    return np.asarray((high - low) / (np.pi * (outer**2 - inner**2) * looks))
+    return np.asarray((high - low) / (np.pi * (outer**2 - inner**2) * n_scans))
 
 
 @dataclass(frozen=True)
-class Vote:
-    """What the tracks say of azimuths: (g,) the grid, (s, v, g) ln L of each scale of the errors, track and azimuth."""
+class AzimuthSearch:
+    """(g,) the azimuths of the grid, and (s, v, g) ln L of each scale of the errors, track and azimuth."""
 
     azimuth_deg: FloatArray
     log_likelihood: FloatArray
 
 
-def voted(all_of: Candidates, widths: FloatArray, tuning: Tuning) -> Vote:
-    """The search: ln L of every track at every azimuth, all other biases averaged over their priors."""
+def search_azimuth(pairs: Candidates, widths: FloatArray, tuning: Tuning) -> AzimuthSearch:
+    """ln L of each track at each azimuth, with the other biases integrated over their priors."""
     reach = min(tuning.azimuth_reach * widths[AZIMUTH], 180.0)
     grid = np.linspace(-reach, reach, 2 * int(np.ceil(reach / tuning.azimuth_step_deg)) + 1)
-    free = widths[list(FITTED)] * (np.arange(len(FITTED)) != FITTED.index(AZIMUTH))
-    prior = np.einsum("map,p,map->ma", all_of.jacobian, free**2, all_of.jacobian)
-    out = np.zeros((len(tuning.plot_scales), len(all_of.scans), len(grid)))
-    for number in range(len(all_of.scans)):
-        mine = all_of.track == number
-        if not mine.any():
+    others = widths[list(FITTED)] * (np.arange(len(FITTED)) != FITTED.index(AZIMUTH))
+    prior = np.einsum("map,p,map->ma", pairs.jacobian, others**2, pairs.jacobian)
+    out = np.zeros((len(tuning.plot_scales), len(pairs.scans), len(grid)))
+    for number in range(len(pairs.scans)):
+        own = pairs.track == number
+        if not own.any():
             continue
-        lever, residual = all_of.jacobian[mine, 1, 1], all_of.residual[mine]
+        lever, residual = pairs.jacobian[own, 1, 1], pairs.residual[own]
         across = residual[:, 1, None] - lever[:, None] * grid
         for s, scale in enumerate(tuning.plot_scales):
-            variance = scale**2 * all_of.variance[mine] + prior[mine] + all_of.lasting_m2
+            variance = scale**2 * pairs.variance[own] + prior[own] + pairs.lasting_m2
             log_density = -LOG_2PI - 0.5 * np.log(variance).sum(axis=1) - 0.5 * residual[:, 0] ** 2 / variance[:, 0]
             ratio = np.exp(log_density[:, None] - 0.5 * across**2 / variance[:, 1, None])
-            out[s, number] = _averaged(ratio / all_of.background[mine, None], all_of.scans[number], tuning)
-    return Vote(grid, out)
+            out[s, number] = _log_mean_over_rates(ratio / pairs.background[own, None], pairs.scans[number], tuning)
+    return AzimuthSearch(grid, out)
 
 
-def _averaged(ratio: FloatArray, scans: float, tuning: Tuning) -> FloatArray:
+def _log_mean_over_rates(ratio: FloatArray, scans: float, tuning: Tuning) -> FloatArray:
     """(g,) ln of the mean over μ of the likelihood of plots with density ratios (m, g)."""
     rates = np.array(tuning.plot_rates)
     terms = np.array([np.sum(np.log1p(rate * ratio), axis=0) - rate * scans for rate in rates])
@@ -280,65 +281,65 @@ def _averaged(ratio: FloatArray, scans: float, tuning: Tuning) -> FloatArray:
 
 
 def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
-    """The biases of a source of bare plots (:func:`shows_bare_plots`) by the tracks of others.
+    """The biases of a source of plots without ids (:func:`shows_bare_plots`), from the tracks of others.
 
-    None where none meet, and where a scan may show many tracks: there each scan tells by itself, and tracks are near
-    enough to each other to be taken for one another (:func:`sameas.tracks.bias_fit.fit_biases`).
+    None if no plot is near a track, and if a scan may show many tracks: then single scans determine the biases, and
+    tracks are near enough to be confused (use :func:`sameas.tracks.bias_fit.fit_biases`).
     """
     tuning, widths = feed.tuning, bias_widths(feed)
     plots = Plots.of(feed)
     if not len(plots) or not partners:
         return None
-    all_of = candidates(plots, feed, partners, tuning)
-    if not len(all_of.plot) or all_of.scans.sum() > tuning.many_tracks * (plots.scan.max() + 1):
+    pairs = candidates(plots, feed, partners, tuning)
+    if not len(pairs.plot) or pairs.scans.sum() > tuning.many_tracks * (plots.scan.max() + 1):
         return None
-    vote = voted(all_of, widths, tuning)
-    # What counts against nothing in common saturates; what tells azimuths from each other does not.
-    saturated = vote.log_likelihood - np.logaddexp(0.0, vote.log_likelihood + np.log(tuning.companion))
+    search = search_azimuth(pairs, widths, tuning)
+    # The evidence against no object in common is bounded per track; the comparison of azimuths is not.
+    bounded = search.log_likelihood - np.logaddexp(0.0, search.log_likelihood + np.log(tuning.companion))
     width = float(widths[AZIMUTH])
-    log_prior = -np.log(np.pi * width * (1.0 + (vote.azimuth_deg / width) ** 2))
-    step = float(vote.azimuth_deg[1] - vote.azimuth_deg[0])
-    whole = np.logaddexp.reduce(saturated.sum(axis=1), axis=0) - np.log(len(tuning.plot_scales)) + log_prior
+    log_prior = -np.log(np.pi * width * (1.0 + (search.azimuth_deg / width) ** 2))
+    step = float(search.azimuth_deg[1] - search.azimuth_deg[0])
+    log_posterior = np.logaddexp.reduce(bounded.sum(axis=1), axis=0) - np.log(len(tuning.plot_scales)) + log_prior
     peaks: list[tuple[float, int, int]] = []
-    for low, high in _peaks(whole, tuning):
-        inside = vote.log_likelihood[:, :, low:high].sum(axis=1)
+    for low, high in _peaks(log_posterior, tuning):
+        inside = search.log_likelihood[:, :, low:high].sum(axis=1)
         scale, place = divmod(int(np.argmax(inside)), high - low)
-        peaks.append((float(np.logaddexp.reduce(whole[low:high]) + np.log(step)), scale, low + place))
+        peaks.append((float(np.logaddexp.reduce(log_posterior[low:high]) + np.log(step)), scale, low + place))
     evidence, s, at = max(peaks)
     start = np.zeros(len(FITTED))
-    start[FITTED.index(AZIMUTH)] = vote.azimuth_deg[at]
-    best = _refined(all_of, widths, start, tuning.plot_scales[s], plots, tuning)
+    start[FITTED.index(AZIMUTH)] = search.azimuth_deg[at]
+    best = _refined(pairs, widths, start, tuning.plot_scales[s], plots, tuning)
     rivals = []
     for _, _, other in [peak for peak in peaks if peak[2] != at]:
-        # No track's preference of one azimuth to another counts more than that against nothing in common.
-        ahead = vote.log_likelihood[s, :, at] - vote.log_likelihood[s, :, other]
+        # A track's preference between two azimuths is bounded like its evidence against no object in common.
+        lead = search.log_likelihood[s, :, at] - search.log_likelihood[s, :, other]
         limit = -float(np.log(tuning.companion))
-        less = float(np.clip(ahead, -limit, limit).sum() + log_prior[at] - log_prior[other])
-        theta = np.where(best.biases == AZIMUTH, vote.azimuth_deg[other], best.theta)
-        if less < tuning.registration.decisive:
+        log_ratio = float(np.clip(lead, -limit, limit).sum() + log_prior[at] - log_prior[other])
+        theta = np.where(best.biases == AZIMUTH, search.azimuth_deg[other], best.theta)
+        if log_ratio < tuning.registration.decisive:
             # Two peaks of the search may be one solution.
-            begin = np.where(np.arange(len(FITTED)) == FITTED.index(AZIMUTH), vote.azimuth_deg[other], 0.0)
-            theta = _refined(all_of, widths, begin, tuning.plot_scales[s], plots, tuning).theta
+            start = np.where(np.arange(len(FITTED)) == FITTED.index(AZIMUTH), search.azimuth_deg[other], 0.0)
+            theta = _refined(pairs, widths, start, tuning.plot_scales[s], plots, tuning).theta
             if _same(best, theta):
                 continue
-        rivals.append((theta, evidence - less))
+        rivals.append((theta, evidence - log_ratio))
     rivals.sort(key=lambda rival: -rival[1])
     return replace(best, log_evidence=evidence, rivals=tuple(rivals))
 
 
 class PlotFits:
-    """:func:`fit_plots` of the sources of one scene, each fit made once: doubts and registration ask for the same."""
+    """A cache of :func:`fit_plots` for one scene: doubts and registration need the same fits."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple[Feed, tuple[Feed, ...], BiasFit | None]] = []
+        self._cache: list[tuple[Feed, tuple[Feed, ...], BiasFit | None]] = []
 
     def __call__(self, feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
-        """The fit of a feed to its partners; that which is kept where all of them are the same objects."""
-        for known, others, fit in self._kept:
+        """The fit of a feed to its partners, from the cache if all of them are the same objects."""
+        for known, others, fit in self._cache:
             if known is feed and len(others) == len(partners) and all(map(is_, others, partners)):
                 return fit
         fit = fit_plots(feed, partners)
-        self._kept.append((feed, tuple(partners), fit))
+        self._cache.append((feed, tuple(partners), fit))
         return fit
 
 
@@ -349,88 +350,89 @@ def _same(best: BiasFit, theta: FloatArray) -> bool:
 
 
 def _peaks(log_density: FloatArray, tuning: Tuning) -> list[tuple[int, int]]:
-    """Ranges of the grid about its peaks, the highest first: all that is connected to a peak and not far below it."""
-    left = log_density.copy()
+    """Index ranges (low, high) of the grid about its peaks, the highest first: each is connected and less than
+    ``decisive`` below its peak."""
+    remaining = log_density.copy()
     peaks: list[tuple[int, int]] = []
-    while len(peaks) < tuning.azimuth_peaks and np.isfinite(left).any():
-        at = int(np.argmax(left))
-        out = np.flatnonzero(left < left[at] - tuning.registration.decisive)
-        after = int(np.searchsorted(out, at))
-        low = int(out[after - 1]) + 1 if after else 0
-        high = int(out[after]) if after < len(out) else len(left)
+    while len(peaks) < tuning.azimuth_peaks and np.isfinite(remaining).any():
+        at = int(np.argmax(remaining))
+        below = np.flatnonzero(remaining < remaining[at] - tuning.registration.decisive)
+        after = int(np.searchsorted(below, at))
+        low = int(below[after - 1]) + 1 if after else 0
+        high = int(below[after]) if after < len(below) else len(remaining)
         peaks.append((low, high))
-        left[low:high] = -np.inf
+        remaining[low:high] = -np.inf
     return peaks
 
 
 def _refined(
-    all_of: Candidates, widths: FloatArray, start: FloatArray, scale: float, plots: Plots, tuning: Tuning
+    pairs: Candidates, widths: FloatArray, start: FloatArray, scale: float, plots: Plots, tuning: Tuning
 ) -> BiasFit:
-    """The biases about a start, by EM over plots and tracks, with a place on each hull that stays."""
+    """The biases near a start, by EM over plots and tracks, with a constant place of the echo on each hull."""
     fitted = [p for p, k in enumerate(FITTED) if widths[k] > 0.0]
     precision = widths[[FITTED[p] for p in fitted]] ** -2.0
-    # The azimuth's prior is that of the search: its tails are wide.
+    # The azimuth's prior has the width of the search: its tails are wide.
     precision[fitted.index(FITTED.index(AZIMUTH))] = (tuning.azimuth_reach * widths[AZIMUTH]) ** -2.0
-    tracks, p = len(all_of.scans), len(fitted)
+    tracks, p = len(pairs.scans), len(fitted)
     theta, hull = start[fitted], np.zeros((tracks, 2))
     rate = np.full(tracks, float(np.median(tuning.plot_rates)))
-    scales, settled, axes = np.full(2, scale), False, 2 * tracks
-    lasting_m2 = all_of.lasting_m2
-    frame = all_of.frame
-    jacobian = all_of.jacobian[:, :, fitted]
-    rows = np.arange(len(all_of.plot))
+    scales, converged, axes = np.full(2, scale), False, 2 * tracks
+    lasting_m2 = pairs.lasting_m2
+    frame = pairs.frame
+    jacobian = pairs.jacobian[:, :, fitted]
+    rows = np.arange(len(pairs.plot))
     for step in range(tuning.most_steps):
-        left = all_of.residual - jacobian @ theta - np.einsum("mav,mv->ma", frame, hull[all_of.track])
-        variance = scales**2 * all_of.variance
+        residual = pairs.residual - jacobian @ theta - np.einsum("mav,mv->ma", frame, hull[pairs.track])
+        variance = scales**2 * pairs.variance
         log_ratio = (
-            np.log(rate[all_of.track]) - LOG_2PI - 0.5 * np.log(variance).sum(axis=1)
-            - 0.5 * np.sum(left**2 / variance, axis=1) - np.log(all_of.background)
+            np.log(rate[pairs.track]) - LOG_2PI - 0.5 * np.log(variance).sum(axis=1)
+            - 0.5 * np.sum(residual**2 / variance, axis=1) - np.log(pairs.background)
         )  # fmt: skip
         ratio = np.exp(np.clip(log_ratio, -700.0, 300.0))
-        weight = ratio / (1.0 + np.bincount(all_of.plot, ratio, len(plots))[all_of.plot])
-        total = np.bincount(all_of.track, weight, tracks)
-        rate = (total + tuning.rate_prior) / (all_of.scans + tuning.rate_prior / np.median(tuning.plot_rates))
-        # Unknowns: the biases, then east and north of each track's place.
+        weight = ratio / (1.0 + np.bincount(pairs.plot, ratio, len(plots))[pairs.plot])
+        total = np.bincount(pairs.track, weight, tracks)
+        rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
+        # Unknowns: the biases, then the east and north of each track's echo on the hull.
         design = np.zeros((len(rows), 2, p + axes))
         design[:, :, :p] = jacobian
         for axis in (0, 1):
-            design[rows, :, p + 2 * all_of.track + axis] = frame[:, :, axis]
-        pull = design * (weight[:, None] / variance)[:, :, None]
-        target = left + np.einsum("map,p->ma", design, np.concatenate([theta, hull.ravel()]))
-        information = np.einsum("map,maq->pq", pull, design)
+            design[rows, :, p + 2 * pairs.track + axis] = frame[:, :, axis]
+        weighted = design * (weight[:, None] / variance)[:, :, None]
+        target = residual + np.einsum("map,p->ma", design, np.concatenate([theta, hull.ravel()]))
+        information = np.einsum("map,maq->pq", weighted, design)
         information[np.diag_indices(p + axes)] += np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)])
-        known = inverse(information)
-        both = known @ np.einsum("map,ma->p", pull, target)
-        moved_by = np.abs(both[:p] - theta) * np.sqrt(np.diag(information)[:p])
-        theta, hull = both[:p], both[p:].reshape(tracks, 2)
-        # By how much hulls and antennas lie beside each other is learned from the tracks that are seen.
-        seen = np.repeat(total > tuning.seen, 2)
-        square = float(np.sum((hull.ravel() ** 2 + np.diag(known)[p:])[seen]))
-        lasting_m2 = (square + tuning.hull_prior * all_of.lasting_m2) / (seen.sum() + tuning.hull_prior)
-        due = np.einsum("m,ma->a", weight, left**2 / all_of.variance)
+        posterior_covariance = inverse(information)
+        solution = posterior_covariance @ np.einsum("map,ma->p", weighted, target)
+        change = np.abs(solution[:p] - theta) * np.sqrt(np.diag(information)[:p])
+        theta, hull = solution[:p], solution[p:].reshape(tracks, 2)
+        # The variance of places on the hull is estimated from the detected tracks.
+        detected = np.repeat(total > tuning.seen, 2)
+        square = float(np.sum((hull.ravel() ** 2 + np.diag(posterior_covariance)[p:])[detected]))
+        lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
+        chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
         scales = np.clip(
-            np.sqrt((due + tuning.scale_prior * scale**2) / (weight.sum() + tuning.scale_prior)),
+            np.sqrt((chi_sq + tuning.scale_prior * scale**2) / (weight.sum() + tuning.scale_prior)),
             *tuning.scale_limits,
         )  # fmt: skip
-        settled = bool(step > 3 and np.all(moved_by < tuning.settled))
-        if settled:
+        converged = bool(step > 3 and np.all(change < tuning.settled))
+        if converged:
             break
     sure = weight > 0.5
-    together = _together(plots.time_s[all_of.plot[sure]], (left[:, 1] / np.sqrt(variance[:, 1]))[sure])
-    held = np.diag(np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)]))
-    covariance = inverse((information - held) / together + held)[:p, :p]
+    inflation = _variance_inflation(plots.time_s[pairs.plot[sure]], (residual[:, 1] / np.sqrt(variance[:, 1]))[sure])
+    prior = np.diag(np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)]))
+    covariance = inverse((information - prior) / inflation + prior)[:p, :p]
     return BiasFit(
         np.array([FITTED[k] for k in fitted], np.int64), theta, covariance, covariance, float(weight.sum()),
-        int(plots.scan.max()) + 1, float(np.sum(total > tuning.seen)), 0.0, (), settled, tuning,
+        int(plots.scan.max()) + 1, float(np.sum(total > tuning.seen)), 0.0, (), converged, tuning,
     )  # fmt: skip
 
 
-def _together(time_s: FloatArray, error: FloatArray) -> float:
-    """How many plots count as one, by their times (m,) and errors across (m,), in σ.
+def _variance_inflation(time_s: FloatArray, error: FloatArray) -> float:
+    """The factor on the variance by correlated errors, at least 1, from times (m,) and errors across (m,) in σ.
 
-    Errors of the sensor's heading are alike for all tracks for some time: sums of blocks scatter by more than their
-    plots do.
+    Heading errors of the sensor are common to all tracks for some time, so sums over blocks of 60 s scatter more than
+    those of independent plots.
     """
     block = ((time_s - time_s.min(initial=0.0)) // 60.0).astype(np.int64)
-    alone = float(np.sum(error**2))
-    return max(float(np.sum(np.bincount(block, error) ** 2)) / alone, 1.0) if alone > 0.0 else 1.0
+    independent = float(np.sum(error**2))
+    return max(float(np.sum(np.bincount(block, error) ** 2)) / independent, 1.0) if independent > 0.0 else 1.0

@@ -1,8 +1,8 @@
-"""Registration: the biases of every source against the others, estimated and removed.
+"""Registration: the biases of each source relative to the others, estimated and removed.
 
-:func:`registered` does it for a scene. Sources whose descriptions allow them no bias, such as AIS and ADS-B, which
-report satellite positions, are the reference. Where every source may be biased, the two that show most are registered
-against each other first: their priors are the gauge.
+:func:`registered` registers a scene. Sources without a bias in their descriptions (AIS and ADS-B, which report
+satellite positions) are the reference. If all sources may be biased, the two with most reports are registered against
+each other first; their priors are the gauge.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ class SourceBiases:
     parameters : by name (``sameas.tracks.biases.BIASES``) value, standard error and unit: range too long, azimuth too
         far clockwise, stamps too late, positions too far east, north.
     pairs, tracks, instants : expected number of pairs over all instants, of how many tracks, at how many instants.
-    log_evidence : ln of the odds of these biases against nothing in common.
-    established : whether these biases, and no others nor nothing in common, explain the records. If not, the records
-        are left as they are.
+    log_evidence : log-odds of these biases against no object in common.
+    established : whether these biases are decisively more probable than others and than no object in common. If not,
+        the records are not corrected.
     notes : doubts, printable sentences.
-    theta, covariance : (6,) and (6, 6) what is taken off, in the order of ``BIASES``, and how well it is known; None
-        where nothing is.
+    theta, covariance : (6,) and (6, 6) the biases that are subtracted, in the order of ``BIASES``, and their
+        covariance; None without a correction.
     """
 
     source: str
@@ -76,17 +76,17 @@ class SourceBiases:
         return (str(self), *self.notes)
 
 
-#: A source with its biases.
-Settled = tuple[Feed, SourceBiases]
+#: A source after registration, with its biases.
+RegisteredFeed = tuple[Feed, SourceBiases]
 
 
 def registered(
     feeds: Sequence[Feed], references: Sequence[str] | None = None, fits: PlotFits | None = None
 ) -> tuple[tuple[Feed, ...], tuple[SourceBiases, ...]]:
-    """The feeds without their biases, and the biases of each, in their order.
+    """The feeds corrected for their biases, and the biases of each, in their order.
 
-    references : names of the sources whose positions are taken as they are; all that may have no bias if not given.
-    fits : of bare plots, where some are known already.
+    references : names of the sources with unbiased positions; if not given, all without a bias in their descriptions.
+    fits : of sources of plots, where already made.
 
     Raises
     ------
@@ -94,20 +94,21 @@ def registered(
     """
     fixed, free, directions = _parts(feeds, references)
     fits = fits or PlotFits()
-    settled: dict[int, Settled] = {k: (feeds[k], SourceBiases(feeds[k].description.name)) for k in fixed}
+    done: dict[int, RegisteredFeed] = {k: (feeds[k], SourceBiases(feeds[k].description.name)) for k in fixed}
     anchors = [feeds[k] for k in fixed]
     if not fixed and len(free) > 1:
-        settled |= dict(zip(free[:2], _mutual(feeds[free[0]], feeds[free[1]]), strict=True))
+        done |= dict(zip(free[:2], _mutual(feeds[free[0]], feeds[free[1]]), strict=True))
     for k in free:
-        if k not in settled:
-            settled[k] = _against(feeds[k], anchors or [feed for feed, _ in settled.values()][:1], fits)
-    # A source that shares nothing with the references may share something with those that do; so may directions.
-    for k in [k for k in free if fixed and not settled[k][1].established] + directions:
-        partner = _richest(feeds[k], [source for at, source in settled.items() if at != k])
+        if k not in done:
+            done[k] = _against(feeds[k], anchors or [feed for feed, _ in done.values()][:1], fits)
+    # A source without objects in common with the references may have some with sources registered to them; likewise
+    # directions.
+    for k in [k for k in free if fixed and not done[k][1].established] + directions:
+        partner = _best_partner(feeds[k], [source for at, source in done.items() if at != k])
         second = _against(feeds[k], partner, fits)
-        if k not in settled or second[1].established:
-            settled[k] = second
-    in_order = [settled[k] for k in range(len(feeds))]
+        if k not in done or second[1].established:
+            done[k] = second
+    in_order = [done[k] for k in range(len(feeds))]
     return tuple(feed for feed, _ in in_order), tuple(biases for _, biases in in_order)
 
 
@@ -127,18 +128,18 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
     return fixed, free, [k for k in range(len(feeds)) if k not in placed]
 
 
-def _richest(feed: Feed, settled: Sequence[Settled]) -> list[Feed]:
-    """The source of positions with most records at common instants."""
-    known = [other for other, _ in settled if not isinstance(other.reports, Directions)]
+def _best_partner(feed: Feed, done: Sequence[RegisteredFeed]) -> list[Feed]:
+    """The registered source of positions with most records at common instants."""
+    positions = [other for other, _ in done if not isinstance(other.reports, Directions)]
     counts = [
         sum(len(e.weighing.first) for e in common_scans(ComparedSource(other, None), ComparedSource(feed, None)))
-        for other in known
+        for other in positions
     ]
-    return [known[int(np.argmax(counts))]] if known else []
+    return [positions[int(np.argmax(counts))]] if positions else []
 
 
-def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Settled:
-    """One source against others that are taken as they are."""
+def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> RegisteredFeed:
+    """One source registered against others, which stay unchanged."""
     name = feed.description.name
     if not bias_widths(feed).any():
         return feed, SourceBiases(name, notes=(f"{name}: its description allows no bias to fit",))
@@ -147,56 +148,56 @@ def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Settled:
     named = [other for other in partners if shows_tracks(other)]
     by_plots = fits(feed, named) if named and shows_bare_plots(feed) else None
     if by_plots is not None:
-        return _settled(feed, 0, by_plots, tuple(other.description.name for other in named))
+        return _corrected(feed, 0, by_plots, tuple(other.description.name for other in named))
     scans = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
     if not scans:
-        return feed, SourceBiases(name, established=False, notes=(_unmet(name, partners),))
-    if not _sought(scans):
-        return feed, SourceBiases(name, notes=(_unseen(name, partners),))
+        return feed, SourceBiases(name, established=False, notes=(_no_common_time(name, partners),))
+    if not _observable(scans):
+        return feed, SourceBiases(name, notes=(_not_observable(name, partners),))
     fit = fit_biases(scans, feed.tuning)
-    return _settled(feed, 0, fit, tuple(other.description.name for other in partners))
+    return _corrected(feed, 0, fit, tuple(other.description.name for other in partners))
 
 
-def _mutual(one: Feed, other: Feed) -> tuple[Settled, Settled]:
-    """Two sources that both may be biased, against each other."""
+def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
+    """Two sources that may both be biased, registered against each other."""
     names = one.description.name, other.description.name
     scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
     if not scans:
-        notes = _unmet(names[0], [other]), _unmet(names[1], [one])
-        unmet = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
-        return (one, unmet[0]), (other, unmet[1])
-    if not _sought(scans):
-        notes = _unseen(names[0], [other]), _unseen(names[1], [one])
-        unseen = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
-        return (one, unseen[0]), (other, unseen[1])
+        notes = _no_common_time(names[0], [other]), _no_common_time(names[1], [one])
+        biases = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
+        return (one, biases[0]), (other, biases[1])
+    if not _observable(scans):
+        notes = _not_observable(names[0], [other]), _not_observable(names[1], [one])
+        biases = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
+        return (one, biases[0]), (other, biases[1])
     fit = fit_biases(scans, one.tuning)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is assumed "
         "to be as small as their descriptions allow"
     )
-    first, second = (_settled(feed, 6 * k, fit, (names[1 - k],)) for k, feed in enumerate((one, other)))
+    first, second = (_corrected(feed, 6 * k, fit, (names[1 - k],)) for k, feed in enumerate((one, other)))
     if fit.established:
         first = first[0], replace(first[1], notes=(gauge, *first[1].notes))
     return first, second
 
 
-def _sought(scans: Sequence[CommonScan]) -> bool:
-    """Whether any of these scans shows a bias that may be there."""
+def _observable(scans: Sequence[CommonScan]) -> bool:
+    """Whether any bias is observable in these scans."""
     return any(scan.weighing.model.names for scan in scans)
 
 
-def _unseen(name: str, partners: Sequence[Feed]) -> str:
+def _not_observable(name: str, partners: Sequence[Feed]) -> str:
     others = " nor ".join(other.description.name for other in partners)
     return f"{name}: only its latency may be biased, and was not fitted: neither it nor {others} has velocities"
 
 
-def _unmet(name: str, partners: Sequence[Feed]) -> str:
+def _no_common_time(name: str, partners: Sequence[Feed]) -> str:
     others = " or ".join(other.description.name for other in partners)
     return f"{name}: has no report at the times of {others}; its biases were not fitted"
 
 
-def _settled(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -> Settled:
-    """The feed without its biases, if they are established."""
+def _corrected(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -> RegisteredFeed:
+    """The feed, corrected if its biases are established, and its biases; start : 0 or 6, of its biases in the fit."""
     own = np.flatnonzero((fit.biases >= start) & (fit.biases < start + len(BIASES)))
     which = fit.biases[own] - start
     errors = np.sqrt(np.diag(fit.covariance))[own]
@@ -204,19 +205,19 @@ def _settled(feed: Feed, start: int, fit: BiasFit, against: tuple[str, ...]) -> 
         BIASES[k]: Parameter(float(value), float(error), _UNITS[k])
         for k, value, error in zip(which, fit.theta[own], errors, strict=True)
     }
-    about = SourceBiases(
+    biases = SourceBiases(
         feed.description.name, against, parameters, fit.pairs, fit.tracks, fit.instants, fit.log_evidence,
         fit.established, _notes(feed, which, own, fit, against),
     )  # fmt: skip
     if not fit.established:
-        return feed, about
+        return feed, biases
     theta, covariance = np.zeros(len(BIASES)), np.zeros((len(BIASES), len(BIASES)))
     theta[which], covariance[np.ix_(which, which)] = fit.theta[own], fit.relative[np.ix_(own, own)]
-    return unbiased(feed, theta, covariance), replace(about, theta=theta, covariance=covariance)
+    return unbiased(feed, theta, covariance), replace(biases, theta=theta, covariance=covariance)
 
 
 def unbiased(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
-    """A feed without these biases (6,), which are known with a covariance (6, 6)."""
+    """The feed corrected for biases (6,) with covariance (6, 6)."""
     measured = None if feed.measured is None else corrected(feed.measured, feed.sensor_m, biases, covariance)
     assert not isinstance(measured, Directions)
     return replace(
@@ -251,7 +252,7 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
         )
     if bias_widths(feed)[TIME] > 0.0 and TIME not in which:
         notes.append(f"{name}: latency was not fitted: neither it nor {others} has velocities")
-    if not fit.settled:
+    if not fit.converged:
         notes.append(f"{name}: its biases had not converged")
     far = np.abs(fit.theta[own]) > 3.0 * bias_widths(feed)[which]
     wide = [BIASES[k] for k in which[far]]
