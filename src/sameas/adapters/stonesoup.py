@@ -1,8 +1,8 @@
-"""Stone Soup's track-to-track association, decided by :func:`sameas.identify_many`.
+"""Stone Soup's track-to-track association by :func:`sameas.identify_many`.
 
 ``SameasAssociator().associate_tracks(radar_tracks, ais_tracks, ...)`` takes any number of sets of tracks, each with
-states at its own times, predicts all to one instant, and returns Stone Soup's ``AssociationSet``: at most one track of
-each set in an association, the most probable hypothesis as a whole, and the probability of each.
+states at its own times, predicts all to one instant, and returns Stone Soup's ``AssociationSet``: the most probable
+hypothesis, at most one track of each set in an association, and the probability of each association.
 
 Needs ``pip install sameas[stonesoup]``.
 """
@@ -89,15 +89,15 @@ class SameasAssociator(TrackToTrackAssociator):  # type: ignore[misc]
         kept: list[list[Track]] = []
         sources: list[Records] = []
         for number, tracks in enumerate(ordered):
-            spoken = [(track, state) for track in tracks if (state := _state_at(track, instant)) is not None]
-            kept.append([track for track, _ in spoken])
-            sources.append(self._records([state for _, state in spoken], number, instant))
+            present = [(track, state) for track in tracks if (state := _state_at(track, instant)) is not None]
+            kept.append([track for track, _ in present])
+            sources.append(self._records([state for _, state in present], number, instant))
         if sum(map(bool, kept)) < 2:
             return AssociationSet()
         return AssociationSet(_associations(self.objects(sources), kept, instant))
 
     def objects(self, sources: Sequence[Records]) -> Objects:
-        """The identification of the sets' positions at one instant, with everything that can be asked of it."""
+        """The complete result for the sets' positions at one instant, of which ``associate_tracks`` gives a part."""
         return identify_many(sources, rule=self._rule(sources), prior=MissedObjects(self.missed))
 
     def _records(self, states: Sequence[State], number: int, instant: datetime.datetime) -> Records:
@@ -143,11 +143,11 @@ def _state_at(track: Track, instant: datetime.datetime) -> State | None:
 def _associations(
     found: Objects, tracks: Sequence[Sequence[Track]], instant: datetime.datetime
 ) -> set[ProbableAssociation]:
-    """An association for each object that two sets or more show."""
-    made = set()
+    """An association for each object with tracks of two or more sets."""
+    associations = set()
     for members, probability in zip(found.members, found.probability, strict=True):
         rows = [(number, int(row)) for number, row in enumerate(members) if row is not np.ma.masked]
         if len(rows) > 1:
             together = {tracks[number][row] for number, row in rows}
-            made.add(ProbableAssociation(together, timestamp=instant, probability=float(probability)))
-    return made
+            associations.add(ProbableAssociation(together, timestamp=instant, probability=float(probability)))
+    return associations

@@ -1,4 +1,4 @@
-"""Compiled cells, densities and discs: where sources look, and how densely."""
+"""Compiled cells, densities and discs, for the coverage of sources and their local densities."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
 from sameas.kernels.sphere import ARCSEC
 
-# Compiled cells of a space: in which of them records lie, and how large they are.
+# Cells of a space: the cells of records, and their sizes.
 
 
 @small
 def rings(low: float, high: float, arc: float, size: float) -> tuple[IntArray, FloatArray]:
-    """Rings of equal height in latitude from ``low`` to ``high``, degrees, cut into nearly square cells of ``size``,
-    arcsec², along an ``arc`` of longitude.
+    """Rings of equal height in latitude from ``low`` to ``high``, degrees, divided into nearly square cells of
+    ``size``, arcsec², along an ``arc`` of longitude.
 
-    Returns (r + 1,) numbers of the first cell of each ring, and in the end of all; (r,) the size of a ring's cells.
+    Returns (r + 1,) the number of the first cell of each ring and the number of all cells, and (r,) the size of each
+    ring's cells.
     """
     number = max(1, int(np.ceil((high - low) * 3600.0 / np.sqrt(size))))
     begin, volume = np.zeros(number + 1, np.int64), np.empty(number)
@@ -36,7 +37,7 @@ def rings(low: float, high: float, arc: float, size: float) -> tuple[IntArray, F
 def sphere_cells(
     features: FloatArray, low: float, high: float, west: float, arc: float, begin: IntArray, cell: IntArray
 ) -> None:
-    """Fill ``cell`` (n,) with the cells of directions (n, 2), degrees, in ``rings`` that begin at ``west``."""
+    """Write to ``cell`` (n,) the cells of directions (n, 2), degrees, in :func:`rings` that begin at ``west``."""
     number = len(begin) - 1
     height = (high - low) / number
     for k in range(len(cell)):
@@ -48,7 +49,7 @@ def sphere_cells(
 
 @small
 def box_cells(features: FloatArray, low: FloatArray, extent: FloatArray, cuts: int, cell: IntArray) -> None:
-    """Fill ``cell`` (n,) with the cells of points (n, d) in a box that is cut ``cuts`` times along every feature."""
+    """Write to ``cell`` (n,) the cells of points (n, d) in a box that is divided into ``cuts`` along every feature."""
     for k in range(len(cell)):
         number = 0
         for v in range(features.shape[1]):
@@ -59,9 +60,8 @@ def box_cells(features: FloatArray, low: FloatArray, extent: FloatArray, cuts: i
 
 @small
 def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_second: Int32Array) -> IntArray:
-    """Fill ``of_first`` and ``of_second`` with the cells ``one`` and ``two``, of ``total``, numbered as they occur.
-
-    Returns the cells that occur, rising.
+    """Write to ``of_first`` and ``of_second`` the ranks of the cells ``one`` and ``two``, of ``total``, among all that
+    occur; returns the cells that occur, ascending.
     """
     number, found = np.zeros(total, np.int32), 0
     for cells in (one, two):
@@ -83,7 +83,7 @@ def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_
 
 @small
 def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
-    """(c,) sizes of the cells ``known``, rising, of rings whose cells begin at ``begin`` and are of size ``volume``."""
+    """(c,) sizes of the cells ``known``, ascending, of rings of first cells ``begin`` and cell sizes ``volume``."""
     out, ring = np.empty(len(known)), 0
     for k in range(len(known)):
         while begin[ring + 1] <= known[k]:
@@ -92,7 +92,7 @@ def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
     return out
 
 
-# Compiled counts of cells, and what they say: local densities and shares, refined from cell to finer cell.
+# Counts of cells: local densities and shares, refined from coarse to fine cells.
 
 
 @small
@@ -107,40 +107,41 @@ def look(
     density: FloatArray,
     highest: FloatArray,
 ) -> float:
-    """Raise ``company`` (n,), in place, to the number of those that are asked for in a record's cell, itself included,
-    where that is empty although more than ``hole`` were to be expected; refine the ``density`` (n,) by its count.
+    """Test whether the other source observes around each record, by one size of cells.
 
-    cell : (n,) of those that are asked for. volume : of the cells. count, own_count : how many records lie in each, of
-    the source that is looked for, and of those that are asked for. highest : (n,) of the densities so far, which is
-    what is expected at least half of: just outside a border coarse cells are empty for the most part, and their own
-    density says too little.
+    Raises ``company`` (n,) to the number of records in a record's cell, including itself, if the other source has none
+    there although at least ``hole`` are expected; refines the ``density`` (n,) of the other source by the cell's count.
 
-    Returns by how many standard deviations more records lie in empty cells than chance puts there.
+    cell : (n,) of the records. volume : of the cells. count, own_count : records of the other source and of this one in
+    each. highest : (n,) highest densities so far, at least half of which is expected: coarse cells just outside a
+    border are mostly empty, and their own density is too low.
+
+    Returns the excess of records in empty cells over chance, in standard deviations.
     """
-    empty, due, variance, never = 0.0, 0.0, 1.0, 20.0
+    empty, by_chance, variance, never = 0.0, 0.0, 1.0, 20.0
     for k in range(len(cell)):
         c = cell[k]
         expected = density[k] * volume[c]
         chance = math.exp(-expected) if expected < never else 0.0
         empty += count[c] == 0.0
-        due += chance
-        variance += chance * (1.0 - chance) * own_count[c]  # all of a cell together
+        by_chance += chance
+        variance += chance * (1.0 - chance) * own_count[c]  # the records of a cell are not independent
         if count[c] == 0.0 and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
             company[k] = max(company[k], own_count[c])
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
-    return (empty - due) / np.sqrt(variance)
+    return (empty - by_chance) / np.sqrt(variance)
 
 
 @small
 def shared_part(
     of_first: Int32Array, seen_1: BoolArray, of_second: Int32Array, seen_2: BoolArray, count: FloatArray
 ) -> FloatArray:
-    """(c,) part of each cell where both sources look.
+    """(c,) part of each cell that both sources observe.
 
-    Of a cell, a part a is seen by both, b by the first alone, c by the second alone, a + b + c = 1; so the covered part
-    of the first's records is f = a/(a + b), of the second's g = a/(a + c), and a = 1/(1/f + 1/g − 1). A source
-    without records in a cell says nothing. count : (c, 4) zeros, room for the counts.
+    A part a of the cell is observed by both sources, b by the first alone, c by the second alone, a + b + c = 1. The
+    covered part of the first's records is f = a/(a + b), of the second's g = a/(a + c), so a = 1/(1/f + 1/g − 1). For a
+    source without records in a cell, the part is taken as 1. count : (c, 4) zeros, scratch.
     """
     for k in range(len(of_first)):
         count[of_first[k], 0] += 1.0
@@ -167,10 +168,10 @@ def refine(
     at_own: FloatArray,
     at_other: FloatArray,
 ) -> None:
-    """Draw densities, in place, towards the counts of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
+    """Refine densities in place by the count of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
-    own, weight : (n,) cells of the records that are counted, and how much of each is left out at itself. other : (n',)
-    cells of the other records. volume, count : of the cells, and how many are counted there.
+    own, weight : (n,) cells of the counted records, and the part of each that is not counted at its own position.
+    other : (n',) cells of the other records. volume, count : of the cells.
     """
     for k in range(len(own)):
         c = own[k]
@@ -193,11 +194,11 @@ def refine_share(
     at_own: FloatArray,
     at_other: FloatArray,
 ) -> None:
-    """Draw shares, in place, towards part/weight of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
+    """Refine shares in place by Σ part / Σ weight of each record's cell: ``at_own`` (n,) and ``at_other`` (n',).
 
-    own, part, weight : (n,) cells of the records that are counted, and what of each counts; its own is left out at
-    itself. other : (n',) cells of the other records. parts, weights : room for the sums of the cells.
-    pseudo_count : of a share of one half; of others as many as say as much of the logit of the share.
+    own, part, weight : (n,) cells of the counted records and their contributions; a record's own is not counted at its
+    position. other : (n',) cells of the other records. parts, weights : scratch for the sums of the cells.
+    pseudo_count : for a share of ½; for others the number with the same information on the logit of the share.
     """
     parts[:] = 0.0
     weights[:] = 0.0
@@ -215,33 +216,33 @@ def refine_share(
         at_other[k] = (parts[c] + pseudo * at_other[k]) / (weights[c] + pseudo)
 
 
-# Compiled discs (intervals, balls) over sorted points: which are empty, and what lies in those that are.
+# Discs (intervals, balls) over points: which are empty, and the points in them.
 #
-# Points are (n, axes), in lists of cells (n, 3) with unused axes zero, wrapped into their period where an axis has one.
-# They are sorted into the buckets of a grid: a cell's number modulo the size of the table, so that a grid needs no more
-# room than its points, however wide it is. Buckets may hold points of several cells; every point is asked for its own.
+# Points are (n, axes), reduced to the period of periodic axes; cells have three axes, unused ones 0. Points are sorted
+# into a hash table of buckets: a cell's number modulo the size of the table, so that memory depends on the points only.
+# A bucket may contain points of several cells.
 
 
-# A grid: lower corner, side and number of its cells and period along each axis (3,), and the table's size less one.
+#: A grid: lower corner, side and number of its cells and period along each axis (3,), and the table's size minus one.
 Buckets = namedtuple("Buckets", "low side number period mask")
 
 
 @part
 def cell_of(x: float, v: int, buckets: Buckets) -> int:
-    """The cell along one axis; the last of a period takes what rounding puts beyond it."""
+    """The cell along one axis, on a periodic axis at most the last one, in spite of rounding."""
     cell = math.floor((x - buckets.low[v]) / buckets.side[v])
     return min(cell, buckets.number[v] - 1) if buckets.period[v] < np.inf else cell
 
 
 @part
 def bucket_of(i: int, j: int, k: int, buckets: Buckets) -> int:
-    """Where the points of a cell are kept."""
+    """The bucket of a cell."""
     return ((i * buckets.number[1] + j) * buckets.number[2] + k) & buckets.mask
 
 
 @part
 def along(x: float, v: int, buckets: Buckets, radius: float) -> tuple[int, int]:
-    """(first, last) cell along one axis that a disc around ``x`` reaches; in a period they may lie outside it."""
+    """(first, last) cell along one axis of a disc around ``x``; on a periodic axis they may be outside the period."""
     low, side, number, period = buckets.low[v], buckets.side[v], buckets.number[v], buckets.period[v]
     if period < np.inf and 2.0 * radius + 2.0 * side >= period:
         return 0, number - 1
@@ -252,7 +253,7 @@ def along(x: float, v: int, buckets: Buckets, radius: float) -> tuple[int, int]:
 def reach_of(
     centres: FloatArray, c: int, radius: float, buckets: Buckets
 ) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
-    """The same along three axes of a disc around a centre."""
+    """(first, last) cell along each of three axes of a disc around a centre."""
     return (
         along(centres[c, 0], 0, buckets, radius),
         along(centres[c, 1], 1, buckets, radius),
@@ -262,20 +263,20 @@ def reach_of(
 
 @part
 def turned(cell: int, number: int, period: float) -> int:
-    """A cell brought into its period."""
+    """A cell reduced to its period."""
     return cell % number if period < np.inf else cell
 
 
 @part
 def turned_round(i: int, j: int, k: int, buckets: Buckets) -> tuple[int, int, int]:
-    """The same along three axes."""
+    """A cell along three axes, reduced to its periods."""
     number, period = buckets.number, buckets.period
     return turned(i, number[0], period[0]), turned(j, number[1], period[1]), turned(k, number[2], period[2])
 
 
 @part
 def apart_sq(points: FloatArray, p: int, centres: FloatArray, c: int, period: FloatArray) -> float:
-    """Squared distance of a point from a centre, the shorter way round."""
+    """Squared distance of a point from a centre, the shorter one on periodic axes."""
     total = 0.0
     for v in range(points.shape[1]):
         away = points[p, v] - centres[c, v]
@@ -287,7 +288,7 @@ def apart_sq(points: FloatArray, p: int, centres: FloatArray, c: int, period: Fl
 
 @part
 def at(points: FloatArray, p: int, v: int) -> float:
-    """A coordinate of a point, zero along an axis that it has not."""
+    """A coordinate of a point, 0 on an unused axis."""
     return points[p, v] if v < points.shape[1] else 0.0
 
 
@@ -310,7 +311,7 @@ def has_neighbour(
     some: Int32Array,
     buckets: Buckets,
 ) -> bool:
-    """Whether one of the points asked in the cells around that of a point is closer to it, squared, than a limit."""
+    """Whether a sample point (one a bucket) of the cells around a point has a squared distance below a limit."""
     i, j, k = cells_at(points, p, buckets)
     wide, deep = min(points.shape[1] - 1, 1), max(points.shape[1] - 2, 0)
     for at_i in range(i - 1, i + 2):
@@ -336,14 +337,15 @@ def isolated(
     buckets: Buckets,
     out: Int32Array,
 ) -> int:
-    """Write the rows of the points whose disc may be empty of ``source`` into ``out`` (n,); returns how many.
+    """Write to ``out`` (n,) the rows of the points whose disc may be empty of ``source``; returns their number.
 
-    Of those ``wanted`` with least < density ≤ most; a disc has the volume in which so many are ``expected``. One point
-    of each cell of ``source`` is asked, in the point's own cell and in those around it: whoever stays is a suspect.
+    Only points that are ``wanted`` and have least < density ≤ most are tested; a disc has the volume in which
+    ``expected`` points are expected. Only one point of each cell of ``source`` is tested, in the point's own cell and
+    those around it, so the result contains every point with an empty disc, and others.
     """
     number, side = buckets.number, buckets.side
     some, found = np.full(buckets.mask + 1, -1, np.int32), 0
-    # Where every cell has a bucket of its own, nobody in the same cell is farther away than its diagonal.
+    # If every cell has its own bucket, a point in the same cell is at most a diagonal away.
     diagonal_sq = 0.0 if float(number[0]) * number[1] * number[2] <= buckets.mask + 1 else np.inf
     for v in range(source.shape[1]):
         diagonal_sq += side[v] * side[v]
@@ -373,7 +375,7 @@ def beside(
     radius: FloatArray,
     out: Int32Array,
 ) -> int:
-    """Write the rows of the points in buckets that discs around centres (c, 3) reach into ``out``; returns how many."""
+    """Write to ``out`` the rows of the points in buckets that discs around centres (c, 3) reach; returns the number."""
     marked, found = np.zeros(buckets.mask + 1, np.bool_), 0
     for c in range(len(centres)):
         (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], buckets)
@@ -392,7 +394,7 @@ def beside(
 
 @small
 def into_buckets(points: FloatArray, buckets: Buckets) -> tuple[Int32Array, Int32Array]:
-    """(start, rows): the rows of the points of bucket b are ``rows[start[b]:start[b + 1]]``, rising."""
+    """(start, rows): the points of bucket b are ``rows[start[b]:start[b + 1]]``, ascending."""
     bucket, mask = np.empty(len(points), np.int32), buckets.mask
     start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
     for p in range(len(points)):
@@ -420,10 +422,10 @@ def is_empty(
     start: Int32Array,
     rows: Int32Array,
 ) -> bool:
-    """Whether no point lies closer to the centre than the radius."""
+    """Whether no point is closer to the centre than the radius."""
     i, j, k = cells_at(centres, c, buckets)
     own = bucket_of(i, j, k, buckets)
-    for place in range(start[own], start[own + 1]):  # most centres have another in their own cell
+    for place in range(start[own], start[own + 1]):  # most centres have a point in their own cell
         if apart_sq(points, rows[place], centres, c, buckets.period) < radius * radius:
             return False
     (west, east), (south, north), (below, above) = reach_of(centres, c, radius, buckets)
@@ -448,7 +450,7 @@ def empty_discs(
     rows: Int32Array,
     empty: BoolArray,
 ) -> None:
-    """Fill ``empty`` (n,): whether no point lies closer to centre k than ``radius[k]``."""
+    """Write to ``empty`` (n,) whether no point is closer to centre k than ``radius[k]``."""
     for c in range(len(centres)):
         empty[c] = is_empty(centres, c, radius[c], points, buckets, start, rows)
 
@@ -465,7 +467,7 @@ def is_within(
     c: int,
     buckets: Buckets,
 ) -> bool:
-    """Whether a point lies in a cell, and closer to a centre than the limit."""
+    """Whether a point is in a cell and closer to a centre than the limit."""
     if apart_sq(points, p, centres, c, buckets.period) >= limit * limit:
         return False
     own_i, own_j, own_k = cells_at(points, p, buckets)
@@ -483,7 +485,7 @@ def holds(
     start: Int32Array,
     rows: Int32Array,
 ) -> bool:
-    """Whether at least so many points are closer to a centre, itself a point, than the radius."""
+    """Whether at least ``least`` points, including the centre, are closer to a centre than the radius."""
     if least <= 1.0:
         return True
     count = 0
@@ -514,8 +516,7 @@ def clear(
     rows: Int32Array,
     seen: BoolArray,
 ) -> None:
-    """Clear ``seen`` (n,) at the points closer than ``inner[c]`` to a centre that has ``least`` of them within its
-    radius."""
+    """Clear ``seen`` (n,) for points closer than ``inner[c]`` to a centre with ``least`` points within its radius."""
     left = start[1:] - start[:-1]  # points of each bucket that are still seen
     for c in range(len(centres)):
         if not holds(centres, c, radius[c], least, points, buckets, start, rows):

@@ -1,4 +1,4 @@
-"""Compiled densities of one magnitude given others, and how they are learned: see ``sameas.estimate.photometry``."""
+"""Compiled densities of one magnitude given others, and their estimation: see ``sameas.estimate.photometry``."""
 
 from __future__ import annotations
 
@@ -10,36 +10,36 @@ from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
 from sameas.kernels.linear import solve, summed
 
-#: Odds are as good as impossible beyond this many natural logarithms, of which exponentials can still be taken.
-DEEPEST = 700.0
+#: Upper limit of exponents, below the overflow of exp.
+MAX_EXPONENT = 700.0
 
-# Compiled curves of a share against magnitude, straight between knots.
+# Curves of a share against magnitude, linear between knots.
 
 
 @part
 def directory(knots: FloatArray) -> IntArray:
-    """For steps of a 128th from the first knot to the last, the knot at or before each: where a search begins."""
-    found, at = np.zeros(128, np.int64), 0
-    for step in range(len(found)):
-        x = knots[0] + (knots[-1] - knots[0]) * step / len(found)
+    """The knot at or before each of 128 equal steps from the first knot to the last, where a search begins."""
+    starts, at = np.zeros(128, np.int64), 0
+    for step in range(len(starts)):
+        x = knots[0] + (knots[-1] - knots[0]) * step / len(starts)
         while at < len(knots) - 2 and knots[at + 1] <= x:
             at += 1
-        found[step] = at
-    return found
+        starts[step] = at
+    return starts
 
 
 @part
-def interval(knots: FloatArray, found: IntArray, x: float) -> tuple[int, int, float]:
-    """The knot at or before x, that after it, and how far x is between them, 0 … 1; nothing changes beyond the ends.
+def interval(knots: FloatArray, starts: IntArray, x: float) -> tuple[int, int, float]:
+    """The knot at or before x, the next one, and the position of x between them, 0 … 1, constant beyond the ends.
 
-    found : the ``directory`` of the knots.
+    starts : the ``directory`` of the knots.
     """
     last = len(knots) - 1
     if last == 0 or x <= knots[0]:
         return 0, min(1, last), 0.0
     if x >= knots[last]:
         return last - 1, last, 1.0
-    low = found[int((x - knots[0]) / (knots[last] - knots[0]) * len(found))]
+    low = starts[int((x - knots[0]) / (knots[last] - knots[0]) * len(starts))]
     while knots[low + 1] <= x:
         low += 1
     return low, low + 1, (x - knots[low]) / (knots[low + 1] - knots[low])
@@ -57,16 +57,16 @@ def climb(
     longest: float,
     settled: float,
 ) -> None:
-    """Newton's steps towards the penalised maximum of the likelihood of ``values`` (k,) at ``knots``, in place.
+    """Newton steps towards the maximum of the penalised likelihood of ``values`` (k,) at ``knots``, in place.
 
-    magnitude, log_odds, p_detected : (n,) of the records, what their log odds are without the curve, and the
-    probability that they are detected. penalty : (k, k). No value changes by more than ``longest`` in a step; when none
-    changes by more than ``settled``, no more steps are taken.
+    magnitude, log_odds, p_detected : (n,) of the records: magnitudes, log odds without the curve, and probabilities of
+    being detected. penalty : (k, k). A step is limited to ``longest`` for each value; the iteration has converged when
+    no value changes by more than ``settled``.
     """
     n, k = len(magnitude), len(knots)
-    low, along, found = np.empty(n, np.int64), np.empty(n), directory(knots)
+    low, along, starts = np.empty(n, np.int64), np.empty(n), directory(knots)
     for e in range(n):
-        low[e], _, along[e] = interval(knots, found, magnitude[e])
+        low[e], _, along[e] = interval(knots, starts, magnitude[e])
     for _ in range(steps):
         gram, step = penalty.copy(), np.zeros((k, 1))
         for a in range(k):
@@ -76,7 +76,7 @@ def climb(
             a, t = low[e], along[e]
             b = min(a + 1, k - 1)
             against = -(log_odds[e] + values[a] + t * (values[b] - values[a]))
-            expected = 1.0 / (1.0 + math.exp(min(against, DEEPEST)))
+            expected = 1.0 / (1.0 + math.exp(min(against, MAX_EXPONENT)))
             missing, weight = p_detected[e] - expected, expected * (1.0 - expected)
             step[a, 0] += missing * (1.0 - t)
             gram[a, a] += weight * ((1.0 - t) * (1.0 - t))
@@ -104,18 +104,18 @@ def weigh(
     values: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (n,) at the records ``wanted`` with what ½ ln s − ln (1 − s) gains when shares s (n,) follow the
-    curve: ½ [v + ln (1 − s + s eᵛ)] where its value is v; 0 of a NaN magnitude.
+    """Write to ``out`` (n,), for the records ``wanted``, the change of ½ ln s − ln (1 − s) if shares s (n,) follow the
+    curve: ½ [v + ln (1 − s + s eᵛ)] for its value v; 0 for a NaN magnitude.
 
-    Shares are kept ``least`` away from 0 and 1.
+    Shares are limited to ``least`` … 1 − ``least``.
     """
-    found = directory(knots)
+    starts = directory(knots)
     for e in wanted:
         out[e] = 0.0
         if not np.isnan(magnitude[e]):
-            low, high, along = interval(knots, found, magnitude[e])
+            low, high, along = interval(knots, starts, magnitude[e])
             s, v = min(max(share[e], least), 1.0 - least), values[low] + along * (values[high] - values[low])
-            out[e] = 0.5 * (v + math.log(1.0 + s * (math.exp(min(v, DEEPEST)) - 1.0)))
+            out[e] = 0.5 * (v + math.log(1.0 + s * (math.exp(min(v, MAX_EXPONENT)) - 1.0)))
 
 
 @small
@@ -129,20 +129,19 @@ def log_mixture(
     background: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Fill ``out`` (n,) with ln of the density of magnitudes y (n,), given others (n, 1 + c), and variances of both.
+    """Write to ``out`` (n,) ln of the density of magnitudes y (n,), given others (n, 1 + c) and the variances of both.
 
-    knots : (k,) rising, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,), scales
-    (s,), each three times the one before, and shares (s + 1,), the last of which follows the density ``background``
-    (n,) instead.
+    knots : (k,) ascending, of the first of the others. relation : offset and scatter (k,), slopes and centres (c,),
+    scales (s,), each three times the previous one, and shares (s + 1,), the last of the density ``background`` (n,).
     """
     offset, scatter, slopes, centres, scales, shares = relation
     peaks, widest = shares[:-1] / (scales * np.sqrt(2.0 * np.pi)), 1.0 / (scales[-1] * scales[-1])
-    rest, found = _square(1.0 - summed(slopes)), directory(knots)
+    rest, starts = _square(1.0 - summed(slopes)), directory(knots)
     for e in range(len(y)):
         x = others[e, 0]
-        low, high, along = interval(knots, found, x)
+        low, high, along = interval(knots, starts, x)
         residual = y[e] - x - (offset[low] + along * (offset[high] - offset[low]))
-        # An error of each of the others moves the mean as strongly as it is weighed in it.
+        # The errors of the other magnitudes propagate with their coefficients in the mean.
         total = (
             _square(scatter[low] + along * (scatter[high] - scatter[low])) + variance[e] + rest * other_variance[e, 0]
         )
@@ -165,7 +164,7 @@ def _square(x: float) -> float:
 
 @part
 def _ninth(x: float) -> float:
-    """x⁹: what a normal's height at a place becomes when it is three times as narrow, but for its peak."""
+    """x⁹: exp(−r²/2σ²) for a third of σ, from its value x for σ."""
     square = x * x
     fourth = square * square
     return fourth * fourth * x
@@ -173,9 +172,9 @@ def _ninth(x: float) -> float:
 
 @small
 def quartiles(order: IntArray, values: FloatArray, weight: FloatArray, nearest: IntArray, out: FloatArray) -> None:
-    """Fill ``out`` (3, k + 1) with the weighted quartiles of the values (n,) nearest to each of k knots, and of all.
+    """Write to ``out`` (3, k + 1) the weighted quartiles of the values (n,) nearest to each of k knots, and of all.
 
-    order : (n,) rising order of the values.
+    order : (n,) ascending order of the values. nearest : (n,) knots.
     """
     k = out.shape[1] - 1
     whole, below = np.zeros(k + 1), np.zeros(k + 1)
@@ -204,10 +203,10 @@ def gather(
     sample: FloatArray,
     colours: FloatArray,
 ) -> None:
-    """Fill ``sample`` (n, 7) and ``colours`` (n, 2c), but for their centres, with what ``learn`` takes of the rows
-    ``at`` (n,) of the others (r, ·), whose pairs have the probabilities ``weight`` (n,).
+    """Write ``sample`` (n, 7) and ``colours`` (n, 2c), without subtracting centres, as :func:`learn` takes them, from
+    the rows ``at`` (n,) of the others (r, ·), whose pairs have the probabilities ``weight`` (n,).
 
-    weighed : whether these know of the magnitudes.
+    weighed : whether these probabilities include the evidence of the magnitudes.
     """
     c = others.shape[1] - 1
     for e in range(len(at)):
@@ -232,25 +231,25 @@ def learn(
     priors: FloatArray,
     steps: int,
 ) -> None:
-    """Steps of EM, in place, until one changes nothing by more than a share of its standard error, or none are left.
+    """EM iterations of the relation, in place, until it has converged or for ``steps`` iterations.
 
     sample : (n, 7) difference of the magnitude and the first of the others, variances of both, weight, density of the
-    magnitude where it is unrelated, the first of the others, and that density times the odds that the pair is none;
-    0 where the weight has these in it. colours : (n, 2c) other magnitudes minus the first
-    and their centres, then their variances. knots : (k,) rising. relation : offset and scatter (k,), slopes (c,),
-    scales (s,), each three times the one before, shares (s + 1,), the last unrelated, covariance (k + c, k + c), mean
-    basis (k + c,), and the error of the typical scatter (1,).
-    penalty : (k + c, k + c). priors : allowances of the shares (s,), pairs that are always unrelated, pairs by which
-    scatters are drawn to that of all, the least scatter, and the share of a standard error that is nothing.
+    magnitude if unrelated, the first of the others, and that density times the odds that the pair is false (0 if the
+    weight includes these). colours : (n, 2c) other magnitudes minus the first and their centres, then their variances.
+    knots : (k,) ascending. relation : offset and scatter (k,), slopes (c,), scales (s,), each three times the previous
+    one, shares (s + 1,), the last of unrelated magnitudes, covariance (k + c, k + c), mean basis (k + c,), and the
+    error of the typical scatter (1,). penalty : (k + c, k + c). priors : allowances of the shares (s,), number of
+    always unrelated pairs, number of pairs by which scatters are shrunk to that of all, least scatter, and the share
+    of a standard error below which a change has converged.
     """
     offset, scatter, slopes, _, shares, covariance, mean, error = relation
     k, c = len(offset), len(slopes)
     share = summed(mean[:k])
     typical = np.sqrt(summed(mean[:k] * scatter**2) / share) if share > 0.0 else np.inf
     leverages, hats = np.empty((len(sample), 2)), (np.empty(len(sample), np.int64), np.empty(len(sample)))
-    found = directory(knots)
+    starts = directory(knots)
     for e in range(len(sample)):
-        hats[0][e], _, hats[1][e] = interval(knots, found, sample[e, 5])
+        hats[0][e], _, hats[1][e] = interval(knots, starts, sample[e, 5])
     for _ in range(steps):
         system, right, owned, counts, excess, weight, wider = _summed(sample, colours, hats, relation, leverages)
         number = summed(owned[:k])
@@ -282,12 +281,13 @@ def _summed(
     relation: tuple[FloatArray, ...],
     leverages: FloatArray,
 ) -> tuple[FloatArray | float, ...]:
-    """What a step needs of the pairs.
+    """Sums over the pairs for one iteration.
 
-    Normal equations (k + c, k + c) and (k + c,); Σ of what is owned · basis (k + c,); counts of the mixture's normals
-    (s,); (3, k) the squares of the residuals, what of them the quoted errors explain, and what they tell, · basis; the
-    expected number of pairs; by how much the residuals scatter more than the mixture says. Fills ``leverages`` (n, 2):
-    the square of each residual and what it should be, by what it tells of the scatter.
+    Returns the normal equations (k + c, k + c) and (k + c,); Σ of related weight · basis (k + c,); counts of the
+    mixture's normals (s,); (3, k) Σ of the squared residuals, of their part by the quoted errors, and of their
+    information on the scatter, each · basis; the expected number of pairs; and the ratio of the residuals' scatter to
+    the mixture's. Writes ``leverages`` (n, 2): each squared residual and its expected value, times its information on
+    the scatter.
     """
     left, upper = hats
     offset, scatter, slopes, scales, shares = relation[:5]
@@ -356,17 +356,17 @@ def _scatters(
     fitted: int,
     priors: FloatArray,
 ) -> float:
-    """Fill the scatters (k,) beyond the quoted errors, and the ``error`` of the typical one, which is returned."""
+    """Write the scatters (k,) beyond the quoted errors and the ``error`` of the typical one; returns the typical."""
     left, upper = hats
-    drawing, least = priors[-3], priors[-2]
-    # One step of scoring: what the squares leave beyond the quoted errors, each by what it can tell of the scatter.
+    shrinking, least = priors[-3], priors[-2]
+    # One scoring step: the squares minus the quoted variances, weighted by their information on the scatter.
     larger = number / max(number - fitted, 1.0)
     beyond, weight = larger * excess[0] - excess[1], excess[2]
-    overall, drawn = summed(beyond) / summed(weight), drawing * weight / max(number, 1e-300)
+    overall, drawn = summed(beyond) / summed(weight), shrinking * weight / max(number, 1e-300)
     for a in range(len(scatter)):
         pooled = (beyond[a] + drawn[a] * overall) / (weight[a] + drawn[a]) if weight[a] > 0.0 else overall
         scatter[a] = np.sqrt(max(pooled, least * least))
-    # The typical scatter weighs the knots by their pairs; its error comes from how the squares scatter.
+    # The typical scatter weights the knots by their pairs; its error is that of the squares' scatter.
     by_knot = np.where(weight > 0.0, share / np.maximum(weight + drawn, 1e-300), 0.0)
     by_all = summed(by_knot * drawn) / summed(weight)
     typical = np.sqrt(max(summed(share * scatter**2), least * least))
@@ -374,15 +374,15 @@ def _scatters(
     for e in range(len(leverages)):
         low = left[e]
         high = min(low + 1, len(scatter) - 1)
-        here = by_knot[low] + upper[e] * (by_knot[high] - by_knot[low]) + by_all
-        total += _square((larger * leverages[e, 0] - leverages[e, 1]) * here)
+        factor = by_knot[low] + upper[e] * (by_knot[high] - by_knot[low]) + by_all
+        total += _square((larger * leverages[e, 0] - leverages[e, 1]) * factor)
     error[0] = np.sqrt(total) / (2.0 * typical)
     return typical
 
 
 @part
 def _shares(shares: FloatArray, counts: FloatArray, weight: float, number: float, priors: FloatArray) -> None:
-    """Fill the shares of the mixture's normals and, last, of what is unrelated."""
+    """Write the shares of the mixture's normals and, last, of unrelated magnitudes."""
     total = weight - number + priors[-4]
     shares[-1] = total
     for s in range(len(counts)):

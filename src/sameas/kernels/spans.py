@@ -1,10 +1,10 @@
-"""Compiled look-up of the pairs of two sources that lie near enough to be measured.
+"""Compiled look-up of the pairs of two sources that are near enough to be tested by the gate.
 
-Records are laid out by zone and x (``order.py``). What a record may be with lies in the zones that its own error and
-the largest of the others reach, and there within a window of x. The cells of a zone give the ends of a stretch at once,
-and a search among its records where many share a cell.
+Records are laid out by zone and x (``order.py``). The possible partners of a record are in the zones within reach of
+its own error and the largest of the others, and there within a window of x. The cells of a zone give the ends of this
+stretch directly; if many records share a cell, they are found by bisection.
 
-``folds`` below are the periods of x and y on a plane, infinite where there is none, and None on the sphere.
+``folds`` below are the periods of x and y on a plane, infinite for none, and None on the sphere.
 """
 
 from __future__ import annotations
@@ -18,33 +18,32 @@ from sameas.arrays import ByteArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
 from sameas.kernels.order import Side, cell_of
 
-#: One class of a source, laid out: the first cell of every zone, the first record of every cell, cells per unit of x in
-#: every zone, x of the first cell's edge; y of the first zone's edge and zones per unit of y,
-#: whether they close to a ring.
+#: One class of a laid out source: the first cell of every zone, the first record of every cell, cells per unit of x in
+#: every zone, x of the first cell's edge, y of the first zone's edge, zones per unit of y, whether zones form a ring.
 Grid = namedtuple("Grid", "first starts scale low_x low_y per_y wraps")
 
-#: How far records reach into a grid: what a variance of one opens, squared; the largest variances in x and in y there;
-#: ``stretch`` (zones,) the half width of the window per unit of reach; and the place from which on records do not
-#: reach into it, but have only the pairs that are listed.
+#: Reach of records into a grid: squared reach for a variance of 1; the largest variances in x and in y there;
+#: ``stretch`` (zones,) the half width of the window per unit of reach; the place from which on records have only the
+#: listed pairs.
 Reach = namedtuple("Reach", "opening widest_x widest_y stretch end")
 
-#: Pairs that are looked up before they are measured.
+#: Pairs that are looked up before they are tested.
 ROOM = 4096
-#: Where the cells of a stretch hold more records than this each, it is cut to the window itself.
+#: A stretch with more records than this in each cell on average is narrowed to the window itself.
 CROWDED = 4
-#: Stretches of fewer records than this are tested one by one.
+#: Stretches of fewer records than this are tested record by record.
 LONG = 24
 
 
 @part
 def folded(value: float, period: float) -> float:
-    """A difference of two angles within half a period."""
+    """A difference reduced to half a period either way."""
     return value - period * math.floor(value / period + 0.5) if period < np.inf else value
 
 
 @part
 def first_from(guard: FloatArray, start: int, stop: int, x: float) -> int:
-    """The first of the records start … stop − 1 of a zone that does not lie before x, or stop."""
+    """The first of the records start … stop − 1 of a zone that is not before x, or stop."""
     while start < stop:
         middle = (start + stop) // 2
         if guard[middle, 0] < x:
@@ -56,7 +55,7 @@ def first_from(guard: FloatArray, start: int, stop: int, x: float) -> int:
 
 @part
 def zones_within(grid: Grid, y: float, reach: float) -> tuple[int, int]:
-    """(first, last) zone within reach of y; those of a ring are counted on beyond either end of it."""
+    """(first, last) zone within reach of y; on a ring, numbers continue beyond its ends."""
     last = len(grid.scale) - 1.0
     if grid.wraps:
         reach += 1e-12 * (last + 1.0) / grid.per_y
@@ -71,7 +70,7 @@ def zones_within(grid: Grid, y: float, reach: float) -> tuple[int, int]:
 
 @part
 def inside(grid: Grid, guard: FloatArray, zone: int, x: float, window: float) -> tuple[int, int]:
-    """(low, high) of the stretch of a zone within a window of x, and perhaps some more."""
+    """(low, high) of the stretch of a zone that contains the window x ± window, and perhaps some more records."""
     first = np.uint64(grid.first[zone])
     number = grid.first[zone + 1] - grid.first[zone]
     left = first + np.uint64(cell_of((x - window - grid.low_x) * grid.scale[zone], number))
@@ -87,7 +86,7 @@ def inside(grid: Grid, guard: FloatArray, zone: int, x: float, window: float) ->
 def across(
     grid: Grid, guard: FloatArray, zone: int, x: float, window: float, folds: tuple[float, float] | None
 ) -> tuple[int, ...]:
-    """(low, high) twice of the stretches of a zone within a window that reaches over the period's end, or all round."""
+    """(low, high) of the two stretches of a zone within a window across the period's end, or of the whole zone."""
     period = 360.0 if folds is None else folds[0]
     start, stop = np.int64(grid.starts[grid.first[zone]]), np.int64(grid.starts[grid.first[zone + 1]])
     if 2.0 * window >= period:
@@ -102,14 +101,14 @@ def across(
 def around(
     one: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, k: int
 ) -> tuple[bool | float | int, ...]:
-    """What record k reaches: (first and last zone, half width of the window, opening, whether it crosses a period)."""
+    """Reach of record k: first and last zone, half width of the window, opening, whether it crosses the period end."""
     reach_y = math.sqrt(reach.opening * (one.guard[k, 3] + reach.widest_y))
     bottom, top = zones_within(grid, one.guard[k, 1], reach_y)
     x = one.guard[k, 0]
     if folds is None:
-        # The nearer a pole, the wider.
+        # Wider nearer to a pole.
         window = reach_y * max(reach.stretch[bottom], reach.stretch[top])
-        # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below a degree; beyond, all are near.
+        # hav s = hav Δδ + cos δ₁ cos δ₂ hav Δα, and hav x ≥ (x/2)² (1 − 1e-4) below 1°; beyond, all count as near.
         opening = reach.opening / (1.0 - 1e-4) if window < 1.0 else np.inf
         return bottom, top, window, opening, x < window or x + window >= 360.0
     window = math.sqrt(reach.opening * (one.guard[k, 2] + reach.widest_x))
@@ -128,11 +127,11 @@ def near(
     last: int,
     room: tuple[Int32Array, Int32Array, ByteArray],
 ) -> tuple[int, tuple[int, ...]]:
-    """Fill of1, of2 with pairs near enough to be measured, of the records from ``at`` on, as many as fit.
+    """Write near pairs to of1, of2, of the records from ``at`` on, as many as fit.
 
-    at : (k, zones of k done, records of the next one done, pairs of ``listed`` done). listed : further pairs
-    k << 32 | q, sorted, which follow what the grid gives. room : (of1, of2, passes), as long as each other.
-    Returns (pairs, at); at the end none.
+    at : (k, zones of k done, records of the next zone done, pairs of ``listed`` done). listed : further pairs
+    k << 32 | q, sorted, which follow those of the grid. room : (of1, of2, passes), of the same length. Returns the
+    number of pairs, 0 at the end, and the new ``at``.
     """
     of1, of2, _ = room
     k, done, skip, e = at
@@ -153,7 +152,7 @@ def near(
             ring = zone % len(grid.scale) if grid.wraps else zone
             p, q = inside(grid, two.guard, ring, x, window)
             if not crosses and skip == 0 and q - p < min(LONG, len(of1) - count):
-                # Numbers without a sign, so that no index has to be looked at for counting from the end.
+                # Unsigned, so that indices need no test for negative values.
                 free = np.uint64(count)
                 for c in range(np.uint64(p), np.uint64(q)):
                     of1[free], of2[free] = k, c
@@ -180,10 +179,8 @@ def piecewise(
     room: tuple[Int32Array, Int32Array, ByteArray],
     count: int,
 ) -> tuple[int, int]:
-    """Two stretches, one after the other, from record ``skip`` of them on; returns (pairs, 0), or, when of1 is full
-    before their end, (pairs, 1 + records done).
-
-    Piece by piece: what is longer than the room fits in it when it is empty.
+    """Add the near pairs of two stretches, from their record ``skip`` on; returns (pairs, 0), or (pairs, 1 + records
+    done) if of1 is full before their end. Stretches longer than of1 are done in pieces.
     """
     p, q, r, s = ends
     both = q - p + s - r
@@ -207,13 +204,13 @@ def near_in(
     room: tuple[Int32Array, Int32Array, ByteArray],
     count: int,
 ) -> int:
-    """Add to of1, of2 the records low ≤ c < high that lie near enough to k; returns the number of pairs."""
+    """Add to of1, of2 the records low ≤ c < high near to k; returns the number of pairs."""
     of1, of2, passes = room
     x, y, a, b = guard1[k, 0], guard1[k, 1], guard1[k, 2], guard1[k, 3]
     if folds is None:
-        # All of a stretch lies on the same side of the period's end.
+        # A stretch is on one side of the period's end.
         x -= 360.0 if x - guard2[low, 0] > 180.0 else (-360.0 if x - guard2[low, 0] < -180.0 else 0.0)
-    # In two steps, of which the first works on many at once.
+    # In two steps, of which the first is vectorised.
     guard = guard2[low:high]
     for t in range(len(guard)):
         passes[t] = is_near(guard, t, x, y, a, b, opening, folds)
@@ -227,7 +224,7 @@ def near_in(
 def is_near(
     guard: FloatArray, c: int, x: float, y: float, a: float, b: float, opening: float, folds: tuple[float, float] | None
 ) -> bool:
-    """Whether a record lies near (x, y), of which the guard says also (a, b): all that the gate lets pass do."""
+    """Whether a record is near to one of guard (x, y, a, b); this is so for every pair that passes the gate."""
     if folds is None:
         dlat = y - guard[c, 1]
         dlon = x - guard[c, 0]
@@ -242,9 +239,9 @@ def visit(
     one: Side, two: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, first: int, last: int,
     out: tuple[IntArray, ...],
 ) -> tuple[int, int]:  # fmt: skip
-    """Pairs near enough of the records ``first`` ≤ k < ``last`` of one with what lies in a grid of two, as k << 32 | q.
+    """Write to out[0] the near pairs of the records ``first`` ≤ k < ``last`` with those of a grid, as k << 32 | q.
 
-    Written into out[0]; returns (pairs written, next k): next k < last when it is full.
+    Returns (pairs written, next k); next k < last if out[0] is full.
     """
     pairs, listed = out[0], np.empty(0, np.int64)
     room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)
@@ -266,7 +263,7 @@ def visit(
 
 @small
 def turned_round(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
-    """Fill ``out`` with sorted pairs k << 32 | q as q << 32 | k, sorted. starts : zeros, one more than there are q."""
+    """Write sorted pairs k << 32 | q to ``out`` as q << 32 | k, sorted. starts : zeros, one more than there are q."""
     for e in range(len(pairs)):
         starts[(pairs[e] & 0xFFFFFFFF) + 1] += 1
     for q in range(len(starts) - 1):
@@ -279,7 +276,7 @@ def turned_round(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
 
 @part
 def taken_back(place1: Int32Array, count: int, k: int) -> int:
-    """The number of candidates before those of record k, which are the last ones."""
+    """The number of candidates without those of record k, which are the last."""
     while count > 0 and place1[count - 1] == k:
         count -= 1
     return count

@@ -1,12 +1,12 @@
 """A modelled small radar on a moving boat, among vessels with AIS, land, buoys and sea.
 
-Modelled on recordings of a research vessel in a strait: a turn takes 2.5 s, the radar reaches 7.4 km, its azimuths come
-in steps of half a degree. A turn shows some ten plots. One or two are of vessels with AIS, each seen in 10 to 30 % of
-the turns, a long hull at times as several plots; the rest are returns of a shore, of buoys and of the sea. Shore and
-buoys stay where they are while the boat moves, and the sea stays about the boat. Vessels without AIS move among them.
+Modelled on recordings of a research vessel in a strait: a scan takes 2.5 s, the range is 7.4 km, azimuths have steps of
+half a degree. A scan has about ten plots. One or two are of vessels with AIS, each detected in 10 to 30 % of the scans,
+a long hull sometimes as several plots; the others are returns of a shore, of buoys and of the sea. Shore and buoys are
+stationary while the boat moves; sea clutter surrounds the boat. There are also vessels without AIS.
 
-:func:`boat_radar` draws such a scene. It is a model, not a recording: rain, masts in the way, side lobes and second
-echoes are not in it.
+:func:`boat_radar` draws such a scene. It is a model, not a recording: it has no rain, blind sectors, side lobes or
+second echoes.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, SensorCoverage, Timing
 
-#: Middle of the modelled strait, and the first second of every scene.
+#: Latitude and longitude of the middle of the strait, degrees, and the start of every scene, s.
 MIDDLE, START_S = (50.78, -1.30), 1.7e9
 TURN_S, REACH_M, STEP_DEG = 2.5, 7400.0, 0.5
-#: 1σ of one plot besides the step of the azimuth, of the boat's heading and how long its error lasts.
+#: 1σ of a plot's range and, without the steps, bearing; 1σ and correlation time of the boat's heading.
 RANGE_M, BEARING_DEG, HEADING_DEG, HEADING_S = 12.0, 0.4, 0.3, 20.0
-#: Plots of a turn: of the shore, of the sea about the boat; scatterers of the shore, buoys, mean reach of the sea.
+#: Plots in a scan of the shore and of the sea; scatterers of the shore, buoys, mean distance of the sea's plots.
 SHORE_PLOTS, SEA_PLOTS, SCATTERERS, BUOYS, SEA_M = 6.0, 1.0, 150, 6, 500.0
 
 
@@ -42,7 +42,7 @@ class BoatRadarScene:
     sources : the radar and AIS, each with a description as a user would write it.
     truth : (n,) number of the vessel of each plot, −1 for land, buoys and sea. Vessels with AIS come first.
     mmsi : of the vessels with AIS, in their order. common : (k,) numbers of those under way that the radar sees.
-    bias : what the radar reads wrong.
+    bias : of the radar.
     """
 
     sources: tuple[tuple[Description, Reports], tuple[Description, Reports]]
@@ -72,7 +72,7 @@ class _Hulls:
         )  # fmt: skip
 
     def at(self, which: IntArray, since_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) places of the middles, and (n,) courses, of some vessels at times since the middle of the scene."""
+        """(n, 2) positions of the middles and (n,) courses of some vessels; since_s : from the middle of the scene."""
         turn = self.turning[which] * since_s / 2.0
         chord = self.speed[which] * since_s * np.sinc(turn / np.pi)
         heading = self.course[which] + turn
@@ -93,13 +93,13 @@ def boat_radar(
     silent: int = 1,
     minutes: float = 10.0,
 ) -> BoatRadarScene:
-    """A scene of ``minutes``.
+    """A scene of this many minutes.
 
     Parameters
     ----------
-    bias : of the radar; an azimuth too far clockwise by 3° and a range too long by 20 m if not given.
-    common : vessels under way with AIS that the radar sees. moored : as many more that lie still.
-    unseen : vessels with AIS that it never sees. silent : vessels that it sees and that have no AIS.
+    bias : of the radar; by default an azimuth too far clockwise by 3° and a range too long by 20 m.
+    common : vessels under way with AIS that the radar detects. moored : further ones that are stationary.
+    unseen : vessels with AIS that it never detects. silent : vessels without AIS that it detects.
 
     Raises
     ------
@@ -127,25 +127,25 @@ def boat_radar(
     echoes = [
         _hull_echoes(vessels, rows.astype(np.int64), station, since, rng), _shore(station, rng), _sea(station, rng)
     ]  # fmt: skip
-    look, place, truth = (np.concatenate(part) for part in zip(*echoes, strict=True))
-    arm = place - station[look]
+    scan, place, truth = (np.concatenate(part) for part in zip(*echoes, strict=True))
+    arm = place - station[scan]
     away = np.hypot(*arm.T)
     kept = (away < REACH_M) & (away > 60.0)
-    look, arm, away, truth = look[kept], arm[kept], away[kept], truth[kept]
-    heading = _lasting(len(turns), rng)[look]
+    scan, arm, away, truth = scan[kept], arm[kept], away[kept], truth[kept]
+    heading = _heading_error(len(turns), rng)[scan]
     bearing = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + bias.azimuth_deg + heading
-    bearing = STEP_DEG * np.round((bearing + BEARING_DEG * rng.normal(size=len(look))) / STEP_DEG) % 360.0
+    bearing = STEP_DEG * np.round((bearing + BEARING_DEG * rng.normal(size=len(scan))) / STEP_DEG) % 360.0
     lat, lon = plane.to_geodetic(station + 3.0 * rng.normal(size=station.shape))
-    # An antenna passes one bearing after another; the stamps are whole tenths of a second.
-    stamp = np.round(turns[look] + bearing / 360.0 * TURN_S + bias.time_s, 1)
+    # The antenna rotates during a scan; time stamps are rounded to tenths of a second.
+    stamp = np.round(turns[scan] + bearing / 360.0 * TURN_S + bias.time_s, 1)
     order = np.argsort(stamp, kind="stable")
     columns = {
         "time_s": START_S + stamp,
         "bearing_deg": bearing,
-        "station_lat_deg": lat[look],
-        "station_lon_deg": lon[look],
+        "station_lat_deg": lat[scan],
+        "station_lon_deg": lon[scan],
     }
-    read_m = away * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(look))
+    read_m = away * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(scan))
     columns["range_m"] = np.maximum(read_m, 1.0)
     radar = Reports.of("radar", "table", {name: column[order] for name, column in columns.items()})
     ais, mmsi = _ais(vessels, named, since, span_s, plane, rng)
@@ -164,37 +164,37 @@ Echoes = tuple[IntArray, FloatArray, IntArray]
 def _hull_echoes(
     vessels: _Hulls, rows: IntArray, station: FloatArray, since: FloatArray, rng: np.random.Generator
 ) -> Echoes:
-    """Turn, place and vessel of the echoes of hulls: each seen in 10 to 30 % of the turns, a long one several times."""
+    """Scan, position and vessel of the echoes of hulls: in 10 to 30 % of the scans, several of a long hull."""
     share = rng.uniform(0.1, 0.3, len(rows))
-    seen, look = np.nonzero(rng.random((len(rows), len(since))) < share[:, None])
+    seen, scan = np.nonzero(rng.random((len(rows), len(since))) < share[:, None])
     times = 1 + rng.poisson(vessels.length[rows[seen]] / 150.0)
-    which, look = np.repeat(rows[seen], times), np.repeat(look, times)
-    place, course = vessels.at(which, since[look])
+    which, scan = np.repeat(rows[seen], times), np.repeat(scan, times)
+    place, course = vessels.at(which, since[scan])
     along = rng.uniform(-0.4, 0.4, len(which)) * vessels.length[which]
-    return look, place + along[:, None] * _unit(course), which
+    return scan, place + along[:, None] * _unit(course), which
 
 
 def _shore(station: FloatArray, rng: np.random.Generator) -> Echoes:
-    """Returns of a shore on one side and of buoys, each at its place."""
+    """Returns of a shore on one side and of buoys, all stationary."""
     along, off = rng.uniform(-7000.0, 7000.0, SCATTERERS), 2500.0 + rng.gamma(1.5, 500.0, SCATTERERS)
     side = rng.uniform(0.0, 2.0 * np.pi)
     coast = along[:, None] * _unit(np.array([side])) + off[:, None] * _unit(np.array([side + np.pi / 2.0]))
     place = np.concatenate([coast, rng.uniform(-4000.0, 4000.0, (BUOYS, 2))])
     strength = np.concatenate([rng.gamma(0.7, 1.0, SCATTERERS), np.full(BUOYS, 2.0)])
     share = np.minimum(SHORE_PLOTS * strength / strength.sum(), 0.6)
-    look, which = np.nonzero(rng.random((len(station), len(place))) < share)
-    return look, place[which] + 8.0 * rng.normal(size=(len(which), 2)), np.full(len(look), -1)
+    scan, which = np.nonzero(rng.random((len(station), len(place))) < share)
+    return scan, place[which] + 8.0 * rng.normal(size=(len(which), 2)), np.full(len(scan), -1)
 
 
 def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
-    """Returns of the sea, about the boat."""
-    look = np.repeat(np.arange(len(station)), rng.poisson(SEA_PLOTS, len(station)))
-    away = 60.0 + rng.exponential(SEA_M, len(look))
-    return look, station[look] + away[:, None] * _unit(rng.uniform(0.0, 2.0 * np.pi, len(look))), np.full(len(look), -1)
+    """Returns of the sea around the boat."""
+    scan = np.repeat(np.arange(len(station)), rng.poisson(SEA_PLOTS, len(station)))
+    away = 60.0 + rng.exponential(SEA_M, len(scan))
+    return scan, station[scan] + away[:, None] * _unit(rng.uniform(0.0, 2.0 * np.pi, len(scan))), np.full(len(scan), -1)
 
 
-def _lasting(turns: int, rng: np.random.Generator) -> FloatArray:
-    """(turns,) the error of the heading, which lasts for some seconds."""
+def _heading_error(turns: int, rng: np.random.Generator) -> FloatArray:
+    """(turns,) error of the heading, degrees, correlated over HEADING_S."""
     keep = np.exp(-TURN_S / HEADING_S)
     error, steps = np.zeros(turns), HEADING_DEG * rng.normal(size=turns)
     error[0] = steps[0]
@@ -206,7 +206,7 @@ def _lasting(turns: int, rng: np.random.Generator) -> FloatArray:
 def _ais(
     vessels: _Hulls, count: int, since: FloatArray, span_s: float, plane: LocalPlane, rng: np.random.Generator
 ) -> tuple[Reports, tuple[str, ...]]:
-    """The reports of the vessels with AIS: every 2 to 10 s or 30 s, of an antenna that stands anywhere on the hull."""
+    """The reports of the vessels with AIS, every 5, 10 or 30 s, of an antenna at a random position on the hull."""
     period = rng.choice([5.0, 10.0, 30.0], count)
     mmsi = tuple(str(235000001 + k) for k in range(count))
     times = [np.arange(rng.uniform(-each, 0.0), span_s + each, each) for each in period]

@@ -1,8 +1,8 @@
 """Exposures: a frame and the catalogue of its field, with magnitudes and known truth.
 
-The frame detects stars down to its limit, with errors that grow towards it; some detections are in no catalogue and
-some are false. The catalogue is deeper and years older: its stars have moved by their stated motions and by unknown
-ones, and its errors are wider by that.
+The frame detects stars down to its limit, with errors that increase towards it; some detections are not in the
+catalogue and some are false. The catalogue is deeper and years older: its stars have moved by catalogued or unknown
+proper motions, whose errors increase those of its positions.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from sameas.space import Sphere, displaced
 
 @dataclass(frozen=True)
 class Sky:
-    """The stars, the catalogue of them, and the frame.
+    """Parameters of the stars, their catalogue and the frame.
 
-    stars_per_deg2 : stars down to ``faintest``, whose number grows as 10^(``steepness`` · m) from ``brightest`` on.
-    catalogue_sigma_arcsec, motion_sigma_mas_per_yr : errors of the catalogue at its epoch, bright and faint ends.
-    unknown_motion : share of its stars without a motion, which are drawn from N(0, ``motion_mas_per_yr``²) per axis.
-    gap_yr : between catalogue and frame. uncatalogued : share of the stars that the catalogue lacks.
-    frame_sigma_arcsec : errors of the frame's positions, bright end and limit. shown : greatest probability that the
-    frame detects a star; it falls to half of it at ``limit`` over ``softness`` mag.
-    false_share : of the frame's measurements that are no stars; faint ones, as it likes them near its limit.
+    stars_per_deg2 : stars down to ``faintest``; counts grow as 10^(``steepness`` · m) from ``brightest`` on.
+    catalogue_sigma_arcsec, motion_sigma_mas_per_yr : (bright, faint) errors of the catalogue at its epoch.
+    unknown_motion : share of its stars without proper motion; their motions have 1σ = ``motion_mas_per_yr`` on each
+    axis. gap_yr : from catalogue to frame. uncatalogued : share of the stars that are not in the catalogue.
+    frame_sigma_arcsec : errors of the frame's positions, for bright stars and at the limit. plateau : largest detection
+    probability of the frame; it is half of that at ``limit``, and falls over ``softness`` mag.
+    false_share : share of the frame's measurements that are not stars, mostly near its limit.
     zero_point, colour_term, scatter : of the frame's magnitude against the catalogue's first and second band, mag.
     """
 
@@ -57,7 +57,7 @@ class Sky:
         return self.plateau / (1.0 + np.exp((magnitude - self.limit) / self.softness))
 
     def depth(self, magnitude: FloatArray, faint: float) -> FloatArray:
-        """(n,) where errors stand between their bright and faint ends, 0 … 1."""
+        """(n,) position of errors between their bright (0) and faint (1) values."""
         return np.clip((magnitude - self.brightest) / (faint - self.brightest), 0.0, 1.0) ** 2
 
 
@@ -66,9 +66,9 @@ class Sky:
 class Exposure:
     """A frame (source 1) and the catalogue of its field (source 2), at the frame's epoch.
 
-    scene : records and truth. brightness : magnitudes of either, the catalogue's in two bands. sky : what made them.
+    scene : records and truth. brightness : magnitudes of both, the catalogue's in two bands. sky : the parameters.
     area_arcsec2 : of the frame. magnitude, colour : (n_objects,) true magnitudes in the catalogue's first band, and
-    those minus the ones in its second.
+    their difference to those in its second.
     """
 
     scene: SimulatedScene
@@ -82,7 +82,7 @@ class Exposure:
 def exposure(
     rng: np.random.Generator, sky: Sky | None = None, *, side_deg: float = 0.1, missing: float = 0.0
 ) -> Exposure:
-    """A square frame of ``side_deg``; a share of the magnitudes ``missing`` in each band.
+    """A square frame of ``side_deg`` and its catalogue; missing : share of the magnitudes missing in each band.
 
     Example
     -------
@@ -109,7 +109,7 @@ def exposure(
 
 @dataclass(frozen=True)
 class _TrueStars:
-    """Directions (n, 2) at the frame's epoch, magnitudes in the catalogue's first band, and colours."""
+    """Directions (n, 2) at the frame's epoch, magnitudes in the catalogue's first band, and colours (n,)."""
 
     position_deg: FloatArray
     magnitude: FloatArray
@@ -117,14 +117,14 @@ class _TrueStars:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, sky: Sky, field: LonLatBox, n: int) -> _TrueStars:
-        # Inverse of the cumulated count, which grows as 10^(steepness · m).
+        # Inverse of the cumulative counts, which grow as 10^(steepness · m).
         low, high = 10 ** (sky.steepness * np.array([sky.brightest, sky.faintest]))
         magnitude = np.log10(rng.uniform(low, high, n)) / sky.steepness
         colour = 0.8 + 0.08 * (magnitude - 16.0) + 0.35 * rng.standard_normal(n)
         return cls(field.draw(rng, n), magnitude, colour)
 
     def with_false(self, rng: np.random.Generator, sky: Sky, field: LonLatBox, n: int) -> _TrueStars:
-        """These and n false detections, whose magnitudes crowd towards the limit."""
+        """These stars and n false detections, most of them with magnitudes near the limit."""
         magnitude = np.maximum(sky.limit + 0.4 - rng.exponential(0.8, n), sky.brightest)
         position = np.concatenate([self.position_deg, field.draw(rng, n)])
         return _TrueStars(position, np.append(self.magnitude, magnitude), np.append(self.colour, np.full(n, 0.8)))
@@ -132,7 +132,7 @@ class _TrueStars:
     def framed(
         self, rng: np.random.Generator, sky: Sky, numbers: IntArray, missing: float
     ) -> tuple[Records, Magnitudes, IntArray]:
-        """The frame's measurements of these."""
+        """The frame's measurements of the stars ``numbers``."""
         magnitude, colour = self.magnitude[numbers], self.colour[numbers]
         low, high = sky.frame_sigma_arcsec
         spread = low + (high - low) * sky.depth(magnitude, sky.limit)
@@ -145,7 +145,7 @@ class _TrueStars:
     def catalogued(
         self, rng: np.random.Generator, sky: Sky, numbers: IntArray, missing: float
     ) -> tuple[Records, Magnitudes, IntArray]:
-        """The catalogue's stars, moved to the frame's epoch by their stated motions."""
+        """The catalogue's records of the stars ``numbers``, moved to the frame's epoch by their proper motions."""
         magnitude = self.magnitude[numbers]
         depth = sky.depth(magnitude, sky.faintest)
         still, motion = ((low + (high - low) * depth) for low, high in (
@@ -162,7 +162,7 @@ class _TrueStars:
 
 
 def _measured(rng: np.random.Generator, position_deg: FloatArray, spread: FloatArray, name: str) -> Records:
-    """Directions displaced as far as their ellipses say: axes of (1 ± e), e to 0.5, at any angle."""
+    """Directions displaced by errors of variances spread² (1 ± e), e uniform in 0 … 0.5, along random axes."""
     n = len(spread)
     stretch, angle = rng.uniform(0.0, 0.5, n), rng.uniform(0.0, np.pi, n)
     major, minor = spread * np.sqrt(1.0 + stretch), spread * np.sqrt(1.0 - stretch)
@@ -178,12 +178,12 @@ def _measured(rng: np.random.Generator, position_deg: FloatArray, spread: FloatA
 def _bands(
     rng: np.random.Generator, measured: FloatArray, error: FloatArray, missing: float, names: tuple[str, ...]
 ) -> Magnitudes:
-    lost = rng.uniform(size=measured.shape) < missing
-    return Magnitudes(np.where(lost, np.nan, measured), np.where(lost, np.nan, error), names)
+    absent = rng.uniform(size=measured.shape) < missing
+    return Magnitudes(np.where(absent, np.nan, measured), np.where(absent, np.nan, error), names)
 
 
 def misquoted(scene: SimulatedScene, factor: float) -> SimulatedScene:
-    """The same records, with errors quoted ``factor`` times smaller than they are."""
+    """The scene with errors quoted ``factor`` times smaller than the true ones."""
     first, second = (replace(r, covariance=r.covariance / factor**2) for r in (scene.first, scene.second))
     return replace(scene, first=first, second=second)
 
@@ -191,7 +191,7 @@ def misquoted(scene: SimulatedScene, factor: float) -> SimulatedScene:
 def with_outliers(
     rng: np.random.Generator, scene: SimulatedScene, share: float, sigmas: float = 10.0
 ) -> SimulatedScene:
-    """The same, with a share of either source's records displaced by so many of their σ, in any direction."""
+    """The scene with a share of either source's records displaced by ``sigmas`` of their σ in a random direction."""
     moved = []
     for records in (scene.first, scene.second):
         n = len(records)
