@@ -1,4 +1,4 @@
-"""Several catalogues identified at once: :func:`match_many`, and the :class:`MatchMany` it gives."""
+"""Match of several catalogues at once: :func:`match_many` and its result, :class:`MatchMany`."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.many import ManyMatch, ManyOptions
 
-#: Catalogues that options can speak of; ``sameas.sky.many`` takes no more.
+#: Largest number of catalogues, that of ``sameas.sky.many``; each has options of its own.
 MOST = 8
 
 
 @dataclass(frozen=True, repr=False)
 class MatchMany:
-    """Several catalogues identified at once: what :func:`match_many` gives. ``len()`` of it is the number of objects.
+    """A match of several catalogues, returned by :func:`match_many`. ``len()`` is the number of objects.
 
     Attributes
     ----------
-    sky : the catalogues, the objects, the catalogues identified two by two.
-    request : what was asked for, which :meth:`write` puts into the file. least : how many catalogues an object of
-        :attr:`table` must be in. call : the call that made it.
+    sky : the catalogues, the objects, and the pairwise matches.
+    request : all options, which :meth:`write` stores in the file. least : number of catalogues in which an object of
+        :attr:`table` must be. call : the call that made it.
     """
 
     sky: ManyMatch
@@ -48,23 +48,23 @@ class MatchMany:
 
     @property
     def objects(self) -> Objects:
-        """The core's result: members, probabilities and states of all objects."""
+        """The result of the core: members, probabilities and states of all objects."""
         return self.sky.objects
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What looks wrong, of the input and of the result; a sentence each."""
+        """One sentence for each doubt about the input or the result."""
         sides = enumerate(self.sky.catalogues, 1)
-        own = (self.request.words(doubt, side) for side, catalogue in sides for doubt in catalogue.doubts)
-        return (*own, *self.sky.doubts)
+        of_input = (self.request.words(doubt, side) for side, catalogue in sides for doubt in catalogue.doubts)
+        return (*of_input, *self.sky.doubts)
 
     @cached_property
     def table(self) -> Table:
-        """One row per object of ``least`` catalogues or more; see :meth:`joined`."""
+        """One row per object in at least ``least`` catalogues; see :meth:`joined`."""
         return self.joined(self.least)
 
     def joined(self, least: int = 1) -> Table:
-        """One row per object that so many catalogues show, the columns of all side by side.
+        """One row per object in at least ``least`` catalogues, with the columns of all of them.
 
         Raises
         ------
@@ -75,13 +75,13 @@ class MatchMany:
         return joined_many(self.sky, least=least)
 
     def report(self) -> str:
-        """The report, as the command prints it."""
+        """The report that the command prints."""
         from sameas.report.prose import in_one
 
         return in_one(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
-        """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        """The lines of :meth:`report`. words : formats a message that names arguments."""
         from sameas.report.match import catalogue_lines
 
         for side, catalogue in enumerate(self.sky.catalogues, 1):
@@ -91,13 +91,13 @@ class MatchMany:
         yield from self.result_lines(words)
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
-        """What was estimated and found, without what was understood of the input."""
+        """Estimates and results, without the interpretation of the input."""
         from sameas.report.many import estimate_lines, summary_lines
 
         return [*estimate_lines(self.sky, words), "", *summary_lines(self.sky)]
 
     def explain(self, id: Any = None, *, row: int | None = None, source: int | str = 1) -> ObjectExplanation:
-        """Why a record is in its object: the sets that it could be in, and what each weighs; ``print`` it.
+        """Why a record is in its object: the possible sets of records and their probabilities; ``print`` the result.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class MatchMany:
         return self.objects.explain(int(which[at]))
 
     def plot(self, first: str | None = None, second: str | None = None, name: str = "residuals") -> Figure:
-        """A picture of two of the catalogues identified with each other; notebooks show it.
+        """A plot of the match of two of the catalogues; notebooks show it.
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class MatchMany:
         format: str | None = None,
         overwrite: bool = True,
     ) -> None:
-        """Writes the joined table and how it was made; the file is whole or absent.
+        """Writes the joined table with its provenance, atomically.
 
         Parameters
         ----------
@@ -177,14 +177,14 @@ class MatchMany:
         write_table(table, path, provenance=self.facts(self.call), format=format, overwrite=overwrite)
 
     def facts(self, command: str, words: Callable[[str], str] = str) -> dict[str, Any]:
-        """How the table was made. command : as it was typed. words : how a message that names arguments is put."""
+        """The provenance of the table. command : as typed. words : formats a message that names arguments."""
         from sameas.front.provenance import of_many
 
         return of_many(self.request, self.sky, command, words)
 
     @property
     def headline(self) -> str:
-        """What it is, in one line."""
+        """A summary in one line."""
         from sameas.representation import count, counted
 
         names = ", ".join(f"{catalogue.name} ({counted(len(catalogue), 'row')})" for catalogue in self.sky.catalogues)
@@ -215,21 +215,21 @@ def match_many(
     progress: Callable[[str], None] = lambda stage: None,
     **columns: Any,
 ) -> MatchMany:
-    """Which records of several catalogues are the same object, all at once; their order changes nothing.
+    """Matches several catalogues at once; the result does not depend on their order.
 
     Parameters
     ----------
     sources : two to eight, each anything that :func:`sameas.match` takes but ``Records``, or one list of them.
-    least : how many catalogues an object of ``.table`` must be in.
-    to_epoch : Julian year of the objects' places; the mean of the catalogues' epochs if not given.
-    gate_sigmas, error_scale : as of :func:`sameas.match`, of every two catalogues.
-    offset : "find" looks for a shift and turn of each catalogue, and takes it away.
-    names : of the catalogues in messages. progress : called with the name of what is being done.
-    columns : options of the columns: ``sigma=0.1`` of all, ``epoch3=2000`` of the third.
+    least : number of catalogues in which an object of ``.table`` must be.
+    to_epoch : Julian year of the objects' positions; the mean of the catalogues' epochs if not given.
+    gate_sigmas, error_scale : as for :func:`sameas.match`, for each pair of catalogues.
+    offset : "find" estimates a shift and rotation of each catalogue, and corrects it.
+    names : of the catalogues in messages. progress : called with the name of each step.
+    columns : options of the columns: ``sigma=0.1`` for all, ``epoch3=2000`` for the third.
 
     Raises
     ------
-    InputError : fewer than two catalogues or too many; columns that are not understood; options that do not exist.
+    InputError : fewer than two or too many catalogues; columns that cannot be interpreted; unknown options.
 
     Example
     -------
@@ -269,7 +269,7 @@ def match_many(
 def identified(
     request: Request[ManyOptions], catalogues: Sequence[Catalogue], *, progress: Callable[[str], None]
 ) -> ManyMatch:
-    """The catalogues of a request, read already, identified at once."""
+    """The match of the catalogues of a request, which are read already."""
     from sameas.sky.many.match import match_many as identify
 
     found: ManyMatch = request.naming_sides(lambda: identify(catalogues, request.options, progress=progress))

@@ -1,4 +1,4 @@
-"""Two HATS catalogues identified: what :func:`sameas.match` gives where both sources are catalogues in partitions."""
+"""Match of two HATS catalogues: the result of :func:`sameas.match` for two partitioned catalogues."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class PartitionedMatch:
-    """Two catalogues in partitions, to be identified over all of them: what :func:`sameas.match` gives of HATS.
+    """A match of two partitioned catalogues, returned by :func:`sameas.match` for HATS input.
 
-    Nothing is read before it is needed: :attr:`estimated`, and with it :meth:`report`, reads both catalogues' positions
-    once; :meth:`write` decides all partitions and writes a HATS catalogue.
+    It is lazy: :attr:`estimated`, and with it :meth:`report`, reads the positions of both catalogues once;
+    :meth:`write` matches all partitions and writes a HATS catalogue.
 
     Attributes
     ----------
-    request : what was asked for. join, nway_columns : of the output. call : that made it. progress : called with the
-        name of what is being done. workers : processes; as many as there are processors if None.
+    request : all options. join, nway_columns : of the output. call : that made it. progress : called with the name of
+        each step. workers : number of processes; that of the processors if None.
     """
 
     request: Request[MatchOptions]
@@ -51,14 +51,14 @@ class PartitionedMatch:
 
     @cached_property
     def catalogues(self) -> tuple[HatsCatalogue, HatsCatalogue]:
-        """Both catalogues as they lie on disk."""
+        """Both catalogues on disk."""
         one, two = (HatsCatalogue.open(path, name) for path, name in
                     zip(self.request.paths, self.request.names, strict=True))  # fmt: skip
         return one, two
 
     @cached_property
     def estimated(self) -> Estimated:
-        """Everything that was not known, learned once from all partitions."""
+        """All estimated parameters, fitted once to all partitions."""
         with tempfile.TemporaryDirectory(prefix="sameas-") as scratch:
             return self._estimated(Path(scratch), self.workers, None)
 
@@ -91,22 +91,22 @@ class PartitionedMatch:
         margin_arcsec: float = 10.0,
         piece_rows: int = 300_000,
     ) -> Written:
-        """Decides all partitions and writes the joined catalogue, with a margin, as a HATS collection.
+        """Matches all partitions and writes the joined catalogue, with a margin, as a HATS collection.
 
-        A call that was interrupted is gone on with by the same call: partitions that are done stay.
+        The same call resumes an interrupted one: finished partitions are kept.
 
         Parameters
         ----------
         path : the collection's folder. margin_arcsec : of the margin catalogue; 0 writes none.
         workers : processes. executor : used instead of processes of our own, such as ``client.get_executor()`` of
             dask.distributed; its workers must see the folders.
-        piece_rows : records of both catalogues that a worker decides at once, about, however they are partitioned;
-            fewer in a crowd, where these and their candidates would need more than some 0.6 GB of memory.
+        piece_rows : approximate number of records of both catalogues that a worker matches at once, independent of the
+            partitions; fewer in crowded fields, where they and their candidates would need more than about 0.6 GB.
 
         Raises
         ------
-        InputError : the folder exists and is no unfinished match of the same; a partition cannot be read, by name;
-            workers keep dying.
+        InputError : the folder exists and is not an unfinished match of the same input; a partition cannot be read, by
+            name; workers die repeatedly.
         """
         from sameas.partitions.run import write
 
@@ -117,18 +117,18 @@ class PartitionedMatch:
         facts = self.facts() | {"margin_arcsec": margin_arcsec, "piece_rows": piece_rows}
         if "estimated" not in self.__dict__:
             scratch = target / ".sameas-run"
-            begun = scratch.exists() or not target.exists() or not any(target.iterdir())
-            if not begun:
+            resumable = scratch.exists() or not target.exists() or not any(target.iterdir())
+            if not resumable:
                 raise InputError(
                     f"{path}: exists already, and is not an unfinished match", "give another name, or remove it"
                 )
-            with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_there(target.parent)) as folder:
+            with tempfile.TemporaryDirectory(prefix=".sameas-", dir=_made(target.parent)) as folder:
                 self.__dict__["estimated"] = self._estimated(Path(folder), workers, executor)
         return write(self.estimated, target, facts, margin_arcsec=margin_arcsec, workers=workers, executor=executor,
                      progress=self.progress, piece_rows=piece_rows)  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
-        """How the output is made; the same for the same inputs and options."""
+        """The provenance of the output; it depends on inputs and options only."""
         facts = made_by(self.call) | {"join": self.join, "nway_columns": self.nway_columns}
         for k, (path, stored) in enumerate(zip(self.request.paths, self.catalogues, strict=True), 1):
             facts |= {f"input_{k}": str(Path(path).resolve()), f"fingerprint_{k}": stored.fingerprint(),
@@ -137,16 +137,16 @@ class PartitionedMatch:
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What looks wrong, a sentence each."""
+        """One sentence for each doubt."""
         twice = (self.request.twice,) if self.request.twice else ()
         return (*twice, *self.estimated.doubts)
 
     def report(self) -> str:
-        """What was understood and estimated."""
+        """The interpretation of the input, and the estimates."""
         return "\n".join(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
-        """The lines of :meth:`report`. words : how a message that names arguments is put."""
+        """The lines of :meth:`report`. words : formats a message that names arguments."""
         from sameas.report.findings import column_lines
         from sameas.report.prose import DOUBT, entry, figures, percent
         from sameas.representation import count
@@ -188,17 +188,17 @@ class PartitionedMatch:
         )
 
 
-def _there(folder: Path) -> Path:
+def _made(folder: Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 
 
 def both_hats(first: Any, second: Any) -> bool:
-    """Whether both sources are catalogues in partitions.
+    """Whether both sources are HATS catalogues.
 
     Raises
     ------
-    InputError : one is, and the other is not.
+    InputError : only one of them is.
     """
     found = [is_hats(source) for source in (first, second)]
     if any(found) and not all(found):
@@ -210,7 +210,7 @@ def both_hats(first: Any, second: Any) -> bool:
 
 
 def written_lines(written: Written) -> list[str]:
-    """What a run wrote, in lines."""
+    """The report of a finished run."""
     from sameas.report.prose import entry, figures
     from sameas.representation import count
 

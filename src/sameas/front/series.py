@@ -1,6 +1,6 @@
-"""A night's frames as series: those of one field and filter together, their tables and the page of the folder.
+"""Series: the frames of one field and filter in a night, with tables of their stars and exposures.
 
-The frames are identified first (:mod:`sameas.front.framing`); what is made here stands on their outputs.
+Series are made from the outputs of identified frames (:mod:`sameas.front.framing`).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from sameas.io import read_table, write_table
 from sameas.sky.frame.image import Frame
 from sameas.sky.series import DEFAULT_TUNING, Exposure, Series, tie
 
-#: What frames in a folder end with, packed or not.
+#: Extensions of frames in a folder, without that of a compression.
 ENDINGS = (".fits", ".fit", ".fts")
-#: What IMAGETYP says of frames that show no sky.
+#: Words in IMAGETYP of calibration frames.
 _NO_SKY = ("dark", "flat", "bias", "zero")
 
 
 def frames_in(folder: str | Path) -> list[str]:
-    """The frames of a folder, by name; calibration frames that say so (IMAGETYP) and tables are none.
+    """The paths of the frames in a folder, sorted; without calibration frames (by IMAGETYP) and our own tables.
 
     Raises
     ------
-    InputError : it holds none.
+    InputError : there is none.
     """
     found = [str(path) for path in _images_in(folder) if _shows_sky(path)]
     if not found:
@@ -42,12 +42,12 @@ def frames_in(folder: str | Path) -> list[str]:
 
 
 def calibrations_in(folder: str | Path) -> list[str]:
-    """The calibration frames of a folder that say so (IMAGETYP), by name."""
+    """The paths of the calibration frames in a folder (by IMAGETYP), sorted."""
     return [str(path) for path in _images_in(folder) if not _shows_sky(path)]
 
 
 def _images_in(folder: str | Path) -> list[Path]:
-    """The FITS files of a folder that are none of our tables, by name."""
+    """The FITS files of a folder, sorted, without our own tables."""
     if not os.path.isdir(folder):
         raise InputError(f"{folder}: no such folder")
     found = []
@@ -59,12 +59,12 @@ def _images_in(folder: str | Path) -> list[Path]:
 
 
 def _shows_sky(path: Path) -> bool:
-    """Whether the first header of a file says neither that it is a calibration frame nor that it is a table."""
+    """Whether IMAGETYP in the first header is not that of a calibration frame."""
     try:
         with (gzip.open if path.name.endswith(".gz") else open)(path, "rb") as file:
             head = file.read(2880 * 4).decode("ascii", "replace")
     except (OSError, EOFError, zlib.error):
-        return True  # reading it says what is wrong with it
+        return True  # the reader reports what is wrong
     cards = (head[k : k + 80] for k in range(0, len(head), 80))
     kind = next((card[10:].split("/")[0].strip(" '").lower() for card in cards if card.startswith("IMAGETYP")), "")
     return not any(word in kind for word in _NO_SKY)
@@ -72,22 +72,22 @@ def _shows_sky(path: Path) -> bool:
 
 @dataclass(frozen=True)
 class Identified:
-    """A frame that was identified: what was asked for, and its summary."""
+    """An identified frame: its request and its summary."""
 
     request: FrameRequest
     summary: Mapping[str, Any]
 
     @property
     def filter(self) -> str:
-        """Of the header, "" where it does not tell."""
+        """The filter in the header; "" where there is none."""
         return str(self.summary["exposure"].get("filter") or "")
 
     def frame(self) -> Frame:
-        """Its pixels, calibrated."""
+        """The calibrated image."""
         return frame_of(self.request, lambda stage: None)
 
     def exposure(self) -> Exposure:
-        """Its measurements, from its table.
+        """The measurements, read from the output table.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Identified:
 
 @dataclass(frozen=True)
 class FieldSeries:
-    """One series of a night. name : of its files. members : its frames in the order of time. filter : "" for any."""
+    """One series of a night. name : of its files. members : frames in time order. filter : "" for any."""
 
     name: str
     series: Series
@@ -119,9 +119,9 @@ class FieldSeries:
 
 
 def series_of(done: Sequence[Identified], *, by_filter: bool = True) -> tuple[list[FieldSeries], list[str]]:
-    """The series among identified frames, the longest first, and why frames are in none.
+    """The series among identified frames, the longest first, and the reasons why other frames are in none.
 
-    by_filter : frames of several filters are several series; what moves is searched on all of a field.
+    by_filter : one series per filter; False for the search of movers, which uses all frames of a field.
     """
     kept, reasons = [], []
     for one in done:
@@ -148,7 +148,7 @@ def series_of(done: Sequence[Identified], *, by_filter: bool = True) -> tuple[li
 
 
 def _fields(frames: Sequence[tuple[Identified, Exposure]], by_filter: bool) -> list[list[tuple[Identified, Exposure]]]:
-    """Frames whose middles are near each other, of one filter if wanted."""
+    """Groups of frames with nearby centres, and of one filter if ``by_filter``."""
 
     def together(one: Identified, other: Identified) -> bool:
         return (not by_filter or one.filter == other.filter) and _near(one, other)
@@ -173,7 +173,7 @@ def _near(one: Identified, other: Identified) -> bool:
 
 
 def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping[str, Any]) -> list[str]:
-    """Writes the tables of the stars and of the frames of every series; the names of the files."""
+    """Writes the star table and the frame table of every series; returns the file names."""
     written = []
     made = {**program(), **facts}
     for one in each:
@@ -185,6 +185,6 @@ def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping
 
 
 def doubts_of(summary: Mapping[str, Any]) -> list[str]:
-    """What is doubtful about a frame."""
+    """The doubts in the summary of a frame."""
     notes = itertools.chain(summary["exposure"]["read"], summary["notes"])
     return [note for note in notes if note.startswith("doubt") or "not converged" in note]

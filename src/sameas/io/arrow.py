@@ -1,7 +1,7 @@
-"""Between Arrow's columns and astropy's: nulls are masks, whole numbers stay whole, text is Unicode.
+"""Conversion between Arrow and astropy columns: nulls become masks, integers stay integers, text is Unicode.
 
-Numbers, and the text of small tables, go by way of Arrow's buffers: its own conversions import pandas where that is
-installed, and ``pyarrow.compute``, which takes longer than a small table.
+Numbers, and the text of small tables, are converted through Arrow's buffers: Arrow's own conversions import pandas, if
+installed, and ``pyarrow.compute``, which takes longer than reading a small table.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from astropy.table import Column
 
 _WIDEST_FIXED_TEXT = 256
-#: Text of more rows is worth the import of ``pyarrow.compute``, which is faster with it.
+#: Above this number of rows ``pyarrow.compute`` is faster for text, including its import.
 FEW_ROWS = 50_000
 _FLOATS = {"halffloat": "float16", "float": "float32", "double": "float64"}
 
 
 def column_of(name: str, values: pa.ChunkedArray) -> Column | None:
-    """The astropy column of an Arrow column; None for structures and maps, which no cell can hold."""
+    """The astropy column of an Arrow column; None for structs and maps, which a cell cannot hold."""
     from astropy.table import Column, MaskedColumn
 
     array, mask = _numpy_of(_simple(values))
@@ -42,7 +42,7 @@ def array_of(column: Column) -> pa.Array:
 
     Raises
     ------
-    InputError : cells of a kind that Arrow has no type for, or of several kinds.
+    InputError : cells of a type that Arrow does not have, or of several types.
     """
     import pyarrow as pa
 
@@ -68,7 +68,7 @@ def array_of(column: Column) -> pa.Array:
 
 
 def _numbers(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
-    """Numbers and truth values on the memory of the array."""
+    """An Arrow array of numbers or booleans that shares the memory of the NumPy array."""
     import pyarrow as pa
 
     data = np.packbits(values, bitorder="little") if values.dtype.kind == "b" else values
@@ -77,27 +77,27 @@ def _numbers(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
 
 
 def _bits(valid: BoolArray) -> pa.Buffer:
-    """One bit a cell, as Arrow says which are there."""
+    """The validity bitmap of Arrow: one bit per cell."""
     import pyarrow as pa
 
     return pa.py_buffer(np.packbits(valid, bitorder="little"))
 
 
 def _texts(values: NDArray[Any], mask: BoolArray | None) -> pa.Array:
-    """Unicode cells as Arrow has them: all letters in one row, and where each cell begins."""
+    """Unicode cells as an Arrow string array: one buffer of characters, and the offset of each cell."""
     import pyarrow as pa
 
     cells = ascii_of(values)
     if cells is None or cells.nbytes >= 2**31:
         return pa.array(values, mask=mask)
     letters = cells.view(np.uint8).reshape(len(cells), cells.dtype.itemsize)
-    filled = letters != 0
+    used = letters != 0
     if mask is not None:
-        filled &= ~mask[:, None]
+        used &= ~mask[:, None]
     begins = np.zeros(len(cells) + 1, np.int32)
-    np.cumsum(filled.sum(axis=1), out=begins[1:])
+    np.cumsum(used.sum(axis=1), out=begins[1:])
     valid = None if mask is None else _bits(~mask)
-    buffers = [valid, pa.py_buffer(begins), pa.py_buffer(letters[filled])]
+    buffers = [valid, pa.py_buffer(begins), pa.py_buffer(letters[used])]
     return pa.Array.from_buffers(pa.string(), len(cells), buffers)
 
 
@@ -108,12 +108,12 @@ def _kinds(values: NDArray[Any]) -> str:
 
 
 def _simple(values: pa.ChunkedArray) -> pa.ChunkedArray:
-    """The column in a kind we know: dates as ISO text, decimals as floats, categories as values."""
+    """The column in a supported type: dates as ISO text, decimals as floats, dictionaries as values."""
     import pyarrow as pa
 
     kind = values.type
     if pa.types.is_dictionary(kind):
-        if str(kind.value_type) == "string_view":  # of polars; Arrow does not unpack it
+        if str(kind.value_type) == "string_view":  # from polars; Arrow cannot cast it
             words = [(chunk.indices, chunk.dictionary.cast(pa.large_string())) for chunk in values.chunks]
             plain = pa.dictionary(kind.index_type, pa.large_string())
             chunks = [pa.DictionaryArray.from_arrays(number, word) for number, word in words]
@@ -146,7 +146,7 @@ def _numpy_of(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray |
     if not (pa.types.is_boolean(kind) or pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         return None, None
     mask = _missing(values)
-    # Arrow would turn whole numbers with nulls into floats, and long identifiers into other ones.
+    # Arrow would convert integers with nulls to floats, which changes long identifiers.
     array = np.concatenate([np.empty(0, _dtype(kind)), *(numbers_in(chunk) for chunk in values.chunks)])
     if mask is not None:
         array[mask] = 0
@@ -158,7 +158,7 @@ def _dtype(kind: pa.DataType) -> np.dtype[Any]:
 
 
 def numbers_in(chunk: pa.Array) -> NDArray[Any]:
-    """The numbers or truth values of an Arrow array, on its memory where that is possible; anything where it is null.
+    """The numbers or booleans of an Arrow array, sharing its memory if possible; null cells have arbitrary values.
 
     Examples
     --------
@@ -201,7 +201,7 @@ def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray | No
 
     size = values.type.list_size
     if values.null_count:
-        # Arrow leaves the cells of a missing list out when it flattens.
+        # flatten() omits the cells of null lists.
         empty = pa.array([[None] * size], values.type)
         values = pa.chunked_array(
             [pa.concat_arrays([chunk, empty]).take(_or_last(chunk)) for chunk in values.chunks], values.type
@@ -215,12 +215,12 @@ def _cells(values: pa.ChunkedArray) -> tuple[NDArray[Any] | None, BoolArray | No
 
 
 def _or_last(chunk: pa.Array) -> IntArray:
-    """Row numbers of a chunk, the row after its last where it has a null."""
+    """The row numbers of a chunk, with null rows replaced by the number of rows."""
     return np.where(chunk.is_null().to_numpy(zero_copy_only=False), len(chunk), np.arange(len(chunk)))
 
 
 def _text(values: pa.ChunkedArray) -> NDArray[Any]:
-    """Unicode of fixed width, which sorts fast; Python strings where the longest is very long."""
+    """Fixed-width Unicode, which sorts fast; Python strings where the longest exceeds 256 characters."""
     if len(values) <= FEW_ROWS:
         text = np.array([cell or "" for chunk in values.chunks for cell in chunk.to_pylist()], dtype=object)
         if max(map(len, text), default=0) > _WIDEST_FIXED_TEXT:
@@ -237,7 +237,7 @@ def _text(values: pa.ChunkedArray) -> NDArray[Any]:
     for chunk in values.chunks:
         end = begin + len(chunk)
         if compute.all(compute.string_is_ascii(chunk)).as_py():
-            # Padded to one length, the bytes of a chunk are a NumPy array already.
+            # Padded to equal length, the characters of a chunk are the buffer of a NumPy array.
             padded = compute.ascii_rpad(chunk, width, padding="\0") if len(chunk) else chunk
             if len(chunk):
                 offset = int(np.frombuffer(padded.buffers()[1], _offsets(padded), padded.offset + 1)[padded.offset])

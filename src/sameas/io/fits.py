@@ -1,7 +1,7 @@
 """FITS: binary tables. Units in TUNIT, UCDs in TUCD, descriptions in TCOMM (as TOPCAT has them).
 
-A masked whole number is the column's TNULL, a masked truth value the byte 0, a masked float NaN, a masked
-text the empty text. FITS holds ASCII only: other text is refused on writing.
+Masked cells: TNULL for integers, the byte 0 for booleans, NaN for floats, the empty string for text. FITS holds ASCII
+only; other text is refused on writing.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ FORMAT = Format(
 )
 
 _CARD = "SAMEAS"
-#: FITS_LDAC of SExtractor: before each table of objects stands one with the header of the image, one text in one cell.
+#: FITS_LDAC of SExtractor: each table of objects follows a table whose single cell is the header of the image.
 _LDAC_TABLE, _LDAC_HEADER = "LDAC_OBJECTS", "LDAC_IMHEAD"
 _STRUCTURE = re.compile(
     r"(XTENSION|BITPIX|NAXIS\d?|PCOUNT|GCOUNT|TFIELDS|THEAP|CHECKSUM|DATASUM|SAMEAS|"
@@ -57,8 +57,8 @@ def read(path: Path, hdu: int | str | None) -> Table:
 
     checked = checked_fits(path)
     with warnings.catch_warnings():
-        # Neither the remarks on the letter of the standard are for the user of a catalogue, nor is this:
-        # a file cut short is refused below, with both sizes; astropy would only warn.
+        # Warnings about the letter of the standard do not help users of a catalogue; a truncated file is refused
+        # below, with both sizes.
         warnings.filterwarnings("ignore", message="File may have been truncated")
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
         with fits.open(checked, memmap=checked is path, character_as_bytes=True) as hdus:
@@ -83,7 +83,7 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
     from astropy.io import fits
 
     with warnings.catch_warnings():
-        # Names such as "RA (deg)" are legal; astropy remarks that others are recommended.
+        # Names such as "RA (deg)" are legal, but not recommended by the standard.
         warnings.simplefilter("ignore", fits.verify.VerifyWarning)
         hdu = _hdu(table)
         if provenance:
@@ -97,7 +97,7 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
 
 
 def provenance(path: Path) -> dict[str, Any]:
-    """What the card SAMEAS of the first extension with one says."""
+    """The value of the card SAMEAS, from the first extension that has it."""
     from astropy.io import fits
 
     with fits.open(checked_fits(path), memmap=False) as hdus:
@@ -123,13 +123,13 @@ def _hdu(table: Table) -> Any:
 
 
 def _unknown(column: Column) -> BoolArray | None:
-    """Where a truth value is not known, or None where all are."""
+    """Mask of unknown booleans; None where all are known."""
     mask = getattr(column, "mask", None)
     return np.asarray(mask) if column.dtype.kind == "b" and mask is not None and np.any(mask) else None
 
 
 def _write_unknown(path: Path, fields: Sequence[int], masks: Sequence[BoolArray]) -> None:
-    """Puts the byte 0 where a truth value is not known; astropy has written F."""
+    """Writes the byte 0 for unknown booleans, which astropy has written as F."""
     from astropy.io import fits
 
     packed = path.suffix.lower() == ".gz"
@@ -170,7 +170,7 @@ def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[Any, list[str
 
 
 def _image_facts(hdus: Any, chosen: Any) -> dict[str, Any]:
-    """What the header of the image in front of a table of FITS_LDAC says: of the exposure, its instant above all."""
+    """The cards of the image header in front of a table of FITS_LDAC, such as the time of the exposure."""
     from astropy.io import fits
 
     before = hdus[list(hdus).index(chosen) - 1]
@@ -179,14 +179,14 @@ def _image_facts(hdus: Any, chosen: Any) -> dict[str, Any]:
     lines = [line.decode("ascii", "replace").ljust(80) for line in np.ravel(before.data.field(0)[0]).tolist()]
     facts = {}
     for card in fits.Header.fromstring("".join(lines)).cards:
-        with suppress(fits.VerifyError):  # a card that is none tells nothing
+        with suppress(fits.VerifyError):  # not a valid card
             if card.keyword and not _STRUCTURE.match(card.keyword) and card.keyword not in ("COMMENT", "HISTORY"):
                 facts[card.keyword] = card.value
     return facts
 
 
 def _check_whole(hdu: Any, path: Path) -> None:
-    # Only the data, not the padding behind them, must be there. A gzipped file checks itself.
+    # The data must be complete, their padding need not. gzip has a checksum of its own.
     if path.suffix.lower() == ".gz":
         return
     header = hdu.header
@@ -197,7 +197,7 @@ def _check_whole(hdu: Any, path: Path) -> None:
 
 
 def _check_arrays(hdu: Any, path: Path) -> None:
-    """Refuses arrays of varying length that take far more than the file holds: several may name the same bytes."""
+    """Refuses variable-length arrays that take far more memory than the file: they may share the same bytes."""
     total, most = 0, Unpacking().of(path.stat().st_size)
     for number, field in enumerate(hdu.columns):
         kind = re.match(r"\d*[PQ]([A-Z])", str(field.format))
@@ -205,7 +205,7 @@ def _check_arrays(hdu: Any, path: Path) -> None:
             continue
         rows = hdu.data.view(np.ndarray)
         counts = np.maximum(rows[rows.dtype.names[number]][:, 0], 0).astype(np.float64)
-        # astropy makes an array of as many texts as a text has letters.
+        # For a string of n characters astropy allocates n strings of n characters.
         total += (counts**2 if kind[1] == "A" else counts * _BYTES.get(kind[1], 1)).sum()
         if total > most:
             message = f"{path}: the arrays in column {field.name} take more than {most >> 20} MB"
@@ -237,7 +237,7 @@ def _astropys_table(hdu: Any) -> Table:
 
 
 def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
-    # astropy reads an unknown truth value as False; the raw byte still knows.
+    # astropy reads an unknown boolean as False; the raw byte is 0.
     logical = field.format.endswith("L") and not field.format.startswith(("P", "Q"))
     values = data.view(np.ndarray)[data.dtype.names[number - 1]] if logical else np.asarray(data.field(number - 1))
     mask = None
@@ -248,9 +248,9 @@ def _column(hdu: Any, data: Any, number: int, field: Any) -> Column:
         values, mask = _text(values)
     elif values.dtype.kind != "O":
         if field.null not in (None, ""):
-            # TNULL is a value of the stored numbers, before TSCAL and TZERO.
+            # TNULL refers to the stored values, before TSCAL and TZERO.
             mask = data.view(np.ndarray)[data.dtype.names[number - 1]].reshape(values.shape) == field.null
-        # A copy in the machine's own byte order: kernels need it, and the file can be closed.
+        # A copy in native byte order: the kernels need it, and the file can be closed.
         values = values.astype(values.dtype.newbyteorder("="), copy=True)
     column = _made(field.name, values, mask)
     if field.unit:
@@ -271,7 +271,7 @@ def _made(name: str, values: NDArray[Any], mask: BoolArray | None) -> Column:
 
 
 def _text(values: NDArray[Any]) -> tuple[NDArray[Any], BoolArray]:
-    """Unicode without the spaces that fill a FITS cell up, and where nothing else was in it."""
+    """Unicode cells without trailing blanks, and the mask of empty ones."""
     text = np.char.rstrip(unicode_of(values), " ")
     return text, text == ""
 
@@ -281,7 +281,7 @@ def _meta(header: Any) -> dict[str, Any]:
     for card in header.cards:
         key = card.keyword
         if not key or _STRUCTURE.match(key):
-            continue  # astropy parses a value when it is asked for
+            continue  # before card.value, which parses the card
         value = card.value
         if key in ("COMMENT", "HISTORY"):
             if not str(value).startswith("sameas: "):
@@ -292,7 +292,7 @@ def _meta(header: Any) -> dict[str, Any]:
 
 
 def _write_meta(header: Any, meta: Mapping[str, Any]) -> None:
-    """Cards for the plain values of the table's metadata; what a card cannot hold is not for FITS."""
+    """Writes plain metadata values as cards; others are omitted."""
     for key, value in meta.items():
         card = key.upper()
         if card in ("COMMENTS", "HISTORY") and isinstance(value, list):
@@ -308,7 +308,7 @@ def _write_meta(header: Any, meta: Mapping[str, Any]) -> None:
 
 
 def _ascii(text: str) -> str:
-    """The text in the characters that a card may hold."""
+    """The text in printable ASCII, as cards require; other characters are escaped."""
     return "".join(c if " " <= c <= "~" else c.encode("unicode_escape").decode() for c in text)
 
 
@@ -347,7 +347,7 @@ def _fits_column(column: Column) -> Any:
 
 
 def _stored(column: Column) -> tuple[NDArray[Any], int | None]:
-    """The cells in a kind that FITS has, nulls filled in, and the whole number that stands for null."""
+    """The cells in a type that FITS has, with masked ones filled, and the integer that stands for null."""
     values, mask = np.asarray(column), getattr(column, "mask", None)
     mask = None if mask is None or not np.any(mask) else np.asarray(mask)
     if values.dtype.kind in "UO":
@@ -359,7 +359,7 @@ def _stored(column: Column) -> tuple[NDArray[Any], int | None]:
     if mask is None or values.dtype.kind == "O":
         return values, None
     if values.dtype.kind == "b":
-        # A null is False to astropy; its byte is written afterwards.
+        # Nulls are written as False; :func:`_write_unknown` replaces the byte.
         return values & ~mask, None
     if values.dtype.kind in "iu":
         null = _unused(values, mask)
@@ -368,7 +368,7 @@ def _stored(column: Column) -> tuple[NDArray[Any], int | None]:
 
 
 def _bytes(name: str, values: NDArray[Any], mask: Any) -> NDArray[Any]:
-    """Text as ASCII bytes; arrays of varying length stay what they are."""
+    """Text as ASCII bytes; variable-length arrays are returned unchanged."""
     if values.dtype.kind == "O":
         if len(values) and any(isinstance(v, np.ndarray) for v in values):
             return values
@@ -385,7 +385,7 @@ def _bytes(name: str, values: NDArray[Any], mask: Any) -> NDArray[Any]:
 
 
 def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
-    """The format of arrays of varying length, and these in a kind that FITS has."""
+    """The TFORM of variable-length arrays, and the arrays in a type that FITS has."""
     kinds = {np.asarray(v).dtype for v in values if v is not None}
     kind = np.result_type(*kinds) if kinds else np.dtype("f8")
     if kind.kind not in "biufc":
@@ -400,7 +400,7 @@ def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
 
 
 def _unused(values: NDArray[Any], mask: BoolArray) -> int:
-    """A whole number that is in no unmasked cell: the least of its kind, or the next one that is free."""
+    """An integer that is in no unmasked cell: the smallest of its type, the largest, or the next one that is free."""
     limits = np.iinfo(values.dtype)
     present = values[~mask]
     for candidate in (int(limits.min), int(limits.max)) if limits.min < 0 else (int(limits.max), 0):
@@ -417,5 +417,5 @@ def _unit(column: Column) -> str | None:
         warnings.simplefilter("ignore")
         try:
             return _ascii(column.unit.to_string("fits"))
-        except ValueError:  # not a unit of the FITS standard: the name is still better than none
+        except ValueError:  # not a unit of the FITS standard: written as its name
             return _ascii(column.unit.to_string())

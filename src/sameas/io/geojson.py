@@ -1,9 +1,8 @@
 """GeoJSON: the objects of a picture for maps and geographic information systems (RFC 7946: WGS84, longitude first).
 
-One feature per object and instant: its position, or null where directions do not cross, and everything else that is
-known of it as properties; absent values are null. One feature per object is its track: the line through its positions
-in the order of time. With the records, a further feature shows the lines from an object to the records that it is made
-of. Lines are cut where they cross the antimeridian.
+One feature per object and instant: its position, or null where bearings do not intersect, and all other columns as
+properties; missing values are null. One feature per object is its track, the line through its positions in time order.
+With records given, further features are the lines from an object to its records. Lines are split at the antimeridian.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ from sameas.report.prose import UTC_FROM_S
 
 Columns = Mapping[str, NDArray[Any]]
 
-#: Decimals of degrees: a centimetre. Digits of other numbers.
+#: Decimals of degrees (7 are a centimetre), and significant digits of other numbers.
 DECIMALS, DIGITS = 7, 9
 
 
 def write_geojson(
     objects: Columns, path: str | os.PathLike[str], *, records: Columns | None = None, overwrite: bool = True
 ) -> None:
-    """Writes the objects of a picture as a FeatureCollection; the file is whole or absent.
+    """Writes the objects of a picture as a FeatureCollection, atomically.
 
     Parameters
     ----------
@@ -59,9 +58,9 @@ def write_geojson(
 
 def _points(objects: Columns) -> Iterator[dict[str, Any]]:
     """A feature for each row of the objects."""
-    places = _places(objects)
+    places = _positions(objects)
     columns = {name: _values(column) for name, column in objects.items() if name not in ("lat_deg", "lon_deg")}
-    # Times of today have more digits than the others.
+    # Times since 1970 need more digits than other numbers.
     columns["time_s"] = np.asarray(objects["time_s"], dtype=np.float64).tolist()
     stamps = _stamps(columns["time_s"])
     for k, place in enumerate(places):
@@ -72,9 +71,9 @@ def _points(objects: Columns) -> Iterator[dict[str, Any]]:
 
 
 def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
-    """A feature for each object with two positions or more: the line through them, and when it was there."""
+    """A feature for each object with two or more positions: the line through them, and their times."""
     rows: dict[int, list[tuple[float, list[float]]]] = {}
-    for (time_s, number), place in zip(_keys(objects), _places(objects), strict=True):
+    for (time_s, number), place in zip(_keys(objects), _positions(objects), strict=True):
         if place is not None:
             rows.setdefault(number, []).append((time_s, place))
     labels = _values(objects["label"]) if "label" in objects else [None] * len(objects["object"])
@@ -90,32 +89,32 @@ def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
         yield {
             "type": "Feature",
-            "geometry": {"type": "MultiLineString", "coordinates": _unbroken([place for _, place in points])},
+            "geometry": {"type": "MultiLineString", "coordinates": _line_parts([place for _, place in points])},
             "properties": properties,
         }
 
 
-def _unbroken(places: list[list[float]]) -> list[list[list[float]]]:
-    """The line through places in order, in one piece, or in several where it crosses the antimeridian."""
+def _line_parts(places: list[list[float]]) -> list[list[list[float]]]:
+    """The line through the positions, split into parts where it crosses the antimeridian."""
     lines: list[list[list[float]]] = [[places[0]]]
     for begin, end in pairwise(places):
-        first, *rest = _cut(begin, end)
+        first, *rest = _split_at_antimeridian(begin, end)
         lines[-1].append(first[1])
         lines += rest
     return lines
 
 
 def _lines(objects: Columns, records: Columns) -> Iterator[dict[str, Any]]:
-    """A feature for each object and instant of two records or more with a position."""
-    home = dict(zip(_keys(objects), _places(objects), strict=True))
+    """A feature for each object and instant with two or more positioned records."""
+    home = dict(zip(_keys(objects), _positions(objects), strict=True))
     ends: dict[tuple[float, int], list[list[float]]] = {}
-    for key, place in zip(_keys(records), _places(records), strict=True):
+    for key, place in zip(_keys(records), _positions(records), strict=True):
         if place is not None and home.get(key) is not None:
             ends.setdefault(key, []).append(place)
     stamps = _stamps([time_s for time_s, _ in ends])
     for (time_s, number), places in ends.items():
         if len(places) > 1:
-            pieces = [piece for place in places for piece in _cut(home[time_s, number], place)]
+            pieces = [piece for place in places for piece in _split_at_antimeridian(home[time_s, number], place)]
             geometry = {"type": "MultiLineString", "coordinates": pieces}
             properties = {**stamps.get(time_s, {}), "time_s": time_s, "object": number}
             yield {"type": "Feature", "geometry": geometry, "properties": properties}
@@ -127,8 +126,8 @@ def _keys(columns: Columns) -> list[tuple[float, int]]:
     return list(zip(times.tolist(), np.asarray(columns["object"]).tolist(), strict=True))
 
 
-def _cut(begin: list[float] | None, end: list[float]) -> list[list[list[float]]]:
-    """The straight pieces of a short line; two where it crosses the antimeridian (RFC 7946, 3.1.9)."""
+def _split_at_antimeridian(begin: list[float] | None, end: list[float]) -> list[list[list[float]]]:
+    """The parts of a line segment; two where it crosses the antimeridian (RFC 7946, 3.1.9)."""
     assert begin is not None
     width = end[0] - begin[0]
     if abs(width) <= 180.0:
@@ -139,29 +138,29 @@ def _cut(begin: list[float] | None, end: list[float]) -> list[list[list[float]]]
     return [[begin, [side, lat]], [[-side, lat], end]]
 
 
-def _places(columns: Columns) -> list[list[float] | None]:
-    """[longitude, latitude] of every row, None where it is not known."""
+def _positions(columns: Columns) -> list[list[float] | None]:
+    """[longitude, latitude] of every row, None where unknown."""
     lon, lat = (np.ma.filled(np.ma.asarray(columns[name], dtype=np.float64), np.nan) for name in ("lon_deg", "lat_deg"))
     pairs = np.round(np.column_stack([(lon + 180.0) % 360.0 - 180.0, lat]), DECIMALS)
     known = np.asarray(np.isfinite(pairs).all(axis=1))
-    return [pair if there else None for pair, there in zip(pairs.tolist(), known.tolist(), strict=True)]
+    return [pair if is_known else None for pair, is_known in zip(pairs.tolist(), known.tolist(), strict=True)]
 
 
 def _values(column: NDArray[Any]) -> list[Any]:
-    """The cells of a column as JSON knows them; None where one is masked, empty or not a number."""
-    hidden: NDArray[Any] = np.ma.getmaskarray(column)
+    """The cells of a column as JSON values; None where a cell is masked, empty or not finite."""
+    missing: NDArray[Any] = np.ma.getmaskarray(column)
     values = np.ma.getdata(column)
     if values.dtype.kind == "f":
-        hidden = hidden | ~np.isfinite(values)
+        missing = missing | ~np.isfinite(values)
         cells: list[Any] = [float(f"{value:.{DIGITS}g}") for value in values.tolist()]
     else:
         cells = values.tolist()
         if values.dtype.kind == "U":
-            hidden = hidden | np.asarray(values == "")
-    return [None if absent else cell for cell, absent in zip(cells, hidden.tolist(), strict=True)]
+            missing = missing | np.asarray(values == "")
+    return [None if absent else cell for cell, absent in zip(cells, missing.tolist(), strict=True)]
 
 
 def _stamps(times_s: list[float]) -> dict[float, dict[str, str]]:
-    """The property "time" by seconds, ISO 8601 in UTC; none where times are the user's own seconds."""
+    """The property "time" (ISO 8601, UTC) by time in seconds; none for times of another clock."""
     utc = {t for t in times_s if t >= UTC_FROM_S}
     return {t: {"time": datetime.fromtimestamp(t, UTC).isoformat().replace("+00:00", "Z")} for t in utc}

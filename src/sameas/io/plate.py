@@ -1,7 +1,7 @@
-"""What a frame's identification gives other programs: plate solutions in FITS, and regions of DS9.
+"""Outputs of an identified frame for other programs: plate solutions in FITS, and regions for DS9.
 
-A plate solution is a header of its own (``.wcs``), or written into a copy of the frame. The copy keeps every extension,
-card and pixel of the frame but the old solution: WCS cards of the image and, for digitised plates, the polynomials of
+A plate solution is written as a header file (``.wcs``), or into a copy of the frame. The copy has every extension, card
+and pixel of the frame except the old solution: the WCS cards of the image and, for digitised plates, the polynomials of
 the DSS.
 """
 
@@ -32,7 +32,7 @@ _OLD = re.compile(
 
 
 def solution_cards(plate: PlateModel) -> Header:
-    """The plate model as header cards: TAN, or TAN-SIP with both directions, and a line of history on its making."""
+    """The plate model as header cards: TAN, or TAN-SIP with forward and inverse polynomials, and a HISTORY line."""
     header = plate.to_wcs().to_header(relax=True)
     cd = {}
     for i in (1, 2):
@@ -44,13 +44,13 @@ def solution_cards(plate: PlateModel) -> Header:
     for name, value in cd.items():
         header[name] = value
     for name in ("DATE-OBS", "MJD-OBS", "MJDREF", "TIMESYS", "DATEREF"):
-        header.pop(name, None)  # those of the frame stay
+        header.pop(name, None)  # the frame has its own
     header.add_history(f"sameas: {_ascii(plate.describe())}"[:300])
     return header
 
 
 def write_solution(plate: PlateModel, path: str | os.PathLike[str]) -> None:
-    """Writes a FITS file without data whose header is the solution, as other programs lay it beside a frame.
+    """Writes a FITS file without data whose header is the solution, as other programs expect next to a frame.
 
     Raises
     ------
@@ -94,10 +94,10 @@ def write_copy(plate: PlateModel, frame: str | os.PathLike[str], path: str | os.
 
 
 def _image(hdus: Any, shape: tuple[int, int]) -> int | None:
-    """The image that was measured: the first of this shape, one named SCI before the others."""
-    fitting = [k for k, each in enumerate(hdus) if each.is_image and _shape(each) == shape]
-    named = [k for k in fitting if hdus[k].name.upper() == "SCI"]
-    return next(iter(named or fitting), None)
+    """The number of the measured image: the first of this shape, preferably one named SCI; None without one."""
+    candidates = [k for k, each in enumerate(hdus) if each.is_image and _shape(each) == shape]
+    named = [k for k in candidates if hdus[k].name.upper() == "SCI"]
+    return next(iter(named or candidates), None)
 
 
 def _shape(hdu: Any) -> tuple[int, ...]:
@@ -119,10 +119,10 @@ def _ascii(words: str) -> str:
     return words.replace("″", " arcsec").replace("×", "x").replace("−", "-").encode("ascii", "ignore").decode()
 
 
-# Regions of DS9: what was made of a frame, to be laid over it.
+# Regions of DS9: the result, as an overlay of the frame.
 #
-# Identified measurements are green circles, unidentified ones yellow boxes, stars that are missing red diamonds. Each
-# carries its star and its probability as a tag, which DS9 lists and can select by.
+# Identified measurements are green circles, unidentified ones yellow boxes, missing stars red diamonds. Each has its
+# star and its probability as a tag, by which DS9 can select.
 
 _HEAD = (
     "# Region file format: DS9 version 4.1",
@@ -133,9 +133,9 @@ _HEAD = (
 
 
 def write_regions(listing: Table, path: str | os.PathLike[str], *, radius_arcsec: float) -> int:
-    """Writes the rows of a frame's listing as regions, those too faint to be seen left out; returns how many.
+    """Writes the rows of a frame's listing as regions, without stars below the limit; returns their number.
 
-    radius_arcsec : of the marks.
+    radius_arcsec : of the symbols.
 
     Raises
     ------
@@ -163,5 +163,5 @@ def _line(row: Any, radius: float) -> str:
 
 
 def _tag(text: object) -> str:
-    """A text as a tag may hold it: DS9 ends a tag at a brace, and a region at a semicolon or the end of the line."""
+    """The text without characters that end a tag (braces) or a region (semicolon, line end) in DS9."""
     return printable(str(text)).translate(str.maketrans("{};", "(),"))

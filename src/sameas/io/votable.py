@@ -1,8 +1,7 @@
 """VOTable: written as BINARY2 with cells of fixed size, which TOPCAT, astropy and the archives read.
 
-Such files are read in bulk; others (TABLEDATA, text of varying length) by astropy, some ten times slower.
-A masked cell is a null, except that astropy masks the NaNs of the other kinds too. The provenance is INFO
-elements.
+Such files are read in bulk; others (TABLEDATA, variable-length text) by astropy, about ten times slower. Masked cells
+are nulls; in files read by astropy, NaN is masked too. The provenance is in INFO elements.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ FORMAT = Format(
 )
 
 _INFO = "sameas:"
-#: What XML has no room for.
+#: Characters that XML does not allow.
 _NO_XML = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]|\xef\xbf[\xbe\xbf]")
 _STREAM = re.compile(rb"<BINARY2>\s*<STREAM\s[^>]*encoding=[\"']base64[\"'][^>]*>")
 _DTYPES = {
@@ -91,17 +90,17 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
     fixed = all(column.dtype.kind != "O" for column in columns)
     packed = io.BytesIO()
     with _quiet():
-        # Without a row astropy writes no place for rows; those of the file are put there below.
+        # One dummy row makes astropy write a STREAM element; the rows are inserted below.
         document = from_table(Table([_blank(column) for column in columns]) if fixed else Table(columns, copy=False))
         for field in document.get_first_table().fields:
-            if fixed and field.datatype == "bit":  # which TOPCAT shows as numbers, and which knows no null
+            if fixed and field.datatype == "bit":  # shown as numbers by TOPCAT, and without nulls
                 field.datatype = "boolean"
         for key, value in provenance.items():
             info = Info(name=_INFO + key, value=to_text(value))
             document.resources[0].infos.append(info)
         _params(document, table.meta)
         document.to_xml(packed, tabledata_format="binary2")
-    # Cells are base64: what is no letter of XML stands in names and descriptions.
+    # Cells are base64, so invalid characters can be in names and descriptions only.
     text = _NO_XML.sub(lambda found: printable(found[0].decode()).encode(), packed.getvalue())
     with gzip.open(path, "wb", compresslevel=4) if path.suffix == ".gz" else path.open("wb") as file:
         opening = _STREAM.search(text)
@@ -114,7 +113,7 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
 
 
 def provenance(path: Path) -> dict[str, Any]:
-    """What the INFO elements before the table say."""
+    """The provenance in the INFO elements before the first table."""
     facts: dict[str, Any] = {}
     in_table = False
 
@@ -137,7 +136,7 @@ def provenance(path: Path) -> dict[str, Any]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without astropy's remarks on the letter of the standard, which no user of a catalogue can act on."""
+    """Suppresses warnings about the letter of the standard, on which users of a catalogue cannot act."""
     from astropy.io.votable.exceptions import VOWarning
     from astropy.units import UnitsWarning
 
@@ -154,33 +153,33 @@ def _content(path: Path) -> bytes:
 
 
 def parsed(content: bytes, path: Path, size: int | None = None) -> Any:
-    """The document, whose data are all in it: astropy would load those that lie elsewhere, from any address.
+    """The parsed document; external data are refused, since astropy would load them from any URL.
 
-    size : bytes of the whole file, where ``content`` is without its rows.
+    size : bytes of the whole file, if ``content`` lacks its rows.
 
     Raises
     ------
-    InputError : its data lie elsewhere; it asks for far more columns or cells than it has.
+    InputError : external data; it declares far more columns or cells than it has.
     """
     from astropy.io.votable import parse
 
-    claims = _Claims(path, Unpacking().of(len(content) if size is None else size))
+    declarations = _Declarations(path, Unpacking().of(len(content) if size is None else size))
     parser = expat.ParserCreate()
-    parser.StartElementHandler = claims.begun
-    with suppress(expat.ExpatError):  # which astropy says
+    parser.StartElementHandler = declarations.begun
+    with suppress(expat.ExpatError):  # reported by astropy
         parser.Parse(content, True)
-    check_columns(claims.columns, path)
+    check_columns(declarations.columns, path)
     with _quiet():
         return parse(io.BytesIO(content))
 
 
 @dataclass
-class _Claims:
-    """What a document asks for, by its XML: entities and encodings spell it in many ways.
+class _Declarations:
+    """What a document declares, from its parsed XML, since entities and encodings can disguise attributes.
 
-    astropy makes room for as many rows as ``nrows`` says, and for cells as wide as ``arraysize`` says.
+    astropy allocates as many rows as ``nrows`` declares, of cells as wide as ``arraysize`` declares.
 
-    most : bytes that the cells of a table may take. columns : of all tables. rows, row_bytes : of the last table.
+    most : limit on the bytes of a table. columns : of all tables. rows, row_bytes : of the last table.
     """
 
     path: Path
@@ -190,7 +189,7 @@ class _Claims:
     row_bytes: int = 0
 
     def begun(self, name: str, attributes: Mapping[str, str]) -> None:
-        """Takes an element, and refuses what no table has."""
+        """Handles the start of an element, and refuses excessive declarations."""
         if name == "TD":  # most elements are cells
             return
         kind = name.rpartition(":")[2]
@@ -200,7 +199,7 @@ class _Claims:
             self.row_bytes, self.rows = 0, _count(attributes.get("nrows", ""))
         elif kind in ("FIELD", "PARAM"):
             self.columns += kind == "FIELD"
-            self.row_bytes += _claimed_bytes(attributes)
+            self.row_bytes += _declared_bytes(attributes)
             if has_huge_power(attributes.get("unit", "")):
                 unit = f"its column {attributes.get('name', '')!r} has the unit {attributes['unit']!r}"
                 raise InputError(f"{self.path}: {unit}, with a power that no unit has; correct it")
@@ -213,18 +212,18 @@ class _Claims:
             )
 
 
-def _claimed_bytes(attributes: Mapping[str, str]) -> int:
-    """Bytes of memory of a cell of a FIELD, or of a PARAM, and of its mask."""
+def _declared_bytes(attributes: Mapping[str, str]) -> int:
+    """Bytes of memory of a cell of a FIELD or PARAM, with its mask."""
     text, datatype = attributes.get("arraysize", ""), attributes.get("datatype", "")
     letters = datatype in ("char", "unicodeChar")
     sizes = text.split("x")
-    if sizes[-1].endswith("*"):  # a list, of so many letters at most where it is text
+    if sizes[-1].endswith("*"):  # variable length; for text the number is the largest length
         sizes[-1] = sizes[-1].removesuffix("*") if letters else ""
     return (4 if letters else 17 if datatype == "doubleComplex" else 9) * prod(max(_count(size), 1) for size in sizes)
 
 
 def _count(text: str) -> int:
-    """A whole number; 0 where the text is none, which astropy says."""
+    """An integer; 0 for other text, which astropy reports."""
     try:
         return int(text)
     except ValueError:
@@ -232,7 +231,7 @@ def _count(text: str) -> int:
 
 
 def _stream(content: bytes) -> tuple[int, int] | None:
-    """Where the base64 text of the only table begins and ends; None in files of another make."""
+    """Begin and end of the base64 text of the only table; None where the file has another layout."""
     opening = _STREAM.search(content)
     if opening is None or len(re.findall(rb"<TABLE[\s>]", content[: opening.start()])) != 1:
         return None
@@ -252,7 +251,7 @@ def _parsed(content: bytes, path: Path, size: int) -> tuple[Any, Any]:
 
 
 def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:
-    """The table with what the file says of it as a whole: parameters, and the system of its positions."""
+    """The table with the metadata of the file: parameters and coordinate system."""
     for param in [*(p for resource in document.resources for p in resource.params), *element.params]:
         value = param.value.item() if isinstance(param.value, np.generic) else param.value
         if isinstance(value, str | int | float | bool):
@@ -268,7 +267,7 @@ def _with_meta(table: Table, document: Any, element: Any, path: Path) -> Table:
 
 
 def _params(document: Any, meta: Mapping[str, Any]) -> None:
-    """PARAM elements for the plain values of the metadata, as :func:`read` finds them."""
+    """Adds PARAM elements for plain metadata values, which :func:`read` reads back."""
     from astropy.io.votable.tree import Param
 
     element = document.get_first_table()
@@ -290,7 +289,7 @@ def _params(document: Any, meta: Mapping[str, Any]) -> None:
 
 
 def _blank(column: Column) -> Column:
-    """One cell that is not masked, or none where the column has none: older astropy has no null among whole numbers."""
+    """The column with at most one, unmasked cell: older astropy cannot write masked integers."""
     from astropy.table import Column
 
     kept = {"name": column.name, "unit": column.unit, "description": column.description, "meta": column.meta}
@@ -298,15 +297,15 @@ def _blank(column: Column) -> Column:
 
 
 def _portable(column: Column) -> Column:
-    """The column in a kind that VOTable has, without the layout that an earlier VOTable gave it."""
+    """The column in a type that VOTable has, without layout metadata of an earlier VOTable."""
     from astropy.table import Column, MaskedColumn
 
     values, mask = np.asarray(column), getattr(column, "mask", None)
     kept = {key: value for key, value in column.meta.items() if key in ("ucd", "utype", "xtype")}
     kind = values.dtype.str[1:]
     if values.dtype.kind == "O" and not any(isinstance(value, np.ndarray | list) for value in values):
-        gone = np.zeros(len(values), bool) if mask is None else np.asarray(mask)
-        values = np.array(["" if g or v is None else str(v) for v, g in zip(values, gone, strict=True)], dtype="U")
+        missing = np.zeros(len(values), bool) if mask is None else np.asarray(mask)
+        values = np.array(["" if m or v is None else str(v) for v, m in zip(values, missing, strict=True)], dtype="U")
     elif values.dtype.kind == "O":
         lists, values = values, np.empty(len(values), dtype=object)
         for row, value in enumerate(lists):
@@ -315,7 +314,7 @@ def _portable(column: Column) -> Column:
     elif kind in ("i1", "u2", "u4", "f2"):
         values = values.astype({"i1": "i2", "u2": "i4", "u4": "i8", "f2": "f4"}[kind])
     elif kind == "u8":
-        # The longest whole number of VOTable has 63 bits; beyond, the digits are kept as text.
+        # VOTable has no unsigned 64-bit type; larger numbers are written as text.
         values = values.astype("i8" if not len(values) or values.max() < 2**63 else "U20")
     if values.dtype.kind == "S":
         values = unicode_of(values)
@@ -328,7 +327,7 @@ def _portable(column: Column) -> Column:
 
 
 def _text_cells(values: NDArray[Any]) -> tuple[NDArray[Any], str]:
-    """The text as wide as its cells will be, and whether these hold bytes or units of UTF-16."""
+    """The text with its width in the file, and the datatype: "char" (ASCII) or "unicodeChar" (UTF-16)."""
     cells = ascii_of(values)
     if cells is None:
         width = (np.char.encode(values, "utf-16-be").dtype.itemsize + 1) // 2
@@ -337,7 +336,7 @@ def _text_cells(values: NDArray[Any]) -> tuple[NDArray[Any], str]:
 
 
 def _packed(columns: list[Column]) -> NDArray[Any]:
-    """(n,) rows as BINARY2 has them: one bit a column that is set for a null, then the cells."""
+    """(n,) BINARY2 rows: one null bit per column, then the cells."""
     n = len(columns[0]) if columns else 0
     cells = [_cell(column) for column in columns]
     flags = (len(columns) + 7) // 8
@@ -377,13 +376,13 @@ def _cell(column: Column) -> NDArray[Any]:
 
 
 def _cells_dtype(fields: list[Any]) -> np.dtype[Any] | None:
-    """The kind of a BINARY2 row; None when its cells vary in size."""
+    """The dtype of a BINARY2 row; None where cells have variable length."""
     kinds: list[Any] = [("", "u1", ((len(fields) + 7) // 8,))]
     for field in fields:
         sizes = str(field.arraysize).split("x") if field.arraysize else []
         if not all(size.isdigit() for size in sizes) or field.datatype not in (*_DTYPES, "char"):
             return None
-        # The order is that of NumPy, as astropy has it; the standard has it the other way round.
+        # Axes in the order of NumPy, as in astropy; the standard has the reverse order.
         shape = tuple(int(size) for size in sizes)
         if field.datatype in ("char", "unicodeChar") and len(shape) > 1:
             return None
@@ -428,7 +427,7 @@ def _values(field: Any, cells: NDArray[Any]) -> NDArray[Any]:
     width = cells.shape[-1] if cells.ndim > 1 else 1
     text = np.ascontiguousarray(cells.astype("u4")).view(f"U{width}").reshape(cells.shape[:-1] or len(cells))
     paired = np.flatnonzero(((cells >= 0xD800) & (cells < 0xE000)).reshape(prod(text.shape), -1).any(axis=1))
-    for place in paired:  # two units of UTF-16 for one letter: emoji, rare scripts
+    for place in paired:  # surrogate pairs: emoji, rare scripts
         text.flat[place] = text.flat[place].encode("utf-16-be", "surrogatepass").decode("utf-16-be", "replace")
     return text
 
@@ -439,7 +438,7 @@ def _describe(column: Column, template: Column) -> None:
 
 
 def _unicode(column: Column, empty_is_missing: bool) -> Column:
-    """Text of fixed width instead of Python strings, where no cell is very long."""
+    """The column with fixed-width text instead of Python strings, unless a cell exceeds 256 characters."""
     from astropy.table import Column, MaskedColumn
 
     if column.dtype.kind == "O" and any(isinstance(value, np.ndarray) for value in column[:100]):

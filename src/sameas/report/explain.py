@@ -1,4 +1,4 @@
-"""What ``sameas explain`` prints: one record's story."""
+"""The explanation of one record, as ``sameas explain`` prints it."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ from sameas.sky.crossmatch import SkyMatch
 
 
 def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) -> list[str]:
-    """The story of one record: what it is, its competitors, and what other answers would cost."""
+    """The explanation of one record: its answer, its competitors, and the cost of other answers."""
     mine, other = (match.first, match.second) if source == 1 else (match.second, match.first)
     head = f"{explanation.source} {explanation.id} (row {explanation.row})"
     if explanation.usable:
         return [f"{head} could not be used: {explanation.usable}"]
-    seen = (match.covered_1 if source == 1 else match.covered_2)[explanation.row]
-    where = [
+    covered = (match.covered_1 if source == 1 else match.covered_2)[explanation.row]
+    properties = [
         *entry("position", _position(mine, explanation.row)),
         *entry("brightness", _brightness(mine, explanation.row)),
     ]
     if explanation.group is None:
-        why = "passes the gate" if seen else "passes the gate: it does not cover that place"
-        return [f"{head} has no partner: no record of {other.name} {why}", *where]
+        why = "passes the gate" if covered else "passes the gate: it does not cover that place"
+        return [f"{head} has no partner: no record of {other.name} {why}", *properties]
     chosen = next(c for c in explanation.competitors if c.chosen)
     who = "has no partner" if chosen.id is None else f"is {other.name} {chosen.id}"
     when = "" if match.epoch_jyr is None else f" at {match.epoch_jyr:.2f}"
     sizes = f"{explanation.records[0]} of {match.first.name} and {explanation.records[1]} of {match.second.name}"
     lines = [
         f"{head} {who}, probability {probability_text(chosen.probability)}",
-        *where,
+        *properties,
         *entry("group", f"{explanation.group}: {sizes}; probabilities by {explanation.method}"),
         "",
         f"Answers ({other.name}{when}), and the factor each costs in the group's probability",
@@ -81,7 +81,7 @@ def _candidate(c: Competitor, other: Catalogue, row: int) -> str:
 
 
 def _times(cost: float) -> str:
-    """e to the cost, in words of everyday."""
+    """The factor exp(cost) as text; "best" for a cost of 0."""
     if cost <= 0:
         return "best"
     return f"{np.exp(cost):.3g}" if cost < 14 else f"10^{cost / np.log(10):.0f}"

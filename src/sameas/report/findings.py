@@ -1,4 +1,4 @@
-"""Findings: what was estimated of two catalogues together, in words, with standard errors."""
+"""Findings: the estimates of a match of two catalogues as text, with standard errors."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from sameas.report.prose import entry, percent
 from sameas.representation import count
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
-#: Quoted errors are right where the residuals differ from them by no more than this, or so many standard errors.
+#: Quoted errors are called right if the error scale is within this of 1, or within this many standard errors.
 AS_QUOTED, SIGNIFICANT = 0.03, 3.0
 
 
 def common_objects(match: SkyMatch) -> list[str]:
-    """How many objects are common, and what share of either catalogue they are."""
+    """The number of common objects, and their fraction of each catalogue."""
     e = match.estimate
     shares = [_share(e.quantities[name]) for name in ("share_1", "share_2")]
     words = f"{e.quantities['common']}: {shares[0]} of {match.first.name}, {shares[1]} of {match.second.name}"
@@ -25,7 +25,7 @@ def common_objects(match: SkyMatch) -> list[str]:
 
 
 def findings(match: SkyMatch) -> list[str]:
-    """Densities of unmatched records, errors, brightness, and how it was found."""
+    """Densities of unmatched records, errors, brightness, columns, gate and number of EM iterations."""
     e = match.estimate
     return [
         *_unmatched(match),
@@ -40,7 +40,7 @@ def findings(match: SkyMatch) -> list[str]:
 
 
 def _sampled(match: SkyMatch) -> str:
-    """Of how many records the rounds were, where these are not all."""
+    """The size of the sample that the EM iterations used; "" where they used all records."""
     (one, two), result = match.estimate.learned_from, match.result
     if (one, two) == (len(result.first), len(result.second)):
         return ""
@@ -48,12 +48,12 @@ def _sampled(match: SkyMatch) -> str:
 
 
 def _share(share: Quantity) -> str:
-    """A share with its standard error, in percent."""
+    """A fraction with its standard error, in percent."""
     return str(Quantity(100.0 * share.value, 100.0 * share.standard_error, "%"))
 
 
 def _unmatched(match: SkyMatch) -> list[str]:
-    """Densities of the records that only one catalogue shows."""
+    """Densities of the records that are in one catalogue only."""
     found = match.estimate.quantities
     if "density_only_1" not in found:
         return []
@@ -66,13 +66,13 @@ def _unmatched(match: SkyMatch) -> list[str]:
 
 
 def by_source(match: SkyMatch) -> str:
-    """Which catalogue's errors are too small, where the data can tell; "" where errors were not judged."""
+    """Error factors of each catalogue, where the data determine them; "" where no error model was fitted."""
     model = match.estimate.error_model
     return "" if model is None else error_model_in_words(model, (match.first.name, match.second.name))
 
 
 def error_model_in_words(model: ErrorModel, names: tuple[str, str]) -> str:
-    """Factors on the errors of sources of these names, and a floor in arcsec; after a semicolon what cannot be told.
+    """Factors on the errors of the named sources, and a floor in arcsec; after a semicolon what is undetermined.
 
     >>> error_model_in_words(ErrorModel(both=Quantity(1.71, 0.04), note="whose cannot be told"), ("plate", "gaia"))
     'those of both × 1.710 ± 0.040; whose cannot be told'
@@ -89,15 +89,15 @@ def error_model_in_words(model: ErrorModel, names: tuple[str, str]) -> str:
 
 
 def floor_in_words(floor_arcsec: Quantity) -> str:
-    """What the errors have beyond the quoted ones, or how small it is."""
-    seen = floor_arcsec.value > SIGNIFICANT * floor_arcsec.standard_error
-    most = floor_arcsec.value + 2.0 * floor_arcsec.standard_error
-    floor = f"{floor_arcsec} arcsec" if seen else f"none seen, less than {most:.2g} arcsec"
+    """The error floor in addition to the quoted errors, or its upper limit (2σ)."""
+    significant = floor_arcsec.value > SIGNIFICANT * floor_arcsec.standard_error
+    upper_limit = floor_arcsec.value + 2.0 * floor_arcsec.standard_error
+    floor = f"{floor_arcsec} arcsec" if significant else f"none seen, less than {upper_limit:.2g} arcsec"
     return f"floor in quadrature on each axis: {floor}"
 
 
 def _brightness(match: SkyMatch) -> list[str]:
-    """How the magnitudes are related, up to where each catalogue reaches, and how much every term decides."""
+    """The relation of the magnitudes, the completeness of each catalogue, and the weight of every term."""
     e, lines = match.estimate, []
     relation = None if e.photometry is None else e.photometry.first_relation
     if e.photometry is not None and relation is not None:
@@ -131,7 +131,7 @@ def _brightness(match: SkyMatch) -> list[str]:
 
 
 def _columns(match: SkyMatch) -> list[str]:
-    """What each column says that was given as evidence."""
+    """The evidence of each additional column."""
     columns = match.estimate.columns
     if columns is None:
         return []
@@ -142,7 +142,7 @@ def _columns(match: SkyMatch) -> list[str]:
 
 
 def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
-    """What each column of catalogues of these names says that was given as evidence; none where nothing was learned."""
+    """The evidence of each additional column of the named catalogues; no lines where nothing was fitted."""
     lines = []
     for one in columns.findings:
         what = f"{one.name} of {names[one.source - 1]}" if one.source else f"{one.name} of {names[0]} with {one.other}"
@@ -162,7 +162,7 @@ def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
 
 
 def _completeness(curve: DetectionCurve) -> str:
-    """The greatest share, and at which magnitude it falls to half."""
+    """The largest completeness, and the magnitude at which it falls to half of that."""
     best = int(np.argmax(curve.probability - curve.standard_error))
     words = f"{percent(curve.probability[best])} at {curve.band} {curve.edges[best]:g}–{curve.edges[best + 1]:g}"
     fainter = np.flatnonzero(curve.probability[best:] < 0.5 * curve.probability[best]) + best
@@ -175,7 +175,7 @@ def _completeness(curve: DetectionCurve) -> str:
 
 
 def _errors_in_words(match: SkyMatch) -> str:
-    """Whether the quoted errors are too small, by how much, and which share of the pairs lies far beyond."""
+    """The scale of the errors relative to the quoted ones, and the fraction of pairs in a wide tail."""
     e = match.estimate
     scales, scale = e.errors.scales, e.quantities.get("error_scale")
     if scale is None and len(scales) == 1 and not e.errors.as_modelled:
@@ -188,7 +188,7 @@ def _errors_in_words(match: SkyMatch) -> str:
 
 
 def _evidence_errors(match: SkyMatch) -> str:
-    """The error model of the evidence, where it is not the quoted errors and their spread."""
+    """The error model used as evidence; "" where it is the quoted errors with fitted scales."""
     errors, left = match.estimate.errors, match.estimate.left_open
     if left is not None:
         (low, high), (least, most) = left.factors, left.floors
@@ -211,7 +211,7 @@ def _evidence_errors(match: SkyMatch) -> str:
 
 
 def judged(scale: Quantity) -> str:
-    """The verdict on the quoted errors, from the median residual over its due."""
+    """Whether the quoted errors are right, from the median residual relative to its expectation."""
     off = scale.value - 1.0
     if abs(off) <= max(AS_QUOTED, SIGNIFICANT * scale.standard_error):
         return f"as quoted (the median residual is {scale} times its due)"

@@ -1,4 +1,4 @@
-"""What is printed of an identified frame, from its summary."""
+"""The report of an identified frame, made from its summary."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sameas.sky.frame.outputs import ERROR_NAMES
 
 
 def frame_lines(summary: Mapping[str, Any]) -> list[str]:
-    """The whole report of one frame."""
+    """The full report of one frame."""
     place, plate, found = summary["place"], summary["plate"], summary["found"]
     size = f"{place['columns']} × {place['rows']} px, {_angle(place['width_deg'])} × {_angle(place['height_deg'])}"
     middle = f"RA {place['middle_ra_deg']:.5f}° Dec {place['middle_dec_deg']:+.5f}°"
@@ -23,7 +23,7 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
     order = f"order {plate['order']} on {plate['effective_pairs']:.1f} pairs, errors {plate['error_scale']:.2f} times"
     lines = [
         f"Frame: {summary['frame']}",
-        *(line for words in summary.get("exposure", {}).get("read", ()) for line in _noted(words)),
+        *(line for words in summary.get("exposure", {}).get("read", ()) for line in _note_lines(words)),
         "",
         "Placed",
         *entry("by", f"{place['found_by']}, odds {place['odds']}; next best {place['next_best_odds']}"),
@@ -36,7 +36,7 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
         *_understood(summary),
         f"Found in {summary['catalogue']}",
         *entry("measurements", f"{count(found['measurements'])}, of which {count(found['identified'])} identified"),
-        *entry("not in the catalogue", _alone(found)),
+        *entry("not in the catalogue", _unmatched(found)),
         *entry("missing stars", f"{count(found['missing'])} of {count(found['stars_on_frame'])} on the frame"),
         *entry(
             "expected wrong", f"{found['expected_wrong']:.1f}; {count(found['ambiguous'])} with probability below 0.9"
@@ -48,18 +48,18 @@ def frame_lines(summary: Mapping[str, Any]) -> list[str]:
     for label, what in (("magnitudes", "zero_point"), ("brightness", "odd"), ("completeness", "completeness")):
         if brightness.get(what):
             lines += entry(label, brightness[what]["words"])
-    return [*lines, *(line for words in summary["notes"] for line in _noted(words))]
+    return [*lines, *(line for words in summary["notes"] for line in _note_lines(words))]
 
 
 def _understood(summary: Mapping[str, Any]) -> list[str]:
-    """What the catalogue was taken for; summaries of earlier versions lack it."""
+    """The interpretation of the catalogue; summaries of earlier versions lack it."""
     parts = [line.partition(": ") for line in summary.get("understood", ())]
     lines = [entry(label, text) if text else entry("note", label) for label, _, text in parts]
     return [f"Catalogue: {summary['catalogue']}", *(line for part in lines for line in part), ""] if lines else []
 
 
 def one_line(name: str, summary: Mapping[str, Any], state: str) -> str:
-    """A frame among many, from its summary; ``state``: when it was done, or in what time."""
+    """One line on a frame of a folder, from its summary. state : when it was done, or the run time."""
     found, place = summary["found"], summary["place"]
     words = (
         f"{count(found['identified'])} of {count(found['measurements'])} identified, {count(found['missing'])} missing"
@@ -71,7 +71,7 @@ def one_line(name: str, summary: Mapping[str, Any], state: str) -> str:
 
 
 def totals(done: int, skipped: int, failed: int) -> str:
-    """How many frames were done now, had been done before, and failed."""
+    """The numbers of frames done now, done before, and failed."""
     parts = [
         f"{done} done",
         *([f"{skipped} done before"] if skipped else []),
@@ -80,20 +80,20 @@ def totals(done: int, skipped: int, failed: int) -> str:
     return f"Frames: {done + skipped + failed}; " + ", ".join(parts)
 
 
-def _alone(found: Mapping[str, Any]) -> str:
+def _unmatched(found: Mapping[str, Any]) -> str:
     beyond = found.get("beyond_catalogue", 0)
     return count(found["unidentified"]) + (f", of which {count(beyond)} are fainter than it reaches" if beyond else "")
 
 
 def _scatter(summary: Mapping[str, Any]) -> str:
-    # A median of few residuals says little.
+    # The median is unreliable for few residuals.
     few = summary["found"]["identified"] < FEW
     east, north = summary["residuals"]["rms_arcsec" if few else "scatter_arcsec"]
     return "not known" if east is None else f"{east:.2g}″ × {north:.2g}″{' rms' if few else ''}"
 
 
 def _estimated(summary: Mapping[str, Any]) -> list[str]:
-    """Densities of what one of both shows only, and the errors."""
+    """Densities of unmatched measurements and stars, and the errors."""
     # Summaries of earlier versions may lack them.
     known = {name: Quantity(value, error) for name, (value, error) in summary.get("estimated", {}).items()}
     lines = []
@@ -116,7 +116,7 @@ def _angle(deg: float) -> str:
     return f"{deg:.2f}°" if deg >= 1 else f"{60 * deg:.1f}′"
 
 
-def _noted(words: str) -> list[str]:
+def _note_lines(words: str) -> list[str]:
     for mark in ("doubt", "assumed"):
         if words.startswith(f"{mark}: "):
             text = words.removeprefix(f"{mark}: ")

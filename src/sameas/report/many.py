@@ -1,4 +1,4 @@
-"""Lines that ``sameas many`` prints of several catalogues identified at once."""
+"""The report of ``sameas many``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sameas.sky.many import ManyMatch
 
 
 def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[str]:
-    """What was estimated of the catalogues together. words : how a message that names arguments is put."""
+    """The estimates. words : formats a message that names arguments."""
     lines = ["Estimated"]
     if match.epoch_jyr is None:
         lines += entry("epoch", "not all epochs are known: no positions are moved")
@@ -36,8 +36,8 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
 
 
 def summary_lines(match: ManyMatch) -> list[str]:
-    """What was found: rows, objects by the catalogues that show them, how sure."""
-    return [*_rows(match), "", *_objects(match), "", *_sure(match)]
+    """The results: rows, objects by combination of catalogues, confidence."""
+    return [*_rows(match), "", *_objects(match), "", *_confidence(match)]
 
 
 def _rows(match: ManyMatch) -> list[str]:
@@ -75,7 +75,7 @@ def _objects(match: ManyMatch) -> list[str]:
     return [*lines, f"{'  all':{wide}}{count(len(match.objects)):>12}"]
 
 
-def _sure(match: ManyMatch) -> list[str]:
+def _confidence(match: ManyMatch) -> list[str]:
     several = match.objects.n_members > 1
     p = match.objects.probability
     groups = match.objects.groups

@@ -1,4 +1,4 @@
-"""What ``sameas movers`` says: what was searched, what was believed, and the tracklets."""
+"""The report of ``sameas movers``: search, model, and tracklets."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
     from sameas.sky.movers.stack import Stack
     from sameas.sky.series import Series
 
-#: Tracklets that are listed; all are in the output.
+#: Number of tracklets that are listed; the output has all.
 MOST = 20
-#: Fewer exposures than this leave every tracklet to rate and brightness alone.
+#: With fewer exposures, a tracklet is supported by rate and brightness only.
 FEW = 3
-#: Pixels that a core adds in a second, below the limit of single frames (measured, 2 GHz).
+#: Pixels that one core adds per second in the search below the limit of single frames (measured, 2 GHz).
 SUMS_PER_S = 2.5e9
 
-#: Errors so many times larger than quoted are said.
+#: Error scales above this are reported.
 WORTH_SAYING = 1.2
-#: Stars whose scatter constant ones have less often than this are listed as hardly constant.
+#: Stars with a smaller probability of being constant are counted as possible variables.
 UNLIKELY = 0.001
 
 
 def searched_lines(seen: Detections) -> list[str]:
-    """What was searched."""
+    """What was searched, with doubts about the input."""
     time = seen.frame_mjd
     lines = [
         f"Detections: {count(len(seen))} of {count(len(seen.frame_names))} exposures over "
@@ -49,7 +49,7 @@ def searched_lines(seen: Detections) -> list[str]:
 
 
 def left_out_lines(found: Movers) -> list[str]:
-    """What was left out: stationary sources, with what they show of the exposures, and tracklets that move alike."""
+    """What was excluded: stationary sources, detections fixed on the chip, and tracklets of one common rate."""
     lines, stationary = [], found.stationary
     if stationary is not None and stationary.places:
         rows, places = counted(int(stationary.rows.sum()), "detection"), counted(stationary.places, "place")
@@ -105,7 +105,7 @@ def mover_lines(found: Movers) -> list[str]:
 
 
 def model_lines(found: Movers) -> list[str]:
-    """What was believed of movers."""
+    """The model of the movers: detection probability and distribution of rates."""
     m = found.model
     top = int(np.argmax(m.rates.share))
     sigma = np.sqrt(np.diag(m.rates.covariance[top]))
@@ -117,22 +117,22 @@ def model_lines(found: Movers) -> list[str]:
 
 
 def report_lines(found: Movers, least: float) -> list[str]:
-    """How many tracklets the report holds, and why it leaves out the others."""
-    told = found.p_tracklet >= least
-    if told.all():
+    """The number of tracklets in the report, and those excluded by their probability."""
+    reported = found.p_tracklet >= least
+    if reported.all():
         return [f"  it holds {counted(len(found), 'tracklet')}"]
-    left = np.flatnonzero(~told)
-    shown = ", ".join(f"{found.names[k]} ({found.p_tracklet[k]:.2f})" for k in left[:5])
-    are, them = ("is", "it") if len(left) == 1 else ("are", "them")
+    excluded = np.flatnonzero(~reported)
+    shown = ", ".join(f"{found.names[k]} ({found.p_tracklet[k]:.2f})" for k in excluded[:5])
+    are, them = ("is", "it") if len(excluded) == 1 else ("are", "them")
     return [
-        f"  it holds {counted(int(told.sum()), 'tracklet')}; {count(len(left))} {are} left out, less probable than "
-        f"{least:g}: {shown}{' …' if len(left) > 5 else ''}",
+        f"  it holds {counted(int(reported.sum()), 'tracklet')}; {count(len(excluded))} {are} left out, "
+        f"less probable than {least:g}: {shown}{' …' if len(excluded) > 5 else ''}",
         f"  look at {them}; --report-probability changes what is reported",
     ]
 
 
 def plan_lines(plan: Plan) -> list[str]:
-    """What a search below the limit of single frames will cost, before it starts."""
+    """The cost of a search below the limit of single frames, before it starts."""
     seconds = plan.sums / SUMS_PER_S
     fastest = float(np.hypot(*plan.rates.T).max())
     return [
@@ -143,7 +143,7 @@ def plan_lines(plan: Plan) -> list[str]:
 
 
 def below_lines(below: BelowLimit) -> list[str]:
-    """What the frames show together and none by itself."""
+    """The movers found by stacking, below the limit of single frames."""
     found = below.movers
     if not len(found):
         return ["  no more are found there"]
@@ -161,7 +161,7 @@ def below_lines(below: BelowLimit) -> list[str]:
 
 
 def series_lines(series: Series) -> list[str]:
-    """What a series of frames shows beside what moves."""
+    """The series of frames: numbers of stars, stationary sources and candidates."""
     n = len(series.frame)
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
     lines = [
@@ -175,7 +175,7 @@ def series_lines(series: Series) -> list[str]:
 
 
 def star_lines(series: Series, filter: str = "") -> list[str]:
-    """A series as one product: its stars, zero points and what varies."""
+    """The series: its stars, zero points and variables."""
     stars = series.stars
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
     zero, often = stars.zero_point, (stars.measurement >= 0).sum(axis=1)
@@ -198,7 +198,7 @@ def star_lines(series: Series, filter: str = "") -> list[str]:
 
 
 def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]:
-    """The tracklets that are known objects, with O−C."""
+    """The tracklets identified with known objects, with O−C."""
     lines = [f"Known objects: {count(len(known.elements))} predicted near the field"]
     if not on_earth:
         lines.append(f"{DOUBT}the header has no station; positions are geocentric")
@@ -215,7 +215,7 @@ def known_lines(found: Movers, known: KnownObjects, on_earth: bool) -> list[str]
 
 
 def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
-    """Why tracklet k is believed, sentence by sentence, and whether each is rather a doubt."""
+    """The evidence for tracklet k: sentences, each with whether it is a doubt."""
     seen, rows = found.detections, found.members[k][found.members[k] >= 0]
     frames = len(pixels.flux[k])
     if found.added:
@@ -256,12 +256,12 @@ def reasons(found: Movers, pixels: Stack, k: int) -> list[tuple[str, bool]]:
 
 
 def _stacked(snr: float) -> tuple[str, bool]:
-    """What the stack says, and whether it makes the tracklet doubtful."""
+    """The S/N of the stack along the motion, and whether it is a doubt (below 4)."""
     return f"the stack along its motion has S/N {snr:.{0 if snr >= 100.0 else 1}f}", snr < 4.0
 
 
 def _small(value: float) -> str:
-    """A number with its power of ten in words of print."""
+    """A number as printed text, below 0.001 with a power of ten."""
     if value >= 1e-3:
         return f"{value:.2g}"
     digit, power = f"{value:.0e}".split("e")

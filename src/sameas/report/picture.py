@@ -1,4 +1,4 @@
-"""What ``sameas picture`` prints: what was read, what is in doubt, what was found, and what was assumed."""
+"""The report of ``sameas picture``: input, doubts, results, estimates and assumptions."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sameas.tracks.scene import Scene
 
 
 def read_lines(sources: Iterable[tuple[str, Sequence[str]]]) -> Iterator[str]:
-    """Every source by its name, with the lines on what was read of it and what was guessed."""
+    """Every source by name, with what was read and what was guessed."""
     yield "Sources"
     for name, (first, *rest) in sources:
         yield f"  {first}"
@@ -22,7 +22,7 @@ def read_lines(sources: Iterable[tuple[str, Sequence[str]]]) -> Iterator[str]:
 
 
 def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
-    """What was done to the reports to make a scene of them, and what becomes of plots without names."""
+    """The processing of each source: filtered to tracks, or plots without ids."""
     for feed in scene.feeds:
         if feed.filtered:
             yield f"  {feed.description.name}: plots with ids, filtered to tracks with velocities"
@@ -33,18 +33,18 @@ def scene_lines(scene: Scene, watch: Watch | PlotPicture) -> Iterator[str]:
 
 
 def doubt_lines(doubts: Sequence[str]) -> Iterator[str]:
-    """What looks wrong with a source as a whole."""
+    """Doubts about whole sources."""
     yield from (f"{DOUBT}{doubt}" for doubt in doubts)
 
 
 def estimated_lines(scene: Scene) -> Iterator[str]:
-    """The errors of bare plots by how much they differ from each other, 1σ."""
+    """The errors (1σ) of plots, estimated from their scatter."""
     for line in scene.estimated:
         yield from entry("estimated", line)
 
 
 def found_lines(summary: Summary) -> Iterator[str]:
-    """The summary: what was found, what is to be looked at, offsets and misses."""
+    """The summary: objects, alarms and doubts, offsets, misses."""
     yield ""
     times = f"{counted(summary.instants, 'instant')}, " if summary.instants > 1 else ""
     yield f"Picture: {times}{span(summary.first_s, summary.last_s)}"
@@ -54,7 +54,7 @@ def found_lines(summary: Summary) -> Iterator[str]:
 
 
 def assumed_lines(scene: Scene) -> Iterator[str]:
-    """Every number that was not given, those of one kind of source together; summary.json says why each was taken."""
+    """Every assumed parameter, grouped by kind of source; summary.json has the reasons."""
     taken: dict[tuple[str, str], list[str]] = {}
     for feed in scene.feeds:
         described = feed.description

@@ -1,4 +1,4 @@
-"""Prose: labelled lines, times and shares, as every report writes them; results in a few lines, and in notebooks."""
+"""Text elements of reports: labelled lines, times and percentages; short and notebook forms of results."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 WIDTH = 100
 LABEL = 22
 DOUBT, ALARM = "  doubt".ljust(2 + LABEL), "  ALARM".ljust(2 + LABEL)
-#: Times from this on are seconds since 1970, in UTC (it is March 1973); earlier ones are the user's own seconds.
+#: Times from this value on (March 1973) are UTC seconds since 1970; smaller ones are seconds of another clock.
 UTC_FROM_S = 1e8
 
 
 def moment(time_s: float) -> str:
-    """A time: in UTC where it counts from 1970, else the user's own seconds.
+    """A time as text: UTC if it counts from 1970, else seconds of another clock.
 
     >>> moment(1714560000.0), moment(12.5)
     ('2024-05-01 10:40:00 UTC', '12.5 s')
@@ -37,7 +37,7 @@ def moment(time_s: float) -> str:
 
 
 def span(first_s: float, last_s: float) -> str:
-    """From one time to another; a day that both share is written once.
+    """A time span as text; a common date is written once.
 
     >>> span(1714560000.0, 1714560300.0), span(0.0, 60.0)
     ('2024-05-01 10:40:00 to 10:45:00 UTC', '0 to 60 s')
@@ -49,7 +49,7 @@ def span(first_s: float, last_s: float) -> str:
 
 
 def percent(share: float) -> str:
-    """A share in percent, with as many decimals as it needs near 0 and 100."""
+    """A fraction in percent, with three decimals near 0 and 100, else one."""
     if not np.isfinite(share):
         return "–"
     near = min(share, 1.0 - share)
@@ -57,12 +57,12 @@ def percent(share: float) -> str:
 
 
 def figures(value: float) -> str:
-    """A positive number to four figures, never in powers of ten where it is large."""
+    """A positive number to four digits; from 10 000 on all digits of the integer part."""
     return f"{value:.4g}" if value < 1e4 else count(round(value))
 
 
 def entry(label: str, words: str) -> list[str]:
-    """A labelled line, wrapped under itself."""
+    """A labelled line, wrapped and indented below the text."""
     return textwrap.wrap(
         words, WIDTH, initial_indent=f"  {label:{LABEL}}", subsequent_indent=" " * (2 + LABEL),
         break_long_words=False, break_on_hyphens=False,
@@ -70,7 +70,7 @@ def entry(label: str, words: str) -> list[str]:
 
 
 def wrapped(line: str) -> list[str]:
-    """A line that begins with the mark of a doubt or an alarm, wrapped under itself."""
+    """A line that begins with a doubt or alarm label, wrapped and indented below the text."""
     indent = " " * len(DOUBT)
     return textwrap.wrap(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
@@ -80,18 +80,18 @@ def in_one(lines: Iterable[str]) -> str:
     return "\n".join(part for line in lines for part in (wrapped(line) if line.startswith((DOUBT, ALARM)) else [line]))
 
 
-# How results show themselves: in a few lines where they are printed, with their report and a picture in a notebook.
+# Representation of results: a few lines as text, the report and a plot in a notebook.
 
-#: Lines of doubts, and letters of one, that a short text has room for (chosen).
+#: Number of doubts, and characters of each, in the short form (chosen).
 DOUBTS, LETTERS = 4, 160
-#: Lines that a value prints in.
+#: Number of lines in the short form of a long text.
 LINES = 10
-#: Dots per inch of the picture in a notebook (chosen: about 600 pixels wide).
+#: Dots per inch of the plot in a notebook (chosen: about 600 pixels wide).
 SMALL_DPI = 55
 
 
 def in_lines(headline: str, doubts: Sequence[str], offers: str) -> str:
-    """A result in at most seven lines: what it is, what is doubted, what it offers."""
+    """A result in at most seven lines: headline, doubts, and the names of its attributes and methods."""
     lines = [headline, *(f"  doubt: {textwrap.shorten(doubt, LETTERS, placeholder=' …')}" for doubt in doubts[:DOUBTS])]
     if len(doubts) > DOUBTS:
         lines.append(f"  and {counted(len(doubts) - DOUBTS, 'more doubt')}")
@@ -99,14 +99,14 @@ def in_lines(headline: str, doubts: Sequence[str], offers: str) -> str:
 
 
 def in_first_lines(lines: Sequence[str]) -> str:
-    """A long text in at most ten lines, and how the others are seen."""
+    """The first lines of a text, ten at most, with a hint on how to see the others."""
     if len(lines) <= LINES:
         return "\n".join(lines)
     return "\n".join([*lines[: LINES - 1], f"… print() shows all {len(lines)} lines"])
 
 
 def in_html(headline: str, report: str, plot: Callable[[], Figure]) -> str:
-    """The report and one small picture for a notebook; without the picture where nothing can be drawn."""
+    """The report and a small plot as HTML for a notebook; without the plot where it cannot be drawn."""
     parts = [f"<b>{html.escape(headline)}</b>"]
     try:
         drawn = io.BytesIO()
@@ -116,13 +116,13 @@ def in_html(headline: str, report: str, plot: Callable[[], Figure]) -> str:
     else:
         data = base64.b64encode(drawn.getvalue()).decode()
         parts.append(f'<br><img alt="{html.escape(headline)}" src="data:image/png;base64,{data}">')
-    # Notebooks set their own font for such a block, in which columns do not stand one under the other.
+    # Some notebooks style <pre> with a proportional font, in which columns are not aligned.
     parts.append(f'<pre style="line-height:1.2;font-family:monospace">{html.escape(report)}</pre>')
     return "".join(parts)
 
 
 def expected(wrong: float) -> str:
-    """An expected number of wrong answers, small ones too."""
+    """An expected number of false matches, small numbers as an upper limit."""
     if wrong < 0.05:
         return "fewer than 0.05"
     return figures(wrong) if wrong >= 10.0 else f"{wrong:.1f}"

@@ -1,7 +1,7 @@
-"""Why a record was identified as it was, from an output alone: what its table and its header hold.
+"""Explanation of a record from an output file alone, from its table and its provenance.
 
-Of two catalogues and of several, of a frame, and of a picture: the answer, its probability, the most probable other
-one, and the records that compete. What each term of the odds says is not in the tables; repeating the match tells it.
+For matches of two or several catalogues, frames and pictures: the answer, its probability, the most probable
+alternative, and the competing records. The terms of the odds are not in the tables; they need a repeated match.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from sameas.result.explanation import probability_text
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: Competing records that are listed (chosen).
+#: Number of competing records that are listed (chosen).
 LISTED = 8
 
 
 def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
-    """One record of two catalogues. facts : of the file. record : its id, or its row. source : 1 or 2.
+    """One record of a match of two catalogues. facts : provenance. record : its id, or its row. source : 1 or 2.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, 
 
 
 def _side_of(table: Table, facts: Mapping[str, Any], row: int) -> int:
-    """The catalogue of whose record a row's p_none and id_second speak: the first, where it has one there."""
+    """The catalogue to which p_none and id_second of a row refer: the first, unless the row has no record of it."""
     return 2 if _is_absent(table, facts.get("ra_column_1") or "", row) else 1
 
 
@@ -111,7 +111,7 @@ def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int,
 
 
 def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
-    """One measurement (source 1) or star (source 2) of a frame. facts : of the file."""
+    """One measurement (source 1) or star (source 2) of a frame. facts : provenance."""
     column = "measurement" if source == 1 else "star"
     rows = np.array([int(record)]) if by_row else np.flatnonzero(texts_of(table[column]) == record.strip())
     if not len(rows) or not 0 <= rows[0] < len(table):
@@ -147,7 +147,7 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
     """One object of a picture by its number or label, or, where ``source`` is named, one of its records by track, line
     or row.
 
-    at_s : the instant, the nearest one is taken; the last at which it is there if not given.
+    at_s : time in seconds, of which the nearest instant is used; the last instant of the object if None.
     """
     if source is not None:
         at, mine, details = _record_of(records, record, source, at_s)
@@ -162,12 +162,12 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
     if not known.any():
         raise InputError(f"the picture has no object {record}; give its number, label, MMSI or name")
     when = _nearest(np.asarray(objects["time_s"])[known], at_s)
-    here = known & (np.asarray(objects["time_s"]) == when)
-    return _object(objects, records, int(objects["object"][np.flatnonzero(here)[0]]), when)
+    rows = np.flatnonzero(known & (np.asarray(objects["time_s"]) == when))
+    return _object(objects, records, int(objects["object"][rows[0]]), when)
 
 
 def _record_of(records: Table, record: str, source: str, at_s: float | None) -> tuple[int, str, list[str]]:
-    """Row in the table of records, its name, and what is printed of it."""
+    """The row in the table of records, its name, and the lines about it."""
     ours = texts_of(records["source"]) == source
     if not ours.any():
         known = ", ".join(sorted(set(texts_of(records["source"]).tolist())))
@@ -184,8 +184,8 @@ def _record_of(records: Table, record: str, source: str, at_s: float | None) -> 
 
 
 def _object(objects: Table, records: Table, number: int, when: float) -> list[str]:
-    here = (np.asarray(objects["object"]) == number) & (np.asarray(objects["time_s"]) == when)
-    row = int(np.flatnonzero(here)[0])
+    rows = (np.asarray(objects["object"]) == number) & (np.asarray(objects["time_s"]) == when)
+    row = int(np.flatnonzero(rows)[0])
     label = str(_value(objects, "label", row) or "")
     lines = [f"Object {number}{f' ({label})' * bool(label)} at {moment(when)}: {_value(objects, 'stage', row)}"]
     if _value(objects, "probability", row) is None:
@@ -210,7 +210,7 @@ def _nearest(times: NDArray[Any], at_s: float | None) -> float:
 
 
 def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool) -> IntArray:
-    """Rows of the table that hold a record of a catalogue, by its id, or by its row."""
+    """The rows of the table with a record of a catalogue, given by its id or its row."""
     name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
     there = ~_absent(table[facts[f"ra_column_{source}"]])
     if column is not None and not by_row:
@@ -227,7 +227,7 @@ def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_
 
 
 def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, there: BoolArray) -> IntArray:
-    """(n,) the row of its catalogue that each row of the table holds, −1 for none, where all of them are there."""
+    """(n,) the catalogue row of each row of the table, −1 for none; refused unless the table has them all."""
     leading = {"all1": (1,), "1or2": (1,), "pairs": (1,), "all2": (2,)}.get(facts.get("join", ""), ())
     ids = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
     held = np.flatnonzero(there)
@@ -251,7 +251,7 @@ def _whole_number(text: str, name: str) -> int:
 
 
 def _first_chosen(table: Table, rows: IntArray) -> int:
-    """Which of some rows is the answer."""
+    """The index, among these rows, of the answer."""
     if "match_flag" not in table.colnames:
         return 0
     return int(np.argmax(np.asarray(np.ma.filled(table["match_flag"][rows], 0)) == 1))
@@ -285,7 +285,7 @@ def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]
 
 
 def _group(table: Table, row: int, column: str) -> IntArray:
-    """Rows of the same group, itself among them; none where it has none."""
+    """The rows of the same group, including this one; none where the row has no group."""
     if _is_absent(table, column, row):
         return np.empty(0, np.int64)
     same = np.asarray(np.ma.filled(table[column], -1)) == _value(table, column, row)
@@ -300,18 +300,18 @@ def _competing(details: Sequence[str]) -> list[str]:
 
 
 def source_numbers(facts: Mapping[str, Any]) -> list[int]:
-    """The numbers of the catalogues that a table was made of, from 1."""
+    """The numbers of the matched catalogues, from 1."""
     return sorted(int(name.removeprefix("name_")) for name in facts if re.fullmatch(r"name_\d+", name))
 
 
 def texts_of(column: Any) -> NDArray[np.str_]:
-    """(n,) the cells of a column as texts, without spaces around them; those of empty cells mean nothing."""
+    """(n,) the cells of a column as stripped text; the values of masked cells are arbitrary."""
     return np.char.strip(np.asarray(np.ma.filled(column, "" if column.dtype.kind in "USO" else 0)).astype(str))
 
 
 def _absent(column: Any) -> BoolArray:
     absent = np.array(np.ma.getmaskarray(column), bool)
-    if column.dtype.kind == "f":  # what FITS has for an empty cell
+    if column.dtype.kind == "f":  # a masked float is NaN in FITS
         absent |= np.isnan(np.ma.getdata(column))
     return absent
 
@@ -321,7 +321,7 @@ def _is_absent(table: Table, name: str, row: int) -> bool:
 
 
 def _value(table: Table, name: str, row: int) -> Any:
-    """A cell, None where it is empty or its column is not there."""
+    """The value of a cell; None where it is masked or the column does not exist."""
     if name not in table.colnames:
         return None
     cell = table[name][row]

@@ -1,8 +1,7 @@
-"""What sensors write: tables, AIS, radar targets of ships, ADS-B, Mode S and ASTERIX, read into Reports.
+"""Readers of sensor files: tables, AIS, radar targets of ships, ADS-B, Mode S and ASTERIX, read into Reports.
 
-``read_reports`` finds out the format from the content and returns one
-:class:`~sameas.tracks.reports.Reports` for each sensor in the file. One module a format; each keeps the rule that a
-damaged line is counted with its number and never ends the reading.
+``read_reports`` detects the format from the content and returns one :class:`~sameas.tracks.reports.Reports` for each
+sensor in the file. One module per format; in all of them a damaged line is counted, with its number, and skipped.
 """
 
 from sameas.io.sensors.format import ReadOptions

@@ -1,8 +1,8 @@
-"""aircraft.json: the aircraft that dump1090, readsb and tar1090 see, one snapshot a file or one a line.
+"""aircraft.json: snapshots of dump1090, readsb and tar1090, one per file or one per line.
 
-Each snapshot has all aircraft, so most positions were in the one before: a position is a report only when it is new.
-Its time is that of the snapshot less ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc`` or NIC);
-positions by multilateration (mlat) and rebroadcast (tisb) state none and stay without.
+A snapshot has all aircraft, so most positions repeat the previous snapshot: only new positions become reports, at the
+time of the snapshot minus ``seen_pos``. Accuracy is NACp, else half the containment radius (``rc`` or NIC); positions
+by multilateration (mlat) and rebroadcast (tisb) state none and have no error of their own.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from sameas.io.sensors.format import (
 )
 from sameas.tracks.reports import LAST_S, Damaged, NoReports, Reports, of_rows
 
-#: Snapshots round the age of a position to 0.1 s: the times of one position differ by less than 0.25 s.
+#: Snapshots round the age of a position to 0.1 s, so the times of one position differ by less than 0.25 s.
 _SAME_POSITION_S = 0.25
 _NO_POSITION = "aircraft without a position"
-#: Fields that are numbers, and the column and factor they become.
+#: Numeric fields, with their column and its factor.
 _NUMBERS = {
     "gs": ("speed_m_per_s", KNOT_M_PER_S),
     "track": ("course_deg", 1.0),
@@ -53,7 +53,7 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
     ----------
     lines : of a file that is one snapshot, or has one in each line.
     source : its name in messages.
-    last : of a stream, the last report of each aircraft; it is kept up to date.
+    last : for a stream, the last report of each aircraft; updated.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def read(lines: Sequence[str], source: str, last: dict[str, Mapping[str, Any]] |
 
 
 def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:
-    """Covariances of position and velocity, from the transponders' ``nac_p``, ``rc_m``, ``nic``, ``nac_v``."""
+    """Covariances of position and velocity from ``nac_p``, ``rc_m``, ``nic`` and ``nac_v`` of the transponders."""
     n = len(columns["time_s"])
     absent = np.full(n, np.nan)
     sigma = sigma_of_nacp(columns.get("nac_p", absent))
@@ -102,7 +102,7 @@ def errors_of(columns: Mapping[str, Any]) -> dict[str, FloatArray]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """The assumptions on the accuracy that transponders state."""
+    """The assumptions about the stated accuracies."""
     return (
         f"{source}: errors are the transponder's NACp (radius of 95 % over 2.45); without it, half of the containment "
         "radius is used as the radius of 95 %; positions that state neither have no error of their own",
@@ -110,13 +110,13 @@ def notes(source: str) -> tuple[str, ...]:
 
 
 def identity_of(address: str) -> dict[str, str | None]:
-    """Columns of an address: ``icao`` where it is one of ICAO's (no ~ before it), and ``track_id``."""
+    """The columns ``icao`` (None for an address with ~, which is not one of ICAO) and ``track_id`` of an address."""
     text = address.strip().lower()
     return {"track_id": text, "icao": None if text.startswith("~") else text}
 
 
 def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator[tuple[int, Mapping[str, Any]]]:
-    """Numbers of lines and snapshots; one snapshot may be spread over all lines."""
+    """Line numbers and snapshots; a single snapshot may span all lines."""
     try:
         whole = [(1, of_json("\n".join(lines)))]
     except ValueError:
@@ -144,7 +144,7 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
 
 
 def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
-    """One report, or why there is none."""
+    """The row of a report, or the reason why there is none."""
     if not isinstance(aircraft, dict) or not isinstance(aircraft.get("hex"), str):
         return "aircraft without an address"
     if "lat" not in aircraft or "lon" not in aircraft:
@@ -181,11 +181,11 @@ def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
     }
 
 
-def _is_same(before: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
-    if before is None:
+def _is_same(last: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
+    if last is None:
         return False
-    same_place = before["lat_deg"] == row["lat_deg"] and before["lon_deg"] == row["lon_deg"]
-    return bool(same_place and abs(before["time_s"] - row["time_s"]) <= _SAME_POSITION_S)
+    same_place = last["lat_deg"] == row["lat_deg"] and last["lon_deg"] == row["lon_deg"]
+    return bool(same_place and abs(last["time_s"] - row["time_s"]) <= _SAME_POSITION_S)
 
 
 FORMAT = SensorFormat(

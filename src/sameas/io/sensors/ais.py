@@ -1,9 +1,9 @@
-"""AIS: the reports of ships about themselves, from the !AIVDM sentences of a log.
+"""AIS: the self-reports of ships, from the !AIVDM sentences of a log.
 
-Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 have name, call sign, kind and hull; 4 and 11
-serve as a clock where the log has none. Values that mean "not available" are absent. Positions are those of the hull's
-centre where hull and heading are known (:mod:`sameas.io.sensors.ais`), those of the antenna stay in ``extra``. Decoding
-is done by pyais (MIT).
+Position reports 1, 2, 3, 9, 18, 19 and 27 become reports; 5, 19 and 24 give name, call sign, ship type and hull; 4 and
+11 serve as a clock where the log has none. Values that mean "not available" are absent. Positions are those of the
+centre of the hull where hull and heading are known (:class:`Hull`); those of the antenna are in ``extra``. Messages are
+decoded by pyais (MIT).
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Hull:
     """Distances (n,) in metres from the antenna to bow, stern, port and starboard; NaN or all 0 where not known.
 
     A ship of 300 m with its antenna over the bridge reports a position 80 m from its centre, more than the errors of
-    either sensor. :meth:`centre` moves the position along the heading; the hull's extent goes into the covariance,
-    since an echo comes from any part of it. Bow and port 0 with stern and starboard above 0 give the size of a ship,
-    but not the place of its antenna (ITU-R M.1371).
+    either sensor. :meth:`centre` moves the position along the heading and adds the extent of the hull to the
+    covariance, since an echo may come from any part of it. Bow and port 0 with stern and starboard above 0 give the
+    size of the ship, but not the position of its antenna (ITU-R M.1371).
     """
 
     to_bow_m: FloatArray
@@ -53,33 +53,35 @@ class Hull:
 
     @property
     def antenna_known(self) -> BoolArray:
-        """(n,) whether the antenna's place on the hull is known."""
-        nowhere = (self.to_bow_m == 0.0) & (self.to_port_m == 0.0)
-        return ~np.isnan(self.length_m) & ~(nowhere & (self.to_stern_m > 0.0) & (self.to_starboard_m > 0.0))
+        """(n,) whether the position of the antenna on the hull is known."""
+        size_only = (self.to_bow_m == 0.0) & (self.to_port_m == 0.0)
+        return ~np.isnan(self.length_m) & ~(size_only & (self.to_stern_m > 0.0) & (self.to_starboard_m > 0.0))
 
     def centre(
         self, lat_deg: FloatArray, lon_deg: FloatArray, heading_deg: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Latitude and longitude (n,) of the centre, and the hull's part of the covariance (n, 3), m² east, north.
 
-        heading_deg : (n,) from true north; where it is NaN the position is not moved, and the covariance holds the
+        heading_deg : (n,) from true north; where it is NaN the position is not moved, and the covariance includes the
             offset in all directions.
 
-        The extent counts as if echoes came evenly from all over the hull: L²/12 along it and B²/12 across.
+        Echoes are assumed uniform over the hull: variances L²/12 along it and B²/12 across.
         """
         length, width = np.nan_to_num(self.length_m), np.nan_to_num(self.width_m)
         ahead = np.where(self.antenna_known, (self.to_bow_m - self.to_stern_m) / 2.0, 0.0)
         starboard = np.where(self.antenna_known, (self.to_starboard_m - self.to_port_m) / 2.0, 0.0)
-        # An antenna of unknown place is as far from the centre as an echo.
-        often = np.where(self.antenna_known, 1.0, 2.0)
-        along, across = often * length**2 / 12.0, often * width**2 / 12.0
-        turned = np.isfinite(heading_deg)
-        heading = np.where(turned, heading_deg, 0.0)
-        everywhere = (along + across + ahead**2 + starboard**2) / 2.0
-        extent = along_and_across(np.where(turned, along, everywhere), np.where(turned, across, everywhere), heading)
+        # An antenna at an unknown position is uniform over the hull too, as an echo is.
+        factor = np.where(self.antenna_known, 1.0, 2.0)
+        along, across = factor * length**2 / 12.0, factor * width**2 / 12.0
+        has_heading = np.isfinite(heading_deg)
+        heading = np.where(has_heading, heading_deg, 0.0)
+        isotropic = (along + across + ahead**2 + starboard**2) / 2.0
+        extent = along_and_across(
+            np.where(has_heading, along, isotropic), np.where(has_heading, across, isotropic), heading
+        )
         angle = np.radians(heading)
-        east = np.where(turned, ahead * np.sin(angle) + starboard * np.cos(angle), 0.0)
-        north = np.where(turned, ahead * np.cos(angle) - starboard * np.sin(angle), 0.0)
+        east = np.where(has_heading, ahead * np.sin(angle) + starboard * np.cos(angle), 0.0)
+        north = np.where(has_heading, ahead * np.cos(angle) - starboard * np.sin(angle), 0.0)
         lat, lon, _ = geodesy().enu2geodetic(east, north, np.zeros_like(east), lat_deg, lon_deg, np.zeros_like(east))
         return np.atleast_1d(lat), np.atleast_1d(lon), np.stack([extent[:, 0, 0], extent[:, 0, 1], extent[:, 1, 1]], -1)
 
@@ -89,14 +91,14 @@ def _positive(size: FloatArray) -> FloatArray:
         return np.where(size > 0.0, size, np.nan)
 
 
-#: The sentences that this module reads; VDO is own ship's own report.
+#: Sentences of AIS; VDO is the report of own ship.
 SENTENCES = ("VDM", "VDO")
 _POSITIONS = (1, 2, 3, 9, 18, 19, 27)
 _STATICS = (5, 19, 24)
 _CLOCKS = (4, 11)
 #: Metres of one step of latitude in reports 27 (0.1′); in all others it is 0.2 m, far below the errors.
 _LONG_RANGE_STEP_M = 0.1 * MILE_M
-#: Below this speed, in m/s, the course is not the heading.
+#: Above this speed, in m/s, the course is used as heading where none is sent.
 _STEERING_M_PER_S = 1.0
 _SIDES = ("bow", "stern", "port", "starboard")
 _KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
@@ -107,7 +109,7 @@ _KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "
 
 @dataclass(frozen=True)
 class Message:
-    """One message: the line of its last sentence, the place of that in the log, and the message decoded by pyais."""
+    """One message decoded by pyais. line : of its last sentence. place : index of that sentence in the log."""
 
     line: int
     place: int
@@ -121,7 +123,7 @@ class Message:
 
 @dataclass(frozen=True)
 class Static:
-    """The static data of a ship up to a line: texts and numbers by the name of their column."""
+    """The static data of a ship as of a line, by column."""
 
     line: int
     values: Mapping[str, Any]
@@ -129,7 +131,7 @@ class Static:
 
 @dataclass
 class ReceiverState:
-    """What a receiver has received before these lines: parts of messages that wait for the others, data of ships."""
+    """State of a receiver before these lines: incomplete multi-part messages, and static data of ships."""
 
     waiting: dict[tuple[str, ...], list[Sentence]] = field(default_factory=dict)
     statics: dict[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -140,10 +142,11 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
 
     Parameters
     ----------
-    log : sentences with their clock; those that are not AIS are left alone.
+    log : sentences with their clock; those that are not AIS are ignored.
     source : its name in messages.
-    start_s : UTC of the first message, for logs without any clock: the seconds in the messages are counted on from it.
-    state : of a stream, what came before; it is kept up to date. Parts at the end of the log wait for the others.
+    start_s : UTC of the first message, for logs without a clock: times are counted from it by the UTC seconds in the
+        messages.
+    state : for a stream, the state before the log; updated. Incomplete messages at the end of the log are kept in it.
 
     Raises
     ------
@@ -182,7 +185,7 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
 
 
 def own_ship(sentence: Sentence) -> dict[str, float | None]:
-    """Latitude, longitude and heading of own ship in a sentence (VDO), those that it has.
+    """The latitude, longitude and heading of own ship in a VDO sentence, as far as it has them.
 
     Raises
     ------
@@ -203,7 +206,7 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
 
 
 def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], list[tuple[int, str]]]:
-    """The decoded messages, those of several sentences joined, and the lines that could not be decoded."""
+    """The decoded messages, multi-part ones joined, and the damaged lines."""
     decode = _decoder()
     messages: list[Message] = []
     damaged = list(log.damaged)
@@ -223,7 +226,7 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], lis
         try:
             decoded = decode(*(part.text for part in parts))
         except Exception as error:
-            # An error of the decoder is one damaged message, never the end of the file.
+            # pyais raises many kinds of errors; each is one damaged message.
             damaged += [(part.line, f"cannot be decoded ({type(error).__name__})") for part in parts]
             continue
         messages.append(Message(sentence.line, place, sentence.kind == "VDO", decoded))
@@ -238,7 +241,7 @@ def _parts(
     sentence: Sentence,
     damaged: list[tuple[int, str]],
 ) -> list[Sentence]:
-    """All parts of a message when its last one has come, else none; broken rows become damaged."""
+    """All parts of a message if this is the last one, else none; parts out of sequence become damaged."""
     total, number = key[1], sentence.field(2)
     before = waiting.pop(key, [])
     if number != str(len(before) + 1):
@@ -263,7 +266,7 @@ def _decoder() -> Callable[..., Any]:
 
 
 def _unusable(message: Message) -> str:
-    """Why a position report or static data cannot be used; empty where they can. "AIS" begins what is no damage."""
+    """Why a position report or static data cannot be used, "" where they can; starts with "AIS" where not damaged."""
     decoded = message.decoded
     if message.type in _STATICS + _POSITIONS and getattr(decoded, "mmsi", None) is None:
         return f"too short for a message of type {message.type}"
@@ -279,14 +282,14 @@ def _unusable(message: Message) -> str:
     return "AIS report, positioning inoperative" if getattr(decoded, "second", None) == 63 else ""
 
 
-#: Whose clock it is where a log has none.
+#: Description of the clock of a log without one.
 COUNTED = "the seconds in the messages, counted on from the start that was given"
 
 
 def _times(
     log: Log, messages: Sequence[Message], positions: Sequence[Message], source: str, start_s: float | None
 ) -> tuple[FloatArray, str]:
-    """The time of each position, and whose clock gave it."""
+    """The time of each position, and the description of the clock."""
     second = np.array([_below(getattr(message.decoded, "second", None), 60) for message in positions], float)
     places = [message.place for message in positions]
     clock_s, clock = log.clock_s, log.clock
@@ -352,11 +355,11 @@ def _below(value: Any, limit: float) -> float | None:
 
 
 def _statics(messages: Sequence[Message], state: ReceiverState | None) -> dict[str, list[Static]]:
-    """The static data of each ship, in the order of the lines; later values replace earlier ones."""
+    """The static data of each ship in the order of lines; each entry includes the earlier values."""
     by_ship: dict[str, list[Static]] = {}
     if state is not None:
-        spoken = {f"{int(message.decoded.mmsi):09d}" for message in messages}
-        by_ship = {mmsi: [Static(0, state.statics[mmsi])] for mmsi in spoken & state.statics.keys()}
+        senders = {f"{int(message.decoded.mmsi):09d}" for message in messages}
+        by_ship = {mmsi: [Static(0, state.statics[mmsi])] for mmsi in senders & state.statics.keys()}
     for message in messages:
         if message.type not in _STATICS or message.own_ship or _unusable(message):
             continue
@@ -370,7 +373,7 @@ def _statics(messages: Sequence[Message], state: ReceiverState | None) -> dict[s
 
 
 def _static_at(statics: Sequence[Static], line: int) -> Mapping[str, Any]:
-    """The static data of a ship at a line; before its first one that first one, since hulls and names last."""
+    """The static data of a ship at a line; the first entry also applies before it: hulls and names are constant."""
     if not statics:
         return {}
     return statics[max(bisect_right(statics, line, key=lambda static: static.line) - 1, 0)].values
@@ -388,7 +391,7 @@ def _static(decoded: Any) -> dict[str, Any]:
     if 20 <= code < 100:
         values["type"] = _KINDS.get(code, _KINDS.get(10 * (code // 10), "other"))
     sides = {f"to_{side}_m": getattr(decoded, f"to_{side}", None) for side in _SIDES}
-    # An auxiliary craft (98…) has its mother ship in the bits of its hull.
+    # An auxiliary craft (98…) sends the MMSI of its mother ship in place of the hull.
     if None not in sides.values() and any(sides.values()) and not f"{int(decoded.mmsi):09d}".startswith("98"):
         values |= {name: float(distance or 0.0) for name, distance in sides.items()}
     return values
@@ -401,14 +404,14 @@ def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
     sigma = np.where(columns["accuracy_flag"] > 0.0, AIS_SIGMA_M[True], AIS_SIGMA_M[False])
     sigma = np.where(columns["reckoned"] > 0.0, AIS_RECKONED_SIGMA_M, sigma)
     covariance = round_covariance(sigma)
-    # A position rounded to steps lies anywhere within one.
+    # Rounding error, uniform within a step.
     step = np.where(kinds == 27, _LONG_RANGE_STEP_M, 0.0)
     covariance[:, 2] += step**2 / 12.0
     covariance[:, 0] += (step * np.cos(np.radians(lat))) ** 2 / 12.0
     sides = [np.asarray(columns.get(f"to_{side}_m", np.full(n, np.nan))) for side in _SIDES]
     hull = Hull(*sides)
-    steering = np.nan_to_num(columns["speed_m_per_s"]) > _STEERING_M_PER_S
-    heading = np.where(steering, columns["course_deg"], np.nan)
+    moving = np.nan_to_num(columns["speed_m_per_s"]) > _STEERING_M_PER_S
+    heading = np.where(moving, columns["course_deg"], np.nan)
     heading = np.where(np.isfinite(columns["heading_deg"]), columns["heading_deg"], heading)
     lat, lon, extent = hull.centre(lat, lon, heading)
     return {"lat_deg": lat, "lon_deg": lon, "covariance_m2": covariance + extent,

@@ -1,9 +1,9 @@
 """ARPA: the targets of a ship's radar, from TTM and TLL sentences of its log.
 
-TTM gives range and bearing, speed and course, each true or relative by its own flag; TLL the latitude and longitude
-that the radar computed. Where a log has both, they are the same targets twice, and TTM is read, which is the
-measurement. OSD, HDT and THS have the heading; RMC, GGA, GLL and own AIS (VDO) the position of the ship. No sentence
-has the accuracy of the radar: its errors are in the description of the source.
+TTM gives range and bearing, speed and course, each true or relative by a flag of its own; TLL gives latitude and
+longitude computed by the radar. Where a log has both, they are the same targets, and only TTM, the measurement, is
+used. OSD, HDT and THS give the heading of own ship; RMC, GGA, GLL and own AIS (VDO) its position. The accuracy of the
+radar is in no sentence; it comes from the description of the source.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _STATUS = {"L": "lost", "Q": "being acquired", "T": "tracked"}
 
 @dataclass
 class OwnShip:
-    """Own ship by the log before these lines, and whether it has had TTM sentences."""
+    """Own ship before these lines, and whether TTM sentences have occurred."""
 
     heading: float = math.nan
     lat: float = math.nan
@@ -45,10 +45,10 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
 
     Parameters
     ----------
-    log : sentences with their clock; those of other kinds are left alone.
+    log : sentences with their clock; other kinds are ignored.
     source : its name in messages.
     start_s : UTC of the first line, for logs with the time of day but no date.
-    ship : of a stream, what came before; it is kept up to date.
+    ship : for a stream, own ship before the log; updated.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
         )
     columns = of_rows(rows)
     if kind == "TLL" and not np.isfinite(columns["station_lat_deg"]).all():
-        # Positions need no own ship; one that is known at some times only would help at these only.
+        # Positions do not need own ship; it is dropped unless known for all of them.
         del columns["station_lat_deg"], columns["station_lon_deg"]
     columns["time_s"] = _times(log, columns.pop("day_s"), np.array(places), source, start_s)
     return Reports.of(
@@ -97,7 +97,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
 
 
 def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
-    """Heading and position of own ship at each sentence: the last ones, and none before the first."""
+    """Heading and position of own ship at each sentence: the latest values, NaN before the first."""
     columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
     for name, values in columns.items():
         values[:1] = getattr(ship, name)
@@ -110,19 +110,19 @@ def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
                 continue
             for name, value in position.items():
                 columns[name][place] = np.nan if value is None else value
-    known = {name: _until_now(values) for name, values in columns.items()}
+    known = {name: _latest(values) for name, values in columns.items()}
     for name, values in known.items():
         setattr(ship, name, float(values[-1]) if len(values) else getattr(ship, name))
     return known
 
 
-def _until_now(values: FloatArray) -> FloatArray:
+def _latest(values: FloatArray) -> FloatArray:
     has_value = np.isfinite(values)
     return np.where(np.cumsum(has_value) > 0, forward_filled(values), np.nan)
 
 
 def _position(lat: int) -> Callable[[Sentence], dict[str, float | None]]:
-    """The reader of a position whose latitude is this field."""
+    """A reader of the position whose latitude is in this field."""
 
     def position_of(s: Sentence) -> dict[str, float | None]:
         return {
@@ -145,7 +145,7 @@ _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
 
 
 def _target(s: Sentence, own: Mapping[str, float]) -> dict[str, Any] | None:
-    """One target; None where the radar has lost it. ValueError has the problem."""
+    """The row of a target; None where the radar has lost it. Raises ValueError with the reason."""
     ttm = s.kind == "TTM"
     status = s.field(12 if ttm else 8) or "T"
     if status not in _STATUS:
@@ -199,14 +199,14 @@ def _station(own: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _course(angle: float | None, flag: str, heading: float) -> float | None:
-    """The course from true north; None where it is missing, or relative to an unknown heading."""
+    """The course from true north; None where it is missing, or relative while the heading is unknown."""
     if angle is None or (flag == "R" and not np.isfinite(heading)):
         return None
     return _true(angle, flag, heading)
 
 
 def _true(angle: float, flag: str, heading: float) -> float:
-    """A direction from true north, of one from there (T) or from the bow (R)."""
+    """A direction from true north; ``flag`` says whether it is given from there (T) or from the bow (R)."""
     if flag in ("T", ""):
         return angle
     if flag != "R":

@@ -1,4 +1,4 @@
-"""Clock: instants from the ways in which logs write time, and times that wrap, unwrapped."""
+"""Clock: times in the notations of logs, and wrapped times unwrapped."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _FINER = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 
 
 def instant(text: str) -> float | None:
-    """UTC seconds since 1970 of ISO 8601 text or of a number of (milli-, micro-, nano-) seconds; None where it is none.
+    """UTC seconds since 1970 from ISO 8601 text or a number of (milli-, micro-, nano-) seconds; None for other text.
 
     Text without a zone is UTC.
 
@@ -47,7 +47,7 @@ def instant(text: str) -> float | None:
 
 
 def seconds(number: float) -> float:
-    """Seconds, of a number that may be in milliseconds, microseconds or nanoseconds."""
+    """Seconds, from a number in seconds, milliseconds, microseconds or nanoseconds, by its size."""
     for above, unit in _FINER:
         if abs(number) > above:
             return number / unit
@@ -55,7 +55,7 @@ def seconds(number: float) -> float:
 
 
 def started(start: str | float | None, source: str) -> float | None:
-    """UTC of the first line of a file, as the user gave it."""
+    """UTC in seconds of the first line of a file, from the user's option."""
     if start is None or isinstance(start, (int, float)):
         return start if start is None else float(start)
     start_s = instant(start)
@@ -67,14 +67,14 @@ def started(start: str | float | None, source: str) -> float | None:
 
 
 def unwrapped(values: ArrayLike, period_s: float, start_s: float | None = None) -> FloatArray:
-    """Times (n,) that go on growing where ``values`` wrap after every period.
+    """Times (n,) without the wrap-around of ``values`` after every period.
 
     values : (n,) seconds of the day, of the minute …; NaN stays NaN.
-    start_s : the first value is taken on this day (or minute), the nearest to it; a start at midnight is only a date,
-        and the first value is of that day. None: the first period counts from 0.
+    start_s : the first value is placed in the period nearest to this time; a start at midnight is a date only, and the
+        first value is placed on that day. None: the first period starts at 0.
 
-    Each value is in the period in which it is nearest to the one before; values late by less than half a period are
-    in the right one.
+    Each value is placed in the period in which it is nearest to the previous one, so values out of order by less than
+    half a period are placed correctly.
 
     Example
     -------
@@ -98,7 +98,7 @@ def unwrapped(values: ArrayLike, period_s: float, start_s: float | None = None) 
 
 
 def forward_filled(values: FloatArray) -> FloatArray:
-    """(n,) the last finite value until then; before the first, the first. All NaN where there is none."""
+    """(n,) the latest finite value at each position; before the first one, that one. All NaN where there is none."""
     rows = np.flatnonzero(np.isfinite(values))
     if not len(rows):
         return values
@@ -107,9 +107,10 @@ def forward_filled(values: FloatArray) -> FloatArray:
 
 
 def at_second(clock_s: FloatArray, second: FloatArray, tolerance_s: float = 5.0) -> FloatArray:
-    """The times of messages received at ``clock_s`` (n,), by the UTC second (n,) of their positions.
+    """Times of positions (n,), from the receive times ``clock_s`` (n,) and the UTC seconds within the minute (n,).
 
-    The latest such instant not later than the receipt, within ``tolerance_s``. Without a second it is the receipt.
+    The latest time with this second that is at most ``tolerance_s`` after the receive time; the receive time where the
+    second is NaN.
     """
     age = np.mod(clock_s - second, 60.0)
     age = np.where(age > 60.0 - tolerance_s, age - 60.0, age)

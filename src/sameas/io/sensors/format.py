@@ -1,4 +1,4 @@
-"""A format of sensor files: its name, how its files are recognised, and how they are read.
+"""The description of a sensor file format: name, recogniser and reader; and what the readers share.
 
 A format is a module of this package with a ``FORMAT``, listed in :data:`sameas.io.sensors.sources.FORMATS`.
 """
@@ -23,7 +23,7 @@ from sameas.errors import InputError
 from sameas.io.sensors.clock import started
 from sameas.tracks.reports import Reports
 
-#: Bytes at the start of a file, and lines of them, by which its format is recognised.
+#: Number of bytes at the start of a file, and of lines in them, that are used to recognise its format.
 HEAD_BYTES, HEAD_LINES = 65536, 200
 #: Logs shrink five- to twentyfold, snapshots that repeat each other more; each line is a Python object (chosen).
 _UNPACKING = Unpacking(least=1 << 25, ratio=50)
@@ -31,13 +31,13 @@ _UNPACKING = Unpacking(least=1 << 25, ratio=50)
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options of reading that a file does not have itself.
+    """Options for what a file does not contain.
 
-    source : the name of the source in messages; the name of the file if not given.
-    format : one of :data:`REPORT_FORMATS`, where the content does not show it.
+    source : name of the source in messages; the name of the file if not given.
+    format : one of :data:`REPORT_FORMATS`, if it cannot be detected from the content.
     start : UTC of the first line as ISO text or seconds, for files with the time of day only, or with counters.
-    columns : tables only: by quantity (``lat_deg``, ``time_s`` …) the name of the column that it is.
-    units : tables only: by name of a column its unit.
+    columns : for tables, the name of the column of a quantity (``lat_deg``, ``time_s`` …).
+    units : for tables, the unit of a column, by its name.
     """
 
     source: str | None = None
@@ -49,9 +49,9 @@ class ReadOptions:
 
 @dataclass(frozen=True)
 class SensorFile:
-    """A file to read: its bytes, unpacked, the name of its source, and its options.
+    """A file to read: unpacked content, name of the source, options.
 
-    start_s : UTC of the first line, where the user gives it.
+    start_s : UTC of the first line, if given by the user.
     """
 
     path: Path
@@ -80,7 +80,7 @@ class SensorFile:
 
     @property
     def unended(self) -> bool:
-        """Whether its last line has no end, as where a file was cut off."""
+        """Whether the last line has no line end, as in a truncated file."""
         return not self.content.rstrip(b"\0 \t").endswith((b"\n", b"\r"))
 
     @cached_property
@@ -90,11 +90,11 @@ class SensorFile:
 
     @cached_property
     def head_lines(self) -> list[str]:
-        """The first lines that are not blank, without the blanks around them."""
+        """The first lines that are not blank, stripped."""
         return [line.strip() for line in lines_of(self.head)[:HEAD_LINES] if line.strip()]
 
     def share_of_lines(self, pattern: str) -> float:
-        """The share of the first lines that match a pattern from end to end."""
+        """The fraction of the first lines that match a pattern completely."""
         return sum(re.fullmatch(pattern, line) is not None for line in self.head_lines) / max(len(self.head_lines), 1)
 
 
@@ -102,9 +102,9 @@ class SensorFile:
 class SensorFormat:
     """One format.
 
-    name : as ``ReadOptions.format`` names it. label : what it is, in words.
-    read : the reports of a file, one for each sensor in it. recognises : whether a file has this format.
-    magic : first bytes that no other format has; they are checked before any ``recognises``.
+    name : as in ``ReadOptions.format``. label : its description in messages.
+    read : returns the reports of a file, one for each sensor in it. recognises : whether a file has this format.
+    magic : first bytes that identify the format; checked before all ``recognises``.
     """
 
     name: str
@@ -138,7 +138,7 @@ def content(path: str | os.PathLike[str]) -> bytes:
 
 
 def lines_of(content_bytes: bytes) -> list[str]:
-    """Its lines; line 1 is the first. Bytes that are no UTF-8 become replacement characters."""
+    """The lines of a file; line 1 is the first. Bytes that are not UTF-8 become replacement characters."""
     return (
         content_bytes.decode("utf-8-sig", errors="replace")
         .replace("\r\n", "\n")
@@ -149,11 +149,11 @@ def lines_of(content_bytes: bytes) -> list[str]:
 
 
 def of_json(text: str) -> Any:
-    """The value of JSON.
+    """The value of a JSON text.
 
     Raises
     ------
-    ValueError : it is none, or is nested deeper than Python's stack.
+    ValueError : it is not JSON, or is nested too deeply for Python's stack.
     """
     try:
         return json.loads(text)
@@ -162,17 +162,17 @@ def of_json(text: str) -> Any:
 
 
 def plain_text(value: Any) -> str | None:
-    """A text or a number of JSON as text; None for what is neither, or is blank."""
+    """A JSON string or number as text; None for other values and blank text."""
     return str(value).strip() or None if isinstance(value, str | int | float) else None
 
 
-# Accuracy: the standard deviations behind the classes in which transponders state how good their positions are.
+# Accuracy: standard deviations from the accuracy categories that transponders state.
 #
-# ADS-B states radii of 95 % (NACp), bounds that are exceeded almost never (NIC), or the older NUCp; AIS one bit. A
-# radius r that holds 95 % of a round Gaussian is 2.45 σ: P(ρ < r) = 1 − exp(−r²/2σ²). All of it is the accuracy of the
-# transponder's navigation, not of its clock or its transmission.
+# ADS-B states 95 % radii (NACp), containment radii that are almost never exceeded (NIC), or the older NUCp; AIS one
+# bit. The 95 % radius r of a circular Gaussian is 2.45 σ: P(ρ < r) = 1 − exp(−r²/2σ²). The categories describe the
+# accuracy of the navigation only, not of the clock or the transmission.
 
-#: Radius of 95 % over the standard deviation of one axis: sqrt(−2 ln 0.05).
+#: 95 % radius over the standard deviation of one axis: sqrt(−2 ln 0.05).
 RADIUS_95 = float(np.sqrt(-2.0 * np.log(0.05)))
 #: Radii of 95 % in metres by NACp 0 to 11 (RTCA DO-260B): 10 NM is class 1, 3 m class 11.
 _NACP_M = (np.nan, 18520.0, 7408.0, 3704.0, 1852.0, 926.0, 555.6, 185.2, 92.6, 30.0, 10.0, 3.0)
@@ -207,8 +207,8 @@ def sigma_of_nucp(nucp: ArrayLike) -> FloatArray:
 def sigma_of_containment(radius_m: ArrayLike) -> FloatArray:
     """(n,) metres per axis, of containment radii Rc, for transponders that state nothing else.
 
-    Rc is exceeded almost never, and not a multiple of the error; the classes of DO-260 that state both have half of it
-    as their radius of 95 %, and so do we. Zero or less means not known.
+    Rc is a bound, not a multiple of σ; the categories of DO-260 that state both have Rc/2 as their 95 % radius, which
+    is used here for all. Zero or less means unknown.
     """
     radius = np.asarray(radius_m, dtype=np.float64)
     return np.where(radius > 0.0, 0.5 * radius / RADIUS_95, np.nan)
@@ -225,7 +225,7 @@ def sigma_of_nacv(nacv: ArrayLike) -> FloatArray:
 
 
 def round_covariance(sigma: ArrayLike) -> FloatArray:
-    """(n, 3) xx, xy, yy of errors that are alike in all directions; NaN where sigma is."""
+    """(n, 3) xx, xy, yy of isotropic errors; NaN where sigma is."""
     variance = np.square(np.asarray(sigma, dtype=np.float64))
     return np.stack([variance, np.where(np.isnan(variance), np.nan, 0.0), variance], axis=-1)
 

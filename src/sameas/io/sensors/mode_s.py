@@ -1,9 +1,9 @@
-"""Raw Mode S: the 14-byte messages of transponders in hexadecimal, one a line with its time.
+"""Raw Mode S: the 14-byte messages of transponders in hexadecimal, one per line with its time.
 
 ``1457996400.25,8D40621D58C382D690C8AC2863A7`` or the same with a blank; ``@`` and 12 digits of a 12 MHz counter before
-the message, as AVR receivers write (counted on from a start that the user gives). Positions come in two alternating
-halves (CPR); the decoder rs1090 (MIT) puts them together and checks the parity. NACp and the version come in messages
-of their own, NIC or NUCp with every position.
+the message, as AVR receivers write (counted from a start time that the user gives). Positions are encoded in two
+alternating halves (CPR); the decoder rs1090 (MIT) combines them and checks the parity. NACp and the version are in
+messages of their own, NIC or NUCp in every position message.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_
 from sameas.io.sensors.format import SensorFormat, round_covariance, sigma_of_nucp
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
-#: Characters of the longest line: a message and its time; a pattern would look at a longer one for ever (chosen).
+#: Characters of the longest line, a message and its time (chosen): the patterns take quadratic time.
 _LONGEST_LINE = 200
 _LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")
 _COUNTER_HZ = 12e6
@@ -79,13 +79,13 @@ def _messages(lines: Sequence[str]) -> tuple[list[int], list[str], list[tuple[fl
     for number, line in enumerate(lines, start=1):
         text = line.strip()
         if not text or text.startswith("#") or (number == 1 and text[0].isalpha() and "," in text):
-            # A first line of words has the names of the columns.
+            # The first line may have column names.
             continue
         match = _LINE.fullmatch(text) if len(text) <= _LONGEST_LINE else None
         digits = match["hex"] if match else ""
         counted = "@" in text and len(digits) in (26, 40)
         message = digits[12:] if counted else digits
-        # Some programs keep the prefix of a Beast receiver: kind, counter and signal.
+        # Some programs keep the prefix of a Beast receiver: type, counter and signal level.
         message = message[18:] if len(message) in (32, 46) else message
         if len(message) not in (14, 28):
             damaged.append((number, "no message of 14 or 28 hexadecimal digits"))
@@ -120,7 +120,7 @@ def _decoder() -> Callable[..., Any]:
 
 def _decoded(messages: Sequence[str], times: Sequence[float]) -> list[Mapping[str, Any] | None]:
     """The decoded messages; None where the parity is wrong."""
-    # All in one batch: the halves of a position are put together within one. Broken messages are left out of it.
+    # One batch, since the halves of a position are combined within a batch. The decoder omits broken messages.
     decoded = [one for one in _decoder()(messages, times, batch=len(messages)) if one]
     by_message: list[Mapping[str, Any] | None] = []
     place = 0
@@ -173,7 +173,7 @@ def _scaled(value: Any, unit: float) -> float | None:
 
 
 def _errors(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Covariances of NACp where it was sent; else of NUCp, by the kind of the message."""
+    """Covariances from NACp where it was sent, else from NUCp of the message type."""
     errors = errors_of(columns)
     by_kind = round_covariance(sigma_of_nucp(columns.get("nuc_p", np.full(len(columns["time_s"]), np.nan))))
     missing = ~np.isfinite(errors["covariance_m2"][:, 0])

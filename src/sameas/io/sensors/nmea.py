@@ -1,9 +1,8 @@
 """NMEA 0183: the sentences of a log, their checksums, and the log's own clock.
 
-``$RATTM,…*hh`` of navigation equipment and ``!AIVDM,…*hh`` of AIS are in the same files. Receivers write the time of
-receipt in many ways, all known here: a tag block (``\\c:1241544035*53\\!AIVDM…``), an instant before the sentence, an
-instant after its checksum (as coast guards do), a ``$PGHP`` sentence before it. Else own ship's ``ZDA`` and ``RMC``
-give the time.
+``$RATTM,…*hh`` of navigation equipment and ``!AIVDM,…*hh`` of AIS occur in the same files. The receive time may be a
+tag block (``\\c:1241544035*53\\!AIVDM…``), a time before the sentence, a time after its checksum (coast guards), or a
+``$PGHP`` sentence before it. Otherwise ``ZDA`` and ``RMC`` of own ship are the clock.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ _TAG_TIME = re.compile(r"(?:^|,)c:(\d+(?:\.\d+)?)")
 
 @dataclass(frozen=True)
 class Sentence:
-    """One sentence: the number of its line, ``text`` from its first character to the checksum, and its parts.
+    """One sentence. line : its number. text : from the first character to the checksum.
 
-    ``kind`` is the sentence without its talker ("TTM" of "RATTM"), ``fields`` what follows, from the first comma.
-    ``time_s`` is the time of receipt in the line, NaN where it has none.
+    kind : the sentence type without talker ("TTM" of "RATTM"). fields : the values after it.
+    time_s : the receive time in the line, NaN where it has none.
     """
 
     line: int
@@ -61,8 +60,8 @@ class Sentence:
 class Log:
     """The sentences of a file, and the time of each by the log's clock.
 
-    ``clock_s`` (n,) UTC; all NaN where the log has no time. ``clock`` is a phrase on whose clock it is.
-    ``damaged`` are numbers of lines with the reason, ``comments`` the number of lines that are none.
+    clock_s : (n,) UTC; all NaN where the log has no time. clock : description of the clock.
+    damaged : line numbers with the reason.
     """
 
     sentences: tuple[Sentence, ...]
@@ -74,8 +73,8 @@ class Log:
 def log_of(lines: Sequence[str], unended: bool = False, received_s: Sequence[float] | None = None) -> Log:
     """The sentences of these lines. Lines that are no sentences, or have a wrong checksum, are damaged.
 
-    unended : whether the last line has no end; then it must have its checksum.
-    received_s : (n,) of a stream, when each line came; it is the clock where the lines have no time of receipt.
+    unended : whether the last line has no line end; then it needs its checksum.
+    received_s : (n,) for a stream, the receive time of each line, used where the line has none.
     """
     sentences, damaged = [], []
     for number, raw in enumerate(lines, start=1):
@@ -88,8 +87,8 @@ def log_of(lines: Sequence[str], unended: bool = False, received_s: Sequence[flo
             damaged.append((number, sentence))
     if received_s is not None:
         own = np.array([sentence.time_s for sentence in sentences], np.float64)
-        came = np.array([received_s[sentence.line - 1] for sentence in sentences], np.float64)
-        return Log(tuple(sentences), np.where(np.isfinite(own), own, came), "the times of receipt", tuple(damaged))
+        received = np.array([received_s[sentence.line - 1] for sentence in sentences], np.float64)
+        return Log(tuple(sentences), np.where(np.isfinite(own), own, received), "the times of receipt", tuple(damaged))
     clock_s, clock = _clock(sentences)
     return Log(tuple(sentences), clock_s, clock, tuple(damaged))
 
@@ -132,7 +131,7 @@ def _degrees(text: str, side: str, digits: int, sides: str, limit: float) -> flo
 
 
 def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
-    """The sentence in a line, or why there is none. whole : whether the line has its end."""
+    """The sentence in a line, or why there is none. whole : whether the line has a line end."""
     tags = "".join(block + "," for block in _TAG_BLOCK.findall(raw))
     line = _TAG_BLOCK.sub("", raw)
     match = _SENTENCE.search(line)
@@ -152,7 +151,7 @@ def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
 
 
 def checksum(body: str) -> int:
-    """Exclusive or of what stands between the first character and the star."""
+    """Exclusive or of the bytes between the first character and the star."""
     total = 0
     for byte in body.encode("utf-8", errors="replace"):
         total ^= byte
@@ -160,7 +159,7 @@ def checksum(body: str) -> int:
 
 
 def _receipt(tags: str, before: str, after: str) -> float:
-    """The time of receipt in the line; NaN where it has none."""
+    """The receive time in the line; NaN where it has none."""
     tagged = _TAG_TIME.search(tags)
     if tagged:
         return seconds(float(tagged[1]))
@@ -207,7 +206,7 @@ def _date(year: int, month: int, day: int) -> float:
 
 
 def dated(day_s: FloatArray, clock_s: FloatArray, start_s: float | None) -> FloatArray:
-    """UTC (n,) of seconds of the day: on the day nearest to the clock, else counted from the start."""
+    """UTC (n,) of times of day: on the day nearest to the clock, else counted from the start."""
     if np.isfinite(clock_s).any():
         return np.asarray(day_s + DAY_S * np.round((clock_s - day_s) / DAY_S))
     return unwrapped(day_s, DAY_S, start_s) if start_s is not None else np.full(len(day_s), np.nan)

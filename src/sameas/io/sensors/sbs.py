@@ -1,8 +1,8 @@
 """SBS: the lines that dump1090 and its kin serve on port 30003 (``MSG,3,…``), as BaseStation wrote them first.
 
-Positions come in messages of type 2 and 3, velocities in 4 (2 on the ground), names in 1, codes in 6: every position
-gets the last fields of its aircraft. No message has accuracies. The times are local time of the receiver in some
-programs and UTC in others; the lines do not say which.
+Positions are in messages of type 2 and 3, velocities in 4 (2 on the ground), call signs in 1, squawks in 6: every
+position gets the latest fields of its aircraft. No message states accuracies. Times are local time of the receiver in
+some programs and UTC in others; the lines do not say which.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _FIELDS = {
 }
 
 
-#: By aircraft and name of a field its time and value.
+#: Time and value of the latest fields, by aircraft and field.
 Latest = dict[str, dict[str, tuple[float, Any]]]
 
 
@@ -39,10 +39,10 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
 
     Parameters
     ----------
-    lines : those that are no MSG (SEL, ID, AIR, STA, CLK) are passed over.
+    lines : other than MSG (SEL, ID, AIR, STA, CLK) are skipped.
     source : its name in messages.
-    unended : whether the last line has no end; then it must have all its cells.
-    latest_fields : of a stream, what came before; it is kept up to date.
+    unended : whether the last line has no line end; then it must have all its cells.
+    latest_fields : for a stream, the fields before these lines; updated.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
 
 
 def _message(cells: Sequence[str], least: int) -> tuple[float, str, dict[str, Any]]:
-    """Time, address and fields; ValueError has the problem. least : number of cells."""
+    """Time, address and fields. Raises ValueError with the reason. least : number of cells."""
     if cells[0].strip() != "MSG":
         raise ValueError("no SBS message")
     if len(cells) < least:

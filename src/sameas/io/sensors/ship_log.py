@@ -1,4 +1,4 @@
-"""A ship's log of NMEA 0183 sentences: the AIS and the tracked radar targets in it, as one source each."""
+"""A ship's log of NMEA 0183 sentences: its AIS and its tracked radar targets, as one source each."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def read(log: nmea.Log, source: str, start_s: float | None) -> list[Reports]:
     both = all(has.values())
     sources = [ais.read(log, f"{source}:ais" if both else source, start_s)] if has["ais"] else []
     if has["arpa"]:
-        # Lines that are no sentences are counted once, with the first source.
+        # Damaged lines are counted once, with the first source.
         rest = replace(log, damaged=()) if both else log
         sources.append(arpa.read(rest, f"{source}:arpa" if both else source, start_s))
     return sources

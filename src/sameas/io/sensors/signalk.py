@@ -1,8 +1,8 @@
-"""Signal K: the deltas that a server sends, one JSON object a line, of vessels and of targets of its radars.
+"""Signal K: the deltas of a server, one JSON object per line, of vessels and of radar targets.
 
-Positions of vessels become reports under their MMSI; speed, course, heading and name come in deltas of their own, and
-every position gets the last ones of its vessel. Own ship is ``vessels.self`` or what the hello calls ``self``; its own
-position is where the radars stand. Angles are radians, speeds m/s. Source: Signal K 1.7, "Delta format"; the Radar API
+Positions of vessels become reports under their MMSI; speed, course, heading and name are in deltas of their own, and
+every position gets the latest of its vessel. Own ship is ``vessels.self`` or ``self`` of the hello message; its
+position is that of the radars. Angles are radians, speeds m/s. Source: Signal K 1.7, "Delta format"; the Radar API
 of Signal K 2 puts targets under ``radars.ID.targets.NUMBER``.
 """
 
@@ -21,7 +21,7 @@ from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")
 _TARGET = re.compile(r"(?:^|\.)radars\.([^.]+)\.targets\.([^.]+)$")
-#: Paths of numbers, their columns, and the factor to our unit.
+#: Paths of numeric values, with their column and the factor to its unit.
 _NUMBERS = {
     "navigation.speedOverGround": ("speed_m_per_s", 1.0),
     "navigation.courseOverGroundTrue": ("course_deg", 180.0 / math.pi),
@@ -33,7 +33,7 @@ _STALE_S = 60.0
 
 @dataclass
 class Vessels:
-    """What came before: by context its last fields with their times, and who own ship is."""
+    """State before these lines: latest fields with their times, by context; context and position of own ship."""
 
     fields: dict[str, dict[str, tuple[float, Any]]] = field(default_factory=dict)
     own: str = "vessels.self"
@@ -46,7 +46,7 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
     Parameters
     ----------
     lines : JSON objects. source : its name in messages; of both ``source:ais`` and ``source:arpa``.
-    vessels : of a stream, what came before; it is kept up to date.
+    vessels : for a stream, the state before these lines; updated.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def _take(
 
 
 def _target(value: Any, radar: str, target: str, station: tuple[float, float]) -> dict[str, Any] | None:
-    """A radar's target; None where it is lost. Distance in metres and bearing in radians, from true north."""
+    """The row of a radar target, None where it is lost. In the message, metres and radians from true north."""
     if value is None or value.get("status") == "lost":
         return None
     position, motion = value.get("position", value), value.get("motion", value)

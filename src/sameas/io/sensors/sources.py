@@ -1,13 +1,14 @@
-"""Sources: files of sensors with the descriptions of the sensors, ready for a scene.
+"""Sources: sensor files with the descriptions of the sensors, as input of a scene.
 
-A source is named by its file (``radar.csv`` is radar), or by the user (``radar=plots.csv``). A TOML file describes
-sources by these names; beside what :class:`~sameas.tracks.source.Description` takes, a table may say how to read:
+A source is named after its file (``radar.csv`` is radar), or by the user (``radar=plots.csv``). A TOML file describes
+sources by these names; in addition to the fields of :class:`~sameas.tracks.source.Description`, a table may have
+options of reading:
 
     [sources.radar]
     kind = "marine radar"
     file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
 
-A source without a described kind gets that of its format, its name or its columns, which is printed.
+A source without a given kind gets one from its format, its name or its columns; the guess is printed.
 """
 
 from __future__ import annotations
@@ -29,32 +30,32 @@ from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, source_tables
 
-# Reading: the reports in a file of any known format, found out from its content.
+# Reading: the reports in a file, whose format is detected from its content.
 
 #: The formats, in the order in which they are tried.
 FORMATS: tuple[SensorFormat, ...] = (
     asterix.FORMAT, ship_log.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
 )  # fmt: skip
-#: What each of them is, by its name.
+#: Their descriptions, by name.
 REPORT_FORMATS: Mapping[str, str] = {known.name: known.label for known in (FORMATS[-1], *FORMATS[1:-1], FORMATS[0])}
 
 
 def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = None) -> list[Reports]:
-    """What sensors wrote: one :class:`~sameas.tracks.reports.Reports` for each sensor in the file.
+    """Reads a sensor file: one :class:`~sameas.tracks.reports.Reports` for each sensor in it.
 
     Parameters
     ----------
     path : a file of one of :data:`REPORT_FORMATS`, gzipped or not. A ship's log may hold its AIS and its radar, an
-        ASTERIX capture many radars: they come as one source each.
-    options : what the file does not say.
+        ASTERIX capture several radars: they are separate sources.
+    options : for what the file does not contain.
 
     Returns
     -------
-    Reports with times in UTC, metres and degrees. Lines that cannot be used are in ``damaged``, with their numbers.
+    Reports with times in UTC, metres and degrees. Unusable lines are in ``damaged``, with their numbers.
 
     Raises
     ------
-    InputError : no such file; nothing in it can be used; no time or no position in it; a format that is not known.
+    InputError : no such file; no usable report; no time or position; an unknown format.
 
     Example
     -------
@@ -76,7 +77,7 @@ def read_reports(path: str | os.PathLike[str], options: ReadOptions | None = Non
 
 
 def _with_last_line(reports: Reports, file: SensorFile) -> Reports:
-    """The same reports; a damaged last line that has no end was cut off with the file."""
+    """The reports; a damaged last line without line end is called incomplete."""
     damaged, last = reports.damaged, len(file.lines) if file.unended else 0
     if last not in damaged.lines or damaged.unit != "line":
         return reports
@@ -85,7 +86,7 @@ def _with_last_line(reports: Reports, file: SensorFile) -> Reports:
 
 
 def format_of(file: SensorFile) -> SensorFormat:
-    """The format that the content of a file has.
+    """The format of a file, detected from its content.
 
     Raises
     ------
@@ -100,12 +101,12 @@ def format_of(file: SensorFile) -> SensorFormat:
     raise InputError(f"{file.source}: is binary, but neither ASTERIX, pcap nor Parquet; give another file")
 
 
-#: The kind of source that writes a format, where they have different names.
+#: The kind of source of a format.
 KIND_OF_FORMAT: Mapping[str, str] = {
     "ais": "ais", "arpa": "marine radar", "adsb": "ads-b", "asterix 021": "ads-b", "asterix 048": "air radar",
     "asterix 062": "tracks",
 }  # fmt: skip
-#: Words in the name of a table, and the kinds that they mean.
+#: Words in the name of a source, and the kind that they indicate.
 _WORDS = {
     "airradar": "air radar", "radar": "marine radar", "lidar": "lidar", "ais": "ais", "adsb": "ads-b", "mlat": "mlat",
     "esm": "esm", "camera": "camera", "tracks": "tracks",
@@ -114,13 +115,13 @@ _WORDS = {
 _FILE: Mapping[str, type | tuple[type, ...]] = {
     "path": str, "format": str, "start": (str, int, float, date), "columns": Mapping, "units": Mapping,
 }  # fmt: skip
-#: Columns of a table, and the kind of source that has them.
+#: Columns of a table, and the kind of source that they indicate.
 _COLUMNS = {"mmsi": "ais", "icao": "ads-b", "range_m": "marine radar", "covariance_m2": "tracks"}
 
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """The user's options of one source: its description, how to read it, and its file where it is given here.
+    """The user's options of one source: description, options of reading, and file, if given here.
 
     has_kind : whether the user gives its kind.
     """
@@ -133,7 +134,7 @@ class SourceOptions:
 
 @dataclass(frozen=True)
 class SensorSource:
-    """One source that was read. why_kind : on what the kind was guessed; None where the user gave it."""
+    """One source that was read. why_kind : reason of a guessed kind; None where the user gave it."""
 
     description: Description
     reports: Reports
@@ -154,7 +155,7 @@ def read_source_options(path: str | Path) -> dict[str, SourceOptions]:
 
     Raises
     ------
-    InputError : not TOML, no sources, a name that is not known.
+    InputError : not TOML, no sources, an unknown name.
     """
     return {name: _options(name, table, Path(path)) for name, table in source_tables(path).items()}
 
@@ -189,15 +190,15 @@ def read_sources(
     start: str | None = None,
     set_aside: list[InputError] | None = None,
 ) -> list[SensorSource]:
-    """Every source of the files, and of those that the descriptions name, with its description.
+    """All sources of the given files, and of files named in the descriptions, with their descriptions.
 
     Parameters
     ----------
     files : paths, or NAME=PATH. A file that holds several sensors (a log of AIS and radar) gives NAME:ais, NAME:arpa.
     options : by name, from :func:`read_source_options`.
     start : UTC of the first line of files with the time of day only.
-    set_aside : takes what is wrong with files that are there but cannot be read, while others can; without it, and
-        where none can be read, the first of them is refused.
+    set_aside : receives the errors of files that exist but cannot be read, if others can. Without it, and if no file
+        can be read, the first error is raised.
 
     Raises
     ------
@@ -225,7 +226,7 @@ def read_sources(
         raise next(iter(unread.values()))
     if set_aside is not None:
         set_aside += unread.values()
-    _all_used(sources, {name: one for name, one in described.items() if name not in unread})
+    _check_all_used(sources, {name: one for name, one in described.items() if name not in unread})
     names = [source.description.name for source in sources]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -243,7 +244,7 @@ def _named(argument: str) -> tuple[str, Path]:
 
 
 def source_of(reports: Reports, options: SourceOptions | None, path: Path) -> SensorSource:
-    """The source of these reports, with its description, or the kind that its format, name or columns tell."""
+    """The source of these reports, with its description; a missing kind is guessed."""
     if options is not None and options.has_kind:
         return SensorSource(options.description, reports, path, None)
     kind, why = _kind(reports)
@@ -277,7 +278,7 @@ def _kind(reports: Reports) -> tuple[str, str]:
 
 
 def toml_table(name: str) -> str:
-    """How the table of a source begins in a TOML file.
+    """The header of the table of a source in a TOML file.
 
     >>> toml_table("radar"), toml_table("bridge:ais")
     ('[sources.radar]', '[sources."bridge:ais"]')
@@ -285,7 +286,7 @@ def toml_table(name: str) -> str:
     return f"[sources.{name}]" if re.fullmatch(r"[A-Za-z0-9_-]+", name) else f'[sources."{name}"]'
 
 
-def _all_used(sources: Sequence[SensorSource], options: Mapping[str, SourceOptions]) -> None:
+def _check_all_used(sources: Sequence[SensorSource], options: Mapping[str, SourceOptions]) -> None:
     names = [source.description.name for source in sources]
     for name in options:
         if name not in names:

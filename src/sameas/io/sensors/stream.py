@@ -1,7 +1,7 @@
-"""Streams: the formats of files as they come over a wire, a piece at a time.
+"""Streams: the file formats of this package, decoded from bytes as they arrive over a wire.
 
-A :class:`ReportStream` cuts what it is given into lines or datagrams and has the readers of this package read them;
-what they remember between lines (parts of messages, names of ships, own ship's heading) is kept from piece to piece.
+A :class:`ReportStream` splits its input into lines or datagrams and passes them to the readers. The state that these
+need between lines (incomplete messages, names of ships, heading of own ship) is kept from piece to piece.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from sameas.io.sensors.asterix.records import looks_like
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
 
-#: A line longer than this is damaged: the format is another, or bytes were lost.
+#: A line of more bytes is damaged: the format is a different one, or bytes were lost.
 LONGEST_LINE = 4 << 20
-#: Aircraft and blocks that are remembered, at most; then the memory begins anew.
+#: Largest number of aircraft, or blocks, in the state; above it, the state is cleared.
 MOST_REMEMBERED = 20_000
 STREAM_FORMATS = ("nmea", "sbs", "aircraft", "asterix", "table", "signalk")
 
 
 def format_of(data: bytes) -> str | None:
-    """The format of the first bytes of a stream; None where they do not tell yet."""
+    """The format of a stream from its first bytes; None while it cannot be determined."""
     if looks_like(data):
         return "asterix"
     text = data.lstrip()
@@ -46,17 +46,17 @@ def format_of(data: bytes) -> str | None:
 
 @dataclass
 class ReportStream:
-    """Reports out of bytes as they come.
+    """Decodes bytes to reports as they arrive.
 
     Parameters
     ----------
-    source : its name in messages; sensors of a stream of several are called as in a file, NAME:ais, NAME:048 1/2.
-    format : one of :data:`STREAM_FORMATS`; None: by the first bytes.
-    options : of tables, their columns and units.
+    source : its name in messages; several sensors of a stream are named as in a file, NAME:ais, NAME:048 1/2.
+    format : one of :data:`STREAM_FORMATS`; None: detected from the first bytes.
+    options : columns and units of tables.
 
     Attributes
     ----------
-    damaged, passed_over : by reason the number of lines or records that were not used.
+    damaged, passed_over : number of unused lines or records by reason.
 
     Example
     -------
@@ -90,7 +90,7 @@ class ReportStream:
         self._blocks: set[tuple[int, bytes]] = set()
 
     def feed(self, data: bytes, received_s: float, *, whole: bool = False) -> None:
-        """Takes bytes that came then. whole : a datagram, which ends what it holds."""
+        """Adds bytes received at this time. whole : whether they are a datagram, whose last line is complete."""
         if self.format is None:
             self.format = format_of(self._rest + data)
         if self.format == "asterix":
@@ -109,7 +109,7 @@ class ReportStream:
             self.format = format_of("\n".join(line for _, line in self._lines).encode() + b"\n")
 
     def _feed_blocks(self, data: bytes, received_s: float) -> None:
-        """Whole blocks; a rest that is no block yet waits for the next bytes."""
+        """Adds complete blocks; an incomplete one waits for the next bytes."""
         at = 0
         while at + 3 <= len(data):
             length = int.from_bytes(data[at + 1 : at + 3], "big")
@@ -126,18 +126,18 @@ class ReportStream:
 
     @property
     def own_ship(self) -> tuple[float, float, float]:
-        """Latitude, longitude and heading of own ship as the stream gave them last, NaN where it did not."""
+        """The latest latitude, longitude and heading of own ship in the stream, NaN where unknown."""
         if self.format == "signalk":
             heading = self._vessels.fields.get("self", {}).get("heading_deg", (0.0, math.nan))[1]
             return (*self._vessels.station, heading)
         return self._ship.lat, self._ship.lon, self._ship.heading
 
     def reports(self) -> list[Reports]:
-        """The reports of all that has come since the last time, one :class:`Reports` a sensor.
+        """The reports in the data since the last call, one :class:`Reports` per sensor.
 
         Raises
         ------
-        InputError : what came can be no report of this format: a column, a library or a time is missing.
+        InputError : the data have no report of this format: a column, a library or a time is missing.
         """
         if not self._lines and not self._datagrams:
             return []
@@ -160,7 +160,7 @@ class ReportStream:
         if self.format == "signalk":
             return self._read(lambda: signalk.read(texts, self.source, self._vessels))
         if self.format == "table":
-            # One line that is none must not make the others a table of another kind.
+            # A line of another kind must not change the format of the others.
             rows = [text for text in texts if text.lstrip()[:1] == "{"]
             self.damaged["no JSON object"] += len(texts) - len(rows)
             if not rows:
@@ -189,7 +189,7 @@ class ReportStream:
         return out
 
     def _read(self, read: Callable[[], list[Reports]]) -> list[Reports]:
-        """What a reader makes of a piece; without reports it is counted what there was."""
+        """The reports of a reader; its counts of damaged and skipped lines are added to ours."""
         try:
             out = read()
         except NoReports as nothing:

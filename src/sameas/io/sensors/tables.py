@@ -1,12 +1,11 @@
 """Tables: reports in CSV, Parquet or JSON lines, with columns recognised by their names.
 
-Any table of positions will do: latitude and longitude, x and y, range and bearing, or bearings alone; speeds, errors
-and identities where it has them. A line with too few cells, or with words where a number belongs, is damaged; the
-others are read.
+A table needs times and positions: latitude and longitude, x and y, range and bearing, or bearings alone; speeds, errors
+and identities are optional. A line with too few cells, or with text in place of a number, is damaged and skipped.
 
-Which column is which quantity, in which unit, and why: names are compared without case, blanks and signs, less a unit
-at their end: ``SOG_knots``, ``sog (kn)`` and ``SOG`` are the same column. The user's own choice wins. Two columns that
-are equally good are refused with the choices.
+Columns are recognised by their names, compared without case, blanks, signs and a unit at their end: ``SOG_knots``,
+``sog (kn)`` and ``SOG`` are the same quantity. Columns named by the user take precedence. Two columns of equal rank are
+refused, with the choices.
 """
 
 from __future__ import annotations
@@ -59,7 +58,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 
 @dataclass(frozen=True)
 class SensorQuantity:
-    """One quantity: the column of Reports it becomes, its kind, and the names under which it goes, the best first."""
+    """One quantity: its column in Reports, its kind, and its known names, the preferred first."""
 
     column: str
     kind: str
@@ -123,7 +122,7 @@ QUANTITIES = (
     _quantity("length_m", "length", "length loa"),
     _quantity("width_m", "length", "width beam"),
 )
-#: Unstated units: a sentence, columns that identify the habit, names with that unit, the unit.
+#: Conventional units where none is stated: sentence, columns that indicate the convention, names, unit.
 _HABITS = (
     ("ship speeds are knots", ("mmsi", "imo"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
@@ -147,18 +146,18 @@ class Choice:
 def choose(
     names: Sequence[str], source: str, named: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> dict[str, Choice]:
-    """Which columns are which quantities, by the column of Reports that each becomes.
+    """The recognised columns, by their column in Reports.
 
     Parameters
     ----------
     names : of the table's columns.
     source : its name in messages.
-    named : by quantity (``lat_deg``, ``time_s`` …) the name of the column that it is; None as name: not there.
-    units : by name of a column of the table the unit that it is in.
+    named : name of the column of a quantity (``lat_deg``, ``time_s`` …); None: the table does not have it.
+    units : unit of a column, by its name in the table.
 
     Raises
     ------
-    InputError : two equally good columns, a name or a unit that does not exist.
+    InputError : two columns of equal rank, an unknown name or unit.
     """
     named, units = dict(named or {}), dict(units or {})
     _check_named(names, source, named, units)
@@ -186,7 +185,7 @@ def choose(
 
 
 def naming_columns(*quantities: str) -> Message:
-    """The remedy that names the columns of quantities."""
+    """The remedy: name the columns of these quantities."""
     pairs = ", ".join(f"{quantity!r}: NAME" for quantity in quantities)
     return Message("give ", Argument("columns", f"{{{pairs}}}"))
 
@@ -203,18 +202,18 @@ def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], un
 
 
 def _stem(name: str) -> tuple[str, str]:
-    """The name without signs and unit, and the unit at its end, or an empty one."""
+    """The name without signs and unit, and the unit at its end, or ""."""
     words = re.findall(r"[a-z0-9]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name).lower().replace("²", "2"))
-    every = {unit for kinds in UNITS.values() for unit in kinds}
+    known_units = {unit for kinds in UNITS.values() for unit in kinds}
     for count in (4, 3, 2, 1):
         unit = "".join(words[-count:])
-        if len(words) > count and unit in every:
+        if len(words) > count and unit in known_units:
             return "".join(words[:-count]), unit
     return "".join(words), ""
 
 
 def _rank(name: str, quantity: SensorQuantity, stems: Mapping[str, tuple[str, str]]) -> int | None:
-    """How well a name fits; None where it does not."""
+    """The rank of a name for a quantity, 0 for the best; None where it does not match."""
     whole = "".join(stems[name])
     for rank, known in enumerate(quantity.names):
         stem, unit = stems[name]
@@ -244,10 +243,10 @@ def _choice(
 
 
 def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]]) -> dict[str, Choice]:
-    """The course, where its name misleads.
+    """Corrects ambiguous names of courses.
 
-    A column "track" is a course beside speeds, and the number of a track elsewhere; "heading" of OpenSky's states is
-    the course over ground.
+    "track" is a course in tables with speeds, and a track number in others; "heading" in OpenSky's state vectors is the
+    course over ground.
     """
     course, heading = chosen.get("course_deg"), chosen.get("heading_deg")
     opensky = any(stems[name][0] == "lastposupdate" for name in stems)
@@ -276,7 +275,7 @@ _CELLS = 1 << 24
 
 @dataclass(frozen=True)
 class _LazyColumns(Mapping[str, Sequence[Any]]):
-    """Columns that are made when they are asked for: few of those of a table are used."""
+    """Columns that are converted on access, since few columns of a table are used."""
 
     names: Sequence[str]
     column: Callable[[str], Sequence[Any]]
@@ -295,9 +294,9 @@ class _LazyColumns(Mapping[str, Sequence[Any]]):
 
 @dataclass(frozen=True)
 class TableText:
-    """A table as it stands: cells (text, numbers or None) by name of the column, and the line of each row.
+    """The cells of a table (text, numbers or None) by column, and the line number of each row.
 
-    unended : whether its last line has no end.
+    unended : whether the last line has no line end.
     """
 
     columns: Mapping[str, Sequence[Any]]
@@ -307,20 +306,20 @@ class TableText:
 
 
 def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
-    """The cells of lines with commas, semicolons, tabs or bars between them, in ECSV with blanks. Lines that begin with
-    # are comments."""
+    """The cells of lines separated by commas, semicolons, tabs or bars (ECSV: also blanks). Lines that begin with # are
+    comments."""
     ecsv = bool(lines) and lines[0].startswith(ECSV)
     # A comment with the delimiter of the rows may be the line of names, as in Danish AIS.
     number = next(
         (
             k
             for k, line in enumerate(lines, start=1)
-            if line.strip() and (line[0] != "#" or (_splits(line) and not ecsv))
+            if line.strip() and (line[0] != "#" or (_delimiter_of(line) and not ecsv))
         ),
         1,
     )
     named = lines[number - 1].lstrip("# ")
-    delimiter = _splits(named) or (" " if ecsv else "")
+    delimiter = _delimiter_of(named) or (" " if ecsv else "")
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
     names = [name.strip() for name in next(csv.reader([named], delimiter=delimiter))]
@@ -349,7 +348,7 @@ def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
 
 
 def cells_of_json(lines: Sequence[str], source: str) -> TableText:
-    """The cells of JSON objects, one a line or all in one list; an object within is opened by the names in it."""
+    """The cells of JSON objects, one per line or in one list; nested objects are flattened."""
     rows: list[dict[str, Any]] = []
     places: list[int] = []
     damaged: list[tuple[int, str]] = []
@@ -366,7 +365,7 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
                     damaged.append((number, "no JSON"))
     for number, value in objects:
         if isinstance(value, dict):
-            rows.append(_opened(value))
+            rows.append(_flattened(value))
             places.append(number)
         else:
             damaged.append((number, "no JSON object"))
@@ -424,8 +423,8 @@ def read(
     cells : of the table.
     source : its name in messages.
     start_s : UTC date of the first row, for tables with the time of day only.
-    columns : by quantity (``lat_deg``, ``time_s`` …) the name of the column, where it is not recognised.
-    units : by name of a column its unit.
+    columns : name of the column of a quantity (``lat_deg``, ``time_s`` …), where it is not recognised.
+    units : unit of a column, by its name.
 
     Raises
     ------
@@ -456,12 +455,12 @@ def read(
     )  # fmt: skip
 
 
-def _splits(line: str) -> str:
-    """The delimiter of the columns; empty where there is none."""
+def _delimiter_of(line: str) -> str:
+    """The delimiter in a line; "" where there is none."""
     return next((sign for sign in _DELIMITERS if sign in line), "")
 
 
-def _opened(nested: Mapping[str, Any]) -> dict[str, Any]:
+def _flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {}
     for name, value in nested.items():
         for inner, cell in value.items() if isinstance(value, dict) else [(name, value)]:
@@ -490,7 +489,7 @@ def _check_chosen(chosen: Mapping[str, Choice], names: Sequence[str], source: st
 
 
 def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArray[Any]:
-    """A column in our units; cells that are no numbers damage their lines."""
+    """A column in SI units or degrees; lines with cells that are not numbers become damaged."""
     column = cells.columns[choice.name]
     if choice.quantity.kind == "text":
         return _texts(column, choice.quantity.column)
@@ -510,7 +509,7 @@ def _values(cells: TableText, choice: Choice, damaged: dict[int, str]) -> NDArra
 
 
 def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
-    """Texts as people write them: whole numbers without a point, addresses in small letters, codes in four digits."""
+    """Text cells in standard form: integers without decimal point, ICAO addresses in lower case, 4-digit squawks."""
     texts: list[str | None] = []
     for cell in column:
         if isinstance(cell, float):
@@ -532,7 +531,7 @@ def _texts(column: Sequence[Any], quantity: str) -> NDArray[np.object_]:
 def _times(
     cells: TableText, chosen: Mapping[str, Choice], source: str, start_s: float | None, damaged: dict[int, str]
 ) -> tuple[FloatArray, str]:
-    """UTC of the rows, and how it was read."""
+    """The time of each row, and a note on its interpretation."""
     choice = chosen.get("time_s") or chosen["day_s"]
     column = list(cells.columns[choice.name])
     parts = [next((name for name in cells.columns if name.lower() == part), None) for part in ("date", "time")]
@@ -547,7 +546,7 @@ def _times(
             return times, f"{source}: {choice.name} is read as " + (
                 "seconds from an origin of its own: all sources must use the same origin" if low else "UTC"
             )
-    times = np.array([_of_day(cell) for cell in column])
+    times = np.array([_seconds_of_day(cell) for cell in column])
     _mark(np.isnan(times), cells.lines, damaged, "no time")
     if not np.isfinite(times).any():
         raise InputError(
@@ -564,7 +563,7 @@ def _times(
 
 
 def _instants(column: Sequence[Any], choice: Choice, source: str) -> FloatArray:
-    """Instants of numbers, of ISO text, of days before months or months before days; NaN where none can be read."""
+    """Times in seconds, from numbers, ISO text or dates like 13/01/2024; NaN where a cell is none of these."""
     try:
         numbers = np.array(column, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
@@ -578,7 +577,7 @@ def _instants(column: Sequence[Any], choice: Choice, source: str) -> FloatArray:
 
 
 def _day_month_dates(texts: Sequence[str], source: str) -> FloatArray:
-    """Dates like 13/01/2024 12:00:00: the day is the one with a number above 12."""
+    """Times from dates like 13/01/2024 12:00:00; a number above 12 shows which one is the day."""
     matches = [_DAY_FIRST.fullmatch(text) for text in texts]
     firsts = [(int(match[1]), int(match[2])) for match in matches if match]
     day_first, month_first = any(a > 12 for a, _ in firsts), any(b > 12 for _, b in firsts)
@@ -595,7 +594,7 @@ def _day_month_dates(texts: Sequence[str], source: str) -> FloatArray:
     return np.array(times)
 
 
-def _of_day(cell: Any) -> float:
+def _seconds_of_day(cell: Any) -> float:
     match = _OF_DAY.fullmatch(str(cell).strip())
     if match:
         return 3600.0 * int(match[1]) + 60.0 * int(match[2]) + float(match[3])
@@ -611,7 +610,7 @@ def _mark(rows: BoolArray, lines: IntArray, damaged: dict[int, str], reason: str
 
 
 def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int, str]) -> None:
-    """Rows without a position, or with one outside the earth."""
+    """Marks rows without a position, or with an impossible one, as damaged."""
     pairs = [pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values]
     missing = np.logical_and.reduce([np.isnan(sum(values[name] for name in pair)) for pair in pairs])
     _mark(missing, lines, damaged, "no position")
@@ -626,13 +625,13 @@ def _mark_unusable(values: Mapping[str, Any], lines: IntArray, damaged: dict[int
 
 
 def _with_track_id(values: dict[str, Any]) -> dict[str, Any]:
-    """The track id: where the table has none, the identity of the reports."""
+    """The values with a track id; where the table has none, MMSI or ICAO address."""
     own = next((name for name in ("mmsi", "icao") if name in values), None)
     return values if "track_id" in values or own is None else values | {"track_id": values[own]}
 
 
 def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
-    """Without repeated rows of the same object, time and place, and their number."""
+    """The values without repeated rows (same object, time and position), and the number of these."""
     if "track_id" not in values:
         return values, 0
     place = next(pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values)
@@ -645,7 +644,7 @@ def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
 
 
 def _with_covariances(values: dict[str, Any]) -> dict[str, Any]:
-    """Covariances instead of the columns of which they are made; a covariance before standard deviations."""
+    """The values with covariance matrices instead of their columns; covariances take precedence over sigmas."""
     position = _matrix(values, ("cov_xx", "cov_xy", "cov_yy"), ("sigma_x_m", "sigma_y_m"))
     circle = values.pop("sigma_m", None)
     if position is None and circle is not None:

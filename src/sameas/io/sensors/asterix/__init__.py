@@ -1,7 +1,7 @@
 """ASTERIX: the binary records of radars, trackers and ADS-B ground stations (EUROCONTROL-SPEC-0149).
 
-``records`` takes files and network captures apart into blocks of one category and walks through the records of each;
-``cat021``, ``cat048`` and ``cat062`` say what their items mean; here they become the reports of every sensor.
+``records`` splits files and network captures into blocks of one category, and blocks into records; ``cat021``,
+``cat048`` and ``cat062`` decode their items; this module groups them into the reports of each sensor.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ def read(
 
     Parameters
     ----------
-    content : blocks one after the other, or a pcap capture. A line number is the number of the record in the file.
-    source : its name in messages; several sensors are called ``source:048 SAC/SIC``.
+    content : consecutive blocks, or a pcap capture. Line numbers are those of the records in the file.
+    source : its name in messages; several sensors are named ``source:048 SAC/SIC``.
     start_s : UTC date of the first record, for files that are no capture: records have the time of day only.
-    received_s, blocks_read : of a stream, when these blocks came, and those that came before, kept up to date; every
-        sensor is then named as one of several.
+    received_s, blocks_read : for a stream, the receive time and the earlier blocks (updated); every sensor is then
+        named as one of several.
 
     Raises
     ------
@@ -69,10 +69,10 @@ def read(
     live = blocks_read is not None
     blocks_read = set() if blocks_read is None else blocks_read
     for block in blocks_of(content, received_s):
-        again = (block.category, block.data) in blocks_read
+        repeated = (block.category, block.data) in blocks_read
         blocks_read.add((block.category, block.data))
-        if again and not block.problem:
-            # Sensors send over two networks; times of day make every other block new.
+        if repeated and not block.problem:
+            # Sensors may send over two networks; otherwise blocks differ by their time of day.
             passed_over["block that came before, from a second network"] += 1
         elif block.problem:
             damaged.append((number + 1, block.problem))

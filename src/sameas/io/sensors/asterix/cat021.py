@@ -17,7 +17,7 @@ _TIMES = ("071", "073", "077")
 
 
 def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
-    """One report, or why the record is none."""
+    """The row of a report, or the reason why the record has none."""
     position = items.get("131") or items.get("130")
     if position is None:
         return "021 without a position"
@@ -96,7 +96,7 @@ def _quality(items: Mapping[str, Any]) -> dict[str, float]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """The assumptions on these records."""
+    """The assumptions about these records."""
     return (
         f"{source}: errors are NACp (radius of 95 % over 2.45), NUCp where the transponder is of version 0, else half "
         "of the containment radius of NIC as the radius of 95 %",

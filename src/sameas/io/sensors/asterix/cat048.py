@@ -20,7 +20,7 @@ _DETECTIONS = (None, "primary", "secondary", "primary and secondary", "Mode S al
 
 
 def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
-    """One report, or why the record is none."""
+    """The row of a report, or the reason why the record has none."""
     if "040" not in items:
         return "048 without a measured position"
     kind = items["020"][0] if "020" in items else 0
@@ -83,7 +83,7 @@ def _quality(item: bytes | None) -> dict[str, float]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """The assumptions on these records."""
+    """The assumptions about these records."""
     return (
         f"{source}: ranges are slant ranges; the description of the radar must state its position and height",
         f"{source}: bearings are taken from true north; errors are those of the radar's description, or of item 210",

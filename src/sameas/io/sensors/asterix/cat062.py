@@ -16,7 +16,7 @@ _APC_M, _APW_DEG, _ATV_M_PER_S = 0.5, 180.0 / 2.0**25, 0.25
 
 
 def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
-    """One track at one instant, or why the record is none."""
+    """The row of a track report, or the reason why the record has none."""
     status = items.get("080", b"")
     # Byte 2 tells that a track is simulated (SIM) or ends (TSE), byte 4 that it is coasted (CST).
     if len(status) > 1 and status[1] & 0x80:
@@ -123,7 +123,7 @@ def _metres_per_degree(lat_deg: Any) -> tuple[Any, Any]:
 
 
 def notes(source: str) -> tuple[str, ...]:
-    """The assumptions on these records."""
+    """The assumptions about these records."""
     return (
         f"{source}: accuracies are those of item 500; its x and y are read as east and north of the track",
         f"{source}: tracks are the output of a tracker: their errors are correlated in time",

@@ -1,4 +1,4 @@
-"""Records: the items of one block, by name, as bytes."""
+"""Blocks and records of ASTERIX: the items of each record, by name, as bytes."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-# Blocks: where ASTERIX begins and ends in a file of bare blocks or in a network capture.
+# Blocks, in a file of consecutive blocks or in a network capture.
 #
-# It reads files of blocks one after the other, and pcap captures of UDP (Ethernet, Linux cooked, bare IP); a capture
-# also has the time of each packet, and with it the date that the records lack.
+# Captures are pcap files of UDP packets (Ethernet, Linux cooked, raw IP). They have the time of each packet, and so
+# the date, which records lack.
 
 _PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e6), b"\xa1\xb2\xc3\xd4": (">", 1e6),
          b"\x4d\x3c\xb2\xa1": ("<", 1e9), b"\xa1\xb2\x3c\x4d": (">", 1e9)}  # fmt: skip
@@ -20,9 +20,9 @@ PCAPNG = b"\x0a\x0d\x0d\x0a"
 
 @dataclass(frozen=True)
 class Block:
-    """One block: the number of its packet (1 in a bare file), its place there, its category, the data after the head.
+    """One block. packet : its number (1 in a bare file). offset : in the packet. data : after the block header.
 
-    ``received_s`` is the time of its packet, NaN where the file has none. ``problem`` is why there is no data.
+    received_s : time of the packet, NaN in a bare file. problem : why there is no data.
     """
 
     packet: int
@@ -34,12 +34,12 @@ class Block:
 
 
 def blocks_of(content: bytes, received_s: float = float("nan")) -> Iterator[Block]:
-    """The blocks in a file, or in a datagram received then. Other bytes become a block with a problem."""
+    """The blocks in a file, or in a datagram received at this time. Invalid bytes become a block with a problem."""
     if content[:4] in _PCAP:
         for number, (received_s, payload) in enumerate(_packets(content), start=1):
-            yield from _cut(payload, number, received_s)
+            yield from _split(payload, number, received_s)
     else:
-        yield from _cut(content, 1, received_s)
+        yield from _split(content, 1, received_s)
 
 
 def looks_like(content: bytes) -> bool:
@@ -52,7 +52,7 @@ def looks_like(content: bytes) -> bool:
     return 4 <= length <= len(content) and (length == len(content) or content[length] < 248)
 
 
-def _cut(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
+def _split(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
     at = 0
     while at < len(data):
         length = int.from_bytes(data[at + 1 : at + 3], "big")
@@ -65,7 +65,7 @@ def _cut(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
 
 
 def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
-    """Times and UDP payloads of a pcap file; other packets are left out, and fragments too."""
+    """Times and UDP payloads of a pcap file; other packets and fragments are skipped."""
     order, unit = _PCAP[content[:4]]
     link = struct.unpack(order + "I", content[20:24])[0] & 0xFFFF if len(content) >= 24 else -1
     skipped = _LINKS.get(link)
@@ -79,7 +79,7 @@ def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
 
 
 def _udp(frame: bytes, skipped: int) -> bytes:
-    """The UDP payload of a frame over IPv4 or IPv6; empty where there is none."""
+    """The UDP payload of a frame with IPv4 or IPv6; empty where there is none."""
     if skipped == 14:
         while frame[skipped - 2 : skipped] in (b"\x81\x00", b"\x88\xa8"):
             skipped += 4
@@ -95,15 +95,15 @@ def _udp(frame: bytes, skipped: int) -> bytes:
     return udp[8 : int.from_bytes(udp[4:6], "big")]
 
 
-# Layout: which items a record of each category may have, in the order of its field specification, and their lengths.
+# Layout: the items of a record of each category, in the order of the field specification (FSPEC), and their lengths.
 #
-# A length is written as
+# A length is
 #
-# - ``3`` — so many bytes;
-# - ``"1+"`` — parts of so many bytes, the lowest bit of each says whether another follows;
-# - ``"n8"`` — a count in one byte, then so many parts of 8 bytes;
-# - ``"len"`` — the first byte is the length of the item, itself included;
-# - a tuple of (name, length) — a compound: a field specification of its own, then the subfields that it names.
+# - ``3`` — number of bytes;
+# - ``"1+"`` — parts of this many bytes; the lowest bit of a part is set if another follows;
+# - ``"n8"`` — repetition count in one byte, then that many parts of 8 bytes;
+# - ``"len"`` — the first byte is the length of the item, including itself;
+# - a tuple of (name, length) — compound item: a field specification of its own, then its subfields.
 #
 # Sources: EUROCONTROL-SPEC-0149-12 (category 021, editions 2.1 to 2.7), -4 (048, 1.27 to 1.32), -9 (062, 1.16 to 1.21).
 
@@ -186,15 +186,15 @@ Item = bytes | Mapping[str, bytes]
 
 
 class DamagedRecord(ValueError):
-    """A record that ends in the middle of an item, or names an item that its category does not have."""
+    """A record that ends within an item, or has an item that its category does not define."""
 
 
 def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Item]]:
-    """The records in the data of a block, the items of each by name; compounds by the names of their subfields.
+    """The records in the data of a block: items by name, compound items as mappings of their subfields.
 
     Raises
     ------
-    DamagedRecord : after the last whole record; what follows it in the block cannot be found.
+    DamagedRecord : after the last valid record; the start of the next one cannot be determined.
 
     Example
     -------
@@ -206,7 +206,7 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
     at = 0
     while at < len(data):
         items: dict[str, Item] = {}
-        chosen, at = _chosen(category.items, data, at)
+        chosen, at = _fields_of(category.items, data, at)
         for name, length in chosen:
             if isinstance(length, tuple):
                 items[name], at = _compound(length, data, at)
@@ -221,7 +221,7 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
 
 def _compound(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[Mapping[str, bytes], int]:
     parts: dict[str, bytes] = {}
-    chosen, at = _chosen(fields, data, at)
+    chosen, at = _fields_of(fields, data, at)
     for name, length in chosen:
         end = _end(length, data, at)
         parts[name] = data[at:end]
@@ -229,8 +229,8 @@ def _compound(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[M
     return parts, at
 
 
-def _chosen(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[list[Field], int]:
-    """The items that a field specification names, and where it ends; seven bits a byte, the eighth tells of more."""
+def _fields_of(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[list[Field], int]:
+    """The items of a field specification, and its end: 7 per byte, whose lowest bit says whether another follows."""
     chosen: list[Field] = []
     bit = 0
     while True:
@@ -250,7 +250,7 @@ def _chosen(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[lis
 
 
 def _end(length: Length, data: bytes, at: int) -> int:
-    """Where the item at ``at`` ends."""
+    """The end of the item that starts at ``at``."""
     if isinstance(length, int):
         end = at + length
     elif isinstance(length, tuple):
@@ -272,21 +272,21 @@ def _end(length: Length, data: bytes, at: int) -> int:
 
 
 def unsigned(item: bytes) -> int:
-    """The item as a whole number."""
+    """The item as an unsigned integer."""
     return int.from_bytes(item, "big")
 
 
 def signed(item: bytes) -> int:
-    """The item as a whole number in two's complement."""
+    """The item as a signed integer (two's complement)."""
     return int.from_bytes(item, "big", signed=True)
 
 
-#: The alphabet of call signs: six bits a letter (ICAO Annex 10); what is no letter is a blank.
+#: Six-bit characters of call signs (ICAO Annex 10); undefined codes are blanks.
 _LETTERS = " ABCDEFGHIJKLMNOPQRSTUVWXYZ     " + " " * 16 + "0123456789      "
 
 
 def letters(item: bytes) -> str | None:
-    """The text of an item of six-bit letters; None where it is blank."""
+    """The text of an item of six-bit characters; None where it is blank."""
     number, count = unsigned(item), len(item) * 8 // 6
     text = "".join(_LETTERS[number >> 6 * (count - 1 - k) & 63] for k in range(count)).strip()
     return text or None
