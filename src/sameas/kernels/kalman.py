@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.compiled import small
 from sameas.kernels.linear import solve_2
 

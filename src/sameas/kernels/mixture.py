@@ -1,4 +1,4 @@
-"""Compiled likelihood of error scales: pairs counted in cells of like distance and odds, and the likeliest shares."""
+"""Compiled maximum likelihood of error scales, from pairs counted in cells of similar distance and odds."""
 
 from __future__ import annotations
 
@@ -25,11 +25,13 @@ def log_odds(
     largest_p: float,
     profile: FloatArray,
 ) -> None:
-    """Turn ``profile`` (m,), what the errors say of pairs, into ln of their odds but for that; −∞ if i is not counted.
+    """Replace ``profile`` (m,), the pairs' log density by their errors, by their log odds without it; −∞ if record i is
+    not counted.
 
-    i, j, p_pair, log_ratio : (m,) records of the pairs, their probabilities, and ln of their odds before one-to-one.
-    partner_1, partner_2 : how probably each record has a partner. Less probable pairs than ``faint`` may have been
-    left at zero: they are as probable as both their records are free for them. None is surer than ``largest_p``.
+    i, j, p_pair, log_ratio : (m,) records of the pairs, their probabilities, and log odds before the one-to-one
+    constraint. partner_1, partner_2 : probability that each record has a partner. Pairs of probability up to ``faint``
+    may have been set to 0: they get log_ratio times the probabilities that both records are free. Probabilities are
+    limited to ``largest_p``.
     """
     for e in range(len(profile)):
         if not counted[i[e]]:
@@ -52,37 +54,37 @@ def cells(
     reach: float,
     shape: tuple[int, int],
 ) -> tuple[FloatArray | IntArray, ...]:
-    """Pairs of like distance and odds, counted together: what ``log_likelihood`` takes, and means of the squares.
+    """Counts of pairs in cells of distance and odds, as ``log_likelihood`` takes them, and mean squared distances.
 
-    square, log_odds : (m,) squared distances and log odds; those of ``least`` odds or less are left out, and of
-    ``most`` or more taken as ``most``. shape : steps, even in ln distance from ``nearest`` to ``reach``, and in the
-    log odds.
-    Returns start (b + 1,), count and odds (c,) of the cells that are not empty, squares (b,) of distances that are not.
+    square, log_odds : (m,) squared distances and log odds; pairs of log odds up to ``least`` are ignored, those above
+    ``most`` limited to it. shape : numbers of cells, even in ln distance from ``nearest`` to ``reach``, and in log
+    odds. Returns start (b + 1,), count and odds (c,) of the cells that are not empty, and mean squares (b,) of the
+    distances that are not.
     """
     number, log_odds_sum = np.zeros(shape), np.zeros(shape)
-    squares, there = np.zeros(shape[0]), np.zeros(shape[0])
+    squares, at_distance = np.zeros(shape[0]), np.zeros(shape[0])
     begin, closest = math.log(nearest), nearest * nearest
     along, across = (shape[0] - 1) / (math.log(reach) - begin), (shape[1] - 1) / (most - least)
     for e in range(len(square)):
         if log_odds[e] > least:
-            here = min(log_odds[e], most)
+            limited = min(log_odds[e], most)
             a = int((0.5 * math.log(max(square[e], closest)) - begin) * along)
-            b = int((here - least) * across)
+            b = int((limited - least) * across)
             number[a, b] += 1.0
-            log_odds_sum[a, b] += here
+            log_odds_sum[a, b] += limited
             squares[a] += square[e]
-            there[a] += 1.0
+            at_distance[a] += 1.0
     size = min(len(square), shape[0] * shape[1])
     start, mean = np.zeros(shape[0] + 1, np.int64), np.empty(shape[0])
     count, odds = np.empty(size), np.empty(size)
     distances, full = 0, 0
     for a in range(shape[0]):
-        if there[a] > 0.0:
+        if at_distance[a] > 0.0:
             for b in range(shape[1]):
                 if number[a, b] > 0.0:
                     count[full], odds[full] = number[a, b], math.exp(log_odds_sum[a, b] / number[a, b])
                     full += 1
-            mean[distances] = squares[a] / there[a]
+            mean[distances] = squares[a] / at_distance[a]
             distances += 1
             start[distances] = full
     return start[: distances + 1], count[:full], odds[:full], mean[:distances]
@@ -94,7 +96,7 @@ def log_likelihood(
 ) -> float:
     """Σ count · ln(1 + odds · f) over the cells, f = density · shares at their distances, and Σ pseudo · ln shares.
 
-    The cells start[b]:start[b + 1] lie at distance b; density : (b, k) of each component there.
+    The cells start[b]:start[b + 1] are at distance b; density : (b, k) of each component there.
     """
     total = 0.0
     for k in range(len(shares)):
@@ -109,7 +111,7 @@ def log_likelihood(
 
 @part
 def _mixed(density: FloatArray, shares: FloatArray) -> FloatArray:
-    """(b,) Σ density (b, k) · shares (k,), added one after another."""
+    """(b,) Σ density (b, k) · shares (k,), added in order."""
     f = np.zeros(len(density))
     for k in range(len(shares)):
         f += density[:, k] * shares[k]
@@ -128,7 +130,7 @@ def _derivatives(
     slope: FloatArray,
     bend: FloatArray,
 ) -> None:
-    """Fill ``slope`` (k,) and the negative curvature ``bend`` (k, k) of the logarithm of the likelihood."""
+    """Write the gradient ``slope`` (k,) and the negative curvature ``bend`` (k, k) of the log likelihood."""
     size = len(shares)
     slope[:] = 0.0
     bend[:] = 0.0
@@ -157,9 +159,9 @@ def _derivatives(
 
 @part
 def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: FloatArray) -> None:
-    """Fill ``wanted`` with the y ≥ 0, Σ y = 1, of greatest slope·y − ½ y·bend·y; ``free``: which are not zero, a guess
-    that is bettered."""
-    # In loops: np.max, np.argmin and np.flatnonzero would import scipy.linalg whenever the compiled kernel is read.
+    """Write to ``wanted`` the y ≥ 0, Σ y = 1, that maximises slope·y − ½ y·bend·y (active sets). free : (k,) a guess of
+    the nonzero ones, updated."""
+    # In loops: np.max, np.argmin and np.flatnonzero would import scipy.linalg whenever the compiled kernel is loaded.
     size, steepest = len(slope), 0.0
     at = np.empty(size, np.int64)
     for k in range(size):
@@ -201,7 +203,7 @@ def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: Fl
 
 
 def _steps(start: IntArray, count: FloatArray, odds: FloatArray, *rest: Any) -> float:
-    """Cells are visited a hundred times before the shares settle."""
+    """Work: about a hundred passes over the cells until the shares have converged."""
     return 100.0 * len(count)
 
 
@@ -219,12 +221,12 @@ def likeliest(
     shortest: float,
     ridge: float,
 ) -> FloatArray:
-    """The shares of greatest likelihood, from ``shares`` on: a step of EM, which always leads upwards, and one of
-    Newton's among shares that are not negative, which leads there at once from near by, in turn.
+    """The shares of maximum likelihood, by alternating EM steps, which always increase the likelihood, and Newton steps
+    among nonnegative shares, which converge quickly near the maximum.
 
-    start, count, odds, density, pseudo : as in ``log_likelihood``. spread : what every share begins with besides its
-    own. It stops after ``steps``, or when one gains less than ``settled``; no step of Newton's is cut below the part
-    ``shortest``.
+    start, count, odds, density, pseudo : as in ``log_likelihood``. shares : initial ones, to each of which ``spread``
+    is added. Stops after ``steps`` iterations, or when one gains less than ``settled``. Newton steps are shortened to
+    no less than the fraction ``shortest``.
     """
     size = len(shares)
     free = (shares > 0.0) | (pseudo > 0.0)
@@ -244,13 +246,13 @@ def likeliest(
         length = 1.0
         while length > shortest:
             for k in range(size):
-                # A share with pseudo-counts is never zero; a parabola does not know that.
+                # The quadratic approximation may make a share with pseudo-counts 0, which it cannot be.
                 least = 0.1 * shares[k] if pseudo[k] > 0.0 else 0.0
                 tried[k] = max(shares[k] + length * (wanted[k] - shares[k]), least)
             tried /= summed(tried)
-            there = log_likelihood(start, count, odds, density, pseudo, tried)
-            if there > now:
-                now = there
+            log_tried = log_likelihood(start, count, odds, density, pseudo, tried)
+            if log_tried > now:
+                now = log_tried
                 shares = tried.copy()
                 break
             length *= 0.25
@@ -274,12 +276,13 @@ def fit(
     standing_out: float,
     search: tuple[float | int, ...],
 ) -> tuple[FloatArray, float, float]:
-    """The shares (k,) of greatest likelihood of normals in d features, of these ``scales`` (k,), rising; and by how
-    much a tail, all of them from ``core`` on, betters ln of the likelihood, which comes last. One that does not stand
-    out is left out.
+    """The shares (k,) of maximum likelihood of a mixture of normals in d features, of ascending ``scales`` (k,).
 
-    start, count, odds, squares : what ``cells`` returns. The likelihood of n pairs of odds o is (1 + o f)^n, whose
-    logarithm is concave in the shares: it has one maximum. pseudo, shares : as in ``likeliest``, and ``search`` its
+    The components from ``core`` on are the tail, which is removed if it does not improve the log likelihood by more
+    than ``standing_out``. Returns the shares, the improvement by the tail, and the log likelihood.
+
+    start, count, odds, squares : as returned by ``cells``. The likelihood of n pairs of odds o is (1 + o f)^n, whose
+    logarithm is concave in the shares, so the maximum is unique. pseudo, shares : as in ``likeliest``; search : its
     last five arguments.
     """
     density = np.empty((len(squares), len(scales)))
@@ -305,28 +308,27 @@ def fit(
     return best, reached - without, without
 
 
-# Compiled grades of records, and counts of them: see ``sameas.estimate.grades``.
+# Grades of records, and their counts: see ``sameas.estimate.grades``.
 
 
 @small
 def grade(place: FloatArray, within: IntArray, limits: FloatArray, number: int, out: Int32Array) -> None:
-    """Fill ``out`` (n,) with how many of the ``number`` − 1 limits of its own range lie at or below each place (n,).
+    """Write to ``out`` (n,) the number of limits, of the ``number`` − 1 in its range, at or below each place (n,).
 
-    within : (n,) the ranges. limits : (ranges (number − 1),) rising in each range, range after range.
+    within : (n,) the ranges. limits : (ranges (number − 1),) by range, ascending in each.
     """
     for k in range(len(out)):
-        begin, here = within[k] * (number - 1), 0
+        begin, below = within[k] * (number - 1), 0
         for limit in limits[begin : begin + number - 1]:
-            here += limit <= place[k]
-        out[k] = here
+            below += limit <= place[k]
+        out[k] = below
 
 
 @small
 def count_pairs(
     i: Int32Array, j: Int32Array, grades_1: Int32Array, grades_2: Int32Array, p_counted: FloatArray, common: FloatArray
 ) -> IntArray:
-    """Add the probabilities ``p_counted`` (m,) of pairs to ``common`` (k₁, k₂); returns (m,) where each was added,
-    row by row."""
+    """Add the probabilities ``p_counted`` (m,) of pairs to ``common`` (k₁, k₂); returns the flat index of each (m,)."""
     at = np.empty(len(i), np.int64)
     for e in range(len(i)):
         one, two = grades_1[i[e]], grades_2[j[e]]
@@ -339,7 +341,7 @@ def count_pairs(
 def count_alone(
     cells: Int32Array, grades: Int32Array, partner: FloatArray, covered: BoolArray, count: FloatArray
 ) -> None:
-    """Add to ``count`` (cells, k) how probably each covered record is without a partner."""
+    """Add to ``count`` (cells, k) the probability of each covered record to have no partner."""
     for k in range(len(cells)):
         if covered[k]:
             count[cells[k], grades[k]] += 1.0 - partner[k]

@@ -1,13 +1,13 @@
-"""Modelled sensors: reports of objects whose true motion is known, and the object of each report.
+"""Modelled sensors: reports of objects of known true motion, and the object of each report.
 
-For trials of the picture without a true one. The sensor is its :class:`~sameas.tracks.source.Description`: coverage,
-misses, errors, clutter, resolution, timing; a :class:`Bias` is an error that its description does not have. The motion
-may be real (:class:`~sameas.simulate.sensors.TrueMotion`); results of such trials should be quoted as *real motion,
-modelled sensors*. Modelled are independent errors, misses and false reports; weather, sea
-clutter, masts in the way and trackers that swap targets are not.
+A sensor is modelled by its :class:`~sameas.tracks.source.Description`: coverage, misses, errors, clutter, resolution,
+timing; a :class:`Bias` is an error that is not in its description. The motion may be real
+(:class:`~sameas.simulate.sensors.TrueMotion`); results of such trials should be quoted as *real motion, modelled
+sensors*. The model has independent errors, misses and false reports, but no weather, sea clutter, blind sectors or
+trackers that swap targets.
 
-- :class:`Sensor`: bare plots, or with a :class:`Tracker` numbered ones with velocities. ``Sensor(…)(motion, …)`` gives
-  :class:`SensorOutput`: the reports, as a reader would give them, and the hidden truth.
+- :class:`Sensor`: plots, or with a :class:`Tracker` numbered ones with velocities. ``Sensor(…)(motion, …)`` returns a
+  :class:`SensorOutput`: the reports, as a reader would give them, and the truth.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
-#: A curve is smoothed with 5 points or more (make_smoothing_spline needs 5).
+#: Fewest points of a smoothed curve (make_smoothing_spline needs 5).
 FEWEST = 5
 
 
@@ -41,7 +41,7 @@ FEWEST = 5
 class TruePath:
     """One object's reports: (k,) ascending times, (k, 3) east, north and height in metres.
 
-    gap_s : the path is unknown between two reports that are farther apart in time than this.
+    gap_s : the path is unknown between two reports with a longer interval.
     stiffness_s3 : σ²/q of the smoothing, 0 for a path through every report; see :meth:`TrueMotion.of`.
     """
 
@@ -51,7 +51,7 @@ class TruePath:
     stiffness_s3: float = 0.0
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """(..., 3) places at any times; NaN where the object is not known."""
+        """(..., 3) positions at any times; NaN where the path is unknown."""
         times = np.asarray(time_s, np.float64)
         out = np.full((*times.shape, 3), np.nan)
         if len(self.time_s) < 2:
@@ -75,10 +75,10 @@ class TruePath:
 @in_short
 @dataclass(frozen=True)
 class TrueMotion:
-    """The paths of all objects in one plane. Make it with :meth:`of`; an object's number is its place in ``names``.
+    """The paths of all objects in one plane. Make it with :meth:`of`; an object's number is its index in ``names``.
 
-    A log of AIS or ADS-B is taken as the truth, and sensors are modelled on it. A smoothed path can have been the true
-    motion, and the log has errors of its own; on a path through every report the log's errors are part of the truth.
+    A log of AIS or ADS-B is taken as the truth, and sensors are modelled on it. A smoothed path is a possible true
+    motion, from which the log has errors; on a path through every report the log's errors are part of the truth.
 
     >>> columns = {"time_s": [0.0, 60.0], "lat_deg": [50.8, 50.8], "lon_deg": [-1.30, -1.29], "mmsi": ["235070762"] * 2}
     >>> motion = TrueMotion.of(Reports.of("ais", "table", columns))
@@ -99,17 +99,17 @@ class TrueMotion:
         plane: LocalPlane | None = None,
         gap_s: float = 300.0,
     ) -> TrueMotion:
-        """Paths of the objects that reports name: by track_id, MMSI or ICAO address, the first of these that is there.
+        """Paths of the objects named in reports, by the first available of track_id, MMSI and ICAO address.
 
         Parameters
         ----------
-        reports : latitudes and longitudes, with heights where they have them. Reports without a name or a position
-            are left out, and of two of one time the first is taken.
-        description : of the source of the reports. With it the paths are the smoothing splines of its errors σ
-            (errors.position_m) and its objects' motion q (acceleration_m2_per_s3), Σ (x − f)² + σ²/q ∫ f̈²: what a
-            Kalman smoother of nearly constant velocity gives. Without it they go through every report.
-        plane : to lay the paths in; about the reports if not given.
-        gap_s : the longest time between two reports that the path bridges.
+        reports : latitudes and longitudes, with heights if available. Reports without a name or a position are ignored,
+            and so is the second of two with the same time.
+        description : of the source of the reports. With it, paths are the smoothing splines for its errors σ
+            (errors.position_m) and its objects' motion q (acceleration_m2_per_s3), Σ (x − f)² + σ²/q ∫ f̈²: the result
+            of a Kalman smoother of nearly constant velocity. Without it, paths go through every report.
+        plane : of the paths; by default about the reports.
+        gap_s : longest interval between two reports that the path bridges.
 
         Raises
         ------
@@ -144,28 +144,28 @@ class TrueMotion:
         return float(min(p.time_s[0] for p in self.paths)), float(max(p.time_s[-1] for p in self.paths))
 
     def at(self, instant_s: float) -> FloatArray:
-        """(m, 3) east, north and height of every object at an instant; NaN where it is not known."""
+        """(m, 3) east, north and height of every object at an instant; NaN where it is unknown."""
         return self.along(np.full(len(self), instant_s))
 
     def along(self, time_s: FloatArray) -> FloatArray:
-        """(..., m, 3) places of the objects, each at times of its own (..., m)."""
+        """(..., m, 3) positions of the objects, each at its own times (..., m)."""
         times = np.asarray(time_s, np.float64)
         if not self.paths:
             return np.empty((*times.shape, 3))
         return np.stack([path.at(times[..., k]) for k, path in enumerate(self.paths)], axis=-2)
 
     def objects_of(self, reports: Reports) -> IntArray:
-        """(n,) number of the object that each report names; −1 for one that is not known."""
+        """(n,) number of the object that each report names; −1 for an unknown one."""
         number = {name: k for k, name in enumerate(self.names)}
         return np.array([number.get(name, -1) for name in _names(reports)], np.int64)
 
     def only(self, which: Sequence[int] | IntArray) -> TrueMotion:
-        """The paths of some of the objects, numbered anew."""
+        """The paths of some of the objects, renumbered."""
         return TrueMotion(self.plane, tuple(self.names[k] for k in which), tuple(self.paths[k] for k in which))
 
 
 def _heights(reports: Reports) -> FloatArray:
-    """(n,) reported heights, geometric ones where there are any; 0 without one."""
+    """(n,) reported heights, geometric ones if available; 0 without one."""
     height = np.zeros(len(reports))
     for column in (reports.pressure_alt_m, reports.alt_m):
         height = height if column is None else np.where(np.isfinite(column), column, height)
@@ -195,8 +195,8 @@ def _names(reports: Reports) -> NDArray[np.str_]:
 class Tracker:
     """The tracker of a modelled sensor, which numbers its plots and gives them velocities.
 
-    It knows which plots are of one object, so its tracks never swap targets; they begin late, break and are numbered
-    anew, and false ones last for some scans, as those of real trackers do.
+    It uses the true object of each plot, so its tracks never swap targets. As those of real trackers, they begin late,
+    break and get new numbers, and false ones last for some scans.
 
     begins_after : plots that a track has before it is reported; its velocity is known from the second on.
     breaks_after : scans without a plot after which a track ends; the object gets a new number at its next plot.
@@ -214,7 +214,7 @@ class Tracker:
             raise InputError(f"{self}: give begins_after ≥ 0, breaks_after ≥ 1, 0 ≤ breaks < 1, false_looks ≥ 1")
 
     def numbers(self, scan: IntArray, object: IntArray, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
-        """(n,) number of the track of every plot, in the order in which tracks begin, and its place in its track."""
+        """(n,) track number of every plot, in the order of the tracks' starts, and the plot's index in its track."""
         order = np.lexsort([scan, object])
         begins = np.ones(len(order), bool)
         same = object[order][1:] == object[order][:-1]
@@ -238,7 +238,7 @@ def tracked(
     plane: LocalPlane,
     rng: np.random.Generator,
 ) -> tuple[Reports, IntArray]:
-    """The plots that belong to reported tracks, with their numbers and velocities, and the truth of each.
+    """The plots of reported tracks, with numbers and velocities, and the truth of each.
 
     plots : scan and object of every report; false objects have numbers below −1.
     """
@@ -272,7 +272,7 @@ LEVEL_M = 30.48
 
 @dataclass(frozen=True)
 class Bias:
-    """Undescribed biases of a sensor: range too long, azimuth too far clockwise, gain, stamps that are late.
+    """Undescribed biases of a sensor: range too long, azimuth too far clockwise, range gain, late time stamps.
 
     east_m, north_m : shift of the positions of a source without a site.
     """
@@ -289,7 +289,7 @@ class Bias:
 class SensorOutput:
     """The output of a modelled sensor.
 
-    reports : in the order of their stamps. truth : (n,) number of the object of the true motion, −1 for false reports.
+    reports : in the order of time stamps. truth : (n,) number of the object of the true motion, −1 for false reports.
     scan_times_s : (l,) stamps of all scans, empty ones included.
     """
 
@@ -300,7 +300,7 @@ class SensorOutput:
 
 @dataclass(frozen=True)
 class Echoes:
-    """Echoes (n,): the scan, the object (below 0: false), the time and the place of each.
+    """Echoes (n,): the scan, the object (below 0: false), the time and the position of each.
 
     place : (n, 3) east, north, height in the plane of the motion. sight : (n, 2) true range and bearing from the
     sensor.
@@ -316,7 +316,7 @@ class Echoes:
         return len(self.scan)
 
     def take(self, which: NDArray[np.generic]) -> Echoes:
-        """Some of them."""
+        """Some of the echoes."""
         return Echoes(self.scan[which], self.object[which], self.time_s[which], self.place[which], self.sight[which])
 
     def and_those_of(self, other: Echoes) -> Echoes:
@@ -332,16 +332,16 @@ class Sensor:
     """One modelled sensor, called with a true motion, a span of time and a generator of random numbers.
 
     A sensor with a site measures range and bearing; of kind camera or esm the bearing alone; without a site positions.
-    Errors are ``errors.position_m`` per axis where the description gives one (a range and a bearing that good are then
-    stated with every report), else range_m, range_share and bearing_deg. An antenna turns once a period, from north,
-    and measures what it passes. Two objects within both the range's and the bearing's resolution show one echo, that
-    of the object with the smaller number.
+    Errors are ``errors.position_m`` on each axis if the description has it (every report then quotes the corresponding
+    errors of range and bearing), else range_m, range_share and bearing_deg. The antenna rotates once a period, from
+    north, and measures each object when it points at it. Two objects within both the range and the bearing resolution
+    have one echo, that of the object with the smaller number.
 
     Parameters
     ----------
-    description : of the sensor; its latency is on the stamps.
+    description : of the sensor; its latency is added to the time stamps.
     bias : not in the description.
-    tracker : numbers the plots; None: bare plots.
+    tracker : numbers the plots; None for plots without numbers.
 
     Example
     -------
@@ -382,7 +382,7 @@ class Sensor:
         return self.description.site is not None and not KINDS[self.description.kind].directions
 
     def _passed(self, motion: TrueMotion, scan_times: FloatArray, period: float) -> Echoes:
-        """Every object at every scan, at its place when the antenna passed it."""
+        """Every object at every scan, at its position when the antenna points at it."""
         times = np.broadcast_to(scan_times[:, None], (len(scan_times), len(motion))).copy()
         place = motion.along(times)
         sight = self._sight(motion, place)
@@ -391,8 +391,8 @@ class Sensor:
             place = motion.along(times)
             sight = self._sight(motion, place)
         scan, number = np.nonzero(np.isfinite(place).all(axis=-1))
-        there = (scan, number)
-        return Echoes(scan, number, times[there], place[there], sight[there])
+        known = (scan, number)
+        return Echoes(scan, number, times[known], place[known], sight[known])
 
     def _sight(self, motion: TrueMotion, place: FloatArray) -> FloatArray:
         """(..., 2) slant range and bearing from the sensor; NaN where the sensor has no site."""
@@ -403,8 +403,8 @@ class Sensor:
         if site.lat_deg is None or site.lon_deg is None:
             raise InputError(f"{self.description.name}: a modelled sensor needs site = {{ lat_deg, lon_deg }}")
         lat, lon = motion.plane.to_geodetic(place[in_path][:, :2])
-        there = (lat, lon, place[in_path][:, 2], site.lat_deg, site.lon_deg, site.height_m)
-        bearing, _, distance = geodesy().geodetic2aer(*there)
+        target_and_site = (lat, lon, place[in_path][:, 2], site.lat_deg, site.lon_deg, site.height_m)
+        bearing, _, distance = geodesy().geodetic2aer(*target_and_site)
         out[in_path] = np.column_stack([distance, bearing])
         return out
 
@@ -417,12 +417,12 @@ class Sensor:
         return echoes.take(rng.random(len(echoes)) >= np.nan_to_num(q))
 
     def _resolved(self, echoes: Echoes) -> Echoes:
-        """Without the echoes that another one of the same scan hides."""
+        """The echoes without those that are not resolved from another one of the same scan."""
         beam, cell = self.description.resolution.bearing_deg or 0.0, self.description.resolution.range_m or 0.0
         if self.description.site is None or not (beam and cell):
             return echoes
         keep = np.ones(len(echoes), bool)
-        # Echoes are in the order of scans, in each in that of their objects.
+        # Echoes are ordered by scan, then by object.
         starts = Ragged.of_sorted(echoes.scan, echoes.scan.max(initial=-1) + 1).start
         for low, high in pairwise(starts):
             apart = np.abs(echoes.sight[low:high, None] - echoes.sight[None, low:high])
@@ -431,7 +431,7 @@ class Sensor:
         return echoes.take(keep)
 
     def _false(self, motion: TrueMotion, scan_times: FloatArray, period: float, rng: np.random.Generator) -> Echoes:
-        """False echoes, evenly over the coverage; with a tracker each stays at its place for some scans."""
+        """False echoes, uniform over the coverage; with a tracker each stays at its position for some scans."""
         site, reach = self.description.site, self.description.coverage.range_m
         per_m2 = (self.description.clutter.per_km2 or 0.0) / 1e6
         if site is None or not self._turns or reach is None or not per_m2:
@@ -481,7 +481,7 @@ class Sensor:
         return errors.sigma_range_m(distance), np.full(len(distance), errors.bearing_deg or 0.0)
 
     def _levels(self, echoes: Echoes, rng: np.random.Generator) -> dict[str, FloatArray]:
-        """Flight levels of aircraft, as transponders report them; false echoes have none."""
+        """Flight levels, as transponders report them; none for false echoes."""
         height = echoes.place[:, 2]
         if not height.any():
             return {}
