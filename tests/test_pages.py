@@ -155,6 +155,7 @@ def test_on_a_phone_the_record_is_under_the_frame_and_numbers_are_whole(every_pa
         browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
         browser.until("innerWidth === 390")
         browser.js("framePage.pick({ kind: 'measured', row: 3 })")
+        assert browser.js("document.getElementById('beyond').offsetHeight") == 0  # all its stars are in the catalogue
         top, bottom = (f"document.getElementById('{name}').getBoundingClientRect()" for name in ("record", "viewer"))
         assert 0 < browser.js(f"{top}.top - {bottom}.bottom") < 30
         lines = (
@@ -178,6 +179,7 @@ def test_what_is_fainter_than_the_catalogue_reaches_is_counted_apart(every_page,
     try:
         counts = [browser.js(f"document.getElementById('{name}').textContent") for name in ("n-alone", "n-beyond")]
         assert counts == [str(len(alone) - 1), "1"]
+        assert browser.js("document.getElementById('beyond').offsetHeight") > 0
         # They are not drawn at first, as on the picture.
         assert not browser.js("document.getElementById('show-beyond').checked")
         browser.js(f"framePage.pick({{ kind: 'measured', row: {alone[0]} }})")
