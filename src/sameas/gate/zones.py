@@ -1,7 +1,7 @@
 """Zones: the layout of two sources for the search, in which records near in space are near in memory.
 
-Records are sorted into zones of one coordinate, and by the other coordinate within each; the few records with far larger
-errors are separate classes. The order depends on the records' content, not on their rows.
+Records are sorted into zones of one coordinate, and by the other coordinate within each; the few records with far
+larger errors are separate classes. The order depends on the records' content, not on their rows.
 """
 
 from __future__ import annotations

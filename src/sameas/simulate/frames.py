@@ -1,9 +1,8 @@
-"""Simulated frames: what a camera would see of known stars, and the truth beside it.
+"""Simulated CCD frames of known stars, with the truth.
 
-Use :func:`frame_of` for stars at known pixels, :func:`frame_of_sky` for a catalogue seen through a WCS (with its SIP
-terms, if it has any) and, if wanted, a lens that distorts. Light is spread by a :class:`Gaussian` or a
-:class:`Moffat` profile and averaged over each pixel; photons, read-out, hot pixels and particles come from the
-Generator that the caller gives.
+Use :func:`frame_of` for stars at known pixels, :func:`frame_of_sky` for a catalogue projected by a WCS (with its SIP
+terms, if any) and, optionally, a lens with distortion. The PSF is a :class:`Gaussian` or a :class:`Moffat` profile,
+averaged over each pixel; photon noise, read-out noise, hot pixels and cosmic rays come from the caller's Generator.
 
 >>> rng = np.random.default_rng(1)
 >>> seen = frame_of(rng, x_px=[20.3, 44.0], y_px=[31.5, 12.2], flux_e=[5e3, 2e4], camera=Camera(shape=(64, 64)))
@@ -32,12 +31,12 @@ if TYPE_CHECKING:
     from astropy.wcs import WCS
 
 _FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
-#: Light below this share of the sky's noise per pixel is not drawn (chosen).
+#: A star's light is not drawn where it is below this share of the noise of a pixel (chosen).
 _FAINTEST = 0.02
 
 
 class Profile(Protocol):
-    """How the light of a star is spread."""
+    """The profile of a PSF."""
 
     @property
     def fwhm_px(self) -> float:
@@ -52,7 +51,7 @@ class Profile(Protocol):
 
 @dataclass(frozen=True)
 class Gaussian:
-    """exp(−r²/2σ²) / 2πσ²: few real stars look so, all formulas do."""
+    """exp(−r²/2σ²) / 2πσ²: the profile of most formulas, and of few real stars."""
 
     fwhm_px: float = 3.0
 
@@ -69,7 +68,7 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Moffat:
-    """(β−1)/πα² · (1 + r²/α²)^−β: stars seen through air have such wings (β about 3; Moffat 1969, A&A 3, 455)."""
+    """(β−1)/πα² · (1 + r²/α²)^−β: the wings of stars seen through air (β about 3; Moffat 1969, A&A 3, 455)."""
 
     fwhm_px: float = 3.0
     beta: float = 3.0
@@ -95,13 +94,13 @@ class Moffat:
 
 @dataclass(frozen=True)
 class Trail:
-    """The frame moves against the stars by so much during the exposure; the angle counts from +x to +y."""
+    """Motion of the frame relative to the stars during the exposure; the angle is measured from +x to +y."""
 
     length_px: float = 0.0
     angle_deg: float = 0.0
 
     def steps(self, finest_px: float) -> FloatArray:
-        """(k, 2) places on the way, its middle in (0, 0), not more than ``finest_px`` apart."""
+        """(k, 2) positions along the trail, centred on (0, 0), at most ``finest_px`` apart."""
         count = 1 + 2 * math.ceil(self.length_px / finest_px / 2)
         along = ((np.arange(count) + 0.5) / count - 0.5) * self.length_px
         angle = math.radians(self.angle_deg)
@@ -110,12 +109,12 @@ class Trail:
 
 @dataclass(frozen=True)
 class Lens:
-    """Radial distortion: a point at the corner is displaced outwards by ``corner_px``, others as r³."""
+    """Radial distortion: a point at the corner is displaced outwards by ``corner_px``, others in proportion to r³."""
 
     corner_px: float = 0.0
 
     def __call__(self, xy_px: FloatArray, shape: tuple[int, int]) -> FloatArray:
-        """(n, 2) where the points fall."""
+        """(n, 2) the displaced points."""
         centre = (np.array(shape[::-1]) - 1) / 2
         offset = xy_px - centre
         corner = float(np.hypot(*centre))
@@ -125,12 +124,12 @@ class Lens:
 
 @dataclass(frozen=True)
 class Camera:
-    """What turns light into numbers.
+    """The detector and the sky background.
 
-    shape : (rows, columns). gain_e_per_adu, read_noise_e, sky_e : electrons per ADU, of the read-out, of the sky per
-    pixel. bias_adu : level without light. saturation_e : electrons that a pixel holds; the ADU stop there.
-    hot_pixels : how many pixels have a dark current, of ``hot_e`` electrons on average. cosmics : how many particles
-    hit, each with some ``cosmic_e`` electrons per pixel along a short straight track.
+    shape : (rows, columns). gain_e_per_adu, read_noise_e, sky_e : electrons per ADU, of the read-out noise (1σ), of the
+    sky per pixel. bias_adu : level without light. saturation_e : full well of a pixel, at which its ADU saturate.
+    hot_pixels : number of pixels with a dark current, of ``hot_e`` electrons on average. cosmics : number of cosmic
+    rays, each with about ``cosmic_e`` electrons per pixel along a short straight track.
     """
 
     shape: tuple[int, int] = (512, 512)
@@ -162,7 +161,7 @@ class Camera:
 class Truth:
     """The stars within the frame. x_px, y_px : (n,) true centres, 0-based. flux_e : (n,) electrons.
 
-    star : (n,) their rows among those given. hot, struck : (rows, columns) masks of hot pixels and of particles.
+    star : (n,) their rows in the input. hot, struck : (rows, columns) masks of hot pixels and of cosmic rays.
     """
 
     x_px: FloatArray
@@ -179,7 +178,7 @@ class Truth:
 @in_short
 @dataclass(frozen=True)
 class SimulatedFrame:
-    """A frame and the truth behind it."""
+    """A frame and its truth."""
 
     frame: Frame
     truth: Truth
@@ -199,7 +198,7 @@ def frame_of(
     header: Header | None = None,
     name: str = "simulated",
 ) -> SimulatedFrame:
-    """A frame of stars at known pixels (0-based) with known light in electrons; those outside are left out."""
+    """A frame of stars at known pixels (0-based) with known fluxes in electrons; the truth has only those inside."""
     camera, trail = camera or Camera(), trail or Trail()
     xy = np.column_stack([np.asarray(x_px, float), np.asarray(y_px, float)])
     flux = np.broadcast_to(np.asarray(flux_e, float), len(xy))
@@ -241,12 +240,12 @@ def frame_of_sky(
     mid_time: Time | None = None,
     name: str = "simulated",
 ) -> SimulatedFrame:
-    """A frame of catalogue stars, at their directions of the moment of the exposure.
+    """A frame of catalogue stars, at their directions at the time of the exposure.
 
-    ra_deg, dec_deg, magnitude : (n,), as they are then: carry them there with ``sameas.sky.motion``. wcs : pixels of
-    the sky, distortions included. zero_point : magnitude that gives one electron per second. The truth's ``star`` is
-    the row in these columns. Stars behind the tangent plane are left out. The header of the frame has no WCS, as that
-    of a raw frame; write ``wcs.to_header()`` there if it should.
+    ra_deg, dec_deg, magnitude : (n,) at that time: propagate them with ``sameas.sky.motion``. wcs : from sky to pixels,
+    including distortions. zero_point : magnitude of one electron per second. The truth's ``star`` is the row in these
+    columns. Stars behind the tangent plane are ignored. The frame's header has no WCS, like that of a raw frame; add
+    ``wcs.to_header()`` if needed.
     """
     camera = camera or Camera()
     ra, dec, mag = (np.asarray(values, float) for values in (ra_deg, dec_deg, magnitude))
@@ -308,7 +307,7 @@ def _scattered(rng: np.random.Generator, shape: tuple[int, int], count: int) -> 
 
 
 def _tracks(rng: np.random.Generator, camera: Camera) -> FloatArray:
-    """(rows, columns) electrons that particles leave: straight tracks of one to some ten pixels."""
+    """(rows, columns) electrons of cosmic rays: straight tracks of one to about ten pixels."""
     struck = np.zeros(camera.shape)
     for _ in range(camera.cosmics):
         start = rng.uniform(size=2) * camera.shape
@@ -338,7 +337,7 @@ def _distance_deg(ra_deg: FloatArray, dec_deg: FloatArray, wcs: WCS) -> FloatArr
 
 
 def _reach_deg(wcs: WCS, shape: tuple[int, int]) -> float:
-    """From the tangent point to the farthest corner of the frame, and a little more."""
+    """1.1 times the distance from the tangent point to the farthest corner of the frame, at most 80°."""
     rows, columns = shape
     corners = wcs.wcs_pix2world([[0, 0], [columns, 0], [0, rows], [columns, rows]], 0)
     return min(1.1 * float(_distance_deg(corners[:, 0], corners[:, 1], wcs).max()), 80.0)
