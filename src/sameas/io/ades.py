@@ -1,7 +1,8 @@
 """Reports for the Minor Planet Center: ADES as PSV and XML (version 2022), and lines of 80 columns.
 
-An :class:`Observer` is what a small TOML file says of who observed, with what; :class:`Observation` one detection.
-Nothing is sent anywhere. Source: IAU ADES, github.com/IAU-ADES/ADES-Master; minorplanetcenter.net/iau/info/OpticalObs.
+An :class:`Observer` has the observatory, people and telescope, read from a TOML file; an :class:`Observation` is one
+detection. Reports are written to files, never sent.
+Source: IAU ADES, github.com/IAU-ADES/ADES-Master; minorplanetcenter.net/iau/info/OpticalObs.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ import numpy as np
 from sameas.errors import InputError
 from sameas.io.atomic import replacing
 
-#: Columns of a report in the order that ADES wants.
+#: Columns of a report in the order of ADES.
 COLUMNS = ("permID", "provID", "trkSub", "mode", "stn", "obsTime", "ra", "dec", "rmsRA", "rmsDec", "rmsCorr", "astCat",
            "mag", "rmsMag", "band", "photCat", "logSNR", "notes", "remarks")  # fmt: skip
-#: One letter for each catalogue in lines of 80 columns.
+#: One-letter codes of catalogues in lines of 80 columns.
 _CATALOGUE_CODES = {"Gaia3": "X", "Gaia3E": "W", "Gaia2": "V", "Gaia1": "U", "UCAC4": "q", "UCAC5": "Y", "Tyc2": "g"}
 _CATALOGUE_CODES |= {"PPMXL": "t", "2MASS": "L", "Hip2": "2", "Tyc1": "6", "USNOB1": "o", "UCAC3": "e"}
 _EXAMPLE = """[observatory]
@@ -45,10 +46,10 @@ astCat = "Gaia3"
 
 @dataclass(frozen=True)
 class Observer:
-    """What a report says of the observatory and the people.
+    """The header of a report: observatory, people, telescope.
 
     code : of the observatory. submitter : name. observers, measurers : names. telescope : design, aperture (metres),
-    detector, and what else ADES knows of it. catalogue : that of the astrometry, by its name in ADES. mode : CCD, CMO.
+    detector, and other keys of ADES. catalogue : of the astrometry, by its name in ADES. mode : CCD, CMO.
     band : of the magnitudes. comments : lines.
     """
 
@@ -68,7 +69,7 @@ class Observer:
 
         Raises
         ------
-        InputError : not TOML, something needed is missing, names of a wrong form.
+        InputError : not TOML, a required key is missing, or has a wrong type or form.
         """
         try:
             settings = tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -119,9 +120,9 @@ def _names(value: Any) -> tuple[str, ...]:
 class Observation:
     """One detection of a report.
 
-    name : trkSub, eight letters and digits at most. time : ISO, UTC. rms_east, rms_north : arcsec, 1σ.
-    permanent, provisional : numbers and designations where the object is known. magnitude, magnitude_error : NaN if
-    not measured. remarks : of this detection.
+    name : trkSub, at most eight letters and digits. time : ISO, UTC. rms_east, rms_north : arcsec, 1σ.
+    permanent, provisional : number and designation of a known object. magnitude, magnitude_error : NaN if not
+    measured. remarks : on this detection.
     """
 
     name: str
@@ -142,8 +143,8 @@ class Observation:
     def of(
         cls, name: str, mjd_utc: float, place_deg: tuple[float, float], covariance: Sequence[float], **measured: Any
     ) -> Observation:
-        """By the time as MJD, right ascension and declination, and the variances and covariance (3,) east-east,
-        east-north, north-north in arcsec²; ``measured`` is everything else by its name."""
+        """An observation from MJD (UTC), right ascension and declination in degrees, and the covariance (3,) east-east,
+        east-north, north-north in arcsec². measured : other fields, by name."""
         from sameas.times import Time
 
         east, both, north = covariance
@@ -153,7 +154,7 @@ class Observation:
         )  # fmt: skip
 
     def fields(self, observer: Observer) -> dict[str, str]:
-        """The values that ADES has columns for; those without a value are left out."""
+        """The values by ADES column; columns without a value are omitted."""
         out = {
             "permID": self.permanent,
             "provID": self.provisional,
@@ -225,7 +226,7 @@ def _plain(text: str) -> str:
 
 
 def write_psv(observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str) -> None:
-    """An ADES report as text with bars between its columns."""
+    """Writes an ADES report in PSV: text with bars between the columns."""
     rows = [one.fields(observer) for one in observations]
     used = [key for key in COLUMNS if key == "permID" or any(key in row for row in rows)]
     lines = ["# version=2022"]
@@ -239,7 +240,7 @@ def write_psv(observations: Sequence[Observation], observer: Observer, path: str
 
 
 def write_xml(observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str) -> None:
-    """An ADES report as XML."""
+    """Writes an ADES report in XML."""
     root = ElementTree.Element("ades", version="2022")
     block = ElementTree.SubElement(root, "obsBlock")
     context = ElementTree.SubElement(block, "obsContext")
@@ -261,7 +262,7 @@ def write_xml(observations: Sequence[Observation], observer: Observer, path: str
 def write_80_columns(
     observations: Sequence[Observation], observer: Observer, path: str | Path, *, software: str
 ) -> None:
-    """The older form, which the Minor Planet Center still accepts."""
+    """Writes lines of 80 columns, the older format, which the Minor Planet Center still accepts."""
     lines = [f"COD {observer.code}", f"OBS {', '.join(observer.observers)}", f"MEA {', '.join(observer.measurers)}"]
     lines += [f"TEL {' '.join(value for _, value in observer.telescope)}", f"COM measured with {software}"]
     lines = [_plain(line) for line in (*lines, *(line_of(one, observer) for one in observations))]
@@ -269,7 +270,7 @@ def write_80_columns(
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-#: The forms of a report, by the ends of their names.
+#: Writers of the report formats, by file extension.
 REPORTS = {"psv": write_psv, "xml": write_xml, "txt": write_80_columns}
 
 

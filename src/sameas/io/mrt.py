@@ -58,9 +58,9 @@ def provenance(path: Path) -> dict[str, Any]:
 def _description(path: Path) -> str:
     """The byte-by-byte description of a file in the ReadMe of its folder; empty where there is none."""
     for name in ("ReadMe", "readme", "README", "ReadMe.txt"):
-        beside = path.with_name(name)
-        if beside.is_file():
-            for section in _SECTION.finditer(beside.read_text("utf-8", "replace")):
+        readme = path.with_name(name)
+        if readme.is_file():
+            for section in _SECTION.finditer(readme.read_text("utf-8", "replace")):
                 if path.name.removesuffix(".gz") in section[1].split():
                     return section[0]
     return ""

@@ -12,7 +12,7 @@ from sameas.io.sensors.asterix.records import letters, octal, signed, unsigned
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, MILE_M
 from sameas.io.sensors.format import round_covariance, sigma_of_nucp
 
-#: Times of the position, the best first: of applicability, of its reception, of the report.
+#: Items with the time of the position, the preferred first: applicability, reception, report transmission.
 _TIMES = ("071", "073", "077")
 
 
@@ -48,7 +48,7 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
 
 
 def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """NACp of versions 1 and 2; NUCp of version 0, which is in the bits of NIC."""
+    """Covariances from NACp for versions 1 and 2, and from NUCp for version 0, which is in the bits of NIC."""
     n = len(columns["time_s"])
     absent = np.full(n, np.nan)
     first = columns.get("version", absent) == 0
@@ -59,14 +59,14 @@ def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _height(item: bytes | None) -> float | None:
-    """Geometric height; the largest number means "greater than"."""
+    """Geometric height in metres; None for the largest value, which means "greater than"."""
     if item is None or item == b"\x7f\xff":
         return None
     return signed(item) * 6.25 * FOOT_M
 
 
 def _climb(items: Mapping[str, Any]) -> float | None:
-    """Geometric rate of climb, else the barometric; the first bit says that it is beyond the range."""
+    """Geometric, else barometric rate of climb in m/s; None where the first bit says it is out of range."""
     for name in ("157", "155"):
         if name in items and not items[name][0] & 0x80:
             rate = unsigned(items[name]) & 0x7FFF
@@ -82,10 +82,10 @@ def _velocity(item: bytes | None) -> dict[str, float]:
 
 
 def _quality(items: Mapping[str, Any]) -> dict[str, float]:
-    """Version of the transponder and its categories of accuracy."""
+    """The version of the transponder and its accuracy categories."""
     values: dict[str, float] = {}
     if "210" in items and items["210"][0] & 7 == 2:
-        # The other values of the lowest bits are UAT, VDL 4 and others, with versions of their own.
+        # Other values of the lowest bits are UAT, VDL 4 and others, which have versions of their own.
         values["version"] = float(items["210"][0] >> 3 & 7)
     quality = items.get("090")
     if quality:

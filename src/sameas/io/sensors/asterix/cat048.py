@@ -1,7 +1,7 @@
 """Category 048: target reports of one radar, editions 1.27 to 1.32.
 
-Distances are on the slope: the height (Mode C, or that of a 3D radar) stands beside them, and the description of the
-radar has its place and height, which are not in the records.
+Ranges are slant ranges. The height of the target (Mode C, or of a 3D radar) is a column of its own; position and height
+of the radar are not in the records and come from its description.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from sameas.io.sensors.asterix.records import letters, octal, signed, unsigned
 from sameas.io.sensors.clock import FOOT_M, MILE_M
 
-#: What kind of detection it is, by the first three bits of item 020.
+#: Type of detection, by the first three bits of item 020.
 _DETECTIONS = (None, "primary", "secondary", "primary and secondary", "Mode S all-call", "Mode S roll-call",
                "Mode S all-call and primary", "Mode S roll-call and primary")  # fmt: skip
 
@@ -47,7 +47,7 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
 
 
 def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Covariances where the radar states the quality of its tracks (item 210)."""
+    """Covariances from the track quality (item 210), where the radar sends it."""
     covariances = {}
     if "sigma_x_m" in columns:
         x, y = columns["sigma_x_m"] ** 2, columns["sigma_y_m"] ** 2
@@ -56,7 +56,7 @@ def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _pressure_altitude(item: bytes | None) -> float | None:
-    """Flight level; absent where the code was not valid or is garbled (first two bits)."""
+    """Metres from the flight level; None where the code is invalid or garbled (first two bits)."""
     if item is None or item[0] & 0xC0:
         return None
     level = unsigned(item) & 0x3FFF
@@ -64,7 +64,7 @@ def _pressure_altitude(item: bytes | None) -> float | None:
 
 
 def _mode_a(item: bytes | None) -> str | None:
-    """Mode A code; absent where it was not valid or is garbled (first two bits)."""
+    """Mode A code; None where it is invalid or garbled (first two bits)."""
     return None if item is None or item[0] & 0xC0 else octal(item)
 
 
@@ -76,7 +76,7 @@ def _velocity(items: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _quality(item: bytes | None) -> dict[str, float]:
-    """Standard deviations of the track along x and y; a zero is none."""
+    """Standard deviations of the track along x and y; empty where one of them is 0, which means unknown."""
     if item is None or not (item[0] and item[1]):
         return {}
     return {"sigma_x_m": item[0] * MILE_M / 128.0, "sigma_y_m": item[1] * MILE_M / 128.0}

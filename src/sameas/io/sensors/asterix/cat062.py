@@ -18,7 +18,7 @@ _APC_M, _APW_DEG, _ATV_M_PER_S = 0.5, 180.0 / 2.0**25, 0.25
 def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
     """The row of a track report, or the reason why the record has none."""
     status = items.get("080", b"")
-    # Byte 2 tells that a track is simulated (SIM) or ends (TSE), byte 4 that it is coasted (CST).
+    # Byte 2 has the flags simulated (SIM) and end of track (TSE), byte 4 has coasted (CST).
     if len(status) > 1 and status[1] & 0x80:
         return "062 of a simulated track"
     if "105" not in items and "100" not in items:
@@ -44,7 +44,7 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
 
 
 def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Covariances from item 500: those of the plane, else those of latitude and longitude; of the velocity too."""
+    """Covariances of position and velocity from item 500: in x and y, else in latitude and longitude."""
     n = len(columns["time_s"])
     absent = np.full(n, np.nan)
     sigma = [columns.get(name, absent) for name in ("sigma_x_m", "sigma_y_m")]
@@ -77,14 +77,14 @@ def _velocity(item: bytes | None) -> dict[str, float]:
 
 
 def _accuracies(parts: Mapping[str, bytes]) -> dict[str, float]:
-    """Item 500: standard deviations, and the covariance, stored as its root with its sign."""
+    """Item 500: standard deviations, and the covariance, which is sent as a signed square root."""
     values: dict[str, float] = {}
     if "APC" in parts:
         x, y = unsigned(parts["APC"][:2]) * _APC_M, unsigned(parts["APC"][2:]) * _APC_M
         if x > 0.0 and y > 0.0:
             values |= {"sigma_x_m": x, "sigma_y_m": y}
             root = signed(parts["COV"]) * _APC_M if "COV" in parts else 0.0
-            # Rounded to half metres it may just exceed what the standard deviations allow.
+            # Rounded to 0.5 m, it may slightly exceed the product of the standard deviations.
             values["covariance_xy_m2"] = float(np.clip(root * abs(root), -0.999 * x * y, 0.999 * x * y))
     if "APW" in parts:
         lat, lon = unsigned(parts["APW"][:2]) * _APW_DEG, unsigned(parts["APW"][2:]) * _APW_DEG
@@ -99,7 +99,7 @@ def _accuracies(parts: Mapping[str, bytes]) -> dict[str, float]:
 
 
 def _pressure_altitude(items: Mapping[str, Any]) -> float | None:
-    """Measured flight level, else the barometric altitude of the track where no QNH is in it (first bit)."""
+    """Metres from the measured flight level, else from the barometric altitude without QNH correction (first bit)."""
     if "136" in items:
         return signed(items["136"]) / 4.0 * 100.0 * FOOT_M
     if "135" in items and not items["135"][0] & 0x80:
@@ -109,12 +109,12 @@ def _pressure_altitude(items: Mapping[str, Any]) -> float | None:
 
 
 def _callsign(items: Mapping[str, Any]) -> str | None:
-    """The target identification that the track holds (item 245, after a byte that says where it is from)."""
+    """The target identification of the track (item 245, after the byte of its source)."""
     return letters(items["245"][1:]) if "245" in items else None
 
 
 def _metres_per_degree(lat_deg: Any) -> tuple[Any, Any]:
-    """Metres of a degree of longitude and of latitude there."""
+    """Metres per degree of longitude and of latitude, at this latitude."""
     pm = geodesy()
     return (
         np.radians(pm.rcurve.transverse(lat_deg) * np.cos(np.radians(lat_deg))),
