@@ -4,10 +4,10 @@
 - :class:`ObjectTable`: a number, a state and its covariance for every object; the base of both kinds of pictures.
 - :class:`PictureObjects`: the objects of a picture at an instant, with their stages.
 
-:func:`object_states` gives position and velocity, from the records that are one object at an instant. Records with
-independent errors are weighted by their inverse covariances. Tracks that smooth over the same motion err alike,
-whatever their sensors: those of one object (kinds :data:`SMOOTHED`) are joined by covariance intersection first,
-which is right whatever their correlation, and only then with the others. Directions help where they cross.
+:func:`object_states` gives the position and velocity of objects from their records at an instant. Records with
+independent errors are weighted by their inverse covariances. Tracks that smooth over the same motion have correlated
+errors, whatever their sensors: those of one object (kinds :data:`SMOOTHED`) are first fused by covariance intersection,
+which is consistent for any correlation, and then with the others. Directions contribute where they cross.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sameas.tracks.alignment import moved
 
 
 class ColumnTable:
-    """Base of dataclasses whose fields are columns (k, …), but for those named in ``WHOLE``, which are of all rows."""
+    """Base of dataclasses whose fields are columns (k, …), except those in ``WHOLE``, which belong to the table."""
 
     WHOLE: ClassVar[frozenset[str]] = frozenset()
 
@@ -36,11 +36,11 @@ class ColumnTable:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in self.WHOLE}  # type: ignore[arg-type]
 
     def take(self, which: NDArray[Any]) -> Self:
-        """Some of the rows: places, in any order, or a mask."""
+        """The rows of an index array, in any order, or of a mask."""
         return replace(self, **{name: column[which] for name, column in self.columns().items()})  # type: ignore[type-var]
 
     def stacked(self, *others: Self) -> Self:
-        """These rows and those of others below them; the fields in ``WHOLE`` stay those of these."""
+        """The rows of this table followed by those of others; the fields in ``WHOLE`` are those of this table."""
         parts = [part.columns() for part in (self, *others)]
         return replace(self, **{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})  # type: ignore[type-var]
 
@@ -60,7 +60,7 @@ class ObjectTable(ColumnTable):
         return len(self.number)
 
     def predicted(self, dt_s: float, walk_m2_per_s3: FloatArray | float) -> Self:
-        """The objects with their states after ``dt_s``: velocities walk at random, by ``walk_m2_per_s3``."""
+        """The objects with their states predicted by ``dt_s``; walk_m2_per_s3 : of the random walk of velocities."""
         if not len(self):
             return self
         state, covariance = moved(self.state, self.covariance, dt_s, walk_m2_per_s3)
@@ -73,14 +73,14 @@ STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 @dataclass(frozen=True)
 class PictureObjects(ObjectTable):
-    """The objects of the picture at an instant, (k,) each, by ascending number; those that end then are among them.
+    """The objects of the picture at an instant, (k,) each, by ascending number, including those that end there.
 
     Attributes
     ----------
-    stage : place in :data:`STAGES`.
+    stage : index in :data:`STAGES`.
     placed : whether the position is known.
-    moving : whether the velocity is known, reported or from the object's own positions.
-    detection : (k,) which object of the instant it is, −1 where no source shows it.
+    moving : whether the velocity is known, reported or from the object's positions.
+    detection : (k,) index of the detected object of the instant, −1 if not detected.
     """
 
     stage: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -90,28 +90,28 @@ class PictureObjects(ObjectTable):
 
     @property
     def detected(self) -> BoolArray:
-        """(k,) whether a source shows the object."""
+        """(k,) whether any source detects the object."""
         return np.asarray(self.detection >= 0)
 
     def numbers(self, n_detections: int) -> IntArray:
-        """(n,) the number of each object of the instant."""
+        """(n,) the number of each detected object."""
         out = np.zeros(n_detections, np.int64)
         out[self.detection[self.detected]] = self.number[self.detected]
         return out
 
     def undetected(self, stage: IntArray) -> Self:
-        """The objects at these stages (k,), where no source shows any of them."""
+        """The objects with these stages (k,), none of them detected."""
         return replace(self, stage=stage, detection=np.full(len(self), -1))
 
     def in_order(self, *others: Self) -> Self:
-        """These and others, by ascending number."""
-        whole = self.stacked(*others)
-        return whole.take(np.argsort(whole.number))
+        """The objects of this table and others, by ascending number."""
+        objects = self.stacked(*others)
+        return objects.take(np.argsort(objects.number))
 
 
-#: Kinds of sources whose named records are tracks, smoothed by a filter of their own.
+#: Kinds of sources whose named records are tracks smoothed by a filter.
 SMOOTHED = ("tracks", "marine radar")
-#: 1σ per axis of velocities of objects of which nothing is described, m/s.
+#: 1σ per axis of velocities of objects without a described speed, m/s.
 UNKNOWN_SPEED = 1e3
 
 
@@ -119,8 +119,8 @@ UNKNOWN_SPEED = 1e3
 class ObjectStates:
     """Objects at one instant, (n,) each.
 
-    state, covariance : (n, 4), (n, 4, 4) in the plane; an unreported velocity is 0 ± the speed of its objects.
-    placed : whether the position is known, from a position or from directions of two sensors.
+    state, covariance : (n, 4), (n, 4, 4) in the plane; an unreported velocity is 0 ± the described speed.
+    placed : whether the position is known, from a position or from crossing directions.
     moving : whether a record has a velocity.
     """
 
@@ -131,7 +131,7 @@ class ObjectStates:
 
 
 def object_states(scan: Scan, members: IntArray, identification: Objects | None) -> ObjectStates:
-    """States of the objects ``identification`` of the scan, with these ``members`` (n, S), −1 for none."""
+    """The states of the objects ``identification`` of a scan; members : (n, S) their records, −1 for none."""
     n = len(members)
     state, covariance, placed, moving = np.empty((n, 4)), np.empty((n, 4, 4)), np.empty(n, bool), np.empty(n, bool)
     kinds = np.array([description.kind in SMOOTHED for description in scan.now.descriptions], dtype=bool)
@@ -144,12 +144,12 @@ def object_states(scan: Scan, members: IntArray, identification: Objects | None)
     is_member = members >= 0
     directed = np.flatnonzero((is_member & ~scan.placed[members]).any(axis=1)) if len(scan) else np.empty(0, np.int64)
     if len(directed) and identification is not None:
-        # A direction is no linear observation; the joint density of the identification has its update already.
+        # Directions are not linear in the state; the identification's joint density has done their update.
         fused = identification.fused
         state[directed, :2] = fused.state[directed, :2]
         covariance[directed, :2], covariance[directed, 2:, :2] = 0.0, 0.0
         covariance[directed, :2, :2] = fused.covariance[directed, :2, :2]
-        # An object whose directions do not cross may be anywhere along them within the region.
+        # Without crossing directions the position along them is unknown.
         widest = np.linalg.eigvalsh(scan.now.region.covariance[:2, :2])[-1]
         placed[directed] |= (
             np.linalg.eigvalsh(covariance[directed, :2, :2])[:, -1] < scan.tuning.crossing_share**2 * widest

@@ -1,10 +1,10 @@
-"""A picture over time: its states at the instants of a span, as tables and a summary.
+"""A picture over time: its states at a series of instants, as tables and a summary.
 
     scene = Scene.of([(radar_description, radar), (ais_description, ais)])
     picture = Picture.of(scene, instants(scene.span_s, every_s=10.0))
     picture.objects["object"], picture.records["object"], picture.summary
 
-``scene.registered()`` takes the sensors' offsets away first. For live use see :mod:`sameas.picture.picture_state`.
+Use ``scene.registered()`` first to correct the sensors' offsets. For live use see :mod:`sameas.picture.live`.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION, Scene
 
-#: More instants than this are refused: the unit of the step is most likely wrong.
+#: More instants are refused: the unit of the step is most likely wrong.
 MOST_INSTANTS = 1_000_000
 
 
 def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
-    """(k,) the multiples of ``every_s`` seconds within a span; its end where there are none.
+    """(k,) the multiples of ``every_s`` seconds within a span; the end of the span if there are none.
 
     Example
     -------
@@ -57,16 +57,16 @@ def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
 
 
 def watch_of(scene: Scene) -> Watch | PlotPicture:
-    """The start of a picture of a scene: a :class:`PlotPicture` where no source has ids, else a :class:`Watch`."""
+    """The initial state for a scene: a :class:`PlotPicture` if no source has ids, else a :class:`Watch`."""
     return PlotPicture() if nameless(scene) else Watch()
 
 
 def picture_states(
     scene: Scene, instants_s: Iterable[float], watch: Watch | PlotPicture | None = None, *, features: int = POSITION
 ) -> Iterator[PictureState[Watch] | PictureState[PlotPicture]]:
-    """The picture of a scene at one instant after another; ``watch``: its start.
+    """The states of the picture of a scene at successive instants; watch : the initial state.
 
-    features : as of ``Scene.at``; a :class:`PlotPicture` tracks velocities in any case.
+    features : as of ``Scene.at``; a :class:`PlotPicture` always tracks velocities.
     """
     carried = watch_of(scene) if watch is None else watch
     for instant_s in map(float, instants_s):
@@ -87,10 +87,10 @@ class Picture:
     Attributes
     ----------
     instants_s : (k,) its instants.
-    objects : columns, one row per object and instant; records : one row per record that took part and instant. See
-        :mod:`sameas.picture.picture`.
-    summary : of the whole.
-    texts : explanations, by place in ``instants_s`` and number of the object: where records, rivals or p changed.
+    objects : columns of :func:`object_columns`, one row per object and instant. records : columns of
+        :func:`record_columns`, one row per record and instant.
+    summary : of all instants.
+    texts : explanations, by index in ``instants_s`` and number of the object, where records, rivals or p changed.
     plane : of x_m and y_m; None for the user's own.
     watch : the state for later instants.
     """
@@ -119,11 +119,11 @@ class Picture:
         Parameters
         ----------
         instants_s : ascending; see :func:`instants`.
-        watch : evidence, memory and stages; or the state in which an earlier picture ended. Without it scenes in which
-            no source has ids are tracked by a :class:`PlotPicture`.
-        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`PlotPicture` tracks in any case.
+        watch : evidence, memory and stages, or the final state of an earlier picture; by default that of
+            :func:`watch_of`.
+        features : POSITION, or POSITION_AND_VELOCITY, which a :class:`PlotPicture` always tracks.
         biases : printable lines on the sensors' offsets, for the summary.
-        progress : called with what is being done, at every instant.
+        progress : called with a text at each instant.
 
         Raises
         ------
@@ -167,14 +167,14 @@ class Picture:
 
 
 def error_lines(watch: Watch | PlotPicture) -> list[str]:
-    """Printable lines on the sources whose errors, by what a picture has seen, are not as stated."""
+    """Printable lines on the sources whose errors, as estimated by a picture, are not as stated."""
     return watch.past.error_factors.lines() if isinstance(watch, Watch) else []
 
 
 def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:
-    """Objects of two records or with a likely rival, whose tracks, or the rival's, or probability are new.
+    """Numbers of the objects with two or more records, or a likely rival, whose tracks, rival or probability changed.
 
-    A plot without a track is a new one at every scan.
+    A plot without a track counts as a change at each scan.
     """
     scan = state.scan
     names = [description.name for description in scan.now.descriptions]
@@ -193,35 +193,35 @@ def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, st
     return out
 
 
-#: One row per object or record. Numbers are arrays, masked where some cells are absent; texts are arrays of str, "" for
-#: none. Latitudes and longitudes are there where the picture has a plane on the earth.
+#: One row per object or record. Numbers are arrays, masked where absent; texts are arrays of str, "" for none.
+#: Latitudes and longitudes are included if the picture has a plane on the earth.
 Columns = dict[str, NDArray[Any]]
 
 
 def object_columns(state: PictureState[Carried]) -> Columns:
-    """One row per object of the picture.
+    """The columns of a picture state's objects, one row each.
 
-    time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked where directions do not cross; vx_m_per_s,
-    vy_m_per_s, speed_m_per_s, course_deg, masked where unknown; height_m, sigma_height_m, climb_m_per_s where sources
-    report heights, of the kind that ``Scene.heights`` says; n_sources, sources, members ("radar:12 ais:3": the
-    rows of the sources' reports), probability, runner_up, p_runner_up, masked while it coasts; label, mmsi, icao,
-    callsign, name, mode_a, type; ambiguous: less than 95 % probable.
+    time_s, object, stage; x_m, y_m, var_x_m2, cov_xy_m2, var_y_m2, masked if directions do not cross; vx_m_per_s,
+    vy_m_per_s, speed_m_per_s, course_deg, masked if unknown; height_m, sigma_height_m, climb_m_per_s if sources report
+    heights, of the kind of ``Scene.heights``; n_sources, sources, members ("radar:12 ais:3": rows of the sources'
+    reports), probability, runner_up, p_runner_up, masked while coasting; label, mmsi, icao, callsign, name, mode_a,
+    type; ambiguous: whether the probability is below ``ambiguous_below``.
     """
     objects, detected = state.objects, state.objects.detected
-    # The last row stands for objects that are not detected, and is masked.
+    # −1, the last row, for undetected objects; it is masked.
     at = np.where(detected, objects.detection, -1)
     velocity = objects.state[:, 2:]
-    at_rest = ~objects.moving
+    velocity_unknown = ~objects.moving
     p_rival = np.append(state.p_runner_up, 0.0)[at]
     columns: Columns = {
         "time_s": np.full(len(objects), state.now.instant_s),
         "object": objects.number,
         "stage": np.array(STAGES, dtype=np.str_)[objects.stage] if len(objects) else np.empty(0, "U9"),
         **_ellipse(objects.state, objects.covariance, ~objects.placed),
-        "vx_m_per_s": _masked(velocity[:, 0], at_rest),
-        "vy_m_per_s": _masked(velocity[:, 1], at_rest),
-        "speed_m_per_s": _masked(np.hypot(*velocity.T), at_rest),
-        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, at_rest),
+        "vx_m_per_s": _masked(velocity[:, 0], velocity_unknown),
+        "vy_m_per_s": _masked(velocity[:, 1], velocity_unknown),
+        "speed_m_per_s": _masked(np.hypot(*velocity.T), velocity_unknown),
+        "course_deg": _masked(np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1])) % 360.0, velocity_unknown),
         **_fused_heights(state, at),
         "n_sources": np.append((state.members >= 0).sum(axis=1), 0)[at],
         **_memberships(state, at),
@@ -234,12 +234,11 @@ def object_columns(state: PictureState[Carried]) -> Columns:
 
 
 def record_columns(state: PictureState[Carried]) -> Columns:
-    """One row per record that took part.
+    """The columns of a picture state's records, one row each.
 
     time_s, source, row (of the source's reports), line (of its file), track_id, object; p_object, p_alone, age_s; x_m,
-    y_m, var_x_m2, cov_xy_m2, var_y_m2, moved to the instant, masked for directions; height_m, sigma_height_m where
-    sources report heights; bearing_deg, sigma_bearing_deg,
-    sensor_x_m, sensor_y_m, masked for positions.
+    y_m, var_x_m2, cov_xy_m2, var_y_m2, moved to the instant, masked for directions; height_m, sigma_height_m if sources
+    report heights; bearing_deg, sigma_bearing_deg, sensor_x_m, sensor_y_m, masked for positions.
     """
     scan = state.scan
     sources = np.array([description.name for description in scan.now.descriptions] or [""], dtype=np.str_)
@@ -254,27 +253,27 @@ def record_columns(state: PictureState[Carried]) -> Columns:
         "p_alone": state.p_alone,
         "age_s": state.now.instant_s - scan.time_s,
         **_ellipse(scan.state, scan.covariance, ~scan.placed),
-        **(_height_columns(scan.heights[:, 0], scan.heights[:, 1]) if _tells_heights(state) else {}),
-        **_sights(state),
+        **(_height_columns(scan.heights[:, 0], scan.heights[:, 1]) if _has_heights(state) else {}),
+        **_direction_columns(state),
     }
 
 
 def gathered(parts: Sequence[Mapping[str, NDArray[Any]]]) -> Columns:
-    """The rows of several instants one after another."""
+    """The rows of several instants, concatenated."""
     if not parts:
         return {}
     return {name: _concatenated([part[name] for part in parts]) for name in parts[0]}
 
 
 def _concatenated(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Columns one below the other, masked where any of them is."""
+    """Concatenated columns, a masked array if any of them is."""
     if any(isinstance(column, np.ma.MaskedArray) for column in columns):
         return np.asanyarray(np.ma.concatenate(columns))  # type: ignore[no-untyped-call]
     return np.concatenate(columns)
 
 
 def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
-    """The same with lat_deg and lon_deg before x_m and y_m, where there is a plane on the earth."""
+    """The columns with lat_deg and lon_deg before x_m and y_m, if there is a plane on the earth."""
     if plane is None or not columns:
         return columns
     hidden = np.ma.getmaskarray(columns["x_m"])
@@ -302,7 +301,7 @@ def _ellipse(state: NDArray[Any], covariance: NDArray[Any], hidden: BoolArray) -
     }
 
 
-def _tells_heights(state: PictureState[Carried]) -> bool:
+def _has_heights(state: PictureState[Carried]) -> bool:
     """Whether any source of the scene reports heights."""
     return any(heights is not None for heights in state.now.heights)
 
@@ -313,10 +312,10 @@ def _height_columns(height: FloatArray, sigma: FloatArray) -> Columns:
 
 
 def _fused_heights(state: PictureState[Carried], at: IntArray) -> Columns:
-    """The heights of the objects and their 1σ: those of their records, weighted by their precisions."""
-    if not _tells_heights(state):
+    """The heights of the objects and their 1σ: precision-weighted means over their records."""
+    if not _has_heights(state):
         return {}
-    # The last row is that of no record.
+    # The last row is for "no record".
     height, sigma, climb = np.vstack([state.scan.heights, np.full((1, 3), np.nan)]).T
     members = np.vstack([state.members, np.full((1, state.members.shape[1]), -1)])
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -330,7 +329,7 @@ def _fused_heights(state: PictureState[Carried], at: IntArray) -> Columns:
 
 
 def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:
-    """The sources and records of an object, and the records of its runner-up."""
+    """The columns of the sources and records of objects, and of the records of their runners-up."""
     scan = state.scan
     names = [description.name for description in scan.now.descriptions]
     record = [f"{names[s]}:{row}" for s, row in zip(scan.source.tolist(), scan.row.tolist(), strict=True)]
@@ -344,7 +343,7 @@ def _memberships(state: PictureState[Carried], at: IntArray) -> Columns:
 
 
 def joined(members: IntArray, words: Sequence[str]) -> NDArray[np.str_]:
-    """(n,) the words of the members of each set, with spaces between them."""
+    """(n,) the words of the members of each set, joined by spaces."""
     out: list[list[str]] = [[] for _ in range(len(members))]
     at, source = np.nonzero(members >= 0)
     for k, record in zip(at.tolist(), members[at, source].tolist(), strict=True):
@@ -363,25 +362,25 @@ def _texts(state: PictureState[Carried]) -> Columns:
 
 
 def _lines(state: PictureState[Carried]) -> np.ma.MaskedArray:
-    """(records,) line of each record in its file."""
+    """(records,) the line of each record in its file."""
     scan = state.scan
     line, hidden = np.zeros(len(scan), np.int64), np.ones(len(scan), bool)
     for s, feed in enumerate(scan.now.feeds):
-        here = slice(scan.start[s], scan.start[s + 1])
+        records = slice(scan.start[s], scan.start[s + 1])
         if feed.raw_reports is not None:
-            line[here], hidden[here] = feed.raw_reports.line[scan.row[here]], False
+            line[records], hidden[records] = feed.raw_reports.line[scan.row[records]], False
     return _masked(line, hidden)
 
 
-def _sights(state: PictureState[Carried]) -> Columns:
-    """Directions of the records without positions, and the places of their sensors."""
+def _direction_columns(state: PictureState[Carried]) -> Columns:
+    """The columns of directions and of the places of their sensors."""
     scan, n = state.scan, len(state.scan)
     bearing, sigma, sensor, hidden = np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.ones(n, bool)
     for s, (feed, source) in enumerate(zip(scan.now.feeds, scan.now.sources, strict=True)):
         if isinstance(source, Observations) and isinstance(feed.reports, Directions):
-            here, records = slice(scan.start[s], scan.start[s + 1]), records_of(source)
-            bearing[here], sigma[here] = records.features[:, 0], np.sqrt(records.covariance[:, 0])
-            sensor[here], hidden[here] = feed.reports.sensor_m[scan.row[here]], False
+            own, records = slice(scan.start[s], scan.start[s + 1]), records_of(source)
+            bearing[own], sigma[own] = records.features[:, 0], np.sqrt(records.covariance[:, 0])
+            sensor[own], hidden[own] = feed.reports.sensor_m[scan.row[own]], False
     return {
         "bearing_deg": _masked(bearing, hidden),
         "sigma_bearing_deg": _masked(sigma, hidden),

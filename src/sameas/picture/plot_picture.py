@@ -1,14 +1,14 @@
-"""The picture of plots: for scenes in which no source has ids, tracked from scan to scan.
+"""The picture of plots without ids: for scenes in which no source has ids, tracked from scan to scan.
 
-:class:`PlotPicture` is for scenes of bare plots and directions what :class:`sameas.picture.Watch` is for all others. It
-processes every scan between the instants of the picture, since objects are tracked from scan to scan
+:class:`PlotPicture` takes the place of :class:`sameas.picture.Watch` for scenes of plots and directions without ids. It
+processes all scans between the instants of the picture, since objects are tracked from scan to scan
 (:mod:`sameas.picture.plot_tracker`), and gives the :class:`~sameas.picture.picture_state.PictureState` of each instant:
 
     state = picture.at(scene, instant_s)
     picture = state.watch
 
-An object is confirmed once it is certainly real (:class:`Confirmation`), coasts while no scan shows it, and ends when
-it is too improbable or too uncertain. An unconfirmed object is in the picture while a scan shows it.
+An object is confirmed once it is certainly real (:class:`Confirmation`), coasts while no scan detects it, and ends when
+it is too improbable or too uncertain. An unconfirmed object is in the picture while a scan detects it.
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
 def nameless(scene: Scene) -> bool:
     """Whether no source of a scene has ids or attributes of identity, and at least one has positions."""
-    silent = all(feed.reports.track is None and not feed.attributes for feed in scene.feeds)
-    return silent and any(isinstance(feed.reports, States) for feed in scene.feeds)
+    no_ids = all(feed.reports.track is None and not feed.attributes for feed in scene.feeds)
+    return no_ids and any(isinstance(feed.reports, States) for feed in scene.feeds)
 
 
 def scan_times_between(
     feeds: Sequence[Feed], after_s: float, until_s: float, tuning: Tuning = DEFAULT_TUNING
 ) -> list[float]:
-    """Times of scans of any source, after one time and before another, ascending.
+    """The times of scans of any source between two times (exclusive), ascending.
 
-    Scans within ``joint_scan_share`` of the shortest period are one, at the time of the last: no source scans twice in
-    that.
+    Scans within ``joint_scan_share`` of the shortest period count as one, at the time of the last: no source scans
+    twice in that time.
     """
     times_s = np.unique(np.concatenate([np.empty(0), *(feed.scan_times_s for feed in feeds)]))
     gap_s = tuning.joint_scan_share * min((_period_s(feed) for feed in feeds), default=math.inf)
@@ -73,11 +73,11 @@ def _period_s(feed: Feed) -> float:
 
 @dataclass(frozen=True)
 class PlotObjects(PictureObjects):
-    """Objects that a scan shows, and confirmed objects that none shows."""
+    """Detected objects, and confirmed objects that no scan detects now."""
 
     @classmethod
     def of(cls, detections: TrackedObjects, confirmed: frozenset[int]) -> PlotObjects:
-        """Of objects that a look shows, and of those that are ``confirmed``."""
+        """The detected objects, and those whose numbers are ``confirmed``."""
         tracks = detections.tracks
         detection = np.full(len(tracks), -1)
         detection[detections.which] = np.arange(len(detections.which))
@@ -88,33 +88,35 @@ class PlotObjects(PictureObjects):
         placed[detections.which], moving[detections.which] = detections.states.placed, detections.states.moving
         is_confirmed = np.isin(tracks.number, np.array(sorted(confirmed), np.int64))
         stage = np.where(is_confirmed, np.where(detection >= 0, CONFIRMED, COASTING), TENTATIVE)
-        every_object = cls(tracks.number, tracks.state, tracks.covariance, stage, placed, moving, detection)
+        objects = cls(tracks.number, tracks.state, tracks.covariance, stage, placed, moving, detection)
         in_picture = np.flatnonzero((detection >= 0) | is_confirmed)
-        return every_object.take(in_picture[np.argsort(tracks.number[in_picture])])
+        return objects.take(in_picture[np.argsort(tracks.number[in_picture])])
 
     def with_ends(self, before: PlotObjects, numbers: IntArray, dt_s: float, walk_m2_per_s3: float) -> PlotObjects:
-        """The same with those that were sure ``dt_s`` before and whose numbers are not among ``numbers`` any more."""
+        """The objects with the confirmed ones of ``dt_s`` before that have ended: their numbers are not in
+        ``numbers``."""
         ended = ((before.stage == CONFIRMED) | (before.stage == COASTING)) & ~np.isin(before.number, numbers)
         if not ended.any():
             return self
-        ends = before.take(np.flatnonzero(ended)).predicted(dt_s, walk_m2_per_s3)
-        return self.in_order(ends.undetected(np.full(len(ends), ENDED)))
+        ended_objects = before.take(np.flatnonzero(ended)).predicted(dt_s, walk_m2_per_s3)
+        return self.in_order(ended_objects.undetected(np.full(len(ended_objects), ENDED)))
 
 
 @dataclass(frozen=True)
 class Confirmation:
-    """Which of the tracked objects are certainly real.
+    """Which of the tracked objects are confirmed as real.
 
-    The tracker assumes the same density of unknown objects at every scan. After some scans most objects are tracked:
-    fewer of the new ones are real then, by the share u of objects that is still unseen. With Q the probability that
-    all completed scans missed an object, and λ the mean time that objects exist,
+    The tracker assumes the same density of unknown objects at each scan. After some scans most objects are tracked, so
+    fewer of the new ones are real: only the share u of objects that was never detected. With Q the probability that all
+    completed scans missed an object, and λ the mean time that objects exist,
 
         u ← u Q e^{−Δt/λ} + 1 − e^{−Δt/λ},    u = 1 at first,
 
-    and an object is confirmed once the odds of its existence, times the u of when it appeared, reach those of ``real``;
-    one that no current scan shows needs ``confirming_plots`` plots too.
+    and an object is confirmed once the odds of its existence, times u at its first detection, reach those of ``real``;
+    an object with a prior also needs ``confirming_plots`` plots.
 
-    unseen_share : u. share : by number u when it appeared. plots : by number its plots. confirmed : numbers.
+    unseen_share : u. share : by number, u at the first detection. plots : by number, the count of plots. confirmed :
+    numbers.
     """
 
     unseen_share: float = 1.0
@@ -122,7 +124,7 @@ class Confirmation:
     plots: Mapping[int, int] = field(default_factory=dict)
     confirmed: frozenset[int] = frozenset()
 
-    def on(
+    def advance(
         self,
         before: TrackedPlots | None,
         after: TrackedPlots,
@@ -153,14 +155,14 @@ class Confirmation:
 
 @dataclass(frozen=True)
 class PlotPicture:
-    """The state of a picture of bare plots from scan to scan; start with ``PlotPicture()``.
+    """The state of a picture of plots without ids, from scan to scan; start with ``PlotPicture()``.
 
     Parameters
     ----------
     tracker : of its objects.
-    real : an object is confirmed once it exists with this probability: of those at most 1 − real are false.
+    real : an object is confirmed at this probability of existence; at most 1 − real of the confirmed ones are false.
     tracks, confirmation, objects, last_s : the tracked objects, which of them are confirmed, and the objects and the
-        time of the last instant; filled in from instant to instant.
+        time of the last instant; updated from instant to instant.
     """
 
     tracker: PlotTracker = field(default_factory=PlotTracker)
@@ -175,40 +177,41 @@ class PlotPicture:
             raise InputError(f"PlotPicture: real is {self.real}; give a probability between 0 and 1")
 
     def at(self, scene: Scene, instant_s: float) -> PictureState[PlotPicture]:
-        """The picture at an instant not before the last, by all scans since; the first by those of one lifetime.
+        """The picture at an instant not before the previous one, from all scans since; at the first instant, from the
+        scans of one ``lifetime_s``.
 
         Raises
         ------
-        InputError : the instant is before the last; a source has ids of its objects.
+        InputError : the instant is before the previous one; a source has ids.
         """
-        carried, longest = self, self.tracker.lifetime_s
-        since = instant_s - longest if self.tracks is None else self.tracks.now.instant_s
+        carried = self
+        since = instant_s - self.tracker.lifetime_s if self.tracks is None else self.tracks.now.instant_s
         for scan_s in scan_times_between(scene.feeds, since, instant_s, self.tracker.tuning):
             carried = carried.updated(scene.at(scan_s, features=POSITION_AND_VELOCITY))
         return carried.advance(scene.at(instant_s, features=POSITION_AND_VELOCITY))
 
     def updated(self, now: Instant) -> PlotPicture:
-        """The same after the scans of a later instant."""
+        """The state after the scans of a later instant."""
         tracks = self.tracker.advance(now, self.tracks)
-        confirmation = self.confirmation.on(
+        confirmation = self.confirmation.advance(
             self.tracks, tracks, self.tracker.lifetime_s, self.real, self.tracker.tuning
         )
         return replace(self, tracks=tracks, confirmation=confirmation)
 
     def advance(self, now: Instant) -> PictureState[PlotPicture]:
-        """The picture at an instant with velocities, where no scan lies between it and the last."""
-        followed = self.updated(now)
-        assert followed.tracks is not None
+        """The picture at an instant with velocities, without scans between it and the previous one."""
+        updated = self.updated(now)
+        assert updated.tracks is not None
         scan = Scan.of(now.with_records(), self.tracker.tuning)
-        detections = TrackedObjects(scan, followed.tracks)
-        objects = PlotObjects.of(detections, followed.confirmation.confirmed)
+        detections = TrackedObjects(scan, updated.tracks)
+        objects = PlotObjects.of(detections, updated.confirmation.confirmed)
         if len(self.objects):
             walk = max(walk_of(description) for description in now.descriptions)
-            objects = objects.with_ends(self.objects, followed.tracks.number, now.instant_s - self.last_s, walk)
-        carried = replace(followed, objects=objects, last_s=now.instant_s)
+            objects = objects.with_ends(self.objects, updated.tracks.number, now.instant_s - self.last_s, walk)
+        carried = replace(updated, objects=objects, last_s=now.instant_s)
         return PictureState(now, scan, detections, detections.states, carried)
 
     @cached_property
     def texts(self) -> Mapping[int, NDArray[Any]]:
-        """Texts of the objects: none."""
+        """By number of the object, its texts: empty ones."""
         return dict.fromkeys(self.objects.number.tolist(), NO_TEXTS)

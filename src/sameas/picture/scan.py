@@ -1,8 +1,4 @@
-"""The scan: every record that takes part in an instant, source after source, in one table.
-
-The later stages of the picture read from it: the reported position and velocity, how fast such objects move, the
-track id, and the time of the report.
-"""
+"""The scan: all records of an instant, source by source, in one table, for the later stages of the picture."""
 
 from __future__ import annotations
 
@@ -31,13 +27,13 @@ class Scan:
     ----------
     now : the instant.
     start : (S+1,) records of source s are start[s] … start[s+1] − 1.
-    source : place of the record's source. row : of the source's own reports. table : row among the source's records.
-    track : the source's id of the object, "" where it has none.
-    time_s : time for which the report holds. late_s : 1σ of that time. walk_m2_per_s3, speed_m_per_s : how its objects
-        move.
+    source : number of the record's source. row : of the source's reports. table : row among the source's records.
+    track : the source's id of the object, "" for none.
+    time_s : time of the report. late_s : its 1σ. walk_m2_per_s3, speed_m_per_s : motion noise, and 1σ per axis of the
+        velocities of its objects.
     reported_state, reported_covariance : (n, 4), (n, 4, 4) at that time; NaN for directions.
     state, covariance : the same, moved to the instant.
-    placed : whether it is a position. moving : whether it has a velocity.
+    placed : whether the record has a position. moving : whether it has a velocity.
     manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
         (:mod:`sameas.picture.track_pairs`).
     heights : (n, 3) height and its 1σ, metres, and vertical speed, m/s; NaN where a record has none.
@@ -94,49 +90,49 @@ class Scan:
         )
 
     def texts(self, attribute: str) -> NDArray[Any]:
-        """(n,) an attribute of identity of the records, "" where they have none."""
+        """(n,) an attribute of identity of the records, "" for none."""
         out = np.full(len(self), "", dtype=object)
         for s, feed in enumerate(self.now.feeds):
             column = feed.attributes.get(attribute)
             if column is not None:
-                here = slice(self.start[s], self.start[s + 1])
-                out[here] = ["" if value is None else str(value) for value in column[self.row[here]]]
+                records = slice(self.start[s], self.start[s + 1])
+                out[records] = ["" if value is None else str(value) for value in column[self.row[records]]]
         return out
 
     def new_since(self, before: Scan | None) -> BoolArray:
-        """(n,) whether a record was not yet in the scan of an instant before."""
+        """(n,) whether a record is not in an earlier scan."""
         new = np.ones(len(self), bool)
         names = [] if before is None else [description.name for description in before.now.descriptions]
         for s, description in enumerate(self.now.descriptions):
             if before is not None and description.name in names:
                 t = names.index(description.name)
-                here = slice(self.start[s], self.start[s + 1])
-                new[here] = ~np.isin(self.row[here], before.row[before.start[t] : before.start[t + 1]])
+                records = slice(self.start[s], self.start[s + 1])
+                new[records] = ~np.isin(self.row[records], before.row[before.start[t] : before.start[t + 1]])
         return new
 
     def with_covariance(self, extra: FloatArray) -> Scan:
-        """The same with covariances that are larger by ``extra`` (n, 4, 4), of its records too."""
+        """The scan, and the sources' records in it, with covariances increased by ``extra`` (n, 4, 4)."""
         sources = list(self.now.sources)
         for s, source in enumerate(sources):
-            here = slice(self.start[s], self.start[s + 1])
-            sources[s] = _grown_source(source, self.table[here], extra[here])
+            records = slice(self.start[s], self.start[s + 1])
+            sources[s] = _with_covariance(source, self.table[records], extra[records])
         now = replace(self.now, sources=tuple(sources))
         return replace(self, now=now, covariance=self.covariance + extra)
 
     def places(self, members: np.ma.MaskedArray) -> IntArray:
-        """(n, S) places in the scan of members given as rows of the sources' records, −1 for none."""
+        """(n, S) the records of the scan of members that are given as rows of the sources' records, −1 for none."""
         rows, absent = np.ma.getdata(members), np.ma.getmaskarray(members)
         out = np.full(rows.shape, -1)
         for s in range(len(self.start) - 1):
-            here = np.flatnonzero(~absent[:, s])
-            out[here, s] = self.find(s, rows[here, s])
+            present = np.flatnonzero(~absent[:, s])
+            out[present, s] = self.find(s, rows[present, s])
         return out
 
     def find(self, source: int, table: IntArray) -> IntArray:
-        """(k,) places in the scan of rows of a source's records."""
+        """(k,) the records of the scan of rows of a source's records."""
         start, stop = self.start[source], self.start[source + 1]
         if stop > start and self.table[stop - 1] == stop - start - 1:
-            # Every row of the source takes part, as at nearly all instants.
+            # All rows of the source are in the scan, as at nearly all instants.
             return np.asarray(start + table)
         return np.asarray(start + np.searchsorted(self.table[start:stop], table))
 
@@ -182,8 +178,8 @@ def _part(
     }  # fmt: skip
 
 
-def _grown_source(source: Source, table: IntArray, extra: FloatArray) -> Source:
-    """A source's records with larger covariances; ``table`` their rows, ascending."""
+def _with_covariance(source: Source, table: IntArray, extra: FloatArray) -> Source:
+    """A source with the covariances of its records increased by ``extra``; table : their rows, ascending."""
     if not isinstance(source, Records) or not extra.any():
         return source
     d = source.d
@@ -193,7 +189,7 @@ def _grown_source(source: Source, table: IntArray, extra: FloatArray) -> Source:
 
 
 def _names(track: NDArray[Any] | None, row: IntArray) -> NDArray[Any]:
-    """Track ids; reports that the scene named by their row only have none."""
+    """Track ids; "" for reports that the scene only named by their row."""
     if track is None:
         return np.full(len(row), "", dtype=object)
     out = np.empty(len(row), object)

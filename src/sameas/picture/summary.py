@@ -25,11 +25,11 @@ from sameas.tracks.scene import Scene
 class Tally:
     """The contribution of one instant to the summary.
 
-    objects : that sources show. expected_wrong : expected number of them that are not exactly right.
-    ambiguous_groups : groups with an ambiguous object.
-    records, shared : per source its records, and those in one object with another source's.
-    due, missed : per source the objects within its coverage that others show, and how many of them it does not show.
-    aged : per source rows of reports that had grown too uncertain. alarms : of the instant.
+    objects : number of detected objects. expected_wrong : expected number of these with wrong records.
+    ambiguous_groups : number of groups with an ambiguous object.
+    records, shared : per source, its records, and those in one object with another source's.
+    due, missed : per source, the objects within its coverage that others detect, and those of them that it misses.
+    aged : per source, rows of reports that became too uncertain. alarms : of the instant.
     """
 
     instant_s: float
@@ -45,7 +45,7 @@ class Tally:
 
     @classmethod
     def of(cls, state: PictureState[Carried]) -> Tally:
-        """Of the picture at an instant; sources are those of its scene."""
+        """Of a picture state; sources are those of its scene."""
         feeds, now = state.now.feeds, state.now
         names = [description.name for description in state.scan.now.descriptions]
         shows = np.zeros((len(state.members), len(feeds)), bool)
@@ -63,19 +63,19 @@ class Tally:
 
 
 def _due(state: PictureState[Carried], shows: BoolArray, s: int) -> FloatArray:
-    """(n,) 1 where source s should show an object: others certainly show it, and it is within the coverage of s."""
+    """(n,) 1 where source s should detect an object: others certainly detect it, and it is within the coverage of s."""
     others = np.delete(shows, s, axis=1)
-    honest = np.delete(np.array([feed.clutter(2) == 0.0 for feed in state.now.feeds], dtype=bool), s)
-    beyond_doubt = (others & honest).any(axis=1) | (others.sum(axis=1) > 1)
-    if len(honest) == 1:
-        beyond_doubt = others[:, 0]
+    clutter_free = np.delete(np.array([feed.clutter(2) == 0.0 for feed in state.now.feeds], dtype=bool), s)
+    is_real = (others & clutter_free).any(axis=1) | (others.sum(axis=1) > 1)
+    if len(clutter_free) == 1:
+        is_real = others[:, 0]
     if isinstance(state.objects, PlotObjects):
-        # One plot or two may be false; a confirmed object is not.
+        # One or two plots may be false; a confirmed object is real.
         objects = state.objects
-        beyond_doubt = others.any(axis=1) & np.isin(state.number, objects.number[objects.stage == CONFIRMED])
+        is_real = others.any(axis=1) & np.isin(state.number, objects.number[objects.stage == CONFIRMED])
     feed = state.now.feeds[s]
     sensor = feed.sensor_at(state.now.instant_s)
-    placed = state.states.placed & beyond_doubt
+    placed = state.states.placed & is_real
     if sensor is None:
         return np.asarray(placed, np.float64)
     arm = state.states.state[:, :2] - sensor
@@ -85,11 +85,11 @@ def _due(state: PictureState[Carried], shows: BoolArray, s: int) -> FloatArray:
 
 @dataclass(frozen=True)
 class MissCount:
-    """Of the objects that others show within a source's coverage, ``due``, the share of which it has no record.
+    """The share of objects without a record of the source, of those that others detect within its coverage (``due``).
 
-    An object counts at every instant; a named track has a record until its timeout. error : standard error of the
-    share, by its differences between stretches of the picture; None where that is one stretch. described : the miss
-    probability of a scan by the source's description; None where it has none.
+    An object counts at each instant; a named track has a record until its timeout. error : standard error of the share,
+    from its scatter between stretches of the picture; None for a single stretch. described : the miss probability per
+    scan of the description; None without one.
     """
 
     source: str
@@ -107,10 +107,9 @@ class MissCount:
 
 @dataclass(frozen=True)
 class Places:
-    """Median 1σ per axis of the positions of confirmed objects; None where there are none.
+    """Median 1σ per axis of the positions of confirmed objects; None if there are none.
 
-    shown_m : of those that a source shows. coasting_m : of those that no source shows now. coasting : mean number of
-    these at an instant.
+    shown_m : of detected objects. coasting_m : of coasting objects. coasting : mean number of these per instant.
     """
 
     shown_m: float | None
@@ -140,7 +139,8 @@ def _metres(sigma_m: float) -> str:
 
 @dataclass(frozen=True)
 class Alarmed:
-    """An alarm over time: its first and last instant, their number, and source and line of its first two reports."""
+    """An alarm over time: its first and last instant, their number, and the source and line of its first two
+    reports."""
 
     alarm: Alarm
     where: tuple[str, str]
@@ -159,19 +159,19 @@ class Alarmed:
 
 @dataclass(frozen=True)
 class Summary:
-    """The summary of a picture as a whole.
+    """The summary of a picture.
 
     Attributes
     ----------
     instants : their number. first_s, last_s : the first and the last.
-    by_sources : confirmed objects by the most sources that showed them at one instant, from 0.
-    unconfirmed : objects that were never confirmed.
-    detected, expected_wrong, ambiguous_groups : per instant the objects that sources show, the expected number of them
-        that are not exactly right, and groups with an ambiguous object.
+    by_sources : confirmed objects by the largest number of sources that detected them at one instant, from 0.
+    unconfirmed : number of objects that were never confirmed.
+    detected, expected_wrong, ambiguous_groups : means per instant of the number of detected objects, of the expected
+        number of these with wrong records, and of the number of groups with an ambiguous object.
     faults : alarms on sources and tracks: clocks, ends, floods, deception, each with its probability.
-    places : uncertainty of positions. misses : per source. biases : printable lines, as given. alarms. assumed : every
-        assumed number.
-    notes : other doubts. errors : printable lines on sources whose errors are not as stated.
+    places : uncertainty of positions. misses : per source. biases : printable lines, as given. alarms : on identities.
+    assumed : printable lines on all assumed numbers. notes : other doubts. errors : printable lines on sources whose
+        errors are not as stated.
     """
 
     instants: int
@@ -202,7 +202,10 @@ class Summary:
         faults: Sequence[Fault] = (),
         errors: Sequence[str] = (),
     ) -> Summary:
-        """Of the columns of a picture's objects, the tallies of its instants, the faults and errors that were found."""
+        """From the columns of a picture's objects and the tallies of its instants.
+
+        biases, errors : printable lines. faults : of sources and tracks.
+        """
         by_sources, unconfirmed = _by_sources(objects, len(scene.feeds))
         assumed = tuple(str(line) for feed in scene.feeds for line in feed.description.assumed)
         return cls(
@@ -278,9 +281,10 @@ def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally], tuning: Tuning) -> 
 
 
 def share_error(due: FloatArray, missed: FloatArray, stretches: int = DEFAULT_TUNING.stretches) -> float | None:
-    """Standard error of the share Σ missed / Σ due of instants (n,), by up to ``stretches`` stretches; None of one.
+    """Standard error of the share Σ missed / Σ due of instants (n,), from the scatter between up to ``stretches``
+    stretches; None for a single one.
 
-    It is at least that of independent scans: stretches are few, and may agree by accident.
+    It is at least that of independent scans: few stretches may agree by chance.
     """
     parts = np.array_split(np.arange(len(due)), min(stretches, len(due)))
     if len(parts) < 2:

@@ -1,4 +1,4 @@
-"""Tuning of the picture: every number in it that was chosen, as one value that :class:`Watch` and trackers take."""
+"""Tuning of the picture: all chosen numbers, as one value for :class:`Watch` and trackers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from sameas.gate import ChiSquare
 from sameas.gate import Tuning as GateTuning
 
-#: The gate of an instant: up to some thousands of records in the plane one sweep is faster than a layout of zones.
+#: The gate of an instant: for up to some thousands of records in the plane, one sweep is faster than zones.
 GATE = ChiSquare(tuning=GateTuning(each_with_each=4096))
 
 
@@ -17,78 +17,80 @@ class Tuning:
 
     Attributes
     ----------
-    unknown_velocity_share : a velocity is unknown where its variance is at least this share of that of any object's
-        velocity. It is below 1, since taking a range bias off changes an unmeasured velocity by some percent.
-    ambiguous_below : an object is ambiguous where its records are less probable than this.
-    explained_rival : a rival less probable than this gives no new explanation.
-    explained_change : a probability that changes by more than this does.
-    crossing_share : directions cross where they leave the object less than this share of the region's width.
+    unknown_velocity_share : a velocity is unknown if its variance is at least this share of the prior variance of
+        velocities. It is below 1, since correcting a range bias changes an unmeasured velocity by some percent.
+    ambiguous_below : an object is ambiguous if its probability is below this.
+    explained_rival : a new rival is explained only if its probability is above this.
+    explained_change : a change of probability is explained only if it is larger than this.
+    crossing_share : directions cross if the object's 1σ is below this share of that of the region.
 
-    manoeuvre_chi_sq : a report farther than this χ² from its prediction is of a manoeuvre and does not measure errors;
+    manoeuvre_chi_sq : a report with a larger χ² from its prediction is of a manoeuvre and not used to estimate errors;
         the limit of 1 in 1000 for two degrees of freedom.
-    correlation_s : error correlation times τ that are weighed, in seconds; near enough to each other that what a time
-        between two of them leaves is not taken for a share that lasts.
-    correlation_sigma : 1σ of ln(τ + 1 s) about that of the source's kind, before its reports say more.
-    lasting_shares : shares of the variance of a source's errors that may last, each as probable before pairs show more.
-    lasting_s : time between two looks at a sure pair of tracks that show what of its errors lasts. sure_pair : a pair
-        is sure from this probability on.
-    known_offsets : a mean offset of two tracks is known from this many differences ``lasting_s`` apart on.
-    offset_freedom : degrees of freedom for which the stated errors count beside the offsets of sure pairs, and
-        most_offset_freedom : for which these count at most, since hulls differ. offset_anew : a mean offset begins
-        anew where the pair does with at least this probability.
-    error_factors : factors of stated errors that are weighed, about 1. errors_as_stated : prior probability that errors
-        are as stated. error_factor_sigma : 1σ of ln f of others before sure pairs show more. factor_outliers : share of
-        differences of sure pairs that may be anything within factor_outlier times their errors.
+    correlation_s : grid of error correlation times τ in seconds; dense enough that a τ between two grid points does not
+        appear as a lasting share.
+    correlation_sigma : prior 1σ of ln(τ + 1 s) about that of the source's kind.
+    lasting_shares : grid of lasting shares of the variance of a source's errors; the prior is uniform.
+    lasting_s : time between two comparisons of a sure pair, to estimate lasting shares. sure_pair : a pair is sure at
+        or above this probability.
+    known_offsets : a mean offset of two tracks is used from this many differences ``lasting_s`` apart on.
+    offset_freedom : prior weight of the stated errors against the offsets of sure pairs, in degrees of freedom;
+        most_offset_freedom : maximum weight of the latter, since hulls differ. offset_anew : a mean offset restarts if
+        the ids were swapped or reassigned with at least this probability.
+    error_factors : grid of factors on stated errors, about 1. errors_as_stated : prior probability that errors are as
+        stated. error_factor_sigma : prior 1σ of ln f otherwise. factor_outliers : share of differences of sure pairs
+        that are outliers, with factor_outlier times their errors.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
-    swap_rates : probabilities h that a tracker has swapped two objects at one place, per report, that are weighed.
-    swap_caution : a swap counts as so many times as probable as estimated.
-    swap_rate, swap_sigma : median and 1σ of ln h before reports say more. swap_chi_sq : h falls with e^(−χ²/this).
-    motion_shares : shares of the largest motion noise that are weighed, each as probable.
-    new_track_probability : a track begins anew beyond the χ² limit that this share of correct reports exceeds.
-    id_timeout_s : a track id that is not reported keeps its number for this long.
+    swap_rates : grid of probabilities h, per report, that a tracker swaps two objects at one place.
+    swap_caution : factor on the estimated probability of a swap.
+    swap_rate, swap_sigma : prior median of h and 1σ of ln h. swap_chi_sq : h falls with e^(−χ²/this).
+    motion_shares : grid of shares of the largest motion noise; the prior is uniform.
+    new_track_probability : a track restarts beyond the χ² limit that this share of correct reports exceeds.
+    id_timeout_s : a track id without reports keeps its number for this long.
     manoeuvre_every_s : mean time between two manoeuvres of an object.
-    pair_timeout_s : two tracks are not compared any more when their positions have not agreed for this long.
-    parted_chi_sq, parted_s : they are not compared while they are apart by more than this χ², once their positions have
-        not agreed for so long; what was known of them then counts when they meet again.
-    partner_odds : two tracks may be partners until strangers are this many times more probable by their positions.
-    search_s : longest search for the best partition of one group, in seconds.
+    pair_timeout_s : two tracks are dropped as a pair when their positions have not agreed for this long.
+    parted_chi_sq, parted_s : two tracks are not compared while their χ² is above the first, once their positions have
+        not agreed for the second; their history is kept for when they are near again.
+    partner_odds : two tracks may be partners unless their positions make chance this many times more probable.
+    search_s : time limit of the search for the best partition of one group, in seconds.
 
-    id_reassigned : probability that a report of a track is another object's, when objects are matched over time.
-    unique_id_odds : factor on the odds of a match whose tracks share an id that no other object has.
+    id_reassigned : probability that a report of a track is of another object, when objects are matched over time.
+    unique_id_odds : factor on the odds of a match whose tracks share a unique id.
     new_share : share of the objects of an instant that may be new.
     history_s : time constant of the shares of a track's history.
     least_share : smaller shares of a track's history are dropped.
     own_share : an object that split off another is confirmed once its tracks were its own for this share of the time.
 
-    false_scans, false_weight : mean life of false tracks in scans, before any has ended, and its weight in tracks.
-    real_s, real_weight : mean life of real tracks in seconds, before any has ended, and its weight in tracks.
-    prior_tracks : tracks that every source counts as seen before: real (first row) and false, there at its first
-        scan and begun later. Of those that begin later most are false.
-    period_s : time between two scans of a source that is not described.
-    em_steps : steps of EM at an instant; they continue from the last instant.
+    false_scans, false_weight : prior mean duration of false tracks in scans, and its weight in tracks.
+    real_s, real_weight : prior mean duration of real tracks in seconds, and its weight in tracks.
+    prior_tracks : pseudo-counts of tracks per source: real (first row) and false, present at its first scan and begun
+        later. Most tracks that begin later are false.
+    period_s : time between two scans of a source whose description has none.
+    em_steps : EM iterations per instant; they continue from the previous instant.
 
-    split : probability that a scan shows one object as two, where neither the description nor the kind has it.
-    forgotten : objects of bare plots that are less probable than this are dropped.
-    region_factor : factor on the region's covariance for the states of objects that are known already.
-    least_probability : probabilities of existence stay this far from 0 and 1, so that later scans can change them.
-    separate_log_odds : bound of the log-odds by scans that two objects are two.
+    split : probability that a scan shows one object as two, if neither the description nor the kind has it.
+    forgotten : objects of plots without ids are dropped below this probability.
+    region_factor : factor on the region's covariance for the states of objects that are already tracked.
+    least_probability : probabilities of existence are clipped to this distance from 0 and 1, so that later scans can
+        change them.
+    separate_log_odds : bound of the log-odds, by scans, that two objects are separate.
     merging_log_odds : two objects are merged at these log-odds.
-    different : two objects are two whatever the scans say beyond the χ² limit that this share of equal ones passes.
-    same_state : states of two objects agree within the χ² limit that holds this share of equal ones.
+    different : two objects are separate, whatever the scans show, beyond the χ² limit with this share of equal ones
+        below it.
+    same_state : states of two objects agree within the χ² limit that includes this share of equal ones.
     joint_scan_share : scans within this share of the shortest period are processed together.
-    confirming_plots : an object that no scan shows now is confirmed with this many plots or more.
+    confirming_plots : a tracked object is confirmed only with at least this many plots.
 
-    known_instants : instants for which two tracks were one object before their parting means anything.
-    known_reports : reports of a track before its silence does.
+    known_instants : minimum number of instants at which two tracks were one object, to find deception.
+    known_reports : minimum number of reports of a track, to find its silence.
     apart_sigmas, apart_instants : two tracks are apart beyond this many σ, at this many instants or more.
-    dragged_odds, swap : odds that the places of one that names itself are false, against a sensor's tracker that went
-        over to another ship, and the probability of the latter for each further sensor. empty_vote : the most that one
-        sensor counts which shows nothing where a track says it is.
-    silent_s, silent_odds : a silence is at least this long, and its odds before it is seen. sure_deception :
-        probability at which either is an alarm.
+    dragged_odds, swap : prior odds that reported positions are false, against a swap of the sensor's track to another
+        ship; and the probability of such a swap for each further sensor. empty_vote : maximum evidence of one sensor
+        without a detection at the reported position.
+    silent_s, silent_odds : minimum duration of a silence, and its prior odds. sure_deception : probability at which
+        either is an alarm.
 
-    fewest_due : below this many expected detections the summary gives no miss rate.
-    stretches : stretches of the picture by whose differences a miss rate's standard error is estimated.
+    fewest_due : the summary gives a miss rate from this many expected detections on.
+    stretches : number of stretches of the picture from whose scatter a miss rate's standard error is estimated.
     """
 
     unknown_velocity_share: float = 0.9

@@ -1,26 +1,25 @@
-"""Time: every record moved to one instant by its own motion, its uncertainty grown by what the motion leaves open.
+"""Time alignment: states moved to one instant, clocks checked by the motion of tracks, and the Kalman filter.
 
 A state is (east, north, velocity east, velocity north) in a plane, metres and seconds. Its velocity is a random walk of
 known power density q (m²/s³), the standard model of nearly constant velocity. Moved by dt a state becomes F x, with
-covariance F P Fᵀ + Q(|dt|). A record that is later than the instant is moved back, and its uncertainty grows too.
+covariance F P Fᵀ + Q(|dt|). A record later than the instant is moved back; its uncertainty grows as well.
 
 - :class:`States`: the reports of one source as states, with or without velocities.
-- :func:`moved`: states at other times. :class:`Succession`: which report of each track is current at an instant.
-- :func:`aged`: which of them are too uncertain to distinguish objects. There is no limit of age.
+- :func:`moved`: states at other times. :class:`Succession`: the current report of each track at an instant.
+- :func:`aged`: whether states are too uncertain to distinguish objects. There is no age limit.
 
-A clock is checked by the motion of what its source shows: between two reports of one track lies a distance, which its
-speed makes a time. A clock that jumps is wrong for all tracks at
-once, by as much; a ship that manoeuvres or leaps says it of itself only.
+A clock is checked by motion: the distance between two reports of one track, divided by its speed, is a time. A clock
+jump shifts all tracks at once by the same time; a manoeuvre or an outlier affects one track only.
 
-- :class:`Steps`: reports of moving tracks and the next of the same. :func:`jump_of`: the jump that explains them best.
-- :func:`with_minutes`: a clock that was counted on from the seconds in messages, with the minutes it missed.
+- :class:`Steps`: successive reports of moving tracks. :func:`jump_of`: the most probable clock jump.
+- :func:`with_minutes`: a clock that is counted from the seconds in messages, with missing minutes inserted.
 
-:func:`follow` makes tracks of a source's plots by a Kalman filter of nearly constant velocity, over all of its tracks
-at once: for sources with track ids that report bare positions, or positions better than their velocities (AIS, ADS-B, a
-radar's plots with track numbers). One pass in the order of time gives every report the state by all reports of its
-track so far, with a covariance that is checked by NIS: the mean of the normalised innovations squared is their
-dimension where noise and motion are described rightly. :func:`measures_anew` tells whether reports are plots, which it
-betters, or smoothed already.
+:func:`follow` filters the plots of a source's tracks by a Kalman filter of nearly constant velocity, all tracks at
+once: for sources with track ids that report positions only, or positions more precise than their velocities (AIS,
+ADS-B, radar plots with track numbers). One pass in order of time gives each report the state from all reports of its
+track up to it. The covariance is checked by NIS: the mean normalised innovation squared is the dimension where noise
+and motion are described correctly. :func:`measures_anew` decides whether reports are unfiltered plots or already
+smoothed.
 """
 
 from __future__ import annotations
@@ -48,14 +47,14 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 @dataclass(frozen=True)
 class States:
-    """Reports of one source in a plane, in the order in which it made them.
+    """Reports of one source in a plane, in the order of the source.
 
     Attributes
     ----------
-    time_s : (n,) seconds, the time for which a state holds.
-    state : (n, 4) east, north, velocity east, velocity north; NaN where no position is known.
+    time_s : (n,) seconds, the time of the state.
+    state : (n, 4) east, north, velocity east, velocity north; NaN where the position is unknown.
     covariance : (n, 4, 4).
-    track : (n,) the source's own name of the object, or None each: every report is then one of its own.
+    track : (n,) the source's name of the object; None if it has no track ids.
     rows : (n,) row in the source's table.
     """
 
@@ -74,12 +73,12 @@ class States:
         return self.usable_of(slice(None))
 
     def usable_of(self, which: NDArray[Any] | slice) -> BoolArray:
-        """(k,) the same of some of the reports."""
-        sound = np.isfinite(self.covariance[which]).all(axis=(1, 2)) & np.isfinite(self.state[which]).all(axis=1)
-        return np.asarray(sound)
+        """(k,) :attr:`usable` for some of the reports."""
+        finite = np.isfinite(self.covariance[which]).all(axis=(1, 2)) & np.isfinite(self.state[which]).all(axis=1)
+        return np.asarray(finite)
 
     def take(self, which: NDArray[Any]) -> States:
-        """Some of the reports."""
+        """The reports of an index array or a mask."""
         track = None if self.track is None else self.track[which]
         return States(self.time_s[which], self.state[which], self.covariance[which], track, self.rows[which])
 
@@ -96,10 +95,10 @@ class States:
         track: ArrayLike | None = None,
         source: str = "source",
     ) -> States:
-        """States from positions (n, 2) with covariances (n, 2, 2), and velocities (n, 2) where they are known.
+        """States from positions (n, 2) with covariances (n, 2, 2), and velocities (n, 2) where known.
 
-        An unknown velocity, NaN or not given, is 0 ± ``speed_m_per_s`` per axis; a velocity without a covariance is
-        refused. Reports without a time are refused, those without a position are kept, but not used.
+        An unknown velocity, NaN or not given, is 0 ± ``speed_m_per_s`` per axis. Refused: velocities without
+        covariances, reports without a time. Reports without a position are kept but not used.
         """
         t, x = np.asarray(time_s, dtype=np.float64), np.asarray(position, dtype=np.float64)
         n = len(t)
@@ -111,25 +110,26 @@ class States:
             raise InputError(f"{source}: {reports} no time (first: row {lost[0]}); give seconds")
         if not speed_m_per_s > 0.0:
             raise InputError(f"{source}: motion.speed_m_per_s is {speed_m_per_s}; give how fast objects may be, 1σ")
-        state, spread = np.zeros((n, 4)), np.zeros((n, 4, 4))
-        state[:, :2], spread[:, :2, :2] = x, np.broadcast_to(np.asarray(covariance, dtype=np.float64), (n, 2, 2))
-        spread[:, 2, 2] = spread[:, 3, 3] = speed_m_per_s**2
+        state, out_covariance = np.zeros((n, 4)), np.zeros((n, 4, 4))
+        state[:, :2] = x
+        out_covariance[:, :2, :2] = np.broadcast_to(np.asarray(covariance, dtype=np.float64), (n, 2, 2))
+        out_covariance[:, 2, 2] = out_covariance[:, 3, 3] = speed_m_per_s**2
         if velocity is not None:
             if velocity_covariance is None:
                 raise InputError(f"{source}: velocities are given without their covariances; give (n, 2, 2)")
             v = np.asarray(velocity, dtype=np.float64)
             vv = np.broadcast_to(np.asarray(velocity_covariance, dtype=np.float64), (n, 2, 2))
             known = np.isfinite(v).all(axis=1) & np.isfinite(vv).all(axis=(1, 2))
-            state[known, 2:], spread[known, 2:, 2:] = v[known], vv[known]
+            state[known, 2:], out_covariance[known, 2:, 2:] = v[known], vv[known]
         names = None if track is None else np.asarray(track)
         if names is not None and names.shape != (n,):
             raise InputError(f"{source}: {names.shape} names of tracks for {n} reports; give one each")
-        return cls(t, state, spread, names, np.arange(n))
+        return cls(t, state, out_covariance, names, np.arange(n))
 
 
 @dataclass(frozen=True)
 class Earlier:
-    """The observation by ``part`` of a state (east, north, velocity) ``age_s`` seconds ago, of the state now.
+    """The observation ``part`` of the state ``age_s`` seconds ago, as a function of the present state.
 
     >>> from sameas.many.observations import Bearing
     >>> Earlier(Bearing((0.0, 0.0), dimension=4), 2.0)(np.array([[10.0, 30.0, 5.0, 0.0]])).tolist()
@@ -152,7 +152,7 @@ class Earlier:
 
 
 def transition(dt_s: ArrayLike) -> FloatArray:
-    """(n, 4, 4) F: the position goes on with the velocity for dt (n,)."""
+    """(n, 4, 4) F of constant velocity over dt (n,)."""
     dt = np.atleast_1d(np.asarray(dt_s, dtype=np.float64))
     f = np.broadcast_to(np.eye(4), (len(dt), 4, 4)).copy()
     f[:, 0, 2] = f[:, 1, 3] = dt
@@ -177,9 +177,9 @@ def moved(
     acceleration_m2_per_s3: ArrayLike,
     late_s: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """States (n, 4) and covariances (n, 4, 4) after dt (n,) seconds, before where dt is negative.
+    """States (n, 4) and covariances (n, 4, 4) moved by dt (n,) seconds, back in time where negative.
 
-    late_s : 1σ of stamps that are uncertain, which adds v vᵀ σ² along the velocity.
+    late_s : 1σ of the stamps, which adds v vᵀ σ² along the velocity.
     """
     n = len(state)
     size, q = np.empty(n), np.empty(n)
@@ -192,7 +192,7 @@ def moved(
         return there, out
     dt, p = size[:, None], covariance
     there[:, :2], there[:, 2:] = state[:, :2] + dt * state[:, 2:], state[:, 2:]
-    # F P Fᵀ + Q, written out: matrices of which most elements are 0 take four times as long.
+    # F P Fᵀ + Q written out: with matrices, most of whose elements are 0, it takes four times as long.
     t, size = dt[:, :, None], np.abs(size)
     crossed = p[:, :2, 2:] + t * p[:, 2:, 2:]
     out[:, :2, :2] = symmetric(p[:, :2, :2] + t * (p[:, 2:, :2] + crossed))
@@ -211,11 +211,11 @@ def moved(
 
 @dataclass(frozen=True)
 class Succession:
-    """Which reports of a source follow each other in its tracks; :meth:`at` is asked instant after instant.
+    """The order of a source's reports within its tracks, for :meth:`at` at many instants.
 
     Attributes
     ----------
-    rows : (n,) reports, track after track, in each by their times; equal times in the order in which they came.
+    rows : (n,) reports, track by track, ordered by time; ties in the order of the reports.
     time_s : (n,) their times. final : (n,) whether a report is the last of its track.
     """
 
@@ -225,7 +225,7 @@ class Succession:
 
     @classmethod
     def of(cls, time_s: FloatArray, track: NDArray[Any]) -> Succession:
-        """Of reports in any order of time, each under the name of its track.
+        """Of reports in any order of time; track : (n,) names of their tracks.
 
         >>> Succession.of(np.array([5.0, 0.0, 9.0]), np.array(["a", "a", "b"])).at(6.0).tolist()
         [0]
@@ -237,21 +237,20 @@ class Succession:
         return cls(rows, time_s[rows], final)
 
     def at(self, instant_s: float) -> IntArray:
-        """Rows, ascending, of the current reports at an instant: of each track the last that is not later.
+        """The rows, ascending, of the current reports at an instant: of each track the last one not later.
 
-        The time for which a report holds counts, not its arrival: reports may be out of order.
+        The time of a report counts, not its arrival: reports may be out of order.
         """
         past = self.time_s <= instant_s
-        # The past reports of a track are before the others.
-        overtaken = np.append(past[1:], False) & ~self.final
-        return np.sort(self.rows[past & ~overtaken])
+        superseded = np.append(past[1:], False) & ~self.final
+        return np.sort(self.rows[past & ~superseded])
 
 
 def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     """(n,) whether more than one other object is expected within a state's own 1σ ellipse: π √|P| ρ > 1.
 
-    Such a record does not distinguish objects any more. That may be after seconds or hours, by its motion and the
-    density of objects.
+    Such a record no longer distinguishes objects. Depending on its motion and the density of objects, that takes
+    seconds or hours.
     """
     area = math.pi * np.sqrt(np.maximum(np.linalg.det(covariance[:, :2, :2]), 0.0))
     return np.asarray(area * density_per_m2 > 1.0)
@@ -259,9 +258,9 @@ def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
 
 @dataclass(frozen=True)
 class Steps:
-    """Reports of moving tracks and the next of the same in the file (m,): rows, and by how long stamps disagree.
+    """Pairs of successive reports of moving tracks in the order of the file, (m,) each.
 
-    late_s, sigma_s : seconds that the second stamp is beyond what the way between them says, and their 1σ.
+    first, second : rows. late_s, sigma_s : seconds by which the second stamp is later than the motion predicts, and 1σ.
     track : number of the track.
     """
 
@@ -284,19 +283,19 @@ class Steps:
         a, b, track = rows[:-1][same], rows[1:][same], number[1:][same]
         velocity = 0.5 * (reports.state[a, 2:] + reports.state[b, 2:])
         speed = np.maximum(np.hypot(*velocity.T), 1e-9)
-        way, dt = reports.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
-        beyond = way - velocity * dt[:, None]
-        along = np.einsum("nv,nv->n", beyond, velocity) / speed
-        across = np.abs(beyond[:, 0] * velocity[:, 1] - beyond[:, 1] * velocity[:, 0]) / speed
-        spread = reports.covariance[a] + reports.covariance[b]
-        # True seconds between the reports are those of the way, where stamps are wrong.
-        passed = np.hypot(*way.T) / speed + np.abs(dt)
-        variance = 0.5 * np.einsum("nvv->n", spread[:, :2, :2]) + walk[a] * passed**3 / 6.0
-        variance = variance + passed**2 * np.einsum("nvv->n", spread[:, 2:, 2:]) / 8.0
-        known = spread[:, 2, 2] < 0.1 * speed**2 + 1.0
+        step, dt = reports.state[b, :2] - reports.state[a, :2], reports.time_s[b] - reports.time_s[a]
+        residual = step - velocity * dt[:, None]
+        along = np.einsum("nv,nv->n", residual, velocity) / speed
+        across = np.abs(residual[:, 0] * velocity[:, 1] - residual[:, 1] * velocity[:, 0]) / speed
+        total = reports.covariance[a] + reports.covariance[b]
+        # An upper limit of the true time between the reports, whether or not the stamps are wrong.
+        elapsed = np.hypot(*step.T) / speed + np.abs(dt)
+        variance = 0.5 * np.einsum("nvv->n", total[:, :2, :2]) + walk[a] * elapsed**3 / 6.0
+        variance = variance + elapsed**2 * np.einsum("nvv->n", total[:, 2:, 2:]) / 8.0
+        known = total[:, 2, 2] < 0.1 * speed**2 + 1.0
         turned = np.hypot(*(reports.state[a, 2:] - reports.state[b, 2:]).T) > 0.3 * speed
         kept = known & ~turned & (speed > tuning.clock_speed_m_per_s) & (across < 4.0 * np.sqrt(variance))
-        kept &= passed < tuning.clock_gap_s
+        kept &= elapsed < tuning.clock_gap_s
         sigma = np.sqrt(variance) / speed
         return cls(a[kept], b[kept], -(along / speed)[kept], np.hypot(sigma, tuning.stamp_s)[kept], track[kept])
 
@@ -304,42 +303,41 @@ class Steps:
 def jump_of(
     steps: Steps, at: IntArray, seconds: FloatArray, prior: float, tuning: Tuning
 ) -> tuple[float, int, float, int] | None:
-    """The most probable jump: log-odds, row of the file from which on, seconds, number of tracks that vote for it.
+    """The most probable clock jump: log-odds, first row of the file after it, seconds, number of supporting tracks.
 
-    at : (n,) row of the file of every report. seconds : jumps that are tried. prior : probability that there is one.
+    at : (n,) row of the file of each report. seconds : the jumps to try. prior : probability of a jump.
     """
     if len(steps.first) < 2:
         return None
     size = int(at.max()) + 2
     outlier = math.log(tuning.clock_outlier / (2.0 * tuning.clock_search_s[1]))
-    sound = np.logaddexp(_normal(steps.late_s, steps.sigma_s), outlier)
+    log_no_jump = np.logaddexp(_log_normal(steps.late_s, steps.sigma_s), outlier)
     best: tuple[float, int, float, int] | None = None
-    # Lines between the same two reports of a track are one place to jump.
+    # All lines between the same two reports of a track are one place for a jump.
     places = len(steps.first) / len(np.unique(steps.track))
     for jump_s in seconds:
-        vote = np.logaddexp(_normal(steps.late_s - jump_s, steps.sigma_s), outlier) - sound
-        vote = np.clip(vote, -tuning.clock_vote, tuning.clock_vote)
+        log_ratio = np.logaddexp(_log_normal(steps.late_s - jump_s, steps.sigma_s), outlier) - log_no_jump
+        log_ratio = np.clip(log_ratio, -tuning.clock_vote, tuning.clock_vote)
         total = np.zeros(size)
-        np.add.at(total, at[steps.first] + 1, vote)
-        np.add.at(total, at[steps.second] + 1, -vote)
+        np.add.at(total, at[steps.first] + 1, log_ratio)
+        np.add.at(total, at[steps.second] + 1, -log_ratio)
         total = np.cumsum(total)
         row = int(np.argmax(total))
         log_odds = float(total[row]) + math.log(prior / (len(seconds) * places))
         if best is None or log_odds > best[0]:
-            over = (at[steps.first] < row) & (row <= at[steps.second]) & (vote > 0.0)
-            best = log_odds, row, float(jump_s), len(np.unique(steps.track[over]))
+            supports = (at[steps.first] < row) & (row <= at[steps.second]) & (log_ratio > 0.0)
+            best = log_odds, row, float(jump_s), len(np.unique(steps.track[supports]))
     return best
 
 
-def _normal(value: FloatArray, sigma: FloatArray) -> FloatArray:
+def _log_normal(value: FloatArray, sigma: FloatArray) -> FloatArray:
     return np.asarray(-0.5 * (value / sigma) ** 2 - np.log(sigma * math.sqrt(2.0 * math.pi)))
 
 
 def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[States, int]:
-    """Reports whose stamps were counted on from the seconds in messages, with the minutes that were missed.
+    """The reports with missing minutes inserted, and how many; for stamps counted from the seconds in messages.
 
-    A pause of more than half a minute loses whole minutes. They are put in where the motion of the tracks shows them.
-    Also how many there were.
+    A pause of more than half a minute loses whole minutes. They are inserted where the motion of the tracks shows them.
     """
     if reports.track is None:
         return reports, 0
@@ -362,14 +360,14 @@ MEDIAN = 2.0 * math.log(2.0)
 
 @dataclass(frozen=True)
 class FilteredTracks:
-    """What the filter made of a source's reports.
+    """The filtered tracks of a source.
 
     Attributes
     ----------
-    states : the reports with the state of their track after each of them.
-    nis : (n,) normalised innovation squared of every report; NaN where it began a track.
-    began : (n,) whether the report began a track: its first, or one so far off that the id must have gone to another
-        object, or the object moved as its motion does not allow.
+    states : the reports with the filtered state of their track after each.
+    nis : (n,) normalised innovation squared of each report; NaN where it started a track.
+    began : (n,) whether the report started a track: the first one, or one so far from the prediction that the id went
+        to another object, or the object moved in a way that its motion model excludes.
     """
 
     states: States
@@ -380,14 +378,14 @@ class FilteredTracks:
 def follow(
     reports: States, *, acceleration_m2_per_s3: float, features: int = 2, tuning: Tuning = DEFAULT_TUNING
 ) -> FilteredTracks:
-    """The track state after every report of a source with track ids.
+    """The filtered track state after each report of a source with track ids.
 
     Parameters
     ----------
-    reports : in any order of time; a report of a time already passed by its track is filtered in its place.
+    reports : in any order; they are filtered in order of time.
     acceleration_m2_per_s3 : power density of the velocity's random walk.
-    features : 2 measures positions only, the velocity that a report states serving where its track begins; 4 measures
-        both, for sources whose velocities are measured on their own (Doppler).
+    features : 2 to use positions only, with the reported velocity at the start of a track; 4 to use both, for sources
+        that measure velocities independently (Doppler).
 
     Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2.
     """
@@ -400,47 +398,47 @@ def follow(
     nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
     limit = ChiSquare(1.0 - tuning.new_track_probability).limit(features)
     before = np.empty(0, np.int64)
-    for now in _rounds(reports, usable):
+    for now in _by_turn(reports, usable):
         if not len(before):
             began[now] = True
             before = now
             continue
         before = before[: len(now)]
         dt = reports.time_s[now] - reports.time_s[before]
-        ahead, spread = moved(state[before], covariance[before], dt, acceleration_m2_per_s3)
-        innovation = reports.state[now, :features] - ahead[:, :features]
-        total = spread[:, :features, :features] + reports.covariance[now, :features, :features]
-        after = Gaussian(ahead, spread).updated(
+        predicted, p_predicted = moved(state[before], covariance[before], dt, acceleration_m2_per_s3)
+        innovation = reports.state[now, :features] - predicted[:, :features]
+        total = p_predicted[:, :features, :features] + reports.covariance[now, :features, :features]
+        updated = Gaussian(predicted, p_predicted).updated(
             Gaussian(reports.state[now, :features], reports.covariance[now, :features, :features])
         )
-        square = mahalanobis_sq(innovation, total)
-        anew = square > limit
-        keep = now[~anew]
-        state[keep], covariance[keep] = after.mean[~anew], after.covariance[~anew]
-        nis[keep], began[now[anew]] = square[~anew], True
+        chi_sq = mahalanobis_sq(innovation, total)
+        starts = chi_sq > limit
+        continues = now[~starts]
+        state[continues], covariance[continues] = updated.mean[~starts], updated.covariance[~starts]
+        nis[continues], began[now[starts]] = chi_sq[~starts], True
         before = now
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
 
 
 def measures_anew(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning = DEFAULT_TUNING) -> bool:
-    """Whether every report of a source with track ids is an independent measurement, or smoothed by a tracker.
+    """Whether the reports of a source with track ids are independent measurements, not smoothed by a tracker.
 
-    Measurements scatter about their tracks by as much as they state, and the innovations of a filter are χ² distributed
-    with two degrees of freedom; the reports of a tracker follow each other more closely than their errors allow them.
-    The median decides, which a few breaks of tracks do not change. False with too few reports.
+    Independent measurements scatter by their stated errors, and their NIS has a χ² distribution with two degrees of
+    freedom; the reports of a tracker scatter less. The median NIS decides; it is robust to breaks of tracks. False with
+    too few reports.
     """
     nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).nis
     nis = nis[np.isfinite(nis)]
     return len(nis) >= tuning.measured_fewest and float(np.median(nis)) > tuning.measured_ratio * MEDIAN
 
 
-def _rounds(reports: States, usable: BoolArray) -> list[IntArray]:
-    """The first report of every track, then the second, …: tracks with more reports stand first in every round."""
+def _by_turn(reports: States, usable: BoolArray) -> list[IntArray]:
+    """The first report of each track, then the second, …; in each list, tracks with more reports come first."""
     rows = np.flatnonzero(usable)
     assert reports.track is not None
     _, number = np.unique(reports.track[rows].astype(str), return_inverse=True)
     count = np.bincount(number)
-    # Tracks by their number of reports, most first, so that those of a round are the first of the one before.
+    # By descending number of reports, so that the tracks of a list are the first ones of the list before.
     rank = np.empty(len(count), np.int64)
     rank[np.argsort(-count, kind="stable")] = np.arange(len(count))
     order = np.lexsort([reports.time_s[rows], rank[number]])

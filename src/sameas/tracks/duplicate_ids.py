@@ -1,9 +1,8 @@
-"""Duplicate ids: reports of one id that cannot be of one object, since nothing moves between the places so fast.
+"""Duplicate ids: reports of one id that cannot be of one object, since no object moves that fast.
 
-An MMSI typed into two ships' transponders, a forged address, a track number used again: the source has one id for two
-objects. :func:`split_duplicate_ids` gives each object a track of its own, so that both stay in the picture and the
-alarms can say that they show one identity. A single report far from all others of its id is an error of the link and
-is not used.
+An MMSI entered into two ships' transponders, a forged address, a reused track number: the source has one id for two
+objects. :func:`split_duplicate_ids` gives each object its own track, so that both stay in the picture and an alarm can
+name the shared identity. A single report far from all others of its id is a transmission error and is ignored.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 def split_duplicate_ids(
     reports: States, speed_m_per_s: float, tuning: Tuning = DEFAULT_TUNING, *, doubtful_s: float = 0.0
 ) -> tuple[States, tuple[str, ...]]:
-    """The reports with a track for every object of a duplicate id, and printable notes.
+    """The reports with one track per object of a duplicate id, and printable notes.
 
     Parameters
     ----------
     reports : of one source; without track ids they are returned unchanged.
     speed_m_per_s : usual speed of its objects, motion.speed_m_per_s of the description.
-    doubtful_s : by how much the stamps of two reports may disagree: the clock is doubted before the identity.
+    doubtful_s : possible error of the time between two reports, for sources with a doubtful clock.
     """
     if reports.track is None or not len(reports):
         return reports, ()
@@ -41,45 +40,45 @@ def split_duplicate_ids(
         tuning.place_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
         + 0.5 * doubtful_s * limit
     )
-    leaps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
+    jumps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])
     track, state, notes = reports.track.astype(object), reports.state.copy(), []
-    for k in np.unique(owner[1:][leaps]):
+    for k in np.unique(owner[1:][jumps]):
         own = np.flatnonzero(owner == k)
         branch = _branches(reports, rows[own], radius[own], limit)
         count = np.bincount(branch)
-        stray, true = count[branch] == 1, np.flatnonzero(count > 1)
-        if np.count_nonzero(np.diff(branch[~stray])) < tuning.alternations:
-            true = true[:1]
-        for place, one in enumerate(true[1:], start=2):
-            track[rows[own[branch == one]]] = f"{names[k]} ({place})"
-        if len(true):
-            state[rows[own[stray]]] = np.nan
-        notes += _notes(str(names[k]), len(true), int(stray.sum()))
+        is_outlier, objects = count[branch] == 1, np.flatnonzero(count > 1)
+        if np.count_nonzero(np.diff(branch[~is_outlier])) < tuning.alternations:
+            objects = objects[:1]
+        for place, number in enumerate(objects[1:], start=2):
+            track[rows[own[branch == number]]] = f"{names[k]} ({place})"
+        if len(objects):
+            state[rows[own[is_outlier]]] = np.nan
+        notes += _notes(str(names[k]), len(objects), int(is_outlier.sum()))
     return States(reports.time_s, state, reports.covariance, track, reports.rows), tuple(notes)
 
 
 def _too_far(reports: States, first: IntArray, second: IntArray, radius: FloatArray, limit: float) -> BoolArray:
-    """(k,) whether the second report of each two lies beyond the reach of the first."""
-    way = np.linalg.norm(reports.state[second, :2] - reports.state[first, :2], axis=1)
-    return np.asarray(way > radius + limit * np.abs(reports.time_s[second] - reports.time_s[first]))
+    """(k,) whether the second report of each pair is out of reach of the first."""
+    distance = np.linalg.norm(reports.state[second, :2] - reports.state[first, :2], axis=1)
+    return np.asarray(distance > radius + limit * np.abs(reports.time_s[second] - reports.time_s[first]))
 
 
 def _branches(reports: States, rows: IntArray, radius: FloatArray, limit: float) -> IntArray:
-    """(k,) number of the object of each report of one id: the nearest of those that can have moved there."""
+    """(k,) number of the object of each report of one id: the nearest one that can have moved there."""
     ends: list[int] = []
     branch = np.zeros(len(rows), np.int64)
     for at, row in enumerate(rows):
         last_rows = np.array(ends, np.int64)
-        away = np.full(len(last_rows), math.inf)
+        distance = np.full(len(last_rows), math.inf)
         if len(last_rows):
             before = rows[last_rows]
             far = _too_far(reports, before, np.full(len(last_rows), row), radius[last_rows] + radius[at], limit)
-            ahead = reports.state[before, :2] + reports.state[before, 2:] * (
+            predicted = reports.state[before, :2] + reports.state[before, 2:] * (
                 reports.time_s[row] - reports.time_s[before, None]
             )
-            away = np.where(far, math.inf, np.linalg.norm(ahead - reports.state[row, :2], axis=1))
-        if len(last_rows) and away.min() < math.inf:
-            branch[at] = int(away.argmin())
+            distance = np.where(far, math.inf, np.linalg.norm(predicted - reports.state[row, :2], axis=1))
+        if len(last_rows) and distance.min() < math.inf:
+            branch[at] = int(distance.argmin())
             ends[branch[at]] = at
         else:
             branch[at] = len(ends)
@@ -98,14 +97,14 @@ def _notes(name: str, objects: int, strays: int) -> list[str]:
 
 @dataclass
 class Branches:
-    """The objects of one id as its reports arrive: as :func:`split_duplicate_ids`, but not knowing what follows.
+    """The objects of one id while its reports arrive: :func:`split_duplicate_ids` without later reports.
 
-    A report beyond the reach of all objects of the id is set aside until another one is there too. From then on the id
-    is at two places; each object has a track of its own once the reports have changed between them ``alternations``
-    times. Before that the id may have gone to another object, and its track goes with it.
+    A report out of reach of all objects of the id is excluded until a second one confirms its place; then the id has
+    two objects. Each gets its own track once the reports have alternated between them ``alternations`` times; before
+    that the id may have gone to another object, and its track with it.
 
-    ends : time, state and radius of the last report of each object. counts : its reports. last : the object of the last
-    report of those with two or more. changes : how often that one changed.
+    ends : time, state and radius of the last report of each object. counts : number of its reports. last : the object
+    of the last report that was not excluded. changes : how often that object changed.
     """
 
     ends: list[tuple[float, FloatArray, float]] = field(default_factory=list)
@@ -115,16 +114,16 @@ class Branches:
 
     @classmethod
     def of(cls, time_s: float, state: FloatArray, radius: float) -> Branches:
-        """Of one object with its last report."""
+        """One object, with its last report."""
         return cls([(time_s, state, radius)], [2])
 
     def add(
         self, time_s: float, state: FloatArray, radius: float, limit: float, tuning: Tuning = DEFAULT_TUNING
     ) -> int | None:
-        """The object of a report, 0 for the first or while the id may just have moved; None where it is set aside."""
-        away = [self._away(end, time_s, state, radius, limit) for end in self.ends]
-        nearest = int(np.argmin(away))
-        if math.isinf(away[nearest]):
+        """The object of a report: 0 for the first one, or while the id may just have moved; None if excluded."""
+        distance = [self._distance_m(end, time_s, state, radius, limit) for end in self.ends]
+        nearest = int(np.argmin(distance))
+        if math.isinf(distance[nearest]):
             self.ends.append((time_s, state, radius))
             self.counts.append(1)
             return None
@@ -138,24 +137,23 @@ class Branches:
         return int(np.count_nonzero(np.array(self.counts[:nearest]) > 1))
 
     def single(self, time_s: float, memory_s: float) -> bool:
-        """Whether only one object is left; those without a report for ``memory_s`` are forgotten."""
+        """Whether only one object remains, after dropping outliers older than ``memory_s``."""
         keep = [k for k, end in enumerate(self.ends) if time_s - end[0] <= memory_s]
         if len(keep) == 1 and self.changes == 0:
             return True
-        stray = [k for k in range(len(self.ends)) if k not in keep and self.counts[k] == 1]
-        for k in reversed(stray):
+        outliers = [k for k in range(len(self.ends)) if k not in keep and self.counts[k] == 1]
+        for k in reversed(outliers):
             del self.ends[k], self.counts[k]
             self.last -= k < self.last
         return len(self.ends) == 1 and self.changes == 0
 
     @staticmethod
-    def _away(
+    def _distance_m(
         end: tuple[float, FloatArray, float], time_s: float, state: FloatArray, radius: float, limit: float
     ) -> float:
-        """Metres from where that object would be now; infinite beyond its reach."""
-        then, before, reach = end
-        dt = time_s - then
-        way = float(np.hypot(*(state[:2] - before[:2])))
-        if way > reach + radius + limit * abs(dt):
+        """The distance from the predicted place of an object; infinite if out of its reach."""
+        last_s, last, last_radius = end
+        dt = time_s - last_s
+        if float(np.hypot(*(state[:2] - last[:2]))) > last_radius + radius + limit * abs(dt):
             return math.inf
-        return float(np.hypot(*(before[:2] + before[2:] * dt - state[:2])))
+        return float(np.hypot(*(last[:2] + last[2:] * dt - state[:2])))
