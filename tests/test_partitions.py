@@ -616,7 +616,7 @@ def test_some_cells_tell_how_strongly_densities_are_smoothed(monkeypatch):
     rng = np.random.default_rng(3)
     one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
     every = Places.of(Counts.of(one, two), 1.0)
-    monkeypatch.setattr(of_places, "ASKED", len(every.cells) // 20)
+    monkeypatch.setattr(of_places, "SMOOTHING_CELLS", len(every.cells) // 20)
     some = Places.of(Counts.of(one, two), 1.0)
     apart = np.log(some.density / every.density)
     assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
