@@ -88,6 +88,11 @@ def test_units_with_a_huge_power_are_not_multiplied_out(unit, tmp_path):
     hdu.header["TUNIT2"] = unit
     hdu.writeto(tmp_path / "made.fits")
     assert read(tmp_path / "t.fits", (tmp_path / "made.fits").read_bytes()) == 1
+    header = f"# %ECSV 1.0\n# ---\n# datatype:\n# - {{name: ra, unit: '{unit}', datatype: float64}}\n"
+    assert "a power that no unit has" in read(tmp_path / "t.ecsv", (header + "ra\n1.0\n").encode())
+    described = pa.field("ra", pa.float64(), metadata={"unit": unit})
+    parquet.write_table(pa.table([[1.0]], schema=pa.schema([described])), tmp_path / "made.parquet")
+    assert read(tmp_path / "t.parquet", (tmp_path / "made.parquet").read_bytes()) == 1
 
 
 def test_units_of_catalogues_have_no_huge_power():

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.bounds import check_columns
+from sameas.errors import InputError
 from sameas.io.arrow import array_of
 from sameas.io.csv import content_of, may_be_cut, opened, unended, write_rows
-from sameas.io.format import Format
+from sameas.io.format import Format, has_huge_power
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -36,6 +37,8 @@ def read(path: Path, hdu: None) -> Table:
     content = content_of(path)
     head = bytes(memoryview(content)[:_HEAD_BYTES]).partition(b"\n# meta:")[0]
     check_columns(len(re.findall(rb"^# - ", head, re.MULTILINE)), path)
+    if any(has_huge_power(unit.decode("utf-8", "replace")) for unit in re.findall(rb"\bunit: *([^,}\n]*)", head)):
+        raise InputError(f"{path}: a column has a unit with a power that no unit has; correct its header")
     table = _bulk_read(path)
     if table is None:
         table = Table.read(path, format="ascii.ecsv")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.bounds import check_columns
 from sameas.errors import InputError
 from sameas.io.arrow import array_of, column_of
-from sameas.io.format import Format
+from sameas.io.format import Format, unit_of
 from sameas.io.votable import parsed
 
 if TYPE_CHECKING:
@@ -92,11 +92,9 @@ def decoded(metadata: Mapping[bytes, bytes] | None) -> dict[str, str]:
 
 
 def described(column: Column, facts: Mapping[str, Any]) -> None:
-    """Gives a column the unit, description and UCD that are known of it."""
-    from astropy.units import Unit
-
+    """Gives a column its unit, description and UCD from a field's metadata."""
     if facts.get("unit"):
-        column.unit = Unit(str(facts["unit"]), parse_strict="silent")
+        column.unit = unit_of(str(facts["unit"]))
     if facts.get("description"):
         column.description = str(facts["description"])
     if facts.get("ucd"):
