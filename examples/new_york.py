@@ -1,16 +1,16 @@
-"""Vessels off Manhattan seen by AIS and two radars, made one picture; the truth is known.
+"""Fuse AIS and two radars off Manhattan into one picture, and compare with the truth.
 
-Real motion, modelled sensors: half an hour of AIS (``examples/data``) says where 62 vessels really were and is the
-first source as it stands; two radars that nobody set up well are modelled on top, with noise, misses, false echoes and
-tracks that break. ``scripts/demo`` runs
+The motion is real, the radars are simulated: half an hour of AIS (``examples/data``) gives the paths of 62 vessels and
+is the first source; two misaligned radars are simulated, with noise, misses, false echoes and broken tracks.
+``scripts/demo`` runs
 
     python examples/new_york.py sensors ny
     sameas picture ny/ais.csv ny/radar1.csv ny/radar2.csv --sensors ny/sensors.toml --every 10s -o ny
     python examples/new_york.py judge ny
 
-Three things to look for. Two ferries pass within 40 m of each other in the East River at 00:12. One tug's AIS is left
-out: only the radars see it. And from 00:10 on one vessel's AIS carries the identity of the Staten Island ferry. The
-last two are our doing, and not true of these vessels.
+Three things to look for: two ferries pass within 40 m of each other in the East River at 00:12; one tug's AIS is
+removed, so only the radars see it; and from 00:10 on one vessel's AIS has the identity of the Staten Island ferry. The
+last two are simulated, and not true of these vessels.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from sameas.tracks import Reports, read_descriptions
 
 DATA = Path(__file__).parent / "data"
 SEED = 20200630
-#: The sensors are switched off after so long, while the paths of nearly all vessels are still known.
+#: Length of the simulation, while the paths of nearly all vessels are known.
 SPAN_S = 1980.0
-#: What the radars read wrong, and the files do not say.
+#: Biases of the radars, not in the files.
 BIASES = {"radar1": Bias(50.0, 1.0, time_s=0.3), "radar2": Bias(-30.0, -0.7)}
-#: MISTER T keeps silent; JUSTINE says that she is the ferry ANDREW J. BARBERI.
+#: MISTER T sends nothing; JUSTINE sends the identity of the ferry ANDREW J. BARBERI.
 SILENT, FORGER, FERRY = "366993880", "368564000", "367000150"
 FORGED_FROM_S = datetime(2020, 6, 30, 0, 10, tzinfo=UTC).timestamp()
-#: They pass each other closely.
+#: Two ferries that pass each other closely.
 CLOSE = ("367784640", "367659980")
 AIS_COLUMNS = ("time", "mmsi", "lat", "lon", "sog_kn", "cog_deg", "name", "callsign", "type", "length_m")
 RADAR_COLUMNS = ("time", "track_id", "range_m", "bearing_deg")
@@ -56,7 +56,7 @@ def log() -> Reports:
 
 
 def sensors(folder: Path) -> None:
-    """Writes what the sensors would have written, and the truth beside it."""
+    """Write the files of the sensors, and the truth."""
     folder.mkdir(parents=True, exist_ok=True)
     real = log()
     motion = TrueMotion.of(real, gap_s=240.0)
@@ -76,7 +76,7 @@ def sensors(folder: Path) -> None:
 
 
 def _write_ais(path: Path, real: Reports, motion: TrueMotion) -> list[tuple[int, int]]:
-    """The AIS as received, but for the silent and the forged one; line and vessel of every report."""
+    """Write the AIS without the silent vessel and with the forged identity; line and vessel of every report."""
     cells, truth = real.columns(), motion.objects_of(real)
     ferry = int(np.flatnonzero(cells["mmsi"] == FERRY)[0])
     rows: list[Sequence[Any]] = []
@@ -119,7 +119,7 @@ def _iso(time_s: float) -> str:
 
 
 def judge(folder: Path) -> None:
-    """Compares the picture with the truth, and prints it."""
+    """Compare the picture with the truth, and print it."""
     table = read_table(folder / "identities.parquet")
     records = {name: np.ma.asarray(table[name]) for name in ("time_s", "source", "line", "object")}
     told = truth_of(folder / "truth.csv")
@@ -158,7 +158,7 @@ def judged(records: dict[str, np.ma.MaskedArray], told: dict[tuple[str, int], in
 
 
 def _object_at(records: dict[str, np.ma.MaskedArray]) -> np.ndarray:
-    """(n,) an own number for every object and instant."""
+    """(n,) a number for each object at each instant."""
     both = np.column_stack([records["time_s"].astype(float), records["object"].astype(float)])
     return np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
 

@@ -1,12 +1,12 @@
-"""Three catalogues of the whole sky at once: Hipparcos (1991.25), Gaia G < 10 (2016.0), Tycho-2 (2000.0).
+"""Match three catalogues of the whole sky at once: Hipparcos (1991.25), Gaia G < 10 (2016.0), Tycho-2 (2000.0).
 
-Only Hipparcos has proper motions here. Gaia and Tycho-2, sixteen years apart, miss each other's fast stars; Hipparcos
-knows where they went.
+Only Hipparcos has proper motions here. Fast stars of Gaia and Tycho-2, sixteen years apart, are linked by the motions
+of Hipparcos.
 
     python examples/three_catalogues.py tables demo-output       # three tables, as an archive would give them
     sameas many demo-output/hipparcos.fits demo-output/gaia.parquet demo-output/tycho2.parquet \\
         --sigma2 0.001 --missing-pm 20 -o demo-output/three.parquet
-    python examples/three_catalogues.py results demo-output      # judged by brightness and by what two at a time say
+    python examples/three_catalogues.py results demo-output      # checked by brightness and by matches of two
 
 Hipparcos and Gaia come with ``pip install sameas[demo]``, Tycho-2 with ``apt-get install
 astrometry-data-tycho2-07-littleendian``: 1 871 011 of its stars, at most ten in 0.14 square degrees and none within 1″
@@ -32,12 +32,12 @@ from sameas.sky import Catalogue, CatalogueOptions, ManyMatch
 from sameas.sky.many import match_many
 
 INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")
-#: Systematic errors of bright Gaia stars, and how fast a star of unknown motion may move.
+#: Systematic errors of bright Gaia stars, and scatter of unknown proper motions.
 GAIA_SIGMA_ARCSEC, UNKNOWN_MOTION_MAS_PER_YR = 0.001, 20.0
 #: Standard errors of Tycho-2 (Høg et al. 2000, A&A 355, L27): 7 mas to VT = 9, 60 mas for its typical star of VT 11.5,
 #: at epochs near 1991.5; motions to 2.5 mas/yr.
 BRIGHT_MAS, BRIGHT_TO, DEX_PER_MAG, MOTION_MAS_PER_YR, YEARS = 7.0, 9.0, 0.37, 2.5, 8.5
-#: Magnitudes of one star in Hp, G and VT differ by less than this, but for the reddest.
+#: Magnitudes of one star in Hp, G and VT differ by less than this, except for the reddest.
 ALIKE_MAG = 1.0
 
 Rows = NDArray[Any]
@@ -64,7 +64,7 @@ def tycho_table(index: Path = INDEX) -> Table:
 
 
 def catalogues(hipparcos: Table, gaia: Table, tycho: Table) -> list[Catalogue]:
-    """The three, understood."""
+    """The three catalogues with their options."""
     unknown = UNKNOWN_MOTION_MAS_PER_YR
     return [
         Catalogue.of(hipparcos, "hipparcos"),
@@ -76,12 +76,12 @@ def catalogues(hipparcos: Table, gaia: Table, tycho: Table) -> list[Catalogue]:
 
 
 def judged(found: ManyMatch) -> list[str]:
-    """Two at a time beside all together, and both judged by brightness, which nobody used; lines to print."""
+    """Matches of two compared with all together, and brightness, which is not used, as a check; lines to print."""
     return [*chains(found), "", *brightness(found), "", *inserted(found), "", *motions(found)]
 
 
 def chains(found: ManyMatch) -> list[str]:
-    """Stars of Hipparcos followed from catalogue to catalogue, two at a time."""
+    """Consistency of the matches of two catalogues for the stars of Hipparcos, as lines to print."""
     to_gaia, to_tycho = partners(found, "hipparcos", "gaia"), partners(found, "hipparcos", "tycho2")
     across = np.append(partners(found, "gaia", "tycho2"), -1)[to_gaia]
     both = (to_gaia >= 0) & (to_tycho >= 0)
@@ -101,7 +101,7 @@ def chains(found: ManyMatch) -> list[str]:
 
 
 def brightness(found: ManyMatch) -> list[str]:
-    """How alike the magnitudes of an object's records are."""
+    """Differences of the magnitudes of an object's records, as lines to print."""
     members = np.ma.filled(found.objects.members, -1)
     several = found.objects.n_members > 1
     apart = np.zeros(len(members))
@@ -121,7 +121,7 @@ def brightness(found: ManyMatch) -> list[str]:
 
 
 def inserted(found: ManyMatch) -> list[str]:
-    """The sources of the package that are not Gaia's but Hipparcos' own."""
+    """The sources of the Gaia package that are from Hipparcos, as lines to print."""
     names = [catalogue.name for catalogue in found.catalogues]
     members = np.ma.filled(found.objects.members, -1)
     gaia, hipparcos = (found.catalogues[names.index(name)] for name in ("gaia", "hipparcos"))
@@ -136,7 +136,7 @@ def inserted(found: ManyMatch) -> list[str]:
 
 
 def motions(found: ManyMatch) -> list[str]:
-    """Proper motions of Gaia and Tycho-2 alone, where nothing was known of them before."""
+    """Proper motions from Gaia and Tycho-2 of stars without a known motion, as lines to print."""
     names = [catalogue.name for catalogue in found.catalogues]
     shown = ~np.ma.getmaskarray(found.objects.members)
     new = shown[:, names.index("gaia")] & shown[:, names.index("tycho2")] & ~shown[:, names.index("hipparcos")]
@@ -149,7 +149,7 @@ def motions(found: ManyMatch) -> list[str]:
 
 
 def partners(found: ManyMatch, one: str, other: str) -> Rows:
-    """(n,) the row of ``other`` that each row of ``one`` has when these two are identified alone, −1 for none."""
+    """(n,) the partner in ``other`` of each row of ``one``, from the match of these two alone; −1 for none."""
     pair = found.two_by_two.get((one, other))
     if pair is not None:
         return np.asarray(pair.result.answers_1.partner.filled(-1))
@@ -174,7 +174,7 @@ def main(step: str, folder: Path, index: Path = INDEX) -> None:
 
 
 def hipparcos_gaia() -> ModuleType:
-    """The example beside this one, whose tables these are."""
+    """The module ``hipparcos_gaia.py``, which makes two of the tables."""
     spec = importlib.util.spec_from_file_location("hipparcos_gaia", Path(__file__).with_name("hipparcos_gaia.py"))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)

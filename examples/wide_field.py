@@ -1,13 +1,13 @@
-"""A wide-field frame placed from nothing but a range of scales, with the stars of the packages; the truth is known.
+"""Solve a simulated 10° frame from only a range of scales, and compare with the truth.
 
-A camera of 10° sees the sky of 2026 somewhere: real stars of Gaia and Hipparcos with their motions, a lens that
-distorts, photon and read noise, hot pixels, particles. ``scripts/demo`` runs
+The frame shows the sky of 2026: real stars of Gaia and Hipparcos with their motions, lens
+distortion, photon and read noise, hot pixels, particle hits. ``scripts/demo`` runs
 
     python examples/wide_field.py simulate demo-output
     sameas frame demo-output/wide.fits --catalog bright --scale 20,45 -o demo-output
     python examples/wide_field.py judge demo-output
 
-Nothing in the file says where the frame points. The stars come with ``pip install sameas[demo]``: Gaia's brighter
+The file contains no pointing. The stars come with ``pip install sameas[demo]``: Gaia's brighter
 than G = 10, with motions from Hipparcos.
 """
 
@@ -31,23 +31,23 @@ from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 SEED = 20260614
 SIDE_PX, SCALE_ARCSEC = 1200, 30.0
-#: Sagittarius, low in the Milky Way: crowded, and turned by an odd angle.
+#: Sagittarius, in the Milky Way: crowded, at an arbitrary rotation.
 RA_DEG, DEC_DEG, TURN_DEG = 277.3, -17.8, 217.0
 WHEN, EXPOSURE_S = "2026-06-14T23:10:00", 20.0
 CORNER_PX, FWHM_PX = 4.0, 2.1
 
 
 def true_pointing() -> Pointing:
-    """Where the camera points; nobody is told."""
+    """The pointing of the camera, which is not in the file."""
     turn = np.radians(TURN_DEG)
     cd = np.array([[-np.cos(turn), np.sin(turn)], [np.sin(turn), np.cos(turn)]]) * SCALE_ARCSEC / ARCSEC_PER_RADIAN
     return Pointing(unit_vectors(RA_DEG, DEC_DEG), cd, np.full(2, (SIDE_PX - 1) / 2))
 
 
 def simulated(seed: int = SEED) -> tuple[SimulatedFrame, StarField]:
-    """The frame with its truth, whose ``star`` is a row of the stars."""
+    """The frame with its truth, and the stars; ``star`` of the truth is a row of the stars."""
     stars = StarField.of(bright(), Time(WHEN).jyear, near=Cone(RA_DEG, DEC_DEG, 10.0))
-    # What is not known of a motion is drawn, so that the truth differs from the catalogue as it does in the sky.
+    # The error of each position is drawn, so that the truth differs from the catalogue as on the real sky.
     rng = np.random.default_rng(seed)
     off = rng.normal(size=(len(stars), 2)) * np.sqrt(stars.covariance_arcsec[:, [0, 2]]) / 3600
     seen = frame_of_sky(
@@ -66,7 +66,7 @@ def simulated(seed: int = SEED) -> tuple[SimulatedFrame, StarField]:
 
 
 def simulate(folder: Path) -> None:
-    """Writes the frame, as a camera would, and the truth beside it."""
+    """Write the frame, as a camera would, and a table of the truth."""
     folder.mkdir(parents=True, exist_ok=True)
     seen, stars = simulated()
     facts, truth = seen.frame.facts, seen.truth
@@ -85,14 +85,14 @@ def simulate(folder: Path) -> None:
 
 
 def judge(folder: Path) -> None:
-    """Compares what was identified with the truth, and prints the rates of errors."""
+    """Compare the identifications with the truth, and print the error rates."""
     rows, truth = read_table(folder / "wide.stars.fits"), read_table(folder / "wide-truth.fits")
     told = json.loads((folder / "wide.json").read_text(encoding="utf-8"))
     print("\n".join(judged(rows, truth, told)))
 
 
 def judged(rows: Table, truth: Table, told: dict[str, Any]) -> list[str]:
-    """Lines to print: place, rights and wrongs."""
+    """Lines to print: pointing error, right and wrong identifications."""
     middle = true_pointing().to_sky(np.full((1, 2), (SIDE_PX - 1) / 2))[0]
     place = told["place"]
     off = np.linalg.norm(unit_vectors(place["middle_ra_deg"], place["middle_dec_deg"]) - middle) * ARCSEC_PER_RADIAN
@@ -114,14 +114,15 @@ def judged(rows: Table, truth: Table, told: dict[str, Any]) -> list[str]:
 
 
 def verdicts(rows: Table, truth: Table, reach_px: float = 1.5) -> tuple[int, int, tuple[int, int]]:
-    """Right and wrong identifications, and measurements left alone rightly and wrongly.
+    """Number of right and wrong identifications, and of rightly and wrongly unmatched measurements.
 
-    A measurement truly is the star within ``reach_px`` whose light is strongest there; stars that merge make one mark.
+    The true star of a measurement is the one within ``reach_px`` with the most light there; merged stars make one
+    measurement.
     """
     from scipy.spatial import cKDTree
 
     measured = rows[np.isin(rows["fate"], ["identified", "unidentified"])]
-    # Light of stars just beyond the edge is seen too; the truth does not know them.
+    # Stars just beyond the edge are detected too, but are not in the truth.
     known = np.isin(np.ma.filled(measured["star"], 0), np.append(truth["source_id"], 0))
     measured = measured[known]
     place = np.column_stack([truth["x_px"], truth["y_px"]])

