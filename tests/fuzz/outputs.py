@@ -343,7 +343,7 @@ def _advanced(path: Path) -> Iterator[None]:
         if path.suffix == ".sqlite":
             picture = _next()
             stack.enter_context(mock.patch.object(LivePicture, "advance", lambda *_: picture))
-            stack.enter_context(mock.patch.object(Keeper, "_take_in", lambda *_: None))
+            stack.enter_context(mock.patch.object(Keeper, "_take_reports", lambda *_: None))
         yield
 
 
