@@ -15,6 +15,8 @@ class Process:
     def __init__(self, command: list[str], before: str | None = None, environment: dict[str, str] | None = None):
         self.command, self.before = command, before
         self.environment = os.environ | (environment or {})
+        # An installed package has its bytecode; a process that may not write it would compile all modules anew.
+        self.environment.pop("PYTHONDONTWRITEBYTECODE", None)
         #: A process needs no warming up: it is all there is to measure.
         self.warm = True
 

@@ -206,7 +206,7 @@ def scan_errors(
     """
     if not all(covered.any() for covered in coverage.covered):
         return None
-    unit = _typical_error(coverage)
+    unit = typical_error(coverage)
     rows = _sampled_rows(coverage, tuning)
     if rows is None:
         return None
@@ -215,7 +215,7 @@ def scan_errors(
     if len(rows_1) < len(first) or len(rows_2) < len(second):
         first, second = first.part(rows_1), second.part(rows_2)
     d = first.d
-    richer = max(_mean_densities(coverage, density))
+    richer = max(mean_densities(coverage, density))
     # In units of the typical error; a floor is the same along every axis.
     widest = (tuning.chance_candidates / (ball_volume(d) * richer * float(np.prod(unit)))) ** (1.0 / d)
     if widest < math.sqrt(ChiSquare().limit(d)):
@@ -272,7 +272,7 @@ def _log_likelihood(sums: FloatArray, tuning: GridTuning) -> FloatArray:
     return np.asarray(np.log1p(np.multiply.outer(tuning.shares, sums - 1.0)).sum(axis=1))
 
 
-def _typical_error(coverage: Coverage) -> FloatArray:
+def typical_error(coverage: Coverage) -> FloatArray:
     """(d,) typical error of a pair along every axis, in the unit of the residuals; equal for both axes of a sphere."""
     both = [np.median(records.variances, axis=0) for records in (coverage.first, coverage.second)]
     variance = np.broadcast_to(both[0] + both[1], coverage.first.d)
@@ -286,7 +286,8 @@ def _floor(floor: FloatArray) -> float | tuple[float, ...]:
     return float(floor[0]) if np.all(floor == floor[0]) else tuple(floor.tolist())
 
 
-def _mean_densities(coverage: Coverage, density: tuple[float, float] | None) -> tuple[float, float]:
+def mean_densities(coverage: Coverage, density: tuple[float, float] | None) -> tuple[float, float]:
+    """Mean density of each source at the records of the other, per volume of the residuals; ``density`` if given."""
     if density is not None:
         return density
     one, two = coverage.covered_densities

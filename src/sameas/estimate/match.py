@@ -34,7 +34,9 @@ from sameas.estimate.error_grid import (
     ErrorScan,
     GridTuning,
     identify_averaged,
+    mean_densities,
     scan_errors,
+    typical_error,
 )
 from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, factor_on_quoted, fit_spread, tail
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
@@ -45,9 +47,11 @@ from sameas.evidence import Column, Errors, Magnitudes, Precision, Related
 from sameas.evidence.detection import DetectionCurve
 from sameas.evidence.residuals import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
+from sameas.kernels.compiled import prefer_compiled
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
+from sameas.space import ball_volume
 
 BRIGHTNESS_TERMS, PRECISION_TERMS = ("completeness", "brightness"), ("precision",)
 COLUMN_TERMS = ("columns", "prior odds", "relations")
@@ -82,6 +86,8 @@ class MatchTuning:
     fits_trends : whether growth of the errors is fitted, at most ``max_trend_fits`` times, while a further fit gains
         ``min_trend_gain`` in ln likelihood.
     max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
+    max_interpreted : expected number of chance candidates above which interpreting the kernels takes longer than
+        reading the compiled ones from the cache (measured with 200 to 2 000 records).
     em : tuning of EM iterations. trends : of growing errors. grid : of the scan of error models before any iteration.
     """
 
@@ -104,6 +110,7 @@ class MatchTuning:
     max_trend_fits: int = 3
     min_trend_gain: float = 2.0
     max_unrelated: float = 0.5
+    max_interpreted: float = 420.0
     em: EMTuning = DEFAULT_EM
     trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
@@ -261,6 +268,8 @@ def match(
     progress("densities")
     seen, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
     columns = ColumnEvidence.of(first, second, evidence)
+    if _expected_by_chance(coverage, density) > tuning.max_interpreted:
+        prefer_compiled()
     search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
     if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
@@ -268,6 +277,16 @@ def match(
     search, result, remarks = _fit(search, scan, errors, rounds)
     answer, result = search.identify_all(result, rounds)
     return answer, replace(_to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
+
+
+def _expected_by_chance(coverage: Coverage, density: tuple[float, float] | None) -> float:
+    """Expected number of chance candidates in the default gate, by the quoted errors."""
+    if not all(covered.any() for covered in coverage.covered):
+        return 0.0
+    d = coverage.first.d
+    volume = ball_volume(d) * ChiSquare().limit(d) ** (0.5 * d) * float(np.prod(typical_error(coverage)))
+    n = min(len(coverage.first), len(coverage.second))
+    return float(n * max(mean_densities(coverage, density)) * volume)
 
 
 @in_short

@@ -155,6 +155,12 @@ def compile_all() -> None:
     _interpreting_s = float("inf")
 
 
+def prefer_compiled() -> None:
+    """From now on in this process interpret only kernels that this machine has not compiled before."""
+    global _interpreting_s
+    _interpreting_s = max(_interpreting_s, INTERPRETING_LIMIT_S)
+
+
 def runs_compiled(function: Any) -> bool:
     """Whether a kernel would run compiled for any input; callers with a NumPy equivalent use that one otherwise."""
     return isinstance(function, Kernel) and not function.interprets
@@ -288,6 +294,7 @@ __all__ = [
     "kernel",
     "on_first_compilation",
     "part",
+    "prefer_compiled",
     "runs_compiled",
     "small",
     "small_by",
