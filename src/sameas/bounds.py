@@ -118,9 +118,12 @@ class Tables:
     columns : the widest known catalogues have a thousand.
     facts : values of the metadata, each counted as often as it is referenced: YAML can repeat a value a thousand
         million times.
+    rows, rows_per_byte : a file may always have this many rows, and more in proportion to its size.
     """
 
     columns: int = 5000
+    rows: int = 10_000_000
+    rows_per_byte: int = 4
     facts: int = 1_000_000
 
 
@@ -129,6 +132,16 @@ def check_columns(count: int, path: str | os.PathLike[str], bounds: Tables | Non
     most = (bounds or Tables()).columns
     if count > most:
         raise InputError(f"{path}: has {count} columns; tables of up to {most} are read; leave out what is not needed")
+
+
+def check_rows(count: int, path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
+    """Refuse a file of so few bytes a row that it cannot hold positions: rows that are all equal take no space."""
+    limits = bounds or Tables()
+    if count > max(limits.rows, limits.rows_per_byte * os.path.getsize(path)):
+        raise InputError(
+            f"{path}: claims {count} rows in {os.path.getsize(path)} bytes, which cannot hold a position each; "
+            "is it the right file?"
+        )
 
 
 def check_facts(facts: Mapping[Any, Any], path: str | os.PathLike[str], bounds: Tables | None = None) -> None:

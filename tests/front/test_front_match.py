@@ -314,3 +314,16 @@ def test_categories_of_polars_are_text(stars):
 def test_a_right_ascension_that_is_infinite_is_set_aside_without_a_warning(stars):
     first = {**stars.first, "ra": np.where(np.arange(len(stars.ra)) == 3, np.inf, stars.first["ra"])}
     assert len(sameas.match(first, stars.second, sigma=0.05)) == len(stars.ra) - 1
+
+
+@pytest.mark.parametrize(
+    "columns, words",
+    [
+        ({"ra": [1.0, 2.0], "dec": [1.0]}, r"first: the columns have different lengths \(ra 2, dec 1\)"),
+        ({"ra": 1.0, "dec": 2.0}, "first: ra is a single value, not a column"),
+        ({"ra": [1.0], "dec": "x"}, "first: dec is a single value, not a column"),
+    ],
+)
+def test_columns_that_are_no_table_are_refused_in_words(columns, words):
+    with pytest.raises(sameas.InputError, match=words):
+        sameas.match(columns, {"ra": [1.0], "dec": [1.0]})

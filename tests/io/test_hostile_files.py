@@ -202,6 +202,10 @@ def test_parquet_of_equal_cells(tmp_path):
     parquet.write_table(pa.table({"time": zeros, "lat": zeros, "lon": zeros}), tmp_path / "made.parquet")
     content = (tmp_path / "made.parquet").read_bytes()
     assert "says 30000000 cells; up to 16777216 are read" in read(tmp_path / "t.parquet", content, read_reports)
+    zeros = np.zeros(11_000_000, np.int8)
+    parquet.write_table(pa.table({"ra": zeros, "dec": zeros}), tmp_path / "made.parquet")
+    message = read(tmp_path / "t.parquet", (tmp_path / "made.parquet").read_bytes())
+    assert "claims 11000000 rows in" in message and "is it the right file?" in message
 
 
 def test_packed_log_that_unpacks_without_end(tmp_path):

@@ -122,10 +122,25 @@ def _as_table(data: Any, name: str) -> Table | None:
     if isinstance(data, np.ndarray) and data.dtype.names:
         return Table(data, copy=False)
     if isinstance(data, Mapping):
-        return Table(dict(data), copy=False)
+        return _of_columns(data, name)
     if isinstance(data, list) and data and all(isinstance(row, Mapping) for row in data):
         return Table(rows=data)
     return None
+
+
+def _of_columns(data: Mapping[Any, Any], name: str) -> Table:
+    """The table of a mapping of names to columns."""
+    from astropy.table import Table
+
+    lengths = {key: len(cells) if hasattr(cells, "__len__") and np.shape(cells) != () else None
+               for key, cells in data.items()}  # fmt: skip
+    single = next((key for key, length in lengths.items() if length is None or isinstance(data[key], str)), None)
+    if single is not None:
+        raise InputError(f"{name}: {single} is a single value, not a column", "give one value for each row")
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{key} {length}" for key, length in lengths.items())
+        raise InputError(f"{name}: the columns have different lengths ({listed})", "give one value for each row")
+    return Table(dict(data), copy=False)
 
 
 def _of_pandas(frame: Any, name: str) -> Table:

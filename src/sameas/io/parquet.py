@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.bounds import check_columns
+from sameas.bounds import check_columns, check_rows
 from sameas.errors import InputError
 from sameas.io.arrow import array_of, column_of
 from sameas.io.format import Format, unit_of
@@ -36,6 +36,7 @@ def read(path: Path, hdu: None) -> Table:
 
     with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
         check_columns(len(file.schema_arrow), path)
+        check_rows(file.metadata.num_rows, path)
         content = file.read()
     columns, left_out = [], []
     for name in content.column_names:
