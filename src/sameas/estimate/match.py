@@ -86,8 +86,8 @@ class MatchTuning:
     fits_trends : whether growth of the errors is fitted, at most ``max_trend_fits`` times, while a further fit gains
         ``min_trend_gain`` in ln likelihood.
     max_unrelated : from this share of pairs with unrelated magnitudes on, a note is given.
-    max_interpreted : expected number of chance candidates above which interpreting the kernels takes longer than
-        reading the compiled ones from the cache (measured with 200 to 2 000 records).
+    max_interpreted : records plus twice the expected chance candidates above which interpreting the kernels takes
+        longer than reading the compiled ones from the cache (measured with 200 to 2 000 records).
     em : tuning of EM iterations. trends : of growing errors. grid : of the scan of error models before any iteration.
     """
 
@@ -110,7 +110,7 @@ class MatchTuning:
     max_trend_fits: int = 3
     min_trend_gain: float = 2.0
     max_unrelated: float = 0.5
-    max_interpreted: float = 420.0
+    max_interpreted: float = 2_300.0
     em: EMTuning = DEFAULT_EM
     trends: TrendTuning = DEFAULT_TRENDS
     grid: GridTuning = DEFAULT_GRID
@@ -268,7 +268,7 @@ def match(
     progress("densities")
     seen, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
     columns = ColumnEvidence.of(first, second, evidence)
-    if _expected_by_chance(coverage, density) > tuning.max_interpreted:
+    if _expected_work(coverage, density) > tuning.max_interpreted:
         prefer_compiled()
     search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
@@ -279,14 +279,14 @@ def match(
     return answer, replace(_to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
 
 
-def _expected_by_chance(coverage: Coverage, density: tuple[float, float] | None) -> float:
-    """Expected number of chance candidates in the default gate, by the quoted errors."""
+def _expected_work(coverage: Coverage, density: tuple[float, float] | None) -> float:
+    """Records of the poorer source, and twice the expected chance candidates in the default gate by quoted errors."""
     if not all(covered.any() for covered in coverage.covered):
         return 0.0
     d = coverage.first.d
     volume = ball_volume(d) * ChiSquare().limit(d) ** (0.5 * d) * float(np.prod(typical_error(coverage)))
     n = min(len(coverage.first), len(coverage.second))
-    return float(n * max(mean_densities(coverage, density)) * volume)
+    return float(n * (1.0 + 2.0 * max(mean_densities(coverage, density)) * volume))
 
 
 @in_short
