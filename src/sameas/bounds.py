@@ -136,11 +136,10 @@ def check_columns(count: int, path: str | os.PathLike[str], bounds: Tables | Non
 
 def check_rows(count: int, path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
     """Refuse a file of so few bytes a row that it cannot hold positions: rows that are all equal take no space."""
-    limits = bounds or Tables()
-    if count > max(limits.rows, limits.rows_per_byte * os.path.getsize(path)):
+    limits, size = bounds or Tables(), os.path.getsize(path)
+    if count > max(limits.rows, limits.rows_per_byte * size):
         raise InputError(
-            f"{path}: claims {count} rows in {os.path.getsize(path)} bytes, which cannot hold a position each; "
-            "is it the right file?"
+            f"{path}: claims {count} rows in {size} bytes, which cannot hold a position each; is it the right file?"
         )
 
 

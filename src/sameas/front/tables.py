@@ -132,15 +132,24 @@ def _of_columns(data: Mapping[Any, Any], name: str) -> Table:
     """The table of a mapping of names to columns."""
     from astropy.table import Table
 
-    lengths = {key: len(cells) if hasattr(cells, "__len__") and np.shape(cells) != () else None
-               for key, cells in data.items()}  # fmt: skip
-    single = next((key for key, length in lengths.items() if length is None or isinstance(data[key], str)), None)
+    lengths = {key: _length(cells) for key, cells in data.items()}
+    single = next((key for key, length in lengths.items() if length is None), None)
     if single is not None:
         raise InputError(f"{name}: {single} is a single value, not a column", "give one value for each row")
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{key} {length}" for key, length in lengths.items())
         raise InputError(f"{name}: the columns have different lengths ({listed})", "give one value for each row")
     return Table(dict(data), copy=False)
+
+
+def _length(cells: Any) -> int | None:
+    """Number of cells of a column; None for a single value, also in an array without axes."""
+    if isinstance(cells, str | bytes):
+        return None
+    try:
+        return len(cells)
+    except TypeError:
+        return None
 
 
 def _of_pandas(frame: Any, name: str) -> Table:
