@@ -353,6 +353,24 @@ def test_completeness_falls_where_stars_are_lost() -> None:
     assert Completeness.of(np.full(3, np.nan), np.ones(3)) is None
 
 
+def test_the_words_of_a_frame_never_round_an_error_to_zero_nor_the_faint_stars_to_the_bright_ones():
+    zero = ZeroPoint(20.32901, 0.00034, -0.0001, 0.00002, (), 0.0, 1.0, (0.0, 1.0), 0.7, 0.02, 3456.0)
+    assert zero.describe() == (
+        "zero point 20.3290 ± 0.0003 mag, colour term -0.00010 ± 0.00002; scatter 0.020 mag of 3456 pairs"
+    )
+    assert replace(zero, sigma=0.0021).words == "20.329 ± 0.002"
+    edges, none = np.array([10.0, 16.0]), np.zeros(1)
+    assert Completeness(1.0, 30.0, 0.5, edges, none, none).describe() == (
+        "100 % of the stars detected, to the faintest of the catalogue"
+    )
+    assert Completeness(1.0, 17.1, 0.5, edges, none, none).describe() == (
+        "100 % of the bright stars detected, 90 % of the faintest in the catalogue (16.00)"
+    )
+    assert Completeness(0.98, 15.2, 0.5, edges, none, none).describe() == (
+        "98 % of the bright stars detected, half as many at magnitude 15.20"
+    )
+
+
 @pytest.mark.skipif(not (DATA / "m67_poss1951").is_dir(), reason="the plate of M67 is not here")
 @pytest.mark.slow
 def test_a_plate_of_1951_is_identified_with_gaia() -> None:

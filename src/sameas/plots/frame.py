@@ -306,8 +306,7 @@ def _magnitudes(axes: Axes, found: FrameIdentification) -> None:
 def _zero_words(found: FrameIdentification) -> str:
     zero = found.zero_point
     assert zero is not None
-    digits = 3 if zero.sigma >= 0.0005 else 4
-    words = f"zero point {zero.zero_point:.{digits}f} ± {zero.sigma:.{digits}f}"
+    words = f"zero point {zero.words}"
     if zero.colour_term:
         words += f", colour term {zero.colour_term:+.3f}"
     return f"{words}; scatter {zero.scatter:.2f} mag"

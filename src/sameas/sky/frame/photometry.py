@@ -138,14 +138,25 @@ class ZeroPoint:
             result = result + self.colour_term * excess
         return result
 
+    @property
+    def words(self) -> str:
+        """The zero point with its standard error, as ``20.329 ± 0.002``."""
+        return _with_error(self.zero_point, self.sigma)
+
     def describe(self) -> str:
         """One line to print."""
-        words = f"zero point {self.zero_point:.3f} ± {self.sigma:.3f} mag"
+        words = f"zero point {self.words} mag"
         if self.colour_term:
-            words += f", colour term {self.colour_term:+.3f} ± {self.colour_sigma:.3f}"
+            words += f", colour term {_with_error(self.colour_term, self.colour_sigma, '+')}"
         if self.bend:
             words += ", not linear (a curve of third order)" if len(self.bend) > 2 else ", not linear (a parabola)"
         return f"{words}; scatter {self.scatter:.3f} mag of {self.pairs:.0f} pairs"
+
+
+def _with_error(value: float, sigma: float, sign: str = "") -> str:
+    """A value and its standard error with three decimals, or more (at most six) until the error is not zero."""
+    digits = next((digits for digits in (3, 4, 5) if round(sigma, digits) > 0.0), 6)
+    return f"{value:{sign}.{digits}f} ± {sigma:.{digits}f}"
 
 
 def instrumental(flux: FloatArray) -> FloatArray:
@@ -238,8 +249,12 @@ class Completeness:
 
     def describe(self) -> str:
         """One line to print."""
-        if self.faintest(0.5 * self.top) >= float(self.edges[-1]):
-            return f"{100 * self.top:.0f} % of the stars detected, to the faintest of the catalogue"
+        faintest = float(self.edges[-1])
+        if self.faintest(0.5 * self.top) >= faintest:
+            bright, faint = (f"{100 * share:.0f} %" for share in (self.top, float(self(np.array([faintest]))[0])))
+            if faint == bright:
+                return f"{bright} of the stars detected, to the faintest of the catalogue"
+            return f"{bright} of the bright stars detected, {faint} of the faintest in the catalogue ({faintest:.2f})"
         return f"{100 * self.top:.0f} % of the bright stars detected, half as many at magnitude {self.limit:.2f}"
 
 
