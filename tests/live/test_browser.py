@@ -50,6 +50,11 @@ def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path
             try:
                 page.until("mapPage.live && document.querySelectorAll('#alarms li').length > 0")
                 assert bool(page.js("document.querySelectorAll('#alarms .acknowledge').length")) == buttons
+                # The tab counts what the button counts: the active alarms, not the past ones.
+                page.until("document.querySelectorAll('#alarms li.current').length > 0")
+                current = "document.querySelectorAll('#alarms li.current').length"
+                same = f"{current} === +document.querySelector('#tab-alarms span').textContent"
+                assert page.js(same) and page.js("document.querySelectorAll('#alarms li').length > 1")
                 assert page.js("location.search") == "" and page.js("document.cookie") == ""
                 if buttons:
                     page.js("document.querySelector('#alarms .acknowledge').click()")

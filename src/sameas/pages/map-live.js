@@ -119,7 +119,7 @@ function applyAlarms(alarms) {
       instant: null,
       beside: () => {
         if (a.acknowledged_s !== null)
-          return [text("span", ` acknowledged ${clock(a.acknowledged_s)[0]} by ${a.acknowledged_by}`, "hint")];
+          return [text("span", `acknowledged ${clock(a.acknowledged_s)[0]} by ${a.acknowledged_by}`, "hint")];
         if (!data.live.operator) return [];
         const button = text("button", "acknowledge", "acknowledge");
         button.addEventListener("click", () => acknowledge(a.id));

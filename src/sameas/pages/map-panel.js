@@ -198,7 +198,7 @@ function showAlarms() {
   const current = data.alarms.filter(a => isActive(a, now.k)).length;
   el("tab-alarms").replaceChildren(
     "Alarms",
-    ...(data.alarms.length ? [text("span", ` ${data.alarms.length}`, current ? "warn" : "")] : []),
+    ...(current ? [text("span", ` ${current}`, "warn")] : []), // the number that the button shows, not the past ones
   );
   el("alarm-button").hidden = !current;
   el("alarm-button").textContent = `⚠ ${plural(current, "alarm")}`;
