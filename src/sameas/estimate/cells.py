@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, inner
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -217,7 +217,7 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, 
     richer, size = max(len(first), len(second)), space.volume
     while size * CELLS_PER_RECORD * richer > space.volume:
         count = levels[-1].count(1 if len(first) >= len(second) else 2)
-        if count @ count <= FINEST * richer:
+        if inner(count, count) <= FINEST * richer:
             break
         size /= REFINEMENT
         levels.append(_level(*space.cells(first.features, second.features, size)))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner
 from sameas.estimate.cells import FINEST, GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
@@ -261,7 +261,7 @@ def smoothing(others: FloatArray, volume: FloatArray, density: FloatArray, weigh
 
     Source: Duin 1976, IEEE Transactions on Computers 25, 1175 (smoothing by leave-one-out likelihood).
     """
-    scores = [float(weight @ np.log((others + smooth) / (volume + smooth / density))) for smooth in SMOOTHS]
+    scores = [inner(weight, np.log((others + smooth) / (volume + smooth / density))) for smooth in SMOOTHS]
     return SMOOTHS[int(np.argmax(scores - LOG_PRIOR_STEP * np.arange(len(SMOOTHS))))]
 
 
@@ -324,7 +324,7 @@ class Coverage:
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
             count = level.count(source) if every else np.bincount(cell, weights, len(volume))
-            finest = level is self.levels[-1] or count @ count <= FINEST * weights.sum()
+            finest = level is self.levels[-1] or inner(count, count) <= FINEST * weights.sum()
             others = np.maximum(count[cell[some]] - weights[some], 0.0)
             smooth = smoothing(others, volume[cell[some]], at[0][some], weights[some])
             refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
@@ -460,7 +460,7 @@ class Coverage:
         richer = max(len(self.first), len(self.second))
         fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
         count = np.zeros((len(fine.volume), 4))
-        return float(shared_part(fine.of_first, seen_1, fine.of_second, seen_2, count) @ fine.volume)
+        return inner(shared_part(fine.of_first, seen_1, fine.of_second, seen_2, count), fine.volume)
 
 
 def local_share(
