@@ -55,6 +55,10 @@ def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path
                 current = "document.querySelectorAll('#alarms li.current').length"
                 same = f"{current} === +document.querySelector('#tab-alarms span').textContent"
                 assert page.js(same) and page.js("document.querySelectorAll('#alarms li').length > 1")
+                # An active alarm shows the present closest approach, and the one when it was raised.
+                page.until(
+                    "/ – now \\d+ m in \\d+\\.\\d min/.test(document.querySelector('#alarms li.current').textContent)"
+                )
                 assert page.js("location.search") == "" and page.js("document.cookie") == ""
                 if buttons:
                     page.js("document.querySelector('#alarms .acknowledge').click()")

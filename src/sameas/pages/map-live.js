@@ -100,6 +100,7 @@ function renew() {
   for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
   const k = shownTime === null ? last : nearestInstant(shownTime);
   show(k);
+  showApproaches();
 }
 
 // ---- alarms; operators may acknowledge them ----
@@ -117,6 +118,7 @@ function applyAlarms(alarms) {
       objects: a.objects,
       active: !!a.active,
       instant: null,
+      approaching: a.kind === "cpa" && a.active ? a.objects[0] : null,
       beside: () => {
         if (a.acknowledged_s !== null)
           return [text("span", `acknowledged ${clock(a.acknowledged_s)[0]} by ${a.acknowledged_by}`, "hint")];
@@ -129,6 +131,17 @@ function applyAlarms(alarms) {
   );
   for (const a of data.alarms) a.instant = a.active ? null : nearestInstant(a.time);
   listAlarms();
+}
+// An alarm keeps the text it was raised with; the present closest approach follows it.
+function showApproaches() {
+  const buttons = el("alarms").querySelectorAll("li > button:first-child");
+  data.alarms.forEach((a, k) => {
+    const near = a.approaching === null ? null : present.cpa[a.approaching];
+    let place = buttons[k].querySelector(".hint");
+    if (!near) return place?.remove();
+    if (!place) buttons[k].append((place = text("span", "", "hint")));
+    place.textContent = ` – now ${near[0]} m in ${(near[1] / 60).toFixed(1)} min`;
+  });
 }
 const acknowledge = id =>
   fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } }).catch(() => {});
