@@ -26,7 +26,7 @@ from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
-from sameas.tracks.feed import LASTING, Feed
+from sameas.tracks.feed import CORRELATED_KINDS, Feed
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def deceptions(
         return ()
     index = _ObjectIndex.of(tracks)
     alarms: list[Fault] = []
-    for own in [track for track in tracks if feeds[track.source].description.kind in LASTING]:
+    for own in [track for track in tracks if feeds[track.source].description.kind in CORRELATED_KINDS]:
         others = index.partners(own)
         alarms += _dragged(own, others, feeds, instants, tuning)
         alarms += _silent(own, others, feeds, instants, tuning)
@@ -175,7 +175,9 @@ def _dragged(
     log_undetected = sum(
         min(float(-np.log(feed.q_at(own.place[alone], float(instants[own.at[alone][0]]))).sum()), tuning.empty_vote)
         for feed in feeds
-        if feed.sensor_m is not None and feed.description.kind not in LASTING and feed.reports.track is not None
+        if feed.sensor_m is not None
+        and feed.description.kind not in CORRELATED_KINDS
+        and feed.reports.track is not None
     )
     sensors = sorted({feeds[other.source].description.name for other, _ in contradicting})
     log_odds = math.log(tuning.dragged_odds) + log_undetected - (len(sensors) - 1) * math.log(tuning.swap)

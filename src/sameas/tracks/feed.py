@@ -1,4 +1,4 @@
-"""A feed: one source of a scene, with its reports in the plane and its description for any place and instant."""
+"""A feed: one source of a scene, its reports in the plane, and its miss probability and clutter at any place."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 def stationary(reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING) -> tuple[States, FloatArray | None]:
     """The reports with the velocities of stationary objects, and (n,) the probability that each is stationary.
 
-    Vessels at anchor or alongside stay where they are and report a velocity of about 0. A velocity walk that fits a
-    vessel under way moves one at anchor by 150 m between two reports three minutes apart; it swings by 15 m. So every
-    reported velocity v, of covariance C, is that of one of two kinds of objects:
+    Vessels at anchor or alongside report a velocity of about 0. The velocity random walk of a vessel under way would
+    move one at anchor by 150 m between two reports three minutes apart; it swings by 15 m. So a reported velocity v
+    with covariance C comes from one of two kinds of objects:
 
         stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
         moving       v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
 
-    The velocity of a stationary object is 0 ± s a priori and does not walk. The state is the mean of both kinds by
-    their probabilities, its covariance that of the mixture; the walk is that of moving objects times their probability
-    (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no threshold: an object at 2 knots moves, one at 0.2 knots
-    is stationary, and between the two the covariance holds both. Unreported velocities stay unknown.
+    The velocity of a stationary object is 0 ± s a priori, without a random walk. The returned state and covariance are
+    the mean and covariance of the mixture of both kinds (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no
+    threshold: an object at 2 knots moves, one at 0.2 knots is stationary, and in between the covariance includes both.
+    Unreported velocities stay unknown.
 
-    None, and the reports unchanged, where the motion has no share of stationary objects.
+    If the motion has no share of stationary objects, the reports are returned unchanged, and None.
 
     >>> reports = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0,
     ...                     velocity=[[0.1, 0.0], [4.0, 0.0]], velocity_covariance=0.09 * np.eye(2))
@@ -60,29 +60,33 @@ def stationary(reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING)
         raise InputError(f"motion.standing_share is {share}; give the share of objects that stand, below 1")
     p_stationary, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
     rows = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2))
-    x, p = state[rows], covariance[rows]
-    slowly, quickly = (log_density(x[:, 2:], p[:, 2:, 2:] + sigma**2 * np.eye(2)) for sigma in (slow, speed))
-    odds = math.log(share) - math.log1p(-share) + slowly - quickly
-    chance = np.asarray(expit(odds))
-    # The change of the state by a velocity that is 0 ± slow.
-    still = Gaussian(np.zeros_like(x), p).conditional(p[:, :, 2:], -x[:, 2:], p[:, 2:, 2:] + slow**2 * np.eye(2))
-    step = still.mean
-    weight = chance[:, None, None]
-    state[rows] = x + chance[:, None] * step
-    mixed = (
-        weight * still.covariance + (1.0 - weight) * p + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
+    x, cov = state[rows], covariance[rows]
+    log_stationary, log_moving = (
+        log_density(x[:, 2:], cov[:, 2:, 2:] + sigma**2 * np.eye(2)) for sigma in (slow, speed)
     )
-    covariance[rows], p_stationary[rows] = symmetric(mixed), chance
+    log_odds = math.log(share) - math.log1p(-share) + log_stationary - log_moving
+    p = np.asarray(expit(log_odds))
+    # Update of the state by a measured velocity of 0 ± slow.
+    update = Gaussian(np.zeros_like(x), cov).conditional(cov[:, :, 2:], -x[:, 2:], cov[:, 2:, 2:] + slow**2 * np.eye(2))
+    step = update.mean
+    weight = p[:, None, None]
+    state[rows] = x + p[:, None] * step
+    mixed = (
+        weight * update.covariance
+        + (1.0 - weight) * cov
+        + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
+    )
+    covariance[rows], p_stationary[rows] = symmetric(mixed), p
     return States(reports.time_s, state, covariance, reports.track, reports.rows), p_stationary
 
 
 def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:
-    """Seconds without a report after which a track of the source has ended; infinite where no track has two reports.
+    """Seconds without a report after which a track of the source has ended; infinite if no track has two reports.
 
-    A radar drops a track that it no longer sees without a message; its last report would remain for an object that has
-    gone, or has another number by now. A track has ended when its gap is longer than 99.9 % of the gaps within tracks
-    of its source. So a radar's tracks end after some rotations, and those of vessels at anchor, which report every
-    three minutes, after several of their reports.
+    A radar drops a lost track without a message; its last report would remain current though the object has left or
+    has another track number. A track has ended if its gap is longer than 99.9 % of the gaps within tracks of its
+    source: a radar's tracks end after some rotations, those of vessels at anchor, which report every three minutes,
+    after several of these intervals.
 
     >>> track_timeout_s(np.array([0.0, 3.0, 6.0, 12.0]), np.array(["7", "7", "7", "7"]))
     6.0
@@ -96,11 +100,11 @@ def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuni
 
 
 def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[States, tuple[str, ...]]:
-    """The reports without positions that are repeated to the last digit though their object moves, and notes.
+    """The reports, NaN in place of positions repeated to the last digit while the object moves, and notes.
 
-    Receivers and databases send their last position again and again, with the current time and perhaps a new velocity.
-    Such repetitions would show a moving object at rest, so they are set aside: they lose their position and are not
-    used. A stationary object, or one of unknown velocity, may report one place twice.
+    Receivers and databases resend their last position with the current time and perhaps a new velocity. Such
+    repetitions would show a moving object at rest, so they are not used. A stationary object, or one of unknown
+    velocity, may report one position twice.
 
     >>> track, v = ["a"] * 3, [[50.0, 0.0]] * 3
     >>> reports = States.of([0.0, 1.0, 2.0], [[0.0, 0.0], [0.0, 0.0], [99.0, 0.0]], np.eye(2), speed_m_per_s=150.0,
@@ -113,19 +117,19 @@ def position_updates(reports: States, tuning: Tuning = DEFAULT_TUNING) -> tuple[
     usable = np.flatnonzero(reports.usable)
     track = reports.track[usable]
     _, number = np.unique(track if track.dtype.kind in "iu" else track.astype(str), return_inverse=True)
-    again = usable[repeated(number, reports.time_s[usable], reports.state[usable, :2])]
-    again = again[in_motion(reports.state[again, 2:], reports.covariance[again, 2:, 2:], tuning)]
-    if not len(again):
+    repeats = usable[repeated(number, reports.time_s[usable], reports.state[usable, :2])]
+    repeats = repeats[in_motion(reports.state[repeats, 2:], reports.covariance[repeats, 2:, 2:], tuning)]
+    if not len(repeats):
         return reports, ()
     state = reports.state.copy()
-    state[again] = np.nan
-    repeat = counted(len(again), "report repeats the position", "reports repeat the positions")
+    state[repeats] = np.nan
+    repeat = counted(len(repeats), "report repeats the position", "reports repeat the positions")
     note = f"{repeat} of an earlier report though the object moves; set aside: no position was measured"
     return States(reports.time_s, state, reports.covariance, reports.track, reports.rows), (note,)
 
 
 def repeated(track: IntArray, time_s: FloatArray, position: FloatArray) -> IntArray:
-    """(k,) those of reports (n,) that repeat the position (n, 2) of the report before them of their track."""
+    """(k,) rows of the reports (n,) that repeat the position (n, 2) of the previous report of their track."""
     rows = np.lexsort([time_s, track])
     before, after = rows[:-1], rows[1:]
     same = (position[after, 0] == position[before, 0]) & (position[after, 1] == position[before, 1])
@@ -133,12 +137,12 @@ def repeated(track: IntArray, time_s: FloatArray, position: FloatArray) -> IntAr
 
 
 def in_motion(velocity: FloatArray, covariance: FloatArray, tuning: Tuning) -> BoolArray:
-    """(n,) whether velocities (n, 2) are certainly not 0."""
+    """(n,) whether velocities (n, 2) differ significantly from 0."""
     return np.asarray(mahalanobis_sq(velocity, covariance) > ChiSquare(tuning.at_rest).limit(2))
 
 
-#: Kinds of sources whose position errors last for minutes: no filter reduces them, they stay as stated.
-LASTING = ("ais", "ads-b")
+#: Kinds of sources whose position errors are correlated for minutes: a filter does not reduce them.
+CORRELATED_KINDS = ("ais", "ads-b")
 
 
 @in_short
@@ -148,16 +152,16 @@ class Feed:
 
     Attributes
     ----------
-    description, reports : of the source, and its reports in the plane.
+    description : of the source. reports : its reports in the plane, (n,).
     scan_times_s : (l,) times of its scans. scan_s : (n,) time of the scan of each report.
-    sensor_m : (n, 2) place of its sensor, None for a source without one.
-    attributes : attributes of identity of the reports, (n,) each: mmsi, icao, name, …
-    raw_reports : as a reader gave them. notes : what was set aside, printable sentences.
-    measured : where a filter made tracks of them, what was measured at each report, with the velocity of its track.
-    rotation : of an antenna whose bare plots bear their own stamps; None where looks are exposures.
-    p_stationary : (n,) probability that a report is of a stationary object; None where the motion has no such objects.
-    tuning : of tracks. heights : of a growing feed the (n, 4) columns of ``heights.HeightColumns``, None where it has
-        had none; otherwise they are in ``raw_reports``.
+    sensor_m : (n, 2) position of the sensor at each report; None if it is unknown.
+    attributes : identity attributes of the reports, (n,) each: mmsi, icao, name, …
+    raw_reports : as read. notes : what was excluded, printable sentences.
+    measured : for filtered reports, the measured positions with the filtered velocities.
+    rotation : of an antenna whose plots have their own time stamps; None if scans are exposures.
+    p_stationary : (n,) probability that a report is of a stationary object; None if the motion has no such objects.
+    tuning : of tracks. heights : in a growing feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
+        no heights; in other feeds they are in ``raw_reports``.
     """
 
     description: Description
@@ -185,7 +189,7 @@ class Feed:
         to_tracks: bool = False,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> Feed:
-        """A feed of reports as a reader gave them; see :meth:`of_placed`."""
+        """A feed of reports as read; see :meth:`of_placed`."""
         placed = PlacedReports(description, reports, plane, tuning)
         return cls.of_placed(placed, scan_times_s=scan_times_s, to_tracks=to_tracks)
 
@@ -197,60 +201,60 @@ class Feed:
 
         Parameters
         ----------
-        scan_times_s : times of all scans of a source of bare plots, empty scans included. Without it empty scans are
-            unknown, and the scan before them is current until it is too uncertain.
-        to_tracks : whether reports with ids are to be filtered to tracks first (:func:`need_filtering`).
+        scan_times_s : times of all scans of a source of bare plots, including empty scans. If None, empty scans are
+            unknown, and the previous scan remains current until it is too uncertain.
+        to_tracks : whether reports with ids are first filtered to tracks (:func:`need_filtering`).
         """
-        description, reports, there = placed.description, placed.reports, placed.in_plane
+        description, reports, in_plane = placed.description, placed.reports, placed.in_plane
         notes, sensor_m = placed.notes, placed.sensor_m
         biases = known_biases(description, sensor_m)
-        there = corrected(there, sensor_m, biases) if biases.any() else there
-        if isinstance(there, States) and reports.counted_clock:
-            there, minutes = with_minutes(there, np.full(len(there), walk_of(description)), placed.tuning)
+        in_plane = corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
+        if isinstance(in_plane, States) and reports.counted_clock:
+            in_plane, minutes = with_minutes(in_plane, np.full(len(in_plane), walk_of(description)), placed.tuning)
             notes += (_counted_note(description.name, minutes),)
-        if isinstance(there, States):
-            there, repetitions = position_updates(there, placed.tuning)
-            there, duplicates = split_duplicate_ids(
-                there, description.motion.speed_m_per_s or math.inf, placed.tuning,
+        if isinstance(in_plane, States):
+            in_plane, repetitions = position_updates(in_plane, placed.tuning)
+            in_plane, duplicates = split_duplicate_ids(
+                in_plane, description.motion.speed_m_per_s or math.inf, placed.tuning,
                 doubtful_s=60.0 if reports.counted_clock else 0.0,
             )  # fmt: skip
             notes += tuple(f"{description.name}: {note}" for note in (*repetitions, *duplicates))
         p_stationary, measured = None, None
         if to_tracks:
-            if not isinstance(there, States):
+            if not isinstance(in_plane, States):
                 raise InputError(f"{description.name}: directions are not filtered; give positions")
-            tracks = follow(there, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning).states
-            placed_anew = in_place(there, tracks)
-            there = placed_anew if description.kind in LASTING else tracks
-            measured, _ = stationary(placed_anew, description.motion, placed.tuning)
-        if isinstance(there, States):
-            there, p_stationary = stationary(there, description.motion, placed.tuning)
+            tracks = follow(in_plane, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning).states
+            at_reported = at_reported_positions(in_plane, tracks)
+            in_plane = at_reported if description.kind in CORRELATED_KINDS else tracks
+            measured, _ = stationary(at_reported, description.motion, placed.tuning)
+        if isinstance(in_plane, States):
+            in_plane, p_stationary = stationary(in_plane, description.motion, placed.tuning)
         given_times = None if scan_times_s is None else np.asarray(scan_times_s, np.float64)
         scans = scans_of(
-            there.time_s, description.timing.period_s, _bearings(there, sensor_m), given_times, placed.tuning
+            in_plane.time_s, description.timing.period_s, _bearings(in_plane, sensor_m), given_times, placed.tuning
         )
         scan_times = scans.scan_s if given_times is None else np.concatenate([given_times, scans.scan_s])
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
         return cls(
-            description, there, np.unique(scan_times), scans.scan_s, sensor_m, attributes, reports, notes, measured,
+            description, in_plane, np.unique(scan_times), scans.scan_s, sensor_m, attributes, reports, notes, measured,
             scans.rotation, p_stationary, placed.tuning,
         )  # fmt: skip
 
     @property
     def filtered(self) -> bool:
-        """Whether a filter made tracks of the reports."""
+        """Whether the reports were filtered to tracks."""
         return self.measured is not None
 
     @cached_property
     def as_measured(self) -> Feed:
-        """The same with the positions that were measured: errors of a filter last, as if they were the sensor's."""
+        """The feed with measured instead of filtered positions, whose errors are correlated in time."""
         return self if self.measured is None else replace(self, reports=self.measured)
 
     @cached_property
     def walk_m2_per_s3(self) -> FloatArray:
-        """(n,) power density of the random walk of the velocity of each report's object: 0 where stationary."""
-        going = np.ones(len(self.reports)) if self.p_stationary is None else 1.0 - self.p_stationary
-        return walk_of(self.description) * going
+        """(n,) power density of the velocity random walk of each report's object, times the probability of motion."""
+        p_moving = np.ones(len(self.reports)) if self.p_stationary is None else 1.0 - self.p_stationary
+        return walk_of(self.description) * p_moving
 
     @cached_property
     def track_timeout_s(self) -> float:
@@ -259,14 +263,14 @@ class Feed:
 
     @cached_property
     def succession(self) -> Succession:
-        """Which report of each track is current at an instant, of a source with track ids."""
+        """The current report of each track at any instant, of a source with track ids."""
         assert self.reports.track is not None
         usable = np.flatnonzero(self.reports.usable)
         succession = Succession.of(self.reports.time_s[usable], self.reports.track[usable])
         return replace(succession, rows=usable[succession.rows])
 
     def with_succession(self, succession: Succession, track_timeout_s: float) -> Feed:
-        """The feed with a given succession and track timeout, which are then not computed."""
+        """The feed with a given succession and track timeout."""
         feed = replace(self)
         feed.__dict__.update(succession=succession, track_timeout_s=track_timeout_s)
         return feed
@@ -281,22 +285,22 @@ class Feed:
         )
 
     def sensor_at(self, instant_s: float) -> FloatArray | None:
-        """(2,) the sensor at its last report before the instant; None where its place is unknown."""
+        """(2,) position of the sensor at its last report up to the instant; None if it is unknown."""
         if self.sensor_m is None or not len(self.reports):
             return None
         order, times = self._in_time
         last = np.searchsorted(times, instant_s, side="right") - 1
-        # Of equal times the report that came first.
+        # Of equal times the first report.
         return np.asarray(self.sensor_m[order[np.searchsorted(times, times[last])] if last >= 0 else 0])
 
     @cached_property
     def _in_time(self) -> tuple[IntArray, FloatArray]:
-        """(n,) rows by their times, and these."""
+        """(n,) rows in order of time, and their times."""
         order = np.argsort(self.reports.time_s, kind="stable")
         return order, self.reports.time_s[order]
 
     def q_at(self, places: FloatArray, instant_s: float) -> FloatArray:
-        """(n,) the probability that an object at each of the places (n, 2) is missed."""
+        """(n,) probability that an object at each of the places (n, 2) is missed."""
         sensor = self.sensor_at(instant_s)
         if sensor is None:
             return self._require_q(self.description.misses.at(np.zeros(len(places))))
@@ -304,7 +308,7 @@ class Feed:
         return self._require_q(self.description.q_at(np.hypot(*arm.T), np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))))
 
     def mean_q(self, places: FloatArray, instant_s: float) -> float:
-        """The mean probability that an object at one of the places (n, 2) is missed."""
+        """Mean probability that an object at one of the places (n, 2) is missed, within 1e-6 … 1 − 1e-6."""
         anywhere = self.description.misses.at(np.zeros(1))
         q = self.q_at(places, instant_s) if len(places) else self._require_q(anywhere)
         return float(np.clip(q.mean(), 1e-6, 1.0 - 1e-6))
@@ -316,7 +320,7 @@ class Feed:
         return q
 
     def clutter(self, features: int) -> float:
-        """β in the unit of its features: per m², per m² and (m/s)², or per degree."""
+        """Clutter density β: per m², per m² and (m/s)², or per degree, by the number of features."""
         clutter = self.description.clutter
         if isinstance(self.reports, Directions):
             return clutter.per_deg or 0.0
@@ -325,11 +329,11 @@ class Feed:
         return density if features == 2 else density / (2.0 * math.pi * speed**2)
 
 
-def _bearings(there: States | Directions, sensor_m: FloatArray | None) -> FloatArray | None:
-    """(n,) bearings of bare plots, which show how an antenna turns."""
-    if there.track is not None:
+def _bearings(in_plane: States | Directions, sensor_m: FloatArray | None) -> FloatArray | None:
+    """(n,) bearings of bare plots, from which the antenna rotation is estimated; None for tracks."""
+    if in_plane.track is not None:
         return None
-    return there.bearing_deg if isinstance(there, Directions) else seen_from(there.state[:, :2], sensor_m)
+    return in_plane.bearing_deg if isinstance(in_plane, Directions) else seen_from(in_plane.state[:, :2], sensor_m)
 
 
 def _counted_note(name: str, minutes: int) -> str:
@@ -338,7 +342,7 @@ def _counted_note(name: str, minutes: int) -> str:
 
 
 def known_biases(description: Description, sensor_m: FloatArray | None) -> FloatArray:
-    """(6,) the biases that the user knows, in the order of BIASES."""
+    """(6,) biases given as known by the user, in the order of BIASES."""
     known = description.calibration
     polar = (known.range_m, known.azimuth_deg, known.range_gain)
     if sensor_m is None and any(polar):
@@ -349,12 +353,11 @@ def known_biases(description: Description, sensor_m: FloatArray | None) -> Float
 
 
 def need_filtering(placed: PlacedReports) -> bool:
-    """Whether reports are single measurements under ids of their objects, which only a filter makes tracks.
+    """Whether the reports have object ids but are unfiltered measurements, to be filtered to tracks.
 
-    Reports without velocities are, and the plots of ASTERIX 048 with or without velocities. Other reports with
-    velocities are where they scatter as single measurements do (:func:`sameas.tracks.alignment.measures_anew`).
-    Targets of an ARPA and tracks of another system are smoothed already; satellite positions with velocities
-    need no filter.
+    True for reports without velocities, for the plots of ASTERIX 048, and for other reports with velocities if they
+    scatter like single measurements (:func:`sameas.tracks.alignment.measures_anew`). ARPA targets and tracks of another
+    system are already smoothed; satellite positions with velocities need no filter.
     """
     description, reports = placed.description, placed.reports
     smoothed = reports.kind == "arpa" or description.kind == "tracks"
@@ -363,7 +366,7 @@ def need_filtering(placed: PlacedReports) -> bool:
     velocity = reports.velocity_m_per_s()
     if velocity is None or not np.isfinite(velocity).any() or reports.kind == "asterix 048":
         return True
-    if description.kind in LASTING:
+    if description.kind in CORRELATED_KINDS:
         return False
     states = placed.in_plane
     return isinstance(states, States) and measures_anew(
@@ -371,8 +374,8 @@ def need_filtering(placed: PlacedReports) -> bool:
     )
 
 
-def in_place(reports: States, tracks: States) -> States:
-    """The filtered velocities of tracks at the reported positions."""
+def at_reported_positions(reports: States, tracks: States) -> States:
+    """The filtered velocities of the tracks at the reported positions."""
     state, covariance = tracks.state.copy(), tracks.covariance.copy()
     state[:, :2] = reports.state[:, :2]
     covariance[:, :2, :2] = reports.covariance[:, :2, :2]
@@ -381,7 +384,7 @@ def in_place(reports: States, tracks: States) -> States:
 
 
 def walk_of(description: Description) -> float:
-    """Power density of the random walk of a source's objects' velocities, m²/s³."""
+    """Power density of the velocity random walk of a source's objects, m²/s³."""
     walk = description.motion.acceleration_m2_per_s3
     if walk is None:
         raise InputError(

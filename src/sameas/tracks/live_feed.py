@@ -30,10 +30,10 @@ from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import Branches
 from sameas.tracks.feed import (
-    LASTING,
+    CORRELATED_KINDS,
     Feed,
+    at_reported_positions,
     in_motion,
-    in_place,
     known_biases,
     need_filtering,
     repeated,
@@ -248,7 +248,11 @@ class GrowingFeed:
     def _decide_filtering(self, placed: PlacedReports) -> None:
         """Sets ``to_tracks``: by the kind of the reports at once, by their scatter once there are enough."""
         velocity = placed.reports.velocity_m_per_s()
-        if velocity is None or not np.isfinite(velocity).any() or placed.description.kind in (*LASTING, "tracks"):
+        if (
+            velocity is None
+            or not np.isfinite(velocity).any()
+            or placed.description.kind in (*CORRELATED_KINDS, "tracks")
+        ):
             self.to_tracks = need_filtering(placed)
             return
         if placed.reports.kind in ("arpa", "asterix 048"):
@@ -429,7 +433,11 @@ class GrowingFeed:
         """Writes the measured and filtered states of reports into their rows."""
         table = self._rows
         table.filtered[at], table.filtered_covariance[at] = tracks.state, tracks.covariance
-        visible = in_place(measured, tracks) if self.to_tracks and self.description.kind in LASTING else tracks
+        visible = (
+            at_reported_positions(measured, tracks)
+            if self.to_tracks and self.description.kind in CORRELATED_KINDS
+            else tracks
+        )
         visible, p_stationary = stationary(visible, self.description.motion, self.tuning)
         table.state[at], table.covariance[at] = visible.state, visible.covariance
         table.p_stationary[at] = 0.0 if p_stationary is None else p_stationary

@@ -1,4 +1,4 @@
-"""Tuning of tracks: the chosen numbers by which reports become feeds, biases are fitted and doubts are raised."""
+"""Fixed parameters of tracks: of feeds, bias and error fits, faults and doubts."""
 
 from __future__ import annotations
 
@@ -10,89 +10,95 @@ from sameas.registration.hough import Tuning as RegistrationTuning
 
 @dataclass(frozen=True)
 class Tuning:
-    """The chosen numbers of tracks. Units are in the names; shares, factors and probabilities have none.
+    """The fixed parameters of tracks, chosen unless a source is given.
+
+    Units are in the names; shares, factors and probabilities have none.
 
     Attributes
     ----------
-    unknown_site_share : a radar without a site is taken to stand at this share of its range from its targets.
-    stray_count, stray_radii, stray_m : in a source of ``stray_count`` positions or more, a position is set aside that
-        lies farther from their median than ``stray_radii`` × the radius that holds nine of ten, and than ``stray_m``.
-    unknown_velocity_share : a velocity is unknown when its variance is at least this share of that of all velocities.
+    unknown_site_share : assumed range of the targets of a radar without a site, as a share of its maximum range.
+    stray_count, stray_radii, stray_m : in a source of at least ``stray_count`` positions, those farther from the median
+        than ``stray_m`` and than ``stray_radii`` × the radius of 90 % of them are excluded.
+    unknown_velocity_share : a velocity is unknown if its variance is at least this share of the prior variance of
+        velocities.
     timeout_quantile : the track timeout is this quantile of the gaps within tracks.
-    at_rest : an object moves when the χ² of its velocity against 0 exceeds the limit of this share of objects at rest.
-    fastest : nothing moves faster than this factor times the usual speed of the source's objects, 1σ per axis.
-    alternations : an id belongs to two objects when its reports change between their places this often; one change is
-        a repeated position or a reused id.
-    place_sigmas : positions may be off by this many σ.
+    at_rest : an object moves if the χ² of its velocity against 0 exceeds this quantile for objects at rest.
+    fastest : maximum speed, in units of the typical speed of the source's objects (1σ per axis).
+    alternations : an id belongs to two objects if its reports change between their places at least this often; a single
+        change is a repeated position or a reused id.
+    place_sigmas : tolerance of positions, σ.
 
-    rotation_search : the rotation period is searched within this share of the described one, in ``rotation_plots``
-        plots at most, with ``rotation_steps`` steps per resolvable frequency.
-    rotation_log_odds : a period is accepted at these log-odds against chance.
-    rotation_unexplained : an antenna rotates where the rotation leaves less than this share of the bearings' scatter.
+    rotation_search : the rotation period is searched within this share of the described one, by at most
+        ``rotation_plots`` plots, with ``rotation_steps`` steps per resolvable frequency.
+    rotation_log_odds : minimum log-odds of a period against chance.
+    rotation_unexplained : an antenna rotates if its rotation leaves less than this share of the scatter of bearings.
     pause_quantile : the pause of an antenna is this quantile of the gaps between its plots.
-    exposure_gap, exposure_length : reports of one exposure follow each other within the first share of the period, and
-        all lie within the second.
-    exposures_per_period, hurried_share : a period has at most this many exposures, and at most this share of them
-        follow the one before in half the usual time.
+    exposure_gap, exposure_length : maximum gap between successive reports of one exposure, and its maximum length, as
+        shares of the period.
+    exposures_per_period, hurried_share : maximum number of exposures per period, and maximum share of exposures that
+        follow the previous one in less than half the usual time.
     pointing_sigmas : a direction points at places within this many σ.
 
-    measured_ratio, measured_fewest : reports are independent measurements when the median of their squared innovations
-        is at least this share of that of independent errors; the second number is the fewest innovations for it.
-    new_track_probability : a report starts its track anew beyond the χ² limit that this share of correct ones exceeds.
+    measured_ratio, measured_fewest : reports are independent measurements if the median of their squared innovations is
+        at least this share of that of independent errors; minimum number of innovations.
+    new_track_probability : a report beyond the χ² limit that correct reports exceed with this probability restarts its
+        track.
 
-    common_instants, common_records : two sources are compared at this many instants, at fewer where these hold more
-        than ``common_records`` records in all, and at ``fewest_instants`` or more.
-    skipped_share : share of the common time that is skipped at its start, when not every object has reported yet.
-    searched_instants, search_offsets, search_steps : instants of the bias search, offsets each, and their iterations.
-    widenings, kept : factors on the errors, iteration by iteration, and candidates that remain after each.
-    settled, most_steps : the bias fit ends at steps below this share of a standard error, or after this many.
-    same_sigmas : two solutions are one when no record moves between them by more than this many σ.
-    least_information : share of the information that is kept, however doubtful the pairs are.
-    moved_sigmas : instants are independent once records have moved by this many σ.
-    registration : tuning of the offset search at each instant; its ``decisive`` evidence establishes biases.
+    common_instants, common_records : maximum number of instants at which two sources are compared, and maximum number
+        of records at all of them; more records reduce the instants, down to ``fewest_instants``.
+    skipped_share : share of the common time skipped at its start, when some objects have not reported yet.
+    searched_instants, search_offsets, search_steps : instants of the bias search, offsets per instant, and iterations.
+    widenings, kept : factor on the errors, and number of candidates kept, for each iteration.
+    settled, most_steps : the bias fit ends at steps below this share of a standard error, or after this many steps.
+    same_sigmas : two solutions are one if no record moves between them by more than this many σ.
+    least_information : minimum eigenvalue of the observed information relative to the complete one.
+    moved_sigmas : instants are independent if records have moved by at least this many σ between them.
+    registration : of the offset search at each instant; its ``decisive`` evidence establishes biases.
 
-    azimuth_reach, azimuth_step_deg : bare plots' azimuth is searched within this many prior widths, in such steps.
-    azimuth_peaks : peaks of the search that are told.
-    gate_sigmas : plots farther than this many σ in range are of no track. path_m : a track is compared while its place
-        is known this well. beside_m : nearer to the sensor than this it is taken for the sensor's own.
-    gone_s, stays_s : plots in the same place between these times before and after one are background: by then what
-        moves has gone. echo_m : added to the width over which they are counted. ring_share : share of the plots on
-        either side in range whose density is that of the range.
-    plot_rates : mean numbers of plots of a track in a scan that are averaged over. plot_scales : factors on the errors
-        of plots that are tried. scale_limits, scale_prior : bounds of the factors that are fitted then, and the plots
-        that the first one is worth.
-    companion : probability that something else keeps its place beside a track: its vote saturates at 1/companion.
-    many_tracks : where a scan may show more tracks than this, instants are compared instead.
-    hull_prior : axes of tracks that the described extents are worth when they are learned.
-    rate_prior : scans that the mean of plot_rates is worth. seen : a track is seen with more plots than this.
+    azimuth_reach, azimuth_step_deg : the azimuth of bare plots is searched within this many prior widths, in steps.
+    azimuth_peaks : maximum number of peaks of the search.
+    gate_sigmas : gate of plots and tracks in range, σ. path_m : maximum 1σ of the position of a compared track.
+    beside_m : tracks nearer to the sensor than this are excluded, as the sensor's own platform.
+    gone_s, stays_s : plots at the same place, between these times before and after a plot, are background: a moving
+        object has left the place by then. echo_m : added to the width within which they are counted.
+    ring_share : the density of plots at a range is that of this share of the plots to either side of it in range.
+    plot_rates : mean numbers of plots of a track per scan, averaged over. plot_scales : trial factors on the errors of
+        plots. scale_limits, scale_prior : bounds of the fitted factors, and weight of the trial factor, in plots.
+    companion : probability that another object accompanies a track; it limits the evidence of one track to
+        −ln companion.
+    many_tracks : with more tracks than this per scan, instants are compared instead.
+    hull_prior : weight of the described extents when they are estimated, in axes of tracks.
+    rate_prior : weight of the median of plot_rates, in scans. seen : minimum number of plots of a detected track.
 
-    fit_box_m, fit_box_sigmas : plots of two sources are compared where they differ by less than the first, or this many
-        assumed σ. fit_scans : looks of two sources that are compared, at most.
-    fit_correlation_s : looks within this time count as one: their errors last. fit_pairs : independent looks with pairs
-        from which on errors are estimated.
-    fit_sigmas : 1σ of the logarithms of assumed errors of ranges, of bearings, and of the wander over a hull.
-    hull_sigma_m : median of the wander, that of a hull of 20 m in any direction. fit_least_m : least median of any.
-    shared_hull : variance of what all sources of one place have in common, in that of the wander.
-    fit_latencies : by which stamps may be late, in 1σ of their prior.
-    fit_real, fit_begins : share of real pairs at first, and where EM begins, in 1σ of the prior from its medians.
-    fit_steps, fit_settled : steps of EM, and the change of a logarithm that ends them.
+    fit_box_m, fit_box_sigmas : plots of two sources are compared if they differ by less than the first, or by this many
+        assumed σ. fit_scans : maximum number of compared scans of two sources.
+    fit_correlation_s : scans within this time count as one, since their errors are correlated. fit_pairs : minimum
+        number of independent pairs for which errors are estimated.
+    fit_sigmas : 1σ of the logarithms of the assumed errors: of ranges, of bearings, of the echo's place on the hull.
+    hull_sigma_m : median of the latter, that of a hull of 20 m in any direction. fit_least_m : minimum of any median.
+    shared_hull : share of the variance of the echo's place that is common to all sources at one place.
+    fit_latencies : trial latencies, in 1σ of their prior.
+    fit_real, fit_begins : initial share of real pairs, and starting points of EM, in 1σ of the prior from its medians.
+    fit_steps, fit_settled : maximum number of EM iterations, and the change of a logarithm at which they end.
 
-    fault_prior, sure_fault : probability that a source has a fault of one kind, and that at which it is an alarm.
-    fault_reports : fewest reports of a source that is judged. clock_jumps : jumps of a clock that are told at most.
-    clock_speed_m_per_s, clock_gap_s, stamp_s : tracks as fast as this, reports at most so far apart, and the error of a
-        sound stamp. clock_search_s : jumps that are looked for: from, to, step. clock_outlier, clock_vote : share of
-        steps that say nothing, and the most that one can count.
-    most_minutes, most_pauses, pause_prior : of a clock that is counted on from the seconds in messages: whole minutes
-        that one pause may have lost, pauses that are mended, and the probability that there is one more.
-    ended_s, ended_share : a source ends early by this much, and this share of the time. frozen_reports, repeats : least
-        repetitions of a frozen track, and the probability that a moving one repeats a position.
-    flood_s, flood_factor, flood_least : stretches that are counted, and what is more than usual.
-    track_vote : the most that one track can count.
+    fault_prior, sure_fault : prior probability of a fault of one kind, and the probability at which it is an alarm.
+    fault_reports : minimum number of reports of a tested source. clock_jumps : maximum number of jumps of a clock.
+    clock_speed_m_per_s, clock_gap_s, stamp_s : minimum speed of the tracks used, maximum time between their reports,
+        and 1σ of a correct time stamp. clock_search_s : trial jumps: from, to, step. clock_outlier, clock_vote : share
+        of outliers among the steps of tracks, and maximum evidence of one step.
+    most_minutes, most_pauses, pause_prior : of a clock counted from the seconds in messages: maximum number of whole
+        minutes lost in one pause, maximum number of corrected pauses, and probability that there is another one.
+    ended_s, ended_share : a source has ended if it is silent for this time and this share of the whole time.
+    frozen_reports, repeats : minimum number of repeated positions of a frozen track, and probability that a moving
+        track repeats a position. track_vote : maximum evidence of one track.
+    flood_s, flood_factor, flood_least : width of the intervals in which reports are counted, and a flood's minimum
+        ratio to, and excess over, the usual count.
 
-    doubt_instants, doubt_steps : instants at which sources are compared, and iterations of the common number.
-    nothing, much : a source shares nothing below this share of records with a partner; a guess must reach the second.
-    guess_gain : least gain of the log likelihood of an instant by a guess: some thirty guesses are made.
-    near_extents, near_m : a guess of positions brings a source to another within this many of its extents, or metres.
+    doubt_instants, doubt_steps : compared instants, and iterations of the number of common objects.
+    nothing, much : a source whose share of records with a partner is not above the first has nothing in common with
+        another; a guess must reach the second.
+    guess_gain : minimum gain of the log likelihood per instant by a guess, among some thirty guesses.
+    near_extents, near_m : a guess of positions must bring a source to within this many extents of another, or metres.
     """
 
     unknown_site_share: float = 0.25
