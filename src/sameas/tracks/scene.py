@@ -1,4 +1,4 @@
-"""The scene: all sources of a picture in one plane, and their records at one instant, ready to be identified.
+"""The scene: all sources of a picture in one plane, and their records at any instant, input of ``identify_many``.
 
 >>> from sameas import identify_many
 >>> from sameas.tracks.reports import Reports
@@ -55,11 +55,11 @@ __all__ = ["POSITION", "POSITION_AND_VELOCITY", "Feed", "Instant", "Scene"]
 @in_short
 @dataclass(frozen=True)
 class Scene:
-    """Feeds of all sources in one plane. Make it with :meth:`Scene.of`; ask :meth:`at` for an instant.
+    """Feeds of all sources in one plane. :meth:`Scene.of` makes it; :meth:`at` gives the records at an instant.
 
-    height_model : how heights of all sources are brought to one kind; what their reports show where not given.
-    shared_error_m : 1σ per axis of what the errors of all sources have in common, such as the near side of a hull.
-    estimated : printable sentences on errors that were estimated.
+    height_model : conversion of all heights to one kind; estimated from the reports if None.
+    shared_error_m : 1σ per axis of the error common to all sources, such as the near side of a hull.
+    estimated : printable sentences on estimated errors.
     """
 
     feeds: tuple[Feed, ...]
@@ -76,10 +76,10 @@ class Scene:
         plane: LocalPlane | None = None,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> Scene:
-        """A scene of descriptions and their reports; the plane is laid in their middle where none is given.
+        """A scene of descriptions and their reports, in the given plane or in one about the middle of the positions.
 
-        Sources that give metres in one plane of the user's own need none: all of them must, then. Plots with ids
-        are filtered to tracks first: where they have no velocities, or scatter as single measurements do.
+        No plane is needed if all sources give metres in one plane of the user's own. Reports with ids are filtered to
+        tracks first if they are unfiltered measurements (:func:`sameas.tracks.feed.need_filtering`).
         """
         if far := apart(sources, tuning):
             raise InputError("; ".join(far))
@@ -88,8 +88,9 @@ class Scene:
         names = [description.name for description, _ in sources]
         if len(set(names)) < len(names):
             raise InputError(f"two sources are called {max(names, key=names.count)}; give every source its own name")
-        every = (PlacedReports(description, reports, plane, tuning) for description, reports in sources)
-        return cls(tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in every), plane, tuning)
+        all_placed = (PlacedReports(description, reports, plane, tuning) for description, reports in sources)
+        feeds = tuple(Feed.of_placed(placed, to_tracks=need_filtering(placed)) for placed in all_placed)
+        return cls(feeds, plane, tuning)
 
     @property
     def span_s(self) -> tuple[float, float]:
@@ -102,30 +103,30 @@ class Scene:
     def registered(self, references: Sequence[str] | None = None) -> tuple[Scene, tuple[SourceBiases, ...]]:
         """The scene without the biases of its sources, and the biases of each, in their order.
 
-        Every source is compared with those that may have no bias (satellite positions: AIS, ADS-B) at many instants of
-        the whole span; where there are none, the sources with each other. The uncertainty of the removed
-        biases is in the covariances. ``bias`` in the descriptions is the prior of biases; known ones, ``calibration``,
-        are removed already.
+        Every source is compared, at many instants of the whole span, with those that have no bias (satellite positions:
+        AIS, ADS-B); if there are none, the sources are compared with each other. The uncertainty of the removed biases
+        is added to the covariances. ``bias`` in the descriptions is the prior of biases; the known ones,
+        ``calibration``, are already removed.
 
-        references : names of sources whose positions are taken as they are, if not by their descriptions.
+        references : names of the sources assumed to have no bias, if not given by their descriptions.
         """
         feeds, found = registered(self.feeds, references, self._plot_fits)
         return replace(self, feeds=feeds), found
 
     def with_fitted_errors(self) -> tuple[Scene, ErrorFit]:
-        """The scene with the errors, clutter and late stamps that its bare plots show, and these.
+        """The scene with errors, clutter and latencies estimated from its bare plots, and the fit.
 
-        Numbers that a user gave stay; see :mod:`sameas.tracks.error_fit`. Do it before :meth:`registered`.
+        Values given by the user are kept; see :mod:`sameas.tracks.error_fit`. To be called before :meth:`registered`.
         """
         fit = fit_errors(self.feeds, self.plane, self.tuning)
         return replace(self, feeds=fit.feeds, shared_error_m=fit.shared_m, estimated=tuple(fit.lines())), fit
 
     def doubts(self) -> tuple[str, ...]:
-        """What looks wrong with a source as a whole, one sentence each, with the remedy; empty where all make sense.
+        """Suspected errors of whole sources, one sentence each with its remedy; empty if there are none.
 
-        Wrong signs, exchanged columns, kilometres, miles, feet or radians where metres and degrees are meant, a clock
-        in another zone, nothing in common with the others. Nothing is changed. It takes seconds where a source makes no
-        sense.
+        Such as wrong signs, exchanged columns, kilometres, miles, feet or radians instead of metres and degrees, a
+        clock in another zone, or nothing in common with the other sources. Nothing is changed. A source with such an
+        error takes seconds.
         """
         return doubts(self.feeds, self.plane, self.tuning, self._plot_fits)
 
@@ -135,18 +136,18 @@ class Scene:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was set aside when the scene was made, printable sentences."""
+        """What was excluded when the scene was made, printable sentences."""
         return tuple(note for feed in self.feeds for note in feed.notes)
 
     @cached_property
     def heights(self) -> tuple[HeightReports | None, ...]:
-        """Per source the heights of its reports, all of one kind; None where a source has none."""
+        """Heights of the reports of each source, all of one kind; None for a source without any."""
         return heights_of(self.feeds, self.height_model)
 
     def at(self, instant_s: float, *, features: int = POSITION) -> Instant:
-        """The records of every source at an instant: its last reports at or before it, moved there by their motion.
+        """The records of every source at an instant: its last reports at or before it, moved to it by their velocities.
 
-        features : POSITION, or POSITION_AND_VELOCITY, in which sources without velocities observe a part.
+        features : POSITION, or POSITION_AND_VELOCITY, of which sources without velocities observe a part.
         """
         if features not in (POSITION, POSITION_AND_VELOCITY):
             raise InputError(f"Scene: features is {features}; give 2 (positions) or 4 (positions and velocities)")
@@ -173,14 +174,14 @@ class Instant:
     Attributes
     ----------
     sources : for :func:`sameas.many.identify_many`, in the scene's order; the ids of their records are rows of the
-        source's own reports.
-    age_s : per source (n,) how old each record's report is.
-    aged : per source the rows of reports that have grown too uncertain to distinguish objects.
-    heights : per source (n, 3) heights of the records and their 1σ, metres, and vertical speeds, m/s, NaN where one has
-        none; None where no record of the source ever has one.
-    region : where objects are; needed by ``identify_many`` where a source observes a part of the state.
-    density : objects per m² at the middle of the region (per m² and (m/s)² where velocities are features).
-    shared_error_m : of the scene; in no record's covariance.
+        source's reports.
+    age_s : per source (n,) age of each record's report.
+    aged : per source the rows of reports excluded as too uncertain to distinguish objects.
+    heights : per source (n, 3) heights of the records and their 1σ, metres, and vertical speeds, m/s, NaN if unknown;
+        None if no report of the source has a height.
+    region : of the objects; needed by ``identify_many`` if a source observes a part of the state.
+    density : objects per m² at the middle of the region (per m² and (m/s)² with velocities as features).
+    shared_error_m : of the scene; not included in the covariances.
     """
 
     instant_s: float
@@ -196,16 +197,16 @@ class Instant:
 
     @property
     def descriptions(self) -> tuple[Description, ...]:
-        """Of the sources, in their order."""
+        """Descriptions of the sources, in their order."""
         return tuple(feed.description for feed in self.feeds)
 
     @property
     def assumed(self) -> tuple[Assumption, ...]:
-        """Every assumed number."""
+        """All assumed values of the descriptions."""
         return tuple(line for description in self.descriptions for line in description.assumed)
 
     def with_records(self) -> Instant:
-        """The same without the sources that have no records; ``identify_many`` needs two that have."""
+        """The instant without the sources that have no records; ``identify_many`` needs two with records."""
         keep = [k for k, source in enumerate(self.sources) if len(records_of(source))]
         chosen = {
             name: tuple(getattr(self, name)[k] for k in keep)
@@ -214,7 +215,7 @@ class Instant:
         return replace(self, **chosen)  # type: ignore[arg-type]
 
     def identity(self) -> Identity:
-        """The rule of the records' identities: add it to a rule of positions."""
+        """The rule of the records' identity attributes, to be added to a rule of positions."""
         columns = {}
         for feed, source in zip(self.feeds, self.sources, strict=True):
             rows = records_of(source).ids
@@ -222,19 +223,19 @@ class Instant:
         return Identity(columns)
 
     def height(self) -> Heights:
-        """The rule of the records' heights: add it to a rule of positions."""
+        """The rule of the records' heights, to be added to a rule of positions."""
         given = zip(self.feeds, self.heights, strict=True)
         return Heights({feed.description.name: heights[:, :2] for feed, heights in given if heights is not None})
 
     def alarms(self) -> list[Alarm]:
-        """Identities that are shown at two places too far apart for one object: forged, duplicate or wrong."""
+        """Identities reported at two places too far apart for one object: forged, duplicate or wrong."""
         return alarms([source for source in self.sources if isinstance(source, Records)], self.identity())
 
     def rule(self) -> PoissonObjects:
-        """The rule of ``identify_many`` with the described misses and clutter.
+        """The rule of positions for ``identify_many``, with the described misses and clutter.
 
-        The probability of a miss is the mean over the places where records of any source are: a source whose coverage
-        most of them lie outside is not held to have missed them.
+        The miss probability of a source is the mean over the positions of all records, so it is high for a source that
+        covers few of them.
         """
         places = np.concatenate([np.empty((0, 2)), *(_places(source) for source in self.sources)])
         q = tuple(feed.mean_q(places, self.instant_s) for feed in self.feeds)
@@ -244,7 +245,10 @@ class Instant:
 
 @dataclass(frozen=True)
 class _Surroundings:
-    """Where objects are at an instant, and how many: from the positions of all sources."""
+    """Region and density of the objects at an instant, from the positions of all sources.
+
+    density : per unit of the features. per_m2 : per m².
+    """
 
     region: Region
     density: float
@@ -273,7 +277,7 @@ class _Surroundings:
 
 
 def _objects(snapshots: Sequence[Snapshot], area_m2: float) -> float:
-    """How many objects there are, by the source that shows most: its records less its clutter, over 1 − q."""
+    """Number of objects, by the source with the most: (its records − its clutter) / (1 − q)."""
     most = 1.0
     for one in snapshots:
         description = one.feed.description
@@ -290,8 +294,7 @@ def _places(source: Source) -> FloatArray:
 
 
 def _middle(sources: Sequence[tuple[Description, Reports]]) -> tuple[NDArray[Any], NDArray[Any]] | None:
-    """All latitudes and longitudes of positions, or of the sensors where there are none; None where these, too, stand
-    in a plane of the user's own."""
+    """Latitudes and longitudes of all positions, or else of the sensors; None if neither are given in degrees."""
     pairs = [(r.lat_deg, r.lon_deg) for _, r in sources if r.lat_deg is not None]
     pairs = pairs or [(r.station_lat_deg, r.station_lon_deg) for _, r in sources if r.station_lat_deg is not None]
     if not pairs and not any(r.x_m is not None for _, r in sources):

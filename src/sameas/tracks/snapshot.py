@@ -1,8 +1,8 @@
 """Snapshots: the last reports of one source moved to an instant, and the records of two sources at one instant.
 
-- :func:`snapshot`: one source at one instant, as records or observations for the core.
-- :func:`common_scans`: two sources at many instants, spread over their common time, for :mod:`sameas.registration`: the
-  biases of a source show in the residuals of its records against those of another, and one instant has few pairs.
+- :class:`Snapshot`: one source at one instant, as records or observations for the core.
+- :func:`common_scans`: two sources at many instants of their common time, for the bias fit: the biases of a source are
+  estimated from the residuals of its records against another source's, and one instant has few pairs.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ def pointed_at(
     extent_m: float,
     tuning: Tuning = DEFAULT_TUNING,
 ) -> FloatArray:
-    """(n, p) probability that each direction points at each place, if at one of them; rows of 0 where at none.
+    """(n, p) probability that each direction points at each place, if at one of them; rows of 0 for directions at none.
 
-    A direction has no distance, but much depends on it: metres of hull or of motion are more degrees the nearer the
-    object, and a camera sees far boats less often than near ones. The places where other sources show objects give it.
+    The distance of a direction is not measured but needed: metres of hull or of motion are more degrees the nearer the
+    object, and a camera detects far boats less often than near ones. It follows from objects of other sources.
 
     Parameters
     ----------
     bearing_deg, sigma_deg : (n,) directions, clockwise from the plane's north, and their 1σ.
     sensor_m : (2,) place of the sensor. places : (p, 2) in the plane.
-    extent_m : 1σ of the visible point about the centre of the object.
+    extent_m : 1σ of the observed point relative to the centre of the object.
 
     Example
     -------
@@ -57,11 +57,13 @@ def pointed_at(
     if not weight.size:
         return weight
     arm = places - np.asarray(sensor_m)
-    away = np.maximum(np.hypot(*arm.T), 1.0)
-    off = (np.asarray(bearing_deg)[:, None] - np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + 180.0) % 360.0 - 180.0
-    sigma = np.hypot(np.broadcast_to(sigma_deg, len(bearing_deg))[:, None], np.degrees(np.arctan2(extent_m, away)))
-    inside = np.abs(off) < tuning.pointing_sigmas * sigma
-    weight[inside] = (np.exp(-0.5 * (off / sigma) ** 2) / sigma)[inside]
+    range_m = np.maximum(np.hypot(*arm.T), 1.0)
+    residual_deg = (
+        np.asarray(bearing_deg)[:, None] - np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + 180.0
+    ) % 360.0 - 180.0
+    sigma = np.hypot(np.broadcast_to(sigma_deg, len(bearing_deg))[:, None], np.degrees(np.arctan2(extent_m, range_m)))
+    inside = np.abs(residual_deg) < tuning.pointing_sigmas * sigma
+    weight[inside] = (np.exp(-0.5 * (residual_deg / sigma) ** 2) / sigma)[inside]
     total = weight.sum(axis=1, keepdims=True)
     return np.asarray(np.divide(weight, total, out=weight, where=total > 0.0))
 
@@ -73,7 +75,11 @@ POSITION_AND_VELOCITY = 4
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The reports of one source moved to an instant; ``rows`` of the feed's reports."""
+    """The current reports of one source moved to an instant, (n,) each.
+
+    rows : of the feed's reports. time_s : times of the reports. state, covariance : (n, 4) and (n, 4, 4) at the
+    instant, or bearings in degrees and their variances. aged : rows of the reports removed as too uncertain.
+    """
 
     feed: Feed
     rows: IntArray
@@ -104,7 +110,7 @@ class Snapshot:
         return cls(feed, rows, time_s, state, covariance, none)
 
     def without_aged(self, density: float) -> Snapshot:
-        """The same without the reports that are too uncertain to distinguish objects."""
+        """The snapshot without reports too uncertain to distinguish objects; density : objects per m²."""
         if isinstance(self.feed.reports, Directions) or not len(self.rows):
             return self
         old = aged(self.covariance, density)
@@ -116,7 +122,7 @@ class Snapshot:
         )
 
     def source(self, instant_s: float, features: int, places: FloatArray) -> Source:
-        """Records or observations for the core."""
+        """Records or observations for the core; places : (p, 2) records of all sources with positions."""
         name, ids = self.feed.description.name, self.feed.reports.rows[self.rows]
         if isinstance(self.feed.reports, Directions):
             return self._bearings(instant_s, features, places)
@@ -126,7 +132,7 @@ class Snapshot:
         return self._plots(instant_s)
 
     def _plots(self, instant_s: float) -> Observations:
-        """Bare positions, as observations of the place of a moving object at the time of the scan."""
+        """Bare positions, as observations of the position of a moving object at the time of the scan."""
         description, reports = self.feed.description, self.feed.reports
         assert isinstance(reports, States)
         age = instant_s - float(self.time_s.mean()) if len(self.rows) else 0.0
@@ -140,15 +146,15 @@ class Snapshot:
         return Observations(records, LinearPart(np.hstack([np.eye(2), -age * np.eye(2)])))
 
     def _bearings(self, instant_s: float, features: int, places: FloatArray) -> Observations:
-        """Directions to the place of an object at the time of the scan."""
+        """Directions, as observations of the position of an object at the time of the scan."""
         description, reports = self.feed.description, self.feed.reports
         range_m = description.coverage.range_m or math.inf
-        away = self._ranges(places, range_m)
+        target_range_m = self._target_ranges(places, range_m)
         age = instant_s - float(self.time_s.mean()) if len(self.rows) else 0.0
-        # With velocities as features the observation is of the earlier place; else the motion since adds to its error.
+        # With velocities as features the earlier position is observed; else the motion since adds to the error.
         dt = instant_s - self.time_s - (age if features == POSITION_AND_VELOCITY else 0.0)
         moved_m = (description.motion.speed_m_per_s or 0.0) * np.hypot(dt, description.timing.latency_sigma_s or 0.0)
-        spread_deg = np.degrees(np.arctan2(np.hypot(moved_m, description.errors.extent_m or 0.0), away))
+        spread_deg = np.degrees(np.arctan2(np.hypot(moved_m, description.errors.extent_m or 0.0), target_range_m))
         records = Records.of(
             self.state[:, None], variance=(self.covariance + spread_deg**2)[:, None], ids=reports.rows[self.rows],
             source=description.name, space=Plane(periods=(360.0,)),
@@ -156,22 +162,22 @@ class Snapshot:
         bearing = SlowBearing(self.sensor(), features, max(description.coverage.nearest_m, 0.02 * min(range_m, 1e6)))
         return Observations(records, Earlier(bearing, age) if features == POSITION_AND_VELOCITY else bearing)
 
-    def _ranges(self, places: FloatArray, reach_m: float) -> FloatArray:
-        """(n,) the range of what each direction points at, by the places of other sources' records in it.
+    def _target_ranges(self, places: FloatArray, max_range_m: float) -> FloatArray:
+        """(n,) range of the target of each direction, from the records of other sources in that direction.
 
-        It is the range at which a metre is as many degrees as in the mean square over those places; half the sensor's
-        range where no other source has a record there.
+        It is (Σ w r⁻²)^(−1/2) over those records, so that a metre there has the mean squared angle; half the maximum
+        range if there are none.
         """
         extent = self.feed.description.errors.extent_m or 0.0
         weight = pointed_at(self.state, np.sqrt(self.covariance), self.sensor(), places, extent, self.feed.tuning)
-        out = np.full(len(self.rows), reach_m / 2.0)
-        some = weight.any(axis=1)
-        away = np.maximum(np.hypot(*(places - np.asarray(self.sensor())).T), 1.0)
-        out[some] = (weight[some] @ away**-2.0) ** -0.5
+        out = np.full(len(self.rows), max_range_m / 2.0)
+        has_records = weight.any(axis=1)
+        range_m = np.maximum(np.hypot(*(places - np.asarray(self.sensor())).T), 1.0)
+        out[has_records] = (weight[has_records] @ range_m**-2.0) ** -0.5
         return out
 
     def sensor(self) -> tuple[float, float]:
-        """The place of the sensor at the instant, that of its last report."""
+        """Position of the sensor at its last report, m; (0, 0) if it is unknown."""
         at = self.feed.sensor_m
         if at is None or not len(at):
             return 0.0, 0.0
@@ -186,13 +192,13 @@ NO_WIDTHS = np.zeros(6)
 class CommonScan:
     """Two sources at one instant.
 
-    weighing : their records, and the offset between them.
-    biases : (p,) which biases its parameters are: numbers into :data:`sameas.tracks.biases.BIASES`, those of the second
+    weighing : their records, and the model of the offset between them.
+    biases : (p,) bias of each parameter: indices into :data:`sameas.tracks.biases.BIASES`, those of the second
         registered source from 6.
-    track_ids : (n₁,), (n₂,) names of tracks, None where a record has none.
-    speed_m_per_s : typical of the records.
-    lasting_m2 : variance per axis of errors that are constant for an object, where no id identifies it: late stamps
-        without known velocities, and the echo's place on the hull; deg² for directions.
+    track_ids : (n₁,), (n₂,) ids of tracks, None for a record without one.
+    speed_m_per_s : median speed of the records.
+    lasting_m2 : variance per axis of errors that are constant for one object, for records without an id: latency if
+        velocities are unknown, and the echo's place on the hull; deg² for directions.
     """
 
     instant_s: float
@@ -210,18 +216,18 @@ class CommonScan:
 
 @dataclass(frozen=True)
 class ComparedSource:
-    """One of two compared sources: ``start`` is 0 or 6, the place of its biases among all, or None: it has none."""
+    """One of two compared sources; ``start`` is the index of its first bias, 0 or 6, or None if it has no biases."""
 
     feed: Feed
     start: int | None
 
     def widths(self) -> FloatArray:
-        """(6,) prior standard deviations of its biases; 0 for biases that are not fitted."""
+        """(6,) prior 1σ of its biases; 0 for biases that are not fitted."""
         return NO_WIDTHS if self.start is None else bias_widths(self.feed)
 
 
 def bias_widths(feed: Feed) -> FloatArray:
-    """(6,) prior standard deviations of the biases that a source may have, in the order of BIASES; 0 where none."""
+    """(6,) prior 1σ of the biases of a source, in the order of BIASES; 0 for biases that it cannot have."""
     bias = feed.description.bias
     prior = (bias.range_m, bias.azimuth_deg, bias.range_gain, bias.time_s, bias.shift_m, bias.shift_m)
     widths = np.array([width or 0.0 for width in prior])
@@ -233,15 +239,15 @@ def bias_widths(feed: Feed) -> FloatArray:
 
 
 def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = None) -> tuple[CommonScan, ...]:
-    """Two sources at ``most`` instants spread over their common time; none where they have no time in common.
+    """Two sources at instants spread over their common time; none if they have no time in common.
 
-    most : ``common_instants`` of the first feed's tuning where not given.
+    most : maximum number of instants; ``common_instants`` of the first feed's tuning if None.
     """
     sides = [one, other]
     directions = [isinstance(side.feed.reports, Directions) for side in sides]
     if all(directions):
         return ()
-    # The second is what is moved: directions against positions, or what has velocities to be moved along.
+    # The second is the one that is moved: the directions, or else the source with velocities.
     if directions[0] or (one.feed.has_velocities and not directions[1]):
         sides = sides[::-1]
     scans = [_common_scan(sides[0], sides[1], instant_s) for instant_s in common_instants(one.feed, other.feed, most)]
@@ -249,7 +255,7 @@ def common_scans(one: ComparedSource, other: ComparedSource, most: int | None = 
 
 
 def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArray:
-    """(k,) instants at which both may have reports: times of scans of the one without velocities."""
+    """(k,) instants at which both may have reports: scan times, of the source without velocities if only one has."""
     tuning = one.tuning
     most = tuning.common_instants if most is None else most
     times = [feed.reports.time_s[feed.reports.usable] for feed in (one, other)]
@@ -260,7 +266,7 @@ def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArr
     scan_times = scan_times[
         (scan_times >= max(t.min() for t in times)) & (scan_times <= max(times[0].max(), times[1].max()))
     ]
-    # The last report of a source that ended is current for three periods.
+    # The last report of a source that has ended remains current for three periods.
     ends = [
         t.max() + 3.0 * (feed.description.timing.period_s or 0.0) for t, feed in zip(times, (one, other), strict=True)
     ]
@@ -274,7 +280,7 @@ def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArr
 
 
 def _typical_count(feed: Feed) -> float:
-    """Typical number of records of the source at an instant: its current tracks, or the plots of a scan."""
+    """Mean number of records of the source at an instant: its current tracks, or the plots of a scan."""
     reports = feed.reports
     if reports.track is None:
         return len(reports) / max(len(np.unique(feed.scan_s)), 1)
@@ -298,7 +304,7 @@ def _common_scan(first: ComparedSource, second: ComparedSource, instant_s: float
 
 
 def _density(snapshots: Sequence[Snapshot]) -> float:
-    """Records per m² of the source with most of them."""
+    """Records per m² of the source with the most records."""
     densest = max((each for each in snapshots if each.state.ndim == 2), key=lambda each: len(each.rows))
     if len(densest.rows) < 3:
         return 0.0
@@ -345,28 +351,28 @@ def _positions(snapshot: Snapshot) -> Records:
 def _of_directions(
     positions: Snapshot, directions: Snapshot, side: ComparedSource, instant_s: float
 ) -> CommonScan | None:
-    """Directions against the directions from the sensor to the other source's records."""
+    """Directions compared with the bearings of the other source's records from the sensor."""
     description = directions.feed.description
     arm = positions.state[:, :2] - np.asarray(directions.sensor())
-    away = np.maximum(np.hypot(*arm.T), 1.0)
-    across = np.column_stack([arm[:, 1], -arm[:, 0]]) / away[:, None]
+    range_m = np.maximum(np.hypot(*arm.T), 1.0)
+    across = np.column_stack([arm[:, 1], -arm[:, 0]]) / range_m[:, None]
     variance = np.einsum("nv,nvw,nw->n", across, positions.covariance[:, :2, :2], across)
-    sigma = np.degrees(np.sqrt(variance + (description.errors.extent_m or 0.0) ** 2) / away)
-    # A record beside the sensor has no direction, and one that is too far is not visible.
-    visible = (sigma < 30.0) & (away <= (description.coverage.range_m or math.inf))
+    sigma = np.degrees(np.sqrt(variance + (description.errors.extent_m or 0.0) ** 2) / range_m)
+    # A record next to the sensor has no useful bearing; one beyond its range is not visible.
+    visible = (sigma < 30.0) & (range_m <= (description.coverage.range_m or math.inf))
     if not visible.any():
         return None
-    bearing, around = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) % 360.0, Plane(periods=(360.0,))
+    bearing, circle = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) % 360.0, Plane(periods=(360.0,))
     name = positions.feed.description.name
-    first = Records.of(bearing[visible, None], sigma=sigma[visible, None], space=around, source=name)
+    first = Records.of(bearing[visible, None], sigma=sigma[visible, None], space=circle, source=name)
     second = Records.of(
-        directions.state[:, None], variance=directions.covariance[:, None], space=around, source=description.name
+        directions.state[:, None], variance=directions.covariance[:, None], space=circle, source=description.name
     )
     model = AzimuthBias(float(side.widths()[AZIMUTH]))
     biases = np.array([(side.start or 0) + AZIMUTH], np.int64)
     speed = float(np.median(np.hypot(*positions.state[:, 2:].T)))
-    # The visible place on the hull is constant: here as an angle.
-    lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / away[visible]) ** 2))
+    # The observed place on the hull is constant: as an angle.
+    lasting_deg2 = float(np.mean(np.degrees((description.errors.extent_m or 0.0) / range_m[visible]) ** 2))
     labels = (_track_ids(positions)[visible], _track_ids(directions))
     return CommonScan(instant_s, Weighing.of(first, second, model), biases, labels, speed, lasting_deg2)
 
