@@ -1,7 +1,7 @@
-"""The slow obvious twin of every stage, straight from the definitions (METHOD 1 to 6).
+"""Slow reference implementations of the stages, written directly from the definitions (METHOD 1 to 6).
 
-Nothing here is fast, shared with the library or clever: every function is one formula over one pair, or one
-enumeration of all hypotheses. Use it on a few records to judge what the library says of them.
+Every function is one formula over one pair, or one enumeration of all hypotheses; none shares code with the library
+(but `nested_densities`, which takes its constants). Use them on a few records to check the library's results.
 All probabilities are natural logarithms unless the name begins with ``p``.
 """
 
@@ -31,9 +31,9 @@ def residual(a: Records, i: int, b: Records, j: int) -> tuple[np.ndarray, np.nda
     one, two = a.features[i], b.features[j]
     cov_1, cov_2 = (unpack(s.covariance[k : k + 1], s.d)[0] for s, k in ((a, i), (b, j)))
     if isinstance(a.space, Sphere):
-        half = half_turn(*one, *two)
-        turn_1, turn_2 = turn(-half), turn(half)
-        return sphere_difference(*one, *two), turn_1 @ cov_1 @ turn_1.T + turn_2 @ cov_2 @ turn_2.T
+        half = half_rotation(*one, *two)
+        rotation_1, rotation_2 = rotation_matrix(-half), rotation_matrix(half)
+        return sphere_difference(*one, *two), rotation_1 @ cov_1 @ rotation_1.T + rotation_2 @ cov_2 @ rotation_2.T
     delta = one - two
     for v, period in enumerate(a.space.period_list(a.d)):
         if math.isfinite(period):
@@ -42,7 +42,7 @@ def residual(a: Records, i: int, b: Records, j: int) -> tuple[np.ndarray, np.nda
 
 
 def sphere_difference(lon_1: float, lat_1: float, lon_2: float, lat_2: float) -> np.ndarray:
-    """(east, north) of 1 seen from 2 in arcsec, halfway between them; degrees in (Delambre's analogies)."""
+    """(east, north) from 2 to 1 in arcsec, at the midpoint of the great circle; arguments in degrees (Delambre)."""
     half_lon = math.radians(math.remainder(lon_1 - lon_2, 360)) / 2
     half_lat = math.radians(lat_1 - lat_2) / 2
     middle = math.radians(lat_1 + lat_2) / 2
@@ -54,16 +54,16 @@ def sphere_difference(lon_1: float, lat_1: float, lon_2: float, lat_2: float) ->
     return np.array([east, north]) / sine * 2 * math.atan2(sine, cosine) * ARCSEC_PER_RADIAN
 
 
-def half_turn(lon_1: float, lat_1: float, lon_2: float, lat_2: float) -> float:
-    """Half of θ = (position angle of the great circle at 1) − (at 2), radians; degrees in."""
+def half_rotation(lon_1: float, lat_1: float, lon_2: float, lat_2: float) -> float:
+    """Half of θ = (position angle of the great circle at 1) − (at 2), in radians; arguments in degrees."""
     half_lon = math.radians(math.remainder(lon_1 - lon_2, 360)) / 2
     half_lat = math.radians(lat_1 - lat_2) / 2
     middle = math.radians(lat_1 + lat_2) / 2
     return math.atan2(math.sin(half_lon) * math.sin(middle), math.cos(half_lon) * math.cos(half_lat))
 
 
-def turn(angle: float) -> np.ndarray:
-    """(2, 2) matrix that adds ``angle`` (radians) to the position angle, east of north, of (east, north)."""
+def rotation_matrix(angle: float) -> np.ndarray:
+    """(2, 2) matrix that rotates (east, north): it adds ``angle`` (radians) to the position angle, east of north."""
     return np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
 
 
@@ -94,7 +94,7 @@ def mahalanobis(delta: np.ndarray, cov: np.ndarray) -> float:
 
 
 def components(n1: int, n2: int, pairs: Iterable[Pair]) -> list[tuple[set[int], set[int]]]:
-    """Connected components of the bipartite graph as (rows of 1, rows of 2), lone records included."""
+    """Connected components of the bipartite graph as (rows of 1, rows of 2), records without candidates included."""
     links: dict[tuple[int, int], set[tuple[int, int]]] = {(0, i): set() for i in range(n1)}
     links |= {(1, j): set() for j in range(n2)}
     for i, j in pairs:
@@ -123,7 +123,7 @@ def log_normal(delta: np.ndarray, cov: np.ndarray) -> float:
 
 
 def field(delta: np.ndarray, cov: np.ndarray, density: float) -> float:
-    """METHOD 3.1: the other object lies anywhere, with constant density per unit of feature space."""
+    """METHOD 3.1: a different object lies anywhere, with constant density per unit of feature space."""
     return log_normal(delta, cov) - math.log(density)
 
 
@@ -166,14 +166,14 @@ def log_shell_volume(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def close_objects(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """METHOD 3.2 with exact ψ; N keeps the correlation, the braces know σ_v only (as in the paper)."""
+    """METHOD 3.2 with exact ψ; N uses the full covariance, the braces only σ_v (as in the paper)."""
     return log_normal(delta, cov) - close_objects_log_density(delta, np.sqrt(np.diag(cov)), a, b)
 
 
 def close_objects_limit(delta: np.ndarray, cov: np.ndarray, a: np.ndarray) -> float:
-    """METHOD 3.2 as b → a in proportion: the nearby object lies on the surface of the box a.
+    """METHOD 3.2 in the limit b → a, b proportional to a: the nearby object lies on the surface of the box a.
 
-    d/dε of the probability of the box (1+ε)a, over d/dε of its volume, d·V_a.
+    d/dε of the probability of the box (1+ε)a, divided by d/dε of its volume, d·V_a.
     """
     sigma = np.sqrt(np.diag(cov))
     inner = log_interval((-a - delta) / sigma, (a - delta) / sigma)
@@ -185,7 +185,7 @@ def close_objects_limit(delta: np.ndarray, cov: np.ndarray, a: np.ndarray) -> fl
 
 
 def close_objects_correlated(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """METHOD 3.2 in two features with the boxes of the correlated normal: four rectangles around a."""
+    """METHOD 3.2 in two features with the full covariance in the boxes too: b without a as four rectangles."""
     (a1, a2), (b1, b2) = a, b
     around = [((-b1, -a1), (-b2, b2)), ((a1, b1), (-b2, b2)), ((-a1, a1), (-b2, -a2)), ((-a1, a1), (a2, b2))]
     terms = [log_rectangle(delta, cov, x, y) for x, y in around]
@@ -195,7 +195,7 @@ def close_objects_correlated(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, 
 def log_rectangle(mean: np.ndarray, cov: np.ndarray, x: tuple[float, float], y: tuple[float, float]) -> float:
     """ln P(m ∈ x × y) for m ~ N(mean, cov): the conditional interval in y, integrated over x.
 
-    The integrand is log-concave: panels that double away from its peak see every scale.
+    The integrand is log-concave: panels whose width doubles away from its peak resolve every scale.
     """
     if x[0] == x[1] or y[0] == y[1]:
         return -math.inf
@@ -218,7 +218,7 @@ def log_rectangle(mean: np.ndarray, cov: np.ndarray, x: tuple[float, float], y: 
 
 
 def generalized_gaussian(x: float, sigma: float, c: float) -> float:
-    """ln of T's stand-in for ψ(x; σ, c) [T21–T25]: same variance σ² + c²/3, same value at 0."""
+    """ln of the paper's approximation of ψ(x; σ, c) [T21–T25]: same variance σ² + c²/3, same value at 0."""
     variance = sigma**2 + c**2 / 3
     at_zero = float(log_interval(-c / sigma, c / sigma)) - math.log(2 * c)
 
@@ -240,7 +240,7 @@ def generalized_gaussian(x: float, sigma: float, c: float) -> float:
 
 
 def close_objects_paper(delta: np.ndarray, cov: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """METHOD 3.2 with the paper's generalized Gaussians; NaN where its braces turn negative (far tails)."""
+    """METHOD 3.2 with the paper's generalized Gaussians; NaN where its braces are not positive (far tails)."""
     sigma = np.sqrt(np.diag(cov))
     boxes = [
         sum(generalized_gaussian(x, s, v) + math.log(2 * v) for x, s, v in zip(delta, sigma, c, strict=True))
@@ -260,9 +260,9 @@ def universal_1d(
     log_p_other: Callable,
     grid: np.ndarray,
 ) -> float:
-    """METHOD 3.3 in one feature, summed on an even ``grid`` of positions (m,).
+    """METHOD 3.3 in one feature, summed on a regular ``grid`` of positions (m,).
 
-    log_p(M) and log_p_other(M1, M2) = ln p(M₂|M₁) take arrays; the grid must hold all that matters, finely.
+    log_p(M) and log_p_other(M1, M2) = ln p(M₂|M₁) take arrays; the grid must cover and resolve the integrands.
     """
     one = -0.5 * (LOG_2PI + math.log(variance_1) + (x1 - grid) ** 2 / variance_1)
     two = -0.5 * (LOG_2PI + math.log(variance_2) + (x2 - grid) ** 2 / variance_2)
@@ -276,7 +276,7 @@ def universal_1d(
 
 
 def hypotheses(n1: int, n2: int, allowed_pairs: Iterable[Pair]) -> Iterator[tuple[Pair, ...]]:
-    """Every one-to-one set of allowed pairs, the empty one included, each once, rows of 1 ascending."""
+    """All one-to-one sets of allowed pairs, the empty set included, each once, rows of 1 ascending."""
     partners: list[list[int]] = [[] for _ in range(n1)]
     for i, j in sorted(set(allowed_pairs)):
         if not (0 <= i < n1 and 0 <= j < n2):
@@ -321,11 +321,11 @@ def common_objects_linear(k: int, n1: int, n2: int, q1: float, q2: float) -> flo
 
 
 def per_pair(k: int, log_odds: float) -> float:
-    """Every pair costs or earns the same."""
+    """Log prior with the same log odds for every pair: k · log_odds."""
     return k * log_odds
 
 
-def scored(
+def scored_hypotheses(
     n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]
 ) -> list[tuple[float, tuple[Pair, ...]]]:
     """Λ(A) = ln P(k) + Σ ln λ  [T27] of every hypothesis over the pairs of ``log_ratio``."""
@@ -333,31 +333,31 @@ def scored(
 
 
 def best(n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]) -> tuple[float, set[Pair]]:
-    """The most probable hypothesis: (its score, its pairs); of equals any one."""
-    score, pairs = max(scored(n1, n2, log_ratio, log_prior))
+    """The most probable hypothesis: (score, pairs); any one of several in a tie."""
+    score, pairs = max(scored_hypotheses(n1, n2, log_ratio, log_prior))
     return score, set(pairs)
 
 
 def best_per_k(n1: int, n2: int, log_ratio: dict[Pair, float]) -> list[float]:
     """W_k, the largest Σ ln λ of k pairs, for k = 0 … min(N₁, N₂); −∞ where there are no k allowed pairs."""
     totals = [-math.inf] * (min(n1, n2) + 1)
-    for score, pairs in scored(n1, n2, log_ratio, lambda k: 0.0):
+    for score, pairs in scored_hypotheses(n1, n2, log_ratio, lambda k: 0.0):
         totals[len(pairs)] = max(totals[len(pairs)], score)
     return totals
 
 
-# ---- METHOD 5: how sure ----
+# ---- METHOD 5: posterior ----
 
 
 def posterior(
     n1: int, n2: int, log_ratio: dict[Pair, float], log_prior: Callable[[int], float]
 ) -> tuple[dict[Pair, float], np.ndarray, np.ndarray]:
-    """P of every pair of ``log_ratio``, and of no partner: (pair → p, p_none_1 (n1,), p_none_2 (n2,))."""
-    everything = scored(n1, n2, log_ratio, log_prior)
-    log_total = logsumexp([score for score, _ in everything])
+    """P of every pair of ``log_ratio`` and of no partner: (pair → p, p_none_1 (n1,), p_none_2 (n2,))."""
+    all_scored = scored_hypotheses(n1, n2, log_ratio, log_prior)
+    log_total = logsumexp([score for score, _ in all_scored])
     p_pair = dict.fromkeys(log_ratio, 0.0)
     p_none_1, p_none_2 = np.zeros(n1), np.zeros(n2)
-    for score, pairs in everything:
+    for score, pairs in all_scored:
         p = math.exp(score - log_total)
         for pair in pairs:
             p_pair[pair] += p
@@ -366,28 +366,28 @@ def posterior(
     return p_pair, p_none_1, p_none_2
 
 
-# ---- METHOD 6: what is not known, estimated ----
+# ---- METHOD 6: estimated quantities ----
 
 
-def hats(knots: np.ndarray, x: np.ndarray | float) -> np.ndarray:
-    """(…, k) basis of curves that are straight between knots (k,) and constant beyond them."""
+def linear_basis(knots: np.ndarray, x: np.ndarray | float) -> np.ndarray:
+    """(…, k) basis of curves that are linear between the knots (k,) and constant beyond them."""
     return np.stack([np.interp(x, knots, at) for at in np.eye(len(knots))], axis=-1)
 
 
-def log_odds_but_errors(
-    p: float, log_ratio: float, partners: tuple[float, float], profile: float, faint: float, most_p: float
+def log_odds_without_positions(
+    p: float, log_ratio: float, p_partner: tuple[float, float], profile: float, p_min: float, most_p: float
 ) -> float:
-    """ln of the odds of a pair but for its errors: from its p, or from its ratio if its records are free for it."""
-    if p > faint:
+    """Log odds of a pair without its error density: from p, or up to p_min from its ratio and its records' 1 − p."""
+    if p > p_min:
         p = min(p, most_p)
         return math.log(p / (1 - p)) - profile
-    return log_ratio + sum(math.log(max(1 - x, 1e-30)) for x in partners) - profile
+    return log_ratio + sum(math.log(max(1 - x, 1e-30)) for x in p_partner) - profile
 
 
 def cells(
     square: np.ndarray, log_odds: np.ndarray, least: float, most: float, nearest: float, reach: float, shape: Pair
 ) -> list[tuple[float, list[tuple[int, float]]]]:
-    """By rising distance: the mean square, and by rising odds (number of pairs, odds at the mean logarithm)."""
+    """Per distance bin, ascending: the mean square, and per odds bin (number of pairs, exp of the mean log odds)."""
     by_distance: dict[int, dict[int, list[int]]] = {}
     for e in np.flatnonzero(log_odds > least):
         along = (0.5 * math.log(max(square[e], nearest**2)) - math.log(nearest)) / math.log(reach / nearest)
@@ -408,8 +408,8 @@ def log_likelihood(
     return float(count @ np.log1p(odds * (density @ shares)) + xlogy(pseudo, shares).sum())
 
 
-def likeliest(count: np.ndarray, odds: np.ndarray, density: np.ndarray, pseudo: np.ndarray, steps: int) -> np.ndarray:
-    """(k,) shares that make this the greatest, by EM from equal shares on."""
+def em_shares(count: np.ndarray, odds: np.ndarray, density: np.ndarray, pseudo: np.ndarray, steps: int) -> np.ndarray:
+    """(k,) shares that maximise `log_likelihood`, by EM from equal shares."""
     shares = np.full(len(pseudo), 1 / len(pseudo))
     for _ in range(steps):
         expected = (count * odds / (1 + odds * (density @ shares))) @ density * shares + pseudo
@@ -423,34 +423,35 @@ def log_magnitude_density(
 ) -> float:  # fmt: skip
     """ln p of a magnitude given others (1 + c,); relation: offset, scatter, slopes, centres, scales, shares."""
     offset, scatter, slopes, centres, scales, shares = relation
-    basis = hats(knots, others[0])
+    basis = linear_basis(knots, others[0])
     mean = others[0] + basis @ offset + slopes @ (others[1:] - others[0] - centres)
-    moves = np.append(1 - slopes.sum(), slopes)  # the mean, by each of the others
-    sigma = math.sqrt((basis @ scatter) ** 2 + variance + moves**2 @ other_variance)
+    gradient = np.append(1 - slopes.sum(), slopes)  # of the mean with respect to each of the others
+    sigma = math.sqrt((basis @ scatter) ** 2 + variance + gradient**2 @ other_variance)
     return math.log(shares[:-1] @ norm.pdf(y, mean, scales * sigma) + shares[-1] * background)
 
 
 def weighted_quantiles(part: float, values: np.ndarray, weight: np.ndarray, nearest: np.ndarray, k: int) -> list[float]:
-    """Of the values nearest to each of k knots, NaN where there are none; and of all."""
+    """Weighted quantile of the values nearest to each of k knots (NaN without any), then of all values."""
     quantiles = []
-    for these in [*(nearest == at for at in range(k)), np.full(len(values), True)]:
-        order = np.argsort(values[these], kind="stable")
-        below = np.cumsum(weight[these][order])
-        quantiles.append(values[these][order][np.argmax(below >= below[-1] * part)] if these.any() else math.nan)
+    for mask in [*(nearest == at for at in range(k)), np.full(len(values), True)]:
+        order = np.argsort(values[mask], kind="stable")
+        below = np.cumsum(weight[mask][order])
+        quantiles.append(values[mask][order][np.argmax(below >= below[-1] * part)] if mask.any() else math.nan)
     return quantiles
 
 
-def learned(
+def em_iteration(
     sample: np.ndarray, colours: np.ndarray, knots: np.ndarray, state: tuple, penalty: np.ndarray, priors: dict
 ):
-    """One step of EM for a relation: (offset, scatter, slopes, scales, shares, covariance, mean basis, scatter error).
+    """One EM iteration: (offset, scatter, slopes, scales, shares, covariance, mean basis, scatter error).
 
-    sample : (n, 7) difference, its variances, weight, density if unrelated, first of the others, density if no pair.
-    colours : (n, 2c) with variances.
+    sample : (n, 7) difference, its two variances, weight, density if unrelated, first other magnitude, density if the
+        pair is wrong.
+    colours : (n, 2c) c colours, then their variances.
     """
     offset, scatter, slopes, scales, shares = state[:5]
     difference, variance, of_first, weight, background, x, chance = sample.T
-    c, curve = len(slopes), hats(knots, x)
+    c, curve = len(slopes), linear_basis(knots, x)
     basis = np.hstack([curve, colours[:, :c]])
     quoted = variance + (1 - slopes.sum()) ** 2 * of_first + colours[:, c:] @ slopes**2
     total = quoted + (curve @ scatter) ** 2
@@ -464,41 +465,41 @@ def learned(
     inverse = np.linalg.inv(basis.T @ (precision[:, None] * basis) + penalty)
     covariance = inverse * np.sum((precision * residual) ** 2) / precision.sum()
     solved, mean = inverse @ basis.T @ (precision * difference), basis.T @ own / number
-    # What the squares leave beyond the quoted errors, knot by knot, drawn to that of all knots.
+    # Excess of the squared residuals over the quoted errors at each knot, shrunk towards that of all knots.
     larger, share = number / max(number - len(mean), 1.0), mean[: len(knots)]
-    seen, due, tells = precise * residual**2 / total**2, own / total, curve.T @ (own / total**2)
-    beyond = curve.T @ (larger * seen - own * quoted / total**2)
-    drawn = priors["pairs"] * tells / number
-    squares = (beyond + drawn * beyond.sum() / tells.sum()) / (tells + drawn)
+    observed, expected, precision_2 = precise * residual**2 / total**2, own / total, curve.T @ (own / total**2)
+    excess = curve.T @ (larger * observed - own * quoted / total**2)
+    shrinkage = priors["pairs"] * precision_2 / number
+    squares = (excess + shrinkage * excess.sum() / precision_2.sum()) / (precision_2 + shrinkage)
     scatter = np.sqrt(np.maximum(squares, priors["scatter"] ** 2))
-    by_knot = share / (tells + drawn)
-    moves = (larger * seen - due) * (curve @ by_knot + by_knot @ drawn / tells.sum())
-    error = math.sqrt(moves @ moves) / (2 * math.sqrt(share @ scatter**2))
+    by_knot = share / (precision_2 + shrinkage)
+    influence = (larger * observed - expected) * (curve @ by_knot + by_knot @ shrinkage / precision_2.sum())
+    error = math.sqrt(influence @ influence) / (2 * math.sqrt(share @ scatter**2))
     counts = np.maximum(parts.sum(axis=0) - priors["allowances"] * math.sqrt(true), 1e-3)
     shares = np.append(counts, true - number + priors["unrelated"])
     offset, slopes = np.split(solved, [len(knots)])
     return offset, scatter, slopes, scales, shares / shares.sum(), covariance, mean, error
 
 
-def climbed(
-    magnitude: np.ndarray, log_odds: np.ndarray, shown: np.ndarray, knots: np.ndarray, penalty: np.ndarray,
+def newton_step(
+    magnitude: np.ndarray, log_odds: np.ndarray, p_detected: np.ndarray, knots: np.ndarray, penalty: np.ndarray,
     values: np.ndarray, longest: float,
 ) -> np.ndarray:  # fmt: skip
-    """(k,) one step of Newton's towards the curve of greatest penalised likelihood."""
-    basis = hats(knots, magnitude)
+    """(k,) values after one Newton step towards the maximum of the penalised likelihood, at most ``longest`` each."""
+    basis = linear_basis(knots, magnitude)
     expected = 1 / (1 + np.exp(-(log_odds + basis @ values)))
-    bend = basis.T @ ((expected * (1 - expected))[:, None] * basis) + penalty
-    step = np.linalg.solve(bend, basis.T @ (shown - expected) - penalty @ values)
+    hessian = basis.T @ ((expected * (1 - expected))[:, None] * basis) + penalty
+    step = np.linalg.solve(hessian, basis.T @ (p_detected - expected) - penalty @ values)
     return values + np.clip(step, -longest, longest)
 
 
-def weighed(magnitude: float, share: float, least: float, knots: np.ndarray, values: np.ndarray) -> float:
-    """What ½ ln s − ln(1 − s) gains when s follows the curve; 0 without a magnitude."""
+def log_weight_change(magnitude: float, share: float, least: float, knots: np.ndarray, values: np.ndarray) -> float:
+    """Change of ½ ln s − ln(1 − s) when the logit of s is shifted by the curve; 0 without a magnitude."""
     if math.isnan(magnitude):
         return 0.0
     share = min(max(share, least), 1 - least)
     before = math.log(share) - math.log(1 - share)
-    after = before + hats(knots, magnitude) @ values
+    after = before + linear_basis(knots, magnitude) @ values
     # ln s = −ln(1 + e^−x) and ln(1 − s) = −ln(1 + e^x) for the logit x.
     gains = [np.logaddexp(0, x) - 0.5 * np.logaddexp(0, -x) for x in (before, after)]
     return float(gains[1] - gains[0])
@@ -507,8 +508,8 @@ def weighed(magnitude: float, share: float, least: float, knots: np.ndarray, val
 # ---- METHOD 6: the offset between two sources ----
 
 
-def folded(delta: np.ndarray, periods: np.ndarray) -> np.ndarray:
-    """(d,) a difference brought to within half a period, where an axis has one."""
+def wrapped(delta: np.ndarray, periods: np.ndarray) -> np.ndarray:
+    """(d,) difference, reduced to within half a period on periodic axes."""
     return np.array(
         [x - p * math.floor(x / p + 0.5) if p < math.inf else x for x, p in zip(delta, periods, strict=True)]
     )
@@ -518,11 +519,11 @@ def near_pairs(
     one: tuple[np.ndarray, np.ndarray], two: tuple[np.ndarray, np.ndarray], periods: np.ndarray, sigmas: float,
     widening: float,
 ) -> dict[Pair, tuple[np.ndarray, np.ndarray]]:  # fmt: skip
-    """Residual and covariance of the pairs within so many widened standard deviations; positions (n, d) and errors."""
+    """{pair: (residual, widened covariance)} of the pairs within ``sigmas``; each source: positions (n, d), errors."""
     found = {}
     for i in range(len(one[0])):
         for j in range(len(two[0])):
-            delta, cov = folded(one[0][i] - two[0][j], periods), widening**2 * (one[1][i] + two[1][j])
+            delta, cov = wrapped(one[0][i] - two[0][j], periods), widening**2 * (one[1][i] + two[1][j])
             if mahalanobis(delta, cov) <= sigmas**2:
                 found[i, j] = delta, cov
     return found
@@ -531,7 +532,7 @@ def near_pairs(
 def overlap(
     box: np.ndarray, one: np.ndarray, two: np.ndarray, margin: float, periods: np.ndarray
 ) -> tuple[float, list[float], list[int]]:
-    """(volume where both look, where each looks, records of each in the first)."""
+    """(volume of the common field, volumes of both fields, number of records of each source in the common field)."""
     more = np.ptp(two, axis=0) / max(len(two) - 1, 1) + margin
     open_axes = np.isinf(periods)
     boxes = [box, np.array([two.min(axis=0) - more, two.max(axis=0) + more])]
@@ -541,25 +542,27 @@ def overlap(
     return float(np.prod(np.maximum(high - low, 0.0))), [float(np.prod(b[1] - b[0])) for b in boxes], inside
 
 
-def messages(weight: np.ndarray, sweeps: int) -> tuple[np.ndarray, float]:
-    """(probability of each pair, ln of the sum over all hypotheses) by so many sweeps; weight (n1, n2), 0: no pair."""
+def belief_propagation(weight: np.ndarray, sweeps: int) -> tuple[np.ndarray, float]:
+    """(probability of each pair, ln of the sum over all hypotheses); weight (n1, n2), 0 where there is no pair."""
     to_row = np.ones_like(weight)
     for _ in range(sweeps):
-        heard = weight * to_row
-        to_column = weight / (1 + heard.sum(axis=1, keepdims=True) - heard)
+        incoming = weight * to_row
+        to_column = weight / (1 + incoming.sum(axis=1, keepdims=True) - incoming)
         to_row = 1 / (1 + to_column.sum(axis=0) - to_column)
-    heard = weight * to_row
-    by_row, by_column = 1 + heard.sum(axis=1), 1 + to_column.sum(axis=0)
+    incoming = weight * to_row
+    by_row, by_column = 1 + incoming.sum(axis=1), 1 + to_column.sum(axis=0)
     log_sum = np.log(by_row).sum() + np.log(by_column).sum() - np.log1p(to_column * to_row).sum()
-    return heard / by_row[:, None], float(log_sum)
+    return incoming / by_row[:, None], float(log_sum)
 
 
-def tally(one: np.ndarray, two: np.ndarray, periods: np.ndarray, low: np.ndarray, size: np.ndarray, cells: np.ndarray):
-    """(cells) how many differences fall into each cell but the outermost."""
+def count_differences(
+    one: np.ndarray, two: np.ndarray, periods: np.ndarray, low: np.ndarray, size: np.ndarray, cells: np.ndarray
+):
+    """(cells) number of differences in each cell; the outermost cells stay 0."""
     votes = np.zeros(cells)
     for a in one:
         for b in two:
-            at = np.floor((folded(a - b, periods) - low) / size).astype(int)
+            at = np.floor((wrapped(a - b, periods) - low) / size).astype(int)
             if (at > 0).all() and (at < cells - 1).all():
                 votes[tuple(at)] += 1
     return votes
@@ -569,17 +572,20 @@ def tally(one: np.ndarray, two: np.ndarray, periods: np.ndarray, low: np.ndarray
 
 
 def inside_empty_discs(
-    here: np.ndarray, there: np.ndarray, wanted: np.ndarray, radius: np.ndarray, inner: np.ndarray, least: float,
+    points: np.ndarray, others: np.ndarray, is_centre: np.ndarray, radius: np.ndarray, inner: np.ndarray, least: float,
     periods: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Which points ``here`` are closer than ``inner`` to one of those wanted whose disc is empty and holds enough."""
-    found = np.zeros(len(here), bool)
-    for c in np.flatnonzero(wanted):
-        away = np.array([np.linalg.norm(folded(point - here[c], periods)) for point in there])
-        own = np.array([np.linalg.norm(folded(point - here[c], periods)) for point in here])
-        if (away >= radius[c]).all() and (own < radius[c]).sum() >= least:
-            found |= own < inner[c]
-    return found
+    """(n,) mask of points closer than ``inner`` to a centre of an empty disc.
+
+    A disc is empty if no point of ``others`` and at least ``least`` of ``points`` are closer than ``radius``.
+    """
+    inside = np.zeros(len(points), bool)
+    for c in np.flatnonzero(is_centre):
+        to_others = np.array([np.linalg.norm(wrapped(point - points[c], periods)) for point in others])
+        to_points = np.array([np.linalg.norm(wrapped(point - points[c], periods)) for point in points])
+        if (to_others >= radius[c]).all() and (to_points < radius[c]).sum() >= least:
+            inside |= to_points < inner[c]
+    return inside
 
 
 # ---- Layouts ----
@@ -590,27 +596,27 @@ def ragged_ranges(first: list[int], size: list[int]) -> list[tuple[int, int, int
     return [(k, t, first[k] + t) for k in range(len(size)) for t in range(size[k])]
 
 
-# ---- frames stacked along motions ----
+# ---- shift and stack of frames ----
 
 
 def best_motion(
     signal: np.ndarray, weight: np.ndarray, down: np.ndarray, right: np.ndarray, least: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W) the largest Σψ/√Σφ over the rates, 0 where none tells enough, and the rate."""
+    """(H, W) the largest Σψ/√Σφ over all rates and the number of that rate; 0 where Σφ ≤ ``least`` for every rate."""
     frames, height, width = signal.shape
     best, which = np.zeros((height, width)), np.zeros((height, width), int)
     for y in range(height):
         for x in range(width):
             for r in range(len(down)):
-                there = [
+                pixels = [
                     (f, y + down[r, f], x + right[r, f])
                     for f in range(frames)
                     if 0 <= y + down[r, f] < height and 0 <= x + right[r, f] < width
                 ]
-                noise = sum(float(weight[at]) for at in there)
-                light = sum(float(signal[at]) for at in there)
-                if noise > least and light / math.sqrt(noise) > best[y, x]:
-                    best[y, x], which[y, x] = light / math.sqrt(noise), r
+                phi = sum(float(weight[at]) for at in pixels)
+                psi = sum(float(signal[at]) for at in pixels)
+                if phi > least and psi / math.sqrt(phi) > best[y, x]:
+                    best[y, x], which[y, x] = psi / math.sqrt(phi), r
     return best, which
 
 
@@ -620,12 +626,12 @@ def best_motion(
 def nested_densities(
     cells: np.ndarray, numbers: np.ndarray, levels: tuple[int, ...], volume: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(u, 2) whether the other source looks at cells, and (u, 2, 2) densities there, level after level."""
+    """(u, 2) whether the other source covers each cell, and (u, 2, 2) its density there, from coarse to fine levels."""
     from sameas.estimate import cells as sizes
     from sameas.estimate import coverage, places
 
     def level(steps: int, n: np.ndarray) -> list[tuple[np.ndarray, float]]:
-        """Records of both sources in the larger cell of each, and the volume of that which lies in the field."""
+        """For each cell: records of both sources in its parent ``steps`` levels up, and the parent's covered volume."""
         out = []
         for cell in cells:
             inside = n[cells >> 2 * steps == cell >> 2 * steps].astype(float)

@@ -1,4 +1,4 @@
-"""Problems for the judges: records drawn at random, groups laid out from a list of pairs, answers to them."""
+"""Test problems: random records, groups from a list of candidate pairs, and their solutions."""
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from sameas.space import Plane, Sphere
 KINDS = ("one sigma", "axis sigmas", "full")
 
 
-def spread_of(rng, n, d, scale, kind):
-    """Keyword of `Records.of` for random errors of about ``scale`` ((n,) or a number)."""
+def random_errors(rng, n, d, scale, kind):
+    """Keyword arguments of `Records.of` for random errors of about ``scale``, (n,) or a number."""
     size = np.broadcast_to(scale, n) * rng.uniform(0.5, 1.5, n)
     if kind == "one sigma":
         return {"sigma": size[:, None]}
@@ -26,31 +26,31 @@ def spread_of(rng, n, d, scale, kind):
 
 
 def plane_records(rng, n, d, *, extent=1.0, scale=0.03, kind="one sigma", periods=None, source="source"):
-    """Records evenly scattered over a box (periodic axes: some periods around it too)."""
+    """Records uniform in a box; on periodic axes up to two periods are added or subtracted."""
     features = rng.uniform(0, 1, (n, d)) * extent
     for v, period in enumerate(periods or ()):
         if period is not None:
             features[:, v] += period * rng.integers(-2, 3, n)
-    spread = spread_of(rng, n, d, scale, kind)
-    return Records.of(features, **spread, ids=rng.permutation(n) + 100, space=Plane(periods), source=source)
+    errors = random_errors(rng, n, d, scale, kind)
+    return Records.of(features, **errors, ids=rng.permutation(n) + 100, space=Plane(periods), source=source)
 
 
 def sky_records(rng, lon, lat, *, scale_arcsec, kind="one sigma", source="source"):
-    """Records at these directions (degrees)."""
+    """Records at the directions ``lon``, ``lat`` in degrees."""
     n = len(lon)
-    spread = spread_of(rng, n, 2, scale_arcsec, kind)
+    errors = random_errors(rng, n, 2, scale_arcsec, kind)
     ids = rng.permutation(n) + 100
-    return Records.of(np.stack([lon, lat], axis=1), **spread, ids=ids, space=Sphere(), source=source)
+    return Records.of(np.stack([lon, lat], axis=1), **errors, ids=ids, space=Sphere(), source=source)
 
 
 def by_id(pairs):
-    """The candidates in the order of their listing, as pairs of ids."""
+    """The candidates as pairs of ids, in their order."""
     first, second = pairs.first, pairs.second
     return list(zip(first.ids[first.rows[pairs.i]].tolist(), second.ids[second.rows[pairs.j]].tolist(), strict=True))
 
 
 def shuffled(rng, records):
-    """The same records in other rows."""
+    """The same records with their rows permuted."""
     order = rng.permutation(len(records))
     return Records(
         records.features[order], records.covariance[order], np.arange(len(records)), records.ids[records.rows[order]],
@@ -59,7 +59,7 @@ def shuffled(rng, records):
 
 
 def laid_out(n1, n2, edges):
-    """(pairs, groups) of n1 and n2 records of which ``edges`` (i, j) are the candidates."""
+    """(pairs, groups) of n1 and n2 records with the candidates ``edges`` (i, j)."""
     i, j = np.array(sorted(edges), np.int32).reshape(-1, 2).T
     first, second = (Records.of(np.zeros((n, 1)), sigma=1.0) for n in (n1, n2))
     m = len(i)
@@ -68,22 +68,22 @@ def laid_out(n1, n2, edges):
 
 
 def solved(n1, n2, log_ratio, prior):
-    """(pairs, groups, best hypothesis, posterior) for the ratios {(i, j): ln λ}."""
+    """(pairs, groups, best hypothesis, posterior) for the likelihood ratios {(i, j): ln λ}."""
     pairs, grouped = laid_out(n1, n2, log_ratio)
     weight = np.array([log_ratio[edge] for edge in zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)])
-    believed = prior if isinstance(prior, LogPrior) else prior(grouped.sizes_1, grouped.sizes_2)
-    best = assign(grouped, weight, believed)
+    log_prior = prior if isinstance(prior, LogPrior) else prior(grouped.sizes_1, grouped.sizes_2)
+    best = assign(grouped, weight, log_prior)
     return pairs, grouped, best, posterior(grouped, best)
 
 
 def chosen_edges(pairs, grouped, best):
-    """The pairs of the hypothesis, as a set of (i, j)."""
+    """The pairs of the best hypothesis as a set of (i, j)."""
     at = grouped.order[best.chosen]
     return set(zip(pairs.i[at].tolist(), pairs.j[at].tolist(), strict=True))
 
 
 def components_of(n1, n2, log_ratio):
-    """Per connected component with candidates: (rows of 1, rows of 2, its ratios in local numbers)."""
+    """Per connected component with candidates: (rows of 1, rows of 2, ratios by row within the component)."""
     for rows_1, rows_2 in naive.components(n1, n2, log_ratio):
         if not (rows_1 and rows_2):
             continue
@@ -94,7 +94,7 @@ def components_of(n1, n2, log_ratio):
 
 
 def random_ratios(rng, n1, n2, share, draw):
-    """{(i, j): ln λ} for a share of all pairs, with ratios from ``draw(rng)``."""
+    """{(i, j): ln λ} for a random ``share`` of all pairs, with ratios from ``draw(rng)``."""
     return {(i, j): float(draw(rng)) for i in range(n1) for j in range(n2) if rng.uniform() < share}
 
 
@@ -109,7 +109,7 @@ DRAWS = {
 
 
 def many_blocks(rng, draw, blocks=40, most=5):
-    """(n1, n2, ratios) of many small separate graphs: sparse, crowded, rectangular both ways, with lonely records."""
+    """(n1, n2, ratios) of many small separate graphs: sparse and dense, n1 < n2 and n1 > n2, some records isolated."""
     n1 = n2 = 0
     ratios = {}
     for _ in range(blocks):

@@ -1,4 +1,4 @@
-"""The kept hypothesis is the most probable one: by enumeration, by its certificate, by other solvers."""
+"""The chosen hypothesis is the most probable one: by enumeration, by its certificate, by other solvers."""
 
 import math
 import os
@@ -58,7 +58,7 @@ def one_to_one(edges):
 @pytest.mark.slow
 @pytest.mark.parametrize("draw", DRAWS)
 @pytest.mark.parametrize("name", PRIORS)
-def test_the_hypothesis_is_the_best_of_all(name, draw):
+def test_the_hypothesis_is_the_most_probable_of_all(name, draw):
     prior, log_prior = PRIORS[name]
     rng = np.random.default_rng([len(name), len(draw)])
     n1, n2, ratios = many_blocks(rng, DRAWS[draw], blocks=25)
@@ -74,7 +74,7 @@ def test_the_hypothesis_is_the_best_of_all(name, draw):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("draw", DRAWS)
-def test_the_best_of_every_size_is_found(draw):
+def test_the_best_hypothesis_of_every_size_is_found(draw):
     rng = np.random.default_rng(len(draw))
     for _ in range(12):
         n1, n2 = rng.integers(1, 6, 2)
@@ -84,7 +84,7 @@ def test_the_best_of_every_size_is_found(draw):
             for k, expected in enumerate(naive.best_per_k(a, b, local)):
                 if expected == -math.inf:
                     continue
-                # A prior that wants exactly k pairs shows W_k.
+                # A prior that favours exactly k pairs gives W_k.
                 table = np.where(np.arange(min(a, b) + 1) == k, 1e5, 0.0)
                 pairs, grouped, best, _ = solved(a, b, local, LogPrior(None, np.array([0, len(table)]), table))
                 chosen = chosen_edges(pairs, grouped, best)
@@ -96,7 +96,7 @@ def test_the_best_of_every_size_is_found(draw):
 
 
 def gated_field(rng, n, degree):
-    """Ratios of a crowded field: everything is one component but for a fringe."""
+    """Ratios of a crowded field, most of which is one component."""
     side = math.sqrt(n)
     one = rng.uniform(0, side, (n, 2))
     two = one + rng.normal(0, 0.4, (n, 2))
@@ -110,7 +110,7 @@ def gated_field(rng, n, degree):
 
 
 def matched_by_scipy(n1, n2, ratios):
-    """Optimal total weight: rows may take a column of their own of weight 0 (shifted to be positive)."""
+    """Optimal total weight; a dummy column for each row stands for no partner (weights shifted to be positive)."""
     i, j = np.array(list(ratios)).T
     weight = np.array(list(ratios.values()))
     shift = weight.max() + 1.0
@@ -123,7 +123,7 @@ def matched_by_scipy(n1, n2, ratios):
 
 
 @pytest.mark.slow
-def test_a_crowded_field_has_scipys_optimum():
+def test_the_optimum_in_a_crowded_field_agrees_with_scipy():
     rng = np.random.default_rng(0)
     n = 2000
     ratios = gated_field(rng, n, 8.0)
@@ -137,7 +137,7 @@ def test_a_crowded_field_has_scipys_optimum():
 
 
 def best_of_size(matrix, k):
-    """W_k of a dense matrix: n1 − k rows go to columns of their own, n2 − k columns to rows of their own."""
+    """W_k of a dense matrix: n1 − k rows and n2 − k columns are assigned to dummies."""
     n1, n2 = matrix.shape
     padded = np.zeros((n1 + n2 - k, n1 + n2 - k))
     padded[:n1, :n2] = matrix
@@ -148,7 +148,7 @@ def best_of_size(matrix, k):
 
 @pytest.mark.parametrize("n1, n2", [(12, 12), (15, 30), (30, 18), (25, 25)])
 @pytest.mark.parametrize("q", [0.01, 0.3, 0.8])
-def test_counted_prior_takes_the_best_of_all_sizes(n1, n2, q):
+def test_a_prior_by_count_takes_the_best_of_all_sizes(n1, n2, q):
     rng = np.random.default_rng([n1, n2, int(100 * q)])
     matrix = rng.normal(-1.0, 2.0, (n1, n2))
     ratios = {(i, j): float(matrix[i, j]) for i in range(n1) for j in range(n2)}
@@ -190,9 +190,9 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width, prior", [(6, "PerPair(0.0)"), (2, "CommonObjects(0.2, 0.1)")])
-def test_a_group_of_five_thousand_records_needs_memory_for_its_candidates_only(width, prior):
+def test_memory_of_a_group_of_5000_records_grows_with_its_candidates_only(width, prior):
     program = THOUSANDS.format(n=5000, width=width, prior=prior)
-    # The compiler, whose memory is none of ours, is loaded for the small group.
+    # The small group loads the compiler first, so that its memory does not count.
     run = subprocess.run(
         [sys.executable, "-c", program], cwd=Path(__file__).parent, capture_output=True, text=True,
         env={**os.environ, "SAMEAS_COMPILE": "1"},
@@ -205,7 +205,7 @@ def test_a_group_of_five_thousand_records_needs_memory_for_its_candidates_only(w
 # ---- the certificate ----
 
 
-def test_identify_refuses_a_hypothesis_that_is_not_proved_the_best(monkeypatch):
+def test_identify_refuses_a_hypothesis_without_proof_of_optimality(monkeypatch):
     from sameas import Field, Records, identify
 
     first, second = Records.of([[0.0], [1.0]], sigma=0.3), Records.of([[0.1], [1.1]], sigma=0.3)
@@ -223,16 +223,16 @@ def test_identify_refuses_a_hypothesis_that_is_not_proved_the_best(monkeypatch):
     assert len(identify(first, second, rule=Field(0.1)).matches) == 0
 
 
-# ---- ties, nothing, threads ----
+# ---- ties, no candidates, threads ----
 
 
-def test_a_pair_that_is_as_probable_as_none_is_left_out():
+def test_a_pair_exactly_as_probable_as_no_pair_is_not_chosen():
     pairs, grouped, best, _ = solved(2, 2, {(0, 0): 0.0, (1, 1): 1e-9}, PerPair(0.0))
     assert chosen_edges(pairs, grouped, best) == {(1, 1)}
 
 
 @pytest.mark.parametrize("prior", [PerPair(0.0), CommonObjects(0.1, 0.1)])
-def test_without_candidates_there_is_no_hypothesis(prior):
+def test_without_candidates_the_hypothesis_is_empty(prior):
     _, grouped = laid_out(2, 3, set())
     best = assign(grouped, np.empty(0), prior(grouped.sizes_1, grouped.sizes_2))
     assert len(best.chosen) == 0 and best.certificate(grouped) == Certificate(0.0, 0.0)
@@ -255,17 +255,17 @@ def test_threads_do_not_change_the_hypothesis(monkeypatch, prior):
 
 
 def crowd(n, source="a", seed=1):
-    """Records that are all within one error."""
+    """Records that all lie within one error of each other."""
     return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
 
 
-def test_a_crowd_that_would_take_hours_is_refused_and_its_row_said():
+def test_a_crowd_that_would_take_hours_is_refused_with_its_row():
     gate, tuning = Radius(6.0), Tuning(most_choices=20.0**3)
     refuse_crowds(gate(crowd(20), crowd(20, "b", 2)), tuning)
     apart = Records.of([[1000.0, 0.0], *crowd(21).features], sigma=1.0, source="a")
     with pytest.raises(InputError, match=r"a: at row \d+, 21 records of b may each be any of 21: .* some 0 minutes"):
         refuse_crowds(gate(apart, crowd(21, "b", 2)), tuning)
-    # One among many, and many of few candidates each, are no crowd.
+    # Not a crowd: one record with many candidates, or many records with few candidates each.
     refuse_crowds(gate(crowd(1), crowd(2000, "b", 2)), tuning)
     refuse_crowds(gate(crowd(2000), crowd(1, "b", 2)), tuning)
 
@@ -281,11 +281,11 @@ CHOOSERS: dict[str, Any] = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHOOSERS)
-def test_who_chooses_among_pairs_refuses_a_crowd_before_beginning(name):
+def test_functions_that_choose_pairs_refuse_a_crowd_at_once(name):
     with pytest.raises(InputError, match=r"at row \d+, 1800 records of .* may each be any of 1800: .* some 6 minutes"):
         CHOOSERS[name](crowd(1800), crowd(1800, "b", 2))
 
 
 @pytest.mark.slow
-def test_who_only_weighs_pairs_refuses_no_crowd():
+def test_functions_that_only_weigh_pairs_accept_a_crowd():
     assert len(Radius(6.0)(crowd(1800), crowd(1800, "b", 2))) == 1800**2

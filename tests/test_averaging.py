@@ -45,7 +45,7 @@ def test_the_average_is_the_sum_over_hypotheses_and_errors(seed):
     for k, errors in enumerate(several):
         log_ratio = others + errors.log_density(pairs) + odds[k] - odds[3]
         ratios = dict(zip(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True), log_ratio, strict=True))
-        log_z = logsumexp([score for score, _ in naive.scored(4, 5, ratios, lambda k: 0.0)])
+        log_z = logsumexp([score for score, _ in naive.scored_hypotheses(4, 5, ratios, lambda k: 0.0)])
         n = numbers[k]
         log_weight.append(log_prior[k] + log_z + n + 4 * np.log1p(-n / 4) + 5 * np.log1p(-n / 5))
         p, _, _ = naive.posterior(4, 5, ratios, lambda k: 0.0)

@@ -1,4 +1,4 @@
-"""Decisions from posteriors are the best of all one-to-one decisions, each in its own sense."""
+"""Each decision from posteriors minimises its own expected loss over all one-to-one decisions."""
 
 import math
 
@@ -19,8 +19,8 @@ def small_answer(seed, n1=3, n2=3):
     return identify(first, second, rule=CloseObjects(1.0, 5.0), prior=CommonObjects(0.3, 0.2), gate=Radius(4.0))
 
 
-def world(answer):
-    """Every hypothesis (set of candidates) with its probability, straight from the evidence."""
+def hypotheses_of(answer):
+    """All hypotheses (sets of candidates) with their probabilities, computed from the evidence."""
     pairs = answer.pairs
     edge = {(i, j): e for e, (i, j) in enumerate(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))}
     ratios = {key: answer.evidence.log_ratio[e] for key, e in edge.items()}
@@ -40,12 +40,12 @@ def world(answer):
     return [(w, taken) for w, (_, taken) in zip(weights / weights.sum(), found, strict=True)]
 
 
-def loss_of(answer, said, true, wrong, missed, swapped):
-    """Loss of one decision in one world, record by record of source 1."""
+def loss_of(answer, decided, true, wrong, missed, swapped):
+    """Loss of one decision under one true hypothesis, summed over the records of source 1."""
     i = answer.pairs.i
     total = 0.0
     for record in np.unique(i):
-        named = [e for e in said if i[e] == record]
+        named = [e for e in decided if i[e] == record]
         real = [e for e in true if i[e] == record]
         if named == real:
             continue
@@ -60,12 +60,12 @@ def loss_of(answer, said, true, wrong, missed, swapped):
     return total
 
 
-def right_in(answer, said, true):
-    """Number of records of both sources decided rightly, of those with candidates."""
+def right_in(answer, decided, true):
+    """Number of correctly decided records of both sources, among those with candidates."""
     count = 0
     for side in (answer.pairs.i, answer.pairs.j):
         for record in np.unique(side):
-            count += [e for e in said if side[e] == record] == [e for e in true if side[e] == record]
+            count += [e for e in decided if side[e] == record] == [e for e in true if side[e] == record]
     return count
 
 
@@ -85,17 +85,18 @@ KINDS = ("numbers", "both mistakes", "one for all", "arrays", "arrays, both mist
 @pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), kind=st.sampled_from(KINDS))
-def test_no_one_to_one_decision_loses_less(seed, kind):
+def test_no_one_to_one_decision_has_a_smaller_expected_loss(seed, kind):
     rng = np.random.default_rng(seed)
     answer = small_answer(seed)
     m = len(answer.pairs)
     if not m:
         return
     loss = losses(kind, m, rng)
-    worlds = world(answer)
+    worlds = hypotheses_of(answer)
     tables = loss.at(m)
     expected = {
-        frozenset(said): sum(p * loss_of(answer, said, true, *tables) for p, true in worlds) for _, said in worlds
+        frozenset(decided): sum(p * loss_of(answer, decided, true, *tables) for p, true in worlds)
+        for _, decided in worlds
     }
     decision = least_loss(answer, loss)
     ours = frozenset(np.flatnonzero(decision.chosen).tolist())
@@ -108,16 +109,16 @@ def test_no_one_to_one_decision_loses_less(seed, kind):
 @pytest.mark.slow
 @settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000))
-def test_no_one_to_one_decision_has_more_records_right(seed):
+def test_no_one_to_one_decision_has_more_correct_records(seed):
     answer = small_answer(seed)
     if not len(answer.pairs):
         return
-    worlds = world(answer)
-    expected = [sum(p * right_in(answer, said, true) for p, true in worlds) for _, said in worlds]
+    worlds = hypotheses_of(answer)
+    expected = [sum(p * right_in(answer, decided, true) for p, true in worlds) for _, decided in worlds]
     assert most_right(answer).expected_right == pytest.approx(max(expected), abs=1e-9)
 
 
-def test_the_three_decisions_differ_and_each_is_best_in_its_own_sense():
+def test_the_three_decisions_differ_and_each_minimises_its_own_loss():
     differ = 0
     for seed in range(60):
         answer = small_answer(seed, 5, 5)
@@ -132,13 +133,13 @@ def test_the_three_decisions_differ_and_each_is_best_in_its_own_sense():
 
 
 @pytest.mark.slow
-def test_dear_mistakes_make_a_list_pure_and_dear_omissions_make_it_complete():
+def test_costly_false_matches_give_purity_and_costly_misses_give_completeness():
     answer = small_answer(1, 6, 6)
     counts = [least_loss(answer, Loss(wrong, 1.0)).chosen.sum() for wrong in (1e-6, 1.0, 1e9)]
     assert counts[0] > counts[1] > counts[2] == 0
 
 
-def test_both_mistakes_together_are_the_same_whichever_source_is_asked():
+def test_with_both_losses_the_decision_does_not_depend_on_the_source():
     for seed in range(20):
         answer = small_answer(seed)
         pairs = answer.pairs
@@ -152,7 +153,7 @@ def test_both_mistakes_together_are_the_same_whichever_source_is_asked():
         assert one.expected_loss == pytest.approx(other.expected_loss, abs=1e-9)
 
 
-def test_no_candidates_no_loss():
+def test_without_candidates_there_is_no_loss():
     answer = identify(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0), rule=CloseObjects(1.0, 5.0))
     for decision in (least_loss(answer), most_right(answer)):
         assert decision.chosen.shape == (0,) and decision.expected_loss == decision.expected_right == 0.0
@@ -166,12 +167,12 @@ def test_no_candidates_no_loss():
         (Loss(swapped=np.ones(99)), r"swapped has shape \(99,\); give a number or"),
     ],
 )
-def test_what_costs_nothing_sensible_is_refused_in_words(loss, words):
+def test_invalid_losses_are_refused_with_a_clear_message(loss, words):
     with pytest.raises(InputError, match=words):
         least_loss(small_answer(0), loss)
 
 
-def test_only_one_to_one_decisions_are_judged():
+def test_only_one_to_one_decisions_are_accepted():
     first, second = Records.of([[0.0], [1.0]], sigma=1.0), Records.of([[0.4]], sigma=1.0)
     answer = identify(first, second, rule=CloseObjects(1.0, 5.0))
     with pytest.raises(InputError, match="a record of source 2 is chosen twice; give a one-to-one decision"):

@@ -1,4 +1,4 @@
-"""Every rule is its formula, on the plane and on the sphere, and stays finite and right where numbers are extreme."""
+"""Every rule agrees with its formula, in a plane and on the sphere, also for extreme numbers."""
 
 import math
 
@@ -38,7 +38,7 @@ SCENES = {"1-D": lambda: plane_pairs(1, kinds=("one sigma",) * 2), "2-D": lambda
 
 
 def per_pair(pairs, formula):
-    """The formula over (Δ, Σ, i, j) of every pair, straight from the records."""
+    """The formula of (Δ, Σ, i, j) for every pair, computed from the records."""
     return np.array([
         formula(*naive.residual(pairs.first, i, pairs.second, j), i, j)
         for i, j in zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)
@@ -101,7 +101,7 @@ RULES = {
 @pytest.mark.slow_after(6)
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("name", RULES)
-def test_rules_are_their_formulas(name, scene):
+def test_rules_agree_with_their_formulas(name, scene):
     pairs = SCENES[scene]()
     make, formula = RULES[name]
     evidence = make(len(pairs.first), len(pairs.second))(pairs)
@@ -110,14 +110,14 @@ def test_rules_are_their_formulas(name, scene):
 
 
 @pytest.mark.slow
-def test_features_may_have_boxes_of_their_own_and_one_of_them_closed():
+def test_boxes_may_differ_by_feature_and_one_may_be_empty():
     pairs = plane_pairs(2)
     for a, b in (((0.1, 0.3), (0.7, 0.5)), ((0.1, 0.3), (0.1, 0.5)), ((0.0, 0.3), (0.4, 0.3))):
         expected = per_pair(pairs, lambda x, s, i, j, a=a, b=b: naive.close_objects(x, s, np.array(a), np.array(b)))
         np.testing.assert_allclose(CloseObjects(a, b, DIAGONAL)(pairs).log_ratio, expected, rtol=1e-9, atol=1e-8)
 
 
-# ---- the braces of METHOD 3.2 where they are extreme ----
+# ---- the braces of METHOD 3.2 at extreme arguments ----
 
 
 def by_quadrature(delta, sigma, a, b):
@@ -144,7 +144,7 @@ def test_braces_have_the_published_values(delta, published):
     assert ours == pytest.approx(by_quadrature(delta, SIGMA, A, B), abs=1e-6)
 
 
-def test_braces_of_a_far_residual_do_not_underflow():
+def test_braces_of_a_large_residual_do_not_underflow():
     # One feature: the far tail is that of the nearest edge, Q(t) ≈ φ(t)/t · (1 − 1/t²) with t = (x − b)/σ.
     for x in (1e2, 1e4, 1e6):
         ours = log_neighbour_density(np.array([[x]]), np.ones((1, 1)), np.array([1.0]), np.array([2.0]))[0]
@@ -154,7 +154,7 @@ def test_braces_of_a_far_residual_do_not_underflow():
 
 
 def test_braces_of_tiny_errors_do_not_cancel():
-    # Deep inside the inner box the neighbour is impossible but for the nearer wall, z = (a − x)/σ away.
+    # Deep inside the inner box only the nearer wall contributes, z = (a − x)/σ away.
     sigma, a, b = 1e-3, 1.0, 3.0
     for x in (0.0, 0.2, 0.9):
         ours = log_neighbour_density(np.array([[x]]), np.full((1, 1), sigma), np.array([a]), np.array([b]))[0]
@@ -166,8 +166,8 @@ def test_braces_of_tiny_errors_do_not_cancel():
 
 
 @pytest.mark.parametrize("sigma", [1e2, 1e5, 1e8, 1e12, 1e17])
-def test_braces_of_errors_far_wider_than_the_boxes_are_the_normal_itself(sigma):
-    # ∫ of a normal over a region that it does not resolve is its density: λ → 1.
+def test_braces_of_errors_far_wider_than_the_boxes_are_the_normal_density(sigma):
+    # The mean of a normal over a region much smaller than σ is its density: λ → 1.
     for z in (0.0, 0.7, 3.0):
         delta = np.full((1, 2), z * sigma)
         ours = log_neighbour_density(delta, np.full((1, 2), sigma), np.array([0.5, 0.4]), np.array([2.0, 0.8]))[0]
@@ -182,7 +182,7 @@ def test_braces_of_errors_far_wider_than_the_boxes_are_the_normal_itself(sigma):
     a=st.lists(st.just(0.0) | st.floats(1e-3, 3), min_size=2, max_size=2),
     more=st.lists(st.just(0.0) | st.floats(1e-3, 5), min_size=2, max_size=2),
 )
-def test_braces_agree_with_the_oracle_everywhere(x, sigma, a, more):
+def test_braces_agree_with_the_reference_everywhere(x, sigma, a, more):
     delta, sigma, a = np.array(x), np.array(sigma), np.array(a)
     b = a + np.array(more)
     if not (np.all(b > 0) and np.any(b > a)):
@@ -192,7 +192,7 @@ def test_braces_agree_with_the_oracle_everywhere(x, sigma, a, more):
     assert ours == pytest.approx(expected, rel=1e-8, abs=1e-7)
 
 
-def test_surface_is_the_limit_of_ever_thinner_shells():
+def test_the_surface_rule_is_the_limit_of_thin_shells():
     rng = np.random.default_rng(0)
     delta, sigma, a = rng.normal(0, 3, (50, 2)), rng.uniform(0.1, 3, (50, 2)), np.array([0.7, 1.3])
     surface = log_surface_density(delta, sigma, a)
@@ -201,7 +201,7 @@ def test_surface_is_the_limit_of_ever_thinner_shells():
 
 
 @pytest.mark.parametrize("rule", [CloseObjects(0.5, 2.0), CloseObjects(0.5), CloseObjects(0.0, 2.0)])
-def test_close_objects_favour_one_object_most_at_no_residual(rule):
+def test_the_ratio_of_close_objects_is_largest_at_zero_residual(rule):
     first = Records.of(np.linspace(0, 6, 30)[:, None] * [1.0, 1.0], sigma=0.2)
     second = Records.of([[0.0, 0.0]], sigma=0.2)
     pairs = Radius(40.0)(first, second)
@@ -230,7 +230,7 @@ def test_evidence_is_the_sum_of_its_terms():
     np.testing.assert_array_equal(evidence.log_ratio, [1.5, -1.0])
 
 
-def test_rules_say_nothing_of_no_pairs():
+def test_rules_of_zero_pairs_are_empty():
     nothing = Box()(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0))
     for make, _ in RULES.values():
         assert make(1, 1)(nothing).log_ratio.shape == (0,)
@@ -241,12 +241,12 @@ def test_errors_mixture_is_a_density():
     first = Records.of(np.arange(-20, 20, 0.01), sigma=sigma)
     pairs = Radius(200.0)(first, Records.of([0.0], sigma=sigma))
     assert np.exp(MIXED.log_density(pairs)).sum() * 0.01 == pytest.approx(1.0, abs=1e-9)
-    # A component without a share says nothing.
+    # A component of share 0 changes nothing.
     same = Errors(scales=(2.0, 9.0), shares=(1.0, 0.0)).log_density(pairs)
     np.testing.assert_allclose(same, Errors(scales=(2.0,), shares=(1.0,)).log_density(pairs), rtol=1e-14)
 
 
-# ---- words ----
+# ---- messages ----
 
 
 @pytest.mark.parametrize(
@@ -278,7 +278,7 @@ def test_errors_mixture_is_a_density():
         (lambda p: Errors(shares=(0.9,)), "shares non-negative with the sum 1"),
     ],
 )
-def test_what_no_rule_can_mean_is_refused_in_words(make, words):
+def test_invalid_rules_are_refused_with_a_clear_message(make, words):
     pairs = plane_pairs(2)
     with pytest.raises(InputError, match=words):
         make(pairs)

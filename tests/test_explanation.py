@@ -1,4 +1,4 @@
-"""An explanation gives what every other answer would cost, as enumeration finds it, in words that people read."""
+"""An explanation states the cost of every other answer, as found by enumeration, in readable text."""
 
 import math
 from collections.abc import Callable
@@ -24,13 +24,13 @@ PRIORS: dict[str, tuple[PerPair | CommonObjects, Callable]] = {
 
 
 def enumerated(answer, group, log_prior):
-    """Every hypothesis of a group as (score, set of candidates), the best first."""
+    """All hypotheses of a group as (score, set of candidates), best first."""
     own = np.flatnonzero(answer.groups.of_pairs() == group)
     rows = [sorted(set(rows[own].tolist())) for rows in (answer.rows_1, answer.rows_2)]
     edges = {(rows[0].index(answer.rows_1[e]), rows[1].index(answer.rows_2[e])): int(e) for e in own}
     n1, n2 = map(len, rows)
     ratios = {edge: float(answer.log_odds[e]) for edge, e in edges.items()}
-    listed = naive.scored(n1, n2, ratios, log_prior(n1, n2))
+    listed = naive.scored_hypotheses(n1, n2, ratios, log_prior(n1, n2))
     return sorted(((score, {edges[pair] for pair in pairs}) for score, pairs in listed), key=lambda x: -x[0])
 
 
@@ -64,7 +64,7 @@ def test_costs_are_those_of_enumeration(name):
                 assert sum(c.probability for c in told.competitors) == pytest.approx(1.0, abs=1e-9)
                 assert told.next_best_cost == pytest.approx(best - every[1][0], abs=1e-7)
                 checked += 1
-                # What differs leads from the best hypothesis to the second, in ids.
+                # The listed differences turn the best hypothesis into the second best, by ids.
                 first_ids = {(first.ids[answer.rows_1[e]], second.ids[answer.rows_2[e]]) for e in every[0][1]}
                 changed = first_ids - set(told.next_best[1]) | set(told.next_best[0])
                 seconds = [
@@ -83,7 +83,7 @@ def simple():
     return identify(first, second, rule=Field(1e-3), prior=PerPair(0.5), gate=Box(3.0))
 
 
-def test_the_text_can_be_read():
+def test_the_text_of_a_simple_case():
     text = str(simple().explain("A1"))
     first, *rest = text.splitlines()
     assert first.startswith("radar A1 (row 0) is ais 7, probability 0.")
@@ -95,7 +95,7 @@ def test_the_text_can_be_read():
     assert "The next best identification of the group is" in text and "it has A1 = 8 instead of A1 = 7." in text
 
 
-def test_every_fate_of_a_record_has_its_words():
+def test_every_kind_of_answer_has_its_text():
     answer = simple()
     assert str(answer.explain("A3")) == "radar A3 (row 2): no record of ais passes the gate; it has no partner."
     assert str(answer.explain("A4")) == "radar A4 (row 3) could not be used: no position."
@@ -104,7 +104,7 @@ def test_every_fate_of_a_record_has_its_words():
     assert len(alone) == 1 and alone[0].id is None and alone[0].probability == 1.0 and alone[0].chosen
 
 
-def test_a_record_may_be_named_as_text():
+def test_the_id_of_a_record_may_be_given_as_text():
     answer = simple()
     assert answer.explain("9", source=2).id == answer.explain(9, source=2).id == 9
     assert answer.explain(" A2 ").id == "A2"
@@ -113,13 +113,13 @@ def test_a_record_may_be_named_as_text():
 
 
 @pytest.mark.parametrize("record, source", [("B7", 1), (100, 2), ("", 1), (None, 2)])
-def test_an_unknown_record_is_refused_with_some_that_are_known(record, source):
+def test_an_unknown_record_is_refused_with_examples_of_known_ids(record, source):
     known = {1: "radar has no record with the id .*; its first ids are A1, A2, A3", 2: "ais has no .* are 7, 8, 9"}
     with pytest.raises(InputError, match=known[source]):
         simple().explain(record, source=source)
 
 
-def test_residuals_are_seen_from_the_record_that_is_asked():
+def test_residuals_are_measured_from_the_explained_record():
     answer = simple()
     forth = next(c for c in answer.explain("A1").competitors if c.id == 7)
     back = next(c for c in answer.explain(7, source=2).competitors if c.id == "A1")
@@ -134,7 +134,7 @@ def test_terms_add_up_to_the_log_odds():
             assert sum(competitor.terms.values()) == pytest.approx(competitor.log_odds, abs=1e-9)
 
 
-def test_a_group_of_hundreds_of_pairs_is_explained_without_its_next_best():
+def test_a_group_of_hundreds_of_pairs_is_explained_without_its_second_best_hypothesis():
     n = 300
     first = Records.of(np.arange(n) * 1.0, sigma=0.2, source="radar")
     second = Records.of(np.arange(n) * 1.0 + 0.3, sigma=0.2, source="ais")

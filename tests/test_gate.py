@@ -1,4 +1,4 @@
-"""The gate finds the pairs that brute force finds, with the same numbers, in an order that knows no rows."""
+"""The gate finds the pairs of a brute-force search, with the same residuals, in an order independent of the rows."""
 
 import math
 from dataclasses import replace
@@ -28,18 +28,18 @@ def crowd(n, source="a", seed=1):
     return Records.of(np.random.default_rng(seed).normal(0.0, 0.3, (n, 2)), sigma=1.0, source=source)
 
 
-def test_more_pairs_than_the_memory_holds_are_refused_before_it_is_full():
+def test_more_pairs_than_fit_in_memory_are_refused_before_they_are_stored():
     gate = ChiSquare(tuning=Tuning(each_with_each=0, bytes_of_pair=1 << 50))
     with pytest.raises(InputError, match=r"a, b: more than 0\.0 million pairs lie within the gate.*smaller gate"):
         gate(crowd(60), crowd(70, "b", 2))
-    # One of a far larger error is looked for by another way.
+    # Records with far larger errors are searched by a separate path.
     wide = Records.of([[0.0, 0.0]], sigma=100.0, source="b")
     with pytest.raises(InputError, match="the memory holds no more"):
         gate(crowd(300), wide)
 
 
-def laid_out(first, second, gate):
-    """The candidates as the search of many records finds them, which lays both sources out first."""
+def zone_search(first, second, gate):
+    """The candidates found by the zone search, which small inputs would not use."""
     return replace(gate, tuning=Tuning(each_with_each=0, most_by_arrays=0))(first, second)
 
 
@@ -54,16 +54,16 @@ def brute_force(first, second, gate, definition):
     return found
 
 
-def judge(first, second, gate=GATES["box"][0], definition=GATES["box"][1], least=1):
+def assert_candidates(first, second, gate=GATES["box"][0], definition=GATES["box"][1], least=1):
     """The candidates are those of the definition, each once, and carry its residual, Σ, Δᵀ Σ⁻¹ Δ and |Σ|."""
     expected = brute_force(first, second, gate, definition)
     assert len(expected) >= least
-    for pairs in (laid_out(first, second, gate), gate(first, second)):
-        _judged(pairs, expected)
+    for pairs in (zone_search(first, second, gate), gate(first, second)):
+        _assert_pairs(pairs, expected)
     return pairs
 
 
-def _judged(pairs, expected):
+def _assert_pairs(pairs, expected):
     first, second = pairs.first, pairs.second
     found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert len(found) == len(set(found))
@@ -79,7 +79,7 @@ def _judged(pairs, expected):
 
 @pytest.mark.parametrize("sigma", ["circles", "ellipses"])
 @pytest.mark.parametrize("lon, lat", [(10.0, -30.0), (0.0, 5.0), (200.0, 88.0)])
-def test_few_records_on_the_sky_give_by_arrays_what_the_kernel_gives(monkeypatch, sigma, lon, lat):
+def test_the_array_search_of_few_records_equals_the_kernel_on_the_sky(monkeypatch, sigma, lon, lat):
     rng = np.random.default_rng(8)
 
     def records(source):
@@ -95,7 +95,7 @@ def test_few_records_on_the_sky_give_by_arrays_what_the_kernel_gives(monkeypatch
     first, second = records("a"), records("b")
     monkeypatch.setattr(Kernel, "interprets", property(lambda self: True))
     for gate in (ChiSquare(), Radius(2.0), Box(3.0)):
-        by_arrays, by_kernel = gate(first, second), laid_out(first, second, gate)
+        by_arrays, by_kernel = gate(first, second), zone_search(first, second, gate)
         assert 100 < len(by_kernel) < 20_000
         for name in ("place_1", "place_2", "i", "j", "residual", "mahalanobis_sq", "determinant"):
             column, expected = getattr(by_arrays, name), getattr(by_kernel, name)
@@ -108,14 +108,14 @@ def test_few_records_on_the_sky_give_by_arrays_what_the_kernel_gives(monkeypatch
 @pytest.mark.slow
 @pytest.mark.parametrize("name", GATES)
 @pytest.mark.parametrize("d", [1, 2, 3, 4])
-def test_plane_candidates_are_those_of_the_definition(d, name):
+def test_candidates_in_a_plane_are_those_of_the_definition(d, name):
     gate, definition = GATES[name]
     for seed, kinds in enumerate([(a, b) for a in KINDS for b in KINDS]):
         rng = np.random.default_rng([d, seed])
         scale = 0.02 * 3.0 ** (d - 1)
         first = plane_records(rng, 25, d, scale=scale / 3, kind=kinds[0])
         second = plane_records(rng, 35, d, scale=scale / 3, kind=kinds[1])
-        judge(first, second, gate, definition)
+        assert_candidates(first, second, gate, definition)
 
 
 PERIODS: dict[str, list[tuple[float | None, ...]]] = {
@@ -137,14 +137,14 @@ def test_periodic_axes_wrap_for_gates_of_any_width(periods, scale):
         extent = rng.permutation([1.0, 0.5, 0.2][:d])
         first = plane_records(rng, 30, d, extent=extent, scale=scale, kind=KINDS[seed], periods=periods)
         second = plane_records(rng, 30, d, extent=extent, scale=scale / 3, kind=KINDS[2 - seed], periods=periods)
-        judge(first, second)
+        assert_candidates(first, second)
 
 
-def test_axis_a_thousand_times_the_period_away_is_the_same_axis():
+def test_positions_a_thousand_periods_apart_are_the_same():
     periods = (360.0, None)
     first = Records.of([[5.0 + 360.0 * 1000, 0.0], [355.0, 0.0]], sigma=5.0, space=Plane(periods))
     second = Records.of([[-3.0 - 360.0 * 1000, 0.0]], sigma=5.0, space=Plane(periods))
-    pairs = judge(first, second, least=2)
+    pairs = assert_candidates(first, second, least=2)
     np.testing.assert_allclose(np.sort(pairs.residual[:, 0]), [-2.0, 8.0], atol=1e-8)
 
 
@@ -173,19 +173,19 @@ SKIES = {
 @pytest.mark.slow
 @pytest.mark.parametrize("sky", SKIES)
 @pytest.mark.parametrize("name", ["box", "radius"])
-def test_sky_candidates_are_those_of_the_definition(sky, name):
+def test_candidates_on_the_sky_are_those_of_the_definition(sky, name):
     gate, definition = GATES[name]
     for seed, kinds in enumerate([("one sigma", "one sigma"), ("full", "axis sigmas"), ("full", "full")]):
         rng = np.random.default_rng([seed, len(sky)])
         first = sky_records(rng, *SKIES[sky](rng, 40), scale_arcsec=8.0, kind=kinds[0])
         second = sky_records(rng, *SKIES[sky](rng, 40), scale_arcsec=rng.choice([2.0, 15.0], 40), kind=kinds[1])
-        judge(first, second, gate, definition)
+        assert_candidates(first, second, gate, definition)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scale_deg", [1.0, 6.0, 25.0])
 @pytest.mark.parametrize("name", ["box", "radius"])
-def test_gates_of_degrees_over_the_whole_sky(scale_deg, name):
+def test_candidates_of_gates_many_degrees_wide_are_those_of_the_definition(scale_deg, name):
     gate, definition = GATES[name]
     for seed, kind in enumerate(KINDS):
         rng = np.random.default_rng([seed, int(scale_deg)])
@@ -193,10 +193,10 @@ def test_gates_of_degrees_over_the_whole_sky(scale_deg, name):
         whole[0][1][:2] = 90.0, -90.0
         first = sky_records(rng, *whole[0], scale_arcsec=3600 * scale_deg / 2, kind=kind)
         second = sky_records(rng, *whole[1], scale_arcsec=3600 * scale_deg / 2, kind=KINDS[2 - seed])
-        judge(first, second, gate, definition, least=1 if scale_deg > 1 else 0)
+        assert_candidates(first, second, gate, definition, least=1 if scale_deg > 1 else 0)
 
 
-def test_turns_of_longitude_do_not_matter():
+def test_adding_360_degrees_to_longitudes_changes_nothing():
     rng = np.random.default_rng(3)
     lon, lat = SKIES["north pole"](rng, 40)
     first = sky_records(rng, lon, lat, scale_arcsec=20.0, kind="full")
@@ -216,20 +216,20 @@ def test_turns_of_longitude_do_not_matter():
 @pytest.mark.slow
 @pytest.mark.parametrize("factor", [40.0, 1000.0])
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_records_with_far_larger_errors_are_neither_missed_nor_widen_the_gate_of_others(factor, d):
+def test_candidates_of_a_few_records_with_far_larger_errors_in_a_plane(factor, d):
     rng = np.random.default_rng([int(factor), d])
     scales = [np.where(rng.uniform(size=n) < 0.03, 1e-3 * factor, 1e-3) for n in (150, 160)]
     records = [plane_records(rng, len(s), d, scale=s, kind="full") for s in scales]
-    pairs = judge(*records)
+    pairs = assert_candidates(*records)
     assert np.isin(pairs.i, np.flatnonzero(scales[0] > 1e-3)).any()
 
 
 @pytest.mark.slow
-def test_records_with_far_larger_errors_on_the_sky():
+def test_candidates_of_a_few_records_with_far_larger_errors_on_the_sky():
     rng = np.random.default_rng(5)
     scales = [np.where(rng.uniform(size=150) < 0.04, 200.0, 0.5) for _ in range(2)]
     records = [sky_records(rng, *SKIES["north pole"](rng, 150), scale_arcsec=s, kind="full") for s in scales]
-    judge(*records)
+    assert_candidates(*records)
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
@@ -252,7 +252,7 @@ def test_outliers_a_billion_away_are_found_too(d):
 
 
 def by_matrix(first, second, sigmas):
-    """The pairs within so many sigmas of the distance, circles only, all measured at once."""
+    """The pairs within ``sigmas``, for circular errors, from the matrix of all distances."""
     a, b = first.features, second.features
     if isinstance(first.space, Sphere):
         delta = sphere_offset(a[:, None, 0], a[:, None, 1], b[None, :, 0], b[None, :, 1])
@@ -272,19 +272,19 @@ def some_wide(rng, n, sigma, share, factor):
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("sky", [sky for sky in SKIES if sky != "at the very pole"])
 @pytest.mark.parametrize("share", [(0.0, 0.0), (0.01, 0.0), (0.0, 0.01), (0.02, 0.01)])
-def test_skies_of_thousands_with_few_wide_errors_of_either_source(sky, share):
+def test_candidates_of_thousands_of_records_with_a_few_large_errors(sky, share):
     rng = np.random.default_rng([len(sky), int(1000 * sum(share))])
     sources = []
     for n, few in zip((700, 1000), share, strict=True):
         features = np.column_stack(SKIES[sky](rng, n))
-        features[:50, 0] += 360.0  # the same places, a turn on
+        features[:50, 0] += 360.0  # the same positions, 360° added
         sources.append(Records.of(features, sigma=some_wide(rng, n, 2.0, few, 40.0), space=Sphere()))
     first, second = sources
     pairs = Radius(3.0)(first, second)
     found = list(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert len(found) == len(set(found)) > 20
     assert set(found) == by_matrix(first, second, 3.0)
-    # Listed by place, which is one for each record.
+    # Sorted by place, and every record has one place.
     assert (np.diff(pairs.place_1) >= 0).all()
     for place, record in ((pairs.place_1, pairs.i), (pairs.place_2, pairs.j)):
         assert len(set(zip(place.tolist(), record.tolist(), strict=True))) == len(set(place.tolist()))
@@ -293,7 +293,7 @@ def test_skies_of_thousands_with_few_wide_errors_of_either_source(sky, share):
 @pytest.mark.slow
 @pytest.mark.parametrize("periods", [(None, None), (1.0, None), (None, 1.0), (1.0, 1.0)])
 @pytest.mark.parametrize("wide_source", [0, 1])
-def test_one_record_may_have_more_candidates_than_are_looked_up_at_a_time(periods, wide_source):
+def test_a_record_with_more_candidates_than_one_search_block(periods, wide_source):
     rng = np.random.default_rng(4)
     sources = []
     for source in range(2):
@@ -312,7 +312,7 @@ def test_one_record_may_have_more_candidates_than_are_looked_up_at_a_time(period
 
 
 @pytest.mark.slow
-def test_fields_far_apart_and_clumps_are_searched_like_any_other():
+def test_candidates_in_distant_fields_and_clumps():
     rng = np.random.default_rng(6)
     sources = []
     for _ in range(2):
@@ -346,7 +346,7 @@ def test_records_on_a_line_along_an_axis(axis):
         features = np.zeros((60, 2))
         features[:, axis] = rng.uniform(0, 1, 60)
         sides.append(Records.of(features, sigma=0.01))
-    judge(*sides)
+    assert_candidates(*sides)
 
 
 @pytest.mark.parametrize("n1,n2", [(0, 0), (0, 3), (3, 0)])
@@ -359,8 +359,8 @@ def test_an_empty_side_has_no_candidates(n1, n2):
 
 def test_one_record_of_each_source():
     first = Records.of([[0.0, 0.0]], sigma=1.0)
-    judge(first, Records.of([[1.0, 1.0]], sigma=1.0))
-    judge(first, Records.of([[10.0, 1.0]], sigma=1.0), least=0)
+    assert_candidates(first, Records.of([[1.0, 1.0]], sigma=1.0))
+    assert_candidates(first, Records.of([[10.0, 1.0]], sigma=1.0), least=0)
 
 
 # ---- threads and the order of the listing ----
@@ -386,7 +386,7 @@ def test_threads_do_not_change_a_digit(monkeypatch, sky):
 
 
 def listed_alike(rng, first, second, gate=GATES["box"][0], times=4):
-    for search in (lambda one, two: laid_out(one, two, gate), gate):
+    for search in (lambda one, two: zone_search(one, two, gate), gate):
         expected = by_id(search(first, second))
         assert len(expected) > 1
         for _ in range(times):
@@ -446,12 +446,12 @@ def test_listing_on_the_sky_does_not_depend_on_the_row_order():
         (lambda: Records.of([1.0], sigma=1.0, space=Plane((1.0, 1.0))), "2 periods, but the records have 1 features"),
     ],
 )
-def test_what_cannot_be_gated_is_refused_in_words(make, words):
+def test_invalid_gates_and_sources_are_refused_with_a_clear_message(make, words):
     with pytest.raises(InputError, match=words):
         make()
 
 
-def test_the_gate_says_what_it_is():
+def test_pairs_carry_a_description_of_their_gate():
     first = Records.of([1.0], sigma=1.0)
     assert Box()(first, first).gate == "each feature within 3 σ"
     assert Radius(2.5)(first, first).gate == "distance ≤ 2.5 σ"
@@ -460,15 +460,15 @@ def test_the_gate_says_what_it_is():
     assert math.sqrt(ChiSquare().limit(2)) == pytest.approx(math.sqrt(-2 * math.log(1e-9)), rel=1e-7)
 
 
-def test_a_source_that_is_no_records_says_how_to_make_them():
+def test_a_source_that_is_not_records_is_refused_with_how_to_make_them():
     records, positions = Records.of([[0.0, 0.0]], sigma=1.0), cast(Any, [[0.0, 0.0]])
     for gate in (ChiSquare(), Radius(3.0), Box()):
         with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
             gate(positions, records)
 
 
-def test_fields_far_from_each_other_are_laid_out_as_if_they_lay_side_by_side():
-    """Squares of the whole sky are far larger than two fields in it: zones by these would hold all of a field."""
+def test_zones_of_distant_fields_cover_the_fields_only():
+    """Zones sized by the bounding box of both fields would each hold a whole field."""
     from sameas.gate.zones import DEFAULT_TUNING, Extent, Geometry, Source
 
     rng = np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""Groups are the connected components, and their layout is consistent with itself and with the gate."""
+"""Groups are the connected components; their layout is consistent in itself and with the gate."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_groups_are_the_components_and_the_layout_is_consistent(graph):
     group = np.repeat(np.arange(len(found)), found.pair_counts)
     np.testing.assert_array_equal(found.rows_1[found.start_1[group] + found.local_1], pairs.i[found.order])
     np.testing.assert_array_equal(found.rows_2[found.start_2[group] + found.local_2], pairs.j[found.order])
-    # The pairs of a record of source 1 stand together: edges_1 is their CSR.
+    # The pairs of a record of source 1 are contiguous: edges_1 is their CSR.
     by_record = np.repeat(np.arange(len(found.rows_1)), np.diff(found.edges_1))
     np.testing.assert_array_equal(found.rows_1[by_record], pairs.i[found.order])
     np.testing.assert_array_equal(found.of_pairs()[found.order], group)
@@ -63,7 +63,7 @@ def test_layout_does_not_depend_on_the_row_order(d):
         assert in_ids(shuffled(rng, first), shuffled(rng, second)) == expected
 
 
-def test_statistics_name_the_sizes():
+def test_statistics_state_the_group_sizes():
     edges = (
         {(0, 0)} | {(1, j) for j in (1, 2)} | {(2 + k, 3 + k) for k in range(40)} | {(2 + k, 4 + k) for k in range(39)}
     )

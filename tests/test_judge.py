@@ -1,4 +1,4 @@
-"""One judge for every rule and prior: where the truth follows the model, is the stated probability the frequency?"""
+"""Calibration of every rule and prior: if the truth follows the model, is the stated probability the frequency?"""
 
 import math
 
@@ -24,8 +24,8 @@ from sameas.space import Plane
 EVENTS = 20_000
 
 
-def judged(p, happened):
-    """Calibrated to a hundredth on the average, and in no bin off by more than chance and clustering allow."""
+def assert_calibrated(p, happened):
+    """Assert an expected calibration error below 0.01 and no bin off by more than chance and clustering allow."""
     p, happened = np.concatenate(p), np.concatenate(happened)
     assert len(p) >= EVENTS
     assert np.mean((p > 0.05) & (p < 0.95)) > 0.02, "the scenes are too easy to judge anything"
@@ -33,7 +33,7 @@ def judged(p, happened):
     table = reliability(p, happened)
     enough = table.count > 100
     assert np.abs(table.deviation[enough]).max() < 4.5
-    # A judge that would not see probabilities that are too sure would be none.
+    # The check itself must detect overconfident probabilities.
     sure = 1 / (1 + np.exp(-2 * np.log(np.clip(p, 1e-12, 1 - 1e-12) / (1 - np.clip(p, 1e-12, 1 - 1e-12)))))
     assert np.abs(reliability(sure, happened).deviation).max() > 4.5
 
@@ -46,7 +46,7 @@ def events(answer, scene):
     return answer.p_pair, is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs())
 
 
-# ---- objects a Poisson field, all of whose densities are known ----
+# ---- objects in a Poisson field, all densities known ----
 
 DENSITY, Q1, Q2, FALSE_1, FALSE_2 = 1.0, 0.25, 0.15, 0.1, 0.05
 COMMON = DENSITY * (1 - Q1) * (1 - Q2)
@@ -77,7 +77,7 @@ def test_rules_of_known_densities_are_calibrated(name):
         one = events(identify(scene.first, scene.second, rule=rule, prior=prior), scene)
         p.append(one[0])
         happened.append(one[1])
-    judged(p, happened)
+    assert_calibrated(p, happened)
 
 
 @pytest.mark.parametrize("d", [1, 3])
@@ -89,14 +89,14 @@ def test_the_poisson_field_is_calibrated_in_other_dimensions(d):
         one = events(identify(scene.first, scene.second, rule=PoissonField(COMMON, ONLY_1, ONLY_2)), scene)
         p.append(one[0])
         happened.append(one[1])
-    judged(p, happened)
+    assert_calibrated(p, happened)
 
 
 def test_detection_probabilities_of_every_record_are_calibrated():
     rng = np.random.default_rng(2)
     p, happened = [], []
     while total(p) < EVENTS:
-        # Bright objects are seen by source 1 nine times out of ten, faint ones four times; a catalogue of all objects.
+        # Source 1 detects bright objects with 0.9 and faint ones with 0.4; source 2 contains all objects.
         side, n = 35.0, rng.poisson(35.0**2)
         place, bright = rng.uniform(0, side, (n, 2)), rng.uniform(size=n) < 0.5
         shown = np.flatnonzero(rng.uniform(size=n) < np.where(bright, 0.9, 0.4))
@@ -108,7 +108,7 @@ def test_detection_probabilities_of_every_record_are_calibrated():
         answer = identify(first, second, rule=DetectionField(np.where(bright, 0.9, 0.4), 0.3))
         p.append(answer.p_pair)
         happened.append(is_true_pair((answer.rows_1, answer.rows_2), (np.arange(len(shown)), shown)))
-    judged(p, happened)
+    assert_calibrated(p, happened)
 
 
 @pytest.mark.slow_after(1)
@@ -119,7 +119,7 @@ def test_detection_probabilities_of_every_record_are_calibrated():
         (Errors(scales=(1.0, 4.0), shares=(0.8, 0.2)), lambda rng, n: np.where(rng.uniform(size=n) < 0.2, 4.0, 1.0)),
     ],
 )
-def test_errors_larger_than_quoted_are_calibrated_once_told(errors, scale_of):
+def test_errors_larger_than_quoted_are_calibrated_with_an_errors_mixture(errors, scale_of):
     rng = np.random.default_rng(3)
     p, happened = [], []
     while total(p) < EVENTS:
@@ -140,7 +140,7 @@ def test_errors_larger_than_quoted_are_calibrated_once_told(errors, scale_of):
         true = np.searchsorted(seen[0], both), np.searchsorted(seen[1], both)
         p.append(answer.p_pair)
         happened.append(is_true_pair((answer.rows_1, answer.rows_2), true))
-    judged(p, happened)
+    assert_calibrated(p, happened)
 
 
 @pytest.mark.slow
@@ -161,23 +161,23 @@ def test_the_sky_is_calibrated(elliptical, lat):
         one = events(identify(scene.first, scene.second, rule=rule), scene)
         p.append(one[0])
         happened.append(one[1])
-    judged(p, happened)
+    assert_calibrated(p, happened)
 
 
-# ---- nothing is known but how often the sources miss ----
+# ---- only the miss probabilities are known ----
 
 
 @pytest.mark.slow
-def test_common_objects_are_calibrated_where_their_number_is_flat():
-    """Objects uniform in a box that wraps, their number flat, and the gate so wide that a scene is one group.
+def test_common_objects_are_calibrated_for_a_flat_number_of_objects():
+    """Objects uniform in a periodic box, a flat prior of their number, and a gate so wide that a scene is one group.
 
-    A third feature, the same for both records of a pair, keeps many scenes apart.
+    A third feature, equal for both records of a pair, separates the scenes.
     """
     rng = np.random.default_rng(4)
     q1, q2, sigma = 0.3, 0.2, 0.07
     places, numbers, scenes = ([], []), ([], []), 0
     while scenes < 3000:
-        # Scenes of up to six records tell that there were far fewer than 26 objects.
+        # Scenes of at most six records come from far fewer than 26 objects.
         place = rng.uniform(0, 1, (rng.integers(0, 26), 2))
         seen = [np.flatnonzero(rng.uniform(size=len(place)) >= q) for q in (q1, q2)]
         if not all(1 <= len(s) <= 6 for s in seen):
@@ -192,13 +192,13 @@ def test_common_objects_are_calibrated_where_their_number_is_flat():
     answer = identify(*records, rule=Field(density), prior=CommonObjects(q1, q2), gate=Radius(100.0))
     assert len(answer.groups) == scenes
     number_1, number_2 = (np.concatenate(n) for n in numbers)
-    judged([answer.p_pair], [number_1[answer.rows_1] == number_2[answer.rows_2]])
+    assert_calibrated([answer.p_pair], [number_1[answer.rows_1] == number_2[answer.rows_2]])
 
 
 @pytest.mark.parametrize("b", [3.0, None])
 @pytest.mark.parametrize("prior", ["per pair", "common objects"])
-def test_close_objects_are_calibrated_where_the_other_object_is_a_neighbour(prior, b):
-    """One record each, far from all others: of one object, or of two neighbours between the boxes a and b."""
+def test_close_objects_are_calibrated_if_the_other_object_is_a_neighbour(prior, b):
+    """Isolated pairs of records: of one object, or of two neighbours between the boxes a and b."""
     rng = np.random.default_rng(5)
     n, a = 25_000, 0.8
     q1, q2 = 0.5, 0.6
@@ -206,7 +206,7 @@ def test_close_objects_are_calibrated_where_the_other_object_is_a_neighbour(prio
     common = rng.uniform(size=n) < odds / (1 + odds)
     neighbour = rng.uniform(-1, 1, (n, 2))
     if b is None:
-        # On the surface of the box: one feature at its end. Grown in proportion, the faces of a square are even.
+        # On the surface of the box one feature is at its limit; all faces of a square are equally probable.
         face = rng.integers(0, 2, n)
         neighbour[np.arange(n), face] = rng.choice([-1.0, 1.0], n)
         neighbour *= a
@@ -220,4 +220,4 @@ def test_close_objects_are_calibrated_where_the_other_object_is_a_neighbour(prio
     believed = PerPair(math.log(odds)) if prior == "per pair" else CommonObjects(q1, q2)
     answer = identify(first, second, rule=CloseObjects(a, b), prior=believed, gate=Radius(30.0))
     assert len(answer.pairs) == n
-    judged([answer.p_pair], [common[answer.rows_1]])
+    assert_calibrated([answer.p_pair], [common[answer.rows_1]])

@@ -1,4 +1,4 @@
-"""What must not matter does not matter: the order of sources, rows and units, the width of the gate."""
+"""Invariances of `identify`: order of the sources and rows, shifts, units, a wider gate."""
 
 import math
 from typing import Any
@@ -26,7 +26,7 @@ from sameas.simulate.scenes import crowded_sky, poisson_field
 quickly = settings(max_examples=25, deadline=None, derandomize=True)
 seeds = st.integers(0, 10**6)
 
-# Every rule, as it is for a unit of the features that is ``unit`` times smaller (densities scale with it).
+# Every rule in d features, for feature values multiplied by ``unit``.
 RULES = {
     "field": lambda d, unit: Field(0.5 / unit**d),
     "poisson": lambda d, unit: PoissonField(2.0 / unit**d, 3.0 / unit**d, 1.0 / unit**d),
@@ -50,8 +50,8 @@ def scene(seed, d=2):
     return [plane_records(rng, n[k], d, scale=0.05, kind=kind[k], source=("a", "b")[k]) for k in range(2)]
 
 
-def told(answer, turned=False):
-    """The answer in ids: {(id of 1, id of 2): (p, chosen)}."""
+def by_ids(answer, turned=False):
+    """The result by ids: {(id of 1, id of 2): (p, chosen)}."""
     ids = [(b, a) if turned else (a, b) for a, b in by_id(answer.pairs)]
     return dict(zip(ids, zip(answer.p_pair.tolist(), answer.chosen.tolist(), strict=True), strict=True))
 
@@ -72,7 +72,7 @@ def test_swapping_the_sources_transposes_the_answer(rule, prior, seed):
     rules = RULES[rule](2, 1.0), SWAPPED.get(rule, RULES[rule](2, 1.0))
     straight = identify(first, second, rule=rules[0], prior=PRIORS[prior][0])
     swapped = identify(second, first, rule=rules[1], prior=PRIORS[prior][1])
-    same(told(straight), told(swapped, turned=True))
+    same(by_ids(straight), by_ids(swapped, turned=True))
 
 
 @pytest.mark.slow_after(3)
@@ -86,14 +86,14 @@ def test_shuffling_rows_changes_nothing(rule, prior, seed):
     other = identify(shuffled(rng, first), shuffled(rng, second), **method)
     straight = identify(first, second, **method)
     assert by_id(straight.pairs) == by_id(other.pairs)
-    same(told(straight), told(other), tolerance=0)
+    same(by_ids(straight), by_ids(other), tolerance=0)
 
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("prior", PRIORS)
 @quickly
 @given(seed=seeds)
-def test_ties_are_broken_the_same_way_whatever_the_row_order(prior, seed):
+def test_ties_are_broken_independently_of_the_row_order(prior, seed):
     rng = np.random.default_rng(seed)
     sides = []
     for n in rng.integers(2, 9, 2):
@@ -101,7 +101,7 @@ def test_ties_are_broken_the_same_way_whatever_the_row_order(prior, seed):
     method: dict[str, Any] = {"rule": Field(0.01), "prior": PRIORS[prior][0], "gate": Radius(3.0)}
     straight = identify(*sides, **method)
     for _ in range(3):
-        same(told(straight), told(identify(*(shuffled(rng, side) for side in sides), **method)), tolerance=0)
+        same(by_ids(straight), by_ids(identify(*(shuffled(rng, side) for side in sides), **method)), tolerance=0)
 
 
 @pytest.mark.slow_after(2)
@@ -117,7 +117,7 @@ def test_shifting_and_rescaling_change_nothing(rule, prior, seed, shift, power):
     ]
     straight = identify(first, second, rule=RULES[rule](2, 1.0), prior=PRIORS[prior][0])
     other = identify(*moved, rule=RULES[rule](2, unit), prior=PRIORS[prior][0])
-    same(told(straight), told(other), tolerance=1e-7)
+    same(by_ids(straight), by_ids(other), tolerance=1e-7)
 
 
 @pytest.mark.slow_after(3)
@@ -134,7 +134,7 @@ def test_probabilities_of_a_record_sum_to_one(rule, prior, seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lon_shift", [17.0, 180.0, 359.0])
-def test_turning_the_sky_about_its_axis_changes_nothing(lon_shift):
+def test_rotating_the_sky_about_its_axis_changes_nothing(lon_shift):
     rng = np.random.default_rng(int(lon_shift))
     records = [
         sky_records(rng, rng.uniform(0, 0.02, 25), rng.uniform(70, 70.01, 25), scale_arcsec=1.5, kind="full")
@@ -146,18 +146,18 @@ def test_turning_the_sky_about_its_axis_changes_nothing(lon_shift):
     ]
     for prior, _ in PRIORS.values():
         answers = [identify(*pair, rule=Field(1e-3), prior=prior) for pair in (records, turned)]
-        same(told(answers[0]), told(answers[1]), tolerance=1e-6)
+        same(by_ids(answers[0]), by_ids(answers[1]), tolerance=1e-6)
 
 
-def opened(first, second, rule, gates):
-    """Per gate {(i, j): p}, by row."""
+def probabilities_by_gate(first, second, rule, gates):
+    """For each gate {(row of 1, row of 2): p}."""
     answers = [identify(first, second, rule=rule, gate=gate) for gate in gates]
     return [dict(zip(zip(a.rows_1.tolist(), a.rows_2.tolist(), strict=True), a.p_pair, strict=True)) for a in answers]
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("lam", [0.5, 1.0])
-def test_opening_the_default_gate_changes_no_probability_that_one_can_see(seed, lam):
+def test_a_wider_gate_than_the_default_changes_no_probability_noticeably(seed, lam):
     rng = np.random.default_rng([seed, int(10 * lam)])
     if seed < 2:
         simulated = crowded_sky(rng, 1000, lam, elliptical=seed == 1)
@@ -168,7 +168,7 @@ def test_opening_the_default_gate_changes_no_probability_that_one_can_see(seed, 
             rng, density=1.0, extent=(30.0, 30.0), q1=0.1, q2=0.1, sigma_1=0.1 * lam, sigma_2=0.1 * lam
         )
         common, only = 0.81, 0.09
-    default, wide = opened(
+    default, wide = probabilities_by_gate(
         simulated.first, simulated.second, PoissonField(common, only, only), (ChiSquare(), Radius(10.0))
     )
     assert len(wide) > 1.5 * len(default)

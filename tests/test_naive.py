@@ -1,4 +1,4 @@
-"""The oracle itself, against published values, quadrature, sums over the unknown and 3-D vectors."""
+"""The reference implementations against published values, quadrature, explicit sums, SciPy and 3-D vectors."""
 
 import math
 from functools import partial
@@ -24,7 +24,7 @@ quickly = settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def unit(lon_deg, lat_deg):
-    """Unit vector and its local east and north."""
+    """Unit vector of a direction, and its local east and north."""
     lon, lat = np.radians([lon_deg, lat_deg])
     up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     east = np.array([-np.sin(lon), np.cos(lon), 0.0])
@@ -52,14 +52,14 @@ def random_ratios(rng, n1, n2, share):
     lat_2=st.floats(-89.99, 89.99),
     seed=st.integers(0, 1000),
 )
-def test_sphere_residual_is_the_great_circle_with_covariances_carried_parallel(lon_1, lat_1, lon_2, lat_2, seed):
+def test_sphere_residual_is_the_great_circle_with_parallel_transported_covariances(lon_1, lat_1, lon_2, lat_2, seed):
     (up_1, east_1, north_1), (up_2, east_2, north_2) = unit(lon_1, lat_1), unit(lon_2, lat_2)
     axis = np.cross(up_2, up_1)
     if np.linalg.norm(axis) < 1e-4 or up_1 @ up_2 < -0.99:
         return
     axis /= np.linalg.norm(axis)
     separation = math.atan2(np.linalg.norm(np.cross(up_2, up_1)), up_1 @ up_2)
-    # Position angle, at each end, of the way from 2 to 1; halfway axes are those that see it at their mean.
+    # Position angle at each end of the great circle from 2 to 1; at the midpoint it is their mean.
     along = [np.cross(axis, up) for up in (up_1, up_2)]
     angle_1 = math.atan2(along[0] @ east_1, along[0] @ north_1)
     angle_2 = math.atan2(along[1] @ east_2, along[1] @ north_2)
@@ -72,17 +72,17 @@ def test_sphere_residual_is_the_great_circle_with_covariances_carried_parallel(l
     expected = separation * ARCSEC_PER_RADIAN * np.array([math.sin(middle), math.cos(middle)])
     np.testing.assert_allclose(delta, expected, rtol=0, atol=1e-6 * ARCSEC_PER_RADIAN)
 
-    # Parallel transport keeps the components along the great circle and along its axis.
+    # Parallel transport keeps the components along and across the great circle.
     halfway = math.sin(middle), math.cos(middle)
-    carried = np.zeros((2, 2))
+    transported = np.zeros((2, 2))
     for own, t, east, north in ((cov_1, along[0], east_1, north_1), (cov_2, along[1], east_2, north_2)):
         to_circle = np.array([[t @ east, t @ north], [axis @ east, axis @ north]])
         to_halfway = np.array([[halfway[0], -halfway[1]], [halfway[1], halfway[0]]])
-        carried += to_halfway @ to_circle @ own @ to_circle.T @ to_halfway.T
-    np.testing.assert_allclose(cov, carried, rtol=0, atol=1e-6 * np.trace(carried))
+        transported += to_halfway @ to_circle @ own @ to_circle.T @ to_halfway.T
+    np.testing.assert_allclose(cov, transported, rtol=0, atol=1e-6 * np.trace(transported))
 
 
-def test_sphere_residual_keeps_the_digits_of_a_tiny_separation_beside_the_pole_and_across_zero():
+def test_tiny_separations_near_the_pole_and_across_zero_keep_their_precision():
     tiny = 1e-3 / 3600
     a = Records.of([[0.0, 89.9999], [360.0 - tiny, 0.0]], sigma=1.0, space=Sphere())
     b = Records.of([[0.0, 89.9999 - tiny], [tiny, 0.0]], sigma=1.0, space=Sphere())
@@ -102,7 +102,7 @@ def test_periodic_difference_lies_in_the_half_open_period(x, y):
     np.testing.assert_array_equal(cov, np.diag([2.0, 8.0]))
 
 
-def test_half_a_period_is_counted_upwards():
+def test_a_difference_of_half_a_period_is_positive():
     space = Plane(periods=(360.0,))
     a, b = (Records.of([[v]], sigma=1.0, space=space) for v in (270.0, 90.0))
     assert naive.residual(a, 0, b, 0)[0] == naive.residual(b, 0, a, 0)[0] == 180.0
@@ -111,7 +111,7 @@ def test_half_a_period_is_counted_upwards():
 # ---- gate and groups ----
 
 
-def test_gates_grow_with_their_width_and_do_not_know_the_order_of_the_sources():
+def test_wider_gates_hold_more_pairs_and_swapping_the_sources_transposes_them():
     rng = np.random.default_rng(5)
     a, b = (
         Records.of(rng.uniform(0, 8, (15, 2)), covariance=np.stack([random_covariance(rng, 2) for _ in range(15)]))
@@ -126,7 +126,7 @@ def test_gates_grow_with_their_width_and_do_not_know_the_order_of_the_sources():
 
 
 @pytest.mark.slow
-def test_mahalanobis_gate_keeps_the_stated_share_of_common_objects():
+def test_the_chi_square_gate_keeps_the_stated_share_of_true_pairs():
     rng = np.random.default_rng(6)
     cov, n, inside = random_covariance(rng, 3), 2000, 0
     for x in rng.multivariate_normal(np.zeros(3), 2 * cov, n):
@@ -137,7 +137,7 @@ def test_mahalanobis_gate_keeps_the_stated_share_of_common_objects():
 
 @quickly
 @given(seed=st.integers(0, 10_000), n1=st.integers(0, 8), n2=st.integers(0, 8), share=st.floats(0, 0.5))
-def test_components_are_those_of_scipy(seed, n1, n2, share):
+def test_components_agree_with_scipy(seed, n1, n2, share):
     pairs = list(random_ratios(np.random.default_rng(seed), n1, n2, share))
     groups = naive.components(n1, n2, pairs)
     assert sorted(i for one, _ in groups for i in one) == list(range(n1))
@@ -153,7 +153,7 @@ def test_components_are_those_of_scipy(seed, n1, n2, share):
 # ---- evidence ----
 
 
-def test_log_normal_is_scipys():
+def test_log_normal_agrees_with_scipy():
     rng = np.random.default_rng(1)
     for d in (1, 2, 4):
         cov, delta = random_covariance(rng, d), rng.standard_normal(d)
@@ -167,7 +167,7 @@ def test_rules_with_a_constant_differ_by_that_constant():
     assert math.isclose(naive.field(delta, cov, c**2), naive.constant_cost(delta, cov, c))
 
 
-def test_log_interval_matches_quadrature_in_tails_and_slivers():
+def test_log_interval_agrees_with_quadrature_in_tails_and_narrow_intervals():
     cases = [
         (-1, 1),
         (0.5, 0.5 + 1e-9),
@@ -219,7 +219,7 @@ def test_close_objects_density_integrates_to_one():
 
 @quickly
 @given(seed=st.integers(0, 10_000))
-def test_close_objects_limit_is_where_the_boxes_meet(seed):
+def test_close_objects_limit_is_that_of_equal_boxes(seed):
     rng = np.random.default_rng(seed)
     d = int(rng.integers(1, 4))
     cov, a, delta = random_covariance(rng, d), rng.uniform(0.3, 2, d), rng.uniform(-4, 4, d)
@@ -242,7 +242,7 @@ def test_correlated_close_objects_uses_the_boxes_of_the_correlated_normal(seed):
 
 
 @pytest.mark.slow
-def test_correlated_close_objects_without_correlation_is_the_plain_rule_far_out_too():
+def test_without_correlation_the_correlated_rule_equals_the_plain_rule_in_the_tails_too():
     for delta in ((0.0, 0.0), (3.0, -1.0), (30.0, 2.0), (4.0, 60.0)):
         for scale in (1.0, 0.01):
             cov = np.diag([1, 0.49]) * scale**2
@@ -272,7 +272,7 @@ def test_generalized_gaussian_keeps_variance_and_peak(c):
     assert second == pytest.approx(sigma**2 + c**2 / 3, rel=1e-4)
 
 
-def test_generalized_gaussian_is_scipys_gennorm():
+def test_generalized_gaussian_agrees_with_scipys_gennorm():
     sigma, c = 1.0, 2.5
     value = [math.exp(naive.generalized_gaussian(x, sigma, c)) for x in (0.0, 1.0, 2.0, 4.0)]
     # The shape from the ratio of two values, then everything else from scipy.
@@ -281,7 +281,7 @@ def test_generalized_gaussian_is_scipys_gennorm():
     np.testing.assert_allclose(value, gennorm(shape, scale=scale).pdf([0, 1, 2, 4]), rtol=1e-9)
 
 
-def test_paper_form_is_near_the_exact_rule_in_the_middle_and_breaks_far_out():
+def test_the_paper_form_is_near_the_exact_rule_in_the_centre_and_nan_in_the_tails():
     cov, a, b = np.diag([1, 0.49]), np.array([1.1, 0.8]), np.array([4.0, 3.0])
     for x in (0.0, 1.0, 2.0, 4.0):
         args = np.array([x, 0.5]), cov, a, b
@@ -310,7 +310,7 @@ def test_universal_rule_contains_the_uniform_and_the_close_objects_rule():
 
 
 @pytest.mark.parametrize(("n1", "n2"), [(0, 0), (0, 3), (1, 1), (2, 3), (4, 4), (3, 6)])
-def test_number_of_hypotheses_is_the_formula(n1, n2):
+def test_the_number_of_enumerated_hypotheses_is_the_formula(n1, n2):
     found = list(naive.hypotheses(n1, n2, [(i, j) for i in range(n1) for j in range(n2)]))
     assert len(found) == len(set(found)) == naive.number_of_hypotheses(n1, n2)
     assert all(len({i for i, _ in h}) == len({j for _, j in h}) == len(h) for h in found)
@@ -343,7 +343,7 @@ def test_prior_of_common_objects_is_the_sum_over_the_number_of_objects(n1, n2, q
     np.testing.assert_allclose(difference, difference[0], atol=1e-9)
 
 
-def test_without_misses_only_the_full_hypothesis_is_possible():
+def test_without_missed_objects_only_the_full_hypothesis_is_possible():
     values = [naive.common_objects_log_prior(k, 3, 3, 0.0, 0.0) for k in range(4)]
     assert values[:3] == [-math.inf] * 3 and math.isfinite(values[3])
 
@@ -381,7 +381,7 @@ def test_best_hypothesis_is_the_optimal_assignment_and_the_best_count(seed, n1, 
 
 @quickly
 @given(seed=st.integers(0, 10_000), n1=st.integers(0, 5), n2=st.integers(0, 4), share=st.floats(0, 1))
-def test_posterior_of_every_record_sums_to_one_and_turns_with_the_sources(seed, n1, n2, share):
+def test_posterior_of_every_record_sums_to_one_and_swapping_the_sources_transposes_it(seed, n1, n2, share):
     rng = np.random.default_rng(seed)
     ratio = random_ratios(rng, n1, n2, share)
     p, none_1, none_2 = naive.posterior(n1, n2, ratio, lambda k: naive.common_objects_log_prior(k, n1, n2, 0.1, 0.3))
@@ -402,7 +402,7 @@ def test_posterior_of_one_pair_is_the_logistic_of_its_odds():
     assert none_1[0] == none_2[0] == pytest.approx(1 - p[0, 0])
 
 
-def test_a_linear_prior_decomposes_over_groups():
+def test_with_a_linear_prior_groups_are_independent():
     rng = np.random.default_rng(2)
     ratio = random_ratios(rng, 5, 5, 0.25)
     whole, *_ = naive.posterior(5, 5, ratio, lambda k: naive.per_pair(k, -1.0))
@@ -446,7 +446,7 @@ def test_stated_probability_is_the_observed_frequency_in_a_poisson_field_with_fa
 
 
 @pytest.mark.slow
-def test_close_objects_rule_beats_the_uniform_one_on_targets_in_a_line_as_the_paper_found():
+def test_the_close_objects_rule_beats_the_uniform_rule_on_a_line_of_targets_as_in_the_paper():
     rng = np.random.default_rng(3)
     spacing, q, sigma = 3.0, 0.5, math.sqrt(2) * np.ones(2)
     right, total = {"close": 0, "uniform": 0}, 0

@@ -1,4 +1,4 @@
-"""The loops that look for the offset between two sources give the answer of their slow obvious twins."""
+"""The compiled loops of the registration give the results of the reference implementations in `naive`."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ SEEDS = range(6)
 SPACES = [(1, None, None), (1, 25.0, 25.0), (2, None, None), (2, 25.0, None), (2, None, 25.0), (3, None, None)]
 
 
-def errors(rng, *shape):
-    """Covariances, elongated and turned."""
+def random_covariances(rng, *shape):
+    """Random covariances, elongated and rotated."""
     root = rng.normal(0.0, 0.7, (*shape, shape[-1]))
     return root @ np.swapaxes(root, -1, -2) + 0.2 * np.eye(shape[-1])
 
@@ -28,11 +28,11 @@ def periods_of(d, first, last):
 @pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("space", SPACES)
-def test_pairs_near_each_other_under_every_offset(seed, space):
+def test_near_pairs_under_each_offset(seed, space):
     rng, d, periods = np.random.default_rng(seed), space[0], periods_of(*space)
     n, many, sets = 40, 30, 3
     one, two = rng.uniform(0.0, 25.0, (n, d)), rng.uniform(-10.0, 40.0, (sets, many, d))
-    error_1, error_2 = errors(rng, n, d), errors(rng, sets, many, d)
+    error_1, error_2 = random_covariances(rng, n, d), random_covariances(rng, sets, many, d)
     cells = _in_cells(one, error_1, 6.0 * rng.uniform(0.2, 1.0), periods)
     start, i, j, residual, precision, log_normal = offsets.near_pairs(cells, two, error_2, periods, 3.0, 1.5)
     for s in range(sets):
@@ -46,7 +46,7 @@ def test_pairs_near_each_other_under_every_offset(seed, space):
             assert log_normal[e] == pytest.approx(naive.log_normal(delta, covariance))
 
 
-def test_more_pairs_than_there_is_room_for():
+def test_the_arrays_of_near_pairs_grow_when_full():
     crowd, error = np.zeros((60, 2)), np.broadcast_to(np.eye(2), (60, 2, 2)).copy()
     cells = _in_cells(crowd, error, 6.0, np.full(2, np.inf))
     start, i, j, *_ = offsets.near_pairs(cells, crowd[None], error[None], np.full(2, np.inf), 3.0, 1.0)
@@ -55,10 +55,10 @@ def test_more_pairs_than_there_is_room_for():
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("space", SPACES)
-def test_where_both_sources_look(seed, space):
+def test_common_field_of_two_sources(seed, space):
     rng, d, periods = np.random.default_rng(seed), space[0], periods_of(*space)
     one, two = rng.uniform(0.0, 25.0, (20, d)), rng.uniform(-10.0, 20.0, (4, 15, d))
-    two[3] += 100.0  # nowhere
+    two[3] += 100.0  # no common field
     box = np.stack([one.min(axis=0) - 1.0, one.max(axis=0) + 1.0])
     volume, whole, inside = offsets.overlap(box, one, two, 0.5, periods)
     for s in range(4):
@@ -68,7 +68,7 @@ def test_where_both_sources_look(seed, space):
 
 @pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_messages_of_every_offset_settle_where_those_of_all_records_do(seed):
+def test_belief_propagation_of_sparse_pairs_converges_to_that_of_the_full_matrix(seed):
     rng = np.random.default_rng(seed)
     sets, n1, n2 = 3, 9, 7
     weight = np.exp(rng.normal(0.0, 2.5, (sets, n1, n2))) * (rng.uniform(size=(sets, n1, n2)) < 0.25)
@@ -76,16 +76,16 @@ def test_messages_of_every_offset_settle_where_those_of_all_records_do(seed):
     start = np.searchsorted(s, np.arange(sets + 1))
     share, log_sum, common = offsets.messages(start, i, j, np.log(weight[s, i, j]), (n1, n2), 2000, 1e-13)
     for k in range(sets):
-        expected, total = naive.messages(weight[k], 2000)
+        expected, total = naive.belief_propagation(weight[k], 2000)
         here = slice(start[k], start[k + 1])
         assert share[here] == pytest.approx(expected[i[here], j[here]], rel=1e-6)
         assert (log_sum[k], common[k]) == pytest.approx((total, expected.sum()), rel=1e-6)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_messages_along_trees_are_exact(seed):
+def test_belief_propagation_on_trees_is_exact(seed):
     rng = np.random.default_rng(seed)
-    # A star, a chain, a pair alone, and records without any.
+    # A star, a chain and records without candidates.
     edges = [(0, 0), (0, 1), (0, 2), (1, 3), (2, 3), (2, 4), (3, 5)]
     i, j = np.array(sorted(edges, key=lambda edge: edge[1])).T
     log_weight = rng.normal(0.0, 2.0, len(i))
@@ -98,11 +98,15 @@ def test_messages_along_trees_are_exact(seed):
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_what_pairs_pull_at_an_offset(seed):
+def test_score_and_information_of_an_offset(seed):
     rng = np.random.default_rng(seed)
     sets, many, d, p, m = 3, 6, 2, 4, 50
     s, j = np.sort(rng.integers(0, sets, m)), rng.integers(0, many, m)
-    weight, residual, precision = rng.choice([0.0, 1e-7, 0.3, 1.0], m), rng.normal(size=(m, d)), errors(rng, m, d)
+    weight, residual, precision = (
+        rng.choice([0.0, 1e-7, 0.3, 1.0], m),
+        rng.normal(size=(m, d)),
+        random_covariances(rng, m, d),
+    )
     jacobian = rng.normal(size=(sets, many, d, p))
     score, information = offsets.score_and_information(s, j, residual, precision, weight, jacobian, 1e-6)
     for k in range(sets):
@@ -112,21 +116,21 @@ def test_what_pairs_pull_at_an_offset(seed):
         assert information[k] == pytest.approx(sum(of[e] @ jacobian[k, j[e]] for e in rows))
 
 
-def test_errors_are_carried_along():
+def test_covariances_are_propagated():
     rng = np.random.default_rng(1)
-    carried, covariance = rng.normal(size=(3, 5, 2, 2)), errors(rng, 5, 2)
+    carried, covariance = rng.normal(size=(3, 5, 2, 2)), random_covariances(rng, 5, 2)
     expected = carried @ covariance @ np.swapaxes(carried, -1, -2)
     assert offsets.carried_errors(carried, covariance) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("space", SPACES)
-def test_votes_are_counted_in_cells_and_blocks(seed, space):
+def test_differences_are_counted_in_cells_and_blocks(seed, space):
     rng, d, periods = np.random.default_rng(seed), space[0], periods_of(*space)
     one, two = rng.uniform(0.0, 25.0, (12, d)), rng.uniform(-10.0, 20.0, (9, d))
     low, size, cells = rng.uniform(-20.0, -5.0, d), rng.uniform(1.0, 4.0, d), rng.integers(4, 9, d)
     votes = offsets.tally(one, two, periods, low, size, cells)
-    expected = naive.tally(one, two, periods, low, size, cells)
+    expected = naive.count_differences(one, two, periods, low, size, cells)
     assert votes.reshape(tuple(cells)) == pytest.approx(expected)
     middle = rng.integers(1, cells - 1, (20, d))
     stride = np.append(np.cumprod(cells[:0:-1])[::-1], 1)

@@ -1,4 +1,4 @@
-"""Probabilities are the sums over all hypotheses: by enumeration, by transfer matrices, nearly so where approximate."""
+"""Probabilities are sums over all hypotheses: by enumeration, by transfer matrices, or within limits if approximate."""
 
 import math
 
@@ -58,7 +58,7 @@ def test_the_posterior_is_the_sum_over_all_hypotheses(name, draw):
 
 @pytest.mark.parametrize("draw", DRAWS)
 @pytest.mark.parametrize("shape", [(2, 2), (2, 3), (3, 2), (4, 2), (2, 5)])
-def test_groups_of_two_records_of_a_source_are_summed_hypothesis_by_hypothesis(shape, draw):
+def test_groups_of_two_records_of_a_source_are_summed_by_enumeration(shape, draw):
     for seed in range(8):
         ratios = random_ratios(np.random.default_rng([*shape, seed, len(draw)]), *shape, 0.9, DRAWS[draw])
         pairs, _, _, sure = solved(*shape, ratios, PerPair(0.3))
@@ -72,7 +72,7 @@ def test_groups_of_two_records_of_a_source_are_summed_hypothesis_by_hypothesis(s
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("name", PRIORS)
 @pytest.mark.parametrize("n1, n2", [(6, 6), (4, 7), (7, 4)])
-def test_crowded_groups(name, n1, n2):
+def test_the_posterior_of_crowded_groups_is_the_sum_over_all_hypotheses(name, n1, n2):
     prior, log_prior = PRIORS[name]
     ratios = random_ratios(np.random.default_rng([n1, n2]), n1, n2, 1.0, DRAWS["ordinary"])
     pairs, _, _, sure = solved(n1, n2, ratios, prior)
@@ -91,23 +91,23 @@ def test_the_evidence_of_a_group_is_the_sum_over_all_hypotheses(draw):
     total = 0.0
     for rows_1, rows_2, local in components_of(n1, n2, ratios):
         a, b = len(rows_1), len(rows_2)
-        total += logsumexp([score for score, _ in naive.scored(a, b, local, lambda k: -0.7 * k)])
+        total += logsumexp([score for score, _ in naive.scored_hypotheses(a, b, local, lambda k: -0.7 * k)])
     assert len(ours) == len(grouped) and ours.sum() == pytest.approx(total, rel=1e-12, abs=1e-9)
 
 
-def test_the_evidence_of_a_group_too_large_to_be_summed_is_bethes():
+def test_the_evidence_of_a_group_too_large_for_elimination_is_the_bethe_approximation():
     n = 40
     ratios = {(i, j): -0.2 * abs(i - j) for i in range(n) for j in range(n)}
     _, grouped, best, sure = solved(n, n, ratios, PerPair(0.0))
     assert np.isfinite(log_evidence(grouped, best, sure.p_pair)).all()
-    # On a chain Bethe's sum is exact: that of elimination.
+    # On a chain the Bethe approximation is exact and equals elimination.
     chain = {(i, j): float(np.sin(3 * i + j)) for i in range(n) for j in (i, i + 1) if j < n}
     _, grouped, best, sure = solved(n, n, chain, PerPair(0.0))
     bethe = _bethe(grouped, best.weight, sure.p_pair[grouped.order])
     assert log_evidence(grouped, best, sure.p_pair) == pytest.approx(bethe, rel=1e-9)
 
 
-def test_small_probabilities_keep_their_digits():
+def test_small_probabilities_keep_their_relative_precision():
     ratios = {(0, 0): 9.0, (0, 1): -4.0, (1, 0): -5.0, (1, 1): 8.0}
     expected, _, _ = naive.posterior(2, 2, ratios, lambda k: 0.0)
     pairs, _, _, sure = solved(2, 2, ratios, PerPair(0.0))
@@ -126,15 +126,15 @@ def chain(rng, n, draw=lambda rng: rng.normal(0.5, 3.0)):
 
 
 def by_transfer(n, ratios, log_prior):
-    """Probabilities of a chain: (log Z with the count) from both ends of the path of pairs 00 01 11 12 22 …
+    """Pair probabilities of a chain, from log sums by count from both ends of the path of pairs 00 01 11 12 22 …
 
-    Neighbours on that path share a record, so a hypothesis is a set of pairs no two of which are neighbours.
+    Neighbours on that path share a record, so a hypothesis is a set of pairs without neighbours.
     """
     path = [(k // 2, (k + 1) // 2) for k in range(2 * n - 1)]
     weight = np.array([ratios[edge] for edge in path])
 
     def prefixes(w):
-        """free[t], taken[t]: log sums by count over the first t pairs, the t-th not taken or taken."""
+        """free[t], taken[t]: log sums by count over the first t pairs, without and with the t-th."""
         free, taken = [np.full(n + 2, -np.inf)], [np.full(n + 2, -np.inf)]
         free[0][0] = 0.0
         for x in w:
@@ -185,12 +185,12 @@ def test_chains_of_equal_ratios_are_exact_too():
     np.testing.assert_allclose([ours[e] for e in ratios], [expected[e] for e in ratios], rtol=0, atol=1e-9)
 
 
-# ---- pairs that are proved improbable ----
+# ---- upper bounds of probabilities ----
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_pair_is_more_probable_than_its_bound(seed):
-    scene = entangled(np.random.default_rng(seed), 20, (3, 8)[seed % 2], (0.05, 0.3)[seed // 3], wide=3.0)
+    scene = torus_field(np.random.default_rng(seed), 20, (3, 8)[seed % 2], (0.05, 0.3)[seed // 3], wide=3.0)
     pairs, grouped, best, sure = solved(*scene, PerPair(0.0))
     bound = np.zeros(len(pairs))
     every = np.ones(len(grouped), np.bool_)
@@ -198,15 +198,15 @@ def test_no_pair_is_more_probable_than_its_bound(seed):
     bounds(0, len(grouped), *shape, best.weight, best.chosen, every, bound)
     p = sure.p_pair[grouped.order]
     assert np.all(p <= bound * (1 + 1e-9))
-    # Not a bound for its own sake: it tells pairs of an open gate apart from the likely ones.
+    # The bound is useful: it separates the many improbable pairs of a wide gate from the probable ones.
     assert np.mean(bound < 1e-3) > 0.1
 
 
 @pytest.mark.parametrize("limit, error", [(1e-7, 2e-6), (1e-5, 2e-4)])
-def test_leaving_the_improbable_out_changes_as_little_as_is_said(limit, error):
+def test_thinning_improbable_pairs_changes_probabilities_within_the_stated_limit(limit, error):
     left_out = 0
     for seed in range(4):
-        scene = entangled(np.random.default_rng([seed, 7]), 30, 8, 0.1, wide=3.0)
+        scene = torus_field(np.random.default_rng([seed, 7]), 30, 8, 0.1, wide=3.0)
         _, grouped, best, _ = solved(*scene, PerPair(0.0))
         every = posterior(grouped, best, Tuning(small=EVERY))
         fewer = posterior(grouped, best, Tuning(small=0, improbable=limit))
@@ -219,7 +219,7 @@ def test_leaving_the_improbable_out_changes_as_little_as_is_said(limit, error):
 # ---- the local method ----
 
 
-def entangled(rng, n, degree, misses=0.15, wide=1.0):
+def torus_field(rng, n, degree, misses=0.15, wide=1.0):
     """A crowded field on a torus of n + n records with ``degree`` candidates each."""
     side, sigma = math.sqrt(n), 0.4 / wide
     objects = rng.uniform(0, side, (n, 2))
@@ -243,10 +243,10 @@ def all_local(grouped, best):
     return _neighbourhoods(grouped, best, np.arange(len(grouped.order)), messages, Tuning()), p_messages
 
 
-# In the extreme messages go round loops until some rows hardly claim anything: they were called into no ball.
+# With extreme ratios, messages around loops leave some rows almost no weight; such rows were left out of the balls.
 @pytest.mark.parametrize("draw", DRAWS)
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (2, 2), (2, 7), (3, 3), (4, 3), (4, 5), (5, 3)])
-def test_a_ball_that_holds_its_whole_group_is_exact(shape, draw):
+def test_a_ball_that_contains_the_whole_group_is_exact(shape, draw):
     for seed in range(12):
         ratios = random_ratios(np.random.default_rng([*shape, seed, len(draw)]), *shape, 1.0, DRAWS[draw])
         _, grouped, best, sure = solved(*shape, ratios, PerPair(0.0))
@@ -255,8 +255,8 @@ def test_a_ball_that_holds_its_whole_group_is_exact(shape, draw):
 
 
 @pytest.mark.parametrize("strength", [5.0, 30.0, 60.0])
-def test_a_ball_whose_middle_hardly_finds_anything_left_keeps_its_digits(strength):
-    """The sums of what others take differ from the whole in the twelfth digit or none: they are not subtracted."""
+def test_a_ball_whose_centre_is_almost_surely_taken_keeps_its_precision(strength):
+    """Its free share is below rounding of the total, so the code must not subtract it from the total."""
     ratios = {(i, j): strength + 0.1 * i - 0.2 * j for i in range(5) for j in range(3)}
     _, grouped, best, _ = solved(5, 3, ratios, PerPair(0.0))
     expected, _, _ = naive.posterior(5, 3, ratios, lambda k: 0.0)
@@ -266,8 +266,8 @@ def test_a_ball_whose_middle_hardly_finds_anything_left_keeps_its_digits(strengt
     np.testing.assert_allclose(around, [expected[name] for name in names], rtol=1e-9, atol=0)
 
 
-def test_messages_rest_only_where_they_have_settled():
-    """On a chain messages are exact, however far what one end says has to travel."""
+def test_messages_stop_only_after_convergence():
+    """On a chain messages are exact; information from one end needs as many sweeps as the chain is long."""
     n = 200
     with np.errstate(invalid="ignore"):
         ratios = chain(np.random.default_rng(8), n)
@@ -277,8 +277,8 @@ def test_messages_rest_only_where_they_have_settled():
 
 
 def test_balls_do_not_depend_on_the_number_of_threads(monkeypatch):
-    n1, n2, ratios = entangled(np.random.default_rng(4), 1200, 6)
-    # One row of far more pairs than the others: room is not what a thread's own rows need.
+    n1, n2, ratios = torus_field(np.random.default_rng(4), 1200, 6)
+    # One row has far more pairs than the others, so no thread may size its buffers by its own rows only.
     ratios |= {(0, j): -3.0 - 0.01 * j for j in range(0, n2, 3) if (0, j) not in ratios}
     _, grouped, best, _ = solved(n1, n2, ratios, PerPair(0.0))
     found = []
@@ -289,7 +289,7 @@ def test_balls_do_not_depend_on_the_number_of_threads(monkeypatch):
 
 
 def without_elimination(groups, best, share, method, most=None):
-    """Stands for elimination that has no room for anything."""
+    """Stand-in for elimination that rejects every group as too large."""
     method[:] = APPROXIMATE
 
 
@@ -307,13 +307,13 @@ def local_and_exact(monkeypatch, scene, prior):
 
 @pytest.mark.parametrize("prior", [PerPair(0.0), CommonObjects(0.15, 0.15)])
 @pytest.mark.parametrize("n, degree, misses, mean, worst", [
-    # As observed, doubled: the local method is good where misses are common and poor where they are rare.
+    # Twice the observed errors: the local method is good where misses are common and poor where they are rare.
     (30, 3, 0.15, 0.007, 0.07), (60, 4, 0.15, 0.006, 0.06), (20, 6, 0.05, 0.02, 0.3), (20, 6, 0.005, 0.03, 0.6),
 ])  # fmt: skip
 def test_the_local_method_is_as_good_as_stated(monkeypatch, prior, n, degree, misses, mean, worst):
     errors = []
     for seed in range(4):
-        scene = entangled(np.random.default_rng([seed, n]), n, degree, misses)
+        scene = torus_field(np.random.default_rng([seed, n]), n, degree, misses)
         pairs, local, p_exact, exact = local_and_exact(monkeypatch, scene, prior)
         assert exact.all() and local.unsettled < 1e-2
         errors.append(np.abs(local.p_pair - p_exact))
@@ -325,8 +325,8 @@ def test_the_local_method_is_as_good_as_stated(monkeypatch, prior, n, degree, mi
 
 
 @pytest.mark.parametrize("prior", [PerPair(0.0), CommonObjects(0.15, 0.15)])
-def test_what_is_too_entangled_for_elimination_says_so_and_keeps_every_law(prior):
-    n1, n2, ratios = entangled(np.random.default_rng(1), 500, 12, 0.3)
+def test_groups_too_large_for_elimination_are_marked_approximate_and_keep_all_invariances(prior):
+    n1, n2, ratios = torus_field(np.random.default_rng(1), 500, 12, 0.3)
     pairs, _, _, sure = solved(n1, n2, ratios, prior)
     assert len(pairs) > 2000 and np.isin(sure.method, (APPROXIMATE, THINNED)).any()
     assert np.isfinite(sure.p_pair).all() and sure.p_pair.min() >= 0
@@ -337,15 +337,15 @@ def test_what_is_too_entangled_for_elimination_says_so_and_keeps_every_law(prior
 @pytest.mark.parametrize("name", PRIORS)
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("n", [40, 63, 64, 65, 300])
-def test_two_records_may_compete_for_any_number(n, turned, name):
-    """As many open at once as a machine word has bits, and more."""
+def test_two_records_may_compete_for_any_number_of_candidates(n, turned, name):
+    """Also more records open at once than a machine word has bits."""
     rng = np.random.default_rng(n)
     odds = np.exp(rng.normal(-4.0, 1.0, (2, n)))
     ratios = {((j, i) if turned else (i, j)): math.log(odds[i, j]) for i in range(2) for j in range(n)}
     n1, n2 = (n, 2) if turned else (2, n)
     prior, log_prior = PRIORS[name]
     pairs, _, _, sure = solved(n1, n2, ratios, prior)
-    # One pair: every odds; two: the products of the rows' but those of one column.
+    # Sums over one pair: all odds; over two: products of the rows' odds minus those in one column.
     beside = odds * (odds.sum(axis=1)[::-1, None] - odds[::-1])
     counts = np.exp([log_prior(n1, n2)(k) - log_prior(n1, n2)(0) for k in range(3)])
     whole = counts[0] + counts[1] * odds.sum() + counts[2] * beside.sum() / 2.0
@@ -355,8 +355,8 @@ def test_two_records_may_compete_for_any_number(n, turned, name):
     np.testing.assert_allclose(table, expected, rtol=0, atol=2e-6)
 
 
-def test_thin_groups_around_an_entangled_one_stay_exact(monkeypatch):
-    n1, n2, ratios = entangled(np.random.default_rng(2), 30, 4)
+def test_sparse_groups_beside_a_dense_one_stay_exact(monkeypatch):
+    n1, n2, ratios = torus_field(np.random.default_rng(2), 30, 4)
     alone = {(n1, n2): 1.0, (n1 + 1, n2 + 1): 2.0, (n1 + 1, n2 + 2): 0.5}
     pairs, _, _, sure = solved(n1 + 2, n2 + 3, ratios | alone, PerPair(0.0))
     ours = as_table(pairs, sure.p_pair)
@@ -366,28 +366,28 @@ def test_thin_groups_around_an_entangled_one_stay_exact(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n", [200, 300])
-def test_a_crowd_of_hundreds_has_probabilities(n):
-    """Each of n records may be each of n others, all alike: products of hundreds of numbers made NaN of all of them."""
+def test_a_crowd_of_hundreds_has_finite_probabilities(n):
+    """n × n equal candidates; products of hundreds of numbers once overflowed to NaN."""
     pairs = Radius(1.0)(*(Records.of(np.zeros((n, 2)), sigma=1.0) for _ in range(2)))
     grouped = groups(pairs)
     best = assign(grouped, np.full(n * n, 15.0), PerPair()(grouped.sizes_1, grouped.sizes_2))
     sure = posterior(grouped, best)
-    # By symmetry one number; n/λ of the hypotheses leave a pair out.
+    # By symmetry all probabilities are equal; n/λ of the hypotheses leave one pair out.
     np.testing.assert_allclose(sure.p_pair, 1.0 / n, rtol=2e-3)
     assert sure.counts()["local: exact around each record, messages beyond"] == 1
 
 
-def test_without_groups_there_is_nothing_to_be_sure_of():
+def test_without_groups_the_posterior_is_empty():
     _, grouped = laid_out(2, 3, set())
     sure = posterior(grouped, assign(grouped, np.empty(0), CommonObjects(0.1, 0.1)(grouped.sizes_1, grouped.sizes_2)))
     assert len(sure.p_pair) == 0 and sum(sure.counts().values()) == 0
 
 
-# ---- leaves, cores, and what is too wide ----
+# ---- leaves, cores, groups too wide for elimination ----
 
 
 def tree(rng, n, extra=0):
-    """A random tree of n records of each source, and ``extra`` more pairs, by which it has cycles."""
+    """A random tree of n records of each source, and ``extra`` pairs that close cycles."""
     edges, reached = {(0, 0)}, ([0], [0])
     for k in range(1, 2 * n - 1):
         side = k % 2
@@ -415,7 +415,7 @@ def test_chains_and_rings_of_thousands_neither_overflow_nor_underflow(ratio):
     n = 3000
     ring = {(k, k): ratio for k in range(n)} | {(k, (k + 1) % n): ratio for k in range(n)}
     pairs, _, _, sure = solved(n, n, ring, PerPair(0.0))
-    # One pair in ½ (1 − 1 / √(1 + 4 λ)) of the links of an endless chain (monomers and dimers on a line).
+    # An endless chain has a pair on ½ (1 − 1 / √(1 + 4 λ)) of its links (monomers and dimers on a line).
     odds = math.exp(ratio)
     expected = 0.5 * (1.0 - 1.0 / math.sqrt(1.0 + 4.0 * odds))
     np.testing.assert_allclose(sure.p_pair, expected, rtol=1e-10)
@@ -427,7 +427,7 @@ def test_chains_and_rings_of_thousands_neither_overflow_nor_underflow(ratio):
 
 def test_the_order_of_the_records_changes_no_probability():
     rng = np.random.default_rng(9)
-    n1, n2, ratios = entangled(rng, 40, 4)
+    n1, n2, ratios = torus_field(rng, 40, 4)
     turn_1, turn_2 = rng.permutation(n1), rng.permutation(n2)
     turned = {(int(turn_1[i]), int(turn_2[j])): r for (i, j), r in ratios.items()}
     swapped = {(j, i): r for (i, j), r in ratios.items()}

@@ -1,4 +1,4 @@
-"""Priors are their formulas for every group, and the linear one is the paper's slope."""
+"""Priors agree with their formulas for every group; the slope of the linear prior is the paper's."""
 
 import math
 
@@ -13,7 +13,7 @@ MISSES = [(0.1, 0.2), (0.5, 0.5), (0.01, 0.9), (1e-9, 1e-9)]
 
 
 @pytest.mark.parametrize("q1, q2", MISSES)
-def test_common_objects_is_the_formula_up_to_a_constant_per_group(q1, q2):
+def test_common_objects_agrees_with_its_formula_up_to_a_constant_per_group(q1, q2):
     prior = CommonObjects(q1, q2)(N1, N2)
     assert prior.slope is None and len(prior.table) == prior.start[-1]
     for g, (n1, n2) in enumerate(zip(N1.tolist(), N2.tolist(), strict=True)):
@@ -23,7 +23,7 @@ def test_common_objects_is_the_formula_up_to_a_constant_per_group(q1, q2):
 
 
 @pytest.mark.parametrize("q1, q2", MISSES)
-def test_linear_form_has_the_slope_of_least_squares(q1, q2):
+def test_the_linear_form_has_the_least_squares_slope(q1, q2):
     prior = CommonObjects(q1, q2, linear=True)(N1, N2)
     expected = [naive.common_objects_slope(n1, n2, q1, q2) for n1, n2 in zip(N1.tolist(), N2.tolist(), strict=True)]
     np.testing.assert_allclose(prior.slope, expected, rtol=1e-9)
@@ -34,12 +34,12 @@ def test_linear_form_has_the_slope_of_least_squares(q1, q2):
     np.testing.assert_allclose(prior.slope, fitted, rtol=1e-8)
 
 
-def test_swapping_the_sources_swaps_the_misses():
+def test_swapping_the_sources_and_their_miss_probabilities_changes_nothing():
     one, two = CommonObjects(0.1, 0.3)(N1, N2), CommonObjects(0.3, 0.1)(N2, N1)
     np.testing.assert_allclose(one.table, two.table, rtol=1e-13)
 
 
-def test_fewer_misses_mean_more_common_objects():
+def test_lower_miss_probabilities_favour_more_pairs():
     slopes = [CommonObjects(q, q, linear=True)(N1, N2).slope for q in (0.01, 0.1, 0.5, 0.9)]
     assert np.all(np.diff(slopes, axis=0) < 0)
 
@@ -50,10 +50,10 @@ def test_per_pair_is_the_same_for_every_group():
 
 
 @pytest.mark.parametrize("prior", [PerPair(1.0), CommonObjects(0.1, 0.1), CommonObjects(0.1, 0.1, linear=True)])
-def test_no_groups_are_no_problem(prior):
-    believed = prior(np.empty(0, np.int64), np.empty(0, np.int64))
-    assert believed.slope is None or len(believed.slope) == 0
-    assert len(believed.start) == 1
+def test_priors_of_zero_groups_are_empty(prior):
+    log_prior = prior(np.empty(0, np.int64), np.empty(0, np.int64))
+    assert log_prior.slope is None or len(log_prior.slope) == 0
+    assert len(log_prior.start) == 1
 
 
 @pytest.mark.parametrize(
@@ -66,6 +66,6 @@ def test_no_groups_are_no_problem(prior):
         (lambda: CommonObjects(math.nan, 0.1), "q1 is nan"),
     ],
 )
-def test_what_cannot_be_believed_is_refused_in_words(make, words):
+def test_invalid_priors_are_refused_with_a_clear_message(make, words):
     with pytest.raises(InputError, match=words):
         make()

@@ -1,4 +1,4 @@
-"""Records are checked once, at the door: what passes can be trusted, what does not is refused or set aside in words."""
+"""`Records.of` checks its input: bad rows are set aside with a reason, or refused with a clear message."""
 
 import math
 
@@ -16,7 +16,7 @@ SQUARE = np.array([[0.0, 1.0], [2.0, 3.0], [4.0, 5.0]])
 FULL = np.array([[4.0, 1.0], [1.0, 9.0]])
 
 
-# ---- errors, in every shape they come ----
+# ---- errors of every accepted shape ----
 
 
 @pytest.mark.parametrize(
@@ -33,17 +33,17 @@ FULL = np.array([[4.0, 1.0], [1.0, 9.0]])
         ({"covariance": [FULL, 2 * FULL, 3 * FULL]}, [FULL, 2 * FULL, 3 * FULL]),
     ],
 )
-def test_errors_of_every_shape_are_the_same_covariances(given, expected):
+def test_errors_of_every_shape_give_the_same_covariances(given, expected):
     np.testing.assert_allclose(Records.of(SQUARE, **given).full_covariance(), expected)
 
 
-def test_with_as_many_records_as_features_one_sigma_belongs_to_one_record():
+def test_sigmas_for_as_many_records_as_features_are_one_per_record():
     records = Records.of(SQUARE[:2], sigma=[1.0, 2.0])
     np.testing.assert_allclose(records.full_covariance(), [np.eye(2), np.eye(2) * 4])
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 4])
-def test_packed_covariances_unpack_to_what_was_given(d):
+def test_packed_covariances_unpack_to_the_input(d):
     rng = np.random.default_rng(d)
     root = rng.standard_normal((5, d, d))
     full = root @ root.transpose(0, 2, 1) + np.eye(d)
@@ -52,18 +52,18 @@ def test_packed_covariances_unpack_to_what_was_given(d):
     np.testing.assert_allclose(unpack(records.covariance, d), full)
 
 
-def test_one_feature_may_come_without_its_axis():
+def test_one_feature_may_be_one_dimensional():
     records = Records.of([1.0, 2.0, 3.0], sigma=0.1)
     assert records.features.shape == (3, 1) and records.d == 1 and len(records) == records.n_table == 3
 
 
-def test_no_records_are_records():
+def test_zero_records_are_allowed():
     for d in (1, 2, 3):
         records = Records.of(np.empty((0, d)), sigma=1.0, source="radar")
         assert len(records) == 0 and records.d == d and records.full_covariance().shape == (0, d, d)
 
 
-# ---- what is set aside ----
+# ---- rows set aside ----
 
 
 def test_rows_without_position_or_error_are_set_aside_with_their_reason():
@@ -76,11 +76,11 @@ def test_rows_without_position_or_error_are_set_aside_with_their_reason():
     np.testing.assert_array_equal(records.set_aside.rows, [1, 2, 3])
     assert list(records.set_aside.reasons) == ["no position", "no position", "no error"]
     assert records.set_aside.counts() == {"no error": 1, "no position": 2}
-    # Identifiers belong to the table, so that a row keeps its name.
+    # ids are those of all rows of the table.
     assert records.n_table == 5 and list(records.ids) == list("abcde")
 
 
-def test_masked_cells_are_missing_even_where_a_number_hides_behind_the_mask():
+def test_masked_cells_are_missing_whatever_number_is_under_the_mask():
     features = np.ma.MaskedArray([[0.0, 0.0], [1.0, 1.0]], mask=[[False, True], [False, False]])
     sigma = np.ma.MaskedArray([1.0, -99.0], mask=[False, True])
     records = Records.of(features, sigma=sigma)
@@ -98,7 +98,7 @@ def test_bad_errors_are_set_aside_on_request():
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_positive_definite_means_what_eigenvalues_mean(d):
+def test_positive_definite_means_positive_eigenvalues(d):
     rng = np.random.default_rng(d)
     root = rng.standard_normal((400, d, d))
     matrices = root @ root.transpose(0, 2, 1) - rng.uniform(0, 1.5, (400, 1, 1)) * np.eye(d)
@@ -112,20 +112,20 @@ def test_positive_definite_means_what_eigenvalues_mean(d):
     np.testing.assert_array_equal(records.rows, np.flatnonzero(positive))
 
 
-def test_records_do_not_change_what_they_were_given():
+def test_records_do_not_change_the_input_arrays():
     features, sigma = SQUARE.copy(), np.array([1.0, 2.0, 3.0])
     Records.of(features, sigma=sigma)
     np.testing.assert_array_equal(features, SQUARE)
     np.testing.assert_array_equal(sigma, [1.0, 2.0, 3.0])
 
 
-def test_the_oracle_reads_records_as_they_are():
+def test_the_reference_implementation_reads_records():
     delta, cov = naive.residual(Records.of(SQUARE, covariance=FULL), 1, Records.of(SQUARE, sigma=2.0), 0)
     np.testing.assert_allclose(delta, [2.0, 2.0])
     np.testing.assert_allclose(cov, FULL + 4 * np.eye(2))
 
 
-# ---- words ----
+# ---- messages ----
 
 
 def of(features=SQUARE, **keywords):
@@ -158,7 +158,7 @@ def of(features=SQUARE, **keywords):
         (lambda: Plane((1.0, math.nan)), "period of axis 1 is nan; give a positive number or None"),
     ],
 )
-def test_what_cannot_be_a_record_is_refused_in_words(make, words):
+def test_invalid_records_are_refused_with_a_clear_message(make, words):
     with pytest.raises(InputError, match=words):
         make()
 
@@ -167,7 +167,7 @@ def test_what_cannot_be_a_record_is_refused_in_words(make, words):
     values=arrays(float, (3, 2), elements=st.sampled_from([0.0, 45.0, 90.0, -91.0, np.nan, np.inf, -np.inf])),
     sigma=arrays(float, (3, 1), elements=st.sampled_from([0.1, 1.0, 0.0, -1.0, np.nan, np.inf])),
 )
-def test_a_glance_at_all_rows_passes_none_that_is_set_aside_alone(values, sigma):
+def test_rows_are_set_aside_together_as_each_alone(values, sigma):
     together = Records.of(values, sigma=sigma, space=Sphere(), invalid="set aside")
     alone = [
         len(Records.of(values[k : k + 1], sigma=sigma[k : k + 1], space=Sphere(), invalid="set aside")) == 1

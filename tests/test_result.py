@@ -1,4 +1,4 @@
-"""The result says of every row what became of it, and nothing where there is nothing to say."""
+"""The result has an answer for every table row: partner, no partner, or unusable."""
 
 import math
 
@@ -28,7 +28,7 @@ def with_unusable_rows():
     return identify(first, second, rule=Field(1e-3), gate=Box(3.0))
 
 
-def test_rows_are_rows_of_the_tables():
+def test_rows_are_numbered_as_in_the_tables():
     answer = with_unusable_rows()
     np.testing.assert_array_equal(answer.matches.rows_1, [0, 2])
     np.testing.assert_array_equal(answer.matches.rows_2, [2, 1])
@@ -36,7 +36,7 @@ def test_rows_are_rows_of_the_tables():
     assert answer.answers_2.partner.tolist() == [None, 2, 0, None]
 
 
-def test_rows_that_were_set_aside_are_unusable_and_not_unmatched():
+def test_rows_set_aside_are_unusable_and_not_unmatched():
     answer = with_unusable_rows()
     np.testing.assert_array_equal(answer.answers_1.usable, [True, False, True, False, True])
     np.testing.assert_array_equal(answer.answers_2.usable, [False, True, True, True])
@@ -45,7 +45,7 @@ def test_rows_that_were_set_aside_are_unusable_and_not_unmatched():
     for name in ("partner", "pair", "p_match", "p_none", "second", "p_second", "candidates", "group", "group_size"):
         for answers in (answer.answers_1, answer.answers_2):
             assert np.ma.getmaskarray(getattr(answers, name))[~answers.usable].all(), name
-    # A usable record without candidates surely has no partner, and that is something to say.
+    # A usable record without candidates has no partner with probability 1, which is an answer.
     assert answer.answers_1.p_none[4] == 1.0 and answer.answers_1.candidates[4] == 0
     assert answer.answers_1.group.mask[4] and answer.answers_1.second.mask[4]
 
@@ -95,7 +95,7 @@ def test_matches_are_one_to_one_sorted_and_carry_their_numbers():
     np.testing.assert_allclose(found.residual, difference, atol=1e-12)
 
 
-def test_log_odds_hold_the_prior_where_it_is_linear_only():
+def test_log_odds_include_the_prior_only_if_it_is_linear():
     linear = answered(prior=PerPair(1.25))
     np.testing.assert_allclose(linear.log_odds, linear.evidence.log_ratio + 1.25, rtol=0, atol=1e-12)
     counted = answered(prior=CommonObjects(0.1, 0.1))
@@ -111,7 +111,7 @@ def test_expected_errors_are_sums_of_probabilities():
     assert answer.expected_missed == pytest.approx(answer.p_pair.sum() - inside.sum())
 
 
-def test_residual_statistics_see_errors_that_are_too_small():
+def test_residual_statistics_detect_errors_that_are_too_small():
     rng = np.random.default_rng(0)
     place = rng.uniform(0, 1000, (2000, 2))
     first = Records.of(place, sigma=0.1)
@@ -133,7 +133,7 @@ def test_no_matches_have_no_statistics():
 
 @pytest.mark.parametrize("n", [(0, 0), (0, 4), (4, 0)])
 @pytest.mark.parametrize("prior", [PerPair(), CommonObjects(0.1, 0.1)])
-def test_empty_sources_have_answers_too(n, prior):
+def test_empty_sources_give_an_empty_result(n, prior):
     answer = answered(n=n, prior=prior)
     assert len(answer.matches) == 0 and answer.expected_wrong == 0 == answer.expected_missed
     assert len(answer.leftovers_1) == n[0] and len(answer.leftovers_2) == n[1]
@@ -148,7 +148,7 @@ def test_the_method_of_every_group_is_named():
     assert sum(answer.posterior.counts().values()) == len(answer.groups)
 
 
-def test_the_sky_comes_back_in_arcsec():
+def test_results_on_the_sky_are_in_arcsec():
     first = Records.of([[10.0, 60.0]], sigma=0.5, space=Sphere())
     second = Records.of([[10.0, 60.0 - 1.0 / 3600]], sigma=0.5, space=Sphere())
     found = identify(first, second, rule=Field(1e-6), gate=ChiSquare()).matches
@@ -156,6 +156,6 @@ def test_the_sky_comes_back_in_arcsec():
     assert found.mahalanobis[0] == pytest.approx(math.sqrt(2.0), rel=1e-6)
 
 
-def test_only_two_sources_can_be_asked():
+def test_an_invalid_source_number_is_refused():
     with pytest.raises(InputError, match="source is 3; give 1 or 2"):
         answered().explain(100, source=3)

@@ -165,7 +165,7 @@ def test_displaced_moves_by_the_distance_and_starts_in_the_direction(lon, lat, d
     assert np.hypot(*moved) == pytest.approx(distance, rel=1e-9, abs=1e-8)
     if abs(lat) < 89.999:
         # The halfway direction turned back by half of θ is the direction at the start.
-        back = naive.turn(-naive.half_turn(*end[0], lon, lat)) @ moved
+        back = naive.rotation_matrix(-naive.half_rotation(*end[0], lon, lat)) @ moved
         np.testing.assert_allclose(back, offset[0], rtol=0, atol=1e-7 * distance + 1e-8)
 
 

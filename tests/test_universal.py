@@ -1,4 +1,4 @@
-"""The universal rule: its closed forms, its integrals within their stated errors, and the rules that it contains."""
+"""The universal rule: closed forms, integrals within their stated errors, and the rules it contains."""
 
 import math
 from typing import Any
@@ -35,7 +35,7 @@ def mixture(rng, k, d):
 
 
 def within(evidence, expected, sigmas=5.0):
-    """Every ratio is off by no more than so many of its stated errors."""
+    """Assert that every ratio is within ``sigmas`` stated errors of the expected one."""
     assert evidence.log_error is not None and np.isfinite(evidence.log_error).all()
     assert np.all(np.abs(evidence.log_ratio - expected) <= sigmas * evidence.log_error + 1e-9)
 
@@ -44,8 +44,8 @@ def within(evidence, expected, sigmas=5.0):
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_mixtures_are_normals_of_both_records_together(d):
-    """Numerator and denominator as densities of the stacked vector (X₁, X₂), straight from the definition."""
+def test_the_closed_form_of_mixtures_is_the_joint_normal_of_both_records(d):
+    """Numerator and denominator as densities of the stacked vector (X₁, X₂), from the definition."""
     rng = np.random.default_rng(d)
     pairs, p, q = some_pairs(d), mixture(rng, 3, d), mixture(rng, 2, d)
     evidence = Universal(p, q)(pairs)
@@ -67,7 +67,7 @@ def test_mixtures_are_normals_of_both_records_together(d):
 
 
 @pytest.mark.slow
-def test_the_rule_is_the_oracles_integral():
+def test_the_rule_agrees_with_the_reference_integral():
     pairs = some_pairs(1)
     p, q = GaussianMixture([1.0], [[1.0]], [[[2.0]]]), GaussianMixture([0.4, 0.6], [[-2.0], [2.0]], np.ones((2, 1, 1)))
     grid = np.linspace(-9, 11, 1501)
@@ -118,7 +118,7 @@ def test_functions_of_both_positions_in_two_features_are_summed_over_four_dimens
     assert np.any(other.log_ratio != evidence.log_ratio)
 
 
-def test_samples_of_the_shell_are_the_close_objects_rule_to_their_stated_error():
+def test_samples_of_the_shell_give_the_close_objects_rule_within_their_stated_error():
     rng = np.random.default_rng(3)
     draws = rng.uniform(-SHELL_B, SHELL_B, (6000, 2))
     pairs = some_pairs(2)
@@ -132,7 +132,7 @@ def test_samples_of_the_shell_are_the_close_objects_rule_to_their_stated_error()
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("d", [1, 2])
-def test_mixtures_given_as_functions_give_what_the_closed_form_gives(d):
+def test_mixtures_given_as_functions_agree_with_the_closed_form(d):
     rng = np.random.default_rng(10 + d)
     pairs, p, q = some_pairs(d, n=2), mixture(rng, 2, d), mixture(rng, 2, d)
     exact = Universal(p, q)(pairs).log_ratio
@@ -147,7 +147,7 @@ def test_mixtures_given_as_functions_give_what_the_closed_form_gives(d):
 
 
 @pytest.mark.slow
-def test_samples_of_both_densities_come_to_the_closed_form_within_their_stated_error():
+def test_samples_of_both_densities_agree_with_the_closed_form_within_their_stated_error():
     rng = np.random.default_rng(20)
     p, q = GaussianMixture([1.0], [[1.0]], [[[1.0]]]), GaussianMixture([1.0], [[0.0]], [[[4.0]]])
     pairs = some_pairs(1)
@@ -156,11 +156,11 @@ def test_samples_of_both_densities_come_to_the_closed_form_within_their_stated_e
     for _ in range(30):
         drawn = Universal(Samples(rng.normal(1, 1, (200, 1))), Samples(rng.normal(0, 2, (200, 1))))(pairs)
         off.append((drawn.log_ratio - exact) / drawn.log_error)
-    # Numerator and denominator share the samples, so the stated error is somewhat large.
+    # Numerator and denominator share the samples, so the stated error is slightly too large.
     assert 0.4 < np.std(off) < 1.2
 
 
-def test_smoothed_samples_have_their_mean_and_spread():
+def test_smoothed_samples_have_the_mean_and_variance_of_the_samples():
     rng = np.random.default_rng(21)
     points = rng.normal(0, [1.0, 3.0], (500, 2))
     smooth = Samples(points).smoothed()
@@ -183,11 +183,11 @@ def test_records_across_a_period_are_near():
 # ---- errors ----
 
 
-def test_a_density_that_no_point_hits_gives_a_bound_and_says_so():
+def test_a_density_hit_by_no_sample_gives_a_bound_with_a_warning():
     first = Records.of([[0.0], [5.0]], sigma=0.04)
     pairs = Radius(60.0)(first, Records.of([[0.0], [3.8]], sigma=0.04))
     evidence = Universal(Flat(1.0), Displacement(shell))(pairs)
-    # No record has a neighbour at its own place: the shell is ten standard deviations away.
+    # The shell is ten standard deviations away, so no sampled neighbour reaches a record.
     near = np.abs(pairs.residual[:, 0]) < 0.1
     assert np.isinf(evidence.log_error[near]).all() and np.all(evidence.log_ratio[near] > 30)
     assert np.all(evidence.log_ratio[near] <= CloseObjects(SHELL_A, SHELL_B)(pairs).log_ratio[near] + 1e-6)
@@ -205,7 +205,7 @@ def test_errors_of_rules_add_in_squares_and_exact_rules_have_none():
     np.testing.assert_allclose((rough + Field(0.1) + rough)(pairs).log_error, alone * math.sqrt(2))
 
 
-def test_no_pairs_no_evidence():
+def test_zero_pairs_have_no_evidence():
     nothing = Radius(3.0)(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0))
     evidence = Universal(lambda m: np.ones(len(m)), lambda a, b: np.ones(len(a)))(nothing)
     assert evidence.log_ratio.shape == evidence.log_error.shape == (0,)
@@ -235,7 +235,7 @@ ONE = GaussianMixture([1.0], [[0.0, 0.0]], [np.eye(2)])
         (lambda p: Samples(np.ones(3)), r"points have shape \(3,\); give \(n, d\)"),
     ],
 )
-def test_what_no_density_can_mean_is_refused_in_words(make, words):
+def test_invalid_densities_are_refused_with_a_clear_message(make, words):
     pairs = some_pairs(2)
     with pytest.raises(InputError, match=words):
         make(pairs)
