@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sameas.errors import InputError
+from sameas.gaussian import propagated
 from sameas.tracks.coordinates import (
     LocalPlane,
     along_and_across,
     bearing_in_plane,
     plane_polar,
     polar_to_geodetic,
-    turned,
 )
 
 pymap3d = pytest.importorskip("pymap3d")
@@ -87,7 +87,7 @@ def test_the_covariance_on_the_ground_is_that_of_a_sample(distance, height):
     def ground(r, b, h):
         found = polar_to_geodetic(range_m=r, bearing_deg=b, height_m=h, **about, **errors)
         turn = plane.turn(found.lat_deg, found.lon_deg)
-        return plane.of_geodetic(found.lat_deg, found.lon_deg), turned(found.covariance, turn)
+        return plane.of_geodetic(found.lat_deg, found.lon_deg), propagated(turn, found.covariance)
 
     n = 20_000
     draws = (rng.standard_normal(n) * s for s in sigma.values())

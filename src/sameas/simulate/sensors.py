@@ -23,10 +23,11 @@ from scipy.interpolate import PchipInterpolator, make_smoothing_spline
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
+from sameas.gaussian import propagated
 from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 from sameas.tracks.alignment import States, follow
-from sameas.tracks.coordinates import LocalPlane, geodesy, turned
+from sameas.tracks.coordinates import LocalPlane, geodesy
 from sameas.tracks.feed import walk_of
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import PlacedReports
@@ -263,7 +264,7 @@ def _followed(description: Description, reports: Reports, plane: LocalPlane) -> 
     state = follow(placed, acceleration_m2_per_s3=walk_of(description)).states
     back = np.asarray(np.linalg.inv(plane.turn(*plane.to_geodetic(state.state[:, :2]))), np.float64)
     velocity = np.einsum("nvw,nw->nv", back, state.state[:, 2:])
-    return velocity, turned(state.covariance[:, 2:, 2:], back)[:, [0, 0, 1], [0, 1, 1]]
+    return velocity, propagated(back, state.covariance[:, 2:, 2:])[:, [0, 0, 1], [0, 1, 1]]
 
 
 #: Flight levels are reported in steps of 100 feet.

@@ -1,14 +1,14 @@
-"""Coordinates: from WGS84 and from what sensors measure to one local plane of metres, with covariances.
+"""Coordinates: from WGS84 and from sensor measurements to one local plane in metres, with covariances.
 
 All sources of a picture are compared in one :class:`LocalPlane`: east and north, in metres, of the *foot* of a
-position, its point on the ellipsoid below it, in the plane that touches the ellipsoid at the origin. A height does not
-move the foot, so a source that knows no heights agrees with one that does.
+position, its point on the ellipsoid below it, in the tangent plane of the ellipsoid at the origin. The foot does not
+depend on the height, so sources with and without heights agree.
 
-- :class:`LocalPlane`: WGS84 latitude and longitude ↔ the plane, velocities and covariances too. It knows neither
-  antimeridian nor poles: everything goes through earth-centred coordinates.
-- :func:`polar_to_geodetic`: range, bearing and height or elevation as a sensor at a known place measures them, and the
-  covariance of the position on the ground.
-- :func:`bearing_in_plane`: a bearing as the plane sees it.
+- :class:`LocalPlane`: WGS84 latitude and longitude ↔ the plane, with velocities and covariances. The antimeridian and
+  the poles are no exceptions: all conversions use earth-centred coordinates.
+- :func:`polar_to_geodetic`: range, bearing and height from a sensor at a known position to positions on the ground,
+  with covariances.
+- :func:`bearing_in_plane`: bearings relative to the plane's north.
 
 Geodesy is done by pymap3d (BSD-2-Clause).
 """
@@ -24,21 +24,20 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
-from sameas.gaussian import propagated
 from sameas.space import unit_vectors
 
 #: Beyond this distance from the origin the plane shortens distances by more than 1 %.
 FARTHEST_M = 900e3
-#: The geometric median uses 20 000 positions at most, evenly chosen, and 50 Weiszfeld iterations (chosen).
+#: The geometric median uses at most 20 000 positions, evenly sampled, and 50 Weiszfeld iterations (chosen).
 MEDIAN_SAMPLE, MEDIAN_STEPS = 20_000, 50
-#: Mean radius of the earth, for what needs no ellipsoid.
+#: Mean radius of the earth, where a sphere is accurate enough.
 EARTH_M = 6_371_000.0
-#: A target nearer to the zenith than this elevation has no usable direction on the ground.
+#: Above this elevation the direction of a target on the ground is undefined.
 STEEPEST_DEG = 80.0
 
 
 def geodesy() -> ModuleType:
-    """pymap3d, or a refusal with the install line."""
+    """The module pymap3d; refused with the install line if it is missing."""
     try:
         pymap3d = import_module("pymap3d")
     except ImportError as error:
@@ -48,9 +47,9 @@ def geodesy() -> ModuleType:
 
 @dataclass(frozen=True)
 class LocalPlane:
-    """The plane that touches the WGS84 ellipsoid at an origin; x is east, y is north there, in metres.
+    """The tangent plane of the WGS84 ellipsoid at an origin; x is east, y is north there, in metres.
 
-    Distances come out right at the origin, and 0.05 % short at 200 km from it.
+    Distances are exact at the origin and 0.05 % short at 200 km from it.
 
     Parameters
     ----------
@@ -79,9 +78,9 @@ class LocalPlane:
 
     @classmethod
     def about(cls, lat_deg: ArrayLike, lon_deg: ArrayLike) -> LocalPlane:
-        """The plane in the middle of these positions, however wrong fewer than half of them are.
+        """The plane at the geometric median of these positions, robust if fewer than half of them are wrong.
 
-        The middle is their geometric median, the point with the least sum of distances through the earth.
+        The median is the point with the minimum sum of distances through the earth.
         """
         lat, lon = _numbers(lat_deg, lon_deg)
         known = np.isfinite(lat) & np.isfinite(lon)
@@ -101,11 +100,11 @@ class LocalPlane:
     def of_geodetic(self, lat_deg: ArrayLike, lon_deg: ArrayLike, source: str = "positions") -> FloatArray:
         """(n, 2) east and north in metres of the feet of positions (n,).
 
-        NaN where a position is not known, or farther than 900 km from the origin, where the plane ends.
+        NaN where a position is unknown, or farther than 900 km from the origin, the limit of the plane.
 
         Raises
         ------
-        InputError : beyond ±90°, beyond ±360°, or half of the positions and more lie too far (first row is named).
+        InputError : beyond ±90°, beyond ±360°, or at least half of the positions are too far; names the first row.
         """
         lat, lon = _numbers(lat_deg, lon_deg)
         _degrees(source, lat, lon)
@@ -136,7 +135,7 @@ class LocalPlane:
         weight = np.array([ellipsoid.semimajor_axis, ellipsoid.semimajor_axis, ellipsoid.semiminor_axis]) ** -2.0
         a, b, c = up**2 @ weight, above * up @ weight, above**2 @ weight - 1.0
         with np.errstate(invalid="ignore"):
-            # Written so that nothing cancels where the foot is near: c and with it the height are small there.
+            # This form of the root has no cancellation near the origin, where c and the height are small.
             height = -c / (b + np.sqrt(b**2 - a * c))
         if np.any(np.isfinite(xy).all(axis=1) & ~np.isfinite(height)):
             raise InputError(
@@ -146,9 +145,9 @@ class LocalPlane:
         return np.atleast_1d(lat), np.atleast_1d(lon)
 
     def turn(self, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike = 0.0) -> FloatArray:
-        """(n, 2, 2) matrices from metres east and north at places (n,) to metres in the plane: velocities, covariances.
+        """(n, 2, 2) Jacobians from metres east and north at places (n,) to the plane, for velocities and covariances.
 
-        It turns by the convergence of the meridians, and shortens what is high or far.
+        They rotate by the convergence of the meridians, and shorten lengths at large heights and distances.
         """
         lat, lon = _numbers(lat_deg, lon_deg)
         here = _axes(np.atleast_1d(self.lat_deg), np.atleast_1d(self.lon_deg))[0, :2]
@@ -157,14 +156,9 @@ class LocalPlane:
         return np.asarray(np.einsum("vx,nwx->nvw", here, there) * shrunk[:, None, None])
 
 
-def turned(covariance: FloatArray, matrix: FloatArray) -> FloatArray:
-    """(n, d, d) J Σ Jᵀ."""
-    return propagated(matrix, covariance)
-
-
 @dataclass(frozen=True)
 class GroundPositions:
-    """Positions on the ground (n,), and their covariances (n, 2, 2) in metres east and north at these places."""
+    """Positions on the ground (n,), and their covariances (n, 2, 2) in m², east and north at each position."""
 
     lat_deg: FloatArray
     lon_deg: FloatArray
@@ -184,19 +178,19 @@ def polar_to_geodetic(
     sigma_bearing_deg: ArrayLike,
     sigma_height_m: ArrayLike = 0.0,
 ) -> GroundPositions:
-    """Where the targets of a radar are, from slant range, bearing and height.
+    """Positions of radar targets on the ground, from slant range, bearing and height.
 
-    The elevation that puts a target at its height is found on the ellipsoid. The covariance on the ground is
+    The elevation of a target at its height is computed on the ellipsoid. The covariance on the ground is
     J diag(σ_r², σ_h², σ_b²) Jᵀ, with ∂g/∂r = 1/cos ε and ∂g/∂h = −tan ε along the line of sight (ε the elevation) and
-    g σ_b across it; ½ g² σ_b⁴ is added along it, for the arc that a wide beam bends to (Lerro and Bar-Shalom 1993).
-    Above 80° elevation J is that of 80°.
+    g σ_b across it; ½ g² σ_b⁴ is added along it, for the curvature of the arc of a wide beam (Lerro and Bar-Shalom
+    1993). Above 80° elevation J is that at 80°.
 
     Parameters
     ----------
     range_m : (n,) slant range. bearing_deg : (n,) clockwise from true north at the sensor.
-    sensor_lat_deg, sensor_lon_deg, sensor_height_m : the sensor, or (n,) where it moves.
-    height_m : (n,) or a number: height of the targets above the ellipsoid. A range shorter than the difference in
-        height is taken to be straight up or down.
+    sensor_lat_deg, sensor_lon_deg, sensor_height_m : the sensor, numbers or (n,) if it moves.
+    height_m : (n,) or a number: height of the targets above the ellipsoid. A target whose range is shorter than the
+        difference in height is placed straight above or below the sensor.
     sigma_range_m, sigma_bearing_deg, sigma_height_m : 1σ errors, numbers or (n,).
     """
     r, bearing, lat0, lon0, h0, h = np.broadcast_arrays(
@@ -211,7 +205,7 @@ def polar_to_geodetic(
     ground = r * np.cos(np.radians(elevation))
     along = (sigma_range_m / np.cos(lean)) ** 2 + (np.tan(lean) * sigma_height_m) ** 2 + 0.5 * ground**2 * sigma_b**4
     across = (ground * sigma_b) ** 2
-    # Far away the line of sight arrives with another bearing than it left; its azimuth back is that at the target.
+    # The bearing of the line of sight at a far target differs from that at the sensor.
     back, _, _ = geodesy().geodetic2aer(lat0, lon0, h0, lat, lon, height)
     return GroundPositions(
         lat, lon, height, along_and_across(along, across, np.where(r > 0, np.asarray(back) + 180.0, bearing))
@@ -219,7 +213,7 @@ def polar_to_geodetic(
 
 
 def along_and_across(along: ArrayLike, across: ArrayLike, bearing_deg: ArrayLike) -> FloatArray:
-    """(n, 2, 2) covariance on (east, north) of variances along and across a direction, clockwise from north."""
+    """(n, 2, 2) covariance of (east, north) from variances along and across a direction, clockwise from north."""
     angle = np.radians(np.asarray(bearing_deg, dtype=np.float64))
     sine, cosine = np.sin(angle), np.cos(angle)
     along, across, sine, cosine = np.broadcast_arrays(along, across, sine, cosine)
@@ -238,7 +232,7 @@ def plane_polar(
     sigma_range_m: ArrayLike,
     sigma_bearing_deg: ArrayLike,
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 2) positions and (n, 2, 2) covariances of ranges and bearings in a plane that has no place on the earth.
+    """(n, 2) positions and (n, 2, 2) covariances from ranges and bearings in a plane without geodetic coordinates.
 
     sensor_m : (2,) or (n, 2), east and north of the sensor.
     """
@@ -252,7 +246,7 @@ def plane_polar(
 def bearing_in_plane(
     plane: LocalPlane, bearing_deg: ArrayLike, sensor_lat_deg: ArrayLike, sensor_lon_deg: ArrayLike
 ) -> FloatArray:
-    """(n,) bearings from the plane's north, of bearings from true north at the sensor."""
+    """(n,) bearings relative to the plane's north, from bearings relative to true north at the sensor."""
     bearing, lat, lon = (
         np.atleast_1d(np.asarray(v, np.float64)) for v in (bearing_deg, sensor_lat_deg, sensor_lon_deg)
     )
@@ -263,7 +257,7 @@ def bearing_in_plane(
 
 @dataclass(frozen=True)
 class _LinesOfSight:
-    """Lines of sight (n,) from sensors; ``geodetic`` gives their ends."""
+    """Lines of sight (n,) from sensors; lat_deg, lon_deg, height_m : of the sensors."""
 
     range_m: FloatArray
     bearing_deg: FloatArray
@@ -272,15 +266,16 @@ class _LinesOfSight:
     height_m: FloatArray
 
     def geodetic(self, elevation_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        here = (self.lat_deg, self.lon_deg, self.height_m)
-        lat, lon, height = geodesy().aer2geodetic(self.bearing_deg, elevation_deg, self.range_m, *here)
+        """(n,) latitude, longitude and height of the ends of the lines at these elevations."""
+        sensor = (self.lat_deg, self.lon_deg, self.height_m)
+        lat, lon, height = geodesy().aer2geodetic(self.bearing_deg, elevation_deg, self.range_m, *sensor)
         return np.atleast_1d(lat), np.atleast_1d(lon), np.atleast_1d(height)
 
     def elevation_of(self, height_m: FloatArray) -> FloatArray:
-        """(n,) degrees: the elevation at which the line ends at this height."""
+        """(n,) degrees: elevation of the line whose end has this height."""
         r, start = np.maximum(self.range_m, 1e-9), EARTH_M + self.height_m
         climb = height_m - self.height_m
-        # On a sphere by the law of cosines; the ellipsoid's curvature by two steps more.
+        # Law of cosines on a sphere, then two corrections for the ellipsoid.
         sine = np.clip((climb * (2.0 * start + climb) - r**2) / (2.0 * start * r), -1.0, 1.0)
         for _ in range(2):
             elevation = np.degrees(np.arcsin(sine))
@@ -289,7 +284,7 @@ class _LinesOfSight:
 
 
 def _axes(lat_deg: FloatArray, lon_deg: FloatArray) -> FloatArray:
-    """(n, 3, 3) the unit vectors east, north, up at places, in earth-centred coordinates."""
+    """(n, 3, 3) unit vectors east, north and up at places, in earth-centred coordinates."""
     phi, lam = np.radians(lat_deg), np.radians(lon_deg)
     sp, cp, sl, cl = np.sin(phi), np.cos(phi), np.sin(lam), np.cos(lam)
     zero = np.zeros_like(phi)

@@ -1,8 +1,8 @@
-"""Reports brought to the plane of the picture: positions with covariances, velocities, directions.
+"""Reports in the plane of the picture: positions with covariances, velocities, directions.
 
-:class:`PlacedReports` joins what a source wrote (``Reports``), what is known of the source (``Description``) and the
-plane. Its ``in_plane`` are :class:`~sameas.tracks.alignment.States`, or :class:`Directions` where the source measures
-no distance. Errors that a report states are used; errors that it does not state come from the description.
+:class:`PlacedReports` combines the ``Reports`` of a source, its ``Description`` and the plane. Its ``in_plane`` are
+:class:`~sameas.tracks.alignment.States`, or :class:`Directions` if the source measures no distance. Errors stated by a
+report are used; the others come from the description.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import Argument, InputError, Message, naming
+from sameas.gaussian import propagated
 from sameas.many.observations import Bearing
 from sameas.records import unpack
 from sameas.tracks.alignment import States
@@ -26,7 +27,6 @@ from sameas.tracks.coordinates import (
     bearing_in_plane,
     plane_polar,
     polar_to_geodetic,
-    turned,
 )
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, SensorErrors
@@ -35,7 +35,7 @@ from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 @dataclass(frozen=True)
 class Directions:
-    """Bearings of a source without distances: (n,) degrees clockwise from the plane's north, 1σ; (n, 2) the sensor."""
+    """Bearings without distances: (n,) degrees clockwise from the plane's north, and 1σ; (n, 2) sensor positions."""
 
     time_s: FloatArray
     bearing_deg: FloatArray
@@ -49,31 +49,31 @@ class Directions:
 
     @cached_property
     def usable(self) -> BoolArray:
-        """(n,) whether a report has a direction with its error."""
+        """(n,) whether a report has a direction, its error and a sensor position."""
         known = np.isfinite(self.bearing_deg) & np.isfinite(self.sigma_deg) & np.isfinite(self.sensor_m).all(axis=1)
         return np.asarray(known)
 
 
 @dataclass(frozen=True)
 class SlowBearing(Bearing):
-    """A :class:`~sameas.many.observations.Bearing` whose slope is bounded by that of an object at ``nearest_m``.
+    """A :class:`~sameas.many.observations.Bearing` whose Jacobian is limited to that at the distance ``nearest_m``.
 
-    The search for the most probable state of a single direction in a broad region may pass the sensor itself, where
-    the slope of a direction is infinite.
+    The search for the most probable state given a single direction in a broad region may pass through the sensor, where
+    the Jacobian is infinite.
     """
 
     nearest_m: float = 1.0
 
     def jacobian(self, states: FloatArray) -> FloatArray:
         arm = states[:, :2] - np.asarray(self.sensor)
-        away = np.hypot(*arm.T)
-        slope = super().jacobian(states)
-        return np.asarray(slope * (np.minimum(away / self.nearest_m, 1.0) ** 2)[:, None, None])
+        range_m = np.hypot(*arm.T)
+        jacobian = super().jacobian(states)
+        return np.asarray(jacobian * (np.minimum(range_m / self.nearest_m, 1.0) ** 2)[:, None, None])
 
 
 @dataclass(frozen=True)
 class _Positions:
-    """Positions (n, 2) in the plane, covariances (n, 2, 2), matrices from local metres at each place to the plane's."""
+    """Positions (n, 2) in the plane, covariances (n, 2, 2), and matrices from local east and north to the plane."""
 
     position: FloatArray
     covariance: FloatArray
@@ -82,13 +82,12 @@ class _Positions:
 
 @dataclass(frozen=True)
 class PlacedReports:
-    """The reports of one source in the plane of the picture, at the times for which they hold.
+    """The reports of one source in the plane of the picture, with the latency of the source subtracted from the times.
 
     Parameters
     ----------
-    description : of the source. Its latency is subtracted from the stamps; its errors are used where a report states
-        none.
-    reports : as a reader gave them.
+    description : of the source, with its latency, and its errors for reports that state none.
+    reports : as read.
     plane : of the picture; None for sources that give metres in a plane of the user's own.
 
     Example
@@ -105,7 +104,7 @@ class PlacedReports:
 
     @cached_property
     def in_plane(self) -> States | Directions:
-        """States, or directions where the source measures no distance.
+        """States, or directions if the source measures no distance.
 
         Raises
         ------
@@ -117,7 +116,7 @@ class PlacedReports:
         velocity, covariance = self._velocities()
         if velocity is not None and covariance is not None:
             velocity = np.einsum("nvw,nw->nv", positions.to_plane, velocity)
-            covariance = turned(covariance, positions.to_plane)
+            covariance = propagated(positions.to_plane, covariance)
         return States.of(
             self._time_s, positions.position, positions.covariance, velocity=velocity, velocity_covariance=covariance,
             track=self._tracks, speed_m_per_s=self._needed("motion", "speed_m_per_s"), source=self.description.name,
@@ -125,18 +124,18 @@ class PlacedReports:
 
     @cached_property
     def sensor_m(self) -> FloatArray | None:
-        """(n, 2) place of the sensor at each report; None where it is unknown."""
+        """(n, 2) position of the sensor at each report; None if it is unknown."""
         stated = self.reports.station_lat_deg is not None or self.reports.station_x_m is not None
         return self._sensor_in_plane() if stated or self.description.site is not None else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Printable sentences: positions that were set aside, errors that were assumed."""
+        """Printable sentences on excluded positions and assumed errors."""
         return self.strays_note + self.errors_note
 
     @property
     def strays_note(self) -> tuple[str, ...]:
-        """A sentence that names the reports set aside for their positions; none where none is."""
+        """A sentence that lists the reports with excluded positions; empty if there are none."""
         reports, placed = self.reports, self.in_plane
         if reports.lat_deg is None or reports.lon_deg is None or isinstance(placed, Directions):
             return ()
@@ -153,18 +152,19 @@ class PlacedReports:
 
     @property
     def errors_note(self) -> tuple[str, ...]:
-        """A sentence on the errors that are assumed for positions without stated ones; none where all have them."""
+        """A sentence on the errors assumed for positions without stated errors; empty if there are none."""
         reports, errors = self.reports, self.description.errors
         covariance = reports.covariance_m2
-        silent = len(reports) - (0 if covariance is None else int(np.isfinite(covariance).all(axis=-1).sum()))
-        if reports.position not in ("geodetic", "local") or not silent or errors.position_m is not None:
+        n_not_stated = len(reports) - (0 if covariance is None else int(np.isfinite(covariance).all(axis=-1).sum()))
+        if reports.position not in ("geodetic", "local") or not n_not_stated or errors.position_m is not None:
             return ()
-        good = f"as good as a range ± {errors.range_m:g} m ± {100.0 * (errors.range_share or 0.0):g} % and a bearing "
-        good += f"± {errors.bearing_deg:g}°"
+        share = 100.0 * (errors.range_share or 0.0)
+        assumed_errors = f"as good as a range ± {errors.range_m:g} m ± {share:g} % and a bearing "
+        assumed_errors += f"± {errors.bearing_deg:g}°"
         if self.description.site is None and reports.station_lat_deg is None and reports.station_x_m is None:
-            good += f" at {self._usual_range_m / 1000.0:.3g} km, since its position is not known"
+            assumed_errors += f" at {self._assumed_range_m / 1000.0:.3g} km, since its position is not known"
         return (
-            f"{self.description.name}: {silent} positions state no errors; assumed {good}; "
+            f"{self.description.name}: {n_not_stated} positions state no errors; assumed {assumed_errors}; "
             "errors.position_m overrides it",
         )
 
@@ -174,7 +174,7 @@ class PlacedReports:
 
     @property
     def _tracks(self) -> NDArray[Any] | None:
-        """Ids of tracks; a report without one, among others that have one, is a track of its own."""
+        """Track ids; None if no report has one. A report without an id among others with ids is a track of its own."""
         ids = self.reports.object_ids
         if ids is None:
             return None
@@ -188,7 +188,7 @@ class PlacedReports:
         lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
         to_plane = self.plane.turn(lat, lon, 0.0 if reports.alt_m is None else np.nan_to_num(reports.alt_m))
         position = _without_strays(self.plane.of_geodetic(lat, lon, self.description.name), self.tuning)
-        stated = turned(self._stated_covariance(), to_plane)
+        stated = propagated(to_plane, self._stated_covariance())
         return _Positions(position, self._with_measured_errors(position, stated), to_plane)
 
     def _local(self) -> _Positions:
@@ -205,7 +205,7 @@ class PlacedReports:
         lat, lon = LocalPlane(site.lat_deg, site.lon_deg).to_geodetic(xy)
         to_plane = self.plane.turn(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
         position = self.plane.of_geodetic(lat, lon, self.description.name)
-        return _Positions(position, self._with_measured_errors(position, turned(stated, to_plane)), to_plane)
+        return _Positions(position, self._with_measured_errors(position, propagated(to_plane, stated)), to_plane)
 
     def _polar(self) -> _Positions:
         reports, errors, n = self.reports, self.description.errors, len(self.reports)
@@ -231,7 +231,7 @@ class PlacedReports:
         )  # fmt: skip
         to_plane = self.plane.turn(ground.lat_deg, ground.lon_deg, ground.height_m)
         position = self.plane.of_geodetic(ground.lat_deg, ground.lon_deg, self.description.name)
-        return _Positions(position, turned(ground.covariance + extent, to_plane), to_plane)
+        return _Positions(position, propagated(to_plane, ground.covariance + extent), to_plane)
 
     def _directions(self) -> Directions:
         reports = self.reports
@@ -244,7 +244,7 @@ class PlacedReports:
         return Directions(self._time_s, bearing % 360.0, sigma, sensor_m, self._tracks, np.arange(len(reports)))
 
     def _target_heights(self, range_m: FloatArray, sensor_height_m: float) -> tuple[FloatArray, FloatArray]:
-        """(n,) heights of the targets and 1σ: reported, from the elevation, from the flight level, or assumed."""
+        """(n,) heights of the targets and 1σ: the reported height, else the flight level, the elevation, or assumed."""
         reports, targets, errors, n = self.reports, self.description.targets, self.description.errors, len(self.reports)
         height, sigma = np.full(n, targets.height_m or 0.0), np.full(n, targets.height_sigma_m or 0.0)
         by_elevation = heights_by_elevation(reports, errors, sensor_height_m)
@@ -259,7 +259,7 @@ class PlacedReports:
         return height, sigma
 
     def _sensor_geodetic(self) -> tuple[FloatArray, FloatArray, float]:
-        """(n,) latitude and longitude of the sensor, and its height."""
+        """(n,) latitude and longitude of the sensor, and its height, m; refused if they are unknown."""
         site, reports, n = self.description.site, self.reports, len(self.reports)
         height = 0.0 if site is None else site.height_m
         if reports.station_lat_deg is not None and reports.station_lon_deg is not None:
@@ -272,7 +272,7 @@ class PlacedReports:
         return np.full(n, site.lat_deg), np.full(n, site.lon_deg), height
 
     def _sensor_in_plane(self) -> FloatArray:
-        """(n, 2) the sensor in the plane; refused where its place is unknown."""
+        """(n, 2) position of the sensor in the plane; refused if it is unknown."""
         reports, site = self.reports, self.description.site
         if self.plane is not None:
             lat, lon, _ = self._sensor_geodetic()
@@ -287,66 +287,66 @@ class PlacedReports:
         return np.broadcast_to(site.in_plane(None), (len(reports), 2)).copy()
 
     def _stated_covariance(self) -> FloatArray:
-        """(n, 2, 2) covariances on east and north: stated by the reports, else errors.position_m, else NaN."""
+        """(n, 2, 2) covariances of east and north: stated by the reports, else from errors.position_m, else NaN."""
         errors = self.description.errors
         covariance = self._unpacked(self.reports.covariance_m2)
-        silent = ~np.isfinite(covariance).all(axis=(1, 2))
-        if silent.any() and errors.position_m is not None:
-            covariance[silent] = np.hypot(errors.position_m, errors.extent_m or 0.0) ** 2 * np.eye(2)
+        not_stated = ~np.isfinite(covariance).all(axis=(1, 2))
+        if not_stated.any() and errors.position_m is not None:
+            covariance[not_stated] = np.hypot(errors.position_m, errors.extent_m or 0.0) ** 2 * np.eye(2)
         return covariance
 
     def _with_measured_errors(self, position: FloatArray, stated: FloatArray) -> FloatArray:
-        """(n, 2, 2) the stated covariances; where there are none, those of the range and bearing that were measured.
+        """(n, 2, 2) the stated covariances; where there are none, those of the errors in range and bearing.
 
-        Without a site it is the wider of both at ``_usual_range_m``, the same in all directions.
+        If the sensor's position is unknown, the larger of both at ``_assumed_range_m``, the same in all directions.
         """
-        silent = ~np.isfinite(stated).all(axis=(1, 2))
-        if not silent.any():
+        not_stated = ~np.isfinite(stated).all(axis=(1, 2))
+        if not not_stated.any():
             return stated
         errors = self.description.errors
         if errors.range_m is None or errors.bearing_deg is None:
             self._needed("errors", "position_m")
         arm = position - (np.nan if self.sensor_m is None else self.sensor_m)
         known = np.isfinite(arm[:, 0]) & np.isfinite(arm[:, 1])
-        lost = silent & ~known & np.isfinite(position).all(axis=1)
-        away = np.where(known, np.hypot(*arm.T), self._usual_range_m if lost.any() else np.nan)
-        along = errors.sigma_range_m(away)
-        across = away * np.radians(errors.bearing_deg or 0.0)
-        # A sensor that may stand anywhere may look from any direction.
+        without_sensor = not_stated & ~known & np.isfinite(position).all(axis=1)
+        range_m = np.where(known, np.hypot(*arm.T), self._assumed_range_m if without_sensor.any() else np.nan)
+        along = errors.sigma_range_m(range_m)
+        across = range_m * np.radians(errors.bearing_deg or 0.0)
+        # The direction to a sensor at an unknown position is unknown.
         along, across = np.where(known, [along, across], np.maximum(along, across))
         extent_m2 = (errors.extent_m or 0.0) ** 2
         bearing = np.where(known, np.degrees(np.arctan2(arm[:, 0], arm[:, 1])), 0.0)
         out = stated.copy()
-        out[silent] = along_and_across(along**2 + extent_m2, across**2 + extent_m2, bearing)[silent]
+        out[not_stated] = along_and_across(along**2 + extent_m2, across**2 + extent_m2, bearing)[not_stated]
         return out
 
     @property
-    def _usual_range_m(self) -> float:
-        """The range that is assumed of targets where the place of the sensor is unknown."""
+    def _assumed_range_m(self) -> float:
+        """Assumed range of the targets of a sensor at an unknown position."""
         return self.tuning.unknown_site_share * self._needed("coverage", "range_m")
 
     def _velocities(self) -> tuple[FloatArray | None, FloatArray | None]:
-        """(n, 2) and (n, 2, 2) on east and north; NaN where a report states none."""
+        """Velocities (n, 2) and covariances (n, 2, 2) of east and north, NaN where not reported; None without any."""
         velocity = self.reports.velocity_m_per_s()
         if velocity is None:
             return None, None
         covariance = self._unpacked(self.reports.velocity_covariance_m2_per_s2)
-        silent = np.isfinite(velocity).all(axis=1) & ~np.isfinite(covariance).all(axis=(1, 2))
-        if silent.any():
+        not_stated = np.isfinite(velocity).all(axis=1) & ~np.isfinite(covariance).all(axis=(1, 2))
+        if not_stated.any():
             sigma = self._needed("errors", "speed_m_per_s")
             sigma_course = np.radians(self._needed("errors", "course_deg"))
             speed, course = np.hypot(*velocity.T), np.degrees(np.arctan2(velocity[:, 0], velocity[:, 1]))
-            # An object that hardly moves has no course: there the error across is that of the speed.
+            # The course of a slow object is undefined: its error across the course is that of the speed.
             across = np.maximum(sigma, speed * sigma_course) ** 2
-            covariance[silent] = along_and_across(sigma**2, across, np.nan_to_num(course))[silent]
+            covariance[not_stated] = along_and_across(sigma**2, across, np.nan_to_num(course))[not_stated]
         return velocity, covariance
 
     def _unpacked(self, packed: FloatArray | None) -> FloatArray:
-        """(n, 2, 2) covariances of (n, 3) xx, xy, yy; NaN where there are none."""
+        """(n, 2, 2) covariances from (n, 3) xx, xy, yy; NaN if absent."""
         return unpack(np.full((len(self.reports), 3), np.nan) if packed is None else packed, 2)
 
     def _needed(self, part: str, name: str) -> float:
-        """A number of the description, refused where it is missing."""
+        """A value of the description; refused if it is missing."""
         value = getattr(getattr(self.description, part), name)
         if value is None:
             raise InputError(
@@ -357,13 +357,13 @@ class PlacedReports:
 
 
 def _without_strays(position: FloatArray, tuning: Tuning) -> FloatArray:
-    """The positions, NaN where one lies absurdly far from the others of its source."""
+    """The positions, NaN where one is very far from the others of its source (``stray_…`` of the tuning)."""
     known = np.isfinite(position).all(axis=1)
     if known.sum() < tuning.stray_count:
         return position
-    away = np.hypot(*(position - np.median(position[known], axis=0)).T)
-    limit = max(tuning.stray_radii * float(np.quantile(away[known], 0.9)), tuning.stray_m)
-    return np.where((away > limit)[:, None], np.nan, position)
+    distance_m = np.hypot(*(position - np.median(position[known], axis=0)).T)
+    limit = max(tuning.stray_radii * float(np.quantile(distance_m[known], 0.9)), tuning.stray_m)
+    return np.where((distance_m > limit)[:, None], np.nan, position)
 
 
 def _filled(column: FloatArray | None, default: FloatArray | float, n: int | None = None) -> FloatArray:
@@ -375,7 +375,7 @@ def _filled(column: FloatArray | None, default: FloatArray | float, n: int | Non
 def heights_by_elevation(
     reports: Reports, errors: SensorErrors, sensor_height_m: float
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n,) heights and their 1σ by range and elevation, over a round earth; None where a source has no elevations."""
+    """(n,) heights and their 1σ from range and elevation, over a spherical earth; None without elevations."""
     if reports.elevation_deg is None or reports.range_m is None:
         return None
     lean = np.radians(reports.elevation_deg)

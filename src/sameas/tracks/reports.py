@@ -1,9 +1,9 @@
-"""Reports: the reports of one source as columns, as read.
+"""The reports of one source as columns, as read.
 
-A reader (:mod:`sameas.io.sensors`) turns a file into Reports: times in UTC, lengths in metres, angles in degrees,
-positions and errors *as the source gives them*. Missing values are absent: a whole column is None, a cell is NaN or
-None; where needed, the description of the source replaces them later. Lines that cannot be used are counted, with
-their numbers and the reason; other lines (a weather message among ships) are counted by kind.
+A reader (:mod:`sameas.io.sensors`) makes Reports of a file: times in UTC, lengths in metres, angles in degrees,
+positions and errors *as given by the source*. A missing column is None, a missing cell NaN or None; the description of
+the source supplies them later where needed. Unusable lines are listed with their numbers and reasons; other lines (a
+weather message among ships) are counted by kind.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from sameas.errors import InputError
 from sameas.representation import counted, in_short
 
 TextArray = NDArray[np.object_]
-#: Seconds from 1970 to the end of the year 9999: later than that, and as long before, is no time.
+#: Seconds from 1970 to the end of the year 9999; larger absolute values are not accepted as times.
 LAST_S = 253402300800.0
 
 
 @dataclass(frozen=True)
 class Damaged:
-    """Lines that could not be used: their numbers (k,), counted from 1, and per line the reason in words.
+    """Unusable lines: their numbers (k,), counted from 1, and the reason for each.
 
-    ``unit`` is what the numbers count: "line" of a text, "record" or "packet" of a binary file.
+    unit : of the numbers: "line" of a text, "record" or "packet" of a binary file.
     """
 
     lines: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -45,13 +45,13 @@ class Damaged:
         return cls(np.array([n for n, _ in pairs], np.int64), np.array([r for _, r in pairs], object), unit)
 
     def counts(self) -> dict[str, int]:
-        """How many lines were damaged for each reason, the most frequent first."""
+        """Number of damaged lines by reason, the most frequent first."""
         reasons, counts = np.unique(self.reasons.astype(str), return_counts=True)
         order = np.argsort(-counts, kind="stable")
         return {str(reasons[i]): int(counts[i]) for i in order}
 
     def sentences(self) -> list[str]:
-        """One printable line a reason: how many, and where the first ones are.
+        """One printable line per reason: the number of lines, and the first of them.
 
         Example
         -------
@@ -68,9 +68,9 @@ class Damaged:
 
 
 class NoReports(InputError):
-    """There is no report in what a reader was given; ``damaged`` and ``passed_over`` say what there was.
+    """A reader's input contains no report; ``damaged`` and ``passed_over`` list its lines.
 
-    For a file that is a refusal; of a stream the next lines may have some.
+    A file is refused; of a stream the next lines may have reports.
     """
 
     def __init__(
@@ -89,34 +89,34 @@ class NoReports(InputError):
 @in_short
 @dataclass(frozen=True)
 class Reports:
-    """The reports of one source, in the order of its file. Make them with :meth:`Reports.of`.
+    """The reports of one source, in the order of its file. :meth:`Reports.of` makes and checks them.
 
     Attributes
     ----------
-    source : the name of the source, used in messages.
-    kind : what wrote it: "ais", "arpa", "adsb", "asterix 021", "asterix 048", "asterix 062" or "table".
-    time_s : (n,) UTC, seconds since 1970: time of the position, as far as the source gives it.
+    source : name of the source, used in messages.
+    kind : format: "ais", "arpa", "adsb", "asterix 021", "asterix 048", "asterix 062" or "table".
+    time_s : (n,) UTC, seconds since 1970: time of the position if the source gives it.
     line : (n,) number of the line (or record) in the file, counted from 1.
     lat_deg, lon_deg : (n,) WGS84, longitude from −180 to 180.
     alt_m : (n,) height above the ellipsoid. pressure_alt_m : (n,) height in the standard atmosphere (flight level).
-    x_m, y_m, z_m : (n,) in a plane of the source's own, x to the east and y to the north where it does not say else.
-    range_m : (n,) distance from the sensor; on the slope for air radars.
+    x_m, y_m, z_m : (n,) in a local plane of the source, x to the east and y to the north unless it states otherwise.
+    range_m : (n,) distance from the sensor; slant range for air radars.
     bearing_deg : (n,) clockwise from true north, 0 to 360. elevation_deg : (n,) above the horizon.
-    station_lat_deg, station_lon_deg, station_x_m, station_y_m : (n,) place of the sensor, if its file has it.
+    station_lat_deg, station_lon_deg, station_x_m, station_y_m : (n,) position of the sensor, if in the file.
     speed_m_per_s, course_deg : (n,) over ground, course clockwise from true north.
     vx_m_per_s, vy_m_per_s : (n,) velocity east and north, or along x and y. climb_m_per_s : (n,) upwards.
-    heading_deg : (n,) where the bow points, from true north.
+    heading_deg : (n,) direction of the bow, from true north.
     covariance_m2 : (n, 3) xx, xy, yy of the position, east and north (or x and y).
     velocity_covariance_m2_per_s2 : (n, 3) the same of the velocity.
     sigma_alt_m, sigma_range_m, sigma_bearing_deg, sigma_elevation_deg : (n,) standard deviations.
-    track_id : (n,) the source's own number of the object. mmsi, imo, icao, callsign, mode_a, name, type : (n,) texts as
-        people write them (nine digits, six lower hexadecimal digits, four octal digits); None where absent.
+    track_id : (n,) the source's number of the object. mmsi, imo, icao, callsign, mode_a, name, type : (n,) texts in
+        their usual form (nine digits, six lower hexadecimal digits, four octal digits); None if absent.
     length_m, width_m : (n,) of the hull.
     extra : further columns of the format by name.
-    damaged : lines that could not be used.
+    damaged : unusable lines.
     passed_over : number of other lines of the file, by kind.
     notes : assumptions, one printable sentence each.
-    counted_clock : whether stamps are counted on from the seconds in messages, so that minutes may be missing.
+    counted_clock : whether times are counted from the seconds in messages, so that whole minutes may be missing.
     """
 
     source: str
@@ -184,15 +184,15 @@ class Reports:
         Parameters
         ----------
         source, kind, damaged, passed_over, notes : see :class:`Reports`.
-        columns : by the names of the attributes, all of one length; ``time_s`` and a position are among them. A name
-            that is no attribute becomes a column of ``extra``. A column without a single value counts as absent.
+        columns : by the names of the attributes, all of one length, with ``time_s`` and a position. Other names become
+            columns of ``extra``. A column without any value counts as absent.
 
         Raises
         ------
         InputError : no time, no position, columns of different lengths, a latitude beyond ±90°.
 
-        Rows whose time or position is not finite, or whose range is negative, are set aside as damaged; what else
-        is infinite is absent.
+        Rows with an invalid time, an infinite position or a negative range are excluded as damaged; other infinite
+        values become absent.
         """
         if "time_s" not in columns:
             raise InputError(f"{source}: no time; give a column time_s (UTC, seconds since 1970)")
@@ -208,13 +208,13 @@ class Reports:
             elif name in ("time_s", "line") or not _is_empty(array):
                 own[name] = _typed(name, array)
         about = Damaged() if damaged is None else damaged
-        own, extra, about = _without_the_infinite(source, own, extra, about)
+        own, extra, about = _without_infinite(source, own, extra, about)
         made = cls(source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes))
         return _with_plain_angles(_checked(made))
 
     @property
     def position(self) -> str:
-        """How the source gives positions: "geodetic", "local", "polar", or "bearing" where it knows no distance."""
+        """Kind of the positions: "geodetic", "local", "polar", or "bearing" without a distance."""
         if self.lat_deg is not None and self.lon_deg is not None:
             return "geodetic"
         if self.x_m is not None and self.y_m is not None:
@@ -223,18 +223,18 @@ class Reports:
 
     @property
     def object_ids(self) -> TextArray | None:
-        """(n,) the source's ids of its objects: track_id, MMSI or ICAO address, the first that is there; else None."""
+        """(n,) the source's ids of its objects: the first available of track_id, MMSI and ICAO address; else None."""
         return next((ids for ids in (self.track_id, self.mmsi, self.icao) if ids is not None), None)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns that are there, by name; those of ``extra`` after the others."""
+        """The available columns by name; those of ``extra`` after the others."""
         own = {name: getattr(self, name) for name in _COLUMNS}
         return {name: column for name, column in own.items() if column is not None} | dict(self.extra)
 
     def velocity_m_per_s(self) -> FloatArray | None:
-        """(n, 2) velocity to the east and north (or along x and y); NaN where it is absent, None where it always is.
+        """(n, 2) velocity to the east and north (or along x and y), NaN if absent; None if the source has none.
 
-        A speed of 0 is a velocity, even without a course.
+        A speed of 0 is a velocity even without a course.
         """
         if self.vx_m_per_s is not None and self.vy_m_per_s is not None:
             return np.column_stack([self.vx_m_per_s, self.vy_m_per_s])
@@ -245,17 +245,17 @@ class Reports:
         return np.asarray(self.speed_m_per_s[:, None] * np.column_stack([np.sin(course), np.cos(course)]), np.float64)
 
     def where(self, rows: ArrayLike) -> Reports:
-        """The reports of some rows only: a mask (n,) or row numbers. ``damaged`` stays."""
+        """The reports of the given rows, a mask (n,) or row numbers; ``damaged`` is kept."""
         chosen = np.asarray(rows)
         own = {name: column[chosen] for name in _COLUMNS if (column := getattr(self, name)) is not None}
         return replace(self, **own, extra={name: column[chosen] for name, column in self.extra.items()})
 
     def in_time_order(self) -> Reports:
-        """The same reports, the earliest first; equal times keep the order of the file."""
+        """The reports in order of time; equal times keep the order of the file."""
         return self.where(np.argsort(self.time_s, kind="stable"))
 
     def summary(self) -> list[str]:
-        """Printable lines: the reports, damaged and passed over lines, assumptions."""
+        """Printable lines on the reports, damaged and other lines, and assumptions."""
         lines = [f"{self.source}: {len(self)} report{'s' * (len(self) != 1)} ({self.kind}, {self.position} positions)"]
         lines += self.damaged.sentences()
         lines += [f"{count} skipped: {what}" for what, count in self.passed_over.items()]
@@ -263,7 +263,7 @@ class Reports:
 
 
 def joined(parts: Sequence[Reports]) -> Reports:
-    """The reports of several parts of one source, one after another; a column that a part lacks is absent there.
+    """The reports of several parts of one source, concatenated; columns missing in a part are absent there.
 
     Example
     -------
@@ -293,20 +293,20 @@ def joined(parts: Sequence[Reports]) -> Reports:
 
 
 def _absent(like: NDArray[Any], n: int) -> NDArray[Any]:
-    """n cells without a value, of the kind of a column."""
+    """n absent cells of the type of a column."""
     if like.dtype == object:
         return np.full(n, None, object)
     return np.full((n, *like.shape[1:]), np.nan if like.dtype.kind == "f" else -1, like.dtype)
 
 
 def of_rows(rows: Sequence[Mapping[str, Any]], names: Iterable[str] = ()) -> dict[str, Any]:
-    """Columns for :meth:`Reports.of` from one mapping a report; what a row does not hold is absent.
+    """Columns for :meth:`Reports.of` from one mapping per report; missing keys are absent.
 
-    names : columns to make even where no row holds them.
+    names : columns to make even if no row has them.
     """
-    every = dict.fromkeys([*names, *(name for row in rows for name in row)])
+    all_names = dict.fromkeys([*names, *(name for row in rows for name in row)])
     columns: dict[str, Any] = {}
-    for name in every:
+    for name in all_names:
         cells = [row.get(name) for row in rows]
         if name in _MATRICES:
             columns[name] = np.array([(np.nan,) * 3 if cell is None else cell for cell in cells], float).reshape(-1, 3)
@@ -325,20 +325,20 @@ _PLACES = ("lat_deg", "lon_deg", "x_m", "y_m", "range_m", "bearing_deg")
 _ANGLES = ("bearing_deg", "course_deg", "heading_deg")
 
 
-def _without_the_infinite(
+def _without_infinite(
     source: str, own: dict[str, Any], extra: dict[str, NDArray[Any]], damaged: Damaged
 ) -> tuple[dict[str, Any], dict[str, NDArray[Any]], Damaged]:
-    """The columns without rows at no time, no place or a negative range, these among the damaged; no infinite cells."""
+    """The columns without rows of invalid time, position or range, which become damaged, and without infinite cells."""
     with np.errstate(invalid="ignore"):
         no_time = ~(np.abs(own["time_s"]) <= LAST_S)
         negative = np.zeros(len(no_time), bool) if "range_m" not in own else own["range_m"] < 0.0
-    nowhere = negative.copy()
+    no_position = negative.copy()
     for name, column in own.items():
         infinite = np.isinf(column) if name not in _TEXTS else np.zeros(0, bool)
         if not infinite.any():
             continue
         if name in _PLACES:
-            nowhere |= infinite
+            no_position |= infinite
         elif name != "time_s":
             own[name] = np.where(infinite, np.nan, column)
     extra = {
@@ -346,19 +346,19 @@ def _without_the_infinite(
         for name, column in extra.items()
     }
     reasons = np.where(no_time, "no time", np.where(negative, "a distance below 0", "no position")).astype(object)
-    left_out = np.flatnonzero(no_time | nowhere)
-    if not len(left_out):
+    excluded = np.flatnonzero(no_time | no_position)
+    if not len(excluded):
         return own, extra, damaged
-    if len(left_out) == len(no_time):
+    if len(excluded) == len(no_time):
         if negative.all():
             raise InputError(f"{source}: all ranges are negative; give the distances from the sensor")
         what = "time" if no_time.all() else "position"
         raise InputError(f"{source}: no report has a {what} that is a finite number")
     lines = [
         *zip(damaged.lines, damaged.reasons, strict=True),
-        *zip(own["line"][left_out], reasons[left_out], strict=True),
+        *zip(own["line"][excluded], reasons[excluded], strict=True),
     ]
-    kept = ~(no_time | nowhere)
+    kept = ~(no_time | no_position)
     own, extra = ({name: column[kept] for name, column in columns.items()} for columns in (own, extra))
     return own, extra, Damaged.of(lines, damaged.unit)
 
@@ -372,7 +372,7 @@ def _typed(name: str, array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _all_writable(array: NDArray[Any]) -> NDArray[Any]:
-    """A column of any kind; its texts can be written."""
+    """A column of any type, its texts made valid Unicode (see ``_writable``)."""
     if array.dtype.kind not in "UO" or not any(isinstance(cell, str) and not cell.isascii() for cell in array):
         return array
     cells = [_writable(cell) if isinstance(cell, str) else cell for cell in array]
@@ -380,7 +380,7 @@ def _all_writable(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _writable(text: str) -> str:
-    """A text with U+FFFD for each half of a character: JSON may hold one (\\ud800), which no file of text takes."""
+    """A text with U+FFFD for each lone surrogate: JSON may contain one (\\ud800), but UTF-8 cannot encode it."""
     if text.isascii():
         return text
     return text.encode("utf-16-le", "surrogatepass").decode("utf-16-le", "replace")
@@ -411,7 +411,7 @@ def _checked(reports: Reports) -> Reports:
 
 
 def _with_plain_angles(reports: Reports) -> Reports:
-    """Longitudes within ±180°, directions from 0° to 360°."""
+    """The reports with longitudes within ±180° and directions from 0° to 360°."""
     changed: dict[str, Any] = {}
     for name in _ANGLES:
         if (angle := getattr(reports, name)) is not None:
