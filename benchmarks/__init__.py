@@ -1,1 +1,1 @@
-"""What is measured of `sameas`, beside its peers; README.md says what each script prints. Run by ``scripts/bench``."""
+"""Benchmarks of `sameas` and of other programs; README.md lists what each prints. Run ``scripts/bench NAME``."""

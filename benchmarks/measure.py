@@ -1,4 +1,4 @@
-"""Time and memory of one piece of work, alone in a process of its own (``worker.py``), in any interpreter."""
+"""Time and memory of one task, run alone in its own process (``worker.py``) by any Python interpreter."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ ROOT = Path(__file__).parent.parent
 
 @dataclass(frozen=True)
 class Work:
-    """A function "module:name" of this package whose result, called again and again, is what is timed.
+    """A task: a function "module:name" of this package that returns the callable to time.
 
-    options : its arguments. runs : how often, after one run to warm up. at_most_s : no further run starts after it.
-    threads : SAMEAS_THREADS. python : another interpreter. processor : whether a run's time is what its thread takes of
-    the processor, which other work on the machine hardly changes.
+    options : the function's arguments. runs : timed calls, after one that warms up. at_most_s : no further run starts
+    after this time. threads : SAMEAS_THREADS. python : the interpreter. cpu_time : measure the thread's CPU time,
+    which other work on the machine hardly changes, instead of wall time.
     """
 
     function: str
@@ -29,52 +29,55 @@ class Work:
     at_most_s: float = 240.0
     threads: int | None = None
     python: str = sys.executable
-    processor: bool = False
+    cpu_time: bool = False
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """seconds of each run; peak and resting memory of the process in MB; what the runs returned.
+    """The runs of one task.
 
-    missing : why there is none; absent : because it is not installed.
+    seconds, returned : of each run. peak_mb : memory of the process during the runs. baseline_mb : the same before
+    them. error : why there are no runs. not_installed : whether the reason is a program that is not installed.
     """
 
     seconds: tuple[float, ...] = ()
     peak_mb: float = float("nan")
-    resting_mb: float = float("nan")
+    baseline_mb: float = float("nan")
     returned: tuple[Any, ...] = ()
-    missing: str = ""
-    absent: bool = False
+    error: str = ""
+    not_installed: bool = False
 
     @property
     def median(self) -> float:
-        """Median time, NaN where there is none."""
+        """Median time, NaN without runs."""
         return statistics.median(self.seconds) if self.seconds else float("nan")
 
     def quantile(self, share: float) -> float:
-        """The time that a ``share`` of the runs did not exceed."""
+        """The time that a ``share`` of the runs did not exceed; the median for 0.5; NaN without runs."""
+        if share == 0.5:
+            return self.median
         ordered = sorted(self.seconds)
         return ordered[min(len(ordered) - 1, int(share * len(ordered)))] if ordered else float("nan")
 
 
 def measure(work: Work) -> Measurement:
-    """The work done in a process of its own; a failure is told in ``missing``, not raised."""
-    order = {name: getattr(work, name) for name in ("function", "options", "runs", "at_most_s", "processor")}
+    """Run the task in its own process; a failure is returned in ``error``, not raised."""
+    task = {name: getattr(work, name) for name in ("function", "options", "runs", "at_most_s", "cpu_time")}
     paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths), "PYTHONWARNINGS": "ignore"}
     if work.threads is not None:
         environment["SAMEAS_THREADS"] = str(work.threads)
     done = subprocess.run(
-        [work.python, "-m", "benchmarks.worker"], input=json.dumps(order, default=str), text=True,
+        [work.python, "-m", "benchmarks.worker"], input=json.dumps(task, default=str), text=True,
         capture_output=True, cwd=ROOT, env=environment, check=False,
     )  # fmt: skip
     lines = done.stdout.splitlines()
     if done.returncode or not lines:
-        said = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]
-        return Measurement(missing=said[-1][:200])
+        stderr = done.stderr.strip().splitlines() or [f"ended with {done.returncode}"]
+        return Measurement(error=stderr[-1][:200])
     answer = json.loads(lines[-1])
     children = [r["peak_mb"] for r in answer["returned"] if isinstance(r, dict) and "peak_mb" in r]
     return Measurement(
         tuple(answer["seconds"]), max(children) if children else answer["peak_mb"],
-        0.0 if children else answer["resting_mb"], tuple(answer["returned"]),
+        0.0 if children else answer["baseline_mb"], tuple(answer["returned"]),
     )  # fmt: skip

@@ -249,8 +249,8 @@ def cost_table(counts: Sequence[int], measurements: int) -> Table:
     for frames in counts:
         options = {"frames": frames, "measurements": measurements}
         done = measure(Work("benchmarks.movers:tied_and_searched", options, runs=1))
-        if done.missing:
-            raise SystemExit(f"{frames} frames: {done.missing}")
+        if done.error:
+            raise SystemExit(f"{frames} frames: {done.error}")
         told = done.returned[0]
         cpu = told["tie"] + told["search"]
         rows.append((frames, told["n"], told["left"], told["found"], round(told["tie"], 1), round(told["search"], 1),

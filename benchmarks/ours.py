@@ -1,4 +1,4 @@
-"""What is timed of `sameas`: work for ``worker.py``. The only module here that knows the stages by name."""
+"""The timed calls of `sameas`, as tasks for ``worker.py``. The only module here that calls the stages one by one."""
 
 from __future__ import annotations
 
@@ -18,13 +18,12 @@ from sameas.posterior import METHODS, posterior
 
 STAGES = ("prepare", "gate", "groups", "evidence", "assignment", "posterior", "result")
 
-
-# What is timed is the compiled path, from the first call on.
+# Time the compiled path from the first call.
 compiled.compile_all()
 
 
 def records(arrays: Arrays) -> tuple[Records, Records]:
-    """Plain arrays as records."""
+    """Records of both sources from plain arrays."""
     space = Sphere() if arrays.sphere else Plane()
 
     def source(name: str, features: np.ndarray, errors: np.ndarray) -> Records:
@@ -37,12 +36,12 @@ def records(arrays: Arrays) -> tuple[Records, Records]:
 
 
 def gate_of(sigmas: float | None) -> Radius | ChiSquare:
-    """The gate of so many sigmas; the default one for None."""
+    """A gate of this radius in σ; the default gate for None."""
     return ChiSquare() if sigmas is None else Radius(sigmas)
 
 
-def walk(folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
-    """Arrays in → pairs out, up to "assignment" or "posterior", as ``identify`` does it; seconds of every stage."""
+def stages(folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
+    """From arrays to pairs as in ``identify``, up to "assignment" or "posterior"; returns the seconds of each stage."""
     arrays = Arrays.load(folder)
     rule, prior, gate = arrays.densities.rule(), PerPair(), gate_of(gate_sigmas)
 
@@ -76,8 +75,8 @@ def walk(folder: str, until: str = "posterior", gate_sigmas: float | None = 3.0)
     return work
 
 
-def identified(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], int]:
-    """The whole call of a user: records, ``identify``, the pairs with their probabilities."""
+def whole_call(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], int]:
+    """A user's whole call: records, ``identify``, the pairs with their probabilities."""
     arrays = Arrays.load(folder)
     rule, gate = arrays.densities.rule(), gate_of(gate_sigmas)
 
@@ -89,8 +88,8 @@ def identified(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], int
     return work
 
 
-def verdict(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
-    """Not timed: the certificate of the assignment, the largest group, how the posteriors were computed."""
+def certificate(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], dict[str, Any]]:
+    """Not timed: certificate of the assignment, size of the largest group, shares of the posterior methods."""
     arrays = Arrays.load(folder)
 
     def work() -> dict[str, Any]:
@@ -109,13 +108,13 @@ def verdict(folder: str, gate_sigmas: float | None = 3.0) -> Callable[[], dict[s
 
 
 def full_group(n: int) -> Callable[[], int]:
-    """The exact prior on the number of common objects, every k, in one full group of n × n."""
-    _, grouped, log_ratio, believed = _full_group(n)
-    return lambda: int(assign(grouped, log_ratio, believed).chosen.sum())
+    """The assignment under the exact prior on the number k of common objects, every k, in one full group of n × n."""
+    _, grouped, log_ratio, prior = _full_group(n)
+    return lambda: int(assign(grouped, log_ratio, prior).chosen.sum())
 
 
 def linear_sum_assignment(n: int) -> Callable[[], int]:
-    """SciPy's assignment, once, on the same weights."""
+    """SciPy's assignment on the same weights, for one k."""
     from scipy.optimize import linear_sum_assignment as solve
 
     pairs, _, log_ratio, _ = _full_group(n)
@@ -126,9 +125,9 @@ def linear_sum_assignment(n: int) -> Callable[[], int]:
 
 def _full_group(n: int) -> tuple[Any, Any, np.ndarray, Any]:
     rng = np.random.default_rng(7)
-    place = rng.uniform(0.0, np.sqrt(n), (n, 2))
-    seen = [place + 0.3 * rng.standard_normal((n, 2)) for _ in range(2)]
-    pairs = Radius(1e6)(*(Records.of(x, sigma=0.3, source=f"source {k}") for k, x in enumerate(seen, start=1)))
+    position = rng.uniform(0.0, np.sqrt(n), (n, 2))
+    measured = [position + 0.3 * rng.standard_normal((n, 2)) for _ in range(2)]
+    pairs = Radius(1e6)(*(Records.of(x, sigma=0.3, source=f"source {k}") for k, x in enumerate(measured, start=1)))
     grouped = groups(pairs)
     return (
         pairs,

@@ -1,6 +1,6 @@
-"""What others do with the same arrays: work for ``worker.py``, each in the interpreter where the peer is installed.
+"""The timed calls of other programs on the same arrays, as tasks for ``worker.py`` in the peer's own interpreter.
 
-Nothing but NumPy is imported before a peer is asked for, so that this module runs in any environment
+Only NumPy is imported before a peer is called, so that this module runs in any environment
 (``scripts/bench NAME --peer-python nway=../envs/nway/bin/python``).
 """
 
@@ -24,9 +24,9 @@ ARCSEC = 206264.80624709636
 
 @dataclass(frozen=True)
 class Peer:
-    """name : as printed. package : what is imported, of that distribution; or program : a command.
+    """name : as printed. package, distribution : of a Python package; or program : a command.
 
-    install : what to say when it is missing.
+    install : the command that installs it.
     """
 
     name: str
@@ -36,7 +36,7 @@ class Peer:
     install: str = ""
 
     def version(self, python: str) -> str | None:
-        """Its version in that interpreter, None where it is missing."""
+        """Its version in that interpreter, None if missing."""
         if self.program:
             return "installed" if shutil.which(self.program) else None
         code = f"import {self.package}, importlib.metadata as m; print(m.version('{self.distribution}'))"
@@ -56,42 +56,42 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Interpreters:
-    """Where each peer lives: ours unless said otherwise."""
+    """The interpreter of each peer; the running one unless given."""
 
-    said: dict[str, str]
+    given: dict[str, str]
 
     @classmethod
     def of(cls, options: list[str]) -> Interpreters:
         """From options NAME=/path/to/python."""
-        said = dict(option.partition("=")[::2] for option in options)
-        unknown = sorted(set(said) - set(PEERS))
-        if unknown or not all(said.values()):
+        given = dict(option.partition("=")[::2] for option in options)
+        unknown = sorted(set(given) - set(PEERS))
+        if unknown or not all(given.values()):
             sys.exit(f"--peer-python {unknown}: give NAME=PYTHON, NAME one of {', '.join(PEERS)}")
-        return cls(said)
+        return cls(given)
 
     def python(self, peer: str) -> str:
         """The interpreter of a peer."""
-        return self.said.get(peer, sys.executable)
+        return self.given.get(peer, sys.executable)
 
-    def nway(self, function: str, folder: Path, *told: float) -> NDArray[np.float64] | None:
-        """What a function for NWAY (below) leaves in ``nway.npy`` of a folder, called with it and what it is told.
+    def nway(self, function: str, folder: Path, *parameters: float) -> NDArray[np.float64] | None:
+        """The array that a function for NWAY (below) writes to ``nway.npy`` of a folder.
 
-        None where NWAY is missing, or where it fails; then its last line is printed to stderr, and the others go on.
+        None if NWAY is missing, or if it fails; then the last line of its stderr is printed.
         """
         python = self.python("nway")
         if PEERS["nway"].version(python) is None:
             return None
-        code = f"from benchmarks import peers; peers.{function}{(str(folder), *told)!r}"
+        code = f"from benchmarks import peers; peers.{function}{(str(folder), *parameters)!r}"
         command, home = [python, "-W", "ignore", "-c", code], Path(__file__).parents[1]
         done = subprocess.run(command, capture_output=True, text=True, cwd=home, check=False)
         if done.returncode:
-            said = (done.stderr.strip() or "it said nothing").splitlines()[-1]
-            print(f"NWAY failed: {said} (it is installed by {PEERS['nway'].install})", file=sys.stderr)
+            reason = (done.stderr.strip() or "no message").splitlines()[-1]
+            print(f"NWAY failed: {reason} (it is installed by {PEERS['nway'].install})", file=sys.stderr)
             return None
         return np.asarray(np.load(folder / "nway.npy"))
 
     def versions(self) -> dict[str, str | None]:
-        """The version of every peer, None where it is missing."""
+        """The version of every peer, None if missing."""
         return {name: peer.version(self.python(name)) for name, peer in PEERS.items()}
 
 
@@ -99,7 +99,7 @@ class Interpreters:
 
 
 def astropy(folder: str) -> Callable[[], int]:
-    """The nearest of the second source to every record of the first, whatever the errors."""
+    """The nearest record of the second source to every record of the first, regardless of the errors."""
     import astropy.units as u
     from astropy.coordinates import SkyCoord, match_coordinates_sky
 
@@ -114,7 +114,7 @@ def astropy(folder: str) -> Callable[[], int]:
 
 
 def scipy(folder: str) -> Callable[[], int]:
-    """The nearest of the second source to every record of the first, by a k-d tree and two threads."""
+    """The nearest record of the second source to every record of the first, by a k-d tree and two threads."""
     from scipy.spatial import cKDTree
 
     arrays = Arrays.load(folder)
@@ -128,7 +128,7 @@ def scipy(folder: str) -> Callable[[], int]:
 
 
 def lsdb(folder: str) -> Callable[[], int]:
-    """Nearest neighbour within 3 times the typical error, catalogues made of data frames beforehand."""
+    """Nearest neighbour within 3 times the RMS error; making the catalogues from data frames is not timed."""
     import lsdb as package
     import pandas as pd
 
@@ -157,7 +157,7 @@ def stilts(folder: str) -> Process:
 
 
 def stilts_tables(arrays: Arrays) -> tuple[Path, Path]:
-    """FITS tables of row, ra, dec, err."""
+    """Write both sources as FITS tables with columns row, ra, dec, err."""
     from astropy.table import Table
 
     paths = []
@@ -170,7 +170,7 @@ def stilts_tables(arrays: Arrays) -> tuple[Path, Path]:
 
 
 def stilts_command(first: Path, second: Path, out: Path, sigmas: float) -> list[str]:
-    """The command that joins two such tables by their errors."""
+    """The command that joins two such tables within ``sigmas`` times their errors."""
     values = f"ra dec {sigmas:g}*err"
     return [
         "stilts", "tmatch2", f"in1={first}", f"in2={second}", "matcher=skyerr", "params=1", f"values1={values}",
@@ -189,7 +189,7 @@ def stilts_pairs(arrays: Arrays, sigmas: float = 3.0) -> tuple[np.ndarray, np.nd
 
 
 def nway(folder: str) -> Callable[[], int]:
-    """NWAY by its Python interface: the probability of every association within 3 times the largest errors."""
+    """NWAY's Python interface: the probability of every association within 3 times the largest errors."""
     import nwaylib
     from nwaylib.logger import NullOutputLogger
 
@@ -212,7 +212,7 @@ def nway(folder: str) -> Callable[[], int]:
 
 
 def nway_pairs(folder: str, area_deg2: float, completeness: float) -> None:
-    """Leave the rows of NWAY's most probable associations, of sources that have one with p > ½, in ``nway.npy``."""
+    """Write to ``nway.npy`` the rows of NWAY's most probable associations, of sources with p_any > ½."""
     import nwaylib
     from nwaylib.logger import NullOutputLogger
 
@@ -230,8 +230,10 @@ def nway_pairs(folder: str, area_deg2: float, completeness: float) -> None:
 
 
 def nway_counterparts(folder: str, area_deg2: float, completeness: float) -> None:
-    """Leave every source's most probable counterpart by NWAY with ``--mag OPT:MAG auto`` in ``nway.npy``: rows of both
-    sources, p_any and p_i. The magnitudes of the second source are in ``magnitude.npy``."""
+    """Write to ``nway.npy`` every source's most probable counterpart by NWAY with ``--mag OPT:MAG auto``.
+
+    Rows of both sources, p_any and p_i. The magnitudes of the second source are read from ``magnitude.npy``.
+    """
     import nwaylib
     from nwaylib.logger import NullOutputLogger
 
@@ -256,7 +258,7 @@ def nway_counterparts(folder: str, area_deg2: float, completeness: float) -> Non
 
 
 def stonesoup(folder: str) -> Callable[[], int]:
-    """Stone Soup: tracks of one source, detections of the other, its global nearest neighbour by 2-D assignment."""
+    """Stone Soup's global nearest neighbour by 2-D assignment: tracks of one source, detections of the other."""
     from datetime import datetime
 
     from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
@@ -274,9 +276,9 @@ def stonesoup(folder: str) -> Callable[[], int]:
     (first, second), (s1, s2) = arrays.features, arrays.sigmas()
     d, now = first.shape[1], datetime(2026, 1, 1)
     model = LinearGaussian(d, list(range(d)), np.eye(d) * s2[0] ** 2)
-    still = CombinedLinearGaussianTransitionModel([RandomWalk(1e-9)] * d)
+    stationary = CombinedLinearGaussianTransitionModel([RandomWalk(1e-9)] * d)
     hypothesiser = DistanceHypothesiser(
-        KalmanPredictor(still), KalmanUpdater(model), Mahalanobis(), missed_distance=3.0
+        KalmanPredictor(stationary), KalmanUpdater(model), Mahalanobis(), missed_distance=3.0
     )
     associator = GNNWith2DAssignment(hypothesiser)
 

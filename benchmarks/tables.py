@@ -16,7 +16,7 @@ OUTPUT = Path(__file__).parent / "output"
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of cells under column names; a cell is a text or a number as it was measured. notes stand below."""
+    """Rows of cells under column names; a cell is text or an unrounded number. notes : printed below the table."""
 
     title: str
     columns: Sequence[str]
@@ -24,7 +24,7 @@ class Table:
     notes: Sequence[str] = ()
 
     def text(self) -> str:
-        """Aligned columns; those that hold a number are aligned to the right."""
+        """Aligned columns; those with a number are aligned to the right."""
         cells = self._cells()
         widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
         right = [any(isinstance(row[k], int | float) for row in self.rows) for k in range(len(self.columns))]
@@ -36,20 +36,20 @@ class Table:
         return "\n".join([self.title, *(f"  {line.rstrip()}" for line in lines), *self._notes("  ")])
 
     def markdown(self) -> str:
-        """The same for a document."""
+        """The same as Markdown."""
         head, *body = ["| " + " | ".join(c.replace("|", "\\|") for c in row) + " |" for row in self._cells()]
         ruler = "|" + "---|" * len(self.columns)
         return "\n".join([f"### {self.title}", "", head, ruler, *body, "", *self._notes("")])
 
     def _cells(self) -> list[list[str]]:
-        return [list(self.columns), *([shown(cell) for cell in row] for row in self.rows)]
+        return [list(self.columns), *([formatted(cell) for cell in row] for row in self.rows)]
 
     def _notes(self, indent: str) -> list[str]:
         return [f"{indent}{note}" for note in self.notes]
 
 
-def shown(cell: Any) -> str:
-    """Three or four digits of a number, nothing for None."""
+def formatted(cell: Any) -> str:
+    """Two to four digits of a number; empty for None."""
     if cell is None:
         return ""
     if isinstance(cell, bool) or not isinstance(cell, int | float):
@@ -65,7 +65,7 @@ def shown(cell: Any) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in the unit in which it reads well."""
+    """A time in s, ms or µs with three digits."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.3g} {unit}"
@@ -73,7 +73,7 @@ def duration(seconds: float) -> str:
 
 
 def report(name: str, tables: Iterable[Table]) -> None:
-    """Print every table as it comes, and keep all as NAME.md and NAME.json."""
+    """Print every table when it is finished, and write all to NAME.md and NAME.json."""
     OUTPUT.mkdir(exist_ok=True)
     about = machine.described()
     print("\n".join(about), end="\n\n", flush=True)
@@ -83,7 +83,6 @@ def report(name: str, tables: Iterable[Table]) -> None:
         print(table.text(), end="\n\n", flush=True)
         pages = [f"# {name}", *(f"- {line}" for line in about), *(t.markdown() for t in done)]
         (OUTPUT / f"{name}.md").write_text("\n\n".join(pages) + "\n")
-        kept = [vars(t) for t in done]
-        content = {"machine": about, "tables": kept}
+        content = {"machine": about, "tables": [vars(t) for t in done]}
         (OUTPUT / f"{name}.json").write_text(json.dumps(content, indent=1, ensure_ascii=False, default=float))
-    print(f"kept in {OUTPUT / name}.md and .json")
+    print(f"written to {OUTPUT / name}.md and .json")

@@ -1,4 +1,4 @@
-"""A row of the speed table: our work, a peer's beside it, what was asked for, and how it is printed."""
+"""Rows of the speed tables: the work of `sameas`, that of its peers, and the targets."""
 
 from __future__ import annotations
 
@@ -15,79 +15,75 @@ COLUMNS = (
     "min to max",
     "runs",
     "peak MB",
-    "above rest",
+    "above baseline",
     "× sameas",
-    "asked",
-    "holds",
+    "target",
+    "met",
 )
 
 
-#: A peer: its name, and its work or how to install it.
-Beside = tuple[str, Work | str]
+#: A peer's name, and its work or how to install it.
+PeerWork = tuple[str, Work | str]
 
 
 @dataclass(frozen=True)
 class Row:
-    """what : what is done. ours : our work. beside : the peers. at_most_s : what the plan asks, or None.
+    """A task of `sameas`, compared with its peers.
 
-    at_least : how many times faster than the first peer it must be, or None. share : the quantile that is judged
-    (0.5 the median, 0.99 for p99).
+    what : label. ours : the work. peers : those of other programs. limit_s : target in seconds. min_speedup : targeted
+    ratio of the first peer's median to our time. quantile : of the run times that is compared with the targets.
     """
 
     what: str
     ours: Work
-    beside: tuple[Beside, ...] = ()
-    at_most_s: float | None = None
-    at_least: float | None = None
-    share: float = 0.5
+    peers: tuple[PeerWork, ...] = ()
+    limit_s: float | None = None
+    min_speedup: float | None = None
+    quantile: float = 0.5
 
 
 def timetable(title: str, rows: Iterable[Row], notes: tuple[str, ...] = ()) -> Table:
-    """Every row measured, ours first, peers below it; what failed says why in a note."""
+    """Measure every row: `sameas` first, its peers below. A note gives the reason of each failure."""
     lines: list[list[object]] = []
     failures: list[str] = []
     for row in rows:
-        measured = [("sameas", measure(row.ours)), *((name, _measured(work)) for name, work in row.beside)]
+        measured = [("sameas", measure(row.ours)), *((name, _measured(work)) for name, work in row.peers)]
         ours = measured[0][1]
         for k, (name, one) in enumerate(measured):
-            judged = _verdict(row, measured) if k == 0 else ["", ""]
+            targets = _targets(row, measured) if k == 0 else ["", ""]
             what = row.what if k == 0 else ""
-            lines.append([what, name, *_cells(one, row.share, _judged(ours, row.share)), *judged])
-            if one.missing and not one.absent:
-                failures.append(f"{row.what}: {name} failed: {one.missing}")
+            lines.append([what, name, *_cells(one, row.quantile, ours.quantile(row.quantile)), *targets])
+            if one.error and not one.not_installed:
+                failures.append(f"{row.what}: {name} failed: {one.error}")
     return Table(title, COLUMNS, lines, (*notes, *failures))
 
 
 def _measured(work: Work | str) -> Measurement:
-    return Measurement(missing=work, absent=True) if isinstance(work, str) else measure(work)
+    return Measurement(error=work, not_installed=True) if isinstance(work, str) else measure(work)
 
 
-def _verdict(row: Row, measured: list[tuple[str, Measurement]]) -> list[object]:
-    """What is asked for, and whether it holds."""
-    time = _judged(measured[0][1], row.share)
-    asked, holds = [], []
-    if row.at_most_s is not None:
-        asked.append(f"≤ {duration(row.at_most_s)}")
-        holds.append(time <= row.at_most_s)
-    if row.at_least is not None and len(measured) > 1 and measured[1][1].seconds:
+def _targets(row: Row, measured: list[tuple[str, Measurement]]) -> list[object]:
+    """The targets in words, and whether all are met."""
+    time = measured[0][1].quantile(row.quantile)
+    targets, met = [], []
+    if row.limit_s is not None:
+        targets.append(f"≤ {duration(row.limit_s)}")
+        met.append(time <= row.limit_s)
+    if row.min_speedup is not None and len(measured) > 1 and measured[1][1].seconds:
         name, peer = measured[1]
-        asked.append(f"≥ {row.at_least:.3g}× {name.split()[0]}")
-        holds.append(peer.median >= row.at_least * time)
-    return [", ".join(asked), "" if not holds else "yes" if all(holds) else "NO"]
+        targets.append(f"≥ {row.min_speedup:.3g}× {name.split()[0]}")
+        met.append(peer.median >= row.min_speedup * time)
+    return [", ".join(targets), "" if not met else "yes" if all(met) else "NO"]
 
 
-def _judged(one: Measurement, share: float) -> float:
-    return one.median if share == 0.5 else one.quantile(share)
-
-
-def _cells(one: Measurement, share: float, ours: float) -> list[object]:
+def _cells(one: Measurement, quantile: float, ours: float) -> list[object]:
     if not one.seconds:
-        words = ["missing", one.missing] if one.absent else ["failed", ""]
-        return [*words, 0, None, None, None]
-    word = "" if share == 0.5 else f"p50 {duration(one.median)}, p{100 * share:.0f} "
-    time = _judged(one, share)
+        cells = ["missing", one.error] if one.not_installed else ["failed", ""]
+        return [*cells, 0, None, None, None]
+    prefix = "" if quantile == 0.5 else f"p50 {duration(one.median)}, p{100 * quantile:.0f} "
+    time = one.quantile(quantile)
     spread = f"{duration(min(one.seconds))} to {duration(max(one.seconds))}"
     return [
-        word + duration(time), spread, len(one.seconds), round(one.peak_mb),
-        round(one.peak_mb - one.resting_mb), round(time / ours, 2) if ours > 0 else None,
+        prefix + duration(time), spread, len(one.seconds), round(one.peak_mb),
+        round(one.peak_mb - one.baseline_mb), round(time / ours, 2) if ours > 0 else None,
     ]  # fmt: skip

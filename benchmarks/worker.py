@@ -1,7 +1,6 @@
-"""One piece of work in a process of its own: reads the order from standard input, writes one line of JSON.
+"""Runs one task: reads it as JSON from standard input, times it, and writes one line of JSON.
 
-Only the standard library is imported here, so that a process started from here does not look large: Linux counts the
-parent's memory in a child's ``ru_maxrss``.
+Only the standard library is imported here, because Linux counts the parent's memory in a child's ``ru_maxrss``.
 """
 
 from __future__ import annotations
@@ -16,26 +15,26 @@ from pathlib import Path
 
 
 def main() -> None:
-    """Warm up, then time every run; the memory is that of the timed runs."""
-    order = json.load(sys.stdin)
-    module, name = order["function"].split(":")
-    work = getattr(importlib.import_module(module), name)(**order["options"])
+    """Warm up, then time every run; the peak memory is that of the timed runs only."""
+    task = json.load(sys.stdin)
+    module, name = task["function"].split(":")
+    work = getattr(importlib.import_module(module), name)(**task["options"])
     begin = time.monotonic()
     if getattr(work, "warm", True):
         work()
     gc.collect()
     with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")  # the peak starts anew
-    resting = _status_mb("VmRSS")
-    clock = time.thread_time if order["processor"] else time.perf_counter
+        Path("/proc/self/clear_refs").write_text("5")  # resets the peak
+    baseline = _status_mb("VmRSS")
+    clock = time.thread_time if task["cpu_time"] else time.perf_counter
     seconds: list[float] = []
     returned: list[object] = []
-    while len(seconds) < order["runs"] and (not seconds or time.monotonic() - begin < order["at_most_s"]):
+    while len(seconds) < task["runs"] and (not seconds or time.monotonic() - begin < task["at_most_s"]):
         start = clock()
         value = work()
         seconds.append(clock() - start)
         returned.append(value)
-    answer = {"seconds": seconds, "peak_mb": _status_mb("VmHWM"), "resting_mb": resting, "returned": returned}
+    answer = {"seconds": seconds, "peak_mb": _status_mb("VmHWM"), "baseline_mb": baseline, "returned": returned}
     print(json.dumps(answer, default=float))
 
 

@@ -1,7 +1,7 @@
-"""What the benchmarks work on: scenes with known truth, and their arrays in a folder that any interpreter can read.
+"""Simulated scenes with known truth, and their arrays in a folder that any interpreter can read.
 
-The workload of the speed tables: σ from 0.05″ to 0.5″ log-uniform per record, of the objects 80 % in both sources
-and 10 % in each alone, λ = mean number of chance candidates of a record at 3σ.
+The workload of the speed tables: σ from 0.05″ to 0.5″, log-uniform per record; 80 % of the objects in both sources,
+10 % in each alone; λ = mean number of chance candidates of a record within 3σ.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ LAMBDAS = (0.05, 0.5, 2.0, 8.0)
 
 @dataclass(frozen=True)
 class Densities:
-    """True densities of common objects and of records that one source alone shows, 1 / (residual unit)^d."""
+    """True densities of common objects and of records in one source only, 1 / (residual unit)^d."""
 
     common: float
     only_1: float
     only_2: float
 
     def rule(self) -> Any:
-        """The rule that knows them."""
+        """The rule with these densities."""
         from sameas import PoissonField
 
         return PoissonField(self.common, self.only_1, self.only_2)
@@ -53,7 +53,7 @@ def crowded(seed: int, n: int, lam: float, elliptical: bool = False) -> tuple[An
 
 
 def frame(seed: int, n_1: int = 2000, n_2: int = 5000, lam: float = 0.5) -> tuple[Any, Densities]:
-    """One frame of n₁ detections, of which 90 % are among the n₂ stars of a catalogue."""
+    """One frame of n₁ detections, 90 % of them among the n₂ stars of a catalogue."""
     from sameas.simulate.scenes import Cap, chance_area_steradians, sky_field
     from sameas.space import ARCSEC_PER_RADIAN
 
@@ -69,10 +69,10 @@ def frame(seed: int, n_1: int = 2000, n_2: int = 5000, lam: float = 0.5) -> tupl
 
 
 def targets(seed: int, n: int, d: int, lam: float = 0.5) -> tuple[Any, Densities]:
-    """Two pictures of about n targets in d features, σ 1 each, a tenth missed by either source."""
+    """Two sources of about n targets in d features, σ = 1, each missing a tenth."""
     from sameas.simulate.scenes import poisson_field
 
-    # A ball of 3 σ of the residual holds λ records of the other source.
+    # λ records of the other source within 3σ of the residual.
     ball = math.pi ** (d / 2) / math.gamma(d / 2 + 1) * (3.0 * math.sqrt(2.0)) ** d
     q = 0.1
     density = lam / ball / (1 - q)
@@ -90,7 +90,7 @@ def targets(seed: int, n: int, d: int, lam: float = 0.5) -> tuple[Any, Densities
 
 
 def widened(seed: int, scene: Any, share: float = 1e-3, factor: float = 40.0) -> Any:
-    """The scene with ``factor`` times the errors in a ``share`` of the records of either source, which err so."""
+    """The scene with errors ``factor`` times as large, quoted and real, in a ``share`` of either source's records."""
     from dataclasses import replace
 
     from sameas import Records
@@ -109,7 +109,7 @@ def widened(seed: int, scene: Any, share: float = 1e-3, factor: float = 40.0) ->
     return replace(scene, first=sources[0], second=sources[1])
 
 
-# ---- arrays in a folder, as a user would have them ----
+# ---- arrays in a folder ----
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Arrays:
         return cls(folder, features, errors, about["sphere"], Densities(**about["densities"]))
 
     def sigmas(self) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) one σ per record, the mean of the axes where it has more."""
+        """(n,) one σ per record: the root mean variance of its axes."""
         one, two = (e if e.ndim == 1 else np.sqrt(np.trace(e, axis1=1, axis2=2) / e.shape[-1]) for e in self.errors)
         return one, two
 
@@ -149,7 +149,7 @@ class Arrays:
 
 
 def save(folder: Path, scene: Any, densities: Densities) -> Path:
-    """Both sources' arrays in ``folder``."""
+    """Write the arrays of both sources to ``folder``."""
     from sameas import Sphere
 
     folder.mkdir(parents=True, exist_ok=True)
