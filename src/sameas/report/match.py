@@ -1,7 +1,7 @@
-"""Reports: what was understood, estimated and found, as lines of plain text for people and their logs.
+"""Reports of a match as lines of plain text: the columns used, the estimates, and the results.
 
-:func:`report` gives everything of a :class:`~sameas.sky.crossmatch.SkyMatch`, the other functions its parts. A
-heading starts at the margin, what belongs to it is indented, a doubt starts with :data:`sameas.report.prose.DOUBT`.
+:func:`report` gives the whole report of a :class:`~sameas.sky.crossmatch.SkyMatch`, the other functions its parts.
+Headings start at the margin, their entries are indented, doubts start with :data:`sameas.report.prose.DOUBT`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.crossmatch import SkyMatch, area_and_densities
 
 ORDINALS = ("First", "Second", "Third", "Fourth", "Fifth", "Sixth", "Seventh", "Eighth")
-#: A radius within which nearest neighbours are often believed.
+#: A radius within which nearest neighbours are often accepted.
 USUAL_RADIUS_ARCSEC = 5.0
 
 
@@ -51,9 +51,9 @@ def report(match: SkyMatch) -> str:
 
 
 def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Callable[[str], str] = str) -> list[str]:
-    """What was understood of catalogue 1, 2, …, and what looks wrong with it.
+    """How the columns of catalogue 1, 2, … are interpreted, and doubts about it.
 
-    path : of its file. words : how a message that names arguments is put.
+    path : of its file. words : converts messages that name arguments, for example to command-line options.
     """
     where = f" ({path})" if path else ""
     lines = [f"{ORDINALS[side - 1]} catalogue: {catalogue.name}, {counted(len(catalogue), 'row')}{where}"]
@@ -62,7 +62,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
     for k, (label, colon, text) in enumerate(lines_read):
         if not colon or len(label) > LABEL:
             lines += entry("note", label + colon + text)
-        elif last[label] == k:  # a later line on the same thing corrects the earlier one
+        elif last[label] == k:  # a later line with the same label replaces the earlier one
             lines += entry(label, text)
     for note in catalogue.table.meta.get("sameas_notes", ()):  # notes of the reader
         lines += entry("file", note)
@@ -70,12 +70,12 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
 
 
 def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str] = ()) -> list[str]:
-    """The common epoch, and where both catalogues look."""
+    """The common epoch, and the common area of both catalogues."""
     return ["Both catalogues", *entry("epoch", moved), *_area(coverage), *_doubt_lines(doubts)]
 
 
 def estimate_lines(match: SkyMatch, words: Callable[[str], str] = str) -> list[str]:
-    """What was estimated of the two catalogues together. words : how a message that names arguments is put."""
+    """The estimates from both catalogues. words : as for :func:`catalogue_lines`."""
     return [
         "Estimated",
         *entry("epoch", match.moved),
@@ -89,7 +89,7 @@ def estimate_lines(match: SkyMatch, words: Callable[[str], str] = str) -> list[s
 
 
 def summary_lines(match: SkyMatch) -> list[str]:
-    """What was found: rows, groups, pairs, residuals before and after motion, shares by magnitude."""
+    """The results: rows, groups, pairs, residuals before and after motion, identified shares by magnitude."""
     return [
         *_rows(match),
         *_pairs(match),
@@ -100,7 +100,7 @@ def summary_lines(match: SkyMatch) -> list[str]:
 
 
 def blends_lines(blended: Table, resolution_arcsec: float) -> list[str]:
-    """How many records of the first catalogue are two objects of the second; ``blended`` as of ``Match.blends``."""
+    """The number of records of the first catalogue that are two objects of the second; blended : ``Match.blends``."""
     two = int(np.count_nonzero(~np.ma.getmaskarray(blended["row_2b"])))
     return entry(
         "blends", f"at {resolution_arcsec:g} arcsec {count(two)} of {count(len(blended))} records are two objects; "
@@ -109,18 +109,18 @@ def blends_lines(blended: Table, resolution_arcsec: float) -> list[str]:
 
 
 def nearest_lines(match: SkyMatch) -> list[str]:
-    """The nearest neighbour's numbers, without and with motion, beside ours."""
+    """Comparison with the nearest neighbours, without and with motion."""
     result = match.result
-    ours = np.full(result.first.n_table, -1)
-    ours[result.matches.rows_1] = result.matches.rows_2
-    known = ours >= 0
+    partner = np.full(result.first.n_table, -1)
+    partner[result.matches.rows_1] = result.matches.rows_2
+    identified = partner >= 0
     numbers = []
     for moved in (False, True):
         near = match.nearest(moved)
         within = near.separation_arcsec <= USUAL_RADIUS_ARCSEC
         claims = np.bincount(near.rows[within], minlength=len(match.second))
-        found = claims > 1, known & (near.rows != ours), known & ~within, ~known & within
-        numbers.append([count(np.count_nonzero(which)) for which in found])
+        cases = claims > 1, identified & (near.rows != partner), identified & ~within, ~identified & within
+        numbers.append([count(np.count_nonzero(case)) for case in cases])
     twice = np.bincount(result.matches.rows_2, minlength=len(match.second)) > 1
     radius = f"{USUAL_RADIUS_ARCSEC:g} arcsec"
     labels = (
@@ -131,15 +131,15 @@ def nearest_lines(match: SkyMatch) -> list[str]:
     )
     wide = max(map(len, labels))
     lines = [f"{'Nearest neighbour':{wide + 2}}{'without motion':>17}{'with motion':>14}{'sameas':>9}"]
-    for label, still, moving, our in zip(
+    for label, without_motion, with_motion, by_sameas in zip(
         labels, *numbers, (count(np.count_nonzero(twice)), "–", "–", "–"), strict=True
     ):
-        lines.append(f"  {label:{wide}}{still:>17}{moving:>14}{our:>9}")
+        lines.append(f"  {label:{wide}}{without_motion:>17}{with_motion:>14}{by_sameas:>9}")
     return lines
 
 
 def _doubt_lines(doubts: Sequence[str], words: Callable[[str], str] = str) -> list[str]:
-    """One line each, however long: a doubt may be printed alone."""
+    """One unwrapped line per doubt, since a doubt may be printed alone."""
     return [DOUBT + words(doubt) for doubt in doubts]
 
 
@@ -156,7 +156,7 @@ def _area(coverage: Coverage) -> list[str]:
 
 
 def _rows(match: SkyMatch) -> list[str]:
-    """The table of fate of the rows of both catalogues."""
+    """The table of the numbers of rows of both catalogues, by outcome."""
     result = match.result
     reasons = sorted({reason for records in (result.first, result.second) for reason in records.set_aside.counts()})
     lines: list[tuple[str, list[str]]] = [("rows", [count(len(match.first)), count(len(match.second))])]
@@ -169,8 +169,8 @@ def _rows(match: SkyMatch) -> list[str]:
     )
     covered_1, covered_2 = match.estimate.coverage.covered
     per_side = [
-        _fates(result.first, covered_1, result.pairs.i, result.chosen, claims[0], reasons),
-        _fates(result.second, covered_2, result.pairs.j, result.chosen, claims[1], reasons),
+        _row_counts(result.first, covered_1, result.pairs.i, result.chosen, claims[0], reasons),
+        _row_counts(result.second, covered_2, result.pairs.j, result.chosen, claims[1], reasons),
     ]
     lines += [(label, [side[label] for side in per_side]) for label in per_side[0]]
     wide = [max(len(name) + 3, 14) for name in (match.first.name, match.second.name)]
@@ -183,35 +183,38 @@ def _rows(match: SkyMatch) -> list[str]:
     ]
 
 
-def _fates(
+def _row_counts(
     records: Records,
     covered: BoolArray,
-    at: NDArray[np.int32],
+    record: NDArray[np.int32],
     chosen: BoolArray,
     claims: int,
     reasons: Sequence[str],
 ) -> dict[str, str]:
-    """What became of the rows of one catalogue, in words and numbers. covered : (n,) records that the other covers.
-    at, chosen : (m,) its record in each candidate, and whether that is an identified pair."""
-    alone = np.ones(len(records), np.bool_)
-    alone[at[chosen]] = False
-    apart = int(np.count_nonzero(~covered & alone))
-    identified = len(records) - int(np.count_nonzero(alone))
-    aside = records.set_aside.counts()
+    """The numbers of rows of one catalogue, by outcome.
+
+    covered : (n,) records that the other catalogue covers. record, chosen : (m,) the record in each candidate pair, and
+    whether the pair is identified. claims : of ``_claims``. reasons : for excluded rows, of both catalogues.
+    """
+    unidentified = np.ones(len(records), np.bool_)
+    unidentified[record[chosen]] = False
+    not_covered = int(np.count_nonzero(~covered & unidentified))
+    identified = len(records) - int(np.count_nonzero(unidentified))
+    set_aside = records.set_aside.counts()
     return {
-        **{f"set aside: {reason}": count(aside.get(reason, 0)) for reason in reasons},
+        **{f"set aside: {reason}": count(set_aside.get(reason, 0)) for reason in reasons},
         "used": count(len(records)),
-        "not covered": count(apart),
-        "without a partner": count(len(records) - identified - apart),
+        "not covered": count(not_covered),
+        "without a partner": count(len(records) - identified - not_covered),
         "identified": count(identified),
-        "  of those covered": percent(identified / max(len(records) - apart, 1)),
-        "several candidates": count(np.count_nonzero(np.bincount(at) > 1)),
+        "  of those covered": percent(identified / max(len(records) - not_covered, 1)),
+        "several candidates": count(np.count_nonzero(np.bincount(record) > 1)),
         "claimed by several": count(claims),
     }
 
 
 def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], log_odds: FloatArray) -> int:
-    """How many records are the likeliest candidate, each alone, of several records of the other side."""
+    """The number of records that are the most probable candidate of several records of the other side."""
     from sameas.kernels.summary import greatest_pair
 
     best = greatest_pair(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
@@ -226,8 +229,7 @@ def _pairs(match: SkyMatch) -> list[str]:
     groups = count(len(result.groups)) + (f": {sizes}; the largest has {counted(largest, 'record')}" if sizes else "")
     k = len(result.matches)
     ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
-    ways = [(n, words) for words, n in result.posterior.counts().items() if n]
-    methods = ", ".join(f"{counted(n, 'group')} by {words}" for n, words in ways)
+    methods = ", ".join(f"{counted(n, 'group')} by {words}" for words, n in result.posterior.counts().items() if n)
     wrong, missed = result.expected_wrong, result.expected_missed
     return [
         *entry("groups", groups),
@@ -242,15 +244,15 @@ def _pairs(match: SkyMatch) -> list[str]:
 
 
 def _residuals(match: SkyMatch) -> list[str]:
-    """Residuals at the catalogues' own epochs and at the common one."""
+    """Residuals of the identified pairs, at the catalogues' own epochs and at the common one."""
     if not len(match.result.matches):
         return ["Residuals: no pair was identified"]
     after = match.result.matches.residual
-    due = math.sqrt(quantile(0.5, match.result.pairs.d))
+    expected = math.sqrt(quantile(0.5, match.result.pairs.d))
     rows = [("at the common epoch", after, match.result.matches.mahalanobis)]
     if match.epoch_jyr is not None:
         before = match.still_offsets
-        rows.insert(0, ("at their own epochs", before, _still_distance(match, before)))
+        rows.insert(0, ("at their own epochs", before, _mahalanobis_before_motion(match, before)))
     mean_and_rms = f"{'mean':>9}{'rms':>10}"
     lines = [
         f"{'Residuals, arcsec':{2 + LABEL}}{'east':>19}{'north':>19}{'distance':>12}{'in quoted σ':>14}",
@@ -259,13 +261,13 @@ def _residuals(match: SkyMatch) -> list[str]:
     for label, offset, distance in rows:
         mean, rms = offset.mean(axis=0), np.sqrt(np.mean(offset**2, axis=0))
         cells = f"{mean[0]:+9.4f}{rms[0]:10.4f}{mean[1]:+9.4f}{rms[1]:10.4f}"
-        middle = f"{np.median(np.hypot(*offset.T)):12.4f}{np.nanmedian(distance):14.2f}"
-        lines.append(f"  {label:{LABEL}}{cells}{middle}")
-    return [*lines, f"  {'due if errors are true':{LABEL}}{'':50}{due:14.2f}"]
+        medians = f"{np.median(np.hypot(*offset.T)):12.4f}{np.nanmedian(distance):14.2f}"
+        lines.append(f"  {label:{LABEL}}{cells}{medians}")
+    return [*lines, f"  {'due if errors are true':{LABEL}}{'':50}{expected:14.2f}"]
 
 
-def _still_distance(match: SkyMatch, offset: FloatArray) -> FloatArray:
-    """(k,) distance of the identified pairs where they were observed, over the errors quoted there."""
+def _mahalanobis_before_motion(match: SkyMatch, offset: FloatArray) -> FloatArray:
+    """(k,) distances of the identified pairs at their own epochs, in quoted σ at those epochs."""
     i, j = match.result.matches.rows_1, match.result.matches.rows_2
     covariance = 1e-6 * (match.first.astrometry[i].position_covariance + match.second.astrometry[j].position_covariance)
     xx, yy, xy = covariance[:, 0, 0], covariance[:, 1, 1], covariance[:, 0, 1]
@@ -274,7 +276,7 @@ def _still_distance(match: SkyMatch, offset: FloatArray) -> FloatArray:
 
 
 def _magnitudes(match: SkyMatch) -> list[str]:
-    """The identified share of the covered rows per bin of magnitude, for each catalogue that has one."""
+    """The identified share of the covered rows per magnitude bin, for each catalogue with magnitudes."""
     result = match.result
     lines: list[str] = []
     for catalogue, records, covered, found in (
@@ -291,7 +293,7 @@ def _magnitudes(match: SkyMatch) -> list[str]:
 
 
 def _bins(title: str, magnitude: FloatArray, identified: BoolArray) -> list[str]:
-    """Three lines: bins, rows, percent; at most ten bins, sparse ends taken together."""
+    """Three lines of bins, rows and percentages; at most ten bins, with sparse ends merged."""
     known = np.isfinite(magnitude)
     if not known.any():
         return []
@@ -314,11 +316,11 @@ def _bins(title: str, magnitude: FloatArray, identified: BoolArray) -> list[str]
     ]
 
 
-# Lines on two sources of records identified, which have no columns, magnitudes or epochs.
+# Of two identified sources of records, without columns, magnitudes or epochs.
 
 
 def records_lines(found: Identification, estimate: Estimate) -> list[str]:
-    """What was estimated of both sources and found."""
+    """The estimates from both sources, and the results."""
     one, two = found.first.source, found.second.source
     shares = [f"{percent(share)} of {name}" for share, name in ((estimate.share_1, one), (estimate.share_2, two))]
     scale = estimate.quantities.get("error_scale")
