@@ -173,20 +173,19 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
 
     series : name of the series of a folder; None for frames that were given one by one.
     """
-    from sameas.cli.frames import Outcome, run_all
+    from sameas.cli.frames import Outcome, identified, print_outcome, run_all
     from sameas.cli.terminal import Printer, notice, share_compilation
-    from sameas.report.frame import frame_lines, one_line, totals
+    from sameas.report.frame import frame_lines, totals
 
     printer = Printer(quiet)
     many = len(requests) > 1
     share_compilation(quiet)
 
     def tell(outcome: Outcome) -> None:
-        if outcome.summary is None:
-            notice(f"{outcome.request.name}: {outcome.error}" if many else outcome.error)
-        elif many:
-            state = "done before" if outcome.skipped else f"{outcome.seconds:.1f} s"
-            printer([one_line(outcome.request.name, outcome.summary, state)])
+        if many:
+            print_outcome(outcome, printer)
+        elif outcome.summary is None:
+            notice(outcome.error)
         else:
             printer(frame_lines(outcome.summary))
             printer(["", *_written(outcome)])
@@ -198,10 +197,12 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
         if series is None:
             printer(["Each by itself; give their folder instead for a series: stars over all frames, and one page"])
     if series is not None:
-        from sameas.cli.series import product
+        from sameas.front.series import folder_of_series
 
         first = requests[0]
-        product(outcomes, Path(first.folder), series, {"catalogue": first.catalogue}, quiet)
+        facts = {"catalogue": first.catalogue}
+        written = folder_of_series(*identified(outcomes), Path(first.folder), series, facts, say=printer)
+        printer([f"Output: {first.folder}/: {', '.join(written)}"])
     return any(outcome.summary is None for outcome in outcomes)
 
 

@@ -14,13 +14,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sameas.cli.options import frame_option, in_options
 from sameas.cli.outcome import end_cleanly_when_asked, fault, interruption
+from sameas.cli.terminal import Printer, notice
 from sameas.errors import InputError
 from sameas.front.framing import CLOSE, FrameRequest, fulfil
 from sameas.io.atomic import end_with_parent
+
+if TYPE_CHECKING:
+    from sameas.front.series import Identified
 
 
 def two_numbers(text: str, option: str, what: str) -> tuple[float, float]:
@@ -81,12 +85,30 @@ class Outcome:
     seconds: float = 0.0
 
 
+def identified(outcomes: Sequence[Outcome]) -> tuple[list[Identified], list[tuple[str, str]]]:
+    """The identified frames; and the names of the others, with their errors."""
+    from sameas.front.series import Identified
+
+    done = [Identified(one.request, one.summary) for one in outcomes if one.summary is not None]
+    return done, [(one.request.name, one.error) for one in outcomes if one.summary is None]
+
+
+def print_outcome(outcome: Outcome, printer: Printer) -> None:
+    """Print one line about one of several frames."""
+    from sameas.report.frame import one_line
+
+    if outcome.summary is None:
+        notice(f"{outcome.request.name}: {outcome.error}")
+    else:
+        state = "done before" if outcome.skipped else f"{outcome.seconds:.1f} s"
+        printer([one_line(outcome.request.name, outcome.summary, state)])
+
+
 def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
     """The frames, with folders replaced by their frames. others : calibration frames, which are excluded.
 
     Further calibration frames in a folder are excluded with a notice.
     """
-    from sameas.cli.terminal import notice
     from sameas.front.series import calibrations_in, frames_in
     from sameas.representation import counted
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time as clock
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,10 +25,14 @@ from sameas.cli.outcome import answering
 from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
 
+if TYPE_CHECKING:
+    from sameas.cli.outputs import Outputs
+    from sameas.front.framing import FrameRequest
+    from sameas.front.movers import MoverOptions
+    from sameas.sky.movers.detections import DetectionColumns
+
 _COLUMNS = "Columns of the tables"
 _FRAMES = "A series of frames"
-#: A report holds tracklets of at least this probability: of ten that are as probable as this, nine are real.
-REPORTED = 0.9
 
 
 @with_columns({"": _COLUMNS}, SIDE_OPTIONS)
@@ -149,23 +155,20 @@ def movers(
         raise typer.BadParameter("give -o OUT, the table to write", param_hint="-o")
     if report_probability is not None and report is None:
         raise typer.BadParameter("there is no report; give --report TOML", param_hint="--report-probability")
-    reported = REPORTED if report_probability is None else report_probability
     if catalog is not None:
         with answering(debug, frame_option):
-            from sameas.cli import series
             from sameas.cli.frames import aim_of, scale_of
-            from sameas.front.framing import PointingOptions
+            from sameas.front.framing import FrameRequest, PointingOptions
             from sameas.front.options import fields_of
 
             darks, flats, biases = (tuple(map(str, kind or ())) for kind in (dark, flat, bias))
-            request = series.SeriesRequest(
-                paths=tuple(map(str, files)), catalogue=catalog, columns=fields_of(columns, 1),
-                folder=output or Path("movers"), pointing=PointingOptions(aim_of(aim), None, scale_of(scale)),
-                darks=darks, flats=flats, biases=biases, least=max(least, 3), probability=probability,
-                elements=None if elements is None else str(elements), header=None if report is None else str(report),
-                reported=reported, processes=processes, below_limit=below_limit, site=_site(site),
+            template = FrameRequest(
+                path="", folder=str(output or Path("movers")), name="", catalogue=catalog,
+                columns=fields_of(columns, 1), pointing=PointingOptions(aim_of(aim), None, scale_of(scale)),
+                darks=darks, flats=flats, biases=biases, page=False, picture=False,
             )  # fmt: skip
-            series.run(request, quiet)
+            options = _options(max(least, 3), probability, elements, report, report_probability, site)
+            run_series(tuple(map(str, files)), template, options, below_limit, processes, quiet)
         return
     with answering(debug, option_of):
         from sameas.cli.outputs import Outputs
@@ -177,29 +180,21 @@ def movers(
             for name, path in (("detections", output), ("tracklets", tracklets))
             if path is not None
         }
-        known = KnownRequest(
-            None if elements is None else str(elements), None if report is None else str(report), _site(site),
-            overwrite, reported,
-        )  # fmt: skip
-        run(
-            tuple(map(str, files)), tuple(map(str, learn or ())), wanted, columns, outputs, least, probability, known,
-            quiet,
-        )  # fmt: skip
+        options = _options(least, probability, elements, report, report_probability, site)
+        run_tables(tuple(map(str, files)), tuple(map(str, learn or ())), wanted, columns, options, outputs, quiet)
 
 
-@dataclass(frozen=True)
-class KnownRequest:
-    """How tracklets of tables are identified with known objects, and reported.
+def _options(
+    least: int, probability: float, elements: Path | None, report: Path | None, reported: float | None, site: str | None
+) -> Callable[[], MoverOptions]:
+    """The options of the search; the files that they name are read when it is called."""
+    from sameas.front.movers import REPORTED, MoverOptions
 
-    elements : file of known objects, or None. header : TOML of the report, or None. site : latitude, longitude, height
-    of the observer, or None. overwrite : whether reports may exist. reported : minimum probability in a report.
-    """
-
-    elements: str | None
-    header: str | None
-    site: tuple[float, float, float] | None
-    overwrite: bool
-    reported: float
+    return partial(
+        MoverOptions.read, least, probability, elements=None if elements is None else str(elements),
+        header=None if report is None else str(report), reported=REPORTED if reported is None else reported,
+        site=_site(site),
+    )  # fmt: skip
 
 
 def _site(text: str | None) -> tuple[float, float, float] | None:
@@ -214,78 +209,75 @@ def _site(text: str | None) -> tuple[float, float, float] | None:
     return lat, lon, height
 
 
-def run(
+def run_series(
     paths: tuple[str, ...],
-    others: tuple[str, ...],
-    wanted: Any,
-    columns: dict[str, Any],
-    outputs: dict[str, Any],
-    least: int,
-    probability: float,
-    wanted_known: KnownRequest,
+    template: FrameRequest,
+    read_options: Callable[[], MoverOptions],
+    below_limit: float | None,
+    processes: int,
     quiet: bool,
 ) -> None:
-    """Read the detections, search, identify known objects, print, write."""
-    import numpy as np
+    """Identify the frames, search the series, print, write. template : request of a frame, without path and name."""
+    from sameas.cli.frames import expanded, identified, names_of, print_outcome, run_all
+    from sameas.cli.terminal import Printer, share_compilation
+    from sameas.front.movers import series_movers
+    from sameas.report.movers import report_lines
 
+    began, printer = clock.perf_counter(), Printer(quiet)
+    options = read_options()
+    share_compilation(quiet)
+    frames = expanded(paths, (*template.darks, *template.flats, *template.biases))
+    requests = [replace(template, path=path, name=name) for path, name in zip(frames, names_of(frames), strict=True)]
+    tell = partial(print_outcome, printer=printer)
+    done, failed = identified(run_all(requests, processes=processes, again=False, shown=not quiet, tell=tell))
+    made = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
+    written = made.write(Path(template.folder), _title(paths), template.catalogue)
+    if options.observer is not None:
+        printer(["", *report_lines(made.found, options.reported)])
+    printer(["", f"Output: {template.folder}/: {', '.join(written)}", f"Time: {clock.perf_counter() - began:.1f} s"])
+
+
+def _title(paths: tuple[str, ...]) -> str:
+    """Name of a series: the folder of its first frame."""
+    first = Path(paths[0]).resolve()
+    return (first if first.is_dir() else first.parent).name
+
+
+def run_tables(
+    paths: tuple[str, ...],
+    others: tuple[str, ...],
+    wanted: DetectionColumns,
+    columns: dict[str, Any],
+    read_options: Callable[[], MoverOptions],
+    outputs: dict[str, Outputs],
+    quiet: bool,
+) -> None:
+    """Read the detections, search, print, write. others : tables of other nights."""
     from sameas.cli.terminal import Pace, Printer, share_compilation
-    from sameas.io.ades import REPORTS, Observer, observations
-    from sameas.report.movers import (
-        known_lines,
-        left_out_lines,
-        model_lines,
-        mover_lines,
-        report_lines,
-        searched_lines,
-    )
-    from sameas.sky.movers import find_movers
-    from sameas.sky.movers.detections import detections_of
-    from sameas.sky.movers.known import name_movers
-    from sameas.sky.movers.orbits import Elements
+    from sameas.front.movers import night_movers, read_night
+    from sameas.report.movers import report_lines
 
-    began = clock.perf_counter()
-    printer = Printer(quiet)
-    observer = None if wanted_known.header is None else Observer.read(wanted_known.header)
-    elements = None if wanted_known.elements is None else Elements.read(wanted_known.elements)
-    first = next(iter(outputs.values())).path
-    reports = [] if observer is None else _reports(first, (*paths, *others), wanted_known.overwrite)
+    began, printer = clock.perf_counter(), Printer(quiet)
+    options, inputs = read_options(), (*paths, *others)
+    output = next(iter(outputs.values()))
+    reports = [] if options.observer is None else _reports(output.path, inputs, output.overwrite)
     for one in outputs.values():
-        one.check((*paths, *others))
-    every = (*paths, *others)
+        one.check(inputs)
     with Pace(quiet) as pace:
-        read = []
-        for path in every:
-            pace(f"reading {path}")
-            read.append(_catalogue(path, columns))
-        pace.pause()
-        seen, lines = detections_of(read[: len(paths)], wanted)
-        printer([*lines, *searched_lines(seen), ""])
-        nights = [detections_of([one], wanted)[0] for one in read[len(paths) :]]
-        share_compilation(quiet)
-        pace("searching")
-        found = find_movers(seen, others=nights, least=least, least_probability=probability)
-        pace.pause()
-        printer([*left_out_lines(found), *model_lines(found), "", *mover_lines(found), ""])
-        known, site = None, wanted_known.site
-        if elements is not None:
-            pace("predicting known objects")
-            known = name_movers(found, elements, site=site)
+
+        def say(lines: Iterable[str]) -> None:
             pace.pause()
-            printer([*known_lines(found, known, site is not None), ""])
-        facts = _facts(every, found)
-        in_report = found.p_tracklet >= wanted_known.reported
-        tables = {"detections": found.detection_table(), "tracklets": found.table()}
-        if known is not None:
-            known.into(tables["tracklets"], found)
-        if observer is not None:
-            tables["tracklets"]["in_report"] = in_report
+            printer(lines)
+
+        night = read_night(paths, others, wanted, columns, progress=pace, say=say)
+        share_compilation(quiet)
+        made = night_movers(night, options, progress=pace, say=say)
+        facts, tables = made.facts(), made.tables()
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
-        if observer is not None:
-            rows = observations(found, known, np.flatnonzero(in_report))
-            for place, write in zip(reports, REPORTS.values(), strict=True):
-                write(rows, observer, place, software=f"sameas {facts['version']}")
-                written.append(f"Report: {place}")
-            written += report_lines(found, wanted_known.reported)
+        if options.observer is not None:
+            made.write_reports(reports)
+            written += [f"Report: {place}" for place in reports]
+            written += report_lines(made.found, options.reported)
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
 
 
@@ -302,29 +294,3 @@ def _reports(output: Path, inputs: tuple[str, ...], overwrite: bool) -> list[Pat
         if path.exists() and not overwrite:
             raise InputError(f"{path}: is there already; give -o another name, or leave --no-overwrite out")
     return paths
-
-
-def _catalogue(path: str, columns: dict[str, Any]) -> Any:
-    """The catalogue of a table of detections."""
-    from sameas.front.options import fields_of
-    from sameas.io import read_table
-    from sameas.sky.catalogue import Catalogue, CatalogueOptions
-
-    hdu = columns.get("hdu")
-    hdu = int(hdu) if hdu is not None and hdu.isdigit() else hdu
-    table = read_table(path, format=columns.get("format"), hdu=hdu)
-    name = Path(path).name.removesuffix(".gz").rsplit(".", 1)[0]
-    return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(columns, 0)))
-
-
-def _facts(paths: tuple[str, ...], found: Any) -> dict[str, Any]:
-    """Provenance: inputs with checksums, and the parameters of the model of movers."""
-    from sameas.front.provenance import program
-    from sameas.io import checksum
-
-    facts = program()
-    for k, path in enumerate(paths, 1):
-        facts[f"input_{k}"], facts[f"sha256_{k}"] = str(Path(path).resolve()), checksum(path)
-    model = found.model
-    facts |= {"p_detect": model.p_detect, "log_odds_next": model.log_odds, "gap": found.gap}
-    return facts

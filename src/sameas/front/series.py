@@ -10,7 +10,7 @@ import itertools
 import math
 import os
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from sameas.errors import InputError
 from sameas.front.framing import FrameRequest, frame_of
 from sameas.front.provenance import program
 from sameas.io import read_table, write_table
+from sameas.io.atomic import filling
 from sameas.sky.frame.image import Frame
 from sameas.sky.series import DEFAULT_TUNING, Exposure, Series, tie
 
@@ -182,6 +183,51 @@ def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping
             written.append(f"{one.name}.{what}.fits")
             write_table(table, Path(folder) / written[-1], provenance=made, overwrite=True)
     return written
+
+
+def write_folder(
+    each: Sequence[FieldSeries], folder: Path, title: str, facts: Mapping[str, Any],
+    failed: Sequence[tuple[str, str]] = (), reasons: Sequence[str] = (), movers: tuple[str, str] | None = None,
+) -> list[str]:  # fmt: skip
+    """Writes the tables and the index page of the series in a folder of frames; returns the file names.
+
+    title : of the page. facts : provenance. failed : names of frames that could not be identified, and why.
+    reasons : why others are in no series. movers : link to the page of movers, and its words.
+    """
+    from sameas.pages.movers import series_field, write_series_page
+
+    written = write_series(each, folder, facts)
+    fields = [
+        series_field(
+            one.name,
+            one.series,
+            [m.summary for m in one.members],
+            [doubts_of(m.summary) for m in one.members],
+            one.filter,
+        )
+        for one in each
+    ]
+    write_series_page(folder / "index.html", title, fields, failed=failed, reasons=reasons, movers=movers)
+    return [*written, "index.html"]
+
+
+def folder_of_series(
+    done: Sequence[Identified], failed: Sequence[tuple[str, str]], folder: Path, title: str, facts: Mapping[str, Any],
+    *, say: Callable[[Iterable[str]], object] = lambda lines: None,
+) -> list[str]:  # fmt: skip
+    """Makes series of identified frames, and writes them with :func:`write_folder`; returns the file names.
+
+    say : called with the lines of the report, section by section.
+    """
+    from sameas.report.movers import star_lines
+    from sameas.report.prose import DOUBT
+
+    each, reasons = series_of(done)
+    for one in each:
+        say(["", *star_lines(one.series, one.filter)])
+    say([f"{DOUBT}{reason}" for reason in reasons])
+    with filling(folder) as draft:
+        return write_folder(each, draft, title, facts, failed, reasons)
 
 
 def doubts_of(summary: Mapping[str, Any]) -> list[str]:
