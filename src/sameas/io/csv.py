@@ -1,8 +1,8 @@
-"""CSV: one line a row, the names in the first, parted by commas, semicolons, tabs or bars.
+"""CSV: one line per row, names in the first line, separated by commas, semicolons, tabs or bars.
 
-Empty cells are masked, and so are those that say null, NA, N/A or --; nan is a number. Comment lines (#)
-before the names are passed over. Columns of several dimensions are written as name_1, name_2, … Comments
-would break many readers, so the provenance goes to a file beside: ``out.csv.provenance.json``.
+Empty cells and the cells null, NA, N/A and -- are masked; nan is a number. Comment lines (#) before the names are
+skipped. Multidimensional columns are written as name_1, name_2, … The provenance is written to a separate file,
+``out.csv.provenance.json``, since many readers do not accept comments.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def is_any_text(path: Path, first: bytes) -> bool:
-    """Whether the file has the name of a text: what no other format is known by is CSV."""
+    """Whether the file has an extension of text; text that no other format recognises is read as CSV."""
     return path.name.lower().endswith(TEXT_EXTENSIONS)
 
 
@@ -53,7 +53,7 @@ _DELIMITERS = ",;\t|"
 
 @dataclass(frozen=True)
 class TableHead:
-    """The names of the columns, what parts them, and the number of lines before the first row."""
+    """Column names, delimiter, and the number of lines before the first row."""
 
     names: list[str]
     delimiter: str
@@ -61,13 +61,13 @@ class TableHead:
 
 
 def read(path: Path, hdu: None) -> Table:
-    """The table of a CSV file; kinds of columns are found out from their cells."""
+    """The table in a CSV file; column types are inferred from the cells."""
     text = content_of(path)
     return table_of(text, _header(text, path), path)
 
 
 def table_of(text: pa.Buffer, head: TableHead, path: Path) -> Table:
-    """The table of a text whose names, delimiter and first row are known; kinds of columns from their cells."""
+    """The table in a text with known names, delimiter and first row; column types are inferred from the cells."""
     from astropy.table import Table
 
     content = _parsed(text, head, path)
@@ -78,30 +78,30 @@ def table_of(text: pa.Buffer, head: TableHead, path: Path) -> Table:
 
 
 def unended(text: pa.Buffer | bytes) -> bool:
-    """Whether the last line of a text has no end, as where a file was cut off."""
+    """Whether the last line of a text has no line end, as in a truncated file."""
     return bytes(memoryview(text)[-1:]) not in (b"\n", b"\r", b"")
 
 
 def may_be_cut(path: Path) -> str:
-    """The note on a table whose last line has no end."""
+    """The note on a table whose last line has no line end."""
     return f"{path}: its last line has no line end: it may be incomplete"
 
 
 def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
-    """Writes a CSV file, parted by tabs if it is called .tsv; see :func:`write_with_sidecar`."""
+    """Writes a CSV file, separated by tabs if its extension is .tsv; see :func:`write_with_sidecar`."""
     names, arrays = _flat_columns(table)
     with opened(path) as file:
         write_rows(names, arrays, file, "\t" if ".tsv" in path.suffixes else ",")
 
 
 def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], overwrite: bool) -> None:
-    """Writes a CSV file and its provenance beside it; without provenance no file is left there."""
+    """Writes a CSV file and its provenance file; without provenance an existing provenance file is removed."""
     beside = sidecar(path)
     if not provenance or not (path.is_file() or not path.exists()):
         with replacing(path, overwrite=overwrite) as draft:
             write(table, draft, {})
         with suppress(FileNotFoundError):
-            # What an earlier run noted is not true of this file.
+            # An earlier run's provenance does not describe this file.
             beside.unlink()
         return
     with together() as arm, replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:
@@ -111,13 +111,13 @@ def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], 
 
 
 def provenance(path: Path) -> dict[str, Any]:
-    """What the file beside says."""
+    """The content of the provenance file; empty if there is none."""
     beside = sidecar(path)
     return dict(json.loads(beside.read_text(encoding="utf-8"))) if beside.exists() else {}
 
 
 def sidecar(path: Path) -> Path:
-    """Where the provenance of a CSV file is kept.
+    """The path of the provenance file of a CSV file.
 
     Examples
     --------
@@ -128,16 +128,16 @@ def sidecar(path: Path) -> Path:
 
 
 def write_rows(names: list[str], arrays: list[pa.Array], file: Any, delimiter: str) -> None:
-    """Writes the names and the rows; text is quoted in files where some cell needs it."""
+    """Writes the names and the rows; text is quoted if any cell requires it."""
     import pyarrow as pa
     from pyarrow import csv as arrow_csv
 
     line = io.StringIO()
     csv.writer(line, delimiter=delimiter, lineterminator="\n").writerow(names)
     file.write(line.getvalue().encode("utf-8"))
-    # A cell that begins with # would be taken for a comment, and blanks at its ends would be lost.
+    # Unquoted, a cell that begins with # would be read as a comment, and outer blanks would be lost.
     if len(arrays) == 1 and arrays[0].null_count:
-        # A line with nothing on it is no row; Python's writer knows, and puts quotes there.
+        # An empty line would not be read as a row; Python's writer puts quotes there.
         rows = io.StringIO()
         csv.writer(rows, delimiter=delimiter, lineterminator="\n").writerows([[c] for c in _texts(arrays[0])])
         file.write(rows.getvalue().encode("utf-8"))
@@ -153,7 +153,7 @@ def write_rows(names: list[str], arrays: list[pa.Array], file: Any, delimiter: s
 
 
 def _has(array: pa.Array, expression: str) -> bool:
-    """Whether some cell of text has a part of this form."""
+    """Whether any text cell matches the regular expression."""
     if len(array) <= FEW_ROWS:
         wanted = re.compile(expression)
         return any(wanted.search(cell) for cell in array.to_pylist() if cell)
@@ -169,27 +169,27 @@ def _texts(array: pa.Array) -> list[str]:
 
 
 def opened(path: Path) -> Any:
-    """The file, open for writing bytes; gzipped when its name ends in .gz."""
+    """The file, open for writing bytes; gzipped if its name ends in .gz."""
     return gzip.open(path, "wb", compresslevel=4) if path.suffix == ".gz" else path.open("wb")
 
 
 def content_of(path: Path) -> pa.Buffer:
-    """The bytes of a file, unpacked when its name ends in .gz."""
+    """The bytes of a file, decompressed if its name ends in .gz."""
     import pyarrow as pa
 
     if path.suffix.lower() != ".gz":
-        with pa.memory_map(os.fsencode(path)) as file:  # a name may have bytes that are no text
+        with pa.memory_map(os.fsencode(path)) as file:  # a file name may have bytes that are not UTF-8
             return file.read_buffer()
     return pa.py_buffer(unpacked(path))
 
 
 def _header(text: pa.Buffer, path: Path) -> TableHead:
-    """The first line that is neither blank nor a comment; or the last comment, where that has the names."""
+    """The names from the first line that is neither blank nor a comment, or else from the last comment before it."""
     lines, comment = 0, ""
     for raw in io.BytesIO(memoryview(text)[: 1 << 20]):
         lines += 1
         try:
-            # A comment of another encoding does no harm.
+            # A comment may have another encoding.
             line = raw.decode("utf-8-sig" if lines == 1 else "utf-8", "replace" if raw[:1] == b"#" else "strict")
             line = line.strip("\r\n")
         except UnicodeDecodeError as error:
@@ -213,7 +213,7 @@ def _header(text: pa.Buffer, path: Path) -> TableHead:
 
 
 def distinct(names: list[str], path: Path) -> list[str]:
-    """The names of columns, none of them empty; refused where one stands twice, or where they are too many."""
+    """The column names, empty ones replaced by column_1, …; refused if one occurs twice or there are too many."""
     check_columns(len(names), path)
     names = [name or f"column_{number}" for number, name in enumerate(names, start=1)]
     counts = Counter(names)
@@ -237,7 +237,7 @@ def _delimiter(line: str, path: Path) -> str:
 
 
 def is_number(text: str) -> bool:
-    """Whether a cell holds a number, so that its line has no names of columns."""
+    """Whether a cell is a number, so that its line does not contain column names."""
     try:
         float(text)
     except ValueError:
@@ -246,7 +246,7 @@ def is_number(text: str) -> bool:
 
 
 def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
-    """The rows, with identifiers beyond 63 bits and dates kept as they stand."""
+    """The rows, with integers beyond 63 bits and dates kept exactly as written."""
     import pyarrow as pa
 
     content = _arrow(text, header, path, {})
@@ -266,7 +266,7 @@ def _parsed(text: pa.Buffer, header: TableHead, path: Path) -> pa.Table:
 
 
 def _all_whole(column: pa.ChunkedArray) -> bool:
-    """Whether the cells of a column of texts are whole numbers without a sign."""
+    """Whether the cells of a text column are whole numbers without a sign."""
     import pyarrow as pa
     from pyarrow import compute
 
@@ -300,9 +300,9 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
     try:
         return parse(True)
     except pa.ArrowInvalid as error:
-        # Arrow decodes a row for its handler, and prints a traceback where it is not UTF-8.
+        # Arrow decodes a row for its handler, and prints a traceback if it is not UTF-8.
         _check_encoding(text, header, path)
-        # Threads do not know which line they are in.
+        # Row numbers are known only without threads.
         with suppress(pa.ArrowInvalid):
             parse(False, note)
         if not wrong:
@@ -318,7 +318,7 @@ def _arrow(text: pa.Buffer, header: TableHead, path: Path, kinds: Mapping[str, A
 
 
 def _check_encoding(text: pa.Buffer, header: TableHead, path: Path) -> None:
-    """Refuses rows that are not UTF-8, with the first line that is not."""
+    """Refuses rows that are not UTF-8, naming the first such line."""
     for number, line in enumerate(io.BytesIO(memoryview(text)), start=1):
         try:
             line.decode()

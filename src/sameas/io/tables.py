@@ -1,4 +1,4 @@
-"""Tables by the name of their file: which format, what is wrong with it, and the reader or writer to call."""
+"""Reading and writing of tables in any known format, chosen by the file's extension and first bytes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sameas.io.format import TEXT_EXTENSIONS, Format, plain
 if TYPE_CHECKING:
     from astropy.table import Table
 
-#: The formats, in the order in which they are named to users and in which texts are recognised.
+#: The formats, in the order of messages and of the recognition of texts.
 FORMATS: tuple[Format, ...] = (
     fits.FORMAT,
     votable.FORMAT,
@@ -35,11 +35,11 @@ FORMATS: tuple[Format, ...] = (
     text.FORMAT,
     csv.FORMAT,
 )
-#: So much of a file tells what it is: the comments of VizieR are long.
+#: Number of bytes for the recognition of a format; VizieR's comments are long.
 _HEAD_BYTES = 1 << 16
 
 _UTF_16 = "UTF-16 text"
-#: The first bytes of files that are no tables of ours, and what they are.
+#: Signatures of files that are not readable tables, and their descriptions.
 _OTHER_SIGNATURES = (
     (b"\x89PNG", "a PNG picture"),
     (b"\xff\xd8\xff", "a JPEG picture"),
@@ -70,7 +70,7 @@ def checksum(path: str | os.PathLike[str]) -> str:
 
 
 def first_bytes(path: Path, count: int = 4096) -> bytes:
-    """The first ``count`` bytes of a file, unpacked when it is gzipped and its name ends in .gz."""
+    """The first ``count`` bytes of a file, decompressed if its name ends in .gz."""
     try:
         if path.suffix.lower() == ".gz":
             with gzip.open(path) as file:
@@ -86,9 +86,9 @@ def first_bytes(path: Path, count: int = 4096) -> bytes:
 
 
 def kind_of(first: bytes) -> str | None:
-    """What a file is by its first bytes: the label of a format, other words, or None.
+    """The kind of a file by its first bytes: the label of a format, another description, or None.
 
-    So a wrong file is refused in the user's words, before a library fails on it.
+    With it a wrong file is refused in plain words before a library fails on it.
     """
     labels = ((signature, known.label) for known in FORMATS for signature in known.signatures)
     for signature, kind in (*labels, *_OTHER_SIGNATURES):
@@ -110,9 +110,9 @@ def kind_of(first: bytes) -> str | None:
 
 
 def known_formats() -> dict[str, tuple[str, ...]]:
-    """The formats we read, by name, with their extensions.
+    """The readable formats by name, with their extensions.
 
-    Texts are recognised by their content: any of these extensions of text may hold any of the formats of text.
+    Text formats are recognised by content: a file with any of the text extensions may have any of the text formats.
 
     Examples
     --------
@@ -123,7 +123,7 @@ def known_formats() -> dict[str, tuple[str, ...]]:
 
 
 def written_formats() -> dict[str, tuple[str, ...]]:
-    """The formats we write, by name, with their extensions.
+    """The writable formats by name, with their extensions.
 
     Examples
     --------
@@ -139,20 +139,19 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
     Parameters
     ----------
     path : a file of one of the :func:`known_formats`.
-    format : the name of the format, where the extension does not tell it.
-    hdu : FITS only: number or name of the extension; the first table if not given.
+    format : name of the format, if the extension does not determine it.
+    hdu : FITS only: number or name of the extension; the first table if None.
 
     Returns
     -------
-    An :class:`astropy.table.Table`. Cells without a value are masked; a NaN stays a NaN. Text is Unicode of
-    fixed width, or Python strings where the longest is beyond 256 characters. An empty text is a missing one
-    in FITS, ECSV and CSV. The UCD of a column is ``column.meta["ucd"]``. What a reader should know (several
-    tables in the file, a column left out) is in ``table.meta["sameas_notes"]``, a list of sentences. No file
-    stays open.
+    An :class:`astropy.table.Table`. Missing values are masked; NaN is kept. Text is fixed-width Unicode, or Python
+    strings if the longest exceeds 256 characters. Empty text counts as missing in FITS, ECSV and CSV. The UCD of a
+    column is ``column.meta["ucd"]``. Notes for the user (several tables in the file, a skipped column) are in
+    ``table.meta["sameas_notes"]``, a list of sentences. The file is closed.
 
     Raises
     ------
-    InputError : no such file, a directory, an empty file, an unknown extension, other content than it claims.
+    InputError : no such file, a directory, an empty file, an unknown extension, content of another format.
     """
     path = Path(path)
     known = _format_in(path, format)
@@ -173,22 +172,22 @@ def write_table(
     format: str | None = None,
     overwrite: bool = True,
 ) -> None:
-    """Writes a table and how it was made; the file is whole or absent.
+    """Writes a table and its provenance atomically: the file is complete or absent.
 
     Parameters
     ----------
-    table : columns of numbers, truth values, text and arrays of them. Masked cells become the format's nulls.
+    table : columns of numbers, booleans, text and arrays of them. Masked cells become the format's nulls.
         Quantities are written as numbers with a unit, times as ISO text; other mixin columns are refused.
-    path : the format is that of the extension.
-    provenance : flat mapping to text, numbers, truth values or lists; :func:`read_provenance` reads it back.
-        It is kept inside the file: in the card SAMEAS (FITS), as INFO elements (VOTable), in the metadata
-        (ECSV, Parquet). CSV has no room for it: it goes to ``path`` + ``.provenance.json``.
-    format : the name of the format, where the extension does not tell it.
-    overwrite : False refuses a path that exists.
+    path : determines the format by its extension.
+    provenance : flat mapping to text, numbers, booleans or lists; :func:`read_provenance` reads it back.
+        It is stored in the file: in the card SAMEAS (FITS), as INFO elements (VOTable), in the metadata
+        (ECSV, Parquet); for CSV in a separate file, ``path`` + ``.provenance.json``.
+    format : name of the format, if the extension does not determine it.
+    overwrite : if False, an existing path is refused.
 
     Raises
     ------
-    InputError : the path or a column cannot be written; nothing is left behind, and an older file stays.
+    InputError : the path or a column cannot be written; an existing file is kept, and no partial file remains.
     """
     path = Path(path)
     known = _format_for(path, format)
@@ -207,7 +206,7 @@ def write_table(
 
 
 def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) -> dict[str, Any]:
-    """How the file was made, as given to :func:`write_table`; empty where the file does not say.
+    """The provenance of a file, as given to :func:`write_table`; empty if the file has none.
 
     Raises
     ------
@@ -222,7 +221,7 @@ def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) 
 
 
 def _named(name: str, path: Path) -> Format:
-    """The format of a name."""
+    """The format with this name or label."""
     for known in FORMATS:
         if name.lower() in (known.name, known.label.lower()):
             return known
@@ -243,8 +242,8 @@ def _format_for(path: Path, name: str | None) -> Format:
 
 
 def _format_in(path: Path, name: str | None) -> Format:
-    """The format of a file to be read; what is not of that format is refused before a library meets it."""
-    if os.path.isdir(path):  # Path's own raises where a name is too long for a file
+    """The format of a file to be read; other content is refused before a library reads it."""
+    if os.path.isdir(path):  # Path.is_dir raises if a name is too long
         raise InputError(f"{path}: is a directory; give a file")
     if not os.path.exists(path):
         raise InputError(f"{path}: no such file{_similar_names(path)}")
@@ -261,14 +260,14 @@ def _format_in(path: Path, name: str | None) -> Format:
 
 
 def _recognised(path: Path, first: bytes) -> Format | None:
-    """The format of a file: of a text, or of a file whose extension says nothing, by its first bytes."""
+    """The format of a file: by its extension, or by its first bytes for text and unknown extensions."""
     lowered = path.name.lower()
     by_extension = next((known for known in FORMATS if lowered.endswith(known.extensions)), None)
     if by_extension is not None and not lowered.endswith(TEXT_EXTENSIONS):
         return by_extension
     kind = kind_of(first[:4096])
     if kind is not None and kind not in [known.label for known in FORMATS]:
-        # A web page, a picture …: no table, whatever words are in it. CSV is the last whose extension it may have.
+        # Not a table (a web page, a picture …), whatever its text. CSV is the last format with a matching extension.
         return next((known for known in reversed(FORMATS) if lowered.endswith(known.extensions)), None)
     for known in FORMATS:
         signed = bool(known.signatures) and by_extension is None and first.startswith(known.signatures)
@@ -284,7 +283,7 @@ def _unknown_extension(path: Path, formats: Mapping[str, tuple[str, ...]]) -> In
 
 
 def _check_kind(path: Path, known: Format, kind: str | None) -> None:
-    """Refuses what is not a file of this format, in the user's words, before a library meets it."""
+    """Refuses a file of another format, in plain words, before a library reads it."""
     if kind == known.label or (kind is None and known.unmarked):
         return
     remedy: str = ""
@@ -308,7 +307,7 @@ def _similar_names(path: Path) -> str:
 
 
 def _with_plain_columns(table: Table, path: Path) -> Table:
-    """The same table, its quantities and times as plain columns, their names and units in one line."""
+    """The table with quantities and times as plain columns, and names and units without line breaks."""
     from astropy.table import Column, Table
     from astropy.time import Time
     from astropy.units import Quantity, UnrecognizedUnit
@@ -330,7 +329,7 @@ def _with_plain_columns(table: Table, path: Path) -> Table:
     return made
 
 
-#: What ends a line or controls a terminal: no name of a column and no unit may hold it.
+#: Line ends and control characters, not allowed in column names and units.
 _NO_NAME = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ufffe\uffff]")
 
 
@@ -339,7 +338,7 @@ def _one_line(name: str) -> str:
 
 
 def _names_of_one_line(names: Sequence[str]) -> list[str]:
-    """Different names, of which each stays what it is where it is one line."""
+    """The names without line breaks, still distinct; names without line breaks are unchanged."""
     taken, made = {name for name in names if not _NO_NAME.search(name)}, []
     for name in names:
         if _NO_NAME.search(name):
@@ -354,7 +353,7 @@ def _names_of_one_line(names: Sequence[str]) -> list[str]:
 
 
 def _naming(error: BaseException, path: Path) -> BaseException:
-    """The error, saying which output was meant."""
+    """The error, with the name of the output."""
     if not isinstance(error, InputError) or str(path) in str(error):
         return error
     return InputError(f"cannot write {path}: {error}")
