@@ -260,7 +260,7 @@ def crowd(n, source="a", seed=1):
 
 
 def test_a_crowd_that_would_take_hours_is_refused_with_its_row():
-    gate, tuning = Radius(6.0), Tuning(most_choices=20.0**3)
+    gate, tuning = Radius(6.0), Tuning(max_choices=20.0**3)
     refuse_crowds(gate(crowd(20), crowd(20, "b", 2)), tuning)
     apart = Records.of([[1000.0, 0.0], *crowd(21).features], sigma=1.0, source="a")
     with pytest.raises(InputError, match=r"a: at row \d+, 21 records of b may each be any of 21: .* some 0 minutes"):

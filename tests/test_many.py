@@ -304,7 +304,7 @@ def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound():
     sources = field_scene(rng, 3, 6, extent=6.0)
     arguments: dict[str, Any] = {"rule": CloseObjects(1.0, 6.0), "prior": MissedObjects(0.2)}
     whole = identify_many(sources, **arguments)
-    cramped = identify_many(sources, **arguments, tuning=ManyTuning(most_steps=256))
+    cramped = identify_many(sources, **arguments, tuning=ManyTuning(max_steps=256))
     assert not cramped.groups.exact.all() and whole.groups.exact.all()
     assert set(sets_of(cramped)) == set(sets_of(whole))
     assert not cramped.groups.gap.any()
@@ -315,7 +315,7 @@ def test_sets_that_do_not_fit_are_reported_as_a_gap():
     rng = np.random.default_rng(24)
     sources = field_scene(rng, 4, 8, extent=6.0)
     union_of_all = identify_many(sources, rule=PoissonObjects(0.2, 0.1))
-    cut = identify_many(sources, rule=PoissonObjects(0.2, 0.1), tuning=ManyTuning(most_sets=60))
+    cut = identify_many(sources, rule=PoissonObjects(0.2, 0.1), tuning=ManyTuning(max_sets=60))
 
     def value(objects):
         return float(objects.sets.log_weight[objects.answer.chosen].sum())

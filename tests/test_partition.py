@@ -182,7 +182,7 @@ def couples(rng, n=4):
         Records.of(place + sigma * rng.standard_normal((2 * n, 2)), sigma=sigma, source=name)
         for name, sigma in (("ais", 8.0), ("west", 20.0), ("east", 20.0))
     ]
-    return identify_many(sources, rule=PoissonObjects(1e-5, 0.01), tuning=replace(TUNING, most_steps=3_000_000))
+    return identify_many(sources, rule=PoissonObjects(1e-5, 0.01), tuning=replace(TUNING, max_steps=3_000_000))
 
 
 def test_samples_are_near_the_sum_where_neighbours_may_be_exchanged_but_are_surely_objects():

@@ -26,11 +26,11 @@ from sameas.representation import in_short
 class Tuning:
     """The limit of the assignment.
 
-    most_choices : the sum over the pairs of the smaller number of candidates of its two records; n³ if each of n
+    max_choices : the sum over the pairs of the smaller number of candidates of its two records; n³ if each of n
         records has n candidates. 10⁹ take about one minute of processor time.
     """
 
-    most_choices: float = 4e9
+    max_choices: float = 4e9
 
 
 DEFAULT_TUNING = Tuning()
@@ -99,14 +99,14 @@ class Hypothesis:
 
 def refuse_crowds(pairs: Pairs, tuning: Tuning = DEFAULT_TUNING) -> None:
     """Raise InputError if so many records compete that the most probable hypothesis takes hours."""
-    if float(len(pairs)) ** 1.5 <= tuning.most_choices:  # the sum is largest for √m × √m records
+    if float(len(pairs)) ** 1.5 <= tuning.max_choices:  # the sum is largest for √m × √m records
         return
     of_1 = np.bincount(pairs.i, minlength=len(pairs.first))
-    if float(np.square(of_1, dtype=np.float64).sum()) <= tuning.most_choices:
+    if float(np.square(of_1, dtype=np.float64).sum()) <= tuning.max_choices:
         return
     fewer = np.minimum(of_1[pairs.i], np.bincount(pairs.j, minlength=len(pairs.second))[pairs.j])
     choices = float(fewer.sum(dtype=np.float64))
-    if choices > tuning.most_choices:
+    if choices > tuning.max_choices:
         worst = int(np.argmax(fewer))
         first, second = pairs.first.source, pairs.second.source
         one, two = of_1[pairs.i[worst]], np.count_nonzero(pairs.j == pairs.j[worst])

@@ -152,7 +152,7 @@ def test_strips_bound_the_memory_and_change_nothing():
 
     tied, frames, _ = series(1, 0.4)
     _, _, whole = searched(tied, frames)
-    small = BelowLimitTuning(most_bytes=18 * 10 * SIDE * 150)
+    small = BelowLimitTuning(max_bytes=18 * 10 * SIDE * 150)
     assert len(Plan.of(tied, 0.6, small).strips) > 2
     assert Plan.of(tied, 0.6, small).peak_bytes < Plan.of(tied, 0.6).peak_bytes
     _, _, cut = searched(tied, frames, tuning=small)

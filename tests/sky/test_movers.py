@@ -126,7 +126,7 @@ def test_competing_tracks_are_summed_over_all_choices():
     members = [(0, 1), (1, 2), (0, 2), (0, 1, 2), (2, 3), (4, 5)]
     weight = rng.normal(1.0, 2.0, len(members))
     made = chain(members, weight)
-    found = compete(made, 6, Tuning(certain_gain=np.inf, least_competing=-np.inf))
+    found = compete(made, 6, Tuning(certain_gain=np.inf, min_competing=-np.inf))
     total, share, best = 0.0, np.zeros(len(members)), (-np.inf, ())
     for size in range(len(members) + 1):
         for choice in combinations(range(len(members)), size):
@@ -357,7 +357,7 @@ def test_fast_movers_among_many_false_detections_are_found():
     detections, truth = night(
         12, movers=3, false=400, times_min=(0, 12, 24, 36, 48), side_deg=0.3, rate=rate, p_detect=1.0
     )
-    tuning = Tuning(least_log_ratio=-14.0)
+    tuning = Tuning(min_log_ratio=-14.0)
     found = find_movers(detections, model=learn_motion(detections, counts=300, tuning=tuning), least=3, tuning=tuning)
     pure, whole = named(found, truth)
     assert pure.all() and whole.sum() == 3

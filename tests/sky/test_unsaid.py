@@ -204,7 +204,7 @@ def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) 
     in_two &= dec < covered - 0.5
     one = Catalogue.of({"ra": ra[in_one] + rng.normal(0, 0.3, in_one.sum()) / 3600, "dec": dec[in_one]}, "one")
     two = Catalogue.of({"ra": ra[in_two], "dec": dec[in_two]}, "two")
-    tuning = CommonErrorTuning(most_rows=8_000)
+    tuning = CommonErrorTuning(max_rows=8_000)
     parts = _in_strips(one, two, tuning)
     assert sum(map(len, parts)) < 16_000
     for of in ((one, two), (two, one)):
@@ -226,7 +226,7 @@ def test_neighbours_are_found_as_a_tree_finds_them(field: float, window: int, mo
     one, two = (middle * (field < 1.0) + field * rng.normal(0.0, 1.0, (n, 3)) for n in (300, 2_000))
     two[:400] = two[0]
     one, two = (x / np.linalg.norm(x, axis=1)[:, None] for x in (one, two))
-    chord, which = _nearest(one, two, 6, CommonErrorTuning(most_products=most, window=window))
+    chord, which = _nearest(one, two, 6, CommonErrorTuning(max_products=most, window=window))
     due, _ = cKDTree(two).query(one, k=6)
     np.testing.assert_allclose(chord, due, rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(np.linalg.norm(one[:, None] - two[which], axis=2), due, rtol=1e-12, atol=1e-15)

@@ -54,7 +54,7 @@ class BlendTuning:
     min_neighbours, min_significance : of such neighbours, and of the offset of residuals towards them, in standard
         errors.
     max_iterations, tolerance : of the estimation, and the change of c at convergence.
-    least_share : lower limit of c, and of 1 − c.
+    min_share : lower limit of c, and of 1 − c.
     """
 
     steepness: float = 4.0
@@ -72,7 +72,7 @@ class BlendTuning:
     min_significance: float = 6.0
     max_iterations: int = 10
     tolerance: float = 1e-3
-    least_share: float = 1e-3
+    min_share: float = 1e-3
 
 
 DEFAULT_BLENDS = BlendTuning()
@@ -188,8 +188,8 @@ def find_blends(
         previous = share
         # A share c of the merged couples is shown; each merged couple is one unit less.
         units = max(n2 - two / share, 1.0)
-        share = float(np.clip((shown + 0.5) / (units + 1.0), tuning.least_share, 1.0 - tuning.least_share))
-        alone = min(max(1.0 - shown / n1, tuning.least_share), 1.0)
+        share = float(np.clip((shown + 0.5) / (units + 1.0), tuning.min_share, 1.0 - tuning.min_share))
+        alone = min(max(1.0 - shown / n1, tuning.min_share), 1.0)
         log_n = candidates.log_density
         part = shares * np.exp(log_n - log_n.max(axis=1, keepdims=True, initial=-np.inf))
         shares = (solution.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (shown + 1.0)

@@ -204,9 +204,9 @@ class GridLevel:
         return drawn
 
 
-def finest(levels: Sequence[GridLevel], most_cells: float) -> GridLevel:
+def finest(levels: Sequence[GridLevel], max_cells: float) -> GridLevel:
     """The finest level with at most this number of cells; else the first."""
-    return next((level for level in levels[::-1] if len(level.volume) <= most_cells), levels[0])
+    return next((level for level in levels[::-1] if len(level.volume) <= max_cells), levels[0])
 
 
 def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...]]:

@@ -41,8 +41,8 @@ class EMTuning:
         ratio and its records' probabilities of having no other partner; higher probabilities are clipped.
     min_log_odds : pairs of smaller ln odds, before one-to-one, are less probable than 1e-5; sums ignore them.
     min_initial_share, max_initial_share : limits of the initial share of common objects in the poorer source.
-    widest_scale : the mixture of error scales reaches at least to this scale.
-    least_share : lower limit of the share of records without a partner.
+    min_largest_scale : the mixture of error scales reaches at least to this scale.
+    min_share : lower limit of the share of records without a partner.
     max_chance_candidates : twice the number of chance candidates within √2 of its scale that an error component may
         have.
     min_pairs : errors, magnitudes and columns are fitted from this expected number of pairs on.
@@ -63,8 +63,8 @@ class EMTuning:
     min_log_odds: float = math.log(1e-5)
     min_initial_share: float = 0.1
     max_initial_share: float = 0.95
-    widest_scale: float = 3.4
-    least_share: float = 1e-6
+    min_largest_scale: float = 3.4
+    min_share: float = 1e-6
     max_chance_candidates: float = 0.15
     min_pairs: float = 50.0
     max_share_missing: float = 0.05
@@ -217,7 +217,7 @@ class Estimates:
     def _positions(self) -> PoissonField:
         if self.density is not None:
             (mean_1, mean_2), (all_1, all_2) = self.mean_shares, self.density
-            alone_1, alone_2 = max(1.0 - mean_1, self.tuning.least_share), max(1.0 - mean_2, self.tuning.least_share)
+            alone_1, alone_2 = max(1.0 - mean_1, self.tuning.min_share), max(1.0 - mean_2, self.tuning.min_share)
             both = math.sqrt(all_1 * mean_1 * all_2 * mean_2)
             return PoissonField(both, all_1 * alone_1, all_2 * alone_2, self.errors)
         of_1, of_2 = self.setting.densities
@@ -226,8 +226,8 @@ class Estimates:
         # taken at its own record and excludes it; a density at the candidate would include it, and the pair would
         # support itself.
         common = of_1 * share_1, of_2 * share_2
-        only_1 = of_1 * np.maximum(1.0 - share_1, self.tuning.least_share)
-        only_2 = of_2 * np.maximum(1.0 - share_2, self.tuning.least_share)
+        only_1 = of_1 * np.maximum(1.0 - share_1, self.tuning.min_share)
+        only_2 = of_2 * np.maximum(1.0 - share_2, self.tuning.min_share)
         return PoissonField(common, only_1, only_2, self.errors)
 
     def expected_common(self) -> float:
@@ -340,7 +340,7 @@ class Estimates:
             widest = radius * (self.tuning.max_chance_candidates / by_chance) ** (1.0 / pairs.d)
             log_odds = estimates.log_odds_without_errors(square, p_pair, log_ratio)
             fit = fit_errors(
-                square, log_odds, pairs.d, self.errors, widest=max(widest, self.tuning.widest_scale),
+                square, log_odds, pairs.d, self.errors, widest=max(widest, self.tuning.min_largest_scale),
                 tuning=self.tuning.scales,
             )  # fmt: skip
             estimates = replace(estimates, errors=self.errors.with_mixture(fit.errors), tail_gain=fit.tail_gain)

@@ -109,18 +109,18 @@ def balls(
     graph: Graph,
     rivals: Int32Array,
     strength: FloatArray,
-    most_bits: float,
+    max_bits: float,
     share: FloatArray,
 ) -> None:
     """Write the posterior ``share`` of the pairs of rows first … last − 1 of a :data:`Graph`.
 
     Each row is summed exactly together with the rows that compete with it most, at most as many as ``rivals`` has
-    columns, with at most ``most_bits`` of choices; other rows act by their messages.
+    columns, with at most ``max_bits`` of choices; other rows act by their messages.
     """
     ball = room_for(graph, rivals.shape[1])
     for center in range(first, last):
         low, high = graph.start[center], graph.start[center + 1]
-        count = gather_rows(center, graph, rivals, strength, most_bits, ball)
+        count = gather_rows(center, graph, rivals, strength, max_bits, ball)
         rows = gather_options(count, graph, ball)
         if not sum_ball(rows, ball, share[low:high]):
             from_messages(center, graph, share[low:high])
@@ -131,12 +131,12 @@ def balls(
 
 
 @part
-def room_for(graph: Graph, most_rows: int) -> Ball:
+def room_for(graph: Graph, max_rows: int) -> Ball:
     """A workspace for balls of a graph."""
     longest = np.int64(0)
     for r in range(len(graph.none)):
         longest = max(longest, graph.start[r + 1] - graph.start[r])
-    rows = most_rows + 2
+    rows = max_rows + 2
     pairs = rows * (longest + 1)
     return Ball(
         np.empty(rows, np.int64),
@@ -162,7 +162,7 @@ def room_for(graph: Graph, most_rows: int) -> Ball:
 
 @part
 def gather_rows(
-    center: int, graph: Graph, rivals: Int32Array, strength: FloatArray, most_bits: float, ball: Ball
+    center: int, graph: Graph, rivals: Int32Array, strength: FloatArray, max_bits: float, ball: Ball
 ) -> int:
     """List the rows of a ball, adding the strongest rival of any row inside; returns their number."""
     most = rivals.shape[1]
@@ -171,7 +171,7 @@ def gather_rows(
     bits = 0.0
     while True:
         bits += math.log2(1.0 + graph.start[row + 1] - graph.start[row])
-        if count > 0 and bits > most_bits:
+        if count > 0 and bits > max_bits:
             break
         ball.row[count], ball.next[count] = row, 0
         ball.inside[row] = True

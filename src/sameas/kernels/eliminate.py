@@ -32,14 +32,14 @@ Scratch = namedtuple("Scratch", "key value back target place_key place_state pla
 
 
 @part
-def scratch(most_pairs: int, most_rows: int, most_columns: int) -> Scratch:
+def scratch(max_pairs: int, max_rows: int, max_columns: int) -> Scratch:
     """Workspace of :func:`eliminate` for problems of at most this many pairs, rows and columns.
 
     A problem of c columns has at most 2^c states in a step: whether it fits does not depend on the other problems.
     """
-    places = np.int64(1) << min(most_columns + 1, PLACE_BITS)
-    states = min(STATES, (most_rows + 2) << min(most_columns, 19))
-    spread = states * (most_columns + 2)
+    places = np.int64(1) << min(max_columns + 1, PLACE_BITS)
+    states = min(STATES, (max_rows + 2) << min(max_columns, 19))
+    spread = states * (max_columns + 2)
     values = min(VALUES, spread)
     return Scratch(
         np.empty(states, np.uint64),
@@ -49,8 +49,8 @@ def scratch(most_pairs: int, most_rows: int, most_columns: int) -> Scratch:
         np.empty(places, np.uint64),
         np.empty(places, np.int32),
         np.zeros(places, np.int32),
-        np.empty(most_pairs, np.uint64),
-        np.empty(most_pairs, np.bool_),
+        np.empty(max_pairs, np.uint64),
+        np.empty(max_pairs, np.bool_),
     )
 
 

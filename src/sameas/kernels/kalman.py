@@ -99,7 +99,7 @@ def joint_in_plane(
 @small
 def correlated_shifts(
     shift: FloatArray, both: FloatArray, shared: FloatArray, motion: FloatArray, correlations: FloatArray,
-    shares: FloatArray, least_m2: float, log_p: FloatArray,
+    shares: FloatArray, added_m2: float, log_p: FloatArray,
 ) -> None:  # fmt: skip
     """Write ln p (n, c) of the displacements between two reports of a track, for correlations ρ (c,) of their errors.
 
@@ -110,9 +110,9 @@ def correlated_shifts(
         x, y = shift[k, 0], shift[k, 1]
         for c in range(len(correlations)):
             rho, total, least = correlations[c], 0.0, math.inf
-            p = both[k, 0, 0] - rho * shared[k, 0, 0] + least_m2
+            p = both[k, 0, 0] - rho * shared[k, 0, 0] + added_m2
             q = both[k, 0, 1] - rho * shared[k, 0, 1]
-            r = both[k, 1, 1] - rho * shared[k, 1, 1] + least_m2
+            r = both[k, 1, 1] - rho * shared[k, 1, 1] + added_m2
             for share in shares:
                 a, b, d = p + share * motion[k, 0, 0], q + share * motion[k, 0, 1], r + share * motion[k, 1, 1]
                 determinant = a * d - b * b

@@ -318,7 +318,7 @@ def packed(
     weight: FloatArray,
     small: int,
     cuts: FloatArray,
-    most_records: int,
+    max_records: int,
     cap: int,
     dual: FloatArray,
     share: FloatArray,
@@ -334,7 +334,7 @@ def packed(
     probable than the best. Duals u of the records with Σ u ≥ ln w for every set give the bound: a partition with a set
     weighs at most Σ u of all records minus the set's reduced cost Σ u − ln w. ``dual`` (n,) are such duals; they are
     lowered coordinate by coordinate, and annealed if that is not enough. Excluding sets splits the group into blocks,
-    and a block's own duals are tighter. c is the first of ``cuts`` at which a block has at most ``most_records``
+    and a block's own duals are tighter. c is the first of ``cuts`` at which a block has at most ``max_records``
     records and its sum at most ``cap`` steps between states. ``cut`` is the lowest c of a group's blocks, or −1 if a
     block has none; only the other blocks are written then. Blocks of c below :data:`LEAST_CUT` have the best partition
     of that sum, and probabilities from samples of their partitions.
@@ -348,7 +348,7 @@ def packed(
             cut[g] = cuts[0]
         else:
             cut[g] = _packed_group(
-                members[a:b], weight[a:b], local, small, cuts, most_records, cap, dual, share[a:b], chosen[a:b]
+                members[a:b], weight[a:b], local, small, cuts, max_records, cap, dual, share[a:b], chosen[a:b]
             )
 
 
@@ -444,7 +444,7 @@ def _packed_group(
     local: IntArray,
     small: int,
     cuts: FloatArray,
-    most_records: int,
+    max_records: int,
     cap: int,
     dual: FloatArray,
     share: FloatArray,
@@ -462,10 +462,10 @@ def _packed_group(
     block, done, place, hint = np.zeros(n, np.int64), np.zeros(n, np.bool_), np.arange(k), np.zeros(k, np.bool_)
     if n <= small:
         _blocks(begin, entry, block)
-        if _sum_blocks(begin, entry, weight, place, block, done, most_records, cap, share, chosen):
+        if _sum_blocks(begin, entry, weight, place, block, done, max_records, cap, share, chosen):
             return cuts[0]
     begin, entry, weight, place, hint = _prune(begin, entry, weight, place, hint, cuts[0], block, done, own_dual)
-    if _sum_blocks(begin, entry, weight, place, block, done, most_records, cap, share, chosen):
+    if _sum_blocks(begin, entry, weight, place, block, done, max_records, cap, share, chosen):
         return cuts[0]
     # Blocks share no sets, so only those that are not summed yet need better duals.
     begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, ~done[entry[begin[:-1]]])
@@ -477,7 +477,7 @@ def _packed_group(
             if cut < LEAST_CUT and not inexact.any():
                 inexact = ~done
             pruned = _prune(*pruned, cut, block, done, own_dual)
-            if _sum_blocks(*pruned[:4], block, done, most_records, cap, share, chosen):
+            if _sum_blocks(*pruned[:4], block, done, max_records, cap, share, chosen):
                 if cut < LEAST_CUT:
                     _by_samples(begin, entry, weight, place, hint, inexact, source, chosen, share)
                 return cut
@@ -750,7 +750,7 @@ def _sum_blocks(
     place: IntArray,
     block: IntArray,
     done: BoolArray,
-    most_records: int,
+    max_records: int,
     cap: int,
     share: FloatArray,
     chosen: BoolArray,
@@ -775,7 +775,7 @@ def _sum_blocks(
             continue
         if len(sets) == 1:
             share[place[sets[0]]], chosen[place[sets[0]]], summed[b] = 1.0, True, True
-        elif records[b] <= most_records:
+        elif records[b] <= max_records:
             _order(begin, entry, sets, number, own)
             summed[b] = _sum_block(begin, entry, weight, place, sets, number, records[b], cap, share, chosen)
     all_done = True

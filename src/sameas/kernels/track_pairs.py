@@ -27,7 +27,7 @@ WIDTH = COVARIANCE[1] + CONVOY * (CONVOY + 1) // 2
 def pairs_stepped(
     errors: FloatArray, met: FloatArray, rows: IntArray, first: IntArray, second: IntArray, last: FloatArray,
     moved: FloatArray, drift: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray,
-    new_report: BoolArray, total: FloatArray, least_m2: float, new_errors: FloatArray, log_reports: FloatArray,
+    new_report: BoolArray, total: FloatArray, added_m2: float, new_errors: FloatArray, log_reports: FloatArray,
     now: FloatArray, chi_sq: FloatArray,
 ) -> None:  # fmt: skip
     """Write the errors of pairs of tracks after an instant: predicted by the tracks' motion, then updated by the new
@@ -36,7 +36,7 @@ def pairs_stepped(
     errors, met : (n, WIDTH), (m, WIDTH) of old and new pairs. rows : (k,) the pairs that continue, rows of both arrays
     concatenated. first, second : (k,) their tracks, rows of the step, whose columns are ``last`` … ``new_report``
     (:class:`sameas.picture.named_tracks.Step`). total : (m, 2, 2) covariance of each track's position at the instant.
-    least_m2 : added variance that keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of
+    added_m2 : added variance that keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of
     the reports under both hypotheses. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
     """
     one, other, h, gain = np.empty(CONVOY), np.empty(CONVOY), np.empty((2, 6)), np.empty((2, 2))
@@ -49,7 +49,7 @@ def pairs_stepped(
         _unpacked(row, MEAN[1], COVARIANCE[1], mean_two, covariance_two)
         x, y = moved[a, 0] - moved[b, 0], moved[a, 1] - moved[b, 1]
         went_x, went_y = x - (last[a, 0] - last[b, 0]), y - (last[a, 1] - last[b, 1])
-        _gain_by_drift(drift[a], drift[b], 1e-4 * least_m2, gain)
+        _gain_by_drift(drift[a], drift[b], 1e-4 * added_m2, gain)
         _grow(drift[a], gain, went_x, went_y, mean_one, covariance_one)
         _grow(drift[a], gain, went_x, went_y, mean_two, covariance_two)
         log_one = log_two = 0.0
@@ -58,8 +58,8 @@ def pairs_stepped(
                 for w in range(4):
                     h[v, w] = slope[a, v, w]
             east, north = shift[a, 0], shift[a, 1]
-            log_one = _update(mean_one, covariance_one, 2, 4, h, noise[a], least_m2, east, north, one, other)
-            log_two = _update(mean_two, covariance_two, 2, 4, h, noise[a], least_m2, east, north, one, other)
+            log_one = _update(mean_one, covariance_one, 2, 4, h, noise[a], added_m2, east, north, one, other)
+            log_two = _update(mean_two, covariance_two, 2, 4, h, noise[a], added_m2, east, north, one, other)
             for v in range(2):
                 mean_one[v] += shift[a, v]
                 mean_two[v] += shift[a, v]
@@ -71,8 +71,8 @@ def pairs_stepped(
                     h[v, w], h[v, 2 + w], h[v, 4 + w] = slope[b, v, w], slope[b, v, 2 + w], slope[b, v, w]
             east = shift[b, 0] + h[0, 0] * x + h[0, 1] * y
             north = shift[b, 1] + h[1, 0] * x + h[1, 1] * y
-            log_one += _update(mean_one, covariance_one, 4, ONE, h, noise[b], least_m2, east, north, one, other)
-            log_two += _update(mean_two, covariance_two, 4, CONVOY, h, noise[b], least_m2, east, north, one, other)
+            log_one += _update(mean_one, covariance_one, 4, ONE, h, noise[b], added_m2, east, north, one, other)
+            log_two += _update(mean_two, covariance_two, 4, CONVOY, h, noise[b], added_m2, east, north, one, other)
             x, y = x - shift[b, 0], y - shift[b, 1]
         _packed(mean_one, covariance_one, MEAN[0], COVARIANCE[0], new_errors[k])
         _packed(mean_two, covariance_two, MEAN[1], COVARIANCE[1], new_errors[k])

@@ -34,9 +34,9 @@ _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "serial", "stdin")
 
 @dataclass
 class BoundedQueue:
-    """Pieces with their receive times. Above ``most_bytes`` in total the oldest are dropped; dropped : their number."""
+    """Pieces with their receive times. Above ``max_bytes`` in total the oldest are dropped; dropped : their number."""
 
-    most_bytes: int = 8 << 20
+    max_bytes: int = 8 << 20
     dropped: int = 0
     _pieces: deque[tuple[float, bytes, bool]] = field(default_factory=deque)
     _bytes: int = 0
@@ -44,15 +44,15 @@ class BoundedQueue:
     def put(self, data: bytes, received_s: float, whole: bool) -> None:
         self._pieces.append((received_s, data, whole))
         self._bytes += len(data)
-        while self._bytes > self.most_bytes:
+        while self._bytes > self.max_bytes:
             _, lost, _ = self._pieces.popleft()
             self._bytes -= len(lost)
             self.dropped += 1
 
-    def take(self, most_bytes: int) -> list[tuple[float, bytes, bool]]:
-        """Removes and returns the oldest pieces, until they have ``most_bytes`` or more."""
+    def take(self, max_bytes: int) -> list[tuple[float, bytes, bool]]:
+        """Removes and returns the oldest pieces, until they have ``max_bytes`` or more."""
         out, size = [], 0
-        while self._pieces and size < most_bytes:
+        while self._pieces and size < max_bytes:
             piece = self._pieces.popleft()
             out.append(piece)
             size += len(piece[1])
@@ -79,14 +79,14 @@ class Wire:
 
     Parameters
     ----------
-    url : see the module. stream : decodes the bytes. most_bytes : size of the queue. clock : UTC in seconds.
+    url : see the module. stream : decodes the bytes. max_bytes : size of the queue. clock : UTC in seconds.
     """
 
     def __init__(
-        self, url: str, stream: ReportStream, *, most_bytes: int = 8 << 20, clock: Callable[[], float] = time.time
+        self, url: str, stream: ReportStream, *, max_bytes: int = 8 << 20, clock: Callable[[], float] = time.time
     ) -> None:
         self.url, self.stream, self.clock = url, stream, clock
-        self.queue, self.state = BoundedQueue(most_bytes), WireState()
+        self.queue, self.state = BoundedQueue(max_bytes), WireState()
         parts = urlsplit(url)
         if parts.scheme not in _SCHEMES:
             raise InputError(f"input {url!r}: is not a known kind of input", f"give one of {', '.join(_SCHEMES)}")
@@ -116,14 +116,14 @@ class Wire:
             wait_s = FIRST_WAIT_S if self.state.received > before else min(2.0 * wait_s, LONGEST_WAIT_S)
             await asyncio.sleep(wait_s)
 
-    def take(self, most_bytes: int = 2 << 20) -> list[Reports]:
-        """The reports in the oldest queued pieces, about ``most_bytes`` of them.
+    def take(self, max_bytes: int = 2 << 20) -> list[Reports]:
+        """The reports in the oldest queued pieces, about ``max_bytes`` of them.
 
         Raises
         ------
         InputError : the data cannot be decoded to reports; they are dropped.
         """
-        for received_s, data, whole in self.queue.take(most_bytes):
+        for received_s, data, whole in self.queue.take(max_bytes):
             self.stream.feed(data, received_s, whole=whole)
         return self.stream.reports()
 

@@ -306,7 +306,7 @@ def packed_groups(
     share, chosen, cut = np.zeros(n), np.zeros(n, bool), np.full(len(groups), -1.0)
     packed(
         np.flatnonzero(groups & (sets.floor <= 0)), sets.start, sets.members, sets.log_weight, tuning.small,
-        np.array(tuning.cuts), MOST_RECORDS, min(tuning.block_steps, tuning.most_steps), dual, share, chosen, cut,
+        np.array(tuning.cuts), MOST_RECORDS, min(tuning.block_steps, tuning.max_steps), dual, share, chosen, cut,
     )  # fmt: skip
     return share, chosen, cut
 
@@ -405,7 +405,7 @@ class _Sums:
         start, table = self._remaining_table(blocks, kept[blocks.certain])
         eliminate(
             np.flatnonzero(blocks.size <= MOST_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
-            sets.size[at] - 1, start, table, self.counts, self.tuning.most_steps, part, best, solved,
+            sets.size[at] - 1, start, table, self.counts, self.tuning.max_steps, part, best, solved,
         )  # fmt: skip
         done = groups
         done[blocks.group[~solved]] = False

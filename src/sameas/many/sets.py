@@ -4,7 +4,7 @@ A set has at most one record of each source, and every two of its records are a 
 record at a time, in pooled order. A set is dropped if neither it nor any larger set from it can weigh more than a
 ``floor``: a record adds at most its gain, the largest term of any pair of its group in each rule, and −½ ln|2π R|, the
 peak of its density. With floor 0 the best partition is not affected: its sets outweigh their records alone, and a count
-prior only requires more. Each group has the lowest of ``ManyTuning.floors`` with at most ``ManyTuning.most_sets`` sets;
+prior only requires more. Each group has the lowest of ``ManyTuning.floors`` with at most ``ManyTuning.max_sets`` sets;
 a floor above 0 is reported as a gap.
 """
 
@@ -28,19 +28,19 @@ class ManyTuning:
 
     Attributes
     ----------
-    floors : ln w below which sets of a group are excluded, tried in this order until ``most_sets`` is not exceeded.
-    most_sets : most sets of a group. most_pairs : most pairs of a group in which the floor leaves only single records.
+    floors : ln w below which sets of a group are excluded, tried in this order until ``max_sets`` is not exceeded.
+    max_sets : of a group. max_pairs : of a group in which the floor leaves only single records.
     cuts : reduced costs above which sets are excluded from a group's sum, tried in this order until it is short enough.
-    most_steps : most transitions between states in the sum of a group.
+    max_steps : maximum number of transitions between states in the sum of a group.
     small : groups of at most this many records are summed with all their sets.
     block_steps : most transitions in the sum of a block, a part of a group that has its own cut.
     """
 
     floors: tuple[float, ...] = (-np.inf, 0.0, 6.0, 15.0, 30.0, 80.0, np.inf)
-    most_sets: int = 400_000
-    most_pairs: int = 100_000
+    max_sets: int = 400_000
+    max_pairs: int = 100_000
     cuts: tuple[float, ...] = (30.0, 20.0, 14.0, 10.0, 8.0, 6.0, 4.0, 2.0, 1.0)
-    most_steps: int = 300_000
+    max_steps: int = 300_000
     small: int = 8
     block_steps: int = 300_000
 
@@ -93,7 +93,7 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUN
     growth = _Growth.of(pooled, terms)
     for value in tuning.floors:
         floor[unsolved] = value
-        grown, too_many = growth.all(unsolved, value, tuning.most_sets)
+        grown, too_many = growth.all(unsolved, value, tuning.max_sets)
         levels += [level.of_groups(pooled, ~too_many) for level in grown]
         unsolved &= too_many
         if not unsolved.any():
@@ -103,7 +103,7 @@ def candidate_sets(pooled: PooledRecords, terms: Terms, tuning: ManyTuning = TUN
     for level in levels:
         without_sets[pooled.group[level.records[:, 0]]] = False
     if without_sets.any():
-        pairs, too_many = growth.all(without_sets, -np.inf, tuning.most_pairs, largest=2)
+        pairs, too_many = growth.all(without_sets, -np.inf, tuning.max_pairs, largest=2)
         levels += [level.of_groups(pooled, ~too_many) for level in pairs]
     return _gathered(pooled, levels, floor)
 

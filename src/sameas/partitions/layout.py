@@ -210,8 +210,8 @@ class HatsCatalogue:
         empty = self.schema.empty_table().select(names)
         return empty.append_column(CELL, pa.array([], pa.int64()))
 
-    def pieces(self, cell: Cell, columns: list[str], most_rows: int) -> Iterator[pa.Table]:
-        """The rows of a partition in their stored order, at most ``most_rows`` in a table, with their cells.
+    def pieces(self, cell: Cell, columns: list[str], max_rows: int) -> Iterator[pa.Table]:
+        """The rows of a partition in their stored order, at most ``max_rows`` in a table, with their cells.
 
         Raises
         ------
@@ -225,7 +225,7 @@ class HatsCatalogue:
             with _naming(file, cell), parquet.ParquetFile(file, memory_map=True) as opened:
                 stored = CELL in opened.schema_arrow.names
                 wanted = list(dict.fromkeys([*names, *([CELL] if stored else self.position)]))
-                for batch in opened.iter_batches(most_rows, columns=wanted, use_threads=False):
+                for batch in opened.iter_batches(max_rows, columns=wanted, use_threads=False):
                     part = pa.Table.from_batches([batch])
                     cells = part.column(CELL) if stored else pa.chunked_array([self._cells(part, stored)])
                     yield _with_cells_last(part, cells, names)

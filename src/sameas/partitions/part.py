@@ -59,7 +59,7 @@ class PartTuning:
     at_once : approximate candidates of the records whose probabilities are summed at once; 250 bytes for each of them
         and of those around them.
     counted_at_once : rows of a partition that are counted at once; about 200 bytes each.
-    most_of_all : if a sum needs more than this share of all records, it takes all of them.
+    max_share : if a sum needs more than this share of all records, it takes all of them.
     finer : orders by which the cells along the halo's edge are finer than cells of the halo's width.
     """
 
@@ -68,7 +68,7 @@ class PartTuning:
     steps: int = 3
     at_once: int = 450_000
     counted_at_once: int = 200_000
-    most_of_all: float = 0.8
+    max_share: float = 0.8
     finer: int = 3
 
 
@@ -328,7 +328,7 @@ class Work:
         steps, n_records = self.tuning.steps, len(wanted[0]) + len(wanted[1])
         while True:
             near = competing.around(wanted, steps)
-            if sum(map(np.count_nonzero, near)) > self.tuning.most_of_all * n_records:
+            if sum(map(np.count_nonzero, near)) > self.tuning.max_share * n_records:
                 near = np.ones_like(near[0]), np.ones_like(near[1])
             of_1, of_2 = near[0][pairs.i], near[1][pairs.j]
             inside, severed = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)

@@ -109,8 +109,8 @@ class Trials:
         return Trials(self.theta, self.common * factor, self.gain)
 
 
-def refine(scene: PlacedSources, votes: Votes, most_steps: int) -> list[Solution]:
-    """Solutions from the votes, most probable first; at most ``most_steps`` iterations each after the search."""
+def refine(scene: PlacedSources, votes: Votes, max_steps: int) -> list[Solution]:
+    """Solutions from the votes, most probable first; at most ``max_steps`` iterations each after the search."""
     prior = OffsetPrior.of(scene)
     sample = scene.of_patch(_sampled(len(scene.second), _searched_records(scene, votes)))
     trials, search_steps = _searched(scene, sample, prior, votes)
@@ -118,9 +118,9 @@ def refine(scene: PlacedSources, votes: Votes, most_steps: int) -> list[Solution
     for k in range(len(trials.gain)):
         one, steps = trials.chosen([k]), search_steps
         if sample is not scene:
-            one, _, number, _ = _converged(sample, prior, one, most_steps)
+            one, _, number, _ = _converged(sample, prior, one, max_steps)
             one, steps = one.scaled(len(scene.second) / len(sample.second)), steps + number
-        solutions.append(_finished(scene, sample, prior, one, most_steps, steps))
+        solutions.append(_finished(scene, sample, prior, one, max_steps, steps))
     solutions.sort(key=lambda solution: -solution.log_evidence)
     return _without_repetitions(scene, solutions)
 
@@ -210,7 +210,7 @@ def _normal_equations(
 
 
 def _converged(
-    scene: PlacedSources, prior: OffsetPrior, one: Trials, most_steps: int
+    scene: PlacedSources, prior: OffsetPrior, one: Trials, max_steps: int
 ) -> tuple[Trials, FloatArray, int, bool]:
     """One offset at its maximum, its complete information (p, p), the number of iterations, whether they converged."""
     at, common, number, converged = one.theta, one.common, 0, False
@@ -224,15 +224,15 @@ def _converged(
         common_change = abs(float(weights.common[0] - common[0]))
         converged = moved_by <= scene.tuning.settled and common_change <= 0.01 + 3e-3 * float(common[0])
         common = weights.common
-        if converged or number >= most_steps:
+        if converged or number >= max_steps:
             return Trials(at, common, weights.gain), information[0], number, converged
 
 
 def _finished(
-    scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, one: Trials, most_steps: int, search_steps: int
+    scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, one: Trials, max_steps: int, search_steps: int
 ) -> Solution:
     """One offset at its maximum, with its covariance and evidence."""
-    one, complete, number, converged = _converged(scene, prior, one, most_steps)
+    one, complete, number, converged = _converged(scene, prior, one, max_steps)
     share = len(sample.second) / len(scene.second)
     axes, score, weights = _missing_information(sample, prior, one.scaled(share), share * complete)
     if sample is not scene:

@@ -63,13 +63,13 @@ class CrossmatchTuning:
 
     Attributes
     ----------
-    most_records_per_error : more records per typical error, in both catalogues, are refused: positions cannot separate
+    max_records_per_error : more records per typical error, in both catalogues, are refused: positions cannot separate
         them, and the unit of the errors is probably wrong.
     sampled_from_rows, sampled_rings : tables longer than ``sampled_from_rows`` are checked for this on one declination
         ring of cells in ``sampled_rings``.
-    least_common_share, least_common_sigmas : two catalogues have hardly any objects in common if the expected number
+    min_common_share, min_common_sigmas : two catalogues have hardly any objects in common if the expected number
         is at most this share of the smaller catalogue and at most this many of its standard errors.
-    most_spacing_share : with hardly any common objects the errors are doubted if the lower quartile of the
+    max_spacing_share : with hardly any common objects the errors are doubted if the lower quartile of the
         nearest-neighbour distances is below this share of its value for chance alone.
     usual_scale : (least, largest) ratio of residuals to quoted errors that raises no doubt.
     usual_density : (least, largest) ratio of the given density to the observed one that raises no doubt.
@@ -80,12 +80,12 @@ class CrossmatchTuning:
         take a third longer).
     """
 
-    most_records_per_error: float = 20.0
+    max_records_per_error: float = 20.0
     sampled_from_rows: int = 100_000
     sampled_rings: float = 16.0
-    least_common_share: float = 0.05
-    least_common_sigmas: float = 3.0
-    most_spacing_share: float = 0.2
+    min_common_share: float = 0.05
+    min_common_sigmas: float = 3.0
+    max_spacing_share: float = 0.2
     usual_scale: tuple[float, float] = (0.3, 5.0)
     usual_density: tuple[float, float] = (0.01, 100.0)
     duplicate_sigmas: float = 5.0
@@ -309,7 +309,7 @@ def _refuse_large_errors(one: Records, two: Records, tuning: CrossmatchTuning) -
     sigma = math.hypot(*sigmas)
     calls = [partial(_records_per_cell, records.features, sigma, tuning) for records in (one, two)]
     crowding = min(threads.each(calls, n))
-    if crowding > tuning.most_records_per_error:
+    if crowding > tuning.max_records_per_error:
         worst = (one, two)[int(sigmas[1] > sigmas[0])].source
         raise InputError(
             f"{worst}: its typical error, {max(sigmas):.3g} arcsec, is so large that about {crowding:.0f} records lie "
@@ -478,20 +478,20 @@ def _offset_doubts(result: Identification, estimate: Estimate, tuning: Crossmatc
 
 def _hardly_any_common(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> bool:
     """Whether the number of common objects is small and consistent with zero by its standard error."""
-    if estimate.common > tuning.least_common_share * min(len(result.first), len(result.second)):
+    if estimate.common > tuning.min_common_share * min(len(result.first), len(result.second)):
         return False
-    return estimate.common <= max(0.5, tuning.least_common_sigmas * estimate.quantities["common"].standard_error)
+    return estimate.common <= max(0.5, tuning.min_common_sigmas * estimate.quantities["common"].standard_error)
 
 
 def _near_miss_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
     """A doubt about the errors if records lie close to each other, but not within their errors."""
     first, second = result.first, result.second
     _, _, density_2 = area_and_densities(estimate.coverage)
-    if estimate.common > tuning.least_common_share * min(len(first), len(second)) or not density_2:
+    if estimate.common > tuning.min_common_share * min(len(first), len(second)) or not density_2:
         return ()
     near = float(np.quantile(nearest(first, second).separation_arcsec, 0.25))
     by_chance = math.sqrt(math.log(4.0 / 3.0) * ARCSEC2_PER_DEG2 / (math.pi * density_2))
-    if near > tuning.most_spacing_share * by_chance:
+    if near > tuning.max_spacing_share * by_chance:
         return ()
     missed = (
         f"a quarter of {first.source} lies within {near:.2g} arcsec of a record of {second.source}, by chance it would "

@@ -44,27 +44,27 @@ class CommonErrorTuning:
     Attributes
     ----------
     usual_arcsec, spread_log : median of the prior of s, and standard deviation of its natural logarithm.
-    least_arcsec, largest_arcsec : range of the grid of s. steps, share_steps : grid points of s and of f.
+    min_arcsec, largest_arcsec : range of the grid of s. steps, share_steps : grid points of s and of f.
     neighbours : the local density is taken from the distance to the neighbour of this rank.
     copied_arcsec : the catalogues are copies if the median nearest-neighbour distance is at most this.
-    most_records : maximum number of records used, evenly sampled.
-    most_rows, strips : larger catalogues are reduced to about ``most_rows`` rows, in this many strips of declination.
-    most_products : all distances are computed if they are at most this many; else only those to records close along one
+    max_records : maximum number of records used, evenly sampled.
+    max_rows, strips : larger catalogues are reduced to about ``max_rows`` rows, in this many strips of declination.
+    max_products : all distances are computed if they are at most this many; else only those to records close along one
         axis, ``window`` of them at first (importing a k-d tree would take 0.15 to 0.5 s).
     """
 
     usual_arcsec: float = 0.3
     spread_log: float = 2.0
-    least_arcsec: float = 1e-3
+    min_arcsec: float = 1e-3
     largest_arcsec: float = 60.0
     steps: int = 80
     share_steps: int = 16
     neighbours: int = 6
     copied_arcsec: float = 1e-6
-    most_records: int = 4000
-    most_rows: int = 40_000
+    max_records: int = 4000
+    max_rows: int = 40_000
     strips: int = 2
-    most_products: int = 4_000_000
+    max_products: int = 4_000_000
     window: int = 128
 
 
@@ -183,7 +183,7 @@ def common_error(
     if np.median(distance) <= tuning.copied_arcsec:
         return tuning.usual_arcsec, 0.0
     quoted_variance = variances[0][row] + variances[1][partner_row]
-    s = np.geomspace(tuning.least_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
+    s = np.geomspace(tuning.min_arcsec, tuning.largest_arcsec, tuning.steps)[:, None]
     variance = s**2 * (2.0 if shared else 1.0) + quoted_variance
     chance = 2.0 * np.pi * density * distance
     near = np.exp(-0.5 * distance**2 / variance) * (distance / variance + chance)
@@ -203,7 +203,7 @@ def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tup
     The strips of the larger catalogue are twice as high, so that records at the edge of a strip keep their partners and
     neighbours.
     """
-    share = tuning.most_rows / max(len(one), len(two))
+    share = tuning.max_rows / max(len(one), len(two))
     if share >= 1.0:
         return one, two
     smaller = min(one, two, key=len)
@@ -243,7 +243,7 @@ def _neighbours(
     one: FloatArray, two: FloatArray, tuning: CommonErrorTuning
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
     """(k,) distances to the nearest, arcsec, local densities per arcsec², its row in ``two``, the row in ``one``."""
-    sampled = np.arange(0, len(one), max(1, len(one) // tuning.most_records))
+    sampled = np.arange(0, len(one), max(1, len(one) // tuning.max_records))
     directions = one[sampled]
     count = min(tuning.neighbours, len(two))
     chord, rows = _nearest(directions, two, count, tuning)
@@ -255,7 +255,7 @@ def _neighbours(
 
 def _nearest(one: FloatArray, two: FloatArray, count: int, tuning: CommonErrorTuning) -> tuple[FloatArray, IntArray]:
     """(k, count) chords to the nearest directions in ``two``, ascending, and their rows."""
-    if len(one) * len(two) > tuning.most_products:
+    if len(one) * len(two) > tuning.max_products:
         return _nearest_along(one, two, count, tuning)
     rows = np.argpartition(one @ -two.T, count - 1, axis=1)[:, :count]
     # The scalar product finds the nearest; the chord is computed from differences, without cancellation.
@@ -276,7 +276,7 @@ def _nearest_along(
     pending, width = np.arange(len(one)), min(max(tuning.window, count), n)
     while len(pending):
         complete = np.zeros(len(pending), np.bool_)
-        chunk_size = max(tuning.most_products // width, 1)
+        chunk_size = max(tuning.max_products // width, 1)
         for chunk in (slice(low, low + chunk_size) for low in range(0, len(pending), chunk_size)):
             part = one[pending[chunk]]
             low = np.clip(np.searchsorted(along[1:-1], part[:, axis]) - width // 2, 0, n - width)
@@ -425,16 +425,16 @@ _MISREADINGS = (
 class EpochTuning:
     """Thresholds for doubting an epoch; all chosen.
 
-    least_p_pair, largest_sigmas : pairs with a lower probability or a larger residual are not used.
-    fewest, most_pairs : with fewer pairs no doubt is reported; more are sampled regularly.
+    min_p_pair, largest_sigmas : pairs with a lower probability or a larger residual are not used.
+    fewest, max_pairs : with fewer pairs no doubt is reported; more are sampled regularly.
     significant_sigmas : minimum significance of δ, and of an offset in addition. significant_years : minimum of |δ|.
     significant_share : the fastest 5 % of the objects must move by at least this fraction of their errors in δ years.
     """
 
-    least_p_pair: float = 0.9
+    min_p_pair: float = 0.9
     largest_sigmas: float = 6.0
     fewest: int = 20
-    most_pairs: int = 30_000
+    max_pairs: int = 30_000
     significant_sigmas: float = 5.0
     significant_years: float = 0.3
     significant_share: float = 0.3
@@ -461,8 +461,8 @@ def epoch_doubt(
     questioned, other = (first, second) if side == 1 else (second, first)
     moved = questioned if questioned.has_motion else other
     records, index = (answer.first, answer.pairs.i) if moved is first else (answer.second, answer.pairs.j)
-    use = np.flatnonzero(answer.p_pair > tuning.least_p_pair)
-    use = use[:: -(-len(use) // tuning.most_pairs) or 1]
+    use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
+    use = use[:: -(-len(use) // tuning.max_pairs) or 1]
     astrometry = moved.astrometry[records.rows[index[use]]]
     motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
     # Residuals are first minus second. A catalogue moved from a later epoch than assumed was moved too far; one moved

@@ -58,10 +58,10 @@ class SeriesTuning:
     ----------
     reach_px : maximum separation of measurements of one source in two frames, or 3σ if larger.
     tie_arcsec : maximum separation of sources that tie frames, by their plates. tie_snr : minimum signal to noise.
-    least_ties : minimum number of sources to tie a frame; with fewer its own plate is used.
+    min_ties : minimum number of sources to tie a frame; with fewer its own plate is used.
     drift_sigmas, drift_px : a source drifts if its drift over the series exceeds both.
     often : minimum share of the other frames that show a stationary source without a drift.
-    least_p_star : minimum probability of a catalogue star.
+    min_p_star : minimum probability of a catalogue star.
     compared : number of frames, evenly over the series, with which each measurement is compared.
     overlap : maximum offset of a frame from the middle of the field, as a share of its diagonal.
     """
@@ -69,11 +69,11 @@ class SeriesTuning:
     reach_px: float = 1.2
     tie_arcsec: float = 4.0
     tie_snr: float = 15.0
-    least_ties: int = 8
+    min_ties: int = 8
     drift_sigmas: float = 4.0
     drift_px: float = 0.6
     often: float = 0.5
-    least_p_star: float = 0.5
+    min_p_star: float = 0.5
     compared: int = 24
     overlap: float = 0.7
 
@@ -154,12 +154,12 @@ class Trails:
     """Trails of sources that moved during the exposure.
 
     arcsec : (n, 2) from one end to the other, east and north, of either sign; NaN without a trail. sigma_arcsec : (n,)
-    its error per axis. least_widths : minimum length of a visible trail, in FWHM of a star.
+    its error per axis. min_widths : minimum length of a visible trail, in FWHM of a star.
     """
 
     arcsec: FloatArray
     sigma_arcsec: FloatArray
-    least_widths: float
+    min_widths: float
 
 
 @dataclass(frozen=True)
@@ -318,7 +318,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
         # Only for dithered frames: otherwise chip defects are stationary on the sky too.
         fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
     names = np.concatenate([e.names for e in ordered])
-    names = np.where(everything["p_star"] >= tuning.least_p_star, names, "")
+    names = np.where(everything["p_star"] >= tuning.min_p_star, names, "")
     stars = gather(
         tied, frame, sigma, names, still & ~fixed, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
@@ -328,7 +328,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.least_p_star, still, fixed & ~still,
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.min_p_star, still, fixed & ~still,
         (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
         _notes(ordered, ties, tuning),
     )  # fmt: skip
@@ -382,7 +382,7 @@ def _tied(
     reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
     known = place[good & (frame == reference)]
     for iteration in range(3):
-        if len(known) < tuning.least_ties:
+        if len(known) < tuning.min_ties:
             return place, ties
         reach = tuning.tie_arcsec / (1.0 if iteration == 0 else 2.0)
         tree = cKDTree(known)
@@ -395,7 +395,7 @@ def _tied(
             nearest_back = cKDTree(tied[rows]).query(known, distance_upper_bound=reach)[1]
             mutual = np.isfinite(distance)
             mutual[mutual] = nearest_back[at[mutual]] == np.flatnonzero(mutual)
-            if mutual.sum() < tuning.least_ties:
+            if mutual.sum() < tuning.min_ties:
                 continue
             solution, used = _affine(place[rows[mutual]], known[at[mutual]], variance[rows[mutual]])
             ties[k] = used
@@ -430,7 +430,7 @@ def _floors(
     """(f,) robust scatter of bright sources about their median positions in excess of their errors, arcsec per axis."""
     floor = np.full(frames, 0.05)
     first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
-    if len(first) < tuning.least_ties:
+    if len(first) < tuning.min_ties:
         return floor
     tree = cKDTree(place[first])
     offsets, variances = [], []
@@ -519,9 +519,9 @@ def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, still: Bool
 
 
 def _notes(exposures: tuple[Exposure, ...], ties: IntArray, tuning: SeriesTuning) -> tuple[str, ...]:
-    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < tuning.least_ties]
+    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < tuning.min_ties]
     return tuple(
-        f"{name}: fewer than {tuning.least_ties} sources link it to the others; its own plate solution is used"
+        f"{name}: fewer than {tuning.min_ties} sources link it to the others; its own plate solution is used"
         for name in loose
     )
 
@@ -533,12 +533,12 @@ class StarTuning:
     Attributes
     ----------
     odds : prior odds that a star of the series is measured on a frame.
-    least_ensemble : minimum number of stars for a zero point. often : minimum share of frames of such a star.
+    min_ensemble : minimum number of stars for a zero point. often : minimum share of frames of such a star.
     iterations : of the fit. huber : residuals beyond this many errors get a lower weight.
     """
 
     odds: float = 2.0
-    least_ensemble: int = 3
+    min_ensemble: int = 3
     often: float = 0.5
     iterations: int = 40
     huber: float = 2.0
@@ -680,7 +680,7 @@ def _ensemble(
     """(f,) zero points with mean 0, their errors and numbers of stars, and the floor, by iterated weighted means."""
     frames = raw.shape[1]
     ensemble = usable.sum(axis=0)
-    good = ensemble >= tuning.least_ensemble
+    good = ensemble >= tuning.min_ensemble
     usable = usable & good
     usable &= usable.sum(axis=1, keepdims=True) > 1
     if not usable.any():

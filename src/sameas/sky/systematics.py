@@ -47,7 +47,7 @@ class RotationTuning:
     patch_records : approximate number of records of either source in the searched patch.
     patch_deg : maximum radius of the patch, degrees. patch_places : number of centres that are tried.
     iterations : maximum number. converged_share : maximum step at convergence, as a fraction of a record's error.
-    least_p_pair : minimum probability of a pair that is used. most_pairs : more pairs are sampled regularly.
+    min_p_pair : minimum probability of a pair that is used. max_pairs : more pairs are sampled regularly.
     significant_sigmas, significant_share : a residual rotation is reported if it exceeds this many of its standard
         errors and moves a pair by more than this fraction of its error.
     """
@@ -58,8 +58,8 @@ class RotationTuning:
     iterations: int = 8
 
     converged_share: float = 0.05
-    least_p_pair: float = 0.01
-    most_pairs: int = 30_000
+    min_p_pair: float = 0.01
+    max_pairs: int = 30_000
     significant_sigmas: float = 5.0
     significant_share: float = 0.3
 
@@ -138,8 +138,8 @@ class Rotation:
 
         scale : ratio of residuals to quoted errors.
         """
-        use = np.flatnonzero(answer.p_pair > tuning.least_p_pair)
-        use = use[:: -(-len(use) // tuning.most_pairs) or 1]
+        use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
+        use = use[:: -(-len(use) // tuning.max_pairs) or 1]
         pairs, p = answer.pairs, answer.p_pair[use]
         slope = self._slope(answer.second.features[pairs.j[use]])
         covariance = pairs.covariance_of(use)
@@ -201,7 +201,7 @@ def residual_rotation(
     """
     if not len(answer.p_pair):
         return None
-    at = answer.second.features[:: -(-len(answer.second) // tuning.most_pairs)]
+    at = answer.second.features[:: -(-len(answer.second) // tuning.max_pairs)]
     lon, lat = directions_deg(mean_direction(unit_vectors(*at.T)))
     centre = float(lon), float(lat)
     rotation, share = Rotation(centre, np.zeros(3), np.zeros((3, 3))).refined(answer, scale, tuning)
@@ -277,19 +277,19 @@ class WarpTuning:
     Attributes
     ----------
     highest : maximum order. pairs_per_term : minimum number of pairs per term of an order.
-    most_pairs : more pairs are sampled regularly. widest_deg : maximum radius of a field.
+    max_pairs : more pairs are sampled regularly. max_radius_deg : maximum radius of a field.
     iterations : number of reweighted fits. tail_sigmas : larger residuals get a lower weight.
-    least_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
+    min_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
     passes : number of passes of crossmatch and fit.
     """
 
     highest: int = 6
     pairs_per_term: float = 5.0
-    most_pairs: int = 20_000
-    widest_deg: float = 40.0
+    max_pairs: int = 20_000
+    max_radius_deg: float = 40.0
     iterations: int = 6
     tail_sigmas: float = 3.5
-    least_gain: float = 10.0
+    min_gain: float = 10.0
     passes: int = 3
 
 
@@ -363,7 +363,7 @@ def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTu
     before : warp already applied to the second source; the total warp is returned.
     """
     pairs, used = result.pairs, np.flatnonzero(result.chosen)
-    rows = used[:: max(1, -(-len(used) // tuning.most_pairs))]
+    rows = used[:: max(1, -(-len(used) // tuning.max_pairs))]
     p, residual = result.p_pair[rows], pairs.residual[rows]
     if len(rows) < 3.0 * tuning.pairs_per_term:
         return None
@@ -372,7 +372,7 @@ def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTu
         residual = residual + before.displacement(position)
     vectors = unit_vectors(*position.T)
     centre = mean_direction(vectors)
-    if float((vectors @ centre).min()) < math.cos(math.radians(tuning.widest_deg)):
+    if float((vectors @ centre).min()) < math.cos(math.radians(tuning.max_radius_deg)):
         return None
     plane = to_plane(vectors, centre) * ARCSEC_PER_RADIAN
     radius = float(np.hypot(*plane.T).max())
@@ -383,7 +383,7 @@ def find_warp(result: Identification, before: Warp | None = None, tuning: WarpTu
         if len(rows) >= tuning.pairs_per_term * (order + 1) * (order + 2) / 2
     }
     least = min(leave_one_out for _, leave_one_out in fits.values())
-    order = min(order for order, (_, leave_one_out) in fits.items() if leave_one_out <= least + tuning.least_gain)
+    order = min(order for order, (_, leave_one_out) in fits.items() if leave_one_out <= least + tuning.min_gain)
     if order == 0:
         return None
     coefficients, leave_one_out = fits[order]

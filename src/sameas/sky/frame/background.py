@@ -115,7 +115,7 @@ def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
     limit = tuning.star_sigmas * 1.4826 * np.median(np.abs(smooth[usable]))
     bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright
-    if sky.sum() < tuning.fewest_noise_pixels:
+    if sky.sum() < tuning.min_noise_pixels:
         return independent
     values = np.where(sky, part - np.median(part[sky]), 0.0)
     size = [2 * n for n in part.shape]
@@ -125,4 +125,4 @@ def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
     index = np.arange(-reach, reach + 1)
     covariance = product[np.ix_(index, index)] / np.maximum(count[np.ix_(index, index)], 1)
     rho = covariance / covariance[reach, reach]
-    return np.where(np.abs(rho) < tuning.least_correlation, 0.0, rho)
+    return np.where(np.abs(rho) < tuning.min_correlation, 0.0, rho)

@@ -221,9 +221,9 @@ def centroids(
     """
     n = len(xy)
     largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
-    half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.widest_px)
+    half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.max_width_px)
     # Half-widths are rounded up to a geometric series, so that stamps have few sizes.
-    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.widest_px)
+    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.max_width_px)
     parts: list[tuple[IntArray, Centroids]] = []
     for size in np.unique(half):
         members = np.flatnonzero(half == size)
@@ -371,7 +371,7 @@ def adaptive(
         values, vectors = np.linalg.eigh(inverse)
         old = np.linalg.eigvalsh(windows)
         low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
-        values = np.clip(values, np.maximum(low, 1 / (tuning.widest_px / 3) ** 2), np.minimum(high, 1 / 0.2))
+        values = np.clip(values, np.maximum(low, 1 / (tuning.max_width_px / 3) ** 2), np.minimum(high, 1 / 0.2))
         windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
         measured = centroids(light, background, measured.xy, windows, subtracted, tuning)
     return measured, windows

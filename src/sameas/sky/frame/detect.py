@@ -92,7 +92,7 @@ def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) ->
         # Half of the pixels are enough for a median.
         median = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
         deviation = np.abs(median - median_filter(median, 15, mode="reflect"))
-        limit = max(tuning.least_line, tuning.line_sigmas * 1.4826 * float(np.median(deviation)))
+        limit = max(tuning.min_line, tuning.line_sigmas * 1.4826 * float(np.median(deviation)))
         line = deviation > limit
         if line.mean() < 0.05:
             bad |= line[None, :] if axis == 0 else line[:, None]
@@ -119,7 +119,7 @@ def significance(light: FloatArray, background: Background, psf: PSF, tuning: De
     noise_sq = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
     usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
-    enough = usable > tuning.least_usable * float((kernel**2).sum())
+    enough = usable > tuning.min_usable * float((kernel**2).sum())
     return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
 
 

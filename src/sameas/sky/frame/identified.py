@@ -58,18 +58,18 @@ class RefinementTuning:
     Attributes
     ----------
     margin_px : stars predicted up to this distance outside the frame are candidates.
-    least_p_pair : minimum probability of a pair used for the plate.
+    min_p_pair : minimum probability of a pair used for the plate.
     pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
     saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
-    least_p_detect : minimum detection probability of a candidate star.
+    min_p_detect : minimum detection probability of a candidate star.
     plate, photometry : parameters of the two fits.
     """
 
     margin_px: float = 2.0
-    least_p_pair: float = 0.02
+    min_p_pair: float = 0.02
     saturated_mag: float = 0.5
     pairs_beyond_linear: int = 30
-    least_p_detect: float = 0.01
+    min_p_detect: float = 0.01
     plate: PlateTuning = field(default_factory=PlateTuning)
     photometry: PhotometryTuning = field(default_factory=PhotometryTuning)
 
@@ -240,8 +240,8 @@ def identify_frame(
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
         completeness = _completeness(px, stars, result, measured, tuning)
         if completeness is not None:
-            faintest = completeness.faintest(tuning.least_p_detect)
-        pairs = _matched(measured, stars, result, tuning.least_p_pair)
+            faintest = completeness.faintest(tuning.min_p_detect)
+        pairs = _matched(measured, stars, result, tuning.min_p_pair)
         plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
@@ -267,9 +267,9 @@ def _first_plate(
     return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
 
 
-def _matched(measured: Measurements, stars: StarField, result: Identification, least_p_pair: float) -> MatchedStars:
+def _matched(measured: Measurements, stars: StarField, result: Identification, min_p_pair: float) -> MatchedStars:
     """All candidate pairs above the minimum probability, with their probabilities, for the plate fit."""
-    used = np.flatnonzero(result.p_pair >= least_p_pair)
+    used = np.flatnonzero(result.p_pair >= min_p_pair)
     p = np.minimum(result.p_pair[used], 1.0)
     return _pairs(measured, stars, result.rows_1[used], result.rows_2[used], p)
 

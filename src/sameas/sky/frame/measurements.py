@@ -31,18 +31,18 @@ class DetectionTuning:
     noise_side_px : the noise correlation is measured in a square of this side in the middle of the frame.
     noise_reach_px : maximum offset along an axis for the noise correlation.
     star_sigmas : 3 × 3 means farther than this from the sky are stars, and excluded from the noise measurement.
-    fewest_noise_pixels : with fewer pixels the noise is assumed independent.
-    least_correlation : smaller correlations are set to zero, as noise of the estimate.
+    min_noise_pixels : with fewer pixels the noise is assumed independent.
+    min_correlation : smaller correlations are set to zero, as noise of the estimate.
     centroid_steps : maximum number of centroid iterations. converged_px : step length for convergence.
-    stamp_sigmas : half-width of a stamp in standard deviations of its window. widest_px : maximum half-width.
+    stamp_sigmas : half-width of a stamp in standard deviations of its window. max_width_px : maximum half-width.
     pixels_at_once : pixels per batch of stamps, which bounds the memory.
     shape_steps : iterations that adapt a window to the shape of its star.
     defect_sigmas : a pixel is a defect if it exceeds the sharpest star by this many standard deviations.
     defect_passes : maximum number of passes; in each, known defects are replaced by their neighbours.
     sharpness_margin : maximum ratio of sharpness among stars.
     line_sigmas : a column or row is bad if it differs from its neighbours by this many standard deviations of lines.
-    least_line : minimum difference of a bad line, in standard deviations of a pixel; weaker lines are harmless.
-    least_usable : no star is detected where less than this share of its pixels is usable.
+    min_line : minimum difference of a bad line, in standard deviations of a pixel; weaker lines are harmless.
+    min_usable : no star is detected where less than this share of its pixels is usable.
     saddle_sigmas : minimum depth of the saddle between two stars, in standard deviations of the sky.
     saddle_photons : the same for the photon noise of the star, larger because the saddle is the minimum of many points
         along a trail.
@@ -62,20 +62,20 @@ class DetectionTuning:
     noise_side_px: int = 600
     noise_reach_px: int = 4
     star_sigmas: float = 3.5
-    fewest_noise_pixels: int = 1000
-    least_correlation: float = 0.02
+    min_noise_pixels: int = 1000
+    min_correlation: float = 0.02
     centroid_steps: int = 25
     converged_px: float = 2e-4
     stamp_sigmas: float = 3.5
-    widest_px: int = 48
+    max_width_px: int = 48
     pixels_at_once: int = 4_000_000
     shape_steps: int = 8
     defect_sigmas: float = 6.0
     defect_passes: int = 3
     sharpness_margin: float = 1.4
     line_sigmas: float = 8.0
-    least_line: float = 0.7
-    least_usable: float = 0.3
+    min_line: float = 0.7
+    min_usable: float = 0.3
     saddle_sigmas: float = 3.0
     saddle_photons: float = 5.0
     saddle_share: float = 0.02

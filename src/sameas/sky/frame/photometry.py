@@ -30,7 +30,7 @@ class PhotometryTuning:
 
     Attributes
     ----------
-    fewest_pairs : minimum number of pairs for a zero point. pairs_per_term : minimum of additional pairs per term.
+    min_pairs : minimum number of pairs for a zero point. pairs_per_term : minimum of additional pairs per term.
     iterations : of the fit and its weights.
     tail_sigmas : the weight of residuals beyond this many robust standard deviations falls with their inverse square.
     prior_stars : weight of the prior of the completeness, in stars.
@@ -38,7 +38,7 @@ class PhotometryTuning:
     cells : number of magnitude cells for the fit of the completeness.
     """
 
-    fewest_pairs: float = 3
+    min_pairs: float = 3
     pairs_per_term: float = 12
     iterations: int = 12
     tail_sigmas: float = 3.0
@@ -86,7 +86,7 @@ class ZeroPoint:
         tuning: PhotometryTuning = TUNING,
     ) -> ZeroPoint | None:
         """The zero point of pairs with weights, (n,) each; None with fewer than three."""
-        fewest = tuning.fewest_pairs
+        fewest = tuning.min_pairs
         known = (flux > 0) & np.isfinite(magnitude) & (weight > 0)
         if weight[known].sum() < fewest:
             return None

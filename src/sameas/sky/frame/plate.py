@@ -46,8 +46,8 @@ class PlateTuning:
     quoted_weight : prior weight, in residuals, of an error scale of 1.
     reverse_px, reverse_order : the order of the inverse SIP polynomial is raised until its largest error over the frame
         is below ``reverse_px``, at most to ``reverse_order``.
-    most_reverse_px : orders whose inverse has a larger error are not chosen, unless given.
-    least_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
+    max_reverse_px : orders whose inverse has a larger error are not chosen, unless given.
+    min_gain : a higher order must lower the leave-one-out −2 ln L by more than this.
     """
 
     iterations: int = 8
@@ -55,8 +55,8 @@ class PlateTuning:
     quoted_weight: float = 4.0
     reverse_px: float = 0.002
     reverse_order: int = 9
-    most_reverse_px: float = 0.01
-    least_gain: float = 8.0
+    max_reverse_px: float = 0.01
+    min_gain: float = 8.0
 
 
 TUNING = PlateTuning()
@@ -368,7 +368,7 @@ def fit_plate(
     if order is None:
         supported = [p for p in supported if p == possible[0] or _invertible(fits[p], tuning)]
     least = min(leave_one_out[p] for p in supported)
-    best = min(p for p in supported if leave_one_out[p] <= least + tuning.least_gain)
+    best = min(p for p in supported if leave_one_out[p] <= least + tuning.min_gain)
     return replace(fits[best], bic=bic, leave_one_out=leave_one_out)
 
 
@@ -378,7 +378,7 @@ def _invertible(model: PlateModel, tuning: PlateTuning) -> bool:
         return True
     origin = model.polynomial.inverse(np.zeros((1, 2)))[0]
     cd = model.polynomial.about(origin)[:, 1:3]
-    return _reverse(model.polynomial, origin, cd, model.shape, tuning)[2] < tuning.most_reverse_px
+    return _reverse(model.polynomial, origin, cd, model.shape, tuning)[2] < tuning.max_reverse_px
 
 
 def _fitted(

@@ -218,13 +218,13 @@ class PopulationTuning:
     ----------
     iterations : maximum number.
     converged_share : maximum change of the expected number of objects of a pattern at convergence, as a share of all.
-    least_p_set : minimum probability of a set used for the errors.
+    min_p_set : minimum probability of a set used for the errors.
     largest_p_set : maximum probability of a set, to keep its odds finite.
     """
 
     iterations: int = 8
     converged_share: float = 3e-4
-    least_p_set: float = 1e-3
+    min_p_set: float = 1e-3
     largest_p_set: float = 1.0 - 1e-9
 
 
@@ -308,14 +308,16 @@ class Population:
 
         fitted_errors = dict(self.errors)
         for pattern, errors in self.errors.items():
-            rows = np.flatnonzero((patterns == pattern) & (probability > tuning.least_p_set))
+            rows = np.flatnonzero((patterns == pattern) & (probability > tuning.min_p_set))
             if probability[rows].sum() < DEFAULT_EM.min_pairs:
                 continue
             # The odds of these sets without their residuals.
             p, d = np.minimum(probability[rows], tuning.largest_p_set), freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[rows], d)
             # Not wider than in the pairwise matches: beyond, chance pairs prevail.
-            widest = max(DEFAULT_EM.widest_scale, *(max(self.errors[pair].scales) for pair in pairs_within(pattern)))
+            widest = max(
+                DEFAULT_EM.min_largest_scale, *(max(self.errors[pair].scales) for pair in pairs_within(pattern))
+            )
             fitted_errors[pattern] = fit_errors(chi_sq[rows], log_odds, d, errors, widest=widest).errors
         return _with_common_errors(fitted_errors)
 
@@ -385,7 +387,7 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
                     if pattern >> t & 1:
                         # A catalogue's own records are in n − 1 coverages, those of another in one.
                         part = 1.0 / (n_sources - 1) if t == s else 1.0
-                        total[t][:, pattern] += part * np.log(density * np.maximum(share, DEFAULT_EM.least_share))
+                        total[t][:, pattern] += part * np.log(density * np.maximum(share, DEFAULT_EM.min_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
     out = []
     for s, column in enumerate(total):

@@ -54,8 +54,8 @@ class BelowLimitTuning:
 
     Attributes
     ----------
-    fewest_frames : minimum number of frames. step_widths : step of the rates, as the displacement on the first and
-    last frame in FWHM of a star. least_widths : minimum motion over all frames, FWHM. hidden_widths : radius of
+    min_frames : minimum number of frames. step_widths : step of the rates, as the displacement on the first and
+    last frame in FWHM of a star. min_widths : minimum motion over all frames, FWHM. hidden_widths : radius of
     excluded pixels around sources, FWHM; larger for bright ones. clip : maximum signal of one frame, in its noise:
     residuals of stars reach 5 often, and are in line on two or three frames, which made the tail of T 1.5 times as wide
     as that of noise; with 3 the tail is that of noise, and a mover of 2 on each frame loses 4 %. measured_clip : the
@@ -65,12 +65,12 @@ class BelowLimitTuning:
     share : minimum share of the frames' weight at a position. peaks : maximum number of peaks.
     chance : number of peaks of the scrambled frames for the tail. certain : peaks above this T are removed before
     scrambling. own_widths : a peak does not use frames on which a higher one is closer than this, FWHM.
-    most_bytes : maximum memory for frames. refined : peaks above this T are measured.
+    max_bytes : maximum memory for frames. refined : peaks above this T are measured.
     """
 
-    fewest_frames: int = 5
+    min_frames: int = 5
     step_widths: float = 0.5
-    least_widths: float = 2.5
+    min_widths: float = 2.5
     hidden_widths: float = 1.2
     clip: float = 3.0
     measured_clip: float = 5.0
@@ -82,7 +82,7 @@ class BelowLimitTuning:
     chance: int = 100
     certain: float = 6.0
     own_widths: float = 1.5
-    most_bytes: int = 600_000_000
+    max_bytes: int = 600_000_000
     refined: float = 5.0
 
 
@@ -126,17 +126,17 @@ class Plan:
         ------
         InputError : too few frames; a maximum rate below the slowest one that can be distinguished from a star.
         """
-        if len(series.exposures) < tuning.fewest_frames:
+        if len(series.exposures) < tuning.min_frames:
             raise InputError(
                 f"{len(series.exposures)} frames: stacking needs at least "
-                f"{tuning.fewest_frames}", naming("leave {below_limit} out")
+                f"{tuning.min_frames}", naming("leave {below_limit} out")
             )  # fmt: skip
         scale = series.scale_arcsec_per_px
         minutes = np.array([e.mjd_utc for e in series.exposures]) * 1440.0
         minutes -= 0.5 * (minutes[0] + minutes[-1])
         half = float(minutes[-1])
         width = float(np.median([max(e.psf_fwhm_px * e.scale_arcsec_per_px / scale, 1.5) for e in series.exposures]))
-        slowest = tuning.least_widths * width * scale / (2.0 * half)
+        slowest = tuning.min_widths * width * scale / (2.0 * half)
         if not fastest > slowest:
             raise InputError(
                 f"{fastest:g}″/min: over {2 * half:.0f} minutes motion slower than {slowest:.2f}″/min is less "
@@ -155,7 +155,7 @@ class Plan:
         origin = place.min(axis=0)
         wide, high = np.ceil((place.max(axis=0) - origin) / scale).astype(int) + 1
         margin = math.ceil((fastest + step) * half / scale) + 1
-        room = tuning.most_bytes // (_BYTES * len(minutes) * wide) - 2 * margin
+        room = tuning.max_bytes // (_BYTES * len(minutes) * wide) - 2 * margin
         strips = max(1, math.ceil(high / max(room, 64)))
         bounds = tuple(int(v) for v in np.linspace(0, high, strips + 1))
         return cls(rates, origin, (int(high), int(wide)), scale, minutes, bounds, margin, width)

@@ -74,7 +74,7 @@ def with_far_links(around: Surroundings, links: Links, model: MotionModel, tunin
     Such a link is tried if detections of three consecutive exposures (at most one skipped between two) lie on a
     straight line: few of a hundred chance pairs have a third.
     """
-    supported = replace(tuning, least_log_ratio=min(tuning.least_log_ratio, tuning.least_supported))
+    supported = replace(tuning, min_log_ratio=min(tuning.min_log_ratio, tuning.min_supported))
     reach = Reach.of(around, model, supported)
     reach = replace(reach, arcsec=reach.uncapped)
     pairs = _supported(around, reach, tuning)
@@ -165,7 +165,7 @@ def _evaluated(around: Surroundings, model: MotionModel, tuning: Tuning, reach: 
         + log_brightness + trail_i + misses * math.log(1.0 - model.p_detect)
     )  # fmt: skip
     links = Links(i, j, minutes, offset, log_ratio, log_brightness, misses, np.zeros(len(i), bool))
-    return links.only(log_ratio > tuning.least_log_ratio)
+    return links.only(log_ratio > tuning.min_log_ratio)
 
 
 def _supported(around: Surroundings, far: Reach, tuning: Tuning) -> IntArray:
@@ -259,7 +259,7 @@ class Reach:
         # Distance within which as many chance detections lie as a detection may have links.
         limit = math.sqrt(tuning.links / math.pi) * math.exp(-0.5 * float(np.median(around.log_density)))
         # 3.0 allows for brightness evidence.
-        margin = model.log_odds - low_density - tuning.least_log_ratio + 3.0
+        margin = model.log_odds - low_density - tuning.min_log_ratio + 3.0
         best = np.zeros(len(minutes))
         for share, width, mean in zip(model.rates.share, spread, mean_speed, strict=True):
             sigma = np.hypot(width * minutes, error)

@@ -33,8 +33,8 @@ class Tuning:
     Attributes
     ----------
     fastest_arcsec_per_min : maximum rate.
-    least_log_ratio : minimum ln λ of a link that starts or extends a track.
-    least_supported : the same for pairs with a third detection in line, which adds ten and more.
+    min_log_ratio : minimum ln λ of a link that starts or extends a track.
+    min_supported : the same for pairs with a third detection in line, which adds ten and more.
     links : maximum number of links from a detection to later ones, the best ones.
     tracks : maximum number of tracks kept per last detection, the best ones, for each of three kinds: two detections,
         two far apart, and more than two.
@@ -54,15 +54,15 @@ class Tuning:
     beta_counts : counts of the Beta distribution of detection probabilities among movers: bright ones are detected
         nearly always, faint ones seldom.
     outer_exposures : number of exposures before and after a track that are checked for non-detections.
-    least_ended : minimum ln w of the tracks for which this is done.
-    least_competing : minimum ln w of the tracks that compete for detections. Among many false detections there are ten
+    min_ended : minimum ln w of the tracks for which this is done.
+    min_competing : minimum ln w of the tracks that compete for detections. Among many false detections there are ten
         to thirty chance tracks below it for each one above, and they change no probability by 0.01.
     certain_gain : a track does not compete if its extension by one detection gains more than this in ln w.
     """
 
     fastest_arcsec_per_min: float = 60.0
-    least_log_ratio: float = -6.0
-    least_supported: float = -20.0
+    min_log_ratio: float = -6.0
+    min_supported: float = -20.0
     links: int = 12
     tracks: int = 8
     far_pairs: float = 3e5
@@ -81,8 +81,8 @@ class Tuning:
     trail_range: float = 3.0
     beta_counts: float = 2.0
     outer_exposures: int = 8
-    least_ended: float = -4.0
-    least_competing: float = -6.0
+    min_ended: float = -4.0
+    min_competing: float = -6.0
     certain_gain: float = 12.0
 
 

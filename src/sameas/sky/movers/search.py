@@ -352,7 +352,7 @@ def _learned(
     """The model updated with the detections of one night, without stationary ones, and their influence on it."""
     rates = model.rates
     # Links too fast for the main belt are too many and carry too little information each.
-    likely = replace(tuning, least_log_ratio=max(tuning.least_log_ratio, DEFAULT_TUNING.least_log_ratio))
+    likely = replace(tuning, min_log_ratio=max(tuning.min_log_ratio, DEFAULT_TUNING.min_log_ratio))
     model = learn(around, model.for_bands(around.detections.bands, tuning), likely, counts=counts)
     return _learned_from_tracks(around, model, rates, tuning, counts * TRACK_COUNTS)
 
@@ -467,7 +467,7 @@ class SearchTuning:
 
     Attributes
     ----------
-    least_move_px : minimum motion between first and last frame: less on the sky is a faint or blended star, less on the
+    min_move_px : minimum motion between first and last frame: less on the sky is a faint or blended star, less on the
         chip a defect.
     creep_px, creep_sigmas : with five or more detections a smaller motion counts as real if it exceeds this many pixels
         and this many times its error, by its scatter about linear motion.
@@ -476,7 +476,7 @@ class SearchTuning:
     counts : weight of the prior model, in links: detections left over in frames are mostly noise, and give no rates.
     """
 
-    least_move_px: float = 2.0
+    min_move_px: float = 2.0
     creep_px: float = 0.8
     creep_sigmas: float = 12.0
     drift: float = 0.5
@@ -488,7 +488,7 @@ SERIES_TUNING = SearchTuning()
 #: Few detections are left over in a series, and three frames must agree: links too fast for the main belt are tried
 #: too. With −6, the limit for alerts, no injected mover faster than 2″/min was found, bright or faint; with −14 most
 #: are.
-MOTION_TUNING = Tuning(least_log_ratio=-14.0)
+MOTION_TUNING = Tuning(min_log_ratio=-14.0)
 
 
 def left_over(series: Series) -> Detections:
@@ -514,7 +514,7 @@ def _trail_rates(series: Series, rows: IntArray) -> TrailRates | None:
     minutes = np.array([e.exposure_s for e in series.exposures])[series.frame[rows]] / 60.0
     width = np.array([max(e.psf_fwhm_px, 1.5) * e.scale_arcsec_per_px for e in series.exposures])[series.frame[rows]]
     # A trail of twice the minimum length is recognised even if faint.
-    least = 2.0 * series.trails.least_widths * width / minutes
+    least = 2.0 * series.trails.min_widths * width / minutes
     return TrailRates(
         series.trails.arcsec[rows] / minutes[:, None], series.trails.sigma_arcsec[rows] / minutes,
         np.where(minutes > 0, least, np.inf),
@@ -562,10 +562,10 @@ def _stationary_and_fixed(found: Movers, series: Series, tuning: SearchTuning) -
     first, last = (_chip(series, selected) for selected in rows)
     over_chip = np.hypot(*(last - first).T)
     error = np.hypot(*(series.sigma_arcsec[selected] for selected in rows)) / series.scale_arcsec_per_px
-    stuck = (over_chip < tuning.least_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
+    stuck = (over_chip < tuning.min_move_px + 2.0 * error) & (over_chip < tuning.drift * over_sky)
     # Blends and faint stars move with the seeing; a linear motion of many times its scatter is real.
     creeps = (found.size >= 5) & (over_sky > tuning.creep_px) & (_moved_sigmas(found) > tuning.creep_sigmas)
-    return (over_sky < tuning.least_move_px) & ~creeps, stuck
+    return (over_sky < tuning.min_move_px) & ~creeps, stuck
 
 
 def _chip(series: Series, rows: IntArray) -> FloatArray:

@@ -46,7 +46,7 @@ class StackTuning:
 
     Attributes
     ----------
-    half_px : half-size of a cut-out along the motion. most_half_px : maximum half-size of one fixed on the sky.
+    half_px : half-size of a cut-out along the motion. max_half_px : maximum half-size of one fixed on the sky.
     controls : number of positions around the track, per frame, that give the noise. far_widths : their maximum
         distance, FWHM.
     hidden_widths : a star closer than this (FWHM) hides the mover. absent : probability ε that it is not visible.
@@ -54,7 +54,7 @@ class StackTuning:
     """
 
     half_px: int = 24
-    most_half_px: int = 60
+    max_half_px: int = 60
     controls: int = 48
     far_widths: float = 6.0
     hidden_widths: float = 1.2
@@ -172,7 +172,7 @@ def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[
     """Half-size of the cut-out fixed on the sky of each tracklet, px; None if its motion is too large."""
     motion_px = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
     half = np.ceil(motion_px + 0.6 * tuning.half_px).astype(int)
-    return [max(int(h), tuning.half_px) if h <= tuning.most_half_px else None for h in half]
+    return [max(int(h), tuning.half_px) if h <= tuning.max_half_px else None for h in half]
 
 
 class ChipMap:
@@ -362,21 +362,21 @@ class TrailTuning:
 
     Attributes
     ----------
-    least_widths : minimum length, FWHM; shorter trails are measured as stars.
-    most_px : maximum half-length; longer trails are of satellites and are removed.
+    min_widths : minimum length, FWHM; shorter trails are measured as stars.
+    max_px : maximum half-length; longer trails are of satellites and are removed.
     angles : number of directions that are tried.
     gain : minimum decrease of χ² by a trail against a star.
-    least_sigmas : minimum significance of the length.
+    min_sigmas : minimum significance of the length.
     hidden_widths : radius of excluded pixels around other sources, FWHM; larger for bright ones.
     gap : a trail ends where the light falls below this share of the maximum near the middle.
     most : maximum number of fits per frame, the most significant candidates first.
     """
 
-    least_widths: float = 0.8
-    most_px: float = 60.0
+    min_widths: float = 0.8
+    max_px: float = 60.0
     angles: int = 24
     gain: float = 30.0
-    least_sigmas: float = 5.0
+    min_sigmas: float = 5.0
     hidden_widths: float = 1.2
     gap: float = 0.3
     most: int = 100
@@ -411,7 +411,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
     """The series with unexplained measurements remeasured as trails where these fit better.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
-    trail are marked as spoilt, and so are all along lines of trails longer than ``most_px`` allows.
+    trail are marked as spoilt, and so are all along lines of trails longer than ``max_px`` allows.
     """
     place, sigma, spoilt = series.place.copy(), series.sigma_arcsec.copy(), series.spoilt.copy()
     vector, error = np.full((len(place), 2), np.nan), np.full(len(place), np.nan)
@@ -466,7 +466,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
             magnitude[row] += fainter
             bright[own] += fainter
             marks[own] = (marks[own] | int(Flag.TRAILED)) & ~int(Flag.POOR)
-        for line in _long_lines(known, width, 1.8 * tuning.most_px):
+        for line in _long_lines(known, width, 1.8 * tuning.max_px):
             parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(
                 np.column_stack([x, y])[series.row[rows]], width, math.inf))  # fmt: skip
             spoilt[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
@@ -475,10 +475,10 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
             one, x_px=x, y_px=y, covariance_px=cov, covariance=sky, flux=flux, flux_err=flux_err, flags=marks,
             magnitude=bright,
         )  # fmt: skip
-    note = f"{long} trails longer than {2 * tuning.most_px:.0f} px, as of satellites, are removed"
+    note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
     return replace(
         series, place=place, sigma_arcsec=sigma, spoilt=spoilt, magnitude=magnitude, exposures=tuple(exposures),
-        trails=Trails(vector, error, tuning.least_widths), notes=(*series.notes, *([note] if long else [])),
+        trails=Trails(vector, error, tuning.min_widths), notes=(*series.notes, *([note] if long else [])),
     )  # fmt: skip
 
 
@@ -547,7 +547,7 @@ class _Pixels:
         The sum of the star's filter along a line, S = Σ s/√count, is used: a trail is tried if S² exceeds that of the
         star alone by half of the gain required of a fit.
         """
-        steps = np.arange(1, max(int(self.tuning.most_px / self.width), 2) + 1) * self.width
+        steps = np.arange(1, max(int(self.tuning.max_px / self.width), 2) + 1) * self.width
         angle = np.arange(self.tuning.angles) * math.pi / self.tuning.angles
         direction = np.column_stack([np.cos(angle), np.sin(angle)])
         offsets = np.concatenate([-steps[::-1], [0.0], steps])
@@ -627,7 +627,7 @@ class _Pixels:
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
         gain = 2.0 * (point.cost - fit.cost) / chi
-        long = 2.0 * size > self.tuning.least_widths * self.width and size > self.tuning.least_sigmas * spread
+        long = 2.0 * size > self.tuning.min_widths * self.width and size > self.tuning.min_sigmas * spread
         if gain < self.tuning.gain or not long:
             return None
         trail = _Trail(fit.x[:2], half, covariance[:4, :4], float(fit.x[4] * flux),

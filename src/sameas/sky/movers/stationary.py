@@ -99,7 +99,7 @@ def _searched(detections: Detections, previous: Stationary, first: bool, tuning:
     n, around = len(detections), Surroundings.of(detections, tuning)
     at_rest = replace(around, reference=np.zeros(n))
     # Stationary tracks have few alternatives: the second best ones through a star skip an exposure.
-    tuning = replace(tuning, bend_arcsec_per_min2=0.0, least_log_ratio=DEFAULT_TUNING.least_log_ratio, tracks=6)
+    tuning = replace(tuning, bend_arcsec_per_min2=0.0, min_log_ratio=DEFAULT_TUNING.min_log_ratio, tracks=6)
     model = MotionModel(rates=_AT_REST).for_bands(detections.bands, tuning)
     model = learn(at_rest, model, tuning)
     model = replace(model, rates=_AT_REST, log_begin=model.log_odds)

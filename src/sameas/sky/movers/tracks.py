@@ -154,7 +154,7 @@ def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionMod
     detections, when = around.detections, around.detections.frame_mjd * 1440.0
     frames, first_minutes = len(when), detections.mjd_utc * 1440.0
     # Misses only lower the weight, and dominated tracks do not compete.
-    selected = np.flatnonzero((tracks.log_weight > tuning.least_ended) & ~_dominated(tracks, tuning))
+    selected = np.flatnonzero((tracks.log_weight > tuning.min_ended) & ~_dominated(tracks, tuning))
     steps = np.arange(1, tuning.outer_exposures + 1)
     saw = tracks.saw.copy()
     for part in np.split(selected, range(CHUNK, len(selected), CHUNK)):
@@ -239,7 +239,7 @@ def _extended(
     gain = log_again + log_fit - around.log_density[links.j] + links.log_brightness
     missed = pattern - model.log_pattern(size, size, tuning)
     # Few of the tracks are in line with the link.
-    kept = np.flatnonzero(gain > tuning.least_log_ratio)
+    kept = np.flatnonzero(gain > tuning.min_log_ratio)
     parents, state_covariance = parents.only(kept), tracks.covariance[kept]
     state, state_covariance = _updated(parents.state, state_covariance, minutes[kept], offset[kept], noise[kept])
     extended = Tracks(
@@ -316,7 +316,7 @@ def compete(tracks: Tracks, n: int, tuning: Tuning = DEFAULT_TUNING, *, time_lim
 
     tracks : of n detections. Tracks with a certain extension and tracks with a low weight do not compete.
     """
-    competing = np.flatnonzero(~_dominated(tracks, tuning) & (tracks.log_weight > tuning.least_competing))
+    competing = np.flatnonzero(~_dominated(tracks, tuning) & (tracks.log_weight > tuning.min_competing))
     members = tracks.members(competing)
     weight = tracks.log_weight[competing]
     use_count = np.bincount(members[members >= 0], minlength=n)
