@@ -1,4 +1,4 @@
-"""A seeded picture of vessels as a map takes it: objects and records as columns, made from motion and noise alone."""
+"""A seeded map sheet of simulated vessels: columns of objects and records made from motion and noise."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ def sensors(plane: LocalPlane | None) -> tuple[MapSensor, ...]:
         (lat, pier_lat), (lon, pier_lon) = plane.to_geodetic([[-3500.0, -900.0], [3500.0, 3300.0]])
         site, pier = Site(lat, lon), Site(pier_lat, pier_lon)
     radar = SensorCoverage(range_m=14_000.0, sector_deg=(300.0, 200.0), shadows_deg=((70.0, 82.0),))
-    eye = SensorCoverage(range_m=6_000.0, sector_deg=(150.0, 260.0))
-    told = [
+    view = SensorCoverage(range_m=6_000.0, sector_deg=(150.0, 260.0))
+    descriptions = [
         Description("harbour radar", "marine radar", site, radar),
         Description("ais", "ais"),
-        Description("camera", "camera", pier, eye),
+        Description("camera", "camera", pier, view),
     ]
-    return tuple(MapSensor.of(each, plane, f"{each.kind.split()[0]}.csv") for each in told)
+    return tuple(MapSensor.of(each, plane, f"{each.kind.split()[0]}.csv") for each in descriptions)
 
 
 def charted(
     vessels: int = 12, instants: int = 40, *, every_s: float = 10.0, plane: LocalPlane | None = SOLENT,
     reach_m: float = 9000.0, seed: int = 3, names: dict[int, str] | None = None,
 ) -> MapSheet:  # fmt: skip
-    """Vessels on straight courses, seen by a radar, by AIS and, some, by a camera that tells directions only.
+    """Map sheet of vessels on straight courses, detected by a radar, AIS and, one in four, a camera (bearings only).
 
-    names : of some of the vessels, by number; the first two of them pass close to each other and are ambiguous then.
+    names : names of vessels by number. Vessels 1 and 2 pass close to each other and are ambiguous there.
     """
     rng = np.random.default_rng(seed)
     start = rng.uniform(-reach_m, reach_m, (vessels, 2)) * [1.0, 0.7]
@@ -72,7 +72,7 @@ def charted(
             objects.append(_object(rng, n, t, true[n], velocity[n], own, unseen[n], k, ambiguous, names or {}))
             records += own
             found = rng.normal(4.0, 2.0)
-            if k % 4 == 0:  # a text holds until the next one
+            if k % 4 == 0:  # a text is valid until the next one
                 texts[k, n + 1] = (
                     f"object {n + 1}: {len(own)} records\n  positions       {found:+.2f}\n"
                     "  identity (MMSI) +9.21\n  prior           -3.10\n"
@@ -98,11 +98,11 @@ def _time(plane: LocalPlane | None, t: float) -> float:
 def _fix(rng: np.random.Generator, s: int, n: int, t: float, true: Any) -> dict[str, Any]:
     x, y = true + rng.normal(0.0, SIGMA_M[s], 2)
     var = SIGMA_M[s] ** 2
-    turn = 0.4 * var if s == 0 else 0.0
+    covariance = 0.4 * var if s == 0 else 0.0
     return {
         "time_s": t, "source": SOURCES[s], "row": int(t) * 1000 + n, "line": int(t) * 1000 + n + 2, "object": n + 1,
         "track_id": str(100 + n) if s == 0 else str(235000000 + n), "p_object": 0.97, "p_alone": 0.02, "age_s": 2.5,
-        "x_m": x, "y_m": y, "var_x_m2": var, "cov_xy_m2": turn, "var_y_m2": var,
+        "x_m": x, "y_m": y, "var_x_m2": var, "cov_xy_m2": covariance, "var_y_m2": var,
     }  # fmt: skip
 
 
@@ -139,7 +139,7 @@ def _object(
 
 
 def _columns(rows: list[dict[str, Any]], plane: LocalPlane | None) -> dict[str, Any]:
-    """Masked columns as the picture gives them."""
+    """Masked columns in the layout of a picture."""
     names = dict.fromkeys(name for each in rows for name in each)
     columns: dict[str, Any] = {}
     for name in names:

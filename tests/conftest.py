@@ -1,4 +1,4 @@
-"""Before all tests: compiled kernels of an older source are thrown away; of many like cases only the first are fast."""
+"""Before a run: delete kernels compiled from older sources. At collection: the marker ``slow_after``."""
 
 from collections import Counter
 from pathlib import Path
@@ -9,8 +9,8 @@ import sameas
 
 
 def pytest_configure(config):
-    # numba looks at the file of a kernel, not at those of the kernels that it calls: a change of one file leaves the
-    # others compiled with the old one inside.
+    # numba checks the source file of a kernel, but not those of the kernels it calls: after a change of one file the
+    # others would keep the old code inlined.
     if hasattr(config, "workerinput"):
         return
     kernels = Path(sameas.__file__).parent / "kernels"
@@ -22,7 +22,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """``slow_after(n)`` makes ``slow`` of all cases of a test but the first n; -m then sees it."""
+    """``slow_after(n)`` marks all cases of a test after the first n as ``slow``, before ``-m`` selects."""
     cases = Counter()
     for item in items:
         marker = item.get_closest_marker("slow_after")

@@ -1,4 +1,4 @@
-"""The modules of sameas: which imports which, of what kind each is, and which belong inside their only importer.
+"""The modules of sameas: their imports, their kinds, and which belong inside their only importer.
 
 ``scripts/house`` prints the numbers, ``test_layers.py`` keeps the rules.
 """
@@ -12,14 +12,14 @@ from functools import cache
 from pathlib import Path
 
 HOME = Path(__file__).resolve().parent.parent / "src" / "sameas"
-#: Folders in which every module is one of its kind, however few import it.
+#: Folders in which every module is kept as a file of its own, even with one importer.
 KINDS = {
     "adapters": "adapter", "cli": "command", "evidence": "rule", "io": "format", "kernels": "kernel",
     "pages": "page", "plots": "drawing", "report": "report", "score": "score", "simulate": "scene",
 }  # fmt: skip
-#: Lines of a module and its only importer together from which they stay two.
+#: A module and its only importer stay separate above this total number of lines.
 TWO_IDEAS = 700
-#: Shorter modules need more importers than so few, unless they are one of a kind.
+#: Modules shorter than SMALL lines need at least FEW importers, unless their folder is in KINDS.
 SMALL, FEW = 60, 5
 
 
@@ -37,7 +37,7 @@ class Module:
         return self.name.split(".")[0]
 
     def kind(self, lines: dict[str, int]) -> str:
-        """The kind of the module; "inside" where nothing keeps it out of the module that imports it."""
+        """The kind of the module; "inside" if it has no reason to be separate from its importer."""
         if self.path.name in ("__init__.py", "__main__.py"):
             return "package"
         if self.room in KINDS:
@@ -52,7 +52,7 @@ class Module:
 
 
 def name_of(path: Path) -> str:
-    """Dotted, without ``sameas.``; "" is the package itself."""
+    """Dotted module name without ``sameas.``; "" for the package itself."""
     return ".".join(path.relative_to(HOME).with_suffix("").parts).removesuffix("__init__").removesuffix(".")
 
 
@@ -63,7 +63,7 @@ def is_module(name: str) -> bool:
 
 @cache
 def imported(path: Path) -> frozenset[str]:
-    """Modules of sameas that a file or stub imports, wherever in it, as dotted names without ``sameas.``."""
+    """Modules of sameas imported anywhere in a file or stub, as dotted names without ``sameas.``."""
     names = set()
     package = ".".join(path.parent.relative_to(HOME.parent).parts)
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -99,7 +99,7 @@ def lines_of() -> dict[str, int]:
 
 
 def circles() -> list[str]:
-    """Modules that import each other in a circle, also those that type checkers alone would see; [] is none."""
+    """Modules in import cycles, imports for type checking included; [] if there are none."""
     paths = {name: module.path for name, module in modules().items() if name}
     wanted = {name: imported(path) & set(paths) - {name} for name, path in paths.items()}
     done: set[str] = set()
@@ -112,13 +112,13 @@ def circles() -> list[str]:
 
 
 def belong_inside() -> list[str]:
-    """Modules that one other imports, or none, and that nothing keeps out of it."""
+    """Modules with at most one importer and no reason to be separate."""
     lines = lines_of()
     return [name for name, module in modules().items() if module.kind(lines) == "inside"]
 
 
 def too_small() -> list[str]:
-    """Modules of a few lines that few import."""
+    """Very short modules with few importers."""
     lines = lines_of()
     kept = {"package", *KINDS.values()}
     return [
@@ -129,6 +129,6 @@ def too_small() -> list[str]:
 
 
 def of_one_importer() -> Counter[str]:
-    """How many modules have one importer, by kind."""
+    """Number of modules with one importer, by kind."""
     lines = lines_of()
     return Counter(m.kind(lines) for m in modules().values() if len(m.importers) == 1 and m.kind(lines) != "package")

@@ -1,8 +1,8 @@
-"""A plugin of pytest that records every refusal: ``-p refusals``, with the file to write in SAMEAS_REFUSALS.
+"""Pytest plugin that records every refusal: ``-p refusals``, with the output file in SAMEAS_REFUSALS.
 
-The messages of all ``InputError`` that are made during a run, paths of temporary folders and numbers of memory taken
-out, with how often each was made. ``scripts/compare-outputs --refusals`` compares those of two checkouts. Tests of
-hypothesis make other examples when anything moves: of their messages only the words are kept, not numbers and counts.
+Messages and counts of all ``InputError`` created during a run, with temporary paths and memory addresses replaced.
+``scripts/compare-outputs --refusals`` compares two checkouts. Hypothesis generates other examples whenever the code
+changes, so the messages of its tests are kept without numbers and counts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _CLEAN = (
 )
 _counts: Counter[str] = Counter()
 _words: set[str] = set()
-_random = False
+_hypothesis_test = False
 
 
 def _clean(message: str) -> str:
@@ -36,31 +36,31 @@ def _clean(message: str) -> str:
     return message
 
 
-def _made(self: InputError, *arguments: Any, **named: Any) -> None:
-    _plain(self, *arguments, **named)
+def _recording_init(self: InputError, *arguments: Any, **named: Any) -> None:
+    _original_init(self, *arguments, **named)
     message = _clean(str(self))
-    if _random:
+    if _hypothesis_test:
         _words.add(re.sub(r"[+-]?\d+(?:\.\d+)?(?:e[+-]?\d+)?", "#", message))
     else:
         _counts[message] += 1
 
 
-_plain = InputError.__init__
+_original_init = InputError.__init__
 
 
 def pytest_configure(config: Any) -> None:
-    InputError.__init__ = _made  # type: ignore[method-assign]
+    InputError.__init__ = _recording_init  # type: ignore[method-assign]
 
 
 def pytest_runtest_setup(item: Any) -> None:
-    global _random
-    _random = bool(getattr(getattr(item, "obj", None), "is_hypothesis_test", False))
+    global _hypothesis_test
+    _hypothesis_test = bool(getattr(getattr(item, "obj", None), "is_hypothesis_test", False))
 
 
 def pytest_sessionfinish(session: Any) -> None:
-    """Each process of a run writes a file of its own; the one that only hands out the tests has nothing to tell."""
-    InputError.__init__ = _plain  # type: ignore[method-assign]
+    """Every process writes its own file; the xdist controller has no messages and writes none."""
+    InputError.__init__ = _original_init  # type: ignore[method-assign]
     path = os.environ.get("SAMEAS_REFUSALS")
     if path and (_counts or _words):
-        told = {"counts": dict(sorted(_counts.items())), "words": sorted(_words)}
-        Path(f"{path}.{os.getpid()}").write_text(json.dumps(told, ensure_ascii=False, indent=1), encoding="utf-8")
+        report = {"counts": dict(sorted(_counts.items())), "words": sorted(_words)}
+        Path(f"{path}.{os.getpid()}").write_text(json.dumps(report, ensure_ascii=False, indent=1), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What few pairs leave open of the errors is averaged over: by enumeration, and on fields of formal errors."""
+"""Averaging over uncertain error models: against enumeration, and on fields with formal errors."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ from sameas.score.pairs import is_true_pair
 from sameas.simulate import formal_field, misquoted
 
 
-def judged(scene, **options):
-    """True pairs, found, wrong, and true partners that are told to have none for certain."""
+def counts(scene, **options):
+    """(true pairs, found, false, true partners excluded with near certainty)."""
     answer, estimate = match(scene.first, scene.second, **options)
     true = scene.true_pairs()
     right = is_true_pair((answer.matches.rows_1, answer.matches.rows_2), true)
@@ -25,7 +25,7 @@ def judged(scene, **options):
     return len(true[0]), int(right.sum()), int((~right).sum()), int(certain), answer, estimate
 
 
-# ---- the average is that of all hypotheses under all errors ----
+# ---- the average over all hypotheses and error models ----
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -55,7 +55,7 @@ def test_the_average_is_the_sum_over_hypotheses_and_errors(seed):
     np.testing.assert_allclose(found.p_pair, weight @ np.array(shares), rtol=0, atol=1e-9)
 
 
-def test_a_pair_alone_is_weighed_by_its_averaged_odds():
+def test_an_isolated_pair_has_its_averaged_odds():
     first, second = Records.of([[0.0, 0.0]], sigma=0.1), Records.of([[0.5, 0.0]], sigma=0.1)
     pairs = Radius(50.0)(first, second)
     average = ErrorAverage((Errors(), Errors(floor=0.5)), np.log([0.5, 0.5]), limit=1e4)
@@ -68,7 +68,7 @@ def test_a_pair_alone_is_weighed_by_its_averaged_odds():
 # ---- fields ----
 
 
-def test_a_floor_of_one_number_stands_for_every_axis_beside_one_per_axis():
+def test_one_floor_for_all_axes_equals_equal_floors_per_axis():
     first = Records.of([[0.0, 0.0]], sigma=0.1, source="first")
     second = Records.of([[0.6, 0.2]], sigma=0.1, source="second")
     prior = np.log([0.5, 0.5])
@@ -81,33 +81,33 @@ def test_a_floor_of_one_number_stands_for_every_axis_beside_one_per_axis():
 
 
 @pytest.mark.parametrize("objects, floor, scale", [(20, 0.15, 1.0), (40, 0.5, 1.0), (100, 0.05, 1.0), (60, 0.0, 16.0)])
-def test_partners_that_stand_out_are_found_whatever_the_quoted_errors(objects, floor, scale):
+def test_clear_partners_are_found_whatever_the_quoted_errors(objects, floor, scale):
     for seed in range(3):
         scene = formal_field(np.random.default_rng([7, objects, seed]), objects, floor_arcsec=floor, scale=scale)
-        true, found, wrong, certain, answer, estimate = judged(scene)
+        true, found, wrong, certain, answer, estimate = counts(scene)
         assert found >= true - 1 and wrong <= 1 and certain == 0
         assert abs(answer.expected_wrong - wrong) < 1.5 and estimate.left_open is not None
 
 
-def test_many_pairs_tell_floor_and_factor_themselves():
+def test_many_pairs_determine_floor_and_factor():
     scene = formal_field(np.random.default_rng(8), 1500, floor_arcsec=0.3)
-    true, found, wrong, certain, _, estimate = judged(scene)
+    true, found, wrong, certain, _, estimate = counts(scene)
     assert found >= true - 1 and wrong <= 2 and certain == 0 and estimate.left_open is None
     assert estimate.errors.floor * estimate.errors.typical_scale == pytest.approx(0.3, rel=0.05)
     assert estimate.typical_scale == pytest.approx(0.3 / 0.07, rel=0.6) and estimate.gate_sigmas > 12.0
 
 
-def test_honest_errors_of_many_pairs_stay_as_quoted():
+def test_true_errors_of_many_pairs_stay_as_quoted():
     scene = formal_field(np.random.default_rng(9), 1500)
-    true, found, wrong, _, _, estimate = judged(scene)
+    true, found, wrong, _, _, estimate = counts(scene)
     assert found == true and wrong == 0 and not estimate.errors.as_modelled
 
 
-def test_errors_all_larger_by_a_factor_leave_the_answers_the_same():
+def test_scaling_all_errors_leaves_the_results_unchanged():
     scene = formal_field(np.random.default_rng(10), 60, floor_arcsec=0.0)
-    base, (true, *_) = judged(scene)[4], judged(scene)
+    base, (true, *_) = counts(scene)[4], counts(scene)
     for factor in (0.5, 2.0, 5.0):
-        other = judged(misquoted(scene, factor))[4]
+        other = counts(misquoted(scene, factor))[4]
         assert other.matches.rows_1.tolist() == base.matches.rows_1.tolist()
         assert other.matches.rows_2.tolist() == base.matches.rows_2.tolist()
         assert other.matches.p_match == pytest.approx(base.matches.p_match, abs=0.01)
@@ -130,7 +130,7 @@ def test_the_order_of_the_sources_and_of_their_rows_does_not_matter():
 # ---- the grid ----
 
 
-def test_where_nothing_is_common_nothing_stands_out():
+def test_without_common_objects_no_partner_is_found():
     rng = np.random.default_rng(12)
     first, second = (
         Records.of(np.column_stack([rng.uniform(20, 20.3, 400), rng.uniform(0, 0.3, 400)]), sigma=0.2, space=Sphere())
@@ -148,8 +148,8 @@ def test_records_too_close_to_widen_their_errors_are_not_scanned():
 
 
 @pytest.mark.parametrize("apart_deg", [1.0, 60.0])
-def test_fields_apart_are_not_scanned(apart_deg):
-    # By the density of the empty sky between them every record was a candidate of every other: gigabytes, minutes.
+def test_disjoint_fields_are_not_scanned(apart_deg):
+    # The density of the empty sky between the fields once made every record a candidate of every other: gigabytes.
     rng = np.random.default_rng(16)
     first, second = (
         Records.of(
@@ -162,7 +162,7 @@ def test_fields_apart_are_not_scanned(apart_deg):
     assert len(answer.matches) == 0 and estimate.common < 1.0
 
 
-def test_the_grid_gets_finer_where_the_records_tell_more():
+def test_the_grid_is_finer_where_the_records_are_more_informative():
     scenes = [formal_field(np.random.default_rng(14), n, floor_arcsec=0.15) for n in (20, 200)]
     coarse, fine = (scan_errors(Coverage.of(s.first, s.second)) for s in scenes)
     for scan in (coarse, fine):
@@ -188,7 +188,7 @@ def test_the_error_model_is_the_covariance_of_every_pair():
         for delta in pairs.residual
     ]
     np.testing.assert_allclose(errors.log_density(pairs), due, rtol=1e-10)
-    # The gate by modelled records is that of the model.
+    # The gate of the records with modelled errors is that of the model.
     near = Radius(3.0)(*errors.records(first, second))
     assert len(near) == int((errors.pairs(pairs).mahalanobis_sq <= 9.0).sum())
 

@@ -1,4 +1,4 @@
-"""The older rules do what they say, judged by looking at everything."""
+"""The baseline methods agree with exhaustive search."""
 
 import itertools
 
@@ -34,20 +34,20 @@ def test_nearest_takes_each_records_nearest_candidate(seed):
             assert np.flatnonzero(chosen & (side == record)) == [mine[np.argmin(pairs.mahalanobis_sq[mine])]]
     both = mutual_nearest(pairs)
     assert one_to_one(pairs, both) and both.any()
-    # A pair nearer than all others of its records is each other's nearest, and no other is.
+    # Mutual nearest neighbours: exactly the pairs nearer than all others of both records.
     for e in range(len(pairs)):
         rivals = (pairs.i == pairs.i[e]) | (pairs.j == pairs.j[e])
         assert both[e] == (pairs.mahalanobis_sq[e] == pairs.mahalanobis_sq[rivals].min())
 
 
-def test_nearest_may_name_one_record_twice():
+def test_nearest_may_match_one_record_twice():
     pairs = Radius(9.0)(Records.of([[0.0], [1.0]], sigma=1.0), Records.of([[0.4]], sigma=1.0))
     assert nearest(pairs).sum() == 2 and mutual_nearest(pairs).sum() == 1
 
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("seed", range(6))
-def test_most_pairs_is_the_largest_set_of_least_sum(seed):
+def test_most_pairs_is_the_largest_set_with_the_least_sum(seed):
     pairs, grouped = scene(seed, n1=7 + seed % 3, n2=6)
     chosen = most_pairs(pairs, grouped)
     assert one_to_one(pairs, chosen)
@@ -62,7 +62,7 @@ def test_most_pairs_is_the_largest_set_of_least_sum(seed):
 
 
 @pytest.mark.slow
-def test_most_pairs_pairs_all_of_the_smaller_side_where_it_can():
+def test_most_pairs_matches_all_records_of_the_smaller_source_if_possible():
     pairs, grouped = scene(3, gate=30.0)
     assert len(grouped) == 1 and most_pairs(pairs, grouped).sum() == 9
     nothing = Radius(1.0)(Records.of([0.0], sigma=1.0), Records.of([100.0], sigma=1.0))
@@ -74,7 +74,7 @@ def test_most_pairs_pairs_all_of_the_smaller_side_where_it_can():
 
 @pytest.mark.parametrize("loss", [Loss(1, 1, 1), Loss(), Loss(5.0, 1.0, 2.0), Loss(0.2, 3.0)])
 def test_classification_is_the_average_risk_of_the_paper(loss):
-    """z_j = −Σ_k P(k) Π_kj f_k, with the matrix written out, nobody last."""
+    """z_j = −Σ_k P(k) Π_kj f_k with the full matrix; the last column is no partner."""
     swapped = loss.wrong + loss.missed if loss.swapped is None else loss.swapped
     named = left = 0
     for seed in range(4):
@@ -94,7 +94,7 @@ def test_classification_is_the_average_risk_of_the_paper(loss):
     assert named > 5 and left > 0
 
 
-def test_classification_takes_losses_of_each_candidate():
+def test_classification_accepts_losses_per_candidate():
     pairs = Radius(9.0)(Records.of([[0.0]], sigma=1.0), Records.of([[0.4], [0.6]], sigma=1.0))
     log_odds = np.array([1.0, 0.5])
     assert classified(pairs, log_odds).tolist() == [True, False]
@@ -113,7 +113,7 @@ def test_classification_does_not_overflow():
 
 @pytest.mark.parametrize("draw", DRAWS)
 @pytest.mark.parametrize("prior", [PerPair(0.3), CommonObjects(0.2, 0.3), CommonObjects(0.2, 0.3, linear=True)])
-def test_enumeration_finds_what_assignment_finds(prior, draw):
+def test_enumeration_agrees_with_assignment(prior, draw):
     rng = np.random.default_rng(len(draw))
     n1, n2, ratios = many_blocks(rng, DRAWS[draw], blocks=8, most=3)
     pairs, grouped = laid_out(n1, n2, ratios)
@@ -134,7 +134,7 @@ def test_enumeration_finds_what_assignment_finds(prior, draw):
     assert score(chosen) == pytest.approx(score(other), abs=1e-9)
 
 
-def test_enumeration_refuses_what_would_never_end():
+def test_enumeration_refuses_too_many_hypotheses():
     edges = dict.fromkeys(itertools.product(range(20), range(20)), 0.0)
     _, grouped = laid_out(20, 20, edges)
     with pytest.raises(InputError, match=r"group 0 of 20 and 20 records has up to .*e.\d+ hypotheses; use sameas"):
@@ -147,7 +147,7 @@ def test_the_number_of_hypotheses_is_counted(n1, n2):
     assert number_of_hypotheses(n1, n2) == len(everything)
 
 
-def test_what_cannot_be_asked_is_refused_in_words():
+def test_invalid_options_are_refused_with_a_clear_message():
     pairs, _ = scene(0)
     with pytest.raises(InputError, match="source is 3; give 1 or 2"):
         nearest(pairs, source=3)

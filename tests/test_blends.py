@@ -1,4 +1,4 @@
-"""Blends: sums over all hypotheses, written out; what is stated happens so often."""
+"""Blend probabilities: explicit sums over all hypotheses, and calibration."""
 
 import itertools
 import math
@@ -25,7 +25,7 @@ def small(rng):
 
 
 def merged(fine):
-    """Every way in which objects merge two by two, the nearest first, with its probability."""
+    """All ways in which objects merge in pairs, the nearest first, with their probabilities."""
     couples = sorted(itertools.combinations(range(len(fine)), 2), key=lambda c: math.dist(fine[c[0]], fine[c[1]]))
     for outcome in itertools.product((False, True), repeat=len(couples)):
         p, pairs, taken = 1.0, [], set()
@@ -40,8 +40,8 @@ def merged(fine):
             yield p, pairs, taken
 
 
-def written_out(coarse, fine, flux):
-    """Every way in which four objects are shown by the coarse source, with its probability up to one factor."""
+def all_hypotheses(coarse, fine, flux):
+    """All hypotheses of four objects in the coarse source, with their relative probabilities."""
 
     def density(x, at):
         return math.exp(-((x - at) ** 2).sum() / (2 * SIGMA**2)) / (2 * math.pi * SIGMA**2)
@@ -77,7 +77,7 @@ def test_probabilities_are_the_sums_over_all_hypotheses(seed):
     shown = Shown(Merging.of(found.couples, found.blended, 4, tuning.max_ways), SHARE)
     log_density, log_odds = log_odds_of(found, shown, np.ones(1), np.full(3, ALONE))
     summed = hypotheses(found, log_density, log_odds, shown, 3, tuning)
-    due = written_out(first.features, second.features, flux)
+    due = all_hypotheses(first.features, second.features, flux)
     couples = list(itertools.combinations(range(4), 2))
     for i, j, k, p in zip(found.i, found.j, found.k, summed.p, strict=True):
         number = j if k < 0 else 4 + couples.index((min(j, k), max(j, k)))
@@ -87,7 +87,7 @@ def test_probabilities_are_the_sums_over_all_hypotheses(seed):
     assert said[0] == said[1]
 
 
-def test_without_neighbours_there_are_pairs_only():
+def test_without_neighbours_there_are_no_blends():
     rng = np.random.default_rng(2)
     fine = np.column_stack([np.arange(80.0) * 20.0, np.zeros(80)])
     coarse = fine[:60] + 0.1 * rng.standard_normal((60, 2))
@@ -97,7 +97,7 @@ def test_without_neighbours_there_are_pairs_only():
 
 
 @pytest.mark.parametrize("resolution", [0.0, -1.0, np.inf, np.nan])
-def test_a_resolution_is_a_positive_number(resolution):
+def test_the_resolution_must_be_positive(resolution):
     first, second, _ = small(np.random.default_rng(1))
     with pytest.raises(InputError, match="resolution"):
         find_blends(first, second, resolution, errors=Errors())
@@ -112,8 +112,8 @@ def test_fluxes_are_those_of_the_records():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("told", [True, False])
-def test_what_is_said_of_blends_happens_as_often(told):
-    """Fields like WISE on Gaia, 6″: the answers of coarse records, and whether they are blends."""
+def test_blend_probabilities_are_calibrated(told):
+    """Fields like WISE on Gaia, 6″: partners of coarse records, and whether they are blends."""
     p, right, p_two, two, found_two, real = [], [], [], [], 0, 0
     for seed in range(3):
         made = blended_field(np.random.default_rng([12, seed]), objects=1_500)
@@ -153,14 +153,14 @@ def test_residuals_that_point_to_a_neighbour_suggest_blends(seed):
     answer, estimate = estimated(made.first, made.second)
     number, within, sigmas = suspected(answer, estimate.errors, estimate.coverage, 0)
     assert number > 20 and 3.0 < within < 12.0 and sigmas > 10.0
-    # Of many pairs some are asked.
+    # With many pairs only a sample is tested.
     fewer, _, _ = suspected(answer, estimate.errors, estimate.coverage, 0, Tuning(max_pairs=len(answer.pairs) // 5))
     assert fewer < number
     assert suspected(answer, estimate.errors, estimate.coverage, 1) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_neighbours_alone_suggest_none(seed):
+def test_neighbours_without_shifted_residuals_suggest_no_blends(seed):
     made = blended_field(np.random.default_rng([14, seed]), objects=1_500, resolution_arcsec=0.01)
     answer, estimate = estimated(made.first, made.second)
     for coarse in (0, 1):

@@ -1,4 +1,4 @@
-"""A small file fills neither the memory nor the day: what it asks for is looked at first."""
+"""Small hostile files cost neither memory nor time: sizes they claim are checked first."""
 
 import gzip
 
@@ -16,14 +16,14 @@ SKY = np.random.default_rng(5).poisson(500.0, (40, 50)).astype(np.int16)
 
 
 def table(folder, **said):
-    """The path of a table of three rows whose header says other numbers."""
+    """Path of a table of three rows, to be edited."""
     path = folder / "t.fits"
     write_table(Table({"x": [1.0, 2.0, 3.0]}), path, provenance={})
     return edited(path, 1, **said)
 
 
 def edited(path, number, **said):
-    """The same file, cards of one header changed in their place."""
+    """The same file with cards of one header changed in place."""
     with fits.open(path) as hdus:
         begin, end = hdus[number].fileinfo()["hdrLoc"], hdus[number].fileinfo()["datLoc"]
     content = bytearray(path.read_bytes())
@@ -47,7 +47,7 @@ def edited(path, number, **said):
         ({"NAXIS": "2.5"}, "has no whole number in NAXIS"),
     ],
 )
-def test_headers_that_no_file_has_are_refused_before_a_library_believes_them(said, words, tmp_path):
+def test_impossible_headers_are_refused_before_a_library_uses_them(said, words, tmp_path):
     path = table(tmp_path, **said)
     for read in (read_table, read_frame):
         with pytest.raises(InputError, match=f"t.fits.* the header of extension 1 {words}.*; .*copy it again"):
@@ -68,7 +68,7 @@ def test_a_header_without_an_end_is_refused(tmp_path):
         checked_fits(path, Headers(cards=360))
 
 
-def test_a_compressed_image_larger_than_any_that_shrinks_so_far_is_refused(tmp_path):
+def test_a_compressed_image_with_an_impossible_ratio_is_refused(tmp_path):
     path = tmp_path / "c.fits"
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
     assert read_frame(path).shape == SKY.shape
@@ -77,7 +77,7 @@ def test_a_compressed_image_larger_than_any_that_shrinks_so_far_is_refused(tmp_p
 
 
 @pytest.mark.parametrize("name", ["ZGCOUNT", "ZTILE1"])
-def test_a_text_where_a_compressed_image_has_a_count_is_refused_before_it_is_multiplied(name, tmp_path):
+def test_text_in_place_of_a_count_in_a_compressed_image_is_refused(name, tmp_path):
     path = tmp_path / "c.fits"
     fits.HDUList([fits.PrimaryHDU(), fits.CompImageHDU(SKY, compression_type="RICE_1")]).writeto(path)
     with pytest.raises(InputError, match=f"the header of extension 1 has no whole number in {name}"):
@@ -93,14 +93,14 @@ def test_a_compressed_image_whose_column_has_no_format_is_refused(form, tmp_path
 
 
 @pytest.mark.parametrize("value", ["'x'", "T", "(1,2)", "1e999", "''", "58546", "'9999-99-99'"])
-def test_a_date_that_is_none_is_not_a_fault(value, tmp_path):
+def test_an_invalid_date_is_no_internal_error(value, tmp_path):
     path = tmp_path / "f.fits"
     fits.PrimaryHDU(SKY, fits.Header({"DATE-OBS": "2019-03-04T05:06:07", "MJD-OBS": 1.0, "EXPTIME": 9.0})).writeto(path)
     frame = read_frame(edited(path, 0, **{"DATE-OBS": value, "MJD-OBS": value, "EXPTIME": value}))
     assert frame.shape == SKY.shape
 
 
-def test_whole_files_pass(tmp_path):
+def test_valid_files_pass(tmp_path):
     path = tmp_path / "many.fits"
     images = [fits.ImageHDU(SKY, name=f"I{k}") for k in range(3)]
     groups = fits.GroupsHDU(fits.GroupData(np.ones((4, 3, 2)), bitpix=-32, parnames=["A"], pardata=[np.ones(4)]))
@@ -109,7 +109,7 @@ def test_whole_files_pass(tmp_path):
     checked_fits(path)
 
 
-def test_a_packed_file_that_grows_out_of_bounds_is_refused(tmp_path):
+def test_a_compressed_file_that_expands_without_limit_is_refused(tmp_path):
     path = tmp_path / "zeros.gz"
     path.write_bytes(gzip.compress(bytes(2_000_000)))
     assert len(unpacked(path)) == 2_000_000
@@ -124,7 +124,7 @@ def test_a_packed_file_that_grows_out_of_bounds_is_refused(tmp_path):
 
 
 def system(folder, **said):
-    """A system's files in which it says what there is."""
+    """A folder with the files in which Linux states the available memory."""
     for name, text in said.items():
         path = folder / {"meminfo": "proc", "statm": "proc/self"}.get(name, "sys/fs/cgroup") / name.replace("_", ".")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -132,7 +132,7 @@ def system(folder, **said):
     return folder
 
 
-def test_memory_is_what_machine_and_container_leave(tmp_path):
+def test_available_memory_respects_machine_and_container(tmp_path):
     machine = system(tmp_path, meminfo="MemTotal: 9 kB\nMemAvailable:     4000 kB\n")
     assert memory_left(machine) == 4000 * 1024
     assert memory_left(system(machine, memory_max="3000000\n", memory_current="1000000\n")) == 2_000_000
@@ -140,7 +140,7 @@ def test_memory_is_what_machine_and_container_leave(tmp_path):
     assert memory_left(system(machine, memory_max="max\n")) == 4000 * 1024
 
 
-def test_memory_is_no_more_than_the_limit_of_the_process(tmp_path, monkeypatch):
+def test_available_memory_respects_the_process_limit(tmp_path, monkeypatch):
     resource = pytest.importorskip("resource")
     machine = system(tmp_path, meminfo="MemAvailable: 4000 kB\n", statm="10 5 1\n")
     page = resource.getpagesize()

@@ -1,4 +1,4 @@
-"""Brightness is evidence: learned from the data, with true probabilities, and it never hurts where it is useless."""
+"""Magnitudes as evidence: learned from the data, calibrated, and harmless where they are uninformative."""
 
 import dataclasses
 import math
@@ -40,11 +40,11 @@ def found(frame):
     return match(frame.scene.first, frame.scene.second, brightness=frame.brightness)
 
 
-# ---- what it is for ----
+# ---- benefit ----
 
 
 @pytest.mark.slow
-def test_magnitudes_take_away_most_wrong_identifications(frame, alone, found):
+def test_magnitudes_remove_most_false_matches(frame, alone, found):
     assert wrong(alone[0], frame.scene) > 20
     assert wrong(found[0], frame.scene) < 0.4 * wrong(alone[0], frame.scene)
     score = calibration(found[0], frame.scene)
@@ -52,13 +52,13 @@ def test_magnitudes_take_away_most_wrong_identifications(frame, alone, found):
     assert score.brier < 0.4 * calibration(alone[0], frame.scene).brier
 
 
-def test_the_answer_is_one_to_one_and_settled(found):
+def test_the_result_is_one_to_one_and_converged(found):
     answer, estimate = found
     assert len(np.unique(answer.matches.rows_1)) == len(np.unique(answer.matches.rows_2)) == len(answer.matches)
     assert estimate.settled and estimate.notes == ()
 
 
-def test_how_much_every_term_decides_is_told(alone, found):
+def test_the_contribution_of_every_term_is_reported(alone, found):
     assert set(found[1].decisive) == {"position", "densities", "completeness", "brightness"}
     assert set(alone[1].decisive) == {"position", "densities"}
     assert all(value > 0.5 for value in found[1].decisive.values())
@@ -89,7 +89,7 @@ def test_completeness_is_found_at_every_magnitude(frame, found):
     assert np.abs(deviation).max() < 4.0 and np.mean(np.abs(deviation) < 2.0) > 0.8
     assert curve.probability[0] > 0.9 and curve.probability[-1] < 0.05 and len(curve.number) > 8
     assert curve.number.sum() == len(frame.scene.second)
-    # What the frame alone shows: uncatalogued stars and false detections.
+    # Detections in the frame only: uncatalogued stars and false detections.
     beta = found[1].detection_1
     density = float((beta.density * np.diff(beta.edges)).sum()) * frame.area_arcsec2
     assert density == pytest.approx(len(frame.scene.first) - len(frame.scene.true_pairs()[0]), rel=0.1)
@@ -99,30 +99,30 @@ def test_completeness_is_found_at_every_magnitude(frame, found):
 @pytest.mark.parametrize(
     "change", [lambda rng, s: misquoted(s, 1.7), lambda rng, s: with_outliers(rng, s, 0.02)], ids=["1.7", "outliers"]
 )
-def test_errors_not_as_quoted_do_not_spoil_the_probabilities(frame, change):
+def test_probabilities_stay_calibrated_with_wrongly_quoted_errors(frame, change):
     scene = change(np.random.default_rng(2), frame.scene)
     answer, _ = match(scene.first, scene.second, brightness=frame.brightness)
     assert calibration(answer, scene).expected_calibration_error < 0.01
 
 
-# ---- it never hurts ----
+# ---- uninformative magnitudes ----
 
 
 @pytest.mark.slow
-def test_useless_magnitudes_change_next_to_nothing(frame, alone):
+def test_uninformative_magnitudes_change_almost_nothing(frame, alone):
     rng = np.random.default_rng(3)
     first, second = frame.scene.first, frame.scene.second
     noise = Magnitudes(rng.normal(15.0, 1.0, len(first))), Magnitudes(rng.normal(15.0, 1.0, len(second)))
     answer, estimate = match(first, second, brightness=noise)
     assert wrong(answer, frame.scene) < 1.15 * wrong(alone[0], frame.scene)
-    # Sums over the candidates: the gate by positions alone holds more of them.
+    # Compare sums over the candidates: the gate by positions alone holds more of them.
     score, before = calibration(answer, frame.scene), calibration(alone[0], frame.scene)
     assert score.brier * score.n < 1.05 * before.brier * before.n
     assert score.expected_calibration_error < 0.01
     assert estimate.decisive["brightness"] < 0.2 and estimate.decisive["completeness"] < 0.3
 
 
-def test_a_bent_relation_does_not_hurt(frame, alone):
+def test_a_nonlinear_relation_does_no_harm(frame, alone):
     bent = np.asarray(frame.brightness[0].values)[:, 0]
     bent = Magnitudes(bent + 0.15 * (bent - 16.0) ** 2, 0.05)
     answer, _ = match(frame.scene.first, frame.scene.second, brightness=(bent, frame.brightness[1]))
@@ -131,7 +131,7 @@ def test_a_bent_relation_does_not_hurt(frame, alone):
 
 
 @pytest.mark.slow
-def test_missing_magnitudes_say_nothing_and_the_others_still_help():
+def test_missing_magnitudes_are_neutral_and_the_others_still_help():
     made = exposure(np.random.default_rng(4), Sky(stars_per_deg2=400_000.0), side_deg=0.12, missing=0.3)
     scene = made.scene
     answer, _ = match(scene.first, scene.second, brightness=made.brightness)
@@ -153,7 +153,7 @@ def test_swapping_the_sources_swaps_the_answer(frame, found):
 
 
 @pytest.mark.slow
-def test_few_pairs_teach_nothing_of_magnitudes_and_it_is_said():
+def test_too_few_pairs_to_learn_magnitudes_are_reported():
     rng = np.random.default_rng(5)
     place = rng.uniform(0.0, 100.0, (30, 2))
     first, second = (Records.of(place + rng.normal(0.0, 0.1, (30, 2)), sigma=0.1) for _ in range(2))
@@ -164,7 +164,7 @@ def test_few_pairs_teach_nothing_of_magnitudes_and_it_is_said():
 
 
 @pytest.mark.parametrize("rounds", [1, 2, 4, 5, 6, 7, 8])
-def test_rounds_may_run_out_before_and_after_the_gate_opens(rounds):
+def test_em_iterations_may_reach_their_limit_before_and_after_the_gate_widens(rounds):
     made = exposure(np.random.default_rng(18), Sky(stars_per_deg2=60_000.0), side_deg=0.12)
     scene = misquoted(made.scene, 2.0)
     answer, estimate = match(scene.first, scene.second, brightness=made.brightness, rounds=rounds)
@@ -174,7 +174,7 @@ def test_rounds_may_run_out_before_and_after_the_gate_opens(rounds):
 
 
 @pytest.mark.slow
-def test_sources_with_nothing_in_common_learn_nothing_from_magnitudes():
+def test_unrelated_sources_learn_nothing_from_magnitudes():
     rng = np.random.default_rng(6)
     first, second = (Records.of(rng.uniform(0.0, 40.0, (1000, 2)), sigma=0.3) for _ in range(2))
     magnitudes = Magnitudes(rng.normal(15.0, 1.0, 1000)), Magnitudes(rng.normal(15.0, 1.0, 1000))
@@ -184,7 +184,7 @@ def test_sources_with_nothing_in_common_learn_nothing_from_magnitudes():
 
 
 @pytest.mark.parametrize("values", [np.full(400, np.nan), np.full(400, 15.0)], ids=["none", "all alike"])
-def test_magnitudes_without_a_message_are_harmless(values):
+def test_random_magnitudes_are_harmless(values):
     rng = np.random.default_rng(7)
     place = rng.uniform(0.0, 60.0, (400, 2))
     first, second = (Records.of(place + rng.normal(0.0, 0.1, (400, 2)), sigma=0.1) for _ in range(2))
@@ -197,14 +197,14 @@ def test_magnitudes_without_a_message_are_harmless(values):
 
 
 @pytest.mark.slow
-def test_the_rule_adds_to_the_rule_of_positions(frame, found):
+def test_the_rule_adds_to_the_position_rule(frame, found):
     answer, estimate = found
     shares = tuple(np.full(len(r), 0.5) for r in (frame.scene.first, frame.scene.second))
     brightness = estimate.photometry.rule(shares)
     assert isinstance(brightness, Brightness)
     again = identify(frame.scene.first, frame.scene.second, rule=PoissonField(0.005, 0.001, 0.01) + brightness)
     assert set(again.evidence.terms) == {"position", "densities", "completeness", "brightness"}
-    # Pairs that are not those it was learned with are compared anew, with the same result.
+    # Other pairs than those it was learned from are evaluated again, with the same result.
     fresh = dataclasses.replace(brightness, comparisons=None)(answer.pairs).terms["brightness"]
     assert fresh == pytest.approx(brightness(answer.pairs).terms["brightness"], abs=1e-12)
 
@@ -236,7 +236,7 @@ def test_the_ratio_is_that_of_the_true_densities_for_one_normal_band():
     assert abs(np.mean((back - exact)[central])) < 0.05
 
 
-def test_no_magnitude_weighs_less_than_the_share_that_is_unrelated(frame, found):
+def test_the_ratio_is_bounded_below_by_the_unrelated_share(frame, found):
     relation = found[1].photometry.first_relation
     far = np.array([5.0, 15.0, 40.0])
     others, none = np.column_stack([far + 100.0] * (1 + len(relation.slopes))), np.zeros((3, 1 + len(relation.slopes)))
@@ -251,7 +251,7 @@ def test_bands_of_one_source_are_not_counted_twice():
     true = rng.normal(16.0, 1.5, n)
     second = Magnitudes(true + rng.normal(0.0, 0.2, n))
     once = true + rng.normal(0.0, 0.2, n)
-    # The second band repeats the first: it must not make anybody surer.
+    # The second band repeats the first and must not raise any probability.
     twice = np.column_stack([once, once + rng.normal(0.0, 0.01, n)])
     records = Records.of(np.arange(n)[:, None], sigma=1.0)
 
@@ -283,7 +283,7 @@ def test_bands_of_one_source_are_not_counted_twice():
         (lambda: Magnitudes([1.0, 2.0], names=("G", "J")), "2 names for 1 bands"),
     ],
 )
-def test_impossible_magnitudes_are_refused_in_words(make, words):
+def test_invalid_magnitudes_are_refused_with_a_clear_message(make, words):
     with pytest.raises(InputError, match=words):
         make()
 
@@ -293,7 +293,7 @@ def test_magnitudes_of_another_table_are_refused():
         Magnitudes([1.0, 2.0]).of(Records.of(np.zeros(3), sigma=1.0, source="plate"))
 
 
-def test_masked_cells_are_missing_and_unknown_errors_are_left_to_the_scatter():
+def test_masked_cells_are_missing_and_unknown_errors_count_as_scatter():
     values = np.ma.MaskedArray([15.0, 16.0], [False, True])
     magnitudes = Magnitudes(values, sigma=[np.nan, 0.1])
     measured = magnitudes.of(Records.of(np.zeros(2), sigma=1.0))
@@ -301,19 +301,19 @@ def test_masked_cells_are_missing_and_unknown_errors_are_left_to_the_scatter():
 
 
 @pytest.mark.slow
-def test_rows_that_are_set_aside_keep_the_others_magnitudes():
+def test_rows_set_aside_do_not_shift_the_magnitudes_of_others():
     records = Records.of([[0.0], [np.nan], [2.0]], sigma=1.0)
     assert Magnitudes([10.0, 11.0, 12.0]).of(records).values[:, 0].tolist() == [10.0, 12.0]
 
 
-def test_a_chain_without_relations_says_nothing():
+def test_a_chain_without_relations_has_no_evidence():
     records = Records.of(np.zeros(3), sigma=1.0)
     measured = Magnitudes([10.0, 11.0, 12.0]).of(records)
     side = SourceMagnitudes(measured, (density_of(np.linspace(10.0, 12.0, 60)),), ({},))
     assert np.all(Chain(({},)).log_ratio(side.compared(np.arange(3), measured)) == 0.0)
 
 
-# ---- its parts ----
+# ---- components ----
 
 
 def test_a_relation_and_its_errors_are_recovered():
@@ -341,7 +341,7 @@ def test_a_relation_and_its_errors_are_recovered():
     assert np.all(np.abs(deviation.mean(axis=0)) < 0.5) and np.all(deviation.std(axis=0) < 1.4)
 
 
-def test_a_density_of_magnitudes_is_one_and_never_zero():
+def test_a_magnitude_density_integrates_to_one_and_is_never_zero():
     density = density_of(np.random.default_rng(11).normal(18.0, 1.0, 5000))
     step = density.grid[1] - density.grid[0]
     assert np.exp(density.log_density).sum() * step == pytest.approx(1.0, abs=1e-3)
@@ -350,7 +350,7 @@ def test_a_density_of_magnitudes_is_one_and_never_zero():
     assert np.isfinite(density(np.array([-50.0, 90.0]))).all()
 
 
-def test_shares_are_recovered_on_top_of_those_at_the_position():
+def test_detection_shares_are_recovered_on_top_of_local_shares():
     rng = np.random.default_rng(12)
     magnitude, position = rng.uniform(14.0, 20.0, 20_000), rng.choice([0.3, 0.8], 20_000)
     true = 1.0 / (1.0 + np.exp(-(logit(position) + 2.0 - 1.0 * (magnitude - 16.0))))
@@ -364,24 +364,24 @@ def test_shares_are_recovered_on_top_of_those_at_the_position():
     assert terms[0] == pytest.approx(0.5 * math.log(s / 0.5) - math.log((1 - s) / 0.5), abs=0.3) and terms[1] == 0.0
 
 
-def test_a_curve_of_shares_that_are_all_one_stays_finite():
+def test_a_detection_curve_of_shares_all_one_stays_finite():
     magnitude = np.linspace(10.0, 20.0, 1000)
     curve = ShareCurve.fit(magnitude, np.full(1000, 0.9999), np.ones(1000))
     assert np.isfinite(curve.values).all() and np.isfinite(curve.terms(magnitude, np.full(1000, 0.9999))).all()
 
 
-def test_bins_of_the_detection_curve_hold_enough_and_all():
+def test_bins_of_the_detection_curve_hold_all_records_and_enough_each():
     rng = np.random.default_rng(13)
     magnitude = rng.normal(18.0, 1.5, 3000)
     curve = DetectionCurve.of("G", magnitude, np.full(3000, 0.4), 100.0)
     assert curve.number.sum() == 3000 and curve.number.min() >= 30 and len(curve.middle) == len(curve.number)
     assert np.all(curve.probability == pytest.approx(0.4)) and np.all(np.diff(curve.edges) > 0.0)
-    # Nobody being sure of a pair tells less than as many sure pairs would.
+    # Uncertain pairs carry less information than the same number of certain pairs.
     sure = share_error(np.array([100.0]), np.array([40.0]), np.array([0.0]))
     assert share_error(np.array([100.0]), np.array([40.0]), np.array([12.0]))[0] > 1.2 * sure[0]
 
 
-def test_hats_interpolate_and_their_sums_are_those_of_the_matrix():
+def test_the_linear_basis_interpolates_and_its_sums_agree_with_the_matrix():
     rng = np.random.default_rng(14)
     knots, x, weights = np.array([0.0, 1.0, 3.0]), rng.uniform(-1.0, 4.0, 50), rng.uniform(size=50)
     hats = Hats.at(knots, x)
@@ -404,7 +404,7 @@ def test_half_of_the_weight_lies_below_a_weighted_median():
     assert weighted_median(np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.0, 10.0])) == 3.0
 
 
-def test_an_exposure_is_what_its_sky_says():
+def test_a_simulated_exposure_has_the_stated_false_and_uncatalogued_shares():
     sky = Sky(stars_per_deg2=400_000.0)
     made = exposure(np.random.default_rng(15), sky, side_deg=0.2)
     scene = made.scene
@@ -420,9 +420,9 @@ def test_an_exposure_is_what_its_sky_says():
 
 
 @pytest.mark.slow
-def test_magnitudes_that_have_nothing_to_do_with_each_other_do_not_hide_pairs():
-    """In a crowd, magnitudes of the frame put to any of its stars: completeness and the grades of errors counted the
-    same twice, and one in six of the common objects was lost."""
+def test_unrelated_magnitudes_do_not_hide_pairs():
+    """In a crowded field with permuted frame magnitudes, completeness and error grades once counted the same
+    information twice, and one in six common objects was lost."""
     made = exposure(np.random.default_rng([77, 2]), Sky(stars_per_deg2=8_000_000.0), side_deg=0.02)
     scene, (frame, catalogue) = made.scene, made.brightness
     shuffled = np.random.default_rng(5).permutation(np.asarray(frame.values)[:, 0])
@@ -435,8 +435,8 @@ def test_magnitudes_that_have_nothing_to_do_with_each_other_do_not_hide_pairs():
     assert is_true_pair(claimed, scene.true_pairs()).sum() > 0.87 * true
 
 
-def test_magnitudes_whose_errors_are_larger_than_their_spread_are_said_to_be_that():
-    """Saturated stars of a plate: it was said that the magnitudes had nothing to do with each other."""
+def test_magnitude_errors_larger_than_the_scatter_of_magnitudes_are_reported():
+    """Saturated stars of a plate; they were once reported as unrelated magnitudes."""
     made = exposure(np.random.default_rng([78, 1]), Sky(stars_per_deg2=20_000.0), side_deg=0.2)
     scene, rng = made.scene, np.random.default_rng(6)
     first, second = rng.normal(12.0, 0.2, len(scene.first)), rng.normal(13.0, 0.2, len(scene.second))

@@ -1,4 +1,4 @@
-"""The closed forms of χ² are the distribution."""
+"""The closed forms of χ² quantiles agree with SciPy."""
 
 import pytest
 from scipy.stats import chi2

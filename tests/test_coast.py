@@ -1,4 +1,4 @@
-"""A coast of one's own: GeoJSON in, land and shores in metres out."""
+"""A user's coastline: GeoJSON in, land and shores in metres out."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_land_runs_anticlockwise_and_its_lakes_clockwise_however_they_are_writte
     assert area(lake) == pytest.approx(-0.02 * metre_north * 0.02 * metre_east, rel=0.01)
 
 
-def test_lines_are_shores_and_the_rest_is_passed_over(tmp_path):
+def test_lines_are_shores_and_other_features_are_ignored(tmp_path):
     collection = {
         "type": "FeatureCollection",
         "features": [
@@ -65,7 +65,7 @@ def test_lines_are_shores_and_the_rest_is_passed_over(tmp_path):
     assert ground.coast[0][1, 0] == pytest.approx(7045.0, abs=10.0)
 
 
-def test_what_lies_outside_the_map_is_cut(tmp_path):
+def test_parts_outside_the_map_are_clipped(tmp_path):
     ground = read_coast(written(tmp_path, {"type": "Polygon", "coordinates": [square(-2.0, 50.0, 2.0)]}))
     ground = ground.in_plane(PLANE)
     [land] = ground.within(-1000.0, -1000.0, 1000.0, 1000.0).land
@@ -83,12 +83,12 @@ def test_what_lies_outside_the_map_is_cut(tmp_path):
         ({"type": "LineString", "coordinates": [[1, 200], [2, 300]]}, "feature 0: .* longitudes and latitudes"),
     ],
 )
-def test_what_is_no_coast_is_refused_by_name(tmp_path, value, words):
+def test_invalid_coast_files_are_refused_by_name(tmp_path, value, words):
     with pytest.raises(InputError, match=words) as error:
         read_coast(written(tmp_path, value))
     assert "coast.geojson" in str(error.value)
 
 
-def test_a_file_that_is_not_there_is_refused(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.geojson: cannot be read"):
         read_coast(tmp_path / "none.geojson")

@@ -1,4 +1,4 @@
-"""Columns of one source as evidence: learned from the pairs, jointly, never more than these support; priors given."""
+"""Columns of one source as evidence: learned jointly from the pairs without overfitting; given priors."""
 
 import numpy as np
 import pytest
@@ -18,8 +18,8 @@ MADE = counterparts(np.random.default_rng(3), sources=500, records=30_000)
 MAG = Column(2, MADE.magnitude, name="MAG")
 
 
-def judged(answer, made=MADE):
-    """Found, wrong, expected wrong and its standard deviation."""
+def counts(answer, made=MADE):
+    """(true matches, false matches, expected false matches, its standard deviation)."""
     right = is_true_pair((answer.matches.rows_1, answer.matches.rows_2), made.scene.true_pairs())
     p = answer.matches.p_match
     return int(right.sum()), int((~right).sum()), answer.expected_wrong, float(np.sqrt(max((p * (1 - p)).sum(), 1.0)))
@@ -36,15 +36,15 @@ def by_position():
 
 
 @pytest.mark.slow
-def test_a_magnitude_of_one_source_finds_more_with_fewer_wrong(found, by_position):
-    (more, fewer, expected, spread), (less, many, _, _) = judged(found[0]), judged(by_position[0])
+def test_a_magnitude_of_one_source_gives_more_true_and_fewer_false_matches(found, by_position):
+    (more, fewer, expected, spread), (less, many, _, _) = counts(found[0]), counts(by_position[0])
     assert more > less and fewer < 0.7 * many
     assert abs(fewer - expected) < 2.0 * spread
 
 
 @pytest.mark.slow
-def test_what_is_learned_is_the_ratio_of_the_true_densities(found):
-    """q(m)/n(m) of Sutherland & Saunders, which the simulation knows."""
+def test_the_learned_curve_is_the_ratio_of_the_true_densities(found):
+    """q(m)/n(m) of Sutherland & Saunders, known from the simulation."""
     from scipy.stats import norm
 
     steep, width = 0.3 * np.log(10.0), np.hypot(1.3, 1.8 * 0.6)
@@ -57,31 +57,31 @@ def test_what_is_learned_is_the_ratio_of_the_true_densities(found):
 
 
 @pytest.mark.slow
-def test_partners_are_as_many_as_expected_and_wrong_ones_too():
-    """No pair vouches for itself: neither by the local densities, which leave its records out, nor by its column."""
+def test_numbers_of_partners_and_of_false_matches_are_as_expected():
+    """No pair supports itself: local densities and column evidence exclude its own records."""
     too_many, wrong, expected, variance = [], 0, 0.0, 0.0
     for number in range(40):
         made = counterparts(np.random.default_rng([17, number]), sources=300, records=6_000, chance=0.6)
         evidence = [Column(2, made.magnitude, name="MAG")]
         answer, estimate = match(made.scene.first, made.scene.second, errors=Errors(), evidence=evidence)
         too_many.append(estimate.common - len(made.scene.true_pairs()[0]))
-        _, mine, said, spread = judged(answer, made)
+        _, mine, said, spread = counts(answer, made)
         wrong, expected, variance = wrong + mine, expected + said, variance + spread**2
     assert abs(np.mean(too_many)) < 3.0 * np.std(too_many) / np.sqrt(len(too_many))
     assert abs(wrong - expected) < 2.0 * np.sqrt(variance)
 
 
 @pytest.mark.slow
-def test_where_a_catalogue_ends_the_curve_breaks():
-    """Beyond 26 mag the catalogue has counterparts only, and next to none of a fifth of its records before it."""
+def test_the_curve_breaks_at_the_limit_of_the_catalogue():
+    """Beyond 26 mag the catalogue has counterparts only, and hardly any in the fifth of its records before."""
     made = counterparts(np.random.default_rng([16, 1]))
     _, estimate = match(made.scene.first, made.scene.second, evidence=[Column(2, made.magnitude, name="MAG")])
     learned, m = estimate.columns.log_ratio[1], made.magnitude
     assert learned[m > 26.3].min() > learned[(m > 25.7) & (m < 25.95)].max() + 3.0
 
 
-def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
-    """Without a penalty to speak of: ln of the share of partners over that of the others."""
+def test_the_fit_of_a_category_column_is_the_ratio_of_counts():
+    """With a negligible penalty: ln of the share of partners over that of the others."""
     first, second = MADE.scene.first, MADE.scene.second
     evidence = ColumnEvidence.of(
         first,
@@ -107,23 +107,23 @@ def test_of_one_category_column_the_fit_is_the_ratio_of_counts():
             taught = fold != k
             here = MADE.kind == kind
             partners, others = p[taught & here].sum() / p[taught].sum(), (1 - p[taught & here]).sum()
-            # Of the sums of this fold's teachers, with the offset of all.
+            # From the training records of this fold, with the offset of all records.
             logit = np.log(p[taught & here].sum() / others) - mean
             got = evidence.log_ratio[1][(fold == k) & here]
             assert partners > 0 and np.allclose(got, logit, atol=5e-3)
 
 
 @pytest.mark.slow
-def test_a_column_that_tells_nothing_is_said_to_and_changes_nothing(by_position):
+def test_an_uninformative_column_is_reported_and_changes_nothing(by_position):
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.noise, name="noise")])
     (said,) = estimate.columns.findings
     assert not said.tells and said.name == "noise"
     assert estimate.changed_by_columns == 0
-    assert abs(judged(answer)[1] - judged(by_position[0])[1]) <= 2
+    assert abs(counts(answer)[1] - counts(by_position[0])[1]) <= 2
 
 
 @pytest.mark.slow
-def test_columns_that_say_the_same_are_not_counted_twice(found):
+def test_redundant_columns_are_not_counted_twice(found):
     again = Column(2, 3.0 * MADE.magnitude + 1.0, name="flux")
     _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[MAG, again])
     both, once = estimate.columns.log_ratio[1], found[1].columns.log_ratio[1]
@@ -133,11 +133,11 @@ def test_columns_that_say_the_same_are_not_counted_twice(found):
 
 
 @pytest.mark.slow
-def test_every_column_that_tells_betters_the_answer(found):
+def test_every_informative_column_improves_the_result(found):
     more = [Column(2, MADE.colour, name="colour"), Column(2, MADE.kind, name="kind")]
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[MAG, *more])
     assert all(one.tells for one in estimate.columns.findings)
-    (more, fewer, expected, spread), (less, many, _, _) = judged(answer), judged(found[0])
+    (more, fewer, expected, spread), (less, many, _, _) = counts(answer), counts(found[0])
     assert more >= less and fewer < many
     assert abs(fewer - expected) < 2.0 * spread
 
@@ -148,14 +148,14 @@ def test_related_columns_are_evidence_of_pairs(found):
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[related])
     said = {(one.name, one.other): one.tells for one in estimate.columns.findings}
     assert said == {("flux", ""): False, ("MAG", ""): True, ("flux", "MAG"): True}
-    assert judged(answer)[0] >= judged(found[0])[0]
+    assert counts(answer)[0] >= counts(found[0])[0]
     unrelated = Related(np.random.default_rng(1).permutation(MADE.flux), MADE.magnitude, ("flux", "MAG"))
     _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[unrelated])
     assert [one.tells for one in estimate.columns.findings if one.other] == [False]
 
 
 @pytest.mark.slow
-def test_swapped_sources_give_the_transposed_answer(found):
+def test_swapping_the_sources_transposes_the_result(found):
     answer, _ = match(MADE.scene.second, MADE.scene.first, evidence=[Column(1, MADE.magnitude, name="MAG")])
     one = dict(zip(found[0].matches.rows_1.tolist(), found[0].matches.rows_2.tolist(), strict=True))
     other = dict(zip(answer.matches.rows_2.tolist(), answer.matches.rows_1.tolist(), strict=True))
@@ -163,16 +163,16 @@ def test_swapped_sources_give_the_transposed_answer(found):
 
 
 @pytest.mark.slow
-def test_missing_values_are_a_value(found):
+def test_missing_values_are_a_category(found):
     gone = np.random.default_rng(2).uniform(size=len(MADE.magnitude)) < 0.2
     column = Column(2, np.where(gone, np.nan, MADE.magnitude), name="MAG")
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[column])
     assert np.abs(estimate.columns.log_ratio[1][gone]).max() < 0.7
-    _, wrong, expected, spread = judged(answer)
+    _, wrong, expected, spread = counts(answer)
     assert abs(wrong - expected) < 2.0 * spread
 
 
-def test_given_odds_are_the_odds():
+def test_given_odds_are_used():
     odds = OddsTable([(0.0, 22.0, 4.0), (22.0, 30.0, 0.5)])
     answer, _ = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.magnitude, odds)])
     expected = np.where(MADE.magnitude < 22.0, np.log(4.0), np.log(0.5))[answer.pairs.j]
@@ -194,12 +194,12 @@ def test_too_few_pairs_are_not_learned_from():
         ([(1.0,)], "has 1 cells"),
     ],
 )
-def test_tables_of_odds_that_make_no_sense_are_refused(odds, words):
+def test_invalid_tables_of_odds_are_refused(odds, words):
     with pytest.raises(InputError, match=words):
         OddsTable(odds)
 
 
-def test_columns_are_refused_in_the_users_words():
+def test_invalid_columns_are_refused_by_their_names():
     with pytest.raises(InputError, match="give 1 or 2"):
         Column(3, "MAG")
     with pytest.raises(InputError, match="one value for every row"):
@@ -223,7 +223,7 @@ def tables():
 
 
 @pytest.mark.slow
-def test_the_command_takes_columns_and_priors_and_explains_them(tmp_path, monkeypatch, found):
+def test_the_command_accepts_columns_and_priors_and_explains_them(tmp_path, monkeypatch, found):
     monkeypatch.chdir(tmp_path)
     for name, table in zip(("x.fits", "o.fits"), tables(), strict=True):
         table.write(name)
@@ -248,7 +248,7 @@ def test_the_command_takes_columns_and_priors_and_explains_them(tmp_path, monkey
 
 
 @pytest.mark.slow
-def test_python_takes_the_same(found):
+def test_python_accepts_the_same(found):
     one = sameas.match(*tables(), evidence=Column(2, "MAG_I"))
-    assert judged(one.identification)[:2] == judged(found[0])[:2]
+    assert counts(one.identification)[:2] == counts(found[0])[:2]
     assert "MAG_I" in str(one.report())

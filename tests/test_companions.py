@@ -1,4 +1,4 @@
-"""Objects nearer to each other than a Poisson field has them: found, used, and not seen where there are none."""
+"""Clustered objects (more close pairs than a Poisson field): detected, used, and not found where there are none."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_wide_ring_of_two_dimensions_is_scaled_before_it_overflows():
     assert np.allclose(made, seen, rtol=1e-9, atol=0)
 
 
-def test_couples_are_the_same_by_strips_and_by_the_gate(monkeypatch):
+def test_couples_found_by_strips_and_by_the_gate_agree(monkeypatch):
     setting = setting_of(couples_field(np.random.default_rng(3), 400))
     one = clustering(setting)
     monkeypatch.setattr("sameas.estimate.companions.STRIP", 0)
@@ -57,7 +57,7 @@ def test_couples_are_the_same_by_strips_and_by_the_gate(monkeypatch):
 
 
 def certain_and_wrong(answer: Identification, scene: SimulatedScene) -> tuple[int, float]:
-    """How many pairs of p > 0.99 are wrong, and how many should be."""
+    """(number, expected number) of false pairs among those of p > 0.99."""
     matches = answer.matches
     wrong = ~is_true_pair((matches.rows_1, matches.rows_2), scene.true_pairs())
     sure = matches.p_match > 0.99
@@ -65,7 +65,7 @@ def certain_and_wrong(answer: Identification, scene: SimulatedScene) -> tuple[in
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_a_ring_is_a_density(d: int) -> None:
+def test_a_ring_density_integrates_to_one(d: int) -> None:
     r = np.linspace(1e-6, 12.0, 20_001)
     shell = (np.full(len(r), 2.0), 2.0 * np.pi * r, 4.0 * np.pi * r**2)[d - 1]
     for radius in (0.0, 0.7, 3.0):
@@ -73,7 +73,7 @@ def test_a_ring_is_a_density(d: int) -> None:
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_a_ring_is_what_points_on_a_sphere_blurred_are(d: int) -> None:
+def test_a_ring_is_the_density_of_blurred_points_on_a_sphere(d: int) -> None:
     rng = np.random.default_rng(d)
     at = rng.standard_normal((400_000, d))
     at *= 2.0 / np.sqrt((at**2).sum(axis=1))[:, None]
@@ -85,24 +85,24 @@ def test_a_ring_is_what_points_on_a_sphere_blurred_are(d: int) -> None:
 
 
 @pytest.mark.parametrize(("share", "separation"), [(0.3, 0.5), (0.3, 2.0), (1.0, 2.0), (1.0, 5.0)])
-def test_companions_are_as_many_as_there_are(share: float, separation: float) -> None:
+def test_the_number_of_companions_is_unbiased(share: float, separation: float) -> None:
     scenes = fields(1, 4, share=share, separation=separation, missing=0.2)
     seen = [clustering(setting_of(scene)) for scene in scenes]
     numbers = [known.volume.sum() * np.mean(known.mean_densities) for known in seen if known is not None]
     assert len(numbers) == len(scenes)
-    # Of the companions that objects have, each source shows 0.8.
+    # Each source detects 0.8 of the companions.
     assert np.mean(numbers) == pytest.approx(0.8 * share, rel=0.15)
     shares = [known.shares[0] for known in seen if known is not None]
     assert np.mean(shares) == pytest.approx(0.8, abs=0.06)
 
 
 @pytest.mark.parametrize("chance", [0.01, 0.3, 3.0])
-def test_a_poisson_field_shows_none(chance: float) -> None:
+def test_a_poisson_field_has_no_companions(chance: float) -> None:
     scenes = fields(2, 10, share=0.0, chance=chance, missing=0.2)
     assert [clustering(setting_of(scene)) for scene in scenes] == [None] * 10
 
 
-def test_a_poisson_field_is_answered_as_if_nobody_asked() -> None:
+def test_companions_change_nothing_in_a_poisson_field() -> None:
     (scene,) = fields(2, 1, share=0.0, chance=0.3, missing=0.2)
     with_them, _ = match(scene.first, scene.second)
     without, _ = match(scene.first, scene.second, tuning=WITHOUT)
@@ -114,7 +114,7 @@ def test_a_poisson_field_is_answered_as_if_nobody_asked() -> None:
     ("share", "separation", "missing"),
     [(0.3, 0.5, 0.4), (1.0, 2.0, 0.4), (0.3, 0.1, 0.2), (0.3, 2.0, 0.4), (1.0, 0.5, 0.4), (1.0, 5.0, 0.4)],
 )
-def test_a_companion_is_not_taken_for_a_partner_that_was_missed(
+def test_a_companion_is_not_matched_in_place_of_a_missed_partner(
     share: float, separation: float, missing: float
 ) -> None:
     scenes = fields(3, 4, share=share, separation=separation, missing=missing)
@@ -131,7 +131,7 @@ def test_a_companion_is_not_taken_for_a_partner_that_was_missed(
     assert certain <= told + 3.0
 
 
-def test_sources_swapped_and_rows_shuffled_say_the_same() -> None:
+def test_swapping_sources_and_shuffling_rows_change_nothing() -> None:
     (scene,) = fields(4, 1, share=0.5, separation=1.0)
     answer, _ = match(scene.first, scene.second)
     swapped, _ = match(scene.second, scene.first)
@@ -141,11 +141,11 @@ def test_sources_swapped_and_rows_shuffled_say_the_same() -> None:
     np.testing.assert_allclose(sorted(shuffled.p_pair), p, atol=1e-6)
 
 
-def test_which_of_two_is_which_is_open_where_separations_are_those_of_errors() -> None:
+def test_couples_as_close_as_the_errors_are_ambiguous() -> None:
     (scene,) = fields(5, 1, share=1.0, separation=0.1, missing=0.0)
     known, setting = clustering(setting_of(scene)), setting_of(scene)
     assert known is not None
-    # Two couples far from all others: 1 and 2 of the first, at 3 and 4 of the second.
+    # Two isolated couples: 1 and 2 in the first source, 3 and 4 in the second.
     unit = float(known.unit[0]) * np.array([1.0, 0.0])
     field = setting.pairs.first
     at = field.features[:2] * 0.0 + [[160.0, 0.0], [160.0, 0.0]]
@@ -177,7 +177,7 @@ def test_records_within_their_errors_of_each_other_are_counted() -> None:
     one, two = counted
     assert (one.n_records, two.n_records) == (len(scene.first), len(twice))
     assert abs(one.n_pairs - one.by_chance) < 4.0 * one.by_chance**0.5
-    # All couples of a record and its copy; chance makes more of them than densities without copies say.
+    # All couples of a record and its copy; chance couples exceed those expected from densities without copies.
     assert two.n_pairs - len(again) - one.n_pairs > -4.0 * one.n_pairs**0.5
     assert two.n_pairs - two.by_chance > 0.6 * len(again)
 
@@ -187,7 +187,7 @@ def test_numbers_out_of_range_are_refused() -> None:
         couples_field(np.random.default_rng(1), 400, share=1.5)
 
 
-def test_the_scaled_bessel_function_is_scipys():
+def test_the_scaled_bessel_function_agrees_with_scipy():
     x = np.concatenate([[0.0, 1e-300], np.geomspace(1e-3, 1e12, 4001), [29.999999, 30.0, np.inf]])
     with np.errstate(all="raise"):
         ours = scaled_i0(x)

@@ -1,5 +1,5 @@
-"""Kernels that are interpreted for few items give the compiled answer to the last bit; one line says that they are
-compiled."""
+"""Kernels interpreted for few items give the compiled result bit for bit; one line announces their
+compilation."""
 
 import ast
 import os
@@ -40,7 +40,7 @@ def same(one, two):
 
 @pytest.fixture
 def both(monkeypatch):
-    """Runs kernels both ways where they may be interpreted, each for its first calls; notes which, and those of
+    """Runs the first calls of every kernel that may be interpreted both ways; lists the kernels run, and those of
     different answers or changes of their arguments."""
     ran, different, calls = set(), set(), Counter()
 
@@ -107,7 +107,7 @@ def test_identification_on_a_plane(both, space, prior, n):
 
 @pytest.mark.slow
 def test_few_records_need_no_compiler_and_many_do():
-    """In a process of its own: numba is imported when a kernel has much to do, and not before."""
+    """In a new process: numba is imported only when a kernel has many items."""
     program = """
 import sys
 import numpy as np
@@ -125,8 +125,8 @@ print(identified(200), identified(20_000))
 
 
 @pytest.mark.slow
-def test_what_is_cached_is_read_without_the_compiler(tmp_path):
-    """And gives the same; numba is left as it was for others."""
+def test_cached_kernels_are_loaded_without_the_compiler(tmp_path):
+    """With equal results; numba's own settings stay unchanged."""
     program = """
 import sys
 import numpy as np
@@ -169,7 +169,7 @@ COSTLY = {"max", "min", "argmax", "argmin", "flatnonzero", "nonzero", "sum", "pr
         "summary",
     ],
 )
-def test_kernels_of_a_match_are_read_without_linear_algebra(name):
+def test_kernels_of_a_match_are_loaded_without_linear_algebra(name):
     tree = ast.parse((Path(compiled.__file__).parent / f"{name}.py").read_text())
     kernels = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.decorator_list]
     called = {
@@ -182,7 +182,7 @@ def test_kernels_of_a_match_are_read_without_linear_algebra(name):
 
 
 @pytest.mark.slow
-def test_everything_is_compiled_where_that_is_wanted():
+def test_everything_is_compiled_on_request():
     program = """
 import sys
 import numpy as np
@@ -202,14 +202,14 @@ if "numba" in sys.modules:  # and for others numba is what it was
         assert run.stdout.split() == [str(wanted == "1"), "False"]
 
 
-def test_what_is_interpreted_is_soon_compiled(monkeypatch):
-    """When as much time has gone into interpreting as loading the compiler takes."""
+def test_a_kernel_interpreted_for_long_is_compiled(monkeypatch):
+    """After interpretation has taken as long as loading the compiler takes."""
     loop = compiled.small(_doubled)
     loop._is_cached = False
     monkeypatch.setattr(compiled, "_interpreting_s", 0.0)
     assert loop(np.arange(3.0)) == 6.0 and loop._dispatcher is None
     monkeypatch.setattr(compiled, "_interpreting_s", compiled.INTERPRETING_LIMIT_S)
-    assert loop.interprets  # it would have to be compiled for the first time
+    assert loop.interprets  # it has no cached version yet
     loop._is_cached = True
     assert not loop.interprets and loop(np.arange(3.0)) == 6.0 and loop._dispatcher is not None
 
@@ -221,7 +221,7 @@ def _doubled(values):
     return total
 
 
-def test_that_kernels_are_compiled_is_said_once(monkeypatch, capsys, tmp_path):
+def test_compilation_is_announced_once(monkeypatch, capsys, tmp_path):
     begun = []
     monkeypatch.setattr(compiled, "_announced", False)
     monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce, begun.append])
@@ -238,7 +238,7 @@ def _fresh():
     return nothing
 
 
-def test_a_large_entangled_group_is_compiled_however_few_its_records():
+def test_a_large_dense_group_is_compiled_however_few_its_records():
     from sameas.kernels.assign import assign_counted, assign_linear
 
     n = 2000  # a chain: every row has the columns i and i + 1
@@ -249,7 +249,7 @@ def test_a_large_entangled_group_is_compiled_however_few_its_records():
         assert kernel.work(0, n, 2 * alone, alone, alone) < compiled.MAX_INTERPRETED
 
 
-def test_beside_a_loaded_compiler_what_is_cached_is_not_interpreted_at_length(monkeypatch):
+def test_once_the_compiler_is_loaded_cached_kernels_are_used_early(monkeypatch):
     some = compiled.small(lambda values: float(values.sum()))
     monkeypatch.setattr(compiled, "_dispatchers", {})
     some._is_cached = True

@@ -13,7 +13,7 @@ RADAR, LIDAR = Filter([[1.0, 0.0]], [[400.0]]), Filter([[1.0, 0.0], [0.0, 1.0]],
 
 
 def filtered(rng, targets, steps, sensors):
-    """Errors (n, 2) of each sensor's filter of the same targets, after so many steps."""
+    """Errors (n, 2) of each sensor's filter of the same targets after ``steps`` steps."""
     truth = np.zeros((targets, 2))
     states = [np.zeros((targets, 2)) for _ in sensors]
     covariances = [np.eye(2) for _ in sensors]
@@ -30,7 +30,7 @@ def filtered(rng, targets, steps, sensors):
     return [state - truth for state in states]
 
 
-def test_the_covariance_of_two_tracks_is_the_one_observed():
+def test_the_covariance_of_two_tracks_agrees_with_simulation():
     steady = steady_tracks(MOTION, NOISE, RADAR, LIDAR)
     one, two = filtered(np.random.default_rng(1), 40_000, 30, (RADAR, LIDAR))
     for stated, seen in ((steady.first, one.T @ one), (steady.second, two.T @ two), (steady.cross, one.T @ two),
@@ -71,7 +71,7 @@ def test_normalised_residuals_follow_their_distribution_only_without_the_common_
     (np.eye(3), r"give \(2, 2\)"),
     ([[np.nan, 0.0], [0.0, 1.0]], "finite"),
 ])  # fmt: skip
-def test_what_cannot_be_is_refused(cross, words):
+def test_invalid_input_is_refused(cross, words):
     first, second = (Records.of([[0.0, 0.0]], sigma=s, source=n) for s, n in ((5.0, "radar"), (5.0, "lidar")))
     with pytest.raises(InputError, match=words):
         without_common(first, second, cross)
@@ -80,7 +80,7 @@ def test_what_cannot_be_is_refused(cross, words):
         without_common(sky, sky, np.eye(2))
 
 
-def test_a_filter_that_never_settles_is_refused():
+def test_a_filter_without_steady_state_is_refused():
     with pytest.raises(InputError, match="never settles"):
         steady_tracks(MOTION, NOISE, Filter([[0.0, 1.0]], [[1.0]]), RADAR)
     with pytest.raises(InputError, match=r"give \(m, 2\)"):

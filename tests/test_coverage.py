@@ -1,4 +1,4 @@
-"""Local densities are the densities, and a hole of one source is seen where the other has records enough."""
+"""Estimated local densities agree with the true ones; holes of one source are found where the other is dense enough."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def sky(rng, n, area):
 
 
 @pytest.mark.parametrize("d", [1, 2, 3])
-def test_an_even_field_has_its_density_everywhere(d):
+def test_a_uniform_field_has_its_density_everywhere(d):
     rng = np.random.default_rng(d)
     first, second = uniform(rng, 4000, d), uniform(rng, 1000, d)
     cover = Coverage.of(first, second)
@@ -39,7 +39,7 @@ def test_weights_scale_the_density():
         assert np.median(other / one) == pytest.approx(0.5, rel=0.15)
 
 
-def test_a_dense_clump_is_seen_as_dense():
+def test_a_dense_clump_has_a_high_density():
     rng = np.random.default_rng(1)
     clump = rng.normal(5.0, 0.1, (2000, 2))
     first = Records.of(np.concatenate([rng.uniform(0, 10, (2000, 2)), clump]), sigma=0.01)
@@ -47,19 +47,19 @@ def test_a_dense_clump_is_seen_as_dense():
     density = Coverage.of(first, second).density(1, np.ones(4000))[1]
     middle = np.hypot(*(second.features - 5.0).T) < 0.1
     far = np.hypot(*(second.features - 5.0).T) > 2.0
-    # 2000 records of a normal of σ 0.1: about 2000 / (2π 0.01) e^(−¼) = 25 000 in its middle, and 20 far out.
+    # 2000 records of a normal of σ 0.1: about 2000 / (2π 0.01) e^(−¼) = 25 000 in its centre, and 20 far out.
     assert np.median(density[middle]) == pytest.approx(25_000, rel=0.4)
     assert np.median(density[far]) == pytest.approx(20, rel=0.3)
 
 
-def test_a_record_does_not_count_where_it_stands():
+def test_a_record_does_not_count_towards_its_own_density():
     first = Records.of(np.array([[0.0, 0.0], [10.0, 10.0]]), sigma=0.1)
     second = Records.of(np.array([[0.1, 0.1], [9.9, 9.9]]), sigma=0.1)
     own, other = Coverage.of(first, second).density(1, np.ones(2))
     assert np.all(own < other)
 
 
-def test_a_hole_is_where_many_were_to_be_expected():
+def test_a_hole_is_where_many_records_are_expected_and_none_found():
     rng = np.random.default_rng(2)
     first = uniform(rng, 5000)
     beyond = uniform(rng, 5000)
@@ -75,7 +75,7 @@ def test_a_hole_is_where_many_were_to_be_expected():
 @pytest.mark.parametrize(
     "area", [WholeSky(), LonLatBox((350.0, 370.0), (-10.0, 10.0)), LonLatBox((0.0, 360.0), (85.0, 90.0))]
 )
-def test_the_sky_has_its_area(area):
+def test_the_covered_area_of_a_sky_field_is_right(area):
     rng = np.random.default_rng(3)
     cover = Coverage.of(sky(rng, 5000, area), sky(rng, 5000, area))
     arcsec_sq = area.steradians() * ARCSEC_PER_RADIAN**2
@@ -85,7 +85,7 @@ def test_the_sky_has_its_area(area):
 
 
 @pytest.mark.parametrize("space", [Plane(), Sphere()])
-def test_records_at_one_place_are_no_trouble(space):
+def test_records_at_one_position_give_finite_densities(space):
     for n1, n2 in ((1, 1), (1, 5), (5, 5), (60, 40)):
         one, two = (Records.of(np.full((n, 2), 1.0), sigma=1.0, space=space) for n in (n1, n2))
         cover = Coverage.of(one, two)
@@ -95,7 +95,7 @@ def test_records_at_one_place_are_no_trouble(space):
 
 
 @pytest.mark.parametrize("space", [Plane(), Sphere()])
-def test_a_crowd_at_one_place_among_others_is_cut_no_finer_than_it_pays(space):
+def test_a_crowd_at_one_position_does_not_refine_the_cells_without_limit(space):
     rng = np.random.default_rng(4)
     crowded = np.concatenate([rng.uniform(0.0, 50.0, (20, 2)), np.full((500, 2), 30.0)])
     records = Records.of(crowded, sigma=1e-9, space=space)
@@ -105,8 +105,8 @@ def test_a_crowd_at_one_place_among_others_is_cut_no_finer_than_it_pays(space):
 
 
 def defined(cover, weights, side):
-    """Density of source 1 at the records of a side: level after level drawn towards the counts of their cells, as
-    strongly as makes its own records likeliest, each left out of what predicts it."""
+    """Density of source 1 at the records of ``side``: from level to level shrunk towards the cell counts, with
+    the strength that maximises the leave-one-out likelihood of its own records."""
     start = (weights.sum() + 0.5) / cover.volume
     own, at = np.full(len(weights), start), np.full(len(getattr(cover.levels[0], side)), start)
     for level in cover.levels:
@@ -115,7 +115,7 @@ def defined(cover, weights, side):
         fits = {k: np.sum(weights * np.log((others + k) / (volume + k / own))) for k in SMOOTHS}
         fits = {k: fit - 0.7 * n for n, (k, fit) in enumerate(fits.items())}
         smooth = max(fits, key=fits.get)
-        # In the finest cells, in which these records have four on average and fewer, each counts for three quarters.
+        # In the finest cells (four records on average or fewer) each record counts for three quarters.
         finest = level is cover.levels[-1] or weights @ (others + weights) <= 4.0 * weights.sum()
         own = (others + finest * 0.75 * weights + smooth) / (volume + smooth / own)
         count = np.array([weights[level.of_first == here].sum() for here in cell])
@@ -126,7 +126,7 @@ def defined(cover, weights, side):
 
 
 @pytest.mark.parametrize("space", [Plane(), Sphere()])
-def test_cells_and_densities_are_those_of_the_definition(space):
+def test_cells_and_densities_agree_with_the_definition(space):
     rng = np.random.default_rng(5)
     clump = rng.normal(20.0, 0.5, (150, 2))
     one, two = (
@@ -144,7 +144,7 @@ def test_cells_and_densities_are_those_of_the_definition(space):
     np.testing.assert_allclose(at_second, defined(cover, weights, "of_second"), rtol=1e-9)
 
 
-def test_the_density_of_a_cluster_is_followed_more_closely_than_that_of_an_even_field_is_blurred():
+def test_densities_resolve_a_cluster_and_stay_smooth_in_a_uniform_field():
     rng = np.random.default_rng(8)
     even, other = uniform(rng, 600), uniform(rng, 600)
     spread = {}
@@ -156,15 +156,15 @@ def test_the_density_of_a_cluster_is_followed_more_closely_than_that_of_an_even_
             2.0 * np.pi * 0.15**2
         )
         spread[name] = np.abs(np.log(at / truth))
-    assert np.median(spread["even"]) < 0.05  # chance alone puts 12 ± 3 into a finest cell
+    assert np.median(spread["even"]) < 0.05  # Poisson counts of a finest cell: 12 ± 3
     assert np.median(spread["cluster"][300:]) < 0.5
 
 
-def test_of_clusters_with_few_records_the_inverse_root_of_the_density_is_right_on_average():
-    """Chance pairs are weighed by 1/√(ρ₁ρ₂): where a record did not count itself that was 8 % too large on average."""
+def test_the_mean_inverse_root_of_the_density_is_unbiased_in_sparse_clusters():
+    """Chance pairs have weight 1/√(ρ₁ρ₂); with strict leave-one-out densities it was 8 % too large on average."""
     rng, ratio = np.random.default_rng(11), []
     for _ in range(40):
-        # Half even over 1 × 1, half a Plummer profile of radius 0.06.
+        # Half uniform over 1 × 1, half a Plummer profile of radius 0.06.
         radius, angle = 0.06 * np.sqrt(1.0 / rng.random(75) - 1.0), rng.uniform(0.0, 2.0 * np.pi, 75)
         cluster = 0.5 + (radius * [np.cos(angle), np.sin(angle)]).T
         objects = np.concatenate([rng.random((75, 2)), cluster[(np.abs(cluster - 0.5) < 0.5).all(axis=1)]])
@@ -175,8 +175,8 @@ def test_of_clusters_with_few_records_the_inverse_root_of_the_density_is_right_o
     assert np.concatenate(ratio).mean() == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_sparse_source_has_its_density_at_the_borders_of_a_field_too():
-    """Its cells reach beyond the field; where it looks is told by the richer source."""
+def test_the_density_of_a_sparse_source_is_right_at_the_field_borders():
+    """Its cells extend beyond the field; the field is determined from the richer source."""
     rng = np.random.default_rng(5)
     disc = Cap(150.0, 2.0, 1.0)
     for few, many in ((300, 60_000), (1_500, 60_000)):
@@ -187,8 +187,8 @@ def test_a_sparse_source_has_its_density_at_the_borders_of_a_field_too():
 
 
 @pytest.mark.parametrize("share", [0.005, 0.5, 0.95])
-def test_shares_of_an_even_field_do_not_follow_the_records_that_chance_puts_into_a_cell(share):
-    """Shares near 0 and 1 rest on few records of the rarer kind in every cell."""
+def test_shares_of_a_uniform_field_do_not_follow_count_noise(share):
+    """Shares near 0 and 1 depend on few records of the rarer kind in every cell."""
     rng = np.random.default_rng(6)
     first, second = uniform(rng, 500), uniform(rng, 60_000)
     partner = (rng.uniform(size=60_000) < share).astype(float)
@@ -199,8 +199,8 @@ def test_shares_of_an_even_field_do_not_follow_the_records_that_chance_puts_into
 
 
 @pytest.mark.parametrize("overlap", [0.5, 0.1, 0.03])
-def test_fields_that_overlap_by_a_strip_have_their_density_in_it(overlap):
-    """Of a cell that lies in the strip by a part, that part counts: densities were up to a hundred times too low."""
+def test_densities_in_a_narrow_overlap_are_right(overlap):
+    """Only the part of a cell inside the strip counts; densities were once up to 100 times too low."""
     rng = np.random.default_rng(int(1000 * overlap))
     low = 10.0 * (1.0 - overlap)
     first = Records.of(rng.uniform(0.0, 10.0, (5000, 2)), sigma=0.01)

@@ -1,4 +1,4 @@
-"""Which source's errors are too small, by how much, and when that cannot be told."""
+"""The factor of each source's errors and a common floor, and when they cannot be separated."""
 
 import numpy as np
 import pytest
@@ -10,10 +10,10 @@ from sameas.estimate.quantity import Quantity
 
 
 def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=1.0, n=1500, displaced=0.0):
-    """Pairs in a wide field, with errors that are what is said of them times the factors, and a floor.
+    """Pairs in a sparse field; true errors are the quoted ones times the factors, plus a floor.
 
-    alike : whether a source quotes one error for all. size_2 : of the second's quoted errors, against the first's.
-    displaced : share of the first source's records that lie 10 of their errors off.
+    alike : whether a source quotes one error for all records. size_2 : quoted errors of source 2 / source 1.
+    displaced : share of the first source's records that are off by 10 σ.
     """
     rng = np.random.default_rng(seed)
     place = rng.uniform(0.0, 2000.0, (n, 2))
@@ -36,7 +36,7 @@ def answer(seed, *, factors=(1.0, 1.0), floor=0.0, alike=(False, False), size_2=
 
 @pytest.mark.slow
 @pytest.mark.parametrize("factors, floor", [((1.0, 1.0), 0.0), ((1.7, 1.0), 0.0), ((1.0, 1.5), 0.1), ((0.7, 2.0), 0.0)])
-def test_factors_and_floor_are_recovered_with_their_errors(factors, floor):
+def test_factors_and_floor_are_recovered_within_their_errors(factors, floor):
     found = [error_model(answer([1, k], factors=factors, floor=floor)) for k in range(12)]
     for name, true in (("factor_1", factors[0]), ("factor_2", factors[1])):
         deviation = np.array([(getattr(m, name).value - true) / getattr(m, name).standard_error for m in found])
@@ -51,14 +51,14 @@ def test_factors_and_floor_are_recovered_with_their_errors(factors, floor):
 
 
 @pytest.mark.slow
-def test_a_floor_that_is_not_there_is_within_its_error_of_none():
+def test_without_a_floor_the_fitted_floor_is_within_its_error_of_zero():
     floors = [error_model(answer([6, k])).floor for k in range(40)]
     beyond = np.mean([floor.value > 1.96 * floor.standard_error for floor in floors])
     assert beyond <= 0.15 and all(floor.standard_error > 0.0 for floor in floors)
 
 
 @pytest.mark.slow
-def test_displaced_records_are_no_floor_and_no_factor():
+def test_displaced_records_do_not_bias_floor_and_factor():
     found = [error_model(answer([2, k], factors=(1.7, 1.0), displaced=0.02)) for k in range(12)]
     for name, true in (("factor_1", 1.7), ("factor_2", 1.0)):
         deviation = [(getattr(m, name).value - true) / getattr(m, name).standard_error for m in found]
@@ -68,7 +68,7 @@ def test_displaced_records_are_no_floor_and_no_factor():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("size_2", [1.0, 0.01])
-def test_a_floor_is_found_beside_one_error_for_all(size_2):
+def test_a_floor_is_found_if_one_source_quotes_one_error_for_all(size_2):
     found = [
         error_model(answer([3, k], factors=(1.4, 1.0), floor=0.1, alike=(False, True), size_2=size_2)) for k in range(8)
     ]
@@ -80,7 +80,7 @@ def test_a_floor_is_found_beside_one_error_for_all(size_2):
 
 
 @pytest.mark.slow
-def test_errors_that_are_all_alike_tell_one_number_that_may_be_either():
+def test_equal_errors_of_all_records_determine_only_one_number():
     found = error_model(answer(3, alike=(True, True), factors=(1.7, 1.7)))
     assert found.factor_1 is found.factor_2 is found.floor is None and "vary too little" in found.note
     assert found.both.value == pytest.approx(1.7, abs=3.5 * found.both.standard_error)
@@ -89,7 +89,7 @@ def test_errors_that_are_all_alike_tell_one_number_that_may_be_either():
 
 
 @pytest.mark.slow
-def test_errors_that_go_together_tell_one_factor_of_both():
+def test_proportional_errors_determine_one_common_factor():
     rng = np.random.default_rng(8)
     place, sigma = rng.uniform(0.0, 2000.0, (1500, 2)), 0.03 * 10 ** rng.uniform(0.0, 1.0, (1500, 1))
     sides = [
@@ -103,7 +103,7 @@ def test_errors_that_go_together_tell_one_factor_of_both():
 
 
 @pytest.mark.slow
-def test_a_floor_that_errors_too_small_to_matter_cannot_be_is_named_alone():
+def test_with_negligible_quoted_errors_only_a_floor_is_reported():
     found = error_model(answer(9, floor=0.1, alike=(True, True), size_2=0.3))
     assert found.floor_instead is not None and found.both is not None
     rng = np.random.default_rng(9)
@@ -118,12 +118,12 @@ def test_a_floor_that_errors_too_small_to_matter_cannot_be_is_named_alone():
     assert found.floor.value == pytest.approx(0.02, rel=0.1) and "their own sizes" in found.note
 
 
-def test_few_pairs_do_not_judge_the_sources_apart():
+def test_few_pairs_do_not_separate_the_sources():
     found = error_model(answer(4, n=50))
     assert not found.is_estimated and "fewer than 200 pairs" in found.note
 
 
-def test_the_modelled_variance_takes_as_quoted_what_was_not_told():
+def test_parameters_not_determined_leave_the_quoted_variance():
     quoted = np.array([1.0, 2.0]), np.array([3.0, 3.0])
     two, three = Quantity(2.0, 0.1), Quantity(3.0, 0.1)
     assert ErrorModel(factor_1=two, floor=three).variance(*quoted).tolist() == [16.0, 20.0]
@@ -131,7 +131,7 @@ def test_the_modelled_variance_takes_as_quoted_what_was_not_told():
     assert ErrorModel(floor_instead=three).variance(*quoted).tolist() == [4.0, 5.0]
 
 
-def test_one_source_that_is_far_better_is_taken_as_quoted():
+def test_errors_of_a_far_more_precise_source_are_taken_as_quoted():
     found = error_model(answer(5, factors=(2.0, 1.0), size_2=1e-3))
     assert found.factor_1.value == pytest.approx(2.0, abs=0.1) and found.factor_2 is None
     assert "those of gaia taken as quoted" in found.note
@@ -140,7 +140,7 @@ def test_one_source_that_is_far_better_is_taken_as_quoted():
 @pytest.mark.parametrize("alike", [(True, True), (False, True), (False, False)])
 @pytest.mark.parametrize("factors", [(0.6, 0.6), (0.3, 0.3)])
 def test_errors_quoted_too_large_leave_no_floor(factors, alike):
-    """Where nothing but a floor of none is fitted there is no information left to invert."""
+    """If only a floor is fitted and it is zero, the information matrix is empty and is not inverted."""
     found = error_model(answer(4, factors=factors, alike=alike))
     factor = found.both or found.factor_1
     assert factor.value == pytest.approx(factors[0], abs=4.0 * factor.standard_error)

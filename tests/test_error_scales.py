@@ -1,4 +1,4 @@
-"""The spread of the errors is that of greatest likelihood, and no tail is believed that does not stand out."""
+"""The mixture of error scales maximises the likelihood, and a tail is fitted only if it is significant."""
 
 import numpy as np
 import pytest
@@ -8,13 +8,13 @@ from sameas.evidence import Errors
 
 
 def log_likelihood(errors, z2, log_odds, d):
-    """What is made as great as can be, pair by pair, with the pseudo-counts on the scale nearest to 1."""
+    """The maximised quantity, pair by pair, with the pseudo-counts on the scale nearest to 1."""
     nearest = int(np.argmin(np.abs(np.log(errors.scales))))
     return np.log1p(np.exp(log_odds + errors.log_profile(z2, d))).sum() + 2.0 * np.log(errors.shares[nearest])
 
 
 def pairs(rng, n, d=2, scale=1.3, chance=0):
-    """True pairs with errors ``scale`` times too small, and chance ones; odds as densities of 1 in 40 would have it."""
+    """True pairs with errors ``scale`` times too small, and chance pairs; odds for a density of 1 in 40."""
     true = scale**2 * rng.chisquare(d, n)
     false = 36.0 * rng.uniform(size=chance) ** (2.0 / d)
     z2 = np.concatenate([true, false])
@@ -22,7 +22,7 @@ def pairs(rng, n, d=2, scale=1.3, chance=0):
 
 
 @pytest.mark.parametrize("seed, scale, chance", [(0, 1.3, 0), (1, 0.6, 200), (2, 2.4, 50), (3, 1.0, 800)])
-def test_no_other_mixture_of_the_ladder_is_more_likely(seed, scale, chance):
+def test_no_other_mixture_of_the_scales_is_more_likely(seed, scale, chance):
     rng = np.random.default_rng(seed)
     z2, log_odds = pairs(rng, 600, scale=scale, chance=chance)
     found = fit_errors(z2, log_odds, 2, Errors(), tuning=ScalesTuning(significant_tail_gain=0.0)).errors
@@ -32,14 +32,14 @@ def test_no_other_mixture_of_the_ladder_is_more_likely(seed, scale, chance):
     shares = np.array([known.get(s, 1e-300) for s in np.round(ladder, 9)])
     best = log_likelihood(Errors(tuple(ladder), tuple(shares)), z2, log_odds, 2)
     for k, here in enumerate(ladder):
-        # A little more of one scale, at the cost of all others.
+        # Perturb one share, at the expense of all others.
         moved = shares * 0.98
         moved[k] += 0.02
-        # Cells round distances and odds, which is worth a little.
+        # Binning rounds distances and odds, which costs a little likelihood.
         assert log_likelihood(Errors(tuple(ladder), tuple(moved / moved.sum())), z2, log_odds, 2) < best + 0.3, here
 
 
-def test_where_the_search_begins_does_not_matter():
+def test_the_start_of_the_search_does_not_matter():
     z2, log_odds = pairs(np.random.default_rng(4), 3000, scale=1.7, chance=500)
     one = fit_errors(z2, log_odds, 2, Errors()).errors
     two = fit_errors(z2, log_odds, 2, Errors((1.5**-4, 1.0), (0.9, 0.1))).errors
@@ -53,16 +53,16 @@ def test_one_normal_has_no_tail_whatever_its_scale(scale):
     z2 = scale**2 * rng.chisquare(2, 20_000)
     found = fit_errors(z2, np.full(len(z2), np.log(1e4)), 2, Errors()).errors
     assert found.typical_scale == pytest.approx(scale, rel=0.08)
-    # Its density, out to where one of ten thousand lies.
+    # Compare densities out to the 1e-4 quantile.
     reach = np.linspace(0.0, 2.0 * np.log(1e4), 50) * scale**2
     true = -0.5 * reach / scale**2 - 2.0 * np.log(scale)
     assert np.abs(found.log_profile(reach, 2) - true)[reach < 12.0 * scale**2].max() < 0.35
     assert (found.log_profile(reach, 2) - true).max() < 1.0
 
 
-def test_a_tail_is_believed_where_it_stands_out():
+def test_a_tail_is_fitted_where_it_is_significant():
     rng = np.random.default_rng(5)
-    # Chance candidates are rare: hardly one in 3000 within 12 standard deviations.
+    # Chance candidates are rare: about one in 3000 within 12 standard deviations.
     core, odds = rng.chisquare(2, 3000), np.full(3000, np.log(2e5))
     without = fit_errors(core, odds, 2, Errors())
     assert max(without.errors.scales) < 2.0 and without.tail_gain < DEFAULT_SCALES.significant_tail_gain
@@ -72,6 +72,6 @@ def test_a_tail_is_believed_where_it_stands_out():
     assert found.tail_gain > DEFAULT_SCALES.significant_tail_gain and tail == pytest.approx(0.02, abs=0.008)
 
 
-def test_pairs_of_no_odds_and_no_pairs_say_nothing():
+def test_pairs_of_zero_odds_and_zero_pairs_give_the_prior():
     assert fit_errors(np.full(5, 4.0), np.full(5, -np.inf), 2, Errors()).errors == Errors()
     assert fit_errors(np.empty(0), np.empty(0), 3, Errors()).errors == Errors()

@@ -1,4 +1,4 @@
-"""Errors that grow with magnitude or place while all quote one: found, used, and not seen where there are none."""
+"""Errors that grow with magnitude or position although all are quoted equal: found and used, and no false trends."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def by_magnitudes(field: Field, errors: Errors | None = None) -> Found:
 
 
 def right(answer: Identification, scene: SimulatedScene) -> tuple[int, int]:
-    """Pairs that are right, and wrong."""
+    """Numbers of correct and of false matches."""
     true = is_true_pair((answer.matches.rows_1, answer.matches.rows_2), scene.true_pairs())
     return int(true.sum()), int((~true).sum())
 
@@ -58,7 +58,7 @@ def test_errors_that_grow_with_magnitude_are_found(faint: tuple[Field, Found]) -
     assert "magnitude (second)" in trend.words("second")
 
 
-def test_they_find_what_true_errors_find(faint: tuple[Field, Found]) -> None:
+def test_estimated_trends_find_as_many_pairs_as_the_true_errors(faint: tuple[Field, Found]) -> None:
     (scene, magnitudes, errors), (answer, _) = faint
     told = replace(scene, second=replace(scene.second, covariance=errors[:, None] ** 2)), magnitudes, errors
     (found, wrong), (most, least) = right(answer, scene), right(by_magnitudes(told)[0], scene)
@@ -75,8 +75,8 @@ def test_errors_that_grow_toward_the_rim_are_found() -> None:
     assert trend.quantity == "distance from the centre" and np.all(np.diff(trend.sigma) > 0.0)
 
 
-def test_quoted_errors_that_differ_and_are_true_are_believed() -> None:
-    """Where large errors meet many neighbours, the pairs more probable than not have small residuals."""
+def test_true_quoted_errors_that_differ_are_kept() -> None:
+    """With large errors and many neighbours, pairs of p > ½ are biased to small residuals."""
     scene, _, errors = growing_field(np.random.default_rng([7, 0]), 3000, rim_is_worse)
     answer, estimate = match(scene.first, replace(scene.second, covariance=errors[:, None] ** 2))
     assert not estimate.errors.as_modelled and not estimate.trends
@@ -85,20 +85,20 @@ def test_quoted_errors_that_differ_and_are_true_are_believed() -> None:
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_honest_errors_do_not_grow(number: int) -> None:
+def test_constant_true_errors_show_no_trend(number: int) -> None:
     _, estimate = by_magnitudes(growing_field(np.random.default_rng([8, number]), 1500, as_quoted))
     assert not estimate.trends and not estimate.errors.as_modelled
 
 
 @pytest.mark.slow
-def test_records_that_have_no_magnitude_take_the_typical_error() -> None:
+def test_records_without_magnitude_get_the_typical_error() -> None:
     scene, (one, two), errors = growing_field(np.random.default_rng([7, 3]), 2000, faint_are_worse)
     two = np.where(np.random.default_rng(1).uniform(size=len(two)) < 0.1, np.nan, two)
     answer, estimate = by_magnitudes((scene, (one, two), errors))
     assert estimate.trends and np.isfinite(answer.p_pair).all()
 
 
-def test_given_errors_are_not_bettered() -> None:
+def test_given_errors_are_not_changed() -> None:
     _, estimate = by_magnitudes(growing_field(np.random.default_rng([7, 4]), 1000, faint_are_worse), Errors())
     assert not estimate.trends and estimate.errors == Errors()
 

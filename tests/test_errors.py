@@ -1,4 +1,4 @@
-"""Messages: arguments become options; what is repeated of a file is printable and short."""
+"""Messages: arguments become options; text quoted from files is printable and short."""
 
 import pickle
 
@@ -19,13 +19,13 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
-def test_no_message_carries_what_controls_a_terminal(text):
+def test_messages_contain_no_terminal_control_characters(text):
     told = str(InputError(f"cat: the name {text} is not known", f"rename {text}"))
     assert told.isprintable() and told.isascii()
     assert told.startswith("cat: the name ") and "; rename " in told
 
 
-def test_letters_signs_and_spaces_stay():
+def test_letters_symbols_and_spaces_are_kept():
     for text in ("Δδ ≤ 3σ, 10\u202f000 “rows” \u00a0 日本 🛰", "C:\\data\\a.csv", "it's '42'", "\\x1b"):
         assert printable(text) == text and str(InputError(text)) == text
 
@@ -35,7 +35,7 @@ def test_a_message_is_one_line():
 
 
 @pytest.mark.parametrize("quote", ["'", '"', ""])
-def test_what_is_repeated_is_cut(quote):
+def test_long_text_from_files_is_truncated(quote):
     given = f"{quote}{'x' * 1000}{quote}"
     kept = f"{quote}{'x' * 80}…{quote}"
     assert str(InputError(f"cat: {given} is no number", "mend it")) == f"cat: {kept} is no number; mend it"
@@ -43,21 +43,21 @@ def test_what_is_repeated_is_cut(quote):
     assert short in str(InputError(f"cat: {short} is no number"))
 
 
-def test_what_is_quoted_is_cut_also_where_it_holds_spaces():
+def test_long_quoted_text_with_spaces_is_truncated():
     assert str(InputError(f"line 3: {'a b ' * 200!r} is no record")) == f"line 3: '{'a b ' * 20}…' is no record"
 
 
-def test_apostrophes_are_no_quotes():
+def test_apostrophes_are_no_quotation_marks():
     words = "the header's solution is not that of the frame, which lies elsewhere " * 2 + "by the sensors' own plots'"
     assert str(InputError(words)) == words
 
 
-def test_names_of_files_stay_whole():
+def test_file_names_are_not_truncated():
     path = "/".join(["", *["folder with a long name"] * 8, "x" * 100 + ".csv"])
     assert path in str(InputError(f"{path}: no such file"))
 
 
-def test_a_message_is_bounded_whatever_it_repeats():
+def test_the_length_of_a_message_is_bounded():
     columns = ", ".join(f"column_{k}" for k in range(5000))
     told = str(InputError(f"cat: no column ra among {columns}", naming("give {ra:NAME}")))
     assert len(told) < LONGEST_MESSAGE + 40 and told.endswith(" …; give ra=NAME")

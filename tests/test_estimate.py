@@ -1,4 +1,4 @@
-"""What is not known in advance is found: how many are common, how large the errors are, how wide the gate must be."""
+"""`match` estimates the number of common objects, the scale of the errors and the width of the gate."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,7 @@ from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
 
 def scene(seed, *, sigma=0.1, quoted=1.0, q1=0.2, q2=0.3, extent=40.0, d=2):
-    """A field whose errors are quoted ``1/quoted`` times too small."""
+    """A simulated field; quoted errors are the true ones times ``quoted``."""
     made = poisson_field(
         np.random.default_rng(seed), density=1.0, extent=(extent,) * d, q1=q1, q2=q2, sigma_1=sigma, sigma_2=sigma
     )
@@ -31,7 +31,7 @@ def calibration(answer, made):
     return score_probabilities(answer.p_pair, is_true_pair((answer.rows_1, answer.rows_2), made.true_pairs()))
 
 
-def test_the_number_of_common_objects_and_the_misses_are_found():
+def test_the_number_of_common_objects_and_the_miss_probabilities_are_estimated():
     made, first, second = scene(0)
     answer, found = match(first, second)
     true = len(made.true_pairs()[0])
@@ -45,18 +45,18 @@ def test_the_number_of_common_objects_and_the_misses_are_found():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("quoted, sigma", [(1 / 2, 0.1), (1 / 10, 0.1), (1.6, 0.1)])
-def test_errors_that_are_quoted_wrongly_are_seen_and_corrected(quoted, sigma):
+def test_wrongly_quoted_errors_are_detected_and_corrected(quoted, sigma):
     made, first, second = scene(1, quoted=quoted, sigma=sigma)
     answer, found = match(first, second)
     assert found.typical_scale == pytest.approx(1 / quoted, rel=0.12)
     assert found.common == pytest.approx(len(made.true_pairs()[0]), rel=0.03)
     assert calibration(answer, made).expected_calibration_error < 0.015
-    # The gate opens as far as the errors need: they are ten times what is quoted in one of the cases.
+    # The gate must widen: in one case the true errors are ten times the quoted ones.
     assert found.gate_sigmas > 4 / quoted or quoted > 1
 
 
 @pytest.mark.slow
-def test_everything_estimated_has_a_standard_error_that_covers_the_truth():
+def test_standard_errors_of_all_estimates_cover_the_truth():
     inside: dict[str, list[bool]] = {}
     for seed in range(14):
         made = poisson_field(
@@ -75,12 +75,12 @@ def test_everything_estimated_has_a_standard_error_that_covers_the_truth():
     assert 0.90 <= np.mean(list(covered.values())) <= 0.99
 
 
-def test_quantities_are_written_with_their_errors():
+def test_estimates_print_with_their_standard_errors():
     assert str(Quantity(0.35123, 0.0042, "mag")) == "0.3512 ± 0.0042 mag"
     assert str(Quantity(12345.6, 78.0)) == "12346 ± 78" and str(Quantity(3.0, math.inf)) == "3"
 
 
-def test_errors_of_either_source_are_told_apart_where_they_vary():
+def test_error_factors_of_both_sources_are_separated_if_the_quoted_errors_vary():
     rng = np.random.default_rng(21)
     made = poisson_field(
         rng, density=1.0, extent=(50.0, 50.0), q1=0.1, q2=0.1, sigma_1=(0.01, 0.1), sigma_2=(0.01, 0.1)
@@ -93,20 +93,20 @@ def test_errors_of_either_source_are_told_apart_where_they_vary():
     assert match(wide, made.second, errors=Errors())[1].error_model is None
 
 
-def test_given_errors_and_gates_are_believed():
+def test_given_errors_and_gates_are_not_estimated():
     _, first, second = scene(2, extent=20.0)
     answer, found = match(first, second, errors=Errors(), gate=Radius(3.0))
     assert found.errors == Errors() and answer.pairs.gate == "distance ≤ 3 σ"
 
 
-def test_given_densities_are_believed_and_the_shares_still_found():
+def test_given_densities_are_used_and_shares_still_estimated():
     made, first, second = scene(3)
     _, found = match(first, second, density=(0.8, 0.7))
     assert found.common == pytest.approx(len(made.true_pairs()[0]), rel=0.03)
 
 
 @pytest.mark.slow
-def test_the_sky_is_matched_without_being_told_anything():
+def test_sky_catalogues_are_matched_without_any_given_numbers():
     made = sky_field(
         np.random.default_rng(4), n_common=1500, n_only_1=300, n_only_2=700, sigma_arcsec=(0.2, 0.5),
         area=Cap(30.0, 89.99, 0.05), elliptical=True,
@@ -119,16 +119,16 @@ def test_the_sky_is_matched_without_being_told_anything():
     assert calibration(answer, made).expected_calibration_error < 0.015
 
 
-def test_sources_that_share_nothing_are_hardly_married_while_their_errors_are_believed():
+def test_unrelated_sources_get_hardly_any_matches_if_their_errors_are_given():
     rng = np.random.default_rng(5)
     first, second = (Records.of(rng.uniform(0, 40, (1000, 2)), sigma=0.05) for _ in range(2))
     answer, found = match(first, second, errors=Errors())
-    # Some 20 chance pairs lie as near as true ones would.
+    # About 20 chance pairs are as close as true pairs would be.
     assert found.common < 40 and len(answer.matches) < 40
 
 
 @pytest.mark.slow
-def test_sources_far_apart_say_so():
+def test_sources_far_apart_raise_a_doubt():
     first = Records.of(np.random.default_rng(6).uniform(0, 1, (20, 2)), sigma=1e-3)
     second = Records.of(np.random.default_rng(7).uniform(50, 51, (20, 2)), sigma=1e-3)
     answer, found = match(first, second)
@@ -136,7 +136,7 @@ def test_sources_far_apart_say_so():
     assert any("no object in common" in note for note in found.notes)
 
 
-def test_what_a_few_pairs_leave_open_of_the_errors_is_averaged_over():
+def test_with_few_pairs_the_error_scale_is_averaged_over():
     place = np.arange(10)[:, None] * [1.0, 1.0]
     answer, found = match(Records.of(place, sigma=0.01), Records.of(place + 0.005, sigma=0.01))
     assert len(answer.matches) == 10
@@ -152,7 +152,7 @@ def test_swapping_the_sources_swaps_the_estimate():
     assert forth.share_1 == pytest.approx(back.share_2, rel=1e-3)
 
 
-def test_progress_is_told():
+def test_progress_is_reported():
     _, first, second = scene(9, extent=12.0)
     told = []
     match(first, second, progress=told.append)
@@ -160,7 +160,7 @@ def test_progress_is_told():
 
 
 @pytest.mark.parametrize("n1, n2, name", [(0, 3, "radar"), (3, 0, "ais")])
-def test_nothing_to_identify_is_refused_in_words(n1, n2, name):
+def test_empty_sources_are_refused_with_a_clear_message(n1, n2, name):
     first, second = (
         Records.of(np.zeros((n1, 2)), sigma=1.0, source="radar"),
         Records.of(np.zeros((n2, 2)), sigma=1.0, source="ais"),
@@ -171,11 +171,11 @@ def test_nothing_to_identify_is_refused_in_words(n1, n2, name):
 
 @pytest.mark.parametrize("d", [1, 2, 3])
 @pytest.mark.parametrize("scale", [0.7, 1.0, 3.0])
-def test_the_spread_of_residuals_is_found_from_their_distances(d, scale):
+def test_error_scales_are_estimated_from_the_distances(d, scale):
     rng = np.random.default_rng([d, int(10 * scale)])
     z2 = scale**2 * rng.chisquare(d, 20_000)
     found = fit_errors(z2, np.full(len(z2), 20.0), d, Errors()).errors
-    # The mixture of a coarse ladder predicts the distances, as nearly as observed.
+    # The mixture of a few scales reproduces the distribution of distances.
     shares, scales = np.array(found.shares), np.array(found.scales)
     assert shares.sum() == pytest.approx(1.0)
     assert d * np.sum(shares * scales**2) == pytest.approx(z2.mean(), rel=0.08)
@@ -184,7 +184,7 @@ def test_the_spread_of_residuals_is_found_from_their_distances(d, scale):
         assert np.percentile(drawn, q) == pytest.approx(np.percentile(z2, q), rel=0.2)
 
 
-def test_pairs_that_are_improbable_do_not_count():
+def test_improbable_pairs_do_not_affect_the_error_scales():
     rng = np.random.default_rng(0)
     z2 = np.concatenate([rng.chisquare(2, 5000), np.full(5000, 900.0)])
     log_odds = np.concatenate([np.full(5000, 20.0), np.full(5000, -30.0)])
@@ -193,10 +193,10 @@ def test_pairs_that_are_improbable_do_not_count():
 
 
 @pytest.mark.parametrize("extended", [0.0, 0.25])
-def test_errors_of_a_tail_are_found_beyond_the_gate_of_honest_ones(extended):
-    """A quarter of the objects is extended: their places are five times as bad as quoted, among chance candidates."""
+def test_a_tail_of_the_errors_beyond_the_initial_gate_is_found(extended):
+    """A quarter of the objects is extended, with errors five times the quoted ones, among chance candidates."""
     rng = np.random.default_rng(20)
-    # 0.25 by chance within 3σ of a pair: within the gate of honest errors, chance makes as many as are displaced.
+    # 0.25 chance candidates within 3σ of a pair: in the gate for quoted errors, as many as displaced ones.
     n, side = 2_000, math.sqrt(2_000 * math.pi * 18.0 / 0.25)
     place, wide = rng.uniform(0.0, side, (n, 2)), np.where(rng.random(n) < extended, 5.0, 1.0)
     shown = [np.flatnonzero(rng.random(n) > 0.2) for _ in range(2)]

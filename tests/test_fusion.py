@@ -1,4 +1,4 @@
-"""Fused states: least variance where correlation is known, consistency where it is not."""
+"""Fused states: minimum variance if the correlation is known, consistent if it is not."""
 
 from collections.abc import Callable
 
@@ -28,13 +28,13 @@ def test_independent_fusion_is_the_generalized_least_squares_estimate():
     np.testing.assert_allclose(fused.state[0], best @ design.T @ np.linalg.solve(joint, x.ravel()), rtol=1e-9)
 
 
-def test_far_coordinates_cost_no_digits():
+def test_large_coordinates_lose_no_precision():
     rng = np.random.default_rng(2)
     x, p = rng.normal(size=(5, 3, 2)), covariances(rng, 5, 3, d=2)
     np.testing.assert_allclose(independent(x + 1e7, p).state - 1e7, independent(x, p).state, atol=1e-8)
 
 
-def test_known_cross_covariance_gives_the_estimate_of_least_variance():
+def test_a_known_cross_covariance_gives_the_minimum_variance_estimate():
     rng = np.random.default_rng(3)
     joint = covariances(rng, 20, d=6)
     p1, p2, p12 = joint[:, :3, :3], joint[:, 3:, 3:], joint[:, :3, 3:]
@@ -48,7 +48,7 @@ def test_known_cross_covariance_gives_the_estimate_of_least_variance():
         np.testing.assert_allclose(fused.state[n], state, rtol=1e-6, atol=1e-8)
 
 
-def test_no_cross_covariance_is_independent_fusion():
+def test_zero_cross_covariance_equals_independent_fusion():
     rng = np.random.default_rng(4)
     x, p = rng.normal(size=(2, 3)), covariances(rng, 2)
     one = bar_shalom_campo(x[0], p[0], x[1], p[1], np.zeros((3, 3)))
@@ -58,7 +58,7 @@ def test_no_cross_covariance_is_independent_fusion():
 
 
 @pytest.mark.parametrize("criterion", ["determinant", "trace"])
-def test_intersection_of_two_has_the_weight_that_a_search_finds(criterion):
+def test_covariance_intersection_of_two_has_the_weight_found_by_search(criterion):
     rng = np.random.default_rng(5)
     measures: dict[str, Callable[[np.ndarray], float]]
     measures = {"determinant": lambda c: np.linalg.slogdet(c)[1], "trace": np.trace}
@@ -78,10 +78,10 @@ def test_intersection_of_two_has_the_weight_that_a_search_finds(criterion):
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("criterion", ["determinant", "trace"])
-def test_intersection_never_claims_more_than_any_correlation_allows(criterion):
+def test_covariance_intersection_is_consistent_for_any_correlation(criterion):
     rng = np.random.default_rng(6)
     for _ in range(20):
-        # Errors that are correlated as they like: the true covariance of the fused state lies within the stated one.
+        # Arbitrarily correlated errors: the true covariance of the fused state is bounded by the stated one.
         joint = covariances(rng, d=6)
         p = np.stack([joint[:2, :2], joint[2:4, 2:4], joint[4:, 4:]])
         fused = covariance_intersection(np.zeros((3, 2)), p, criterion=criterion)
@@ -91,18 +91,18 @@ def test_intersection_never_claims_more_than_any_correlation_allows(criterion):
 
 
 @pytest.mark.parametrize("k", [2, 3, 5])
-def test_weights_of_an_intersection_are_proved_best(k):
+def test_weights_of_a_covariance_intersection_are_optimal(k):
     rng = np.random.default_rng(8)
     p = covariances(rng, 200, k, d=4)
     fused = covariance_intersection(np.zeros((200, k, 4)), p)
-    # The equivalence theorem of Kiefer and Wolfowitz: no estimate has a gradient above 1, those in use have just that.
+    # Equivalence theorem of Kiefer and Wolfowitz: all gradients are ≤ 1, and = 1 for estimates of weight > 0.
     slope = np.einsum("nkvw,nwv->nk", np.linalg.inv(p), fused.covariance) / 4
     assert slope.max() < 1.0 + 1e-6
     np.testing.assert_allclose(np.sum(fused.weights * slope, axis=1), 1.0, atol=1e-9)
     assert (fused.weights >= 0).all() and (fused.weights == 0).any()
 
 
-def test_the_same_estimate_twice_is_not_two():
+def test_a_repeated_estimate_adds_no_information():
     p = np.array([[2.0, 0.3], [0.3, 1.0]])
     fused = covariance_intersection(np.ones((2, 2)), np.stack([p, p]))
     np.testing.assert_allclose(fused.covariance[0], p, rtol=1e-9)
@@ -117,7 +117,7 @@ def test_the_order_of_estimates_changes_nothing():
         np.testing.assert_allclose(fuse(x, p).state, fuse(x[turn], p[turn]).state, atol=1e-6)
 
 
-def test_bad_estimates_are_refused_in_words():
+def test_invalid_estimates_are_refused_with_a_clear_message():
     with pytest.raises(InputError, match=r"give \(n, k, L\)"):
         independent(np.zeros((2, 3)), np.zeros((2, 2, 2)))
     with pytest.raises(InputError, match="estimate 1 is not positive definite"):

@@ -1,4 +1,4 @@
-"""Gaussians along the rows say what the textbook's formulas say for each row."""
+"""Vectorised Gaussians agree with the textbook formulas row by row."""
 
 import math
 
@@ -32,7 +32,7 @@ def test_inverse_and_propagated_are_symmetric_to_the_last_digit(rng, d):
 
 
 @pytest.mark.parametrize("d", [1, 2, 3, 5])
-def test_density_and_distance_are_those_of_the_definition(rng, d):
+def test_density_and_distance_agree_with_the_definition(rng, d):
     some = gaussians(rng, 20, d=d)
     log_naive = [naive.log_normal(x, s) for x, s in zip(some.mean, some.covariance, strict=True)]
     square = [x @ np.linalg.solve(s, x) for x, s in zip(some.mean, some.covariance, strict=True)]
@@ -46,7 +46,7 @@ def test_rows_and_covariances_broadcast(rng):
 
 
 @pytest.mark.parametrize("measured", [1, 2, 4])
-def test_an_update_is_kalmans(rng, measured):
+def test_an_update_is_the_kalman_update(rng, measured):
     before, seen = gaussians(rng, 12, d=4), gaussians(rng, 12, d=measured)
     after, h = before.updated(seen), np.eye(measured, 4)
     for x, p, z, r, mean, covariance in zip(
@@ -76,13 +76,13 @@ def test_a_product_is_the_product_of_the_densities(rng):
         assert np.allclose(apart, apart[0])
 
 
-def test_a_product_keeps_the_digits_of_large_coordinates(rng):
+def test_a_product_keeps_its_precision_at_large_coordinates(rng):
     some, far = gaussians(rng, 5, 2, d=2), 1e9
     moved = Gaussian(some.mean + far, some.covariance).product()
     assert np.allclose(moved.mean - far, some.product().mean, atol=1e-6)
 
 
-def test_a_sum_of_information_is_the_joint_density_of_its_measurements(rng):
+def test_summed_information_gives_the_joint_density_of_the_measurements(rng):
     """ln ∫ ∏ N(z; H x, R) dx by the marginal of the measurements under a wide prior of x."""
     n, d, m = 4, 3, 2
     prior, seen, slope = gaussians(rng, n, d=d), gaussians(rng, n, d=m), rng.normal(size=(n, m, d))

@@ -1,4 +1,4 @@
-"""Grades: what the sizes of quoted errors say, that it is right, and that they keep silent where they say nothing."""
+"""Error grades: the sizes of quoted errors as evidence, calibrated, and neutral where they are uninformative."""
 
 import numpy as np
 import pytest
@@ -33,17 +33,17 @@ def found(frames):
     return [match(made.scene.first, made.scene.second) for made in frames]
 
 
-# ---- what they are for ----
+# ---- benefit ----
 
 
 @pytest.mark.slow
-def test_quoted_errors_take_away_a_third_of_the_wrong_identifications(frames, found):
+def test_quoted_errors_remove_a_third_of_the_false_matches(frames, found):
     without = [match(made.scene.first, made.scene.second, precision=False)[0] for made in frames]
     with_grades = sum(wrong(answer, made.scene) for (answer, _), made in zip(found, frames, strict=True))
     assert with_grades < 0.67 * sum(wrong(answer, made.scene) for answer, made in zip(without, frames, strict=True))
 
 
-def test_what_they_say_is_calibrated(frames, found):
+def test_probabilities_with_grades_are_calibrated(frames, found):
     stated, happened = [], []
     for made, (answer, _) in zip(frames, found, strict=True):
         stated.append(answer.p_pair)
@@ -63,7 +63,7 @@ def test_the_number_of_common_objects_is_not_biased(frames, found):
     assert np.mean(np.abs(deviations) < 1.96) >= 0.8
 
 
-def test_large_errors_speak_against_a_source_that_sees_less_deep(found):
+def test_large_errors_lower_the_odds_of_a_match_in_a_shallower_source(found):
     answer, estimate = found[0]
     assert estimate.decisive["precision"] > 0.1 and "precision" in answer.evidence.terms
     volume = answer.second.covariance[:, 0] * answer.second.covariance[:, -1]
@@ -73,7 +73,7 @@ def test_large_errors_speak_against_a_source_that_sees_less_deep(found):
 
 
 @pytest.mark.slow
-def test_missing_magnitudes_leave_the_word_to_the_errors():
+def test_without_magnitudes_the_errors_are_used():
     crowded, lost = Sky(stars_per_deg2=400_000.0), 0
     kept = 0
     for k in range(3):
@@ -84,36 +84,36 @@ def test_missing_magnitudes_leave_the_word_to_the_errors():
     assert kept < 0.9 * lost
 
 
-# ---- where they say nothing ----
+# ---- uninformative errors ----
 
 
-def test_errors_that_say_nothing_change_nothing():
+def test_uninformative_errors_change_nothing():
     scene = exposure(np.random.default_rng(3), FLAT, side_deg=0.12).scene
     answer, _ = match(scene.first, scene.second)
     assert "precision" not in answer.evidence.terms
     assert np.array_equal(answer.p_pair, match(scene.first, scene.second, precision=False)[0].p_pair)
 
 
-def test_nothing_is_learned_where_magnitudes_say_it_all(frames):
+def test_grades_learn_nothing_if_magnitudes_contain_the_information(frames):
     made = frames[0]
     answer, _ = match(made.scene.first, made.scene.second, brightness=made.brightness)
     assert "precision" not in answer.evidence.terms
 
 
-def test_a_few_records_or_like_errors_have_no_grades(frames):
+def test_few_records_or_equal_errors_have_no_grades(frames):
     scene = exposure(np.random.default_rng(3), side_deg=0.01).scene
     assert "precision" not in match(scene.first, scene.second)[0].evidence.terms
 
 
-def test_sources_with_nothing_in_common_stay_so(frames):
+def test_unrelated_sources_get_no_matches_from_grades(frames):
     answer, estimate = match(frames[0].scene.first, frames[1].scene.second)
     assert estimate.common < 0.02 * len(answer.first) and "precision" not in answer.evidence.terms
 
 
-# ---- laws ----
+# ---- invariances ----
 
 
-def test_swapping_the_sources_transposes_what_is_said(frames, found):
+def test_swapping_the_sources_transposes_the_evidence(frames, found):
     scene, (answer, _) = frames[0].scene, found[0]
     other, _ = match(scene.second, scene.first)
     mine = dict(zip(zip(answer.pairs.i, answer.pairs.j, strict=True), answer.p_pair, strict=True))
@@ -131,13 +131,13 @@ def test_grades_are_about_equal_in_number_and_rise_with_the_error():
     assert np.all(np.diff(grades[np.argsort(volume)]) >= 0)
 
 
-def test_like_errors_have_like_grades():
+def test_equal_errors_have_equal_grades():
     volume = np.repeat([0.0, 1.0], [3000, 1000])
     grades = Scale.of(volume, None, 6).grades(volume, None)
     assert len(np.unique(grades[:3000])) == 1 and len(np.unique(grades[3000:])) == 1 and grades[0] <= grades[-1]
 
 
-def test_among_like_magnitudes_grades_say_nothing_of_the_magnitude():
+def test_grades_are_independent_of_the_magnitude():
     rng = np.random.default_rng(2)
     magnitude = rng.uniform(12.0, 20.0, 4000)
     volume = magnitude + rng.normal(size=4000)
@@ -145,7 +145,7 @@ def test_among_like_magnitudes_grades_say_nothing_of_the_magnitude():
     assert abs(np.corrcoef(grades, magnitude)[0, 1]) < 0.1 < np.corrcoef(grades, volume)[0, 1]
 
 
-def test_what_has_no_magnitude_is_graded_by_itself():
+def test_records_without_magnitude_are_graded_separately():
     rng = np.random.default_rng(2)
     magnitude = np.where(rng.uniform(size=4000) < 0.3, np.nan, rng.uniform(12.0, 20.0, 4000))
     volume = rng.normal(size=4000)
@@ -163,8 +163,8 @@ def test_the_unit_of_a_feature_does_not_matter():
     assert np.array_equal(scales[0].grades(volume, None), scales[1].grades(volume + 3.0, None))
 
 
-def test_grades_that_change_over_the_sky_alike_say_nothing_of_pairs(found):
-    """Two fields, one measured well by both sources and one badly: within each, errors say nothing."""
+def test_grades_that_vary_equally_over_the_sky_are_neutral(found):
+    """Two fields, one measured well and one badly by both sources: within each, errors are uninformative."""
     answer, _ = found[0]
     pairs, n1, n2 = answer.pairs, len(answer.first), len(answer.second)
     rng = np.random.default_rng(7)
@@ -216,7 +216,7 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
     )
 
 
-def test_useless_magnitudes_do_not_silence_the_errors(frames):
+def test_uninformative_magnitudes_do_not_disable_grades(frames):
     scene, rng = frames[0].scene, np.random.default_rng(3)
     one, two = (Magnitudes(rng.normal(15.0, 1.0, len(records))) for records in (scene.first, scene.second))
     assert "precision" in match(scene.first, scene.second, brightness=(one, two))[0].evidence.terms

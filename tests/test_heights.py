@@ -1,4 +1,4 @@
-"""Heights as evidence, against the integral that they stand for."""
+"""Heights as evidence, against numerical integration."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def pairs(n: int, m: int):
     )
 
 
-def test_two_heights_weigh_what_their_integral_says() -> None:
+def test_the_ratio_of_two_heights_agrees_with_its_integral() -> None:
     """One object of a height anywhere in 13 km, against two: the rule's normal law is the integral within 1 %."""
     tuning = HeightTuning(wrong=1e-9)
     for h, k, s, t in ((5000.0, 5030.0, 20.0, 40.0), (3000.0, 3200.0, 60.0, 60.0)):
@@ -32,7 +32,7 @@ def test_two_heights_weigh_what_their_integral_says() -> None:
         assert found == pytest.approx(np.log(same * 13_000.0**2), abs=0.01)
 
 
-def test_the_order_of_the_sources_does_not_matter_and_no_height_is_no_evidence() -> None:
+def test_the_order_of_the_sources_does_not_matter_and_a_missing_height_is_neutral() -> None:
     rng = np.random.default_rng(3)
     one = np.column_stack([rng.uniform(0, 12e3, 9), rng.uniform(10, 90, 9)])
     two = np.column_stack([rng.uniform(0, 12e3, 7), rng.uniform(10, 90, 7)])
@@ -48,7 +48,7 @@ def test_the_order_of_the_sources_does_not_matter_and_no_height_is_no_evidence()
     assert not Heights({"a": one})(here).informative.any()
 
 
-def test_a_height_that_many_have_tells_less_and_a_wrong_one_is_bounded() -> None:
+def test_common_heights_have_less_weight_and_wrong_ones_are_bounded() -> None:
     alone = Heights({"a": np.array([[3000.0, 20.0]]), "b": np.array([[3000.0, 20.0]])})(pairs(1, 1)).log_ratio[0]
     level = np.full((50, 2), [3000.0, 20.0])
     shared = Heights({"a": level, "b": level})(pairs(50, 50)).log_ratio
@@ -57,7 +57,7 @@ def test_a_height_that_many_have_tells_less_and_a_wrong_one_is_bounded() -> None
     assert far == pytest.approx(np.log(0.01))
 
 
-def test_what_is_wrong_with_heights_is_said() -> None:
+def test_invalid_heights_are_refused_with_a_clear_message() -> None:
     with pytest.raises(InputError, match=r"a: row 1: the height's error is 0.0; give metres above 0"):
         Heights({"a": np.array([[1.0, 1.0], [2.0, 0.0]])})
     with pytest.raises(InputError, match=r"a: heights have the shape \(3,\)"):

@@ -1,4 +1,4 @@
-"""Holes and borders of a source are found as fine as its records lie, and nowhere else."""
+"""Holes and borders of a source are found to a fraction of the spacing of its records, without false holes."""
 
 import math
 
@@ -29,7 +29,7 @@ def nowhere(points):
 
 
 def shown(rng, points, dark, share, space=None):
-    """(what shows a share of the points outside the dark, all of them, which are dark, which are shown)."""
+    """(records of a ``share`` of the points outside ``dark``, records of all points, masks: in ``dark``, detected)."""
     dark = dark(points)
     there = (rng.uniform(size=len(points)) < share) & ~dark
     records = [Records.of(some, sigma=1e-3, space=space or Plane()) for some in (points[there], points)]
@@ -38,7 +38,7 @@ def shown(rng, points, dark, share, space=None):
 
 @pytest.mark.parametrize("dark", [disc, beyond_a_slanted_line, lambda x: disc(x) | (x[:, 0] > 700.0)])
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_mask_and_an_edge_are_found_to_a_part_of_the_spacing(seed, dark):
+def test_a_mask_and_an_edge_are_found_to_a_fraction_of_the_spacing(seed, dark):
     rng = np.random.default_rng(seed)
     first, second, dark, there = shown(rng, rng.uniform(0.0, SIDE, (6000, 2)), dark, 0.8)
     cover = Coverage.of(first, second)
@@ -49,47 +49,47 @@ def test_a_mask_and_an_edge_are_found_to_a_part_of_the_spacing(seed, dark):
     assert cover.common_volume == pytest.approx((1.0 - dark.mean()) * SIDE**2, rel=0.02)
 
 
-def falsely(first, second):
-    """Share of the records that are said to lie in holes, the larger of both sources."""
+def false_share(first, second):
+    """Share of records false_share marked as in holes, the larger of the two sources."""
     return max((~seen).mean() for seen in Coverage.of(first, second).covered)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.8])
-def test_an_even_field_has_hardly_any_holes(share):
+def test_a_uniform_field_has_hardly_any_false_holes(share):
     said = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         first, second, _, _ = shown(rng, rng.uniform(0.0, SIDE, (6000, 2)), nowhere, share)
         strangers = Records.of(np.concatenate([first.features, rng.uniform(0.0, SIDE, (2000, 2))]), sigma=1e-3)
-        said += [falsely(first, second), falsely(strangers, second)]
+        said += [false_share(first, second), false_share(strangers, second)]
     assert np.mean(said) <= 0.001
 
 
-def test_a_share_that_changes_over_the_field_is_no_hole():
+def test_a_common_share_that_varies_over_the_field_is_no_hole():
     said = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         points = rng.uniform(0.0, SIDE, (6000, 2))
         there = rng.uniform(size=6000) < 0.4 + 0.5 * points[:, 0] / SIDE
-        said.append(falsely(*(Records.of(some, sigma=1e-3) for some in (points[there], points))))
+        said.append(false_share(*(Records.of(some, sigma=1e-3) for some in (points[there], points))))
     assert np.mean(said) <= 0.001
 
 
-def test_a_crowd_is_not_expected_elsewhere():
+def test_a_crowd_in_one_place_makes_no_holes_elsewhere():
     said_of_both, said_of_one = [], []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
         crowd, even = rng.normal(500.0, 3.0, (1000, 2)), rng.uniform(0.0, SIDE, (3000, 2))
         points = np.concatenate([crowd, even])
         both = [Records.of(points[rng.uniform(size=4000) < 0.7], sigma=1e-3) for _ in range(2)]
-        said_of_both.append(falsely(*both))
+        said_of_both.append(false_share(*both))
         strangers = Records.of(rng.uniform(0.0, SIDE, (3000, 2)), sigma=1e-3)
-        said_of_one.append(falsely(Records.of(points, sigma=1e-3), strangers))
+        said_of_one.append(false_share(Records.of(points, sigma=1e-3), strangers))
     assert np.mean(said_of_both) <= 0.001 and np.mean(said_of_one) <= 0.02
 
 
 @pytest.mark.parametrize("share", [0.08, 0.8])
-def test_a_place_poor_in_objects_is_no_hole(share):
+def test_a_region_with_few_objects_is_no_hole(share):
     said = []
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
@@ -101,7 +101,7 @@ def test_a_place_poor_in_objects_is_no_hole(share):
 
 
 @pytest.mark.parametrize(("d", "n"), [(1, 3000), (3, 20000)])
-def test_intervals_and_balls(d, n):
+def test_holes_in_one_and_three_dimensions(d, n):
     rng = np.random.default_rng(d)
     points = rng.uniform(0.0, 100.0, (n, d))
     first, second, dark, there = shown(rng, points, lambda x: np.linalg.norm(x - 45.0, axis=1) < 30.0, 0.8)
@@ -110,7 +110,7 @@ def test_intervals_and_balls(d, n):
     assert there[seen].mean() == pytest.approx(there[~dark].mean(), abs=0.006)
 
 
-def test_a_hole_across_the_end_of_a_period():
+def test_a_hole_across_the_period_boundary_is_found():
     rng = np.random.default_rng(1)
     points = np.stack([rng.uniform(0.0, 360.0, 5000), rng.uniform(0.0, 100.0, 5000)], axis=1)
     first, second, dark, _ = shown(
@@ -120,7 +120,7 @@ def test_a_hole_across_the_end_of_a_period():
     assert (seen & dark).mean() < 0.003 and (~seen & ~dark).mean() < 0.003
 
 
-def test_a_hole_beside_the_pole():
+def test_a_hole_near_the_pole_is_found():
     rng = np.random.default_rng(2)
     points = LonLatBox((0.0, 360.0), (80.0, 90.0)).draw(rng, 8000)
 
@@ -135,7 +135,7 @@ def test_a_hole_beside_the_pole():
     assert there[seen].mean() == pytest.approx(there[~dark].mean(), abs=0.003)
 
 
-def test_a_frame_in_a_catalogue_of_the_sky():
+def test_a_frame_in_an_all_sky_catalogue_is_found():
     rng = np.random.default_rng(3)
     sky = LonLatBox((0.0, 360.0), (-90.0, 90.0)).draw(rng, 100_000)
     first, second, dark, there = shown(
@@ -161,7 +161,7 @@ def test_the_order_of_the_rows_does_not_matter():
 @pytest.mark.slow_after(2)
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("periods", [(None,), (30.0,), (None, None), (None, 25.0), (30.0, 25.0), (None, None, None)])
-def test_discs_are_those_of_the_definition(seed, periods):
+def test_empty_discs_agree_with_the_definition(seed, periods):
     rng, d = np.random.default_rng(seed), len(periods)
     one, two = rng.uniform(0.0, 24.0, (150, d)), rng.uniform(0.0, 24.0, (20, d))
     here, there = (Points.of(Records.of(x, sigma=1.0, space=Plane(periods))) for x in (one, two))
@@ -176,10 +176,10 @@ def test_discs_are_those_of_the_definition(seed, periods):
     assert slow.any() and not slow.all()
 
 
-# ---- what it costs where there are none ----
+# ---- cost without holes ----
 
 
-def test_an_even_field_is_not_searched_and_one_with_a_mask_is(monkeypatch):
+def test_a_uniform_field_is_not_searched_and_one_with_a_mask_is(monkeypatch):
     searched = []
 
     def within_holes(here, seen, *about):

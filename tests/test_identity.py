@@ -1,4 +1,4 @@
-"""Identity as evidence: it speaks both ways and never alone decides; stated odds are observed ones; alarms."""
+"""Identity as evidence: for and against, never decisive alone; calibrated odds; alarms."""
 
 import math
 
@@ -31,7 +31,7 @@ def ratio(model, first, second, pool=()):
 
 
 def damerau(a, b):
-    """Optimal string alignment distance, by the book."""
+    """Optimal string alignment distance (textbook algorithm)."""
     d = {(i, 0): i for i in range(len(a) + 1)} | {(0, j): j for j in range(len(b) + 1)}
     for i in range(1, len(a) + 1):
         for j in range(1, len(b) + 1):
@@ -47,27 +47,27 @@ TEXT = st.text("AB1", max_size=6)
 @pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(TEXT, TEXT)
-def test_one_slip_of_typing_is_a_distance_of_one(a, b):
+def test_one_typing_error_is_a_distance_of_one(a, b):
     assert bool(differ_by_one_typing(column(a), column(b))[0]) == (damerau(a, b) == 1)
 
 
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**24 - 1), st.integers(0, 2**24 - 1), st.integers(0, 23))
-def test_one_bit_is_one_bit(a, b, bit):
+def test_one_differing_bit_is_found(a, b, bit):
     one, other, flipped = (f"{v:06X}" for v in (a, b, a ^ (1 << bit)))
     assert differ_by_one_bit(column(one), column(flipped))[0]
     assert bool(differ_by_one_bit(column(one), column(other))[0]) == (bin(a ^ b).count("1") == 1)
     assert not differ_by_one_bit(column("", "XYZ"), column("1", "XYY")).any()
 
 
-def test_spelling_is_made_plain_and_what_says_nothing_is_nothing():
+def test_spelling_is_normalised_and_placeholders_are_missing():
     assert list(plain([" ever given ", None, "unknown", "NaN"], ("unknown",))) == ["EVER GIVEN", "", "", ""]
     assert list(plain(np.ma.array([235, 7], mask=[False, True]))) == ["235", ""]
     assert list(plain([235, None])) == ["235", ""]
     np.testing.assert_array_equal(plain([None, 12.5]), [np.nan, 12.5])
 
 
-def test_codes_that_a_table_holds_as_numbers_are_texts():
+def test_numeric_codes_become_text():
     one, two, _ = scene((["A", "B"], ["A", "B"]))
     pairs = Radius(9.0)(one, two)
     first, second = [235000001.0, np.nan], [235000001.0, 247000009.0]
@@ -78,7 +78,7 @@ def test_codes_that_a_table_holds_as_numbers_are_texts():
     assert not nothing.log_ratio.any() and not nothing.informative.any()
 
 
-def test_a_code_weighs_most_when_equal_less_when_off_by_a_bit_and_against_when_different():
+def test_equal_codes_favour_a_pair_one_bit_off_less_so_and_different_codes_oppose_it():
     icao = MODELS["icao"]
     equal, near, far = (ratio(icao, "4B1814", other) for other in ("4B1814", "4B1815", "3C6444"))
     assert equal == pytest.approx(math.log(0.985 * 1e5), abs=1e-3)
@@ -86,18 +86,18 @@ def test_a_code_weighs_most_when_equal_less_when_off_by_a_bit_and_against_when_d
     assert far == pytest.approx(math.log(0.005), abs=1e-9)
 
 
-def test_shared_codes_say_little():
+def test_common_code_values_have_little_weight():
     mode_a = MODELS["mode_a"]
     assert ratio(mode_a, "7000", "7000") < 1.5 < 7.0 < ratio(mode_a, "4521", "4521")
-    # A value that one source gives to every fourth of its objects is not an identity.
+    # A value that one source gives to one object in four is no identity.
     crowd = ["X"] * 25 + [f"N{k}" for k in range(75)]
     assert ratio(MODELS["name"], "X", "X", crowd) == pytest.approx(math.log(1 / 0.25), abs=0.2)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slips", [0.02, 0.2])
-def test_stated_odds_of_a_code_are_observed_ones(slips):
-    """Codes drawn as the model says: among pairs with a stated λ the odds of being one object are λ."""
+def test_odds_of_codes_are_calibrated(slips):
+    """Codes drawn from the model: among pairs with a stated λ, the odds of one object are λ."""
     rng = np.random.default_rng(1)
     bits, n = 10, 200_000
     model = Code(2.0**bits, slips=slips, other=0.1, bits=True, neighbours=bits)
@@ -131,7 +131,7 @@ def scene(said, sigma=10.0, apart=4.0):
     return one, two, Identity({"radar": {"icao": said[0]}, "adsb": {"icao": said[1]}})
 
 
-def test_evidence_lies_between_what_is_borrowed_and_what_is_shown_twice():
+def test_evidence_is_bounded_on_both_sides():
     one, two, _ = scene((["A", "B"], ["A", "B"]))
     many = {name: ["1234", "5678"] for name in ("mmsi", "imo", "callsign", "name", "icao")}
     rule = Identity({"radar": many, "adsb": many}, borrowed=0.02, duplicate=1e-4)
@@ -144,14 +144,14 @@ def test_evidence_lies_between_what_is_borrowed_and_what_is_shown_twice():
     np.testing.assert_allclose(np.sum(list(evidence.terms.values()), axis=0), evidence.log_ratio)
 
 
-def test_records_that_say_nothing_are_judged_by_their_positions_alone():
+def test_records_without_identity_are_matched_by_position_only():
     for said in ((["4B1814", None], [None, "4B1814"]), ([None, ""], ["000000", None])):
         one, two, rule = scene(said)
         pairs = Radius(3.0)(one, two)
         assert len(pairs) and not rule(pairs).log_ratio.any()
 
 
-def test_equal_identity_joins_what_positions_leave_open_and_contradiction_parts_it():
+def test_identity_decides_pairs_that_positions_leave_open():
     prior, field = CommonObjects(0.3, 0.3), Field(1e-4)
     one, two, agreeing = scene((["4B1814", "3C6444"], ["4B1814", "3C6444"]), apart=45.0)
     plain_answer = identify(one, two, rule=field, prior=prior)
@@ -162,8 +162,8 @@ def test_equal_identity_joins_what_positions_leave_open_and_contradiction_parts_
     assert len(identify(one, two, rule=field + crossed, prior=prior).matches) == 0
 
 
-def test_neither_is_a_hard_key():
-    """An address inherited from a neighbour does not override positions that are clear."""
+def test_an_identity_is_no_hard_key():
+    """A neighbour's address in a record does not override clear positions."""
     one, two, swapped = scene((["4B1814", "3C6444"], ["3C6444", "4B1814"]), sigma=1.0, apart=0.5)
     answer = identify(one, two, rule=Field(1e-5) + swapped, prior=CommonObjects(0.1, 0.1), gate=Radius(60.0))
     assert list(answer.matches.rows_1) == list(answer.matches.rows_2) == [0, 1]
@@ -181,7 +181,7 @@ def test_swapping_the_sources_changes_nothing():
     assert a.keys() == b.keys() and all(a[key] == pytest.approx(b[key]) for key in a)
 
 
-def test_an_identity_at_two_places_raises_an_alarm_and_one_at_one_place_none():
+def test_an_identity_at_two_positions_raises_an_alarm_and_at_one_position_none():
     one, two, rule = scene((["4B1814", "3C6444"], ["3C6444", "4B1814"]), sigma=1.0, apart=0.5)
     raised = alarms([one, two], rule)
     assert [(alarm.value, alarm.first, alarm.second) for alarm in raised] == [
@@ -204,20 +204,20 @@ def test_a_source_that_shows_one_identity_twice_raises_an_alarm():
     assert alarms([ais], known_nothing) == []
 
 
-def test_rows_that_are_set_aside_keep_their_attributes_in_place():
+def test_rows_set_aside_do_not_shift_the_attributes_of_others():
     one = Records.of([[np.nan, 0.0], [50.0, 0.0]], sigma=1.0, source="radar")
     two = Records.of([[50.0, 0.5]], sigma=1.0, source="adsb")
     rule = Identity({"radar": {"icao": ["AAAAAA", "4B1814"]}, "adsb": {"icao": ["4B1814"]}})
     assert rule(Radius(3.0)(one, two)).log_ratio[0] > 6.0
 
 
-def test_places_on_the_sphere_raise_no_alarms_since_planes_are_asked_for():
+def test_there_are_no_alarms_on_the_sphere():
     one = Records.of([[10.0, 0.0]], sigma=1.0, source="a", space=Sphere())
     assert alarms([one, one], Identity({"a": {"mmsi": ["1"]}})) == []
     assert Plane() == Records.of([[0.0]], sigma=1.0).space
 
 
-def test_mistakes_are_refused_in_words():
+def test_invalid_identities_are_refused_with_a_clear_message():
     one, two, _ = scene((["A", "B"], ["A", "B"]))
     with pytest.raises(InputError, match="radar: no model for 'colour'"):
         Identity({"radar": {"colour": ["red", "blue"]}})

@@ -1,4 +1,4 @@
-"""Kernels give the same answer interpreted as compiled."""
+"""Kernels give the same result interpreted as compiled."""
 
 import json
 import os

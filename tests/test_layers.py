@@ -1,4 +1,4 @@
-"""Data walks one way: every room has its floor, no room imports one above it, and starting up imports little."""
+"""Import rules: every module has a layer, none imports a layer above it, and start-up imports little."""
 
 import subprocess
 import sys
@@ -10,7 +10,7 @@ import sameas
 from modules import belong_inside, circles, imported, name_of, too_small
 
 HOME = Path(sameas.__file__).parent
-#: The rooms (modules and packages of ``sameas``) from the ground up; those of one line do not import each other.
+#: The modules and packages of ``sameas`` from the lowest layer up; those of one line do not import each other.
 FLOORS = """
 arrays errors kernels representation times
 bounds gaussian ragged saved
@@ -43,9 +43,9 @@ cli
 __main__
 """
 FLOOR = {room: floor for floor, line in enumerate(FLOORS.strip().splitlines()) for room in line.split()}
-#: Rooms that know no sky, no ships and no command line.
+#: Packages that must not import sky, tracks or the command line.
 CORE = [room for room in FLOOR if FLOOR[room] <= FLOOR["score"]]
-#: The way of many sources: its own stages, each from earlier ones only.
+#: The stages for many sources; each imports earlier ones only.
 MANY = ["observations", "joint", "pooled", "rules", "sets", "marginals", "explanation",
         "objects", "identify"]  # fmt: skip
 
@@ -61,7 +61,7 @@ def rooms(names):
 MODULES = [path for path in sorted(HOME.rglob("*.py")) if path != HOME / "__init__.py"]
 
 
-def test_every_room_has_its_floor_and_every_floor_its_room():
+def test_every_module_has_a_layer_and_every_layer_exists():
     there = {path.stem for path in HOME.glob("*.py") if path.stem != "__init__"}
     there |= {path.name for path in HOME.iterdir() if path.is_dir() and any(path.rglob("*.py"))}
     assert there == set(FLOOR)
@@ -69,7 +69,7 @@ def test_every_room_has_its_floor_and_every_floor_its_room():
 
 @pytest.mark.slow_after(56)
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_no_room_imports_one_above_it_or_beside_it(path):
+def test_no_module_imports_its_own_layer_or_one_above(path):
     room = room_of(path)
     for other in rooms(imported(path)) - {room}:
         beside = FLOOR[other] == FLOOR[room] and room != "kernels" and FLOOR[room] > 0
@@ -82,19 +82,19 @@ def test_kernels_import_kernels_only():
 
 
 @pytest.mark.slow
-def test_no_module_imports_itself_by_way_of_others():
-    """No circles, also not those that type checkers alone would see."""
+def test_there_are_no_import_cycles():
+    """No import cycles, including imports for type checking only."""
     assert circles() == []
 
 
 @pytest.mark.slow
-def test_a_module_that_one_other_imports_lies_inside_that():
-    """But for rules, formats, kernels, commands … (``modules.KINDS``), and where both together hold two ideas."""
+def test_a_module_with_one_importer_belongs_inside_it():
+    """Exceptions: the folders of ``modules.KINDS``, and together more than ``modules.TWO_IDEAS`` lines."""
     assert belong_inside() == []
 
 
 @pytest.mark.slow
-def test_a_module_of_a_few_lines_has_many_importers():
+def test_very_short_modules_have_many_importers():
     assert too_small() == []
 
 
@@ -105,7 +105,7 @@ def test_a_stage_of_many_sources_never_imports_a_later_one(stage):
 
 
 @pytest.mark.slow
-def test_the_core_knows_no_sky_no_ships_and_no_command_line():
+def test_the_core_imports_no_sky_tracks_or_command_line():
     assert {"identify", "sky", "tracks", "cli"}.isdisjoint(CORE) and {"records", "estimate", "many"} <= set(CORE)
     for room in CORE:
         files = list((HOME / room).rglob("*.py")) or [HOME / f"{room}.py"]
@@ -115,8 +115,8 @@ def test_the_core_knows_no_sky_no_ships_and_no_command_line():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("package", ["", "sky", "tracks", "picture", "simulate", "score"])
-def test_every_public_name_is_there(package):
-    """``__init__.pyi`` is the one list; a name of it that does not exist fails here."""
+def test_every_public_name_exists(package):
+    """Every name listed in ``__init__.pyi`` exists."""
     program = f"import sameas.{package or 'errors'} as p, sameas; p = sameas{'.' + package if package else ''}; "
     program += "print(*(type(getattr(p, name)).__name__ for name in p.__all__))"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -125,7 +125,7 @@ def test_every_public_name_is_there(package):
 
 
 @pytest.mark.parametrize("used", ["sameas", "sameas.identify, sameas.Records, sameas.PoissonField, sameas.Sphere"])
-def test_starting_up_imports_nothing_heavy(used):
+def test_start_up_imports_nothing_heavy(used):
     program = f"import sys, sameas; {used}; print(*sorted({{name.split('.')[0] for name in sys.modules}}))"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     loaded = set(run.stdout.split())
@@ -133,7 +133,7 @@ def test_starting_up_imports_nothing_heavy(used):
     assert not loaded & {"astropy", "scipy", "numba", "pyarrow", "matplotlib", "pandas", "typer", "rich", "llvmlite"}
 
 
-def test_the_options_of_a_match_are_made_without_numpy():
+def test_match_options_are_built_without_numpy():
     program = "import sys, sameas.cli.match; print('numpy' in sys.modules, 'typer' in sys.modules)"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["False", "True"]

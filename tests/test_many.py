@@ -1,4 +1,4 @@
-"""Many sources: the joint answer beside an enumeration of every partition, and laws that it must keep."""
+"""Many sources: the joint result against an enumeration of all partitions, and its invariances."""
 
 import itertools
 import json
@@ -26,11 +26,11 @@ from sameas.many.sets import ManyTuning
 WIDE = Radius(1e4)
 
 
-# ---- the oracle: every partition, weighed straight from the definitions ----
+# ---- reference: all partitions, weighted by the definitions ----
 
 
 def partitions(records):
-    """Every way to part a list of (source, row) into sets of at most one record a source."""
+    """All partitions of a list of (source, row) into sets of at most one record per source."""
     if not records:
         yield []
         return
@@ -44,7 +44,7 @@ def partitions(records):
 
 
 def log_joint(sources, members):
-    """ln ∫ ∏ N(x_s; M, Σ_s) dM, one record after another: each against the mean of those before."""
+    """ln ∫ ∏ N(x_s; M, Σ_s) dM, sequentially: each record against the mean of the previous ones."""
     s, row = members[0]
     mean, cov = sources[s].features[row], sources[s].full_covariance()[row]
     total = 0.0
@@ -90,8 +90,8 @@ def counted_weight(sources, a, b, q):
     return total
 
 
-def oracle(sources, weight):
-    """(best score, its sets, {set: probability}); ``weight`` is of one partition."""
+def enumerated(sources, weight):
+    """(best score, its sets, {set: probability}); ``weight`` maps a partition to its log weight."""
     records = [(s, row) for s, source in enumerate(sources) for row in range(len(source))]
     scored = [(weight(parted), parted) for parted in partitions(records)]
     total = logsumexp([score for score, _ in scored])
@@ -110,7 +110,7 @@ def sets_of(objects):
 
 
 def probabilities(objects):
-    """{object or runner-up: probability} that the result states."""
+    """{object or runner-up: stated probability}."""
     return dict(zip(sets_of(objects), objects.probability.tolist(), strict=True))
 
 
@@ -135,18 +135,18 @@ def field_scene(rng, n_sources, n, *, extent, q=0.15, sigma=1.0, grid=None):
     return sources
 
 
-# ---- against the oracle ----
+# ---- against the reference ----
 
 
 @pytest.mark.parametrize("counts", [(2, 2, 2), (3, 2, 1), (1, 1, 1, 2), (0, 2, 3), (3, 2, 2)])
 @pytest.mark.parametrize("full", [False, True])
-def test_poisson_objects_are_those_of_all_partitions(counts, full):
+def test_poisson_objects_agree_with_all_partitions(counts, full):
     rng = np.random.default_rng([*counts, full])
     for _ in range(3):
         sources = small_scene(rng, counts, full=full)
         q, false = rng.uniform(0.1, 0.5, len(counts)), rng.uniform(0, 0.1, len(counts))
         got = identify_many(sources, rule=PoissonObjects(0.1, q, false), gate=WIDE)
-        _, best, p = oracle(sources, poisson_weight(sources, 0.1, q, false))
+        _, best, p = enumerated(sources, poisson_weight(sources, 0.1, q, false))
         assert set(sets_of(got)) == best
         for members, stated in probabilities(got).items():
             assert stated == pytest.approx(p[members], abs=1e-9)
@@ -155,24 +155,24 @@ def test_poisson_objects_are_those_of_all_partitions(counts, full):
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("counts", [(2, 2, 2), (3, 2, 1), (1, 1, 1, 2), (2, 2, 3)])
-def test_counted_close_objects_are_those_of_all_partitions(counts):
+def test_close_objects_with_a_count_prior_agree_with_all_partitions(counts):
     rng = np.random.default_rng([*counts, 5])
     for _ in range(3):
         sources = small_scene(rng, counts)
         q = rng.uniform(0.1, 0.5, len(counts))
         got = identify_many(sources, rule=CloseObjects(1.0, 4.0), prior=MissedObjects(q), gate=WIDE)
-        _, best, p = oracle(sources, counted_weight(sources, 1.0, 4.0, q))
+        _, best, p = enumerated(sources, counted_weight(sources, 1.0, 4.0, q))
         assert set(sets_of(got)) == best
         for members, stated in probabilities(got).items():
             assert stated == pytest.approx(p[members], abs=1e-9)
 
 
-def test_every_record_is_told_its_partners():
+def test_every_record_has_its_partners():
     rng = np.random.default_rng(8)
     sources = small_scene(rng, (3, 2, 2))
     q = (0.2, 0.3, 0.4)
     got = identify_many(sources, rule=PoissonObjects(0.1, q), gate=WIDE)
-    _, _, p = oracle(sources, poisson_weight(sources, 0.1, q, (0.0,) * 3))
+    _, _, p = enumerated(sources, poisson_weight(sources, 0.1, q, (0.0,) * 3))
     for s, source in enumerate(sources):
         told = got.of(s)
         for row in range(len(source)):
@@ -203,7 +203,7 @@ def same_as_identify(many, one, tolerance=1e-9):
         np.testing.assert_allclose(many.of(s).p_alone, answers.p_none, atol=tolerance)
 
 
-def test_two_sources_are_identify_with_a_poisson_field():
+def test_two_sources_agree_with_identify_for_a_poisson_field():
     rng = np.random.default_rng(11)
     for _ in range(5):
         sources = field_scene(rng, 2, 15, extent=14.0)
@@ -214,7 +214,7 @@ def test_two_sources_are_identify_with_a_poisson_field():
         same_as_identify(many, identify(*sources, rule=field))
 
 
-def test_two_sources_are_identify_with_a_count_prior():
+def test_two_sources_agree_with_identify_for_a_count_prior():
     rng = np.random.default_rng(12)
     for _ in range(5):
         sources = field_scene(rng, 2, 9, extent=10.0)
@@ -222,7 +222,7 @@ def test_two_sources_are_identify_with_a_count_prior():
         same_as_identify(many, identify(*sources, rule=CloseObjects(1.0, 6.0), prior=CommonObjects(0.1, 0.3)))
 
 
-def test_two_sources_on_the_sphere_are_identify():
+def test_two_sources_on_the_sphere_agree_with_identify():
     rng = np.random.default_rng(13)
     at = np.stack([rng.uniform(359.999, 360.001, 12) % 360, rng.uniform(89.996, 89.999, 12)], axis=1)
     root = rng.standard_normal((2, 12, 2, 2)) + np.eye(2)
@@ -231,7 +231,7 @@ def test_two_sources_on_the_sphere_are_identify():
     same_as_identify(many, identify(*sources, rule=Field(1e-3), prior=PerPair(-1.0)))
 
 
-def test_a_pole_is_nothing_special():
+def test_objects_at_a_pole_are_found():
     rng = np.random.default_rng(14)
     plane = rng.uniform(-8.0, 8.0, (6, 2))
     sources = [plane + rng.normal(size=(6, 2)) for _ in range(3)]
@@ -240,7 +240,7 @@ def test_a_pole_is_nothing_special():
     flat = [Records.of(x, covariance=c) for x, c in zip(sources, spread, strict=True)]
     polar = []
     for x, c in zip(sources, spread, strict=True):
-        # x towards longitude 90°, y away from longitude 0: the pole seen from outside, north along −r.
+        # x towards longitude 90°, y away from longitude 0: the pole viewed from outside, north along −r.
         lon = np.degrees(np.arctan2(x[:, 0], -x[:, 1]))
         lat = 90.0 - np.hypot(x[:, 0], x[:, 1]) / 3600.0
         turn = np.radians(lon)
@@ -252,7 +252,7 @@ def test_a_pole_is_nothing_special():
         assert p == pytest.approx(probabilities(one)[members], abs=1e-6)
 
 
-# ---- laws ----
+# ---- invariances ----
 
 
 @pytest.mark.slow
@@ -279,7 +279,7 @@ def test_the_order_of_sources_and_rows_changes_nothing(grid):
             assert back == first
 
 
-def test_periodic_features_join_across_their_border():
+def test_objects_across_a_period_boundary_are_joined():
     space = Plane(periods=(360.0, None))
     sources = [Records.of([[x, 5.0]], sigma=1.0, space=space) for x in (359.5, 0.5, 0.2)]
     got = identify_many(sources, rule=PoissonObjects(1e-4, 0.1))
@@ -287,7 +287,7 @@ def test_periodic_features_join_across_their_border():
     assert got.fused.state[0, 0] == pytest.approx(0.2 / 3, abs=1e-9)
 
 
-def test_large_groups_are_solved_and_probabilities_add_up():
+def test_large_groups_are_solved_and_probabilities_sum_to_one():
     rng = np.random.default_rng(22)
     sources = field_scene(rng, 4, 60, extent=60.0)
     got = identify_many(sources, rule=PoissonObjects(60 / 60.0**2, 0.15))
@@ -299,7 +299,7 @@ def test_large_groups_are_solved_and_probabilities_add_up():
     assert sum(len(members) for members in sets_of(got)) == len(total)
 
 
-def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound():
+def test_groups_too_large_for_a_sum_under_a_count_prior_use_branch_and_bound():
     rng = np.random.default_rng(23)
     sources = field_scene(rng, 3, 6, extent=6.0)
     arguments: dict[str, Any] = {"rule": CloseObjects(1.0, 6.0), "prior": MissedObjects(0.2)}
@@ -311,7 +311,7 @@ def test_a_count_prior_too_large_to_sum_is_solved_by_branch_and_bound():
 
 
 @pytest.mark.slow
-def test_sets_that_do_not_fit_are_reported_as_a_gap():
+def test_omitted_sets_are_reported_as_a_gap():
     rng = np.random.default_rng(24)
     sources = field_scene(rng, 4, 8, extent=6.0)
     union_of_all = identify_many(sources, rule=PoissonObjects(0.2, 0.1))
@@ -338,7 +338,7 @@ print(json.dumps([[x.members.filled(-1).tolist(), x.answer.probability.tolist()]
 
 
 @pytest.mark.slow
-def test_the_kernel_gives_the_same_interpreted():
+def test_the_kernel_gives_the_same_result_interpreted():
     run: dict[str, Any] = {
         "args": [sys.executable, "-W", "error", "-c", INTERPRETED],
         "capture_output": True,
@@ -352,10 +352,10 @@ def test_the_kernel_gives_the_same_interpreted():
         np.testing.assert_allclose(p, p_too, atol=1e-13)
 
 
-# ---- the papers' way ----
+# ---- the papers' sequential method ----
 
 
-def test_two_sources_in_sequence_are_identify():
+def test_sequential_identification_of_two_sources_agrees_with_identify():
     rng = np.random.default_rng(31)
     sources = field_scene(rng, 2, 12, extent=12.0)
     got = identify_sequentially(sources, rule=PoissonObjects(0.08, (0.1, 0.3)))
@@ -366,7 +366,7 @@ def test_two_sources_in_sequence_are_identify():
 
 
 @pytest.mark.slow
-def test_joint_is_right_at_least_as_often_as_sequential_and_does_not_depend_on_the_order():
+def test_joint_is_at_least_as_accurate_as_sequential_and_independent_of_the_order():
     rng = np.random.default_rng(32)
     right, differs = np.zeros(2), 0
     for _ in range(25):
@@ -386,7 +386,7 @@ def test_joint_is_right_at_least_as_often_as_sequential_and_does_not_depend_on_t
 # ---- parts of the state ----
 
 
-def test_a_bearing_settles_which_radar_record_is_meant():
+def test_a_bearing_selects_the_right_radar_record():
     radar = Records.of([[100.0, 1000.0], [-100.0, 1000.0]], sigma=30.0, source="radar")
     camera = Observations(
         Records.of([[5.5]], sigma=0.3, space=Plane(periods=(360.0,)), source="camera"), Bearing(sensor=(0.0, 0.0))
@@ -399,7 +399,7 @@ def test_a_bearing_settles_which_radar_record_is_meant():
     assert sigma[0] < 7.0 and sigma[1] > 25.0  # Across the bearing 1000 m · 0.3° = 5 m, along it the radar's 30 m.
 
 
-def test_parts_that_see_everything_together_are_whole_records():
+def test_parts_that_measure_all_features_together_equal_whole_records():
     rng = np.random.default_rng(41)
     whole = field_scene(rng, 3, 6, extent=12.0)
     region = Region((6.0, 6.0), (1e4, 1e4))
@@ -412,7 +412,7 @@ def test_parts_that_see_everything_together_are_whole_records():
 
 
 @pytest.mark.parametrize("region", [None, Region((0.3, -0.2), (2.0, 3.0))])
-def test_places_in_a_plane_have_the_joint_density_of_all_records(region):
+def test_positions_in_a_plane_have_the_joint_density_of_all_records(region):
     rng = np.random.default_rng(8)
     roots = rng.normal(size=(3, 5, 2, 2))
     sources = [
@@ -454,7 +454,7 @@ def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations(
 # ---- refusals ----
 
 
-def test_what_cannot_be_used_is_refused_in_words():
+def test_invalid_input_is_refused_with_a_clear_message():
     plane = Records.of([[0.0, 0.0]], sigma=1.0, source="radar")
     line = Records.of([[0.0]], sigma=1.0, source="sonar")
     rule = PoissonObjects(0.1, 0.1)
@@ -482,7 +482,7 @@ def test_what_cannot_be_used_is_refused_in_words():
             call()
 
 
-def test_no_records_are_no_objects():
+def test_without_records_there_are_no_objects():
     empty = Records.of(np.empty((0, 2)), sigma=1.0)
     got = identify_many([empty, empty, empty], rule=PoissonObjects(0.1, 0.1))
     assert len(got) == 0 and got.members.shape == (0, 3) and len(got.p_runner_up) == 0

@@ -1,4 +1,4 @@
-"""Rules of what records say, beside positions, in many sources: enumeration, laws, bounds, calibration, reasons."""
+"""Set rules next to positions, for many sources: enumeration, invariances, bounds, calibration, explanations."""
 
 import itertools
 import math
@@ -30,12 +30,12 @@ from sameas.many.observations import Bearing, Observations, records_of
 from sameas.many.pooled import pooled
 from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, best_reference, parts_of, terms_of
 from sameas.many.sets import ManyTuning, candidate_sets
-from test_many import WIDE, field_scene, oracle, probabilities, same_as_identify, sets_of, small_scene
+from test_many import WIDE, enumerated, field_scene, probabilities, same_as_identify, sets_of, small_scene
 
 
 @dataclass(frozen=True)
 class Told(Rule):
-    """Made-up evidence: ln r of two records by {source, row} of either, 0.0 where nothing is said."""
+    """Prescribed evidence: ln r of two records by their (source, row), 0.0 if not listed."""
 
     values: dict
 
@@ -47,14 +47,14 @@ class Told(Rule):
 
 
 def told(rng, sources, share):
-    """Evidence from −5 to 5 of a share of all pairs."""
+    """Random evidence from −5 to 5 for a share of all pairs."""
     records = [(s.source, row) for s in sources for row in range(len(s))]
     pairs = itertools.combinations(records, 2)
     return Told({frozenset(pair): rng.uniform(-5, 5) for pair in pairs if rng.random() < share})
 
 
 def naive_best_reference(ln_r, members):
-    """What a rule says of a set, record by record: ln_r is {two members: value} of those that it speaks of."""
+    """Log weight of a set under a rule, record by record; ln_r is {two members: value} of the pairs with evidence."""
     speak = [m for m in members if any(m in pair for pair in ln_r)]
     stars = []
     for hub in speak:
@@ -66,7 +66,7 @@ def naive_best_reference(ln_r, members):
     return min(1.0, (len(speak) - 1) / max(len(ln_r), 1)) * sum(ln_r.values())
 
 
-def said_of(sources, rules, members):
+def set_evidence(sources, rules, members):
     total = 0.0
     for rule in rules:
         named = {(s, row): (sources[s].source, row) for s, row in members}
@@ -85,7 +85,7 @@ def said_of(sources, rules, members):
 @pytest.mark.slow_after(3)
 @pytest.mark.parametrize("counts", [(2, 2), (2, 2, 2), (3, 2, 1), (1, 2, 1, 2), (2, 1, 1, 1, 1)])
 @pytest.mark.parametrize("share", [0.4, 1.0])
-def test_rules_beside_positions_are_those_of_all_partitions(counts, share):
+def test_rules_next_to_positions_agree_with_all_partitions(counts, share):
     rng = np.random.default_rng([*counts, int(10 * share)])
     for _ in range(3):
         sources = small_scene(rng, counts)
@@ -93,7 +93,7 @@ def test_rules_beside_positions_are_those_of_all_partitions(counts, share):
         q, false = rng.uniform(0.1, 0.5, len(counts)), rng.uniform(0, 0.1, len(counts))
         of_positions = test_many.poisson_weight(sources, 0.1, q, false)
         got = identify_many(sources, rule=PoissonObjects(0.1, q, false) + rules[0] + rules[1], gate=WIDE)
-        _, best, p = oracle(sources, lambda x: of_positions(x) + sum(said_of(sources, rules, m) for m in x))  # noqa: B023
+        _, best, p = enumerated(sources, lambda x: of_positions(x) + sum(set_evidence(sources, rules, m) for m in x))  # noqa: B023
         assert set(sets_of(got)) == best and got.groups.exact.all()
         for members, stated in probabilities(got).items():
             assert stated == pytest.approx(p[members], abs=1e-9)
@@ -106,15 +106,15 @@ def test_rules_are_added_to_pairwise_ones_under_a_count_prior():
         rule, q = told(rng, sources, 0.7), rng.uniform(0.1, 0.5, 3)
         of_positions = test_many.counted_weight(sources, 1.0, 4.0, q)
         got = identify_many(sources, rule=CloseObjects(1.0, 4.0) + rule, prior=MissedObjects(q), gate=WIDE)
-        _, best, p = oracle(sources, lambda x: of_positions(x) + sum(said_of(sources, [rule], m) for m in x))  # noqa: B023
+        _, best, p = enumerated(sources, lambda x: of_positions(x) + sum(set_evidence(sources, [rule], m) for m in x))  # noqa: B023
         assert set(sets_of(got)) == best
         for members, stated in probabilities(got).items():
             assert stated == pytest.approx(p[members], abs=1e-9)
 
 
 @pytest.mark.parametrize("believed", [PoissonObjects(0.3, 0.2), CloseObjects(1.0, 4.0)])
-def test_no_set_that_outweighs_its_records_is_left_out(believed):
-    """The bounds hold with evidence beside positions: at every floor the sets above it are those of floor −∞."""
+def test_no_set_that_outweighs_its_single_records_is_omitted(believed):
+    """Bounds include non-positional evidence: at every floor the kept sets are those above it of floor −∞."""
     rng = np.random.default_rng(4)
     for _ in range(6):
         sources = small_scene(rng, (3, 3, 2, 2), extent=5.0)
@@ -130,11 +130,11 @@ def test_no_set_that_outweighs_its_records_is_left_out(believed):
         assert max(heavy.values()) > 8.0
 
 
-# ---- how pairs add in a set ----
+# ---- sums of pair evidence in a set ----
 
 
 def exact_code(values, n_values, wrong):
-    """ln λ of texts that k records show of one object, each wrong with some probability: the sum over what is true."""
+    """ln λ of the texts of k records of one object, each wrong with some probability: the sum over true values."""
     p = 1.0 / n_values
     ln_each = [sum(math.log((1 - wrong) * (v == true) + wrong * p) for v in values) for true in [*set(values), None]]
     others = math.log1p(-len(set(values)) * p)
@@ -143,8 +143,8 @@ def exact_code(values, n_values, wrong):
 
 
 @pytest.mark.parametrize("values", ["AA", "AB", "AAA", "AAB", "ABC", "AAAA", "AAAB", "AABB", "AABC", "ABCD", "AAAAB"])
-def test_sets_of_codes_weigh_what_their_model_says(values):
-    """The record whose word is taken costs less than ln k against the sum over all that the object could be called."""
+def test_sets_of_codes_have_the_weight_of_their_model(values):
+    """The rule's approximation (one record's value is true) is below the sum over all true values by less than ln k."""
     n_values, wrong = 1e5, 0.01
     pairs = [(i, j) for j in range(len(values)) for i in range(j)]
     ln_r = np.array([[exact_code([values[i], values[j]], n_values, wrong) for i, j in pairs]])
@@ -152,29 +152,29 @@ def test_sets_of_codes_weigh_what_their_model_says(values):
     assert found == pytest.approx(exact_code(values, n_values, wrong), abs=math.log(len(values)) + 0.05)
 
 
-def test_a_third_record_that_says_the_same_adds_once_and_one_that_contradicts_two_speaks_once():
+def test_a_third_equal_or_contradicting_record_counts_once():
     agree, against = 7.0, -5.0
     informative = np.ones((2, 3), bool)
     ln_r = np.array([[agree] * 3, [agree, against, against]])  # pairs (0, 1), (0, 2), (1, 2)
     np.testing.assert_allclose((best_reference(ln_r, informative) * ln_r).sum(axis=1), [2 * agree, agree + against])
 
 
-def test_records_that_say_nothing_neither_add_nor_share():
+def test_records_without_evidence_change_no_set():
     ln_r, informative = (
         np.array([[7.0, 0.0, 0.0], [7.0, 0.0, -5.0]]),
         np.array([[True, False, False], [True, False, True]]),
     )
     np.testing.assert_allclose((best_reference(ln_r, informative) * ln_r).sum(axis=1), [7.0, 2.0])
-    # A–B and C–D speak, of different things: both count, each once.
+    # A–B and C–D have evidence of different kinds: both count, each once.
     apart = np.array([[3.0, 0.0, 0.0, 0.0, 0.0, 4.0]])
     np.testing.assert_allclose((best_reference(apart, apart != 0) * apart).sum(axis=1), [7.0])
 
 
-# ---- laws ----
+# ---- invariances ----
 
 
-def said_by(rng, sources, objects, known=0.7, wrong=0.02):
-    """An Identity of records of ``objects`` (per source the object of every row)."""
+def identity_of(rng, sources, objects, known=0.7, wrong=0.02):
+    """An Identity rule for records of ``objects`` (for each source the object of every row)."""
     n = max(int(o.max()) for o in objects) + 1
     names = {"mmsi": rng.integers(200_000_000, 775_999_999, n), "callsign": rng.integers(10_000, 99_999, n)}
     attributes = {}
@@ -195,10 +195,10 @@ def named_scene(rng, n_sources, n, extent, sigma=1.0, q=0.15, **said):
         Records.of(places[o] + rng.normal(size=(len(o), 2)) * sigma, sigma=sigma, source=f"s{s}")
         for s, o in enumerate(objects)
     ]
-    return sources, objects, said_by(rng, sources, objects, **said)
+    return sources, objects, identity_of(rng, sources, objects, **said)
 
 
-def test_two_sources_are_identify_with_the_same_rules():
+def test_two_sources_agree_with_identify_for_the_same_rules():
     rng = np.random.default_rng(11)
     for _ in range(4):
         sources, _, identity = named_scene(rng, 2, 15, 14.0)
@@ -216,7 +216,7 @@ def test_two_sources_are_identify_with_the_same_rules():
 def test_the_order_of_sources_and_rows_changes_nothing(grid):
     rng = np.random.default_rng(21)
     sources = field_scene(rng, 3, 10, extent=12.0, grid=grid)
-    identity = said_by(rng, sources, [np.arange(len(s)) for s in sources])
+    identity = identity_of(rng, sources, [np.arange(len(s)) for s in sources])
     first = probabilities(identify_many(sources, rule=PoissonObjects(0.07, (0.1, 0.2, 0.3)) + identity))
     for turn in itertools.permutations(range(3)):
         rows = [rng.permutation(len(sources[s])) for s in turn]
@@ -230,7 +230,7 @@ def test_the_order_of_sources_and_rows_changes_nothing(grid):
         assert {frozenset((turn[s], int(rows[s][row])) for s, row in k): p for k, p in got.items()} == first
 
 
-def test_a_rule_that_says_nothing_changes_nothing():
+def test_a_rule_without_evidence_changes_nothing():
     rng = np.random.default_rng(22)
     sources = field_scene(rng, 3, 30, extent=30.0)
     alone = identify_many(sources, rule=PoissonObjects(0.03, 0.15))
@@ -239,7 +239,7 @@ def test_a_rule_that_says_nothing_changes_nothing():
 
 
 @pytest.mark.slow
-def test_stated_probabilities_are_observed_frequencies_when_identities_are_sometimes_wrong():
+def test_probabilities_are_calibrated_when_some_identities_are_wrong():
     rng = np.random.default_rng(23)
     stated, right = [], []
     for _ in range(6):
@@ -255,10 +255,10 @@ def test_stated_probabilities_are_observed_frequencies_when_identities_are_somet
     assert right.mean() > 0.95
 
 
-# ---- sources that see a part ----
+# ---- sources that measure only some features ----
 
 
-def test_identities_are_heard_with_bearings():
+def test_identities_of_bearings_are_used():
     radar = Records.of([[0.0, 1000.0], [100.0, 1000.0]], sigma=30.0, source="radar")
     heard = Records.of([[2.9]], sigma=2.0, space=Plane(periods=(360.0,)), source="esm")
     region = Region((0.0, 0.0), (5000.0, 5000.0))
@@ -274,10 +274,10 @@ def test_identities_are_heard_with_bearings():
         assert told.partner[0, 0] == row and told.p_partner[0, 0] > 0.95
 
 
-# ---- what is refused ----
+# ---- refusals ----
 
 
-def test_rules_are_parted_into_positions_and_beside():
+def test_rules_are_split_into_position_rules_and_others():
     identity, objects = Identity({}), PoissonObjects(1.0, 0.1)
     no_rules: list[Any] = [1.0, objects]
     for rule in (objects + identity + Told({}), identity + objects + Told({}), objects + (identity + Told({}))):
@@ -290,13 +290,13 @@ def test_rules_are_parted_into_positions_and_beside():
 
 @dataclass(frozen=True)
 class Near(Rule):
-    """Somebody's own rule of positions."""
+    """A custom position rule."""
 
     def __call__(self, pairs):
         return Evidence({"position": -pairs.mahalanobis_sq})
 
 
-def test_mistakes_are_refused_in_words():
+def test_invalid_rules_are_refused_with_a_clear_message():
     rng = np.random.default_rng(31)
     sources = small_scene(rng, (2, 2, 2))
     objects, identity = PoissonObjects(0.1, 0.2), Identity({})
@@ -316,11 +316,11 @@ def test_mistakes_are_refused_in_words():
         identify_sequentially(sources, rule=objects + identity)
 
 
-# ---- reasons ----
+# ---- explanations ----
 
 
 @pytest.mark.slow
-def test_reasons_say_what_every_term_weighs():
+def test_explanations_state_the_weight_of_every_term():
     rng = np.random.default_rng(41)
     sources, _, identity = named_scene(rng, 3, 12, 14.0)
     for rule, prior in ((PoissonObjects(0.06, 0.15), PerPair(-0.5)), (CloseObjects(1.0, 6.0), MissedObjects(0.2))):
@@ -344,12 +344,12 @@ def test_reasons_say_what_every_term_weighs():
                     numbers[s] = int(found.pooled.start[s] + at)
                 assert weight[tuple(numbers)] == rival.log_odds
             if found.groups.exact[why.group]:
-                # With the sets that share one of its records, any record is somewhere.
+                # A set and its rival sets together contain every record.
                 one = why.chosen.members[0]
                 assert sum(r.probability for r in why.rivals if one in r.members) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_reasons_of_two_sources_are_those_of_identify():
+def test_explanations_of_two_sources_agree_with_identify():
     rng = np.random.default_rng(42)
     sources, _, identity = named_scene(rng, 2, 8, 8.0, known=1.0)
     density, q = 0.12, 0.15
@@ -363,7 +363,7 @@ def test_reasons_of_two_sources_are_those_of_identify():
             assert value == pytest.approx(float(one.evidence.terms[name][pair]), abs=1e-9)
 
 
-def test_reasons_are_told_in_words():
+def test_explanations_print_as_text():
     radar = Records.of([[0.0, 0.0], [6.0, 0.0]], sigma=2.0, ids=["r1", "r2"], source="radar")
     ais = Records.of([[3.2, 0.0], [6.0, 3.0]], sigma=1.0, ids=["a1", "a2"], source="ais")
     said = {"radar": {"callsign": ["SUPER7", None]}, "ais": {"callsign": ["SUPER7", None]}}
@@ -377,7 +377,7 @@ def test_reasons_are_told_in_words():
     assert str(lonely.explain(0)).endswith("Nothing else is possible.")
 
 
-def test_a_rival_that_would_take_a_record_from_another_object_says_so():
+def test_a_rival_set_that_takes_a_record_from_another_object_is_marked():
     radar = Records.of([[0.0, 0.0], [2.0, 0.0]], sigma=1.0, source="radar")
     ais = Records.of([[0.9, 0.0], [2.2, 0.0]], sigma=1.0, source="ais")
     found = identify_many([radar, ais], rule=PoissonObjects(0.01, 0.1))
@@ -387,7 +387,7 @@ def test_a_rival_that_would_take_a_record_from_another_object_says_so():
     assert str(why).endswith(f"It would take {record[0]} 1 from object 1.")
 
 
-def test_what_cannot_be_explained_is_refused():
+def test_unknown_objects_and_sequential_results_cannot_be_explained():
     rng = np.random.default_rng(43)
     sources = small_scene(rng, (2, 2))
     found = identify_many(sources, rule=PoissonObjects(0.1, 0.2))

@@ -36,7 +36,7 @@ def test_the_area_of_a_convex_field_is_found_without_bias(draw, area, n):
     assert abs(np.mean(found) - 1.0) < 4.0 * error + 0.002
 
 
-def test_a_rectangle_and_a_few_points_have_none():
+def test_rectangles_and_a_few_points_have_no_outline():
     rng = np.random.default_rng(1)
     for n in (99, 100, 1000, 20_000):
         points = rng.uniform(0.0, 10.0, (n, 2))
@@ -49,7 +49,7 @@ def test_a_rectangle_and_a_few_points_have_none():
 
 
 @pytest.mark.parametrize("cells", [1, 3, 16, 50])
-def test_the_parts_of_the_cells_are_those_that_points_strewn_over_them_show(cells):
+def test_the_covered_parts_of_cells_agree_with_random_points(cells):
     rng = np.random.default_rng(2)
     outline = Outline.of(disc(rng, 5000), LOW, HIGH, 5000)
     i, j = np.divmod(np.arange(cells**2), cells)
@@ -65,12 +65,12 @@ def test_the_parts_of_the_cells_are_those_that_points_strewn_over_them_show(cell
 
 
 @pytest.mark.parametrize("space", [Plane(), Sphere()])
-def test_densities_of_a_cone_are_those_of_its_objects(space):
+def test_densities_in_a_cone_field_are_unbiased(space):
     rng = np.random.default_rng(3)
     ratio = []
     for _ in range(10):
         one, two = (disc(rng, n) - 5.0 for n in (400, 3000))
-        if isinstance(space, Sphere):  # half a degree beside the pole and across longitude 0
+        if isinstance(space, Sphere):  # half a degree from the pole and across longitude 0
             one, two = (np.column_stack([x / 10.0 / np.cos(np.radians(70.0)) % 360.0, 70.0 + y / 10.0])
                         for x, y in (one.T, two.T))  # fmt: skip
         area = 25.0 * np.pi * (360.0**2 if isinstance(space, Sphere) else 1.0)

@@ -1,4 +1,4 @@
-"""The best partition: exact where the relaxation is broken, whatever was left out on the way to it."""
+"""The best partition is exact also where the linear relaxation is fractional and sets were pruned."""
 
 from dataclasses import replace
 
@@ -14,8 +14,8 @@ from sameas.many.sets import TUNING, Sets
 from sameas.records import Records
 
 
-def entangled(rng, per_source=9, triples=50):
-    """One group: records of three sources alone, and random sets of three that weigh about the same."""
+def random_sets(rng, per_source=9, triples=50):
+    """One group: single records of three sources, and random sets of three of about equal weight."""
     n = 3 * per_source
     drawn = np.unique(rng.integers(0, per_source, (triples, 3)), axis=0) + per_source * np.arange(3)
     alone = np.full((n, 3), -1)
@@ -28,7 +28,7 @@ def entangled(rng, per_source=9, triples=50):
 
 
 def direct(sets, n, whole):
-    """The greatest weight of disjoint sets, by one programme over all of them."""
+    """The greatest weight of disjoint sets, by one integer programme over all sets."""
     incidence, ones = incidence_of(sets, n), np.ones(len(sets))
     if not whole:
         return -linprog(-sets.log_weight, A_ub=incidence, b_ub=np.ones(n)).fun
@@ -38,10 +38,10 @@ def direct(sets, n, whole):
 
 
 @pytest.mark.slow
-def test_the_partition_is_the_best_where_the_relaxation_is_broken():
+def test_the_partition_is_optimal_where_the_relaxation_is_fractional():
     broken = 0
     for seed in range(12):
-        sets, n = entangled(np.random.default_rng(seed))
+        sets, n = random_sets(np.random.default_rng(seed))
         best = direct(sets, n, whole=True)
         broken += direct(sets, n, whole=False) > best + 1e-6
         found = best_partition(sets, n, time_limit_s=20.0)
@@ -49,7 +49,7 @@ def test_the_partition_is_the_best_where_the_relaxation_is_broken():
         assert (taken == 1).all()
         assert sets.log_weight[found.chosen].sum() == pytest.approx(best, abs=1e-6)
         assert found.gap[0] == 0.0
-        # The duals bound every set, and their slack says by how much they promise too much.
+        # The duals bound every set; their slack is the duality gap.
         assert found.dual[sets.members[n:]].sum(axis=1) == pytest.approx(
             np.maximum(found.dual[sets.members[n:]].sum(axis=1), sets.log_weight[n:]), abs=1e-6
         )
@@ -59,7 +59,7 @@ def test_the_partition_is_the_best_where_the_relaxation_is_broken():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_sets_that_duals_prove_improbable_change_no_probability(seed):
-    sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)
+    sets, n = random_sets(np.random.default_rng(seed), per_source=6, triples=30)
     every = np.ones(1, bool)
     whole = packed_groups(sets, n, every, replace(TUNING, small=n))
     pruned = packed_groups(sets, n, every, replace(TUNING, small=0))
@@ -67,13 +67,13 @@ def test_sets_that_duals_prove_improbable_change_no_probability(seed):
     np.testing.assert_allclose(pruned[0], whole[0], rtol=0.0, atol=1e-10)
     assert (pruned[1] == whole[1]).all()
     assert sets.log_weight[pruned[1]].sum() == pytest.approx(direct(sets, n, whole=True), abs=1e-6)
-    # A sum that may take few steps goes without more sets, says so, and still has the best partition.
+    # With few steps allowed, the sum omits more sets, reports it, and still contains the best partition.
     short = packed_groups(sets, n, every, replace(TUNING, small=0, block_steps=300))
     if short[2][0] >= 0.0:
         assert short[2][0] < EXACT and (short[1] == whole[1]).all()
 
 
-def test_groups_of_three_records_are_summed_partition_by_partition_as_any_other():
+def test_groups_of_three_records_summed_by_enumeration_agree_with_the_general_sum():
     rng = np.random.default_rng(5)
     every = np.array([[0, -1, -1], [-1, 1, -1], [-1, -1, 2], [0, 1, -1], [0, -1, 2], [-1, 1, 2], [0, 1, 2]])
     members, group = [], []
@@ -90,16 +90,16 @@ def test_groups_of_three_records_are_summed_partition_by_partition_as_any_other(
         few, general = (packed_groups(sets, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
         np.testing.assert_allclose(few[0], general[0], rtol=1e-12, atol=1e-14)
         assert (few[1] == general[1]).all() and (few[2] >= EXACT).all()
-    # Which of two equally good partitions is chosen does not depend on the way.
+    # The choice between two tied partitions does not depend on the method.
     equal = Sets(members, size, np.zeros(len(size)), group, start, np.full(16, -np.inf))
     few, general = (packed_groups(equal, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
     np.testing.assert_allclose(few[0], general[0], rtol=1e-12)
     assert (few[1] == general[1]).all()
 
 
-def test_the_best_of_possible_sets_is_found_whether_blocks_can_be_summed_or_not():
+def test_the_best_partition_of_possible_sets_is_found_with_and_without_block_sums():
     for seed in range(3):
-        sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)
+        sets, n = random_sets(np.random.default_rng(seed), per_source=6, triples=30)
         share, chosen, _ = packed_groups(sets, n, np.ones(1, bool), TUNING)
         tilted = replace(sets, log_weight=sets.log_weight + 0.5 * (sets.size - 1) * (np.arange(len(sets)) % 3 == 0))
         for tuning in (TUNING, replace(TUNING, small=0, cuts=(30.0,), block_steps=1)):
@@ -107,15 +107,15 @@ def test_the_best_of_possible_sets_is_found_whether_blocks_can_be_summed_or_not(
             assert (incidence_of(sets, n)[:, best].sum(axis=1) == 1).all()
             assert tilted.log_weight[best].sum() == pytest.approx(direct(tilted, n, whole=True), abs=1e-6)
             assert tilted.log_weight[best].sum() >= tilted.log_weight[chosen].sum() - 1e-9
-    # What cannot be chosen is not, and records of none of the sets are left as they are.
+    # Impossible sets are never chosen, and records outside all sets stay unchanged.
     here = np.flatnonzero(chosen)[:2]
     some = best_sets(sets, n, np.isin(np.arange(len(sets)), here), time_limit_s=10.0)
     assert np.flatnonzero(some).tolist() == here.tolist()
 
 
-def test_annealed_duals_are_those_of_the_relaxation():
+def test_annealed_duals_agree_with_the_relaxation():
     for seed in range(3):
-        sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=30)
+        sets, n = random_sets(np.random.default_rng(seed), per_source=6, triples=30)
         begin = np.concatenate([[0], np.cumsum(sets.size)])
         entry = sets.members[sets.members >= 0]
         dual = np.full(n, sets.log_weight.max())
@@ -150,10 +150,10 @@ def by_samples(sets, n, chosen):
     return share
 
 
-def test_samples_are_near_the_sum():
+def test_samples_agree_with_the_sum():
     apart = []
     for seed in range(12):
-        sets, n = entangled(np.random.default_rng(seed), per_source=6, triples=10)
+        sets, n = random_sets(np.random.default_rng(seed), per_source=6, triples=10)
         # Where sets of three have no parts, all three records are single in between, which takes long where they are
         # much more probable than that.
         sets = replace(sets, log_weight=0.4 * sets.log_weight)
@@ -171,12 +171,12 @@ def test_samples_are_near_the_sum():
     exact, chosen, _ = packed_groups(sets, 4, np.ones(1, bool))
     sampled = by_samples(sets, 4, chosen)
     np.testing.assert_allclose(sampled, exact, atol=0.01)
-    # What the chain hardly ever visits is not impossible.
+    # Sets the chain rarely visits keep a probability above 0.
     assert 0.01 * exact[6] < sampled[6] < 10.0 * exact[6]
 
 
 def couples(rng, n=4):
-    """The group of couples of objects 25 m apart, before three sources that miss little."""
+    """One group of n couples of objects 25 m apart, observed by three sources with few misses."""
     place = np.repeat(np.arange(n)[:, None] * [60.0, 0.0], 2, axis=0) + np.tile([[0.0, 0.0], [0.0, 25.0]], (n, 1))
     sources = [
         Records.of(place + sigma * rng.standard_normal((2 * n, 2)), sigma=sigma, source=name)
@@ -185,8 +185,8 @@ def couples(rng, n=4):
     return identify_many(sources, rule=PoissonObjects(1e-5, 0.01), tuning=replace(TUNING, max_steps=3_000_000))
 
 
-def test_samples_are_near_the_sum_where_neighbours_may_be_exchanged_but_are_surely_objects():
-    """Messages settle for one of the two ways in that case: their rms error is 0.17, the largest 0.77."""
+def test_samples_agree_with_the_sum_for_certain_objects_with_exchangeable_neighbours():
+    """Belief propagation converges to one of the two assignments here: rms error 0.17, largest 0.77."""
     apart = []
     for seed in range(6):
         found = couples(np.random.default_rng(seed))
@@ -197,8 +197,8 @@ def test_samples_are_near_the_sum_where_neighbours_may_be_exchanged_but_are_sure
 
 
 @pytest.mark.parametrize("n", [25, 60])
-def test_objects_that_nothing_tells_apart_are_not_called_certain(n):
-    """Too many for a sum: the best partition alone would call every one of its pairs certain."""
+def test_indistinguishable_objects_are_not_certain(n):
+    """Too many for a sum; the best partition alone would make each of its pairs certain."""
     rng = np.random.default_rng(0)
     sources = [Records.of(rng.normal(0.0, 5.0, (n, 2)), sigma=15.0, source=name) for name in ("radar", "ais")]
     found = identify_many(sources, rule=PoissonObjects(n / 2000.0, 0.1))
@@ -212,17 +212,17 @@ def test_objects_that_nothing_tells_apart_are_not_called_certain(n):
 
 
 @pytest.mark.slow
-def test_a_crowd_of_three_sources_beyond_all_sets_is_not_called_alone():
-    """A floor that leaves few enough sets leaves none: every record would be certain to be an object of its own."""
+def test_a_crowd_with_too_many_sets_is_not_declared_single():
+    """Any floor that keeps few enough sets keeps none, and every record would be single with certainty."""
     rng = np.random.default_rng(0)
     sources = [Records.of(rng.normal(0.0, 5.0, (90, 2)), sigma=15.0, source=name) for name in ("one", "two", "three")]
     found = identify_many(sources, rule=PoissonObjects(90 / 2000.0, 0.1))
     assert not found.groups.exact.any() and found.probability.max() < 0.3
 
 
-def test_states_by_their_bits_and_by_a_table_of_hashes_give_one_sum():
-    # More steps than there is room for at first; a count prior that prefers nothing asks for the table of hashes.
-    sets, n = entangled(np.random.default_rng(3), per_source=8, triples=120)
+def test_bit_states_and_hash_table_states_give_the_same_sum():
+    # More steps than the buffers hold at first; a neutral count prior forces the hash table.
+    sets, n = random_sets(np.random.default_rng(3), per_source=8, triples=120)
     mask = np.where(sets.members >= 0, np.uint64(1) << np.maximum(sets.members, 0).astype(np.uint64), np.uint64(0))
     mask = np.bitwise_or.reduce(mask, axis=1)
     first = np.array([int(one & -one).bit_length() - 1 for one in mask.tolist()])

@@ -1,4 +1,4 @@
-"""Catalogues in partitions: the same answer as on one machine, however they are cut, and whatever dies meanwhile."""
+"""Partitioned catalogues give the result of one machine for any partitioning, also after killed processes."""
 
 import os
 import re
@@ -35,7 +35,7 @@ EVERYTHING = np.array([[0, 12 << 58]], np.int64)
 
 
 def sky(middle, n, crowding, seed, holes=0):
-    """Two catalogues of n objects about (ra, dec), with so many chance candidates within 3σ; the second has holes."""
+    """Two catalogues of n objects about (ra, dec); ``crowding``: chance candidates within 3σ; the second has holes."""
     rng = np.random.default_rng(seed)
     sigma = np.exp(rng.uniform(np.log(0.05), np.log(0.5), (2, n)))
     density = crowding / (9.0 * np.pi * 2.0 * np.mean(sigma**2))
@@ -85,8 +85,8 @@ def table_of(folder):
     return {name: rows.column(name).to_pandas().to_numpy() for name in rows.column_names}
 
 
-def at_once(found):
-    """What one machine says that holds everything, with the same estimates: partner and probabilities by id."""
+def on_one_machine(found):
+    """The result of one machine with all rows and the same estimates: partner and probabilities by id."""
     work = found.estimated.work
     one, two = (work.read(side, EVERYTHING, np.array([0.0, 0.0, 1.0, 1e9])) for side in (1, 2))
     result = work.identified(one, two)
@@ -97,9 +97,9 @@ def at_once(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("crowding", [0.4, 2.0])
-def test_what_is_estimated_does_not_depend_on_how_the_sky_is_cut(tmp_path, crowding):
-    """Partitions much larger than the field, and much smaller: cells were coarse where partitions were, and counted as
-    empty where they reach beyond the field."""
+def test_estimates_do_not_depend_on_the_partitioning(tmp_path, crowding):
+    """Partitions much larger and much smaller than the field; cells were once as coarse as the partitions, and counted
+    as empty beyond the field."""
     tables, estimates = sky((0.0, 0.0), 4_000, crowding, seed=6), []
     for most in ((20_000, 20_000), (1_000, 500), (60, 90)):
         found = sameas.match(*stored(tmp_path, tables, most), sigma="pos_err", sigma_unit="arcsec")
@@ -120,12 +120,12 @@ def test_what_is_estimated_does_not_depend_on_how_the_sky_is_cut(tmp_path, crowd
     for name in ("common", "share_1", "share_2", "error_scale"):
         quantity, of_one = whole.learned.estimate.quantities[name], one[name]
         assert abs(quantity.value - of_one.value) < np.hypot(quantity.standard_error, of_one.standard_error), name
-    # So many rows are decided at once that they and their halo have so many candidates: a square of them, as a check.
+    # The piece size is the number of rows whose candidates, with the halo, reach the limit: check for a square.
     answer, halo, pairs = whole.learned.estimate.answer, whole.work.halo_arcsec, 10**6
     density = sum(whole.sample) / whole.learned.estimate.coverage.volume
     with_halo = density * (np.sqrt(whole.rows_with_halo(pairs) / density) + 2.0 * halo) ** 2
     assert with_halo * len(answer.pairs) / sum(whole.sample) == pytest.approx(pairs, rel=0.01)
-    # Records are as dense as they were strewn, each without itself.
+    # Record densities are those simulated, without the record itself.
     density = crowding / (9.0 * np.pi * 2.0 * np.mean([np.mean(np.square(table["pos_err"])) for table in tables])) * 0.9
     places, numbers = whole.learned.places, whole.counts.numbers
     at = places.at(whole.counts.cells)
@@ -146,10 +146,10 @@ PLACES = {"over the pole": (10.0, 90.0), "across RA 0": (0.0, 0.0), "southern": 
     ],
 )
 @pytest.mark.parametrize("place", PLACES)
-def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, place, most, piece_rows):
+def test_the_result_is_that_of_one_machine_for_any_partitioning(tmp_path, place, most, piece_rows):
     tables = sky(PLACES[place], 4_000, 0.4, seed=5, holes=3)
     found, written = matched(tmp_path, stored(tmp_path, tables, most), piece_rows=piece_rows)
-    partner, p_none = at_once(found)
+    partner, p_none = on_one_machine(found)
     told = table_of(tmp_path / "out")
     paired = {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)}
     assert paired == partner and len(set(paired.values())) == len(paired) == written.pairs > 2_500
@@ -159,19 +159,19 @@ def test_the_answer_is_that_of_one_machine_however_the_sky_is_cut(tmp_path, plac
 
 
 @pytest.mark.slow
-def test_in_a_crowd_pairs_are_the_same_and_probabilities_nearly(tmp_path):
-    """Groups percolate there and are summed approximately, in an order that does not depend on the cut."""
+def test_in_a_crowd_pairs_are_equal_and_probabilities_nearly_equal(tmp_path):
+    """Percolating groups are summed approximately, in an order independent of the partitioning."""
     tables = sky((0.0, 0.0), 6_000, 2.0, seed=6)
     found, _ = matched(tmp_path, stored(tmp_path, tables, (1_500, 900)))
-    partner, p_none = at_once(found)
+    partner, p_none = on_one_machine(found)
     told = table_of(tmp_path / "out")
     assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
     assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
 
 
 @pytest.mark.slow
-def test_where_groups_percolate_probabilities_do_not_depend_on_what_the_halo_cuts_off(tmp_path):
-    """Whether a part of a group is summed exactly depends on all of it: that of the halo alone was, others than all."""
+def test_probabilities_of_percolating_groups_do_not_depend_on_the_halo_boundary(tmp_path):
+    """Whether a group is summed exactly must depend on the whole group, not only on its part in the halo."""
     tables = sky((0.0, 0.0), 12_000, 1.5, seed=2)
     work = sameas.match(
         *stored(tmp_path, tables, (50_000, 50_000)), sigma="pos_err", sigma_unit="arcsec"
@@ -201,7 +201,7 @@ def ids_of(one, two, result):
 @pytest.mark.slow
 @pytest.mark.parametrize("order, number", [(6, 0), (6, 4095), (6, 4096 * 12 - 1), (9, 777_777), (12, 5), (7, 99_000)])
 @pytest.mark.parametrize("width", [0.7, 19.7, 64.4, 900.0])
-def test_a_halo_holds_all_that_is_so_near_and_little_more(order, number, width):
+def test_a_halo_holds_all_rows_within_its_width_and_few_others(order, number, width):
     """At corners where three cells meet, on the equator, and where the halo is wider than the cell."""
     patch, rng = Patch(order, np.array([number])), np.random.default_rng(number)
     halo = Halo.around(patch, width, DEFAULT_PART.finer)
@@ -222,7 +222,7 @@ def test_a_halo_holds_all_that_is_so_near_and_little_more(order, number, width):
 
 
 @pytest.mark.slow
-def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):
+def test_a_halo_that_is_too_narrow_is_detected(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.5, seed=7)
     found = sameas.match(*stored(tmp_path, tables, (300, 300)), sigma="pos_err", sigma_unit="arcsec")
     work = found.estimated.work
@@ -230,7 +230,7 @@ def test_a_halo_that_is_too_narrow_is_noticed(tmp_path):
     narrow = work.within(Patch(cell.order, np.array([cell.number])), 1.0)
     first, *again = replace(work, halo_arcsec=1.0).decided([cell])
     assert narrow.doubtful > 0 == first.doubtful == again[-1].doubtful and again[-1].halo_arcsec > first.halo_arcsec
-    # Every row of the cell is of one of the parts.
+    # Every row of the cell is in exactly one part.
     enough = work.decided([cell])
     for parts in ([first, *again], enough):
         own = np.concatenate([part.first.ids[part.own[0]] for part in parts])
@@ -246,20 +246,20 @@ def pairs_of(part):
 
 
 @pytest.mark.slow
-def test_every_row_of_both_is_written_once_by_joins_that_keep_all(tmp_path):
+def test_outer_joins_write_every_row_once(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=8)
-    tables[0] = tables[0][tables[0]["dec"] > -0.02]  # the second reaches beyond
+    tables[0] = tables[0][tables[0]["dec"] > -0.02]  # the second extends beyond the first
     found, written = matched(tmp_path, stored(tmp_path, tables, (300, 500)), join="1or2")
     told = table_of(tmp_path / "out")
     for table, name in zip(tables, ("id_1", "id_2"), strict=True):
         there = told[name][~np.isnan(told[name])]
         assert sorted(there) == sorted(table["id"])
     assert np.isfinite(told["_ra"]).all() and len(told["_ra"]) == written.rows
-    assert set(at_once(found)[0].items()) <= set(zip(told["id_1"], told["id_2"], strict=True))
+    assert set(on_one_machine(found)[0].items()) <= set(zip(told["id_1"], told["id_2"], strict=True))
 
 
 @pytest.mark.slow
-def test_the_output_is_a_hats_collection_that_hats_and_lsdb_read(tmp_path):
+def test_hats_and_lsdb_read_the_output_collection(tmp_path):
     hats = pytest.importorskip("hats", reason="hats is not installed")
     validation = pytest.importorskip("hats.io.validation")
     _, written = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 2_000, 0.3, seed=9), (300, 500)))
@@ -276,8 +276,8 @@ def test_the_output_is_a_hats_collection_that_hats_and_lsdb_read(tmp_path):
 
 
 @pytest.mark.slow
-def test_motion_across_a_border_finds_its_partner(tmp_path):
-    """A fast star is stored in one partition and seen, years later, in another."""
+def test_stars_that_move_across_a_border_are_matched(tmp_path):
+    """A fast star is stored in one partition and observed, years later, in another."""
     tables = sky((0.0, 0.0), 2_000, 0.05, seed=10)
     first, second = tables
     for table, epoch in ((first, 2000.0), (second, 2016.0)):
@@ -295,7 +295,7 @@ def test_motion_across_a_border_finds_its_partner(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_broken_partition_is_named_and_what_is_done_stays(tmp_path):
+def test_a_broken_partition_is_named_and_finished_ones_are_kept(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=11)
     a, b = stored(tmp_path, tables, (400, 400))
     found = sameas.match(a, b, sigma="pos_err", sigma_unit="arcsec")
@@ -311,7 +311,7 @@ def test_a_broken_partition_is_named_and_what_is_done_stays(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_goes_on_where_it_ended_with_the_same_bytes(tmp_path, monkeypatch):
+def test_an_interrupted_run_resumes_with_the_same_bytes(tmp_path, monkeypatch):
     paths = stored(tmp_path, sky((0.0, 0.0), 2_000, 0.3, seed=12), (250, 250))
     found, whole = matched(tmp_path, paths, out="one/out")
     work, n = run.decide_partition, [0]
@@ -328,7 +328,7 @@ def test_a_run_goes_on_where_it_ended_with_the_same_bytes(tmp_path, monkeypatch)
     monkeypatch.undo()
     with pytest.raises(InputError, match="was begun with other catalogues or options"):
         found.write(tmp_path / "two" / "out", workers=1)
-    # What a worker that is killed while it writes leaves behind.
+    # The remains of a worker killed while writing.
     beside = next((tmp_path / "two" / "out" / "out" / "dataset").rglob("*.parquet"))
     beside.with_name(f".{beside.name}.1.part").write_bytes(b"PAR1")
     again = found.write(tmp_path / "two" / "out", workers=1, piece_rows=800)
@@ -352,7 +352,7 @@ print("written", found.write({out!r}, workers=2, piece_rows=100).pairs, flush=Tr
 
 
 def workers_of(pid):
-    """Those that the process of which all workers are copies has made, or the process itself."""
+    """Worker processes of a client: the children of its fork server, or its own spawned children."""
     told = subprocess.run(["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True).stdout
     lines = [(int(line.split()[0]), int(line.split()[1]), line) for line in told.splitlines()]
     servers = [one for one, parent, line in lines if parent == pid and "forkserver" in line]
@@ -363,7 +363,7 @@ def workers_of(pid):
 @pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
 @pytest.mark.parametrize("victim", ["worker", "client"])
 def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_bytes(tmp_path, victim):
-    """The script has no guard of __main__: workers do not run it again."""
+    """The script has no __main__ guard, and workers do not run it again."""
     a, b = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=13), (60, 60))
     runs = {out: [sys.executable, "-c", SCRIPT.format(a=str(a), b=str(b), out=str(tmp_path / out / "out"))]
             for out in ("one", "two")}  # fmt: skip
@@ -385,13 +385,13 @@ def test_a_killed_worker_is_replaced_and_a_killed_client_resumes_with_the_same_b
 
 
 @pytest.mark.slow
-def test_a_folder_is_one_runs_alone_and_what_a_kill_left_in_it_is_no_hindrance(tmp_path):
+def test_a_folder_is_locked_by_one_run_and_unlocked_after_a_kill(tmp_path):
     found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
     out = tmp_path / "two" / "out"
     (out / ".sameas-run").mkdir(parents=True)
     with closing(held(out / ".sameas-run")), pytest.raises(InputError, match="another run writes there; give another"):
         found.write(out, workers=1, piece_rows=800)
-    # A run that was killed before it had said what it had begun left a folder that was refused for ever.
+    # A run killed before it wrote its description once left a folder that was refused for ever.
     found.write(out, workers=1, piece_rows=800)
     assert contents(tmp_path / "one") == contents(tmp_path / "two")
     (out / ".sameas-run").mkdir()
@@ -401,7 +401,7 @@ def test_a_folder_is_one_runs_alone_and_what_a_kill_left_in_it_is_no_hindrance(t
 
 
 @pytest.mark.slow
-def test_no_name_of_a_folder_adds_a_property(tmp_path):
+def test_no_folder_name_adds_a_property(tmp_path):
     name = "out\nhats_col_ra=x<script>"
     found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="plain")
     found.write(tmp_path / name, workers=1)
@@ -412,7 +412,7 @@ def test_no_name_of_a_folder_adds_a_property(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["files no larger than 2 kB", "a folder that disappears"])
-def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, monkeypatch):
+def test_a_disk_error_is_one_line_and_no_internal_error(what, tmp_path, monkeypatch):
     resource = pytest.importorskip("resource")
     found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="one/out")
     limits, out = resource.getrlimit(resource.RLIMIT_FSIZE), tmp_path / "two" / "out"
@@ -435,7 +435,7 @@ def test_a_disk_that_refuses_is_one_line_and_no_fault_of_sameas(what, tmp_path, 
 
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="mounts a file system of bounded size")
-def test_a_full_disk_is_said_and_what_is_done_stays(tmp_path):
+def test_a_full_disk_is_reported_and_finished_partitions_are_kept(tmp_path):
     paths = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=18), (100, 100))
     found, whole = matched(tmp_path, paths, out="one/out", piece_rows=200)
     room = sum(map(len, contents(tmp_path / "one").values())) * 3 // 10
@@ -451,14 +451,14 @@ def test_a_full_disk_is_said_and_what_is_done_stays(tmp_path):
         assert 0 < again.decided < whole.decided
         assert contents(tmp_path / "one") == contents(small)
     finally:
-        # Lazily: files that were mapped to memory are let go of when their arrays are.
+        # Memory-mapped files are closed when their arrays are released.
         subprocess.run(["umount", "-l", small], check=True)
 
 
 @pytest.mark.long
 @pytest.mark.filterwarnings("ignore")  # Dask's own
 @pytest.mark.skipif(sys.platform == "win32", reason="kills processes as POSIX does")
-def test_on_a_cluster_of_dask_a_killed_worker_changes_no_byte(tmp_path):
+def test_a_killed_dask_worker_changes_no_byte(tmp_path):
     distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed")
     paths = stored(tmp_path, sky((0.0, 0.0), 3_000, 0.3, seed=19), (100, 100))
     found, _ = matched(tmp_path, paths, out="one/out", piece_rows=100)
@@ -477,7 +477,7 @@ def test_on_a_cluster_of_dask_a_killed_worker_changes_no_byte(tmp_path):
     assert killed and contents(tmp_path / "one") == contents(tmp_path / "two")
 
 
-def test_cells_around_a_cell_hold_all_within_the_width():
+def test_neighbouring_cells_contain_all_points_within_the_width():
     rng = np.random.default_rng(1)
     for cell in (Cell(3, 0), Cell(3, 255), Cell(5, 7_000), Cell(0, 4)):
         width = 40.0
@@ -520,11 +520,11 @@ def test_options_that_need_the_whole_result_are_refused_over_partitions(tmp_path
 
 
 @pytest.mark.slow
-def test_columns_are_evidence_learned_once_and_coded_alike_in_every_part(tmp_path):
+def test_column_evidence_is_learned_once_and_coded_equally_in_all_partitions(tmp_path):
     tables = sky((0.0, 0.0), 4_000, 0.4, seed=17)
     rng, ids = np.random.default_rng(17), [(table["id"] - side) // 2 for side, table in enumerate(tables, 1)]
     shared = np.isin(ids[1], ids[0])
-    # Most of what both show is "disk"; "odd" occurs in few parts, so that codes by parts would differ.
+    # Most common objects are "disk"; "odd" occurs in few parts, so that per-part category codes would differ.
     names = np.where(rng.uniform(size=len(shared)) < np.where(shared, 0.9, 0.2), "disk", "spur")
     names[rng.choice(len(names), 20, replace=False)] = "odd"
     tables[1]["class"] = names
@@ -532,16 +532,16 @@ def test_columns_are_evidence_learned_once_and_coded_alike_in_every_part(tmp_pat
     evidence = [sameas.evidence.Column(2, "class"), sameas.evidence.Column(1, "code")]
     paths = stored(tmp_path, tables, (400, 250))
     found, _ = matched(tmp_path, paths, evidence=evidence)
-    partner, p_none = at_once(found)
+    partner, p_none = on_one_machine(found)
     told = table_of(tmp_path / "out")
     assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
     assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
     report = found.report()
     assert "class of b: ln odds of a partner" in report and "code of a: is not informative" in report
-    # Of the records of the second, those that look like what both show have partners.
+    # Records of the second source that look like common objects have partners.
     of_class = dict(zip(tables[1]["id"], names, strict=True))
     without, _ = matched(tmp_path, paths, out="without")
-    plain, _ = at_once(without)
+    plain, _ = on_one_machine(without)
     spurs = [sum(of_class[j] == "spur" for j in pairs.values()) for pairs in (partner, plain)]
     assert spurs[0] < spurs[1]
     with pytest.raises(InputError, match=r"no column 'kind' to be evidence; it has id, ra, dec, pos_err, mag, class"):
@@ -557,7 +557,7 @@ def test_formats_are_refused_over_partitions(tmp_path, option):
 
 @pytest.mark.slow
 def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatch, request):
-    """The collection was called whole, and the folder of the run stayed beside it."""
+    """The collection was once complete while the run folder stayed next to it."""
     import signal
 
     from sameas.partitions.output import write_collection
@@ -576,8 +576,8 @@ def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatc
 
 
 @pytest.mark.parametrize("part", [0.25, 0.5, 1.0])
-def test_a_cell_counts_with_the_part_of_it_that_lies_within_the_field(part):
-    """Records strewn over a part of 1 024 cells, eight in each on average; the poorer source follows the richer."""
+def test_a_cell_counts_by_its_area_within_the_field(part):
+    """Records in a part of 1 024 cells, eight per cell on average; the sparser source follows the denser."""
     rng, n = np.random.default_rng(2), 1_024
     rich, poor = (rng.integers(0, int(part * n), int(mean * part * n)) for mean in (8.0, 2.0))
     counts = Counts.of(rich, poor)
@@ -588,8 +588,8 @@ def test_a_cell_counts_with_the_part_of_it_that_lies_within_the_field(part):
     assert places.density[at, 1, 1].mean() == pytest.approx(2.0, rel=0.06)
 
 
-def strewn(seed, n):
-    """Cells of the records of two sources: a dense and a thin stretch, and one where either does not look."""
+def cells_of_two_sources(seed, n):
+    """Cells of the records of two sources: a dense and a sparse region, and one region not covered by each."""
     rng = np.random.default_rng([5, seed])
     cells = [np.where(rng.uniform(size=n) < 0.5, rng.integers(0, n // 8, n), rng.integers(0, n, n)) for _ in "12"]
     cells[1] = cells[1][: n // 2]
@@ -599,8 +599,8 @@ def strewn(seed, n):
 
 @pytest.mark.parametrize("n", [1, 3, 40, 160, 700])
 @pytest.mark.parametrize("seed", range(3))
-def test_densities_in_nested_cells_are_those_of_their_definition(seed, n):
-    one, two = strewn(seed, n) if n > 3 else (np.array([7] * n), np.array([7, 9]))
+def test_densities_in_nested_cells_agree_with_the_definition(seed, n):
+    one, two = cells_of_two_sources(seed, n) if n > 3 else (np.array([7] * n), np.array([7, 9]))
     counts = Counts.of(one, two)
     places = Places.of(counts, 0.3)
     counts = counts.coarser(places.steps)
@@ -611,8 +611,8 @@ def test_densities_in_nested_cells_are_those_of_their_definition(seed, n):
         assert not seen.all()
 
 
-def test_some_cells_tell_how_strongly_densities_are_smoothed(monkeypatch):
-    """Of an even field with a dense cluster: by a twentieth of the cells nearly what all of them say."""
+def test_a_sample_of_cells_determines_the_smoothing(monkeypatch):
+    """A uniform field with a dense cluster: one cell in twenty gives nearly the smoothing of all cells."""
     rng = np.random.default_rng(3)
     one, two = (np.concatenate([rng.integers(0, 1 << 14, 60_000), rng.integers(0, 1 << 10, 30_000)]) for _ in "12")
     every = Places.of(Counts.of(one, two), 1.0)
@@ -622,9 +622,9 @@ def test_some_cells_tell_how_strongly_densities_are_smoothed(monkeypatch):
     assert 0.0 < float(np.sqrt(np.mean(apart**2))) < 0.03
 
 
-def test_what_a_partition_counts_does_not_depend_on_how_much_of_it_is_counted_at_once(tmp_path):
+def test_counts_of_a_partition_do_not_depend_on_the_block_size(tmp_path):
     one, two = sky((10.0, 20.0), 900, 0.4, 8)
-    one["pos_err"][5] = 300.0  # it reaches far
+    one["pos_err"][5] = 300.0  # large width
     found = sameas.match(*stored(tmp_path, (one, two), (5_000, 5_000)), sigma="pos_err", sigma_unit="arcsec")
     work = found.estimated.work
     for side in (1, 2):
@@ -639,9 +639,9 @@ def test_what_a_partition_counts_does_not_depend_on_how_much_of_it_is_counted_at
 
 
 @pytest.mark.parametrize("written", ["in order", "in another order", "in two files", "without cells"])
-def test_rows_that_follow_each_other_are_those_of_the_whole_partition(tmp_path, written):
-    """However a partition is written: in groups of 50 rows that rise, that do not, in a folder of files, and by
-    positions alone."""
+def test_blocks_of_rows_together_are_the_whole_partition(tmp_path, written):
+    """For every layout of a partition: sorted and unsorted groups of 50 rows, a folder of files, and by
+    positions only."""
     from pyarrow import parquet
 
     table, _ = sky((10.0, 20.0), 500, 0.4, 9)

@@ -1,4 +1,4 @@
-"""Pictures are drawn of any identification, ellipses lie as astronomers expect, no matplotlib is told."""
+"""Plots of an identification: all kinds, orientation of ellipses, missing matplotlib."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DEC = 40.0
 
 @pytest.fixture(scope="module")
 def stars() -> SkyMatch:
-    """300 stars seen twice, 16 years apart, and one record of the first source with two like candidates."""
+    """300 stars observed twice, 16 years apart, and one record of the first source with two equal candidates."""
     rng = np.random.default_rng(5)
     n, degrees = 300, 1.0 / 3600.0
     ra, dec = rng.uniform(10.0, 11.0, n), DEC + rng.uniform(-0.5, 0.5, n)
@@ -72,17 +72,17 @@ def test_every_picture_is_drawn(stars: SkyMatch, tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.parametrize("name", ["residuals", "normalised", "scatter", "certainty"])
-def test_nothing_identified_is_a_picture_too(strangers: SkyMatch, tmp_path: Path, name: str) -> None:
+def test_a_result_without_matches_is_drawn(strangers: SkyMatch, tmp_path: Path, name: str) -> None:
     assert len(strangers.result.matches) == 0
     plots.save(getattr(plots, name)(strangers), tmp_path / "empty.png")
 
 
-def test_titles_say_the_finding(stars: SkyMatch) -> None:
+def test_titles_state_the_result(stars: SkyMatch) -> None:
     told = plots.residuals(stars).get_suptitle()
     assert told.startswith("Proper motion reduces the residuals: median distance 1.")
 
 
-def test_a_long_subtitle_goes_on_in_a_second_line() -> None:
+def test_a_long_subtitle_wraps() -> None:
     from sameas.plots.sheet import sheet
 
     figure = sheet("A finding", "its reasons, of which there are many, " * 5)
@@ -90,7 +90,7 @@ def test_a_long_subtitle_goes_on_in_a_second_line() -> None:
     assert all(text.get_window_extent().x1 <= figure.bbox.x1 for text in figure.texts)
 
 
-def test_names_of_catalogues_keep_their_letters(stars: SkyMatch) -> None:
+def test_catalogue_names_are_drawn_literally(stars: SkyMatch) -> None:
     assert any(" early moved from " in text.get_text() for text in plots.residuals(stars).texts)
 
 
@@ -125,7 +125,7 @@ def test_the_outline_of_an_ellipse_reaches_its_axes() -> None:
         assert np.degrees(np.arctan2(east, north)) % 180.0 == pytest.approx(angle % 180.0, abs=0.5)
 
 
-def test_the_most_ambiguous_group_is_the_one_with_two_like_candidates(stars: SkyMatch) -> None:
+def test_the_most_ambiguous_group_has_two_equal_candidates(stars: SkyMatch) -> None:
     number = plots.most_ambiguous(stars)
     assert number == stars.result.explain(0).group
     assert stars.result.groups.sizes_1[number] == 1 and stars.result.groups.sizes_2[number] == 2
@@ -138,7 +138,7 @@ def test_a_group_is_drawn_from_either_side(stars: SkyMatch) -> None:
 
 
 @pytest.mark.slow
-def test_what_cannot_be_drawn_is_refused(stars: SkyMatch, strangers: SkyMatch, tmp_path: Path) -> None:
+def test_impossible_plots_are_refused(stars: SkyMatch, strangers: SkyMatch, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="nothing to plot is ambiguous"):
         plots.group(strangers)
     with pytest.raises(InputError, match="0 has no candidates; nothing to plot"):
@@ -150,7 +150,7 @@ def test_what_cannot_be_drawn_is_refused(stars: SkyMatch, strangers: SkyMatch, t
     assert not list(tmp_path.iterdir())
 
 
-def test_without_matplotlib_the_install_line_is_told(stars: SkyMatch, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_install_line(stars: SkyMatch, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
@@ -158,7 +158,7 @@ def test_without_matplotlib_the_install_line_is_told(stars: SkyMatch, monkeypatc
         plots.residuals(stars)
 
 
-def test_densities_and_radii_are_those_of_the_mixture() -> None:
+def test_drawn_densities_and_radii_agree_with_the_mixture() -> None:
     errors = Errors((1.0, 4.0), (0.8, 0.2))
     x = np.linspace(0.0, 60.0, 60_001)
     density = rayleigh_mixture(x, errors)
@@ -169,14 +169,14 @@ def test_densities_and_radii_are_those_of_the_mixture() -> None:
     assert containment(Errors(), 0.5) == pytest.approx(np.sqrt(2.0 * np.log(2.0)), abs=1e-3)
 
 
-def test_a_frame_lays_the_sky_flat_at_the_pole_and_across_the_meridian() -> None:
+def test_the_projection_works_at_the_pole_and_across_the_meridian() -> None:
     for position in ([[10.0, 89.9999], [130.0, 89.9998]], [[359.9999, -30.0], [0.0002, -30.0001]]):
         at = np.array(position)
         place, axes = TangentAxes.about(at)(at)
         offset = sphere_offset(*at[:1].T, *at[1:].T)[0]
         assert np.hypot(*(place[0] - place[1])) == pytest.approx(np.hypot(*offset), rel=1e-6)
         assert np.allclose(axes @ axes.transpose(0, 2, 1), np.eye(2), atol=1e-5)
-        # A small step north of a record is where its turned axes say.
+        # A small step north of a record follows its rotated axes.
         step = at - np.array([0.0, 1e-5])
         moved = TangentAxes.about(at)(step)[0] - place
         assert np.allclose(moved, axes @ np.array([0.0, -0.036]), atol=1e-5)
@@ -187,7 +187,7 @@ def test_scale_bars_have_round_lengths() -> None:
 
 
 @pytest.mark.slow
-def test_the_scatter_that_is_drawn_is_the_one_that_was_made() -> None:
+def test_the_drawn_scatter_is_the_simulated_one() -> None:
     rng = np.random.default_rng(8)
     n, sigma = 3000, np.exp(rng.uniform(np.log(0.05), np.log(0.5), 3000))
     ra, dec, mag = rng.uniform(10.0, 11.0, n), rng.uniform(-0.5, 0.5, n), 15.0 + np.log(sigma)
@@ -204,6 +204,6 @@ def test_the_scatter_that_is_drawn_is_the_one_that_was_made() -> None:
 
 
 @pytest.mark.slow
-def test_every_picture_that_can_be_drawn_is(stars: SkyMatch, strangers: SkyMatch) -> None:
+def test_all_possible_plots_are_drawn(stars: SkyMatch, strangers: SkyMatch) -> None:
     assert [name for name, _ in plots.every(stars)] == ["residuals", "normalised", "scatter", "certainty", "ambiguous"]
     assert "ambiguous" not in dict(plots.every(strangers)) and "scatter" in dict(plots.every(strangers))

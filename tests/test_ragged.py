@@ -1,4 +1,4 @@
-"""Ragged ranges are the loops that they stand for."""
+"""Ragged ranges agree with nested loops."""
 
 import numpy as np
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""The offset between two sources is found from afar, its errors are true, and what cannot be known is said."""
+"""The offset between two sources is found at any size, with true standard errors, or reported as undetermined."""
 
 from dataclasses import replace
 
@@ -38,8 +38,8 @@ def f1(made, answer):
     return score_pairs((found.rows_1, found.rows_2), made.true_pairs()).f1
 
 
-def undone(model, theta, wanted):
-    """The positions that the offset would move to ``wanted``, by Newton's method."""
+def inverse_positions(model, theta, wanted):
+    """The positions that the offset moves to ``wanted``, by Newton's method."""
     at = wanted.copy()
     for _ in range(20):
         missing = wanted - model.moved(at, theta)
@@ -81,12 +81,12 @@ def test_derivatives_of_an_offset_are_those_of_its_positions(model, theta):
     np.testing.assert_allclose(model.moved(x, 0.0 * theta), x, atol=1e-12)
 
 
-def test_a_sensor_that_reads_too_far_too_clockwise_and_too_late_is_put_right():
+def test_range_bearing_and_time_biases_of_a_sensor_are_corrected():
     seen = np.array([[0.0, 10.0]])
     records = Records.of(seen, sigma=0.1)
     moved = lambda model, theta: model.placed(records, records).moved(seen, np.array(theta))  # noqa: E731
     np.testing.assert_allclose(moved(SensorBias((0, 0), azimuth_width_deg=0), [2.0]), [[0.0, 8.0]], atol=1e-12)
-    # Read 90° too far clockwise: the object stands in the west.
+    # A bearing read 90° too far clockwise: the object is in the west.
     np.testing.assert_allclose(moved(SensorBias((0, 0), range_width=0), [90.0]), [[-10.0, 0.0]], atol=1e-12)
     late = SensorBias((0, 0), 0.0, 0.0, time_width=1.0, velocity=[[3.0, 0.0]])
     np.testing.assert_allclose(moved(late, [2.0]), [[6.0, 10.0]], atol=1e-12)
@@ -95,8 +95,8 @@ def test_a_sensor_that_reads_too_far_too_clockwise_and_too_late_is_put_right():
 # ---- the likelihood ----
 
 
-def test_weights_and_likelihood_are_those_of_all_hypotheses_where_the_graph_is_a_tree():
-    # A chain of pairs: messages are exact there.
+def test_on_a_tree_weights_and_likelihood_are_sums_over_all_hypotheses():
+    # On a chain of pairs belief propagation is exact.
     edges = {(0, 0): 0.7, (1, 0): 1.9, (1, 1): -0.4, (2, 1): 2.2, (2, 2): 0.1}
     i, j = np.array(list(edges)).T
     log_weight = np.array(list(edges.values()))
@@ -115,7 +115,7 @@ def test_weights_and_likelihood_are_those_of_all_hypotheses_where_the_graph_is_a
 def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvature():
     made = field(3, density=0.04)
     inner = np.abs(made.second.features - 15.0).max(axis=1) < 11.0
-    # The second lies within the first, so that no edge moves with the offset.
+    # The second field lies within the first, so that the common field does not change with the offset.
     second = Records.of(made.second.features[inner], sigma=0.8)
     model = Shift().placed(made.first, second)
     scene = PlacedSources.of(made.first, second, model)
@@ -132,15 +132,15 @@ def test_the_score_is_the_slope_of_the_likelihood_and_the_covariance_its_curvatu
     axes, score, _ = _missing_information(scene, belief, Trials(theta, common, np.zeros(1)), complete)
     np.testing.assert_allclose(score[0], slope(theta), rtol=1e-9)
     root = np.linalg.cholesky(np.linalg.inv(complete)) @ axes
-    # Not knowing which pairs are true costs information.
+    # Uncertain pairs reduce the information.
     assert np.all(np.linalg.eigvalsh(root @ root.T - np.linalg.inv(complete)) > 0)
 
 
-# ---- found, from afar ----
+# ---- large offsets ----
 
 
 @pytest.mark.parametrize("shift", [0.0, 2.0, 8.0, 30.0, 400.0])
-def test_a_shift_of_any_size_costs_nothing(shift):
+def test_shifts_of_any_size_lose_no_matches(shift):
     lost = []
     for seed in range(3):
         made = field(seed)
@@ -170,8 +170,8 @@ def test_other_offsets_are_found_within_their_errors(make, theta):
         made = field(seed, density=0.015, q=0.15)
         model: Offset = make(made.second).placed(made.first, made.second)
         theta = np.array(theta)
-        found = register(made.first, put(made.second, undone(model, theta, made.second.features)), model)
-        # The centre of a turn is the model's: what was undone is what must be found.
+        found = register(made.first, put(made.second, inverse_positions(model, theta, made.second.features)), model)
+        # The model defines the centre of rotation: the applied offset must be recovered.
         assert np.all(np.abs(found.theta - theta) < 4.0 * found.standard_errors), found.parameters
         assert found.established
         unshifted = f1(made, match(made.first, made.second, errors=Errors())[0])
@@ -179,7 +179,7 @@ def test_other_offsets_are_found_within_their_errors(make, theta):
 
 
 @pytest.mark.slow
-def test_standard_errors_are_true():
+def test_standard_errors_agree_with_the_scatter():
     z = []
     for seed in range(45):
         made = field(seed, q=0.3, density=0.02)
@@ -191,7 +191,7 @@ def test_standard_errors_are_true():
     assert np.abs(np.mean(z)) < 0.25
 
 
-def test_the_offset_s_uncertainty_is_part_of_every_pair():
+def test_the_uncertainty_of_the_offset_is_in_the_covariance_of_every_pair():
     made = field(1)
     found = register(made.first, made.second, Shift())
     np.testing.assert_allclose(found.registered.full_covariance(), made.second.full_covariance() + found.covariance)
@@ -200,7 +200,7 @@ def test_the_offset_s_uncertainty_is_part_of_every_pair():
     assert found.parameters["shift_x"].standard_error == pytest.approx(np.sqrt(found.covariance[0, 0]))
 
 
-def test_swapping_the_sources_turns_a_shift_around():
+def test_swapping_the_sources_reverses_a_shift():
     made = field(2)
     second = put(made.second, made.second.features + np.array([12.0, 5.0]))
     one, two = register(made.first, second, Shift()), register(second, made.first, Shift())
@@ -209,7 +209,7 @@ def test_swapping_the_sources_turns_a_shift_around():
     assert one.log_evidence == pytest.approx(two.log_evidence, abs=0.05)
 
 
-def test_a_small_overlap_is_enough_where_its_pattern_is_clear():
+def test_a_small_overlap_with_a_clear_pattern_is_enough():
     rng = np.random.default_rng(5)
     x = rng.uniform(0, 100, (150, 2))
     sides = [x[x[:, 0] < 58], x[x[:, 0] > 42]]
@@ -230,7 +230,7 @@ def test_a_shift_is_found_in_any_number_of_features(d):
     assert found.model.names == (("shift_x",) if d == 1 else ("shift_x", "shift_y", "shift_z"))
 
 
-def test_a_shift_goes_round_a_period():
+def test_shifts_on_a_periodic_axis_wrap():
     rng = np.random.default_rng(7)
     x = np.stack([rng.uniform(0, 360, 40), rng.uniform(0, 100, 40)], axis=1)
     space = Plane((360.0, None))
@@ -252,17 +252,17 @@ def test_a_small_field_on_the_sphere_is_shifted_east_and_north(lat_deg):
 
 
 @pytest.mark.slow
-def test_many_records_are_searched_by_their_pictures_and_by_patches():
+def test_many_records_are_registered_by_images_and_by_patches():
     made = field(10, n=700, density=0.01, q=0.1)
     model = Similarity().placed(made.first, made.second)
     theta = np.array([80.0, -33.0, 2.0, -0.01])
-    found = register(made.first, put(made.second, undone(model, theta, made.second.features)), model)
+    found = register(made.first, put(made.second, inverse_positions(model, theta, made.second.features)), model)
     assert np.all(np.abs(found.theta - theta) < 4.0 * found.standard_errors)
     shifted = register(made.first, put(made.second, made.second.features - [80.0, -33.0]), Shift())
     np.testing.assert_allclose(shifted.theta, [80.0, -33.0], atol=0.15)
 
 
-def test_errors_far_smaller_than_the_field_are_found_step_by_step():
+def test_offsets_with_errors_far_smaller_than_the_field_are_refined_in_steps():
     x = np.random.default_rng(3).uniform(0, 60, (40, 2))
     first, second = Records.of(x, sigma=1e-6), Records.of(x + np.array([30.0, 1.0]), sigma=1e-6)
     votes = vote(first, second, Shift().placed(first, second), 8)
@@ -270,17 +270,17 @@ def test_errors_far_smaller_than_the_field_are_found_step_by_step():
     assert register(first, second, Shift()).common == pytest.approx(40.0, abs=0.01)
 
 
-def test_a_rule_and_a_prior_of_one_s_own_identify():
+def test_a_custom_rule_and_prior_are_used():
     made = field(11)
     answer = register(made.first, made.second, Shift(), rule=Field(1 / 2000.0), prior=CommonObjects(0.2, 0.2))
     assert "elsewhere" in answer.identification.evidence.terms
     assert f1(made, answer.identification) > 0.7
 
 
-# ---- what cannot be known is said ----
+# ---- undetermined offsets ----
 
 
-def test_sources_that_share_nothing_are_told_so():
+def test_unrelated_sources_are_reported():
     rng = np.random.default_rng(12)
     wrongly_sure = 0
     for _ in range(5):
@@ -293,7 +293,7 @@ def test_sources_that_share_nothing_are_told_so():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("q", [0.05, 0.3])
-def test_a_lattice_fits_in_several_ways(q):
+def test_ambiguous_offsets_of_a_lattice_are_reported(q):
     for seed in range(3):
         made = grid(np.random.default_rng(seed), shape=(6, 6), spacing_sigmas=6.0, q1=q, q2=q)
         found = register(made.first, made.second, Shift())
@@ -306,20 +306,20 @@ def test_a_lattice_fits_in_several_ways(q):
     [([[0.0, 0.0]], [[5.0, 5.0]], 1.0), (np.zeros((10, 2)), np.zeros((10, 2)), 1.0), ([[0.0, 0.0]], None, 1.0)],
     ids=["one record each", "all in one place", "one against many"],
 )
-def test_too_few_pairs_end_in_a_statement(one, two, sigma):
+def test_too_few_pairs_are_reported(one, two, sigma):
     two = np.random.default_rng(0).uniform(0, 50, (30, 2)) if two is None else two
     found = register(Records.of(one, sigma=sigma), Records.of(two, sigma=sigma), Shift())
     assert not found.established and np.isfinite(found.theta).all() and np.isfinite(found.covariance).all()
     assert any("too few pairs" in note for note in found.notes) and found.rounds < 60
 
 
-def test_errors_larger_than_the_field_end_in_a_statement():
+def test_errors_larger_than_the_field_are_reported():
     x = np.random.default_rng(1).uniform(0, 60, (40, 2))
     found = register(Records.of(x, sigma=100.0), Records.of(x, sigma=100.0), Shift())
     assert not found.established and np.isfinite(found.theta).all()
 
 
-# ---- refused at the door ----
+# ---- refusals ----
 
 
 def refusals():
@@ -348,7 +348,7 @@ def refusals():
 
 
 @pytest.mark.parametrize("number", range(14))
-def test_what_cannot_be_registered_is_refused_with_the_remedy(number):
+def test_invalid_input_is_refused_with_the_remedy(number):
     call, words = refusals()[number]
     with pytest.raises((InputError, TypeError), match=words):
         call()

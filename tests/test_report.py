@@ -1,4 +1,4 @@
-"""Reports: lines of text that say what a match says."""
+"""Text reports of a match."""
 
 import re
 
@@ -42,7 +42,7 @@ def test_the_report_holds_the_numbers_of_the_match(found):
     assert lines_of(text, "at the common epoch")[0].split()[5:9:2] == [f"{rms[0]:.4f}", f"{rms[1]:.4f}"]
 
 
-def test_rows_always_add_up(found):
+def test_counts_of_rows_add_up(found):
     for side in (0, 1):
 
         def number(label, side=side):
@@ -51,7 +51,7 @@ def test_rows_always_add_up(found):
         assert number("used") == number("not covered") + number("without") + number("identified ")
 
 
-def test_lines_stay_within_the_width_but_for_doubts(found):
+def test_lines_stay_within_the_width_except_doubts(found):
     for line in report.report(found).splitlines():
         assert len(line) <= prose.WIDTH or line.startswith(prose.DOUBT)
 
@@ -72,14 +72,14 @@ def test_nearest_neighbours_claims_are_counted():
     assert re.search(r"left: not identified, but one is within 5 arcsec +1 +1 +–$", lines[4])
 
 
-def test_nothing_in_common_is_still_reported():
+def test_a_match_without_common_objects_is_reported():
     first = catalogue("left", np.array([10.0, 11.0]), np.zeros(2))
     second = catalogue("right", np.array([50.0, 51.0]), np.zeros(2))
     text = report.report(match(first, second))
     assert "Residuals: no pair was identified" in text and "no common object is expected" in text
 
 
-def test_what_is_said_later_of_the_same_thing_replaces_what_was_said_before():
+def test_a_later_note_replaces_an_earlier_one_on_the_same_subject():
     ra = np.array([10.0, 11.0])
     lines = report.catalogue_lines(catalogue("left", ra, 0 * ra, id=np.array([7, 7])), 1)
     assert [line.split(maxsplit=1) for line in lines if line.startswith("  id")] == [
@@ -87,7 +87,7 @@ def test_what_is_said_later_of_the_same_thing_replaces_what_was_said_before():
     ]
 
 
-def test_what_reading_the_file_left_to_be_said_is_said():
+def test_notes_from_reading_the_file_are_reported():
     left = catalogue("left", np.array([10.0]), np.zeros(1))
     left.table.meta["sameas_notes"] = ["the file has 2 tables; the first was read"]
     assert "  file                  the file has 2 tables; the first was read" in report.catalogue_lines(left, 1)
@@ -97,16 +97,16 @@ def test_what_reading_the_file_left_to_be_said_is_said():
     ("share", "words"),
     [(0.5, "50.0 %"), (1.0, "100.0 %"), (0.9996, "99.960 %"), (0.001, "0.100 %"), (float("nan"), "–")],
 )
-def test_shares_have_the_decimals_they_need(share, words):
+def test_shares_have_enough_decimals(share, words):
     assert prose.percent(share) == words
 
 
-def test_counts_have_their_thousands_apart():
+def test_counts_have_thousands_separators():
     assert count(117955) == "117 955"
 
 
 def judged(rng, quoted, outliers=0.0):
-    """The report of two catalogues whose errors are so many times as large as said, some records a second farther."""
+    """Report of two catalogues whose errors are ``quoted`` times too small, with some outliers."""
     ra, dec = rng.uniform(20, 20.5, 3000), rng.uniform(-0.25, 0.25, 3000)
     far = (rng.uniform(size=3000) < outliers) / 3600.0
     told = CatalogueOptions(sigma=0.1 / quoted)
@@ -124,25 +124,25 @@ def judged(rng, quoted, outliers=0.0):
     ("quoted", "verdict"),
     [(1.0, "as quoted"), (1.7, r"quoted 1\.[67]\d+ ± 0\.0\d+ times too small"), (0.5, "quoted too large")],
 )
-def test_the_quoted_errors_are_judged_in_plain_words(quoted, verdict):
+def test_the_quoted_errors_are_assessed_in_plain_words(quoted, verdict):
     text = judged(np.random.default_rng(6), quoted)
     assert re.search(rf"errors +{verdict}", text) and "a tail" not in text
 
 
 @pytest.mark.slow
-def test_outliers_are_a_tail_and_nothing_else():
+def test_outliers_are_reported_as_a_tail_only():
     text = " ".join(judged(np.random.default_rng(7), 1.0, outliers=0.02).split())
     assert re.search(r"errors as quoted .* a tail: [12]\.\d+ ± 0\.\d+ % of the pairs have errors about [5-9]\.", text)
 
 
-def test_columns_of_one_name_are_told_apart():
+def test_columns_of_one_name_are_distinguished():
     rng = np.random.default_rng(8)
     ra, dec, mag = rng.uniform(20, 20.5, 400), rng.uniform(-0.25, 0.25, 400), rng.uniform(9.5, 20.5, 400)
     pair = [catalogue(name, ra, dec, seed=k, mag=mag + 0.3 * k) for k, name in enumerate(("left", "right"))]
     assert "mag of left − mag of right is" in " ".join(report.report(match(*pair)).split())
 
 
-def test_chance_pairs_alone_are_called_next_to_nothing():
+def test_chance_pairs_alone_are_reported_as_hardly_any():
     rng = np.random.default_rng(9)
     pair = [
         catalogue(n, rng.uniform(20, 20.3, 2000), rng.uniform(-0.15, 0.15, 2000), sigma=0.2) for n in ("left", "right")
@@ -152,12 +152,12 @@ def test_chance_pairs_alone_are_called_next_to_nothing():
     assert "left and right have hardly any objects in common" in report.report(found)
 
 
-def test_one_record_in_each_is_no_reason_to_look_for_an_offset():
+def test_a_single_record_per_source_suggests_no_offset():
     found = match(catalogue("left", np.array([10.0]), np.zeros(1)), catalogue("right", np.array([10.0]), np.zeros(1)))
     assert len(found.result.matches) == 1 and "offset=" not in report.report(found)
 
 
-def test_errors_of_nought_are_refused_with_the_remedy():
+def test_zero_errors_are_refused_with_the_remedy():
     table = Table({"ra": [10.0, 10.1], "dec": [0.0, 0.1], "sigma_arcsec": [0.0, 0.0]})
     with pytest.raises(InputError, match=r"no error \(2\); an error of 0 counts as none: give sigma=ARCSEC"):
         match(Catalogue.of(table, "left"), Catalogue.of(table, "right"))

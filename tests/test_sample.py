@@ -1,4 +1,4 @@
-"""A sample stands for all: the same estimates, nothing lost at the borders of its cells, whatever the order of rows."""
+"""Estimates from a sample of cells agree with those from all records, with complete cells, for any row order."""
 
 import math
 from dataclasses import replace
@@ -12,7 +12,7 @@ from sameas.estimate.match import MatchTuning, match
 from sameas.estimate.sample import Sampling, Setting
 from sameas.simulate.scenes import Cap, poisson_field, sky_field
 
-#: Enough is little, so that scenes of a test are large.
+#: Small limits, so that the scenes of a test count as large.
 FEW = Sampling(enough=700, cell=100)
 
 
@@ -27,13 +27,13 @@ def setting(first, second):
 
 
 def shuffled(records, order):
-    """The same records in other rows, with the ids that they had."""
+    """The same records in the given row order, with their ids."""
     return Records.of(
         records.features[order], variance=records.covariance[order], ids=records.ids[order], space=records.space
     )
 
 
-def test_a_sample_holds_every_candidate_of_its_records_and_what_competes_with_them():
+def test_a_sample_holds_all_candidates_of_its_records_and_their_rivals():
     made = field(0)
     whole = setting(made.first, made.second)
     part = whole.sample(FEW)
@@ -52,7 +52,7 @@ def test_a_sample_holds_every_candidate_of_its_records_and_what_competes_with_th
     assert part.pairs.place_1.max() < len(part.rows[0]) and part.pairs.place_2.max() < len(part.rows[1])
 
 
-def test_small_sources_and_a_small_one_beside_a_large_are_taken_whole():
+def test_small_sources_are_taken_whole_even_next_to_a_large_one():
     made = field(1)
     some = np.arange(1000)
     poor = replace(made.first, features=made.first.features[some], covariance=made.first.covariance[some], rows=some)
@@ -60,7 +60,7 @@ def test_small_sources_and_a_small_one_beside_a_large_are_taken_whole():
     assert whole.sample(FEW) is whole
 
 
-def test_a_sample_estimates_what_all_would():
+def test_estimates_from_a_sample_agree_with_those_from_all_records():
     made = field(2)
     _, by_sample = match(made.first, made.second, sampling=FEW)
     assert max(by_sample.learned_from) < 0.3 * len(made.first)
@@ -69,12 +69,12 @@ def test_a_sample_estimates_what_all_would():
     for name in ("common", "share_1", "share_2", "error_scale"):
         some, every = by_sample.quantities[name], by_all.quantities[name]
         assert some.value == pytest.approx(every.value, abs=3 * some.standard_error)
-        # What was learned from fewer records is known less well, and says so.
+        # Fewer records give larger standard errors.
         assert some.standard_error > every.standard_error or name == "error_scale"
     assert by_sample.typical_scale == pytest.approx(1.0, abs=0.1)
 
 
-def test_the_order_of_the_rows_does_not_matter_to_a_sample():
+def test_the_row_order_does_not_change_a_sample():
     made = sky_field(
         np.random.default_rng(3), n_common=5000, n_only_1=800, n_only_2=1500, sigma_arcsec=(0.2, 0.5),
         area=Cap(30.0, 80.0, 0.2),
@@ -93,10 +93,10 @@ def test_the_order_of_the_rows_does_not_matter_to_a_sample():
     assert max(abs(said[pair] - now[pair]) for pair in said) < 1e-8
 
 
-def test_a_sample_that_misleads_is_followed_by_rounds_over_all():
+def test_after_an_unrepresentative_sample_em_runs_over_all_records():
     made = field(5, extent=75.0)
     _, believed = match(made.first, made.second, sampling=FEW)
-    # No sample is as expected.
+    # No sample is accepted.
     _, found = match(made.first, made.second, sampling=FEW, tuning=MatchTuning(max_sample_error=-1e3))
     assert max(believed.learned_from) < len(made.first)
     assert found.learned_from == (len(made.first), len(made.second)) and found.rounds > believed.rounds
@@ -104,8 +104,8 @@ def test_a_sample_that_misleads_is_followed_by_rounds_over_all():
     assert found.common == pytest.approx(true, abs=4 * math.sqrt(true) * 0.3)
 
 
-def test_a_sample_of_an_uneven_sky_does_not_mislead():
-    """In one half of the field hardly anything is common, and cells of it may be drawn by chance."""
+def test_samples_of_an_uneven_sky_are_representative():
+    """One half of the field has hardly any common objects; by chance all sampled cells may lie there."""
     made = field(6)
     keep = (made.second.features[:, 0] < 45.0) | (np.random.default_rng(7).uniform(size=len(made.second)) < 0.1)
     second = replace(

@@ -1,4 +1,4 @@
-"""Saved states come back as they were, and reading one runs nothing that it says."""
+"""Saved states round-trip, and loading one never runs code."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sameas.picture import Watch
 from sameas.saved import dumps, loads, sealed
 
 
-def test_data_come_back_as_they_were() -> None:
+def test_data_round_trip() -> None:
     records = Records.of([[0.0, 1.0]], sigma=2.0, ids=["a"])
     masked = np.ma.MaskedArray([1.0, 2.0], [True, False])
     kept = {
@@ -31,7 +31,7 @@ def test_data_come_back_as_they_were() -> None:
 
 
 class Harm:
-    """What a hostile state holds: a call, made when it is read."""
+    """A hostile object: pickle calls a function when it is loaded."""
 
     def __init__(self, function, *arguments) -> None:
         self.function, self.arguments = function, arguments
@@ -41,7 +41,7 @@ class Harm:
 
 
 def named(module: str, name: str, argument: str) -> bytes:
-    """A pickle that calls a function by its name, as no pickler of ours would write it."""
+    """A hand-written pickle that calls a function by name."""
     texts = b"".join(b"\x8c" + bytes([len(text)]) + text.encode() for text in (module, name))
     return b"\x80\x04" + texts + b"\x93\x8c" + bytes([len(argument)]) + argument.encode() + b"\x85R."
 
@@ -61,7 +61,7 @@ def test_no_call_of_a_hostile_state_is_made(module: str, name: str, tmp_path) ->
     assert mark.read_text() == "there"
 
 
-def test_what_python_would_run_is_refused() -> None:
+def test_pickled_code_is_refused() -> None:
     with pytest.raises(InputError, match="no data"):
         loads(sealed(pickle.dumps(Harm(print, "run"))), "state")
     for content in (b"", b"\x80\x05nonsense", sealed(b""), sealed(b"\x80\x05nonsense"), dumps({"a": 1})[:-3]):
@@ -69,7 +69,7 @@ def test_what_python_would_run_is_refused() -> None:
             loads(content, "state")
 
 
-def test_a_state_of_which_one_bit_is_another_is_refused() -> None:
+def test_a_state_with_one_flipped_bit_is_refused() -> None:
     content = dumps({"at": np.arange(3)})
     for byte in range(len(content)):
         damaged = bytearray(content)

@@ -1,4 +1,4 @@
-"""Scores: compared with sets counted by hand, and with probabilities whose truth is drawn from them."""
+"""Scores against explicit counts of sets, and against truths drawn from the stated probabilities."""
 
 import doctest
 import math
@@ -25,7 +25,7 @@ def as_set(pairs):
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 10_000), n1=st.integers(0, 6), n2=st.integers(0, 6))
-def test_decisions_are_counted_as_sets_count_them(seed, n1, n2):
+def test_counts_of_decisions_agree_with_set_operations(seed, n1, n2):
     rng = np.random.default_rng(seed)
     claimed, true = some_pairs(rng, n1, n2), some_pairs(rng, n1, n2)
     pairs, records = score_pairs(claimed, true), score_records(claimed, true, n1, n2)
@@ -40,14 +40,14 @@ def test_decisions_are_counted_as_sets_count_them(seed, n1, n2):
         assert pairs.f1 == pytest.approx(2 / (1 / pairs.precision + 1 / pairs.recall))
 
 
-def test_the_truth_scores_full_marks():
+def test_the_true_matches_have_perfect_scores():
     true = [3, 1], [0, 2]
     assert score_pairs(true, true).precision == score_pairs(true, true).recall == score_pairs(true, true).f1 == 1
     assert score_records(true, true, 5, 4).share_right == 1
     assert score_records(true, true, 5, 4).whole_scene_right
 
 
-def test_ratios_of_nothing_are_not_numbers():
+def test_ratios_of_zero_counts_are_nan():
     nothing = [], []
     pairs = score_pairs(nothing, nothing)
     assert all(math.isnan(x) for x in (pairs.precision, pairs.recall, pairs.f1))
@@ -57,13 +57,13 @@ def test_ratios_of_nothing_are_not_numbers():
     assert math.isnan(reliability([], []).expected_calibration_error)
 
 
-def test_candidates_that_share_records_can_be_asked_for_their_truth():
+def test_candidates_that_share_records_are_marked_true_or_false():
     asked = is_true_pair(([0, 0, 1, 7], [0, 1, 1, 3]), ([0, 2], [1, 3]))
     assert asked.tolist() == [False, True, False, False]
 
 
 @pytest.mark.parametrize("width", ["equal", "adaptive"])
-def test_honest_probabilities_are_reliable_and_dishonest_ones_are_seen(width):
+def test_reliability_accepts_calibrated_and_detects_miscalibrated_probabilities(width):
     rng = np.random.default_rng(1)
     p = rng.beta(0.3, 0.3, 20_000)
     happened = rng.uniform(size=len(p)) < p
@@ -87,14 +87,14 @@ def test_the_standard_error_is_the_scatter_of_the_observed_frequency():
     np.testing.assert_allclose(scatter, tables[0].standard_error, rtol=0.12)
 
 
-def test_adaptive_bins_hold_equally_many_and_ascend():
+def test_adaptive_bins_ascend_and_hold_equal_counts():
     p = np.random.default_rng(3).uniform(size=103) ** 4
     table = reliability(p, p > 0.5, bins=10, width="adaptive")
     assert table.count.max() - table.count.min() <= 1
     assert (np.diff(table.stated) > 0).all()
 
 
-def test_empty_bins_are_left_out_and_certainty_is_in_the_last():
+def test_empty_bins_are_omitted_and_probability_one_is_in_the_last():
     table = reliability([0.0, 1.0, 1.0 + 1e-12], [False, True, True])
     assert table.count.tolist() == [1, 2]
     assert table.deviation.tolist() == [0, 0]
@@ -112,7 +112,7 @@ def test_proper_scores_do_not_change_when_events_are_negated(seed, n):
     assert one.brier == pytest.approx(np.mean([(a - b) ** 2 for a, b in zip(p, happened, strict=True)]))
 
 
-def test_the_impossible_that_happened_scores_minus_infinity():
+def test_an_event_of_probability_zero_that_occurs_scores_minus_infinity():
     assert score_probabilities([0.0, 0.5], [True, True]).log_score == -math.inf
     assert score_probabilities([0.0, 1.0], [False, True]).log_score == 0
 
@@ -135,7 +135,7 @@ def test_the_impossible_that_happened_scores_minus_infinity():
         (lambda: reliability([0.5], [True], width="narrow"), 'give "equal" or "adaptive"'),
     ],
 )
-def test_what_cannot_be_scored_is_refused_in_words(ask, words):
+def test_invalid_scores_are_refused_with_a_clear_message(ask, words):
     with pytest.raises(InputError, match=words):
         ask()
 

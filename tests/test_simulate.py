@@ -1,4 +1,4 @@
-"""Scenes: the numbers they promise, errors as stated, no leak of the truth."""
+"""Simulated scenes have the stated counts and errors, and do not leak the truth."""
 
 import math
 from typing import Any
@@ -69,7 +69,7 @@ def test_the_same_generator_gives_the_same_scene():
     assert len(one.first) != len(other.first)
 
 
-def test_poisson_field_has_the_promised_numbers():
+def test_a_poisson_field_has_the_stated_counts():
     volume, counts = 400.0, []
     for seed in range(60):
         scene = field_scene(seed, false_1=0.5, false_2=0.25)
@@ -85,7 +85,7 @@ def test_poisson_field_has_the_promised_numbers():
     expected = volume * np.array([2 * 0.8 * 0.6, 2 * 0.8 + 0.5, 2 * 0.6 + 0.25, 0.5, 0.25])
     deviation = (np.mean(counts, axis=0) - expected) / np.sqrt(expected / 60)
     assert (np.abs(deviation) < 4).all()
-    # a Poisson count scatters as much as its mean
+    # the variance of a Poisson count is its mean
     assert (np.abs(np.var(counts, axis=0, ddof=1) / expected - 1) < 4 * math.sqrt(2 / 59)).all()
 
 
@@ -104,7 +104,7 @@ def test_sigmas_are_log_uniform_between_the_bounds():
     assert kstest(np.log(sigma / 0.05) / math.log(10), "uniform").pvalue > 1e-3
 
 
-def test_row_order_tells_nothing_of_the_truth():
+def test_the_row_order_is_independent_of_the_truth():
     sky = sky_field(np.random.default_rng(5), n_common=2000, n_only_1=500, n_only_2=500)
     for scene in (sky, field_scene(5, density=5.0, false_1=1.0, false_2=1.0)):
         rows_1, rows_2 = scene.true_pairs()
@@ -115,7 +115,7 @@ def test_row_order_tells_nothing_of_the_truth():
         np.testing.assert_array_equal(scene.first.ids, np.arange(len(scene.first)))
 
 
-def test_empty_sides_are_scenes_too():
+def test_scenes_may_have_empty_sources():
     for scene in (
         field_scene(density=0.0),
         field_scene(q1=1.0, correlated=True),
@@ -136,7 +136,7 @@ def test_neighbours_on_a_grid_differ_by_the_spacing_in_one_feature_only():
     assert {tuple(x) for x in steps.round().astype(int).tolist()} == {(i, j) for i in range(3) for j in range(4)}
 
 
-def test_a_line_is_a_grid_of_one_row_seen_with_the_stated_errors_and_misses():
+def test_a_line_is_a_grid_of_one_row_with_the_stated_errors_and_misses():
     rng, squares, seen = np.random.default_rng(1), [], 0
     for _ in range(300):
         scene = line(rng, n=5, spacing_sigmas=1.5, q1=0.3, q2=0.0, sigma_1=1.0, sigma_2=2.0, d=3)
@@ -164,13 +164,13 @@ def test_displaced_moves_by_the_distance_and_starts_in_the_direction(lon, lat, d
     moved = naive.sphere_difference(*end[0], lon, lat)
     assert np.hypot(*moved) == pytest.approx(distance, rel=1e-9, abs=1e-8)
     if abs(lat) < 89.999:
-        # The halfway direction turned back by half of θ is the direction at the start.
+        # The direction at the midpoint rotated back by half of θ is the direction at the start.
         back = naive.rotation_matrix(-naive.half_rotation(*end[0], lon, lat)) @ moved
         np.testing.assert_allclose(back, offset[0], rtol=0, atol=1e-7 * distance + 1e-8)
 
 
 @pytest.mark.parametrize("area", [WholeSky(), Cap(10, 80, 30), Cap(0, -90, 120), LonLatBox((350, 400), (-20, 70))])
-def test_areas_are_filled_evenly(area):
+def test_areas_are_filled_uniformly(area):
     drawn = area.draw(np.random.default_rng(2), 4000)
     everywhere = WholeSky().draw(np.random.default_rng(3), 40_000)
     if isinstance(area, Cap):
@@ -191,7 +191,7 @@ def test_areas_are_filled_evenly(area):
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("elliptical", [False, True])
 @pytest.mark.parametrize("area", [WholeSky(), Cap(0.0, 90.0, 0.0003)])
-def test_errors_on_the_sphere_are_as_stated_beside_the_pole_too(area, elliptical):
+def test_errors_on_the_sphere_are_as_stated_near_the_pole_too(area, elliptical):
     scene = sky_field(
         np.random.default_rng(7), n_common=3000, n_only_1=10, n_only_2=20, area=area, elliptical=elliptical
     )
@@ -209,7 +209,7 @@ def test_elliptical_errors_keep_the_mean_variance_and_lie_in_all_directions():
 
 
 def chance_candidates(scene):
-    """Mean number per record of other objects' records within 3 √(σ₁² + σ₂²), counted."""
+    """Mean number per record of other objects' records within 3 √(σ₁² + σ₂²)."""
     sigma_1, sigma_2 = (np.sqrt(s.covariance[:, 0]) for s in (scene.first, scene.second))
     one, two = (cKDTree(vectors(s.features)) for s in (scene.first, scene.second))
     reach = 3 * math.hypot(sigma_1.max(), sigma_2.max()) / ARCSEC_PER_RADIAN
@@ -219,11 +219,11 @@ def chance_candidates(scene):
 
 
 @pytest.mark.parametrize(("lam", "n"), [(0.05, 40_000), (0.5, 20_000), (2.0, 20_000), (8.0, 20_000)])
-def test_crowded_sky_has_the_promised_number_of_chance_candidates(lam, n):
+def test_a_crowded_sky_has_the_stated_number_of_chance_candidates(lam, n):
     scene = crowded_sky(np.random.default_rng(9), n, lam, centre_deg=(0.0, 90.0))
     assert len(scene.first) == len(scene.second) == n
     assert len(scene.true_pairs()[0]) == pytest.approx(n * 8 / 9, abs=1)
-    # the edge of the cap costs up to 2 %
+    # up to 2 % are lost at the edge of the cap
     tolerance = 5 * math.sqrt(lam * (1 + lam) / n)
     assert chance_candidates(scene) == pytest.approx(lam * 0.99, abs=tolerance + 0.015 * lam)
 
@@ -235,7 +235,7 @@ def test_chance_area_without_spread_of_sigma_is_the_circle_of_three_sigma():
 
 
 @pytest.mark.slow
-def test_a_million_rows_need_no_loop():
+def test_a_million_rows_are_simulated():
     scene = crowded_sky(np.random.default_rng(0), 1_000_000, 0.5)
     assert len(scene.first) == 1_000_000
 
@@ -261,6 +261,6 @@ def test_a_million_rows_need_no_loop():
         (lambda: LonLatBox((0, 10), (5, 5)), "within ±90"),
     ],
 )
-def test_what_cannot_be_simulated_is_refused_in_words(make, words):
+def test_invalid_scenes_are_refused_with_a_clear_message(make, words):
     with pytest.raises(InputError, match=words):
         make()

@@ -1,4 +1,4 @@
-"""The reach of neighbours from the data: right in size, harmless in use, and a small b is doubted."""
+"""The box b of neighbours estimated from the data: right in size, harmless in use; a small b raises a doubt."""
 
 import math
 
@@ -26,7 +26,7 @@ SCENES = {
 
 
 def share_right(scenes, reaches, q):
-    """Share of the records that are decided rightly with the b of each scene."""
+    """Share of correctly decided records with the given b of each scene."""
     right = total = 0
     for scene, b in zip(scenes, reaches, strict=True):
         rule = CloseObjects(1.1 * SIGMA, tuple(np.broadcast_to(b, 2)))
@@ -40,7 +40,7 @@ def share_right(scenes, reaches, q):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
-def test_decisions_with_the_estimated_reach_are_as_right_as_with_the_true_one(name):
+def test_decisions_with_the_estimated_reach_are_as_accurate_as_with_the_true_one(name):
     make, spacing_sigmas, q = SCENES[name]
     scenes = [make(np.random.default_rng([1, k])) for k in range(150)]
     scenes = [scene for scene in scenes if max(len(scene.first), len(scene.second)) >= 2]
@@ -49,18 +49,18 @@ def test_decisions_with_the_estimated_reach_are_as_right_as_with_the_true_one(na
     known = share_right(scenes, [true] * len(scenes), q)
     assert estimated > known - 0.02
     if name == "line, half missed":
-        # What is at stake: a b at the inner box, and one three times too large.
+        # For comparison: b equal to the inner box, and b three times too large.
         assert share_right(scenes, [1.12 * SIGMA] * len(scenes), q) < known - 0.2
         assert share_right(scenes, [3 * true] * len(scenes), q) > known - 0.05
 
 
 @pytest.mark.parametrize("d", [4.0, 8.0])
-def test_a_line_and_a_grid_give_back_their_spacing(d):
+def test_the_spacing_of_a_line_and_a_grid_is_recovered(d):
     rng = np.random.default_rng(2)
     distance = d * SIGMA
     grids = grid(rng, shape=(20, 20), spacing_sigmas=d, q1=0.0, q2=0.0)
     spacing = estimate_reach(grids.first, grids.second)
-    # Choosing the nearest of four takes some errors off the distance.
+    # The nearest of four neighbours is biased to small distances.
     assert np.all((spacing.neighbour > (1 - 1.3 / d) * distance) & (spacing.neighbour < 1.05 * distance))
     np.testing.assert_allclose(spacing.b, 2 * spacing.neighbour)
     np.testing.assert_allclose(spacing.a, 1.1 * SIGMA)
@@ -81,7 +81,7 @@ def test_a_poisson_field_gives_its_root_mean_square_neighbour():
     assert np.all((spacing.error > 0.002) & (spacing.error < 0.05))
 
 
-def test_the_stated_error_is_that_of_many_scenes():
+def test_the_standard_error_agrees_with_the_scatter_over_scenes():
     rng = np.random.default_rng(4)
     found = [
         estimate_reach(scene.first, scene.second)
@@ -95,8 +95,8 @@ def test_the_stated_error_is_that_of_many_scenes():
     assert np.all((stated > 0.5 * scatter) & (stated < 1.3 * scatter))
 
 
-def test_the_errors_of_a_source_are_taken_off():
-    # Couples far from all others: nothing is chosen, so the distance comes back whatever the errors.
+def test_measurement_errors_are_subtracted():
+    # Isolated couples: no choice among neighbours, so the distance is recovered for any errors.
     rng = np.random.default_rng(5)
     angle, centre = rng.uniform(0, 2 * np.pi, 2000), np.arange(2000)[:, None] * [200.0, 0.0]
     half = 4.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -120,7 +120,7 @@ def test_features_have_scales_of_their_own():
         np.testing.assert_allclose(getattr(scaled, name), getattr(plain, name) * [1.0, 1000.0], rtol=1e-9)
 
 
-def test_directions_and_periods_are_measured_across_their_seams():
+def test_directions_and_periodic_features_wrap():
     rng = np.random.default_rng(7)
     sky = sky_field(rng, n_common=200, n_only_1=0, n_only_2=0, sigma_arcsec=0.1, area=Cap(0.0, 89.999, 0.005))
     spacing = estimate_reach(sky.first, sky.second)
@@ -130,7 +130,7 @@ def test_directions_and_periods_are_measured_across_their_seams():
     np.testing.assert_allclose(estimate_reach(ring, ring).neighbour, 30.0, rtol=1e-3)
 
 
-def test_a_reach_that_is_too_small_is_doubted_in_words_and_one_that_is_large_is_not():
+def test_a_small_reach_raises_a_doubt_and_a_large_one_does_not():
     rng = np.random.default_rng(8)
     scene = line(rng, n=60, spacing_sigmas=6.0, q1=0.1, q2=0.1)
     spacing = estimate_reach(scene.first, scene.second)
@@ -141,7 +141,7 @@ def test_a_reach_that_is_too_small_is_doubted_in_words_and_one_that_is_large_is_
         assert spacing.doubt(b) == ""
 
 
-def test_errors_that_explain_the_distances_leave_the_least_reach_and_no_doubt():
+def test_distances_explained_by_errors_give_the_least_reach_without_doubt():
     rng = np.random.default_rng(9)
     heap = Records.of(rng.normal(0, 1.0, (30, 2)), sigma=1.0)
     spacing = estimate_reach(heap, heap)
@@ -149,7 +149,7 @@ def test_errors_that_explain_the_distances_leave_the_least_reach_and_no_doubt():
     assert np.all(spacing.neighbour == 0.0) and np.isinf(spacing.error).all() and spacing.doubt(0.1) == ""
 
 
-def test_one_source_alone_may_know_the_neighbours():
+def test_one_source_alone_may_give_the_reach():
     one = Records.of([[0.0, 0.0]], sigma=1.0, source="ais")
     two = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=1.0, source="radar")
     spacing = estimate_reach(one, two)
@@ -161,7 +161,7 @@ def test_one_source_alone_may_know_the_neighbours():
         estimate_reach(one, one)
 
 
-def test_the_sources_may_be_given_either_way_round():
+def test_the_order_of_the_sources_does_not_matter():
     rng = np.random.default_rng(10)
     scene = grid(rng, shape=(4, 4), spacing_sigmas=3.0, q1=0.3, q2=0.1, sigma_2=0.5)
     one, other = estimate_reach(scene.first, scene.second), estimate_reach(scene.second, scene.first)

@@ -1,4 +1,4 @@
-"""GOSPA: hand examples, every assignment looked at, and refusals."""
+"""GOSPA: hand examples, exhaustive search over assignments, and refusals."""
 
 import itertools
 
@@ -10,7 +10,7 @@ from sameas.score.picture import gospa, nearest_match
 
 
 def by_definition(found, true, cutoff, order):
-    """The metric to the order, by looking at every one-to-one set of pairs, straight from the definition."""
+    """The metric to the power ``order``, minimised over all one-to-one sets of pairs (definition)."""
     if len(found) > len(true):
         found, true = true, found
     best = np.inf
@@ -29,7 +29,7 @@ def test_a_hand_example():
 
 
 @pytest.mark.parametrize("order", [1.0, 2.0, 3.5])
-def test_it_is_the_least_over_all_assignments(order):
+def test_gospa_is_the_minimum_over_all_assignments(order):
     rng = np.random.default_rng(1)
     for _ in range(40):
         n, m, d = rng.integers(0, 6), rng.integers(0, 6), rng.integers(1, 4)
@@ -38,14 +38,14 @@ def test_it_is_the_least_over_all_assignments(order):
         assert gospa(found, true, cutoff=1.7, order=order).distance ** order == pytest.approx(due, abs=1e-9)
 
 
-def test_nothing_found_and_nothing_there():
+def test_empty_sets():
     nothing = np.empty((0, 2))
     assert gospa(nothing, nothing, cutoff=1.0).distance == 0.0
     assert gospa(nothing, [[0.0, 0.0]], cutoff=2.0).distance == pytest.approx(np.sqrt(2.0))
     assert gospa([[0.0, 0.0]], nothing, cutoff=2.0).false == 1
 
 
-def test_it_is_a_metric():
+def test_gospa_is_a_metric():
     rng = np.random.default_rng(2)
     for _ in range(30):
         a, b, c = (rng.normal(0, 2, (rng.integers(0, 5), 2)) for _ in range(3))
@@ -55,7 +55,7 @@ def test_it_is_a_metric():
     assert gospa(a, a, cutoff=2.0).distance == 0.0
 
 
-def test_pictures_far_apart_are_matched_as_if_alone():
+def test_distant_clusters_are_matched_independently():
     rng = np.random.default_rng(3)
     pictures = [(rng.normal(0, 2, (5, 2)), rng.normal(0, 2, (4, 2))) for _ in range(6)]
     far = np.arange(6)[:, None, None] * np.array([1000.0, 0.0])

@@ -1,4 +1,4 @@
-"""The tail of the errors: none where all are too small alike, else its share within its error."""
+"""The tail of the errors: none if all errors are too small by one factor, otherwise its share within its error."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from sameas.simulate.scenes import poisson_field
 
 
 def found(seed, *, share, times, quoted=1.0):
-    """The tail of a match of which a ``share`` of the first source's records errs so many times as much as said."""
+    """The estimated tail if a ``share`` of the first source's records has errors larger than quoted by a factor."""
     rng = np.random.default_rng(seed)
     scene = poisson_field(rng, density=2e-4, extent=(4500.0, 4500.0), q1=0.1, q2=0.1, sigma_1=0.5, sigma_2=0.05)
     far = rng.uniform(size=len(scene.first)) < share
@@ -22,7 +22,7 @@ def found(seed, *, share, times, quoted=1.0):
 
 
 @pytest.mark.parametrize("quoted", [0.6, 1.0, 1.7])
-def test_errors_that_are_all_wrong_alike_make_no_tail(quoted):
+def test_errors_all_wrong_by_one_factor_have_no_tail(quoted):
     beyond = found(1, share=0.0, times=1.0, quoted=quoted)
     assert beyond is None or beyond.share.value < 0.002
 
@@ -36,7 +36,7 @@ def test_the_share_of_the_tail_is_found_within_its_standard_error():
 
 
 @pytest.mark.slow
-def test_a_tail_is_told_beside_errors_that_are_too_small():
+def test_a_tail_is_found_on_top_of_errors_that_are_too_small():
     beyond = found(3, share=0.05, times=6.0, quoted=1.7)
     assert abs(beyond.share.value - 0.05) < 4.0 * beyond.share.standard_error
     assert 8.0 < beyond.factor < 13.0
