@@ -8,10 +8,9 @@ from scipy.sparse.csgraph import connected_components
 from sameas.gate.zones import _percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
-from sameas.kernels.intersection import weights_of_least_determinant
-from sameas.kernels.object_states import sum_of_records
+from sameas.kernels.intersection import sum_of_records, weights_of_least_determinant
+from sameas.kernels.kalman import errors_forgotten, states_moved, tracks_moved, ways_of_tracks
 from sameas.kernels.order import merge_rows
-from sameas.kernels.track_steps import errors_forgotten, states_moved, tracks_moved, ways_of_tracks
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_factors import growth
 from sameas.tracks.alignment import moved, process_noise, transition

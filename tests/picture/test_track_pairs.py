@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
-from sameas.kernels.kalman import best_others
-from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, mix, pairs_anew, pairs_stepped
+from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, best_others, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_factors import LEAST_M2, error_update
 from sameas.picture.named_tracks import prior_covariance
 

@@ -228,3 +228,20 @@ def mix(errors: FloatArray, at: IntArray, share: FloatArray, others: FloatArray)
                 for w in range(v + 1):
                     row[place] = (1.0 - s) * row[place] + s * other[place] + s * (1.0 - s) * apart[v] * apart[w]
                     place += 1
+
+
+@small
+def best_others(label: IntArray, values: FloatArray, best: IntArray) -> None:
+    """Write for every row (k,) the other row of its label with the highest value, the first of ties; −1 for none."""
+    n = 0
+    for one in label:
+        n = max(n, one + 1)
+    top, next_ = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
+    for k in range(len(label)):
+        one = label[k]
+        if top[one] < 0 or values[k] > values[top[one]]:
+            top[one], next_[one] = k, top[one]
+        elif next_[one] < 0 or values[k] > values[next_[one]]:
+            next_[one] = k
+    for k in range(len(label)):
+        best[k] = next_[label[k]] if top[label[k]] == k else top[label[k]]

@@ -29,7 +29,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
-from sameas.kernels.track_steps import errors_forgotten, tracks_moved, ways_of_tracks
+from sameas.kernels.kalman import errors_forgotten, tracks_moved, ways_of_tracks
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan

@@ -37,8 +37,7 @@ from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
-from sameas.kernels.kalman import best_others
-from sameas.kernels.track_pairs import WIDTH, mix, pairs_anew, pairs_stepped
+from sameas.kernels.track_pairs import WIDTH, best_others, mix, pairs_anew, pairs_stepped
 from sameas.picture.error_factors import LEAST_M2, ErrorCorrelation
 from sameas.picture.named_tracks import Step
 from sameas.picture.object_table import ColumnTable

@@ -38,7 +38,7 @@ from sameas.errors import InputError
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, mahalanobis_sq, symmetric
 from sameas.kernels.compiled import runs_compiled
-from sameas.kernels.track_steps import states_moved
+from sameas.kernels.kalman import states_moved
 from sameas.many.observations import Part
 from sameas.ragged import Ragged
 from sameas.representation import counted
