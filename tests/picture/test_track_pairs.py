@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
-from sameas.kernels.track_pairs import CONVOY, COVARIANCE, MEAN, ONE, WIDTH, best_others, mix, pairs_anew, pairs_stepped
-from sameas.picture.error_factors import LEAST_M2, error_update
+from sameas.kernels.track_pairs import (
+    CONVOY,
+    COVARIANCE,
+    MEAN,
+    ONE,
+    WIDTH,
+    best_others,
+    mix,
+    new_pair_errors,
+    pairs_stepped,
+)
+from sameas.picture.error_factors import MIN_M2, error_update
 from sameas.picture.named_tracks import prior_covariance
 
 WAYS = ("interpreted", "compiled")
@@ -61,7 +71,7 @@ def stepped(mean, covariance, rows, a, b, step, total):
     last, moved, drift, slopes, noise, shifts, new = step
     mean, covariance, k = mean[rows], covariance[rows], len(rows)
     went = (moved[a] - moved[b]) - (last[a] - last[b])
-    gain = drift[a] @ inverse(drift[a] + drift[b] + 1e-4 * LEAST_M2 * np.eye(2))
+    gain = drift[a] @ inverse(drift[a] + drift[b] + 1e-4 * MIN_M2 * np.eye(2))
     mean[..., :2] += np.einsum("kvw,kw->kv", gain, went)[:, None]
     covariance[..., :2, :2] += symmetric(drift[a] - gain @ drift[a])[:, None]
     mean, covariance = mean.reshape(2 * k, 8), covariance.reshape(2 * k, 8, 8)
@@ -105,7 +115,7 @@ def test_pairs_go_through_an_instant_as_the_formulas_say(rng, way):
     delta = rng.standard_normal((n, 2))
     errors = np.empty((n, WIDTH))
     given = delta, total[a], total[b], 0.3 * root[a], 0.5 * root[b]
-    getattr(pairs_anew, way)(*given, errors)
+    getattr(new_pair_errors, way)(*given, errors)
     mean, covariance = unpacked(errors)
     for ours, theirs in zip((mean, covariance), without_past(given[0], given[1:3], given[3:]), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-10)
@@ -114,7 +124,7 @@ def test_pairs_go_through_an_instant_as_the_formulas_say(rng, way):
     out = [np.empty((len(rows), *shape)) for shape in ((WIDTH,), (2,), (), ())]
     last, moved, drift, slope, noise, shift, _ = step
     getattr(pairs_stepped, way)(
-        errors[:12], errors[12:], rows, a, b, last, moved, drift, slope, noise, shift, new, total, LEAST_M2, *out
+        errors[:12], errors[12:], rows, a, b, last, moved, drift, slope, noise, shift, new, total, MIN_M2, *out
     )
     after = stepped(mean, covariance, rows, a, b, step, total)
     for ours, theirs in zip((*unpacked(out[0]), *out[1:]), after, strict=True):

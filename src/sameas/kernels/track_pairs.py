@@ -25,7 +25,7 @@ WIDTH = COVARIANCE[1] + CONVOY * (CONVOY + 1) // 2
 
 @small
 def pairs_stepped(
-    errors: FloatArray, met: FloatArray, rows: IntArray, first: IntArray, second: IntArray, last: FloatArray,
+    errors: FloatArray, added_errors: FloatArray, rows: IntArray, first: IntArray, second: IntArray, last: FloatArray,
     moved: FloatArray, drift: FloatArray, slope: FloatArray, noise: FloatArray, shift: FloatArray,
     new_report: BoolArray, total: FloatArray, added_m2: float, new_errors: FloatArray, log_reports: FloatArray,
     now: FloatArray, chi_sq: FloatArray,
@@ -33,9 +33,9 @@ def pairs_stepped(
     """Write the errors of pairs of tracks after an instant: predicted by the tracks' motion, then updated by the new
     report of the first track and by that of the second.
 
-    errors, met : (n, WIDTH), (m, WIDTH) of old and new pairs. rows : (k,) the pairs that continue, rows of both arrays
-    concatenated. first, second : (k,) their tracks, rows of the step, whose columns are ``last`` … ``new_report``
-    (:class:`sameas.picture.named_tracks.Step`). total : (m, 2, 2) covariance of each track's position at the instant.
+    errors, added_errors : (n, WIDTH), (m, WIDTH) of old and new pairs. rows : (k,) the pairs that continue, rows of
+    both arrays concatenated. first, second : (k,) their tracks, rows of the step, whose columns are ``last`` …
+    ``new_report`` (:class:`sameas.picture.named_tracks.Step`). total : (m, 2, 2) covariance of each track's position.
     added_m2 : added variance that keeps certain steps invertible. new_errors : (k, WIDTH). log_reports : (k, 2) ln p of
     the reports under both hypotheses. now, chi_sq : (k,) ln N(δ; 0, P_a + P_b) and its χ².
     """
@@ -44,7 +44,7 @@ def pairs_stepped(
     mean_two, covariance_two = np.empty(CONVOY), np.empty((CONVOY, CONVOY))
     for k in range(len(rows)):
         a, b = first[k], second[k]
-        row = errors[rows[k]] if rows[k] < len(errors) else met[rows[k] - len(errors)]
+        row = errors[rows[k]] if rows[k] < len(errors) else added_errors[rows[k] - len(errors)]
         _unpacked(row, MEAN[0], COVARIANCE[0], mean_one, covariance_one)
         _unpacked(row, MEAN[1], COVARIANCE[1], mean_two, covariance_two)
         x, y = moved[a, 0] - moved[b, 0], moved[a, 1] - moved[b, 1]
@@ -168,7 +168,7 @@ def _update(
 
 
 @small
-def pairs_anew(
+def new_pair_errors(
     delta: FloatArray, covariance_a: FloatArray, covariance_b: FloatArray, lasting_a: FloatArray,
     lasting_b: FloatArray, errors: FloatArray,
 ) -> None:  # fmt: skip

@@ -64,7 +64,7 @@ from sameas.tracks.alignment import moved
 from sameas.tracks.kinds import KINDS
 
 #: Smallest variance of a step, m²: keeps the covariance of a step without errors invertible.
-LEAST_M2 = 1e-6
+MIN_M2 = 1e-6
 
 
 def error_update(
@@ -76,7 +76,7 @@ def error_update(
     slope, noise : (k, 2, d), (k, 2, 2) H and the covariance of n. shift : (k, 2) ν.
     """
     out = np.empty(mean.shape), np.empty(covariance.shape), np.empty(len(mean)), np.empty(len(mean))
-    update_in_plane(mean, covariance, slope, noise + LEAST_M2 * np.eye(2), shift, *out)
+    update_in_plane(mean, covariance, slope, noise + MIN_M2 * np.eye(2), shift, *out)
     return out
 
 
@@ -194,7 +194,7 @@ class ErrorCorrelation:
         source, elapsed_s, shift, motion = source[steady], elapsed_s[steady], shift[steady], motion[steady]
         total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
         log_p = np.empty((len(source), len(CORRELATIONS)))
-        correlated_shifts(shift, total, common, motion, CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p)
+        correlated_shifts(shift, total, common, motion, CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p)
         return self._with_evidence(source, elapsed_s, log_p, tuning)
 
     def with_sure_pairs(
@@ -222,7 +222,7 @@ class ErrorCorrelation:
             common = CORRELATIONS[:, None, None, None] * reported[own] + mean_rho[other] * reported[other]
             slope = common @ precision
             innovation = differences[1] - np.einsum("cnvw,nw->cnv", slope, differences[0])
-            log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + LEAST_M2 * np.eye(2)).T
+            log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + MIN_M2 * np.eye(2)).T
             out = out._with_evidence(sources[own], elapsed_s, log_p, tuning)
         return out
 
@@ -327,7 +327,7 @@ class ErrorFactors:
         log_p = np.empty((len(sq) * 2 * n, len(CORRELATIONS)))
         correlated_shifts(
             np.tile(shift, (2 * len(sq), 1)), (total + fixed).reshape(-1, 2, 2), common.reshape(-1, 2, 2),
-            np.tile(scaled, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), LEAST_M2, log_p,
+            np.tile(scaled, (len(sq), 1, 1)), CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p,
         )  # fmt: skip
         both_cases = log_p.reshape(len(sq), 2, n, len(CORRELATIONS)).transpose(0, 2, 1, 3).reshape(len(sq), n, -1)
         # Half weight: each report enters two successive residuals.
@@ -444,8 +444,8 @@ def _log_density(
         sq[:, None] * one[:, v, w, None, None] + sq * other[:, v, w, None, None] + motion[:, v, w, None, None]
         for v, w in ((0, 0), (0, 1), (1, 1))
     )
-    xx, yy = xx + LEAST_M2, yy + LEAST_M2
-    det = np.maximum(xx * yy - xy**2, LEAST_M2**2)
+    xx, yy = xx + MIN_M2, yy + MIN_M2
+    det = np.maximum(xx * yy - xy**2, MIN_M2**2)
     x, y = delta[:, 0, None, None], delta[:, 1, None, None]
     chi_sq = (yy * x**2 - 2.0 * xy * x * y + xx * y**2) / det
     inflated = tuning.factor_outlier**2

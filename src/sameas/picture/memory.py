@@ -331,7 +331,7 @@ class Past:
         chi_sq = DEFAULT_TUNING.manoeuvre_chi_sq if tracks.scan is None else tracks.scan.tuning.manoeuvre_chi_sq
         agrees = track_pairs.chi_sq <= chi_sq
         # With an agreeing rival, ids may have been swapped: the mean offset may mix several objects.
-        alone = rivals.most_other(np.where(agrees, 0.0, -np.inf)) < 0.0
+        alone = rivals.max_other(np.where(agrees, 0.0, -np.inf)) < 0.0
         log_ratio += np.where(alone, track_pairs.log_offset, 0.0)
         return rivals.bounded(log_ratio, agrees, self.reassigned)
 

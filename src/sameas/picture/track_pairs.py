@@ -37,8 +37,8 @@ from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
-from sameas.kernels.track_pairs import WIDTH, best_others, mix, pairs_anew, pairs_stepped
-from sameas.picture.error_factors import LEAST_M2, ErrorCorrelation
+from sameas.kernels.track_pairs import WIDTH, best_others, mix, new_pair_errors, pairs_stepped
+from sameas.picture.error_factors import MIN_M2, ErrorCorrelation
 from sameas.picture.named_tracks import Step
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
@@ -167,7 +167,7 @@ class TrackPairs(ColumnTable):
         return np.asarray(places_in(keys(self.first, self.second), keys(first, second)) >= 0)
 
     def with_(self, others: TrackPairs) -> TrackPairs:
-        """The table with new pairs; pairs that were distant before have the ln r of then."""
+        """The table with new pairs; pairs that were distant before keep their previous ln r."""
         if not len(others):
             return self
         log_ratio, distant = self.distant.without(others.first, others.second)
@@ -183,7 +183,7 @@ class TrackPairs(ColumnTable):
     ) -> tuple[TrackPairs, SwapRates]:
         """The pairs after a step, if both tracks are in it, and the updated swap rates.
 
-        ln r leaves out the present positions (``log_now`` is subtracted), so that the evidence of the instant can be
+        ln r excludes the present positions (``log_now`` is subtracted), so that the evidence of the instant can be
         added. With probability ε = ``reassigned`` a report is of another object than that of its id:
         x ← ln[(1−ε) eˣ + ε e^(best)]. best is the larger of two: ln r of the best rival, and the case that the id went
         to any other object, ln of the probability of the report of an object anywhere (``per_m2``) relative to that by
@@ -225,7 +225,7 @@ class TrackPairs(ColumnTable):
         errors, log_reports, log_now, chi_sq = np.empty((k, WIDTH)), np.empty((k, 2)), np.empty(k), np.empty(k)
         pairs_stepped(
             self.errors, self.new_errors, self.row[rows], a, b, step.last, step.moved, step.drift, step.slope,
-            step.noise, step.shift, step.new_report, step.covariance, LEAST_M2, errors, log_reports, log_now, chi_sq,
+            step.noise, step.shift, step.new_report, step.covariance, MIN_M2, errors, log_reports, log_now, chi_sq,
         )  # fmt: skip
         log_one, log_in_convoy = log_reports.T
         log_independent, log_convoy = step.log_own[a] + step.log_own[b], self.log_convoy[rows]
@@ -257,7 +257,7 @@ class TrackPairs(ColumnTable):
         """
         new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
         agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
-        best_rival = rivals.most_other(np.where(agrees, self.log_ratio, -np.inf))
+        best_rival = rivals.max_other(np.where(agrees, self.log_ratio, -np.inf))
         best = np.maximum(best_rival, step.log_elsewhere(tracks, log_density_anywhere))
         log_same = np.log1p(-reassigned - swapped[1].sum(axis=1)) + self.log_ratio
         # ln r is bounded, so its exponential cannot overflow.
@@ -294,7 +294,7 @@ class TrackPairs(ColumnTable):
         out.n_offsets[due] += 1
         out.offset[due] += (step.here[a[due]] - step.here[b[due]] - out.offset[due]) / out.n_offsets[due, None]
         out.offset_s[due], out.offset_new[due] = step.instant_s, False
-        covariance = LEAST_M2 * np.eye(2) + sum(
+        covariance = MIN_M2 * np.eye(2) + sum(
             correlation.of_mean(step.source[track], tuning.lasting_s, out.n_offsets[due], tuning)[:, None, None]
             * step.reported[track]
             for track in (a[due], b[due])
@@ -346,7 +346,7 @@ def _swap_hypotheses(
 
     After a swap the pair has the rival's ``log_weight``, and its new report agrees with the other track rather than
     with the prediction of its own: the subtracted term is ``log_two`` less that of the other track's report. Leaving
-    either out would excuse a rival whose last report was an outlier, and inflate the estimated swap rates.
+    out either would favour a rival whose last report was an outlier, and inflate the estimated swap rates.
     """
     rival, (log_report, p_swap) = np.full((len(log_weight), 2), -1), np.zeros((2, len(log_weight), 2))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
@@ -370,7 +370,7 @@ def _without_history(
 ) -> FloatArray:
     """(k, WIDTH) errors of pairs given only δ = e_a − e_b + d of the instant."""
     out = np.empty((len(delta), WIDTH))
-    pairs_anew(delta, *covariances, *lasting, out)
+    new_pair_errors(delta, *covariances, *lasting, out)
     return out
 
 
@@ -395,7 +395,7 @@ class Rivals:
         best_others(self.sides[side], values, best)
         return best
 
-    def most_other(self, values: FloatArray) -> FloatArray:
+    def max_other(self, values: FloatArray) -> FloatArray:
         """(k,) the highest value of any rival of each pair; −∞ without one."""
         padded = np.append(values, -np.inf)
         best = [padded[self.best_other(values, side)] for side in range(2)]
@@ -454,11 +454,11 @@ class SwapRates:
         swap: tuple[IntArray, FloatArray, FloatArray], rivals: Rivals, sources: tuple[IntArray, IntArray],
         limits: tuple[float, float], tuning: Tuning,
     ) -> tuple[FloatArray, SwapRates]:  # fmt: skip
-        """ln r of pairs for every rate after new reports, (k, r), and the rates.
+        """ln r of pairs for every rate after new reports, (k, r), and the updated rates.
 
-        A swap of near objects shows in no single report, but in many after it. So each rate has its own ln r of every
-        pair, and is as probable as these predict the reports: p(reports) of a set of pairs is the sum of its weights,
-        that of no pair included, over the sum before.
+        A swap of near objects is not evident from one report, only from many later ones. So ln r of every pair is kept
+        for each rate, and the likelihood of a rate is the probability of the reports given its ln r: for a set of
+        pairs, the sum of their weights, including that of no pair, divided by the sum before the reports.
 
         before : (k, r), (k,) ln r for every rate, and ln N of the positions of the last reports. gain, log_now : (k,)
         what the new reports add to ln r without swaps, and ln N of the present positions. swap : of
@@ -467,7 +467,7 @@ class SwapRates:
         """
         log_ratio, log_reported = before
         out, log_probable = log_ratio + gain[:, None], self.log_probable.copy()
-        at = np.flatnonzero((swap[2] > LEAST_SWAP).any(axis=1))
+        at = np.flatnonzero((swap[2] > MIN_SWAP).any(axis=1))
         if not len(at):
             return out, self
         (rival, log_report, p_swap), now = (part[at] for part in swap), log_now[at, None]
@@ -475,7 +475,7 @@ class SwapRates:
         stays, p_stays = out[at] + now, np.ones((len(at), len(tuning.swap_rates)))
         weights, rates = [], np.array(tuning.swap_rates)
         for side in range(2):
-            # Sources that name themselves never swap.
+            # Self-named sources (AIS, ADS-B) never swap ids.
             possible = np.isfinite(log_probable[sources[side][at]])
             p = np.minimum(np.where(possible, rates, rates.min()) * p_swap[:, side, None], 0.4)
             p_stays -= p
@@ -484,7 +484,7 @@ class SwapRates:
         log_after = np.logaddexp(np.log(p_stays) + stays, np.logaddexp(*weights))
         bound = math.log((1.0 - limits[0]) / limits[0])
         out[at] = np.clip(log_after - now, -2.0 * bound, bound)
-        # Both tracks of another source see the same swap.
+        # The sets of both tracks of the other source contain the same swap.
         share = 0.5
         for side in range(2):
             _, first, label = np.unique(rivals.sides[side][at], return_index=True, return_inverse=True)
@@ -493,8 +493,8 @@ class SwapRates:
         return out, SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
 
 
-#: Swaps that are less probable than this for h = 1 are not counted.
-LEAST_SWAP = 1e-3
+#: Minimum probability, for h = 1, of a swap that is counted.
+MIN_SWAP = 1e-3
 
 
 def _log_sums(label: IntArray, values: FloatArray, least: float) -> FloatArray:

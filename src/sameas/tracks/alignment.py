@@ -18,7 +18,7 @@ jump shifts all tracks at once by the same time; a manoeuvre or an outlier affec
 once: for sources with track ids that report positions only, or positions more precise than their velocities (AIS,
 ADS-B, radar plots with track numbers). One pass in order of time gives each report the state from all reports of its
 track up to it. The covariance is checked by NIS: the mean normalised innovation squared is the dimension where noise
-and motion are described correctly. :func:`measures_anew` decides whether reports are unfiltered plots or already
+and motion are described correctly. :func:`are_unfiltered` decides whether reports are unfiltered plots or already
 smoothed.
 """
 
@@ -420,7 +420,7 @@ def follow(
     return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
 
 
-def measures_anew(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning = DEFAULT_TUNING) -> bool:
+def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning = DEFAULT_TUNING) -> bool:
     """Whether the reports of a source with track ids are independent measurements, not smoothed by a tracker.
 
     Independent measurements scatter by their stated errors, and their NIS has a χ² distribution with two degrees of

@@ -18,7 +18,7 @@ from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
 from sameas.representation import counted, in_short
-from sameas.tracks.alignment import States, Succession, follow, measures_anew, with_minutes
+from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, with_minutes
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import split_duplicate_ids
@@ -356,8 +356,8 @@ def need_filtering(placed: PlacedReports) -> bool:
     """Whether the reports have object ids but are unfiltered measurements, to be filtered to tracks.
 
     True for reports without velocities, for the plots of ASTERIX 048, and for other reports with velocities if they
-    scatter like single measurements (:func:`sameas.tracks.alignment.measures_anew`). ARPA targets and tracks of another
-    system are already smoothed; satellite positions with velocities need no filter.
+    scatter like single measurements (:func:`sameas.tracks.alignment.are_unfiltered`). ARPA targets and tracks of
+    another system are already smoothed; satellite positions with velocities need no filter.
     """
     description, reports = placed.description, placed.reports
     smoothed = reports.kind == "arpa" or description.kind == "tracks"
@@ -369,7 +369,7 @@ def need_filtering(placed: PlacedReports) -> bool:
     if description.kind in CORRELATED_KINDS:
         return False
     states = placed.in_plane
-    return isinstance(states, States) and measures_anew(
+    return isinstance(states, States) and are_unfiltered(
         states, acceleration_m2_per_s3=walk_of(description), tuning=placed.tuning
     )
 

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
 from sameas.kernels.order import merge_rows
-from sameas.tracks.alignment import States, Succession, follow, measures_anew
+from sameas.tracks.alignment import States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import Branches
@@ -261,7 +261,7 @@ class GrowingFeed:
         rows, taken = self._rows, np.flatnonzero(self._rows.taken)
         if len(taken) > self.tuning.measured_fewest + len(np.unique(rows.number[taken])):
             measured = States(rows.time_s, rows.measured, rows.measured_covariance, rows.number, np.arange(len(rows)))
-            self.to_tracks = measures_anew(
+            self.to_tracks = are_unfiltered(
                 measured.take(taken), acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning
             )
 
