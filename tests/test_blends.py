@@ -9,7 +9,15 @@ import pytest
 from sameas import Records, match
 from sameas.errors import InputError
 from sameas.estimate.blends import BlendTuning as Tuning
-from sameas.estimate.blends import Merging, Shown, candidates_of, find_blends, hypotheses, log_odds_of, suspected
+from sameas.estimate.blends import (
+    DetectionOdds,
+    Merging,
+    candidates_of,
+    find_blends,
+    hypotheses,
+    log_odds_of,
+    suspected_blends,
+)
 from sameas.estimate.match import match as estimated
 from sameas.evidence import Errors
 from sameas.simulate.surveys import blended_field
@@ -74,7 +82,7 @@ def test_probabilities_are_the_sums_over_all_hypotheses(seed):
     first, second, flux = small(rng)
     tuning = Tuning(min_log_odds=-np.inf, max_hypotheses=1e9)
     found = candidates_of(first, second, RESOLUTION, Errors(), flux, tuning)
-    shown = Shown(Merging.of(found.couples, found.blended, 4, tuning.max_ways), SHARE)
+    shown = DetectionOdds(Merging.of(found.couples, found.blended, 4, tuning.max_mergers), SHARE)
     log_density, log_odds = log_odds_of(found, shown, np.ones(1), np.full(3, ALONE))
     summed = hypotheses(found, log_density, log_odds, shown, 3, tuning)
     due = all_hypotheses(first.features, second.features, flux)
@@ -151,12 +159,14 @@ def test_a_match_says_which_of_its_records_are_blends():
 def test_residuals_that_point_to_a_neighbour_suggest_blends(seed):
     made = blended_field(np.random.default_rng([13, seed]), objects=1_500)
     answer, estimate = estimated(made.first, made.second)
-    number, within, sigmas = suspected(answer, estimate.errors, estimate.coverage, 0)
+    number, within, sigmas = suspected_blends(answer, estimate.errors, estimate.coverage, 0)
     assert number > 20 and 3.0 < within < 12.0 and sigmas > 10.0
     # With many pairs only a sample is tested.
-    fewer, _, _ = suspected(answer, estimate.errors, estimate.coverage, 0, Tuning(max_pairs=len(answer.pairs) // 5))
+    fewer, _, _ = suspected_blends(
+        answer, estimate.errors, estimate.coverage, 0, Tuning(max_pairs=len(answer.pairs) // 5)
+    )
     assert fewer < number
-    assert suspected(answer, estimate.errors, estimate.coverage, 1) is None
+    assert suspected_blends(answer, estimate.errors, estimate.coverage, 1) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -164,4 +174,4 @@ def test_neighbours_without_shifted_residuals_suggest_no_blends(seed):
     made = blended_field(np.random.default_rng([14, seed]), objects=1_500, resolution_arcsec=0.01)
     answer, estimate = estimated(made.first, made.second)
     for coarse in (0, 1):
-        assert suspected(answer, estimate.errors, estimate.coverage, coarse) is None
+        assert suspected_blends(answer, estimate.errors, estimate.coverage, coarse) is None

@@ -1,15 +1,16 @@
 """Blends: one record of a coarse source may be two objects of a fine one (METHOD 11.3).
 
 Two objects of the fine source (2) at separation s give one record of the coarse source (1) with probability B(s), which
-is 1 at s = 0 and ½ at the resolution; otherwise each is shown separately. Couples (two objects near each other) merge
-or not in order of separation, and no object merges twice. With c the probability that the coarse source shows an object
-or a merged couple, and ρ₁ its density of other records, the weight of a hypothesis relative to the one without partners
-is
+is 1 at s = 0 and ½ at the resolution; otherwise they are detected separately. Couples (two objects near each other)
+merge or not in order of separation, and no object merges twice. With c the probability that the coarse source detects
+an object or a merged couple, and ρ₁ its density of other records, the weight of a hypothesis relative to the one
+without partners is
 
     Π N(x_i − x_j; Σ) / ρ₁  Π N(x_i − w x_j − (1 − w) x_k; Σ) / ρ₁  Q(hypothesis) / Q(nothing)
 
-over its records of one object and of two. Q = Σ P(M) c^shown (1 − c)^(units − shown) over the sets M of merged couples
-that contain the hypothesis' couples and none of its single objects. Units are merged couples and unmerged objects; w is
+over its records of one object and of two. Q = Σ P(M) cⁿ (1 − c)^(units − n) over the sets M of merged couples that
+contain the hypothesis' couples and none of its single objects, n its number of both. Units are merged couples and
+unmerged objects; w is
 j's share of the flux, or averaged over 0 to 1 without fluxes. Hypotheses of a group are summed exactly: every record of
 the coarse source has no partner, one, or two, and no object is assigned twice. c, ρ₁ and the shares of the error
 scales are estimated from the result by iteration.
@@ -41,18 +42,18 @@ class BlendTuning:
     Attributes
     ----------
     steepness : B(s) = exp(−ln 2 · (s/resolution)^steepness).
-    reach : greatest separation of a blend, in resolutions.
-    gate_sigmas, tail_sigmas : greatest distance of a partner from its expected position, in typical standard
-        deviations, and in those of the widest scale of the errors; the latter at most a resolution.
+    reach : maximum separation of a blend, in resolutions.
+    gate_sigmas, tail_sigmas : maximum distance of a partner from its expected position, in typical standard
+        deviations, and in those of the largest error scale; the latter at most a resolution.
     flux_shares : number of shares w that are averaged over without fluxes.
-    max_ways : sets of merged couples of a cluster; with more, the widest couples never merge.
-    min_log_odds : candidates of smaller ln odds against no partner are dropped.
+    max_mergers : maximum number of sets of merged couples of a cluster; with more, the widest couples never merge.
+    min_log_odds : minimum ln odds of a candidate against no partner.
     max_hypotheses : of a group; with more, its least probable candidates are dropped.
-    max_pairs, min_sigmas, max_sigmas : for the test whether the coarse source shows two objects as one: greatest number
-        of pairs, and range of the distance of their unmatched neighbours: least one in standard deviations of the pair,
-        greatest one in those of the typical pair (less where more than one would be there by chance).
-    min_neighbours, min_significance : of such neighbours, and of the offset of residuals towards them, in standard
-        errors.
+    max_pairs, min_sigmas, max_sigmas : for the test for blends: maximum number of pairs, and range of the distance of
+        their unmatched neighbours: the minimum in standard deviations of the pair, the maximum in those of the typical
+        pair (less if more than one chance neighbour is expected).
+    min_neighbours, min_significance : minimum number of such neighbours, and minimum offset of residuals towards them,
+        in standard errors.
     max_iterations, tolerance : of the estimation, and the change of c at convergence.
     min_share : lower limit of c, and of 1 − c.
     """
@@ -62,7 +63,7 @@ class BlendTuning:
     gate_sigmas: float = 6.4
     tail_sigmas: float = 3.0
     flux_shares: int = 9
-    max_ways: int = 1_000
+    max_mergers: int = 1_000
     min_log_odds: float = math.log(1e-6)
     max_hypotheses: float = 1e4
     max_pairs: int = 5_000
@@ -97,7 +98,7 @@ class Candidates:
     blended: FloatArray
 
     def part(self, kept: BoolArray) -> Candidates:
-        """Some of the candidates."""
+        """The candidates of a mask (o,)."""
         return replace(
             self, i=self.i[kept], j=self.j[kept], k=self.k[kept], log_density=self.log_density[kept],
             couple=self.couple[kept],
@@ -113,10 +114,10 @@ class Blends:
     ----------
     partner, other : (n₁,) records of source 2 in the most probable hypothesis of each group, and the second one of a
         blend; masked where there is none.
-    p_match : (n₁,) probability of that answer (no partner, where masked). p_blend : (n₁,) probability that the record
+    p_match : (n₁,) probability of that answer (of no partner if masked). p_blend : (n₁,) probability that the record
         is two objects, of any couple.
     candidates, p : (o,) candidates and their probabilities.
-    share : c, the probability that the coarse source shows an object. shares : of the error scales.
+    share : c, the probability that the coarse source detects an object. shares : of the error scales.
     exact : (n₁,) whether all candidates of the record's group were summed.
     """
 
@@ -150,13 +151,13 @@ def find_blends(
         record of the coarse source.
     errors : distribution of the residuals, as estimated by :func:`sameas.estimate.match.match`.
     flux : (n₂,) of the fine source's records in the coarse source's band; NaN where unknown.
-    coverage : of both, if known already.
+    coverage : of both; estimated if None.
 
     Raises
     ------
     InputError : a resolution that is not positive, fluxes that are not one above 0 per record.
 
-    Source: METHOD 11.3, with the probability that neither object of a couple is shown included.
+    Source: METHOD 11.3, including the probability that neither object of a couple is detected.
 
     >>> rng = np.random.default_rng(3)
     >>> fine = rng.uniform(0.0, 100.0, (60, 2))
@@ -176,36 +177,36 @@ def find_blends(
     n1, n2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
     density = coverage.covered_densities[0][0]
     all_candidates = candidates_of(first, second, resolution, errors, flux, tuning)
-    merging = Merging.of(all_candidates.couples, all_candidates.blended, len(second), tuning.max_ways)
-    share, alone, shares = 0.5, 0.5, np.asarray(errors.shares)
+    merging = Merging.of(all_candidates.couples, all_candidates.blended, len(second), tuning.max_mergers)
+    share, share_unmatched, shares = 0.5, 0.5, np.asarray(errors.shares)
     for _ in range(tuning.max_iterations):
-        shown_with = Shown(merging, share)
-        log_density, log_odds = log_odds_of(all_candidates, shown_with, shares, density * alone)
+        detection = DetectionOdds(merging, share)
+        log_density, log_odds = log_odds_of(all_candidates, detection, shares, density * share_unmatched)
         kept = log_odds > tuning.min_log_odds
         candidates = all_candidates.part(kept)
-        solution = hypotheses(candidates, log_density[kept], log_odds[kept], shown_with, len(first), tuning)
-        shown, two = float(solution.p.sum()), float(solution.p[candidates.k >= 0].sum())
+        solution = hypotheses(candidates, log_density[kept], log_odds[kept], detection, len(first), tuning)
+        n_detected, two = float(solution.p.sum()), float(solution.p[candidates.k >= 0].sum())
         previous = share
-        # A share c of the merged couples is shown; each merged couple is one unit less.
+        # A share c of the merged couples is detected; each merged couple reduces the number of units by one.
         units = max(n2 - two / share, 1.0)
-        share = float(np.clip((shown + 0.5) / (units + 1.0), tuning.min_share, 1.0 - tuning.min_share))
-        alone = min(max(1.0 - shown / n1, tuning.min_share), 1.0)
+        share = float(np.clip((n_detected + 0.5) / (units + 1.0), tuning.min_share, 1.0 - tuning.min_share))
+        share_unmatched = min(max(1.0 - n_detected / n1, tuning.min_share), 1.0)
         log_n = candidates.log_density
         part = shares * np.exp(log_n - log_n.max(axis=1, keepdims=True, initial=-np.inf))
-        shares = (solution.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (shown + 1.0)
+        shares = (solution.p @ (part / part.sum(axis=1, keepdims=True)) + shares) / (n_detected + 1.0)
         if abs(share - previous) < tuning.tolerance:
             break
     return _to_blends(candidates, solution, len(first), share, shares)
 
 
-def suspected(
+def suspected_blends(
     answer: Identification, errors: Errors, coverage: Coverage, coarse: int, tuning: BlendTuning = DEFAULT_BLENDS
 ) -> tuple[int, float, float] | None:
-    """Whether source ``coarse`` (0 or 1) seems to show two objects of the other as one; None if it does not.
+    """Evidence that records of source ``coarse`` (0 or 1) are blends of two objects of the other; None without any.
 
-    Returns the number of pairs whose fine record has an unmatched neighbour, the greatest distance of these neighbours,
-    and the significance, in standard errors, of the offset of residuals towards them. A record of two objects lies
-    between them; residuals of one object have no preferred side.
+    Returned are the number of pairs whose fine record has an unmatched neighbour, the maximum distance of these
+    neighbours, and the significance, in standard errors, of the offset of residuals towards them. A blend lies between
+    its two objects; residuals of single objects have no preferred side.
     """
     fine = (answer.second, answer.first)[coarse]
     chosen = np.flatnonzero(answer.chosen)
@@ -213,20 +214,20 @@ def suspected(
     if len(chosen) < tuning.min_neighbours:
         return None
     rows = ((answer.pairs.j, answer.pairs.i)[coarse])[answer.chosen]
-    alone = np.ones(len(fine), np.bool_)
-    alone[rows] = False
-    some = errors.pairs(answer.pairs.part(chosen))
-    own = (some.j, some.i)[coarse]
-    without = np.flatnonzero(alone)
-    if len(without) < tuning.min_neighbours:
+    is_unmatched = np.ones(len(fine), np.bool_)
+    is_unmatched[rows] = False
+    sampled_pairs = errors.pairs(answer.pairs.part(chosen))
+    own = (sampled_pairs.j, sampled_pairs.i)[coarse]
+    unmatched_rows = np.flatnonzero(is_unmatched)
+    if len(unmatched_rows) < tuning.min_neighbours:
         return None
     # Towards the coarse record, on the axes of the pair.
-    toward = some.residual if coarse == 0 else -some.residual
-    sigma = np.sqrt(np.einsum("mdd->m", some.covariance) / some.d)
-    spacing = math.sqrt(coverage.common_volume / (math.pi * len(without)))
+    toward = sampled_pairs.residual if coarse == 0 else -sampled_pairs.residual
+    sigma = np.sqrt(np.einsum("mdd->m", sampled_pairs.covariance) / sampled_pairs.d)
+    spacing = math.sqrt(coverage.common_volume / (math.pi * len(unmatched_rows)))
     reach = min(tuning.max_sigmas * float(np.median(sigma)), spacing)
-    here, there = (fine.part(at.astype(np.int64)).with_errors(0.0, 0.5) for at in (own, without))
-    near = Radius(reach)(here, there)
+    own_records, unmatched = (fine.part(at.astype(np.int64)).with_errors(0.0, 0.5) for at in (own, unmatched_rows))
+    near = Radius(reach)(own_records, unmatched)
     # The residual of two fine records is the first minus the second, so the direction to the neighbour is its negative.
     separation = np.sqrt((near.residual**2).sum(axis=1))
     order = np.lexsort((separation, near.i))
@@ -252,11 +253,11 @@ def candidates_of(
     """All candidates of records of the coarse source, one object or two."""
     by_model = errors.records(first, second)
     sigma = math.sqrt(sum(float(np.einsum("ndd->nd", one.full_covariance()).max()) for one in by_model))
-    in_tail = min(sigma * tuning.tail_sigmas * max(errors.scales), resolution)
-    off = max(sigma * tuning.gate_sigmas * errors.typical_scale, in_tail)
+    tail_reach = min(sigma * tuning.tail_sigmas * max(errors.scales), resolution)
+    max_offset = max(sigma * tuning.gate_sigmas * errors.typical_scale, tail_reach)
     greatest_separation = tuning.reach * resolution
     alike = [records.with_errors(0.0, 0.5) for records in (first, second)]
-    near = Radius(greatest_separation + off)(*alike).of(*by_model)
+    near = Radius(greatest_separation + max_offset)(*alike).of(*by_model)
     order = np.lexsort((near.j, near.i))
     i, j, residual = near.i[order].astype(np.int64), near.j[order].astype(np.int64), near.residual[order]
     covariance = near.covariance[order]
@@ -307,73 +308,70 @@ Couple = tuple[int, int]
 @in_short
 @dataclass(frozen=True)
 class Merging:
-    """The ways in which objects of the fine source may merge, two by two. Make it with :meth:`Merging.of`.
+    """The possible mergers of objects of the fine source, in couples. :meth:`Merging.of` makes it.
 
-    cluster : (n₂,) of each object; objects of one cluster may merge, directly or through others. couples : (q, 2).
-    sizes : number of objects in each cluster. ways : for each cluster of several objects, the probability of every way,
-    the merged couples, and their objects.
+    cluster : (n₂,) of each object: connected by couples. couples : (q, 2). sizes : number of objects in each cluster.
+    mergers : for each cluster of several objects, the probability of every set of merged couples, the couples, and
+    their objects.
     """
 
     cluster: IntArray
     couples: list[Couple]
     sizes: IntArray
-    ways: dict[int, list[tuple[float, frozenset[Couple], frozenset[int]]]]
+    mergers: dict[int, list[tuple[float, frozenset[Couple], frozenset[int]]]]
 
     @classmethod
-    def of(cls, couples: IntArray, blended: FloatArray, n2: int, most: int) -> Merging:
-        """From couples (q, 2) of n₂ objects with merging probabilities (q,); at most ``most`` ways per cluster."""
+    def of(cls, couples: IntArray, blended: FloatArray, n2: int, max_mergers: int) -> Merging:
+        """From couples (q, 2) of n₂ objects with merging probabilities (q,)."""
         cluster = _components(couples[:, 0], couples[:, 1], n2)
         of_cluster: dict[int, list[tuple[float, Couple]]] = {}
-        named = [(int(j), int(k)) for j, k in couples]
+        pairs = [(int(j), int(k)) for j, k in couples]
         for at in np.argsort(-blended, kind="stable"):
-            of_cluster.setdefault(int(cluster[named[at][0]]), []).append((float(blended[at]), named[at]))
-        ways = {each: _ways(nearest_first, most) for each, nearest_first in of_cluster.items()}
-        return cls(cluster, named, np.bincount(cluster), ways)
+            of_cluster.setdefault(int(cluster[pairs[at][0]]), []).append((float(blended[at]), pairs[at]))
+        mergers = {each: _mergers(nearest_first, max_mergers) for each, nearest_first in of_cluster.items()}
+        return cls(cluster, pairs, np.bincount(cluster), mergers)
 
 
-def _ways(
-    nearest_first: list[tuple[float, Couple]], most: int
+def _mergers(
+    nearest_first: list[tuple[float, Couple]], max_mergers: int
 ) -> list[tuple[float, frozenset[Couple], frozenset[int]]]:
-    """All ways in which couples merge or not, with probabilities, starting with the nearest couple."""
-    ways: list[tuple[float, frozenset[Couple], frozenset[int]]] = [(1.0, frozenset(), frozenset())]
+    """All sets of couples that may merge, with probabilities, from the nearest couple on."""
+    mergers: list[tuple[float, frozenset[Couple], frozenset[int]]] = [(1.0, frozenset(), frozenset())]
     for b, couple in nearest_first:
         longer = []
-        for p, merged, objects in ways:
+        for p, merged, objects in mergers:
             if couple[0] in objects or couple[1] in objects:
                 longer.append((p, merged, objects))
                 continue
             longer.append((p * (1.0 - b), merged, objects))
             longer.append((p * b, merged | {couple}, objects | set(couple)))
-        if len(longer) > most:
+        if len(longer) > max_mergers:
             break
-        ways = longer
-    return [way for way in ways if way[0] > 0.0]
+        mergers = longer
+    return [merger for merger in mergers if merger[0] > 0.0]
 
 
-class Shown:
-    """The probability that given objects and couples are shown, and no others, if each is with probability c.
-
-    merging : ways in which couples may have merged. share : c.
-    """
+class DetectionOdds:
+    """Odds that the given objects and couples are detected, and no others, with detection probability c = ``share``."""
 
     def __init__(self, merging: Merging, share: float) -> None:
-        self.merging, self._shown, self._missed = merging, share, 1.0 - share
+        self.merging, self._p_detected, self._p_missed = merging, share, 1.0 - share
         self._cache: dict[tuple[int, frozenset[Couple], frozenset[int]], float] = {}
 
     def log_ratio(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
-        """ln of the probability that these couples and single objects of a cluster are shown, over that of none."""
+        """ln of the probability that these couples and single objects of a cluster are detected, over that of none."""
         none = self._probability(cluster, frozenset(), frozenset())
-        shown = self._probability(cluster, couples, single) / none
-        return math.log(shown) if shown > 0.0 else -math.inf
+        ratio = self._probability(cluster, couples, single) / none
+        return math.log(ratio) if ratio > 0.0 else -math.inf
 
     def _probability(self, cluster: int, couples: frozenset[Couple], single: frozenset[int]) -> float:
         key = cluster, couples, single
         if key not in self._cache:
-            size, shown = int(self.merging.sizes[cluster]), len(couples) + len(single)
-            ways = self.merging.ways.get(cluster, [(1.0, frozenset(), frozenset())])
+            size, n_detected = int(self.merging.sizes[cluster]), len(couples) + len(single)
+            mergers = self.merging.mergers.get(cluster, [(1.0, frozenset(), frozenset())])
             self._cache[key] = sum(
-                p * self._shown**shown * self._missed ** (size - len(merged) - shown)
-                for p, merged, objects in ways
+                p * self._p_detected**n_detected * self._p_missed ** (size - len(merged) - n_detected)
+                for p, merged, objects in mergers
                 if couples <= merged and not (single & objects)
             )
         return self._cache[key]
@@ -392,18 +390,18 @@ class Shown:
 
 
 def log_odds_of(
-    candidates: Candidates, shown: Shown, shares: FloatArray, alone: FloatArray
+    candidates: Candidates, detection: DetectionOdds, shares: FloatArray, rho: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """(o,) ln of N / ρ₁ of each candidate, and (o,) ln of its odds against no partner if no other record has one.
 
-    shares : (s,) of the error scales. alone : (n₁,) density ρ₁ of coarse records without a partner.
+    shares : (s,) of the error scales. rho : (n₁,) density ρ₁ of coarse records without a partner.
     """
     with np.errstate(divide="ignore"):
-        log_density = np.logaddexp.reduce(candidates.log_density + np.log(shares), axis=1) - np.log(alone[candidates.i])
+        log_density = np.logaddexp.reduce(candidates.log_density + np.log(shares), axis=1) - np.log(rho[candidates.i])
     objects, at = np.unique(candidates.j[candidates.k < 0], return_inverse=True)
     log_odds = np.empty(len(log_density))
-    log_odds[candidates.k < 0] = np.array(shown.of_all([([j], []) for j in objects.tolist()]))[at]
-    couples = np.array(shown.of_all([([], [couple]) for couple in shown.merging.couples]))
+    log_odds[candidates.k < 0] = np.array(detection.of_all([([j], []) for j in objects.tolist()]))[at]
+    couples = np.array(detection.of_all([([], [couple]) for couple in detection.merging.couples]))
     if len(couples):
         log_odds[candidates.k >= 0] = couples[candidates.couple[candidates.k >= 0]]
     return log_density, log_density + log_odds
@@ -423,7 +421,7 @@ def hypotheses(
     candidates: Candidates,
     log_density: FloatArray,
     log_odds: FloatArray,
-    shown: Shown,
+    detection: DetectionOdds,
     n1: int,
     tuning: BlendTuning = DEFAULT_BLENDS,
 ) -> Summed:
@@ -434,7 +432,7 @@ def hypotheses(
     p, chosen, exact = np.zeros(len(log_odds)), np.zeros(len(log_odds), np.bool_), np.ones(n1, np.bool_)
     if not len(log_odds):
         return Summed(p, chosen, exact)
-    group = _groups(candidates, n1, shown.merging.cluster)
+    group = _groups(candidates, n1, detection.merging.cluster)
     order = np.lexsort((candidates.i, group))
     for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
         i = candidates.i[rows]
@@ -450,7 +448,7 @@ def hypotheses(
             rows = rows[log_odds[rows] > least]
             i = candidates.i[rows]
         exact[i] = np.isneginf(least)
-        p[rows], chosen[rows] = _enumerate(candidates, rows, log_density[rows], shown)
+        p[rows], chosen[rows] = _enumerate(candidates, rows, log_density[rows], detection)
     return Summed(p, chosen, exact)
 
 
@@ -470,7 +468,7 @@ def _components(one: IntArray, other: IntArray, n: int) -> IntArray:
 
 
 def _enumerate(
-    candidates: Candidates, rows: IntArray, log_density: FloatArray, shown: Shown
+    candidates: Candidates, rows: IntArray, log_density: FloatArray, detection: DetectionOdds
 ) -> tuple[FloatArray, BoolArray]:
     """Probabilities of the candidates ``rows`` of one group, and which are in its most probable hypothesis."""
     options: dict[int, list[int]] = {}
@@ -478,30 +476,30 @@ def _enumerate(
         options.setdefault(int(candidates.i[row]), []).append(place)
     j, k = candidates.j[rows].tolist(), candidates.k[rows].tolist()
 
-    def assignments(level: int, taken: frozenset[int]) -> Iterator[tuple[int, ...]]:
+    def assignments(level: int, assigned: frozenset[int]) -> Iterator[tuple[int, ...]]:
         """All assignments of candidates to the records from ``level`` on, without the objects ``taken``."""
         if level == len(lists):
             yield ()
             return
-        yield from assignments(level + 1, taken)
+        yield from assignments(level + 1, assigned)
         for place in lists[level]:
             one, two = j[place], k[place]
-            if one in taken or two in taken:
+            if one in assigned or two in assigned:
                 continue
-            for others in assignments(level + 1, taken | ({one} if two < 0 else {one, two})):
+            for others in assignments(level + 1, assigned | ({one} if two < 0 else {one, two})):
                 yield (place, *others)
 
     lists = list(options.values())
-    ways = list(assignments(0, frozenset()))
-    sets = [([j[at] for at in way if k[at] < 0], [(j[at], k[at]) for at in way if k[at] >= 0]) for way in ways]
-    weight = np.array(shown.of_all(sets)) + [float(sum(log_density[at] for at in way)) for way in ways]
+    solutions = list(assignments(0, frozenset()))
+    sets = [([j[at] for at in each if k[at] < 0], [(j[at], k[at]) for at in each if k[at] >= 0]) for each in solutions]
+    weight = np.array(detection.of_all(sets)) + [float(sum(log_density[at] for at in each)) for each in solutions]
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     p = np.zeros(len(rows))
-    for share, places in zip(weight, ways, strict=True):
+    for share, places in zip(weight, solutions, strict=True):
         p[list(places)] += share
     chosen = np.zeros(len(rows), np.bool_)
-    chosen[list(ways[int(np.argmax(weight))])] = True
+    chosen[list(solutions[int(np.argmax(weight))])] = True
     return p, chosen
 
 

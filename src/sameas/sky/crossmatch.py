@@ -15,7 +15,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, Message, naming
-from sameas.estimate.blends import suspected
+from sameas.estimate.blends import suspected_blends
 from sameas.estimate.companions import close_neighbours
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
@@ -424,7 +424,7 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
     """A doubt about one-to-one matching if records of one catalogue seem to be blends of two of the other."""
     doubts = []
     for coarse, fine in ((result.first, result.second), (result.second, result.first)):
-        blends = suspected(result, estimate.errors, estimate.coverage, 0 if coarse is result.first else 1)
+        blends = suspected_blends(result, estimate.errors, estimate.coverage, 0 if coarse is result.first else 1)
         if blends is not None:
             count, within, sigmas = blends
             one, other = coarse.source, fine.source
