@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, reading
+from sameas.report.explain import source_numbers, texts_of
 from sameas.report.prose import entry, moment
-from sameas.report.written import source_numbers, texts_of
 from sameas.representation import count
 from sameas.result.explanation import probability_text
 
@@ -113,7 +113,7 @@ def _of_table(
     kind: str, table: Table, facts: Mapping[str, Any], record: str, number: int, source: int | str, by_row: bool
 ) -> Iterable[str]:
     """The explanation of a record from the table alone. number : of its catalogue. source : as given by the user."""
-    from sameas.report.written import frame_lines, many_lines, match_lines
+    from sameas.report.explain import frame_lines, many_lines, match_lines
 
     if kind == "match":
         return (*_either(match_lines, table, facts, record, number, by_row), "", ALONE)
@@ -214,7 +214,7 @@ def _of_other(record: str, name: str, other: int) -> InputError:
 
 def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None) -> list[str]:
     from sameas.io.sensors.clock import instant
-    from sameas.report.written import picture_lines
+    from sameas.report.explain import picture_lines
 
     objects, records = picture_tables(folder)
     when = None if at is None else float(at) if _is_number(at) else instant(str(at))

@@ -217,7 +217,7 @@ class MatchPicture:
         ------
         InputError : no such object, record or time.
         """
-        from sameas.report.written import picture_lines
+        from sameas.report.explain import picture_lines
 
         when = None if at is None else _time(at, "at", self.scene.span_s)
         return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when)))

@@ -1,16 +1,35 @@
-"""The explanation of one record, as ``sameas explain`` prints it."""
+"""The explanation of one record, as ``sameas explain`` prints it: from a match, or from an output file alone.
+
+An output of a match of two or several catalogues, a frame or a picture has the answer, its probability, the most
+probable alternative, and the competing records. The terms of the odds are not in the tables; :func:`explanation_lines`
+takes them from a match, which may be a repeated one.
+"""
 
 from __future__ import annotations
 
+import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sameas.report.prose import WIDTH, entry
-from sameas.result.explanation import Competitor, Explanation, probability_text
-from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import SkyMatch
+from sameas.arrays import BoolArray, IntArray
+from sameas.errors import InputError
+from sameas.report.prose import WIDTH, entry, moment
+from sameas.representation import count
+from sameas.result.explanation import probability_text
+
+if TYPE_CHECKING:
+    from astropy.table import Table
+
+    from sameas.result.explanation import Competitor, Explanation
+    from sameas.sky.catalogue import Catalogue
+    from sameas.sky.crossmatch import SkyMatch
+
+#: Number of competing records that are listed (chosen).
+LISTED = 8
 
 
 def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) -> list[str]:
@@ -38,7 +57,7 @@ def explanation_lines(match: SkyMatch, explanation: Explanation, source: int) ->
         "",
         f"Answers ({other.name}{when}), and the factor each costs in the group's probability",
     ]
-    lines += _answers(explanation.competitors, other)
+    lines += _repeated_answers(explanation.competitors, other)
     return lines + _next_best(explanation)
 
 
@@ -53,7 +72,7 @@ def _next_best(explanation: Explanation) -> list[str]:
     return ["", *textwrap.wrap(words, WIDTH, break_long_words=False, break_on_hyphens=False)]
 
 
-def _answers(competitors: Sequence[Competitor], other: Catalogue) -> list[str]:
+def _repeated_answers(competitors: Sequence[Competitor], other: Catalogue) -> list[str]:
     ids = ["no partner" if c.id is None else str(c.id) for c in competitors]
     wide = max(map(len, ids))
     lines = [
@@ -103,3 +122,307 @@ def _brightness(catalogue: Catalogue, row: int) -> str:
     if catalogue.magnitude is None or not np.isfinite(catalogue.magnitude[row]):
         return "not known"
     return f"{catalogue.magnitude_name} {catalogue.magnitude[row]:.2f}"
+
+
+def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
+    """One record of a match of two catalogues. facts : provenance. record : its id, or its row. source : 1 or 2.
+
+    Raises
+    ------
+    InputError : no such record in the table.
+    """
+    rows = _found(table, facts, record, source, by_row)
+    names = [facts["name_1"], facts["name_2"]]
+    mine, other = names[source - 1], names[2 - source]
+    best = rows[_first_chosen(table, rows)]
+    words = _called(table, facts, best, source)
+    if _is_absent(table, "p_none", best) and _is_absent(table, "p_match", best):
+        return [f"{mine} {words} could not be used", *_where(table, facts, best, source)]
+    partner = None if _is_absent(table, "p_match", best) else _called(table, facts, best, 3 - source)
+    p = _value(table, "p_none" if partner is None else "p_match", best)
+    who = "has no partner" if partner is None else f"is {other} {partner}"
+    lines = [f"{mine} {words} {who}, probability {probability_text(float(p))}", *_where(table, facts, best, source)]
+    if partner is None and not _value(table, "n_within", best):
+        covered = bool(_value(table, "covered", best))
+        return [*lines, *entry("candidates", "none" if covered else f"none: {other} does not cover that place")]
+    lines += entry("candidates", f"{count(_value(table, 'n_within', best))} within the gate")
+    lines += ["", f"Answers ({other})"]
+    lines += _answers(table, facts, rows, best, source)
+    rivals = _group(table, best, "group_id")
+    details = [_pair(table, facts, int(row), names) for row in rivals if row not in rows]
+    return [*lines, *_competing(details)]
+
+
+def _answers(table: Table, facts: Mapping[str, Any], rows: IntArray, best: int, source: int) -> list[str]:
+    """The candidates that the table names, and "no partner"."""
+    answers: dict[str, tuple[float, str]] = {}
+    for row in rows.tolist():
+        if not _is_absent(table, "p_match", row):
+            east, north = (_value(table, name, row) for name in ("dx_arcsec", "dy_arcsec"))
+            details = f"{_value(table, 'sep_arcsec', row):.3f} arcsec ({east:+.3f} east, {north:+.3f} north), "
+            details += f"{_value(table, 'mahalanobis', row):.2f} σ, ln odds {_value(table, 'log_odds', row):+.2f}"
+            answers[_called(table, facts, row, 3 - source)] = float(_value(table, "p_match", row)), details
+    second = _value(table, "id_second", best)
+    mine = not _is_absent(table, facts.get(f"id_column_{source}") or f"ra_column_{source}", best)
+    if second is not None and mine and source == _side_of(table, facts, best):
+        answers.setdefault(str(second), (float(_value(table, "p_second", best)), "the most probable other candidate"))
+    if (alone := _value(table, "p_none", best)) is not None and source == _side_of(table, facts, best):
+        answers["no partner"] = float(alone), ""
+    wide = max(map(len, answers))
+    order = sorted(answers.items(), key=lambda answer: -answer[1][0])
+    return [f"    {name:{wide}}  {probability_text(p):>10}  {details}".rstrip() for name, (p, details) in order]
+
+
+def _side_of(table: Table, facts: Mapping[str, Any], row: int) -> int:
+    """The catalogue to which p_none and id_second of a row refer: the first, unless the row has no record of it."""
+    return 2 if _is_absent(table, facts.get("ra_column_1") or "", row) else 1
+
+
+def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
+    """One record of several catalogues, and its object. source : number of its catalogue, from 1."""
+    row = int(_found(table, facts, record, source, by_row)[0])
+    sources = source_numbers(facts)
+
+    def members(at: int) -> list[str]:
+        return [f"{facts[f'name_{k}']} {_called(table, facts, at, k)}" for k in sources
+                if not _is_absent(table, facts.get(f"ra_column_{k}") or "", at)]  # fmt: skip
+
+    mine = f"{facts[f'name_{source}']} {_called(table, facts, row, source)}"
+    if _is_absent(table, "p_object", row):
+        return [f"{mine} could not be used", *_where(table, facts, row, source)]
+    others = [name for name in members(row) if name != mine]
+    who = f"is {' = '.join(others)}" if others else "has no partner in any catalogue"
+    p = float(_value(table, "p_object", row))
+    lines = [f"{mine} {who}, probability {probability_text(p)}", *_where(table, facts, row, source)]
+    if (chi_sq := _value(table, "chi_sq", row)) is not None:
+        free = 2 * (len(members(row)) - 1)
+        lines += entry("residuals", f"χ² {chi_sq:.2f} of {free} degrees of freedom, by the quoted errors")
+    if (second := _value(table, "runner_up", row)) is not None:
+        lines += entry(
+            "next best", f"{second}, probability {probability_text(float(_value(table, 'p_runner_up', row)))}"
+        )
+    rivals = [int(other) for other in _group(table, row, "group_id") if other != row]
+    return lines + _competing(
+        [f"{' = '.join(members(other))}, probability {probability_text(float(_value(table, 'p_object', other)))}"
+         for other in rivals]
+    )  # fmt: skip
+
+
+def frame_lines(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool = False) -> list[str]:
+    """One measurement (source 1) or star (source 2) of a frame. facts : provenance."""
+    column = "measurement" if source == 1 else "star"
+    rows = np.array([int(record)]) if by_row else np.flatnonzero(texts_of(table[column]) == record.strip())
+    if not len(rows) or not 0 <= rows[0] < len(table):
+        listed = ", ".join(texts_of(table[column])[:3])
+        raise InputError(f"{facts['frame']} has no {column} {record}; its first are {listed}")
+    row = int(rows[0])
+    fate, star, number = (_value(table, name, row) for name in ("fate", "star", "measurement"))
+    mine = f"{facts['catalogue']} {star}" if number is None else f"measurement {number}"
+    lines = [f"{mine} is {'a star that is ' * (fate == 'missing')}{fate}"]
+    if fate == "identified":
+        lines = [f"measurement {number} is {facts['catalogue']} {star}, "
+                 f"probability {probability_text(float(_value(table, 'p_match', row)))}"]  # fmt: skip
+        off = f"{_value(table, 'residual_x_px', row):+.2f}, {_value(table, 'residual_y_px', row):+.2f} px"
+        east, north = (_value(table, f"residual_{axis}_arcsec", row) for axis in ("east", "north"))
+        far = f"{_value(table, 'distance_sigma', row):.2f} σ"
+        lines += entry("measured − predicted", f"{off}; {east:+.3f}″ east, {north:+.3f}″ north; {far}")
+    lines += entry("position", f"x {_value(table, 'x_px', row):.2f}, y {_value(table, 'y_px', row):.2f} px")
+    magnitudes = [f"{words} {_value(table, name, row):.2f}" for name, words in
+                  (("magnitude", "measured"), ("star_magnitude", "in the catalogue"))
+                  if _value(table, name, row) is not None]  # fmt: skip
+    lines += entry("magnitude", ", ".join(magnitudes)) if magnitudes else []
+    if (alone := _value(table, "p_none", row)) is not None:
+        lines += entry("no partner", f"probability {probability_text(float(alone))}")
+    second = _value(table, "second_star" if number is not None else "second_measurement", row)
+    if second is not None:
+        lines += entry("next best", f"{second}, probability {probability_text(float(_value(table, 'p_second', row)))}")
+    if (seen := _value(table, "p_detect", row)) is not None:
+        lines += entry("completeness", f"{100 * float(seen):.0f} % at its magnitude")
+    return lines + (entry("remark", str(_value(table, "remark", row))) if _value(table, "remark", row) else [])
+
+
+def picture_lines(objects: Table, records: Table, record: str, source: str | None, at_s: float | None) -> list[str]:
+    """One object of a picture by its number or label, or, where ``source`` is named, one of its records by track, line
+    or row.
+
+    at_s : time in seconds, of which the nearest instant is used; the last instant of the object if None.
+    """
+    if source is not None:
+        at, mine, details = _record_of(records, record, source, at_s)
+        number = int(records["object"][at])
+        head = [f"{mine} is of object {number}, probability {probability_text(float(records['p_object'][at]))}; "
+                f"of no other record {probability_text(float(records['p_alone'][at]))}", *details, ""]  # fmt: skip
+        return head + _object(objects, records, number, float(records["time_s"][at]))
+    names = [name for name in ("label", "mmsi", "icao", "callsign", "name") if name in objects.colnames]
+    known = texts_of(objects["object"]) == record.strip()
+    for name in names:
+        known = known if known.any() else np.char.lower(texts_of(objects[name])) == record.strip().lower()
+    if not known.any():
+        raise InputError(f"the picture has no object {record}; give its number, label, MMSI or name")
+    when = _nearest(np.asarray(objects["time_s"])[known], at_s)
+    rows = np.flatnonzero(known & (np.asarray(objects["time_s"]) == when))
+    return _object(objects, records, int(objects["object"][rows[0]]), when)
+
+
+def _record_of(records: Table, record: str, source: str, at_s: float | None) -> tuple[int, str, list[str]]:
+    """The row in the table of records, its name, and the lines about it."""
+    ours = texts_of(records["source"]) == source
+    if not ours.any():
+        known = ", ".join(sorted(set(texts_of(records["source"]).tolist())))
+        raise InputError(f"the picture has no source {source}; it has {known}")
+    for column in ("track_id", "line", "row"):
+        named = ours & (texts_of(records[column]) == record.strip())
+        if named.any():
+            when = _nearest(np.asarray(records["time_s"])[named], at_s)
+            at = int(np.flatnonzero(named & (np.asarray(records["time_s"]) == when))[0])
+            words = {"track_id": "track", "line": "line", "row": "row"}[column]
+            age = float(records["age_s"][at])
+            return at, f"{source} {words} {record}", entry("time", f"{moment(when)}; reported {age:.0f} s before")
+    raise InputError(f"{source} has no track, line or row {record} in the picture")
+
+
+def _object(objects: Table, records: Table, number: int, when: float) -> list[str]:
+    rows = (np.asarray(objects["object"]) == number) & (np.asarray(objects["time_s"]) == when)
+    row = int(np.flatnonzero(rows)[0])
+    label = str(_value(objects, "label", row) or "")
+    lines = [f"Object {number}{f' ({label})' * bool(label)} at {moment(when)}: {_value(objects, 'stage', row)}"]
+    if _value(objects, "probability", row) is None:
+        return [*lines, *entry("records", "none now: its position is predicted from earlier reports")]
+    lines += entry("records", str(_value(objects, "members", row)))
+    lines += entry("probability", probability_text(float(_value(objects, "probability", row))))
+    if _value(objects, "p_runner_up", row) is not None and _value(objects, "runner_up", row):
+        p = probability_text(float(_value(objects, "p_runner_up", row)))
+        lines += entry("next best", f"{_value(objects, 'runner_up', row)}, probability {p}")
+    mine = (np.asarray(records["object"]) == number) & (np.asarray(records["time_s"]) == when)
+    for at in np.flatnonzero(mine).tolist():
+        track = str(_value(records, "track_id", at) or "")
+        age = f"{float(records['age_s'][at]):.0f} s old"
+        details = f"row {_value(records, 'row', at)}{f', track {track}' * bool(track)}, {age}"
+        alone = probability_text(float(records["p_alone"][at]))
+        lines += entry(f"  {_value(records, 'source', at)}", f"{details}; in no other source {alone}")
+    return lines
+
+
+def _nearest(times: NDArray[Any], at_s: float | None) -> float:
+    return float(times.max() if at_s is None else times[np.argmin(np.abs(times - at_s))])
+
+
+def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool) -> IntArray:
+    """The rows of the table with a record of a catalogue, given by its id or its row."""
+    name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
+    there = ~_absent(table[facts[f"ra_column_{source}"]])
+    if column is not None and not by_row:
+        rows = np.flatnonzero(there & (texts_of(table[column]) == record.strip()))
+        if not len(rows):
+            listed = ", ".join(texts_of(table[column])[np.flatnonzero(there)[:3]])
+            raise InputError(f"{name} has no record with the id {record} in the output; its first ids are {listed}")
+        return rows
+    number, position = _whole_number(record, name), _row_numbers(table, facts, source, there)
+    rows = np.flatnonzero(position == number)
+    if not len(rows):
+        raise InputError(f"{name} has no row {number} in the output; rows are counted from 0")
+    return rows
+
+
+def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, there: BoolArray) -> IntArray:
+    """(n,) the catalogue row of each row of the table, −1 for none; refused unless the table has them all."""
+    leading = {"all1": (1,), "1or2": (1,), "pairs": (1,), "all2": (2,)}.get(facts.get("join", ""), ())
+    ids = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
+    held = np.flatnonzero(there)
+    same = np.ones(len(held), bool)
+    same[1:] = np.any([part[held][1:] != part[held][:-1] for part in ids], axis=0)
+    number = np.full(len(table), -1)
+    number[held] = np.cumsum(same) - 1
+    if ("join" in facts and source not in leading) or number.max(initial=-1) + 1 != facts[f"rows_{source}"]:
+        raise InputError(
+            f"{facts[f'name_{source}']}: it has no ids, and the output does not hold all its rows in their order",
+            f"write it with an id, or with the join {'all2' if source == 2 else 'all1'}",
+        )
+    return number
+
+
+def _whole_number(text: str, name: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise InputError(f"{name} has no ids, so {text!r} is none of its records", "give a row, from 0") from None
+
+
+def _first_chosen(table: Table, rows: IntArray) -> int:
+    """The index, among these rows, of the answer."""
+    if "match_flag" not in table.colnames:
+        return 0
+    return int(np.argmax(np.asarray(np.ma.filled(table["match_flag"][rows], 0)) == 1))
+
+
+def _called(table: Table, facts: Mapping[str, Any], row: int, source: int) -> str:
+    column = facts.get(f"id_column_{source}")
+    if column is not None:
+        return str(_value(table, column, row))
+    at = [float(_value(table, facts[f"{role}_column_{source}"], row)) for role in ("ra", "dec")]
+    return f"at {at[0]:.6f} {at[1]:+.6f}"
+
+
+def _where(table: Table, facts: Mapping[str, Any], row: int, source: int) -> list[str]:
+    at = [_value(table, facts[f"{role}_column_{source}"], row) for role in ("ra", "dec")]
+    words = [one if isinstance(one, str) else f"{one:{sign}.6f}" for one, sign in zip(at, ("", "+"), strict=True)]
+    lines = entry("position", ", ".join(words))
+    magnitude = facts.get(f"magnitude_column_{source}")
+    if magnitude is not None and (value := _value(table, magnitude, row)) is not None:
+        lines += entry("brightness", f"{magnitude} {float(value):.2f}")
+    return lines
+
+
+def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]) -> str:
+    there = [k for k in (1, 2) if not _is_absent(table, facts[f"ra_column_{k}"], row)]
+    called = " = ".join(f"{names[k - 1]} {_called(table, facts, row, k)}" for k in there)
+    p = _value(table, "p_match" if len(there) == 2 else "p_none", row)
+    return f"{called}{' alone' * (len(there) == 1)}" + (
+        "" if p is None else f", probability {probability_text(float(p))}"
+    )
+
+
+def _group(table: Table, row: int, column: str) -> IntArray:
+    """The rows of the same group, including this one; none where the row has no group."""
+    if _is_absent(table, column, row):
+        return np.empty(0, np.int64)
+    same = np.asarray(np.ma.filled(table[column], -1)) == _value(table, column, row)
+    return np.flatnonzero(same & ~_absent(table[column]))
+
+
+def _competing(details: Sequence[str]) -> list[str]:
+    if not details:
+        return []
+    lines = ["", "Competing records", *(f"    {words}" for words in details[:LISTED])]
+    return lines + ([f"    and {count(len(details) - LISTED)} more"] if len(details) > LISTED else [])
+
+
+def source_numbers(facts: Mapping[str, Any]) -> list[int]:
+    """The numbers of the matched catalogues, from 1."""
+    return sorted(int(name.removeprefix("name_")) for name in facts if re.fullmatch(r"name_\d+", name))
+
+
+def texts_of(column: Any) -> NDArray[np.str_]:
+    """(n,) the cells of a column as stripped text; the values of masked cells are arbitrary."""
+    return np.char.strip(np.asarray(np.ma.filled(column, "" if column.dtype.kind in "USO" else 0)).astype(str))
+
+
+def _absent(column: Any) -> BoolArray:
+    absent = np.array(np.ma.getmaskarray(column), bool)
+    if column.dtype.kind == "f":  # a masked float is NaN in FITS
+        absent |= np.isnan(np.ma.getdata(column))
+    return absent
+
+
+def _is_absent(table: Table, name: str, row: int) -> bool:
+    return _value(table, name, row) is None
+
+
+def _value(table: Table, name: str, row: int) -> Any:
+    """The value of a cell; None where it is masked or the column does not exist."""
+    if name not in table.colnames:
+        return None
+    cell = table[name][row]
+    if cell is np.ma.masked or (isinstance(cell, float | np.floating) and np.isnan(cell)):
+        return None
+    return cell.item() if hasattr(cell, "item") else cell
