@@ -1,10 +1,10 @@
-"""Processes killed at random moments, full and read-only disks, two runs at once: is the output whole? And crowds.
+"""Whether outputs stay complete when commands are killed, disks are full or read-only, or two runs write at once.
 
-Every command writes over an output of an earlier run and is then hit: by SIGKILL, SIGTERM or SIGINT at a moment drawn
-over its run, every second time just after its draft has appeared. The output must be the old one or the new one, whole;
-no draft may stay (after SIGKILL: none after the next run); the exit code must say what happened; nothing but one line
-may be on stderr. The runs are forked from a process that has done the command once: to load modules takes longer than
-the work, and is not what is to be hit. Loads that nobody foresaw are in ``loads.py``.
+Every command overwrites the output of an earlier run and gets SIGKILL, SIGTERM or SIGINT at a random moment of its run,
+every second time just after its draft file has appeared. Required: the output is the complete old or the complete new
+one; no draft remains (after SIGKILL: none after the next run); the exit code names the signal; stderr has at most one
+line. The runs are forked from a process that has executed the command once, because loading the modules takes longer
+than the work and is not what is tested. ``loads.py`` has extreme inputs. ``scripts/bench faults`` (Linux).
 """
 
 from __future__ import annotations
@@ -37,49 +37,49 @@ from benchmarks.tables import Table, report
 
 COMMAND = [sys.executable, "-m", "sameas"]
 CODES = {signal.SIGKILL: -signal.SIGKILL, signal.SIGTERM: 143, signal.SIGINT: 130}
-#: Seconds of the processor, and of the clock, after which a process that another has started is an orphan: a busy
-#: machine does not let it end sooner.
+#: CPU and wall seconds after which a child of an ended process counts as an orphan; a busy machine needs that long to
+#: end it.
 ORPHANED_S, ORPHANED_CLOCK_S = 3.0, 60.0
 ENDINGS = (".fits", ".vot", ".ecsv", ".csv", ".parquet")
 
 
 @dataclass(frozen=True)
 class Work:
-    """One command: its name in the table, its arguments, those of the earlier run, and what it writes."""
+    """One command. arguments, earlier : of the tested and of the earlier run. output : file or folder written."""
 
     name: str
     arguments: tuple[str, ...]
     earlier: tuple[str, ...]
     output: Path
-    #: What a stopped run may leave of both runs whatever the signal: parts, each whole, that the next run completes.
+    #: Whether a stopped run may leave files of both runs, each complete, which the next run completes.
     resumes: bool = False
-    #: Exit codes beside those of the signals.
+    #: Allowed exit codes in addition to those of the signals.
     codes: tuple[int, ...] = (0,)
-    #: Whether it starts processes, so that it is begun anew each time: forked, it would share those of the first.
+    #: Whether it starts processes. Then each run is a new process: a fork would share those of the first run.
     starts_others: bool = False
 
     @property
     def kind(self) -> str:
-        """Its row in the table: those that differ in the format of their output share one."""
+        """Its row in the table, shared by the commands that differ in the output format only."""
         return self.name.removesuffix(f" {self.output.suffix}")
 
     def command(self, earlier: bool = False) -> list[str]:
         return [*COMMAND, *(self.earlier if earlier else self.arguments), "-o", str(self.output), "--quiet"]
 
     def done(self, earlier: bool = False) -> dict[str, str]:
-        """The files after a run that nothing disturbs."""
+        """The files after an undisturbed run."""
         done = subprocess.run(self.command(earlier), capture_output=True, text=True)
         if done.returncode:
             raise RuntimeError(f"{self.name}: {done.stderr}")
         return self.files()
 
-    def forked(self, server: Server | Begun, earlier: bool = False) -> tuple[int, str]:
-        """Exit code and stderr of a run that nothing disturbs."""
-        server.start(self.command(earlier))
-        return server.ended()
+    def undisturbed(self, runner: ForkServer | NewProcess, earlier: bool = False) -> tuple[int, str]:
+        """Exit code and stderr of an undisturbed run."""
+        runner.start(self.command(earlier))
+        return runner.wait()
 
     def files(self) -> dict[str, str]:
-        """The files of the output by name, each as a digest."""
+        """SHA-256 of the files of the output, by name."""
         folder, pattern = (self.output, "*") if self.output.is_dir() else (self.output.parent, f"{self.output.name}*")
         paths = sorted(folder.glob(pattern))
         return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in paths if not p.name.startswith(".sameas-")}
@@ -88,67 +88,67 @@ class Work:
         return list((self.output if self.output.is_dir() else self.output.parent).glob(".sameas-*"))
 
     def keep(self) -> dict[str, bytes]:
-        """What the output holds, to be put back."""
+        """The contents of the output, for ``restore``."""
         return {name: (_folder(self) / name).read_bytes() for name in self.files()}
 
     def restore(self, kept: dict[str, bytes]) -> None:
-        """Put it back, and nothing else."""
+        """Restore the output, and delete all other files in it."""
         for name in set(self.files()) - set(kept):
             (_folder(self) / name).unlink()
         for name, content in kept.items():
             (_folder(self) / name).write_bytes(content)
 
-    def fresh(self, what: str) -> Work:
-        """The work into an output that may be written: this one, where an output is replaced."""
+    def to_new_output(self, name: str) -> Work:
+        """The command with an output that it may write: the same one, if it replaces outputs."""
         return self
 
     @property
-    def fills(self) -> bool:
-        """Whether it writes files into a folder, not one file."""
+    def writes_folder(self) -> bool:
+        """Whether the output is a folder, not one file."""
         return not self.output.suffix
 
     def among_inputs(self, folder: Path) -> Work:
-        """The work on copies of its inputs in a folder; it writes among them, or over the first of them."""
-        every = self.inputs()
-        copied = [path for path in every if Path(path).is_dir()] or every
-        given = [folder / Path(path).name if Path(path).is_file() else folder for path in copied]
+        """The command on copies of its inputs in a folder, with that folder or the first input as its output."""
+        inputs = self.inputs()
+        copied = [path for path in inputs if Path(path).is_dir()] or inputs
+        copies = [folder / Path(path).name if Path(path).is_file() else folder for path in copied]
         folder.mkdir()
         for path in map(Path, copied):
             if path.is_dir():
                 shutil.copytree(path, folder, dirs_exist_ok=True)
             else:
                 shutil.copy(path, folder)
-        instead = dict(zip(copied, map(str, given), strict=True))
-        arguments = tuple(instead.get(argument, argument) for argument in self.arguments)
-        return replace(self, arguments=arguments, output=folder if self.fills else given[0])
+        renamed = dict(zip(copied, map(str, copies), strict=True))
+        arguments = tuple(renamed.get(argument, argument) for argument in self.arguments)
+        return replace(self, arguments=arguments, output=folder if self.writes_folder else copies[0])
 
     def inputs(self) -> list[str]:
-        """Those of its arguments that are files or folders."""
+        """The arguments that are files or folders."""
         return [argument for argument in self.arguments if os.path.isabs(argument) and os.path.exists(argument)]
 
     def part(self, name: str) -> str:
-        """What part of the output a file belongs to, of which all files come at once."""
+        """The part of the output that a file belongs to; the files of a part are written together."""
         return "" if not self.resumes else name.split(".")[0] if name[0] == "f" else "series"
 
     def verdict(self, now: dict[str, str], old: dict[str, str], new: dict[str, str], number: signal.Signals) -> str:
-        """Whether the output is "old", "new", or of both runs where that may be; otherwise what is wrong with it."""
+        """Whether the output is "old", "new" or, where allowed, "mixed"; otherwise what is wrong with it."""
         if now in (old, new):
             return "old" if now == old else "new"
-        whole = all(now.get(name) in (old.get(name), new.get(name)) for name in {*now, *old, *new})
-        if whole and number == signal.SIGKILL:
-            return "mixed"  # several files come one after the other
-        if self.resumes and whole:
-            names: dict[str, set[bool]] = {}
+        complete = all(now.get(name) in (old.get(name), new.get(name)) for name in {*now, *old, *new})
+        if complete and number == signal.SIGKILL:
+            return "mixed"  # several files are replaced one after another
+        if self.resumes and complete:
+            parts: dict[str, set[bool]] = {}
             for name in {*old, *new}:
                 if old.get(name) != new.get(name):
-                    names.setdefault(self.part(name), set()).add(now.get(name) == new.get(name))
-            if all(len(which) == 1 for which in names.values()):
+                    parts.setdefault(self.part(name), set()).add(now.get(name) == new.get(name))
+            if all(len(is_new) == 1 for is_new in parts.values()):
                 return "mixed"
-        return f"the output is neither: {sorted(now)}"
+        return f"the output is neither old nor new: {sorted(now)}"
 
 
 class Watch(Work):
-    """A live picture: it is whole where its journal, its archive and its state can be read, and goes on."""
+    """A live picture: complete if its journal, archive and state can be read; the next run resumes it."""
 
     def files(self) -> dict[str, str]:
         return {}
@@ -160,7 +160,7 @@ class Watch(Work):
         return {}
 
     def restore(self, kept: dict[str, bytes]) -> None:
-        """Every second run goes on where the last one was hit, the others begin anew."""
+        """About half of the runs resume the interrupted one; the others start from an empty folder."""
         if random.Random(len(list(self.output.rglob("*")))).random() < 0.5 and self.output.exists():
             shutil.rmtree(self.output)
 
@@ -177,11 +177,11 @@ class Watch(Work):
                     return "the journal is damaged"
                 tables = {row[0] for row in base.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
                 if tables >= {"identities", "objects"}:
-                    lost = base.execute(
+                    dangling = base.execute(
                         "SELECT COUNT(*) FROM identities WHERE object NOT IN (SELECT object FROM objects)"
                     )
-                    if lost.fetchone() != (0,):
-                        return "the journal has identities of no object"
+                    if dangling.fetchone() != (0,):
+                        return "the journal has identities without an object"
             for path in (self.output / "archive").glob("objects-*.parquet"):
                 parquet.read_table(path)
             state = load_state(self.output)
@@ -191,21 +191,21 @@ class Watch(Work):
 
 
 class Hats(Work):
-    """Partitions: what is there is a part of the new output, and the next run completes it to the same bytes."""
+    """Partitions: an interrupted output is a part of the new one, which the next run completes to the same bytes."""
 
     def files(self) -> dict[str, str]:
         paths = sorted(path for path in self.output.rglob("*") if path.is_file())
-        inside = [path for path in paths if not path.relative_to(self.output).as_posix().startswith(".sameas-run")]
+        written = [path for path in paths if not path.relative_to(self.output).as_posix().startswith(".sameas-run")]
         return {str(p.relative_to(self.output)): hashlib.sha256(p.read_bytes()).hexdigest()
-                for p in inside if not p.name.endswith(".part")}  # fmt: skip
+                for p in written if not p.name.endswith(".part")}  # fmt: skip
 
     def drafts(self) -> list[Path]:
-        """Those after a run that ended well; while a run can be resumed, the next one removes them."""
+        """The drafts after a completed run; those of an interrupted run are removed by the next one."""
         if not (self.output / "collection.properties").exists():
             return []
         try:
             return [path for path in self.output.rglob("*") if path.suffix == ".part" or path.name == ".sameas-run"]
-        except FileNotFoundError:  # a folder that is being removed
+        except FileNotFoundError:  # the folder is being removed
             return []
 
     def keep(self) -> dict[str, bytes]:
@@ -214,19 +214,19 @@ class Hats(Work):
     def restore(self, kept: dict[str, bytes]) -> None:
         shutil.rmtree(self.output, ignore_errors=True)
 
-    def forked(self, server: Server | Begun, earlier: bool = False) -> tuple[int, str]:
-        """A run that nothing disturbs, of what is there; none where it is whole, which is refused to be replaced."""
+    def undisturbed(self, runner: ForkServer | NewProcess, earlier: bool = False) -> tuple[int, str]:
+        """A run that completes the output; none if it is complete, because the command refuses to replace it."""
         if earlier:
             self.restore({})
         if earlier or (self.output / "collection.properties").exists():
             return 0, ""
-        return super().forked(server)
+        return super().undisturbed(runner)
 
-    def fresh(self, what: str) -> Work:
-        return replace(self, output=self.output.with_name(what.replace(" ", "-")))
+    def to_new_output(self, name: str) -> Work:
+        return replace(self, output=self.output.with_name(name.replace(" ", "-")))
 
     def among_inputs(self, folder: Path) -> Work:
-        """It is to write into a folder that is full of something else, as its inputs are."""
+        """The command with a copy of its first input, a folder full of other files, as its output."""
         shutil.copytree(self.inputs()[0], folder)
         return replace(self, output=folder)
 
@@ -234,98 +234,98 @@ class Hats(Work):
         if now == new:
             return "new"
         if (self.output / "collection.properties").exists():
-            return "is called whole, and is not"
+            return "is marked as complete, and is not"
         changed = [name for name, digest in now.items() if name in new and new[name] != digest]
-        return f"{changed} are not those of a whole run" if changed else "mixed" if now else "old"
+        return f"{changed} differ from those of an undisturbed run" if changed else "mixed" if now else "old"
 
 
-class Begun:
-    """Runs that start others: each is begun anew in a session of its own, in which nobody may stay."""
+class NewProcess:
+    """Starts each run as a new process in its own session; for commands that start processes themselves."""
 
     def __init__(self, work: Work) -> None:
         self.process: subprocess.Popen[bytes] | None = None
-        self.heard = tempfile.TemporaryFile()  # noqa: SIM115 (a worker that stays would hold a pipe open)
+        self.stderr = tempfile.TemporaryFile()  # noqa: SIM115 (an orphan would hold a pipe open)
 
     def start(self, command: list[str]) -> int:
-        """Begin a run; the number of its process."""
-        self.heard.seek(0)
-        self.heard.truncate()
-        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=self.heard, start_new_session=True,
+        """Start a run; returns its process id."""
+        self.stderr.seek(0)
+        self.stderr.truncate()
+        self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=self.stderr, start_new_session=True,
                                         preexec_fn=_interruptible)  # fmt: skip
         return self.process.pid
 
-    def ended(self) -> tuple[int, str]:
-        """Exit code and stderr of the run, when it has ended."""
+    def wait(self) -> tuple[int, str]:
+        """Wait for the run to end; its exit code and stderr."""
         assert self.process is not None
         code = self.process.wait()
-        self.heard.seek(0)
-        return code, self.heard.read().decode(errors="replace")
+        self.stderr.seek(0)
+        return code, self.stderr.read().decode(errors="replace")
 
     def orphans(self) -> list[str]:
-        """The commands of its session that are still there some seconds after it has ended; they are ended now."""
+        """Kill the processes of its session that still run after ``ORPHANED_S`` of CPU time; their command lines."""
         assert self.process is not None
-        latest = _seconds_of(_members(self.process.pid)) + ORPHANED_S
-        _until(lambda: not 0.0 < _seconds_of(_members(self.process.pid)) < latest, ORPHANED_CLOCK_S)
-        left = [(number, Path(f"/proc/{number}/cmdline").read_bytes()) for number in _members(self.process.pid)]
-        for number, _ in left:
+        limit_s = _cpu_seconds(_members(self.process.pid)) + ORPHANED_S
+        _wait_until(lambda: not 0.0 < _cpu_seconds(_members(self.process.pid)) < limit_s, ORPHANED_CLOCK_S)
+        orphans = [(number, Path(f"/proc/{number}/cmdline").read_bytes()) for number in _members(self.process.pid)]
+        for number, _ in orphans:
             with suppress(ProcessLookupError):
                 os.kill(number, signal.SIGKILL)
-        return [words.replace(b"\0", b" ").decode(errors="replace")[:80] for _, words in left]
+        return [line.replace(b"\0", b" ").decode(errors="replace")[:80] for _, line in orphans]
 
     def close(self) -> None:
-        self.heard.close()
+        self.stderr.close()
 
 
-class Server:
-    """A process that has done a command once, and from which others of the same kind are forked."""
+class ForkServer:
+    """A process that has executed a command once, and from which further runs of it are forked."""
 
     def __init__(self, work: Work) -> None:
-        begun = [sys.executable, "-m", "benchmarks.faults", "--serve", *work.command()[3:]]
-        self.process = subprocess.Popen(begun, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
+        command = [sys.executable, "-m", "benchmarks.faults", "--serve", *work.command()[3:]]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
                                         preexec_fn=_interruptible)  # fmt: skip
-        self._heard("ready")
+        self._answer("ready")
 
     def start(self, command: list[str]) -> int:
-        """Fork a run of a command; the number of its process."""
+        """Fork a run of a command; returns its process id."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(command[3:]) + "\n")
-        return int(self._heard("begun"))
+        return int(self._answer("begun"))
 
-    def ended(self) -> tuple[int, str]:
-        """Exit code and stderr of the run, when it has ended."""
-        code, said = json.loads(self._heard("ended"))
-        return code, said
+    def wait(self) -> tuple[int, str]:
+        """Wait for the run to end; its exit code and stderr."""
+        code, stderr = json.loads(self._answer("ended"))
+        return code, stderr
 
     def orphans(self) -> list[str]:
-        """It starts none."""
+        """None: its commands start no processes."""
         return []
 
     def close(self) -> None:
         self.process.communicate()
 
-    def _heard(self, what: str) -> str:
+    def _answer(self, key: str) -> str:
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
-        if not line.startswith(what):
-            raise RuntimeError(f"{what}: {line!r}")
-        return line[len(what) :]
+        if not line.startswith(key):
+            raise RuntimeError(f"{key}: {line!r}")
+        return line[len(key) :]
 
 
 def serve(arguments: list[str]) -> None:
-    """Do a command, then fork those of the lines of stdin; say of each its process, its exit code and its stderr."""
+    """Execute a command, then fork one run per line of stdin; prints the process id, exit code and stderr of each."""
     from sameas.cli import main as command
     from sameas.cli.app import app
 
-    told = os.fdopen(os.dup(1), "w", buffering=1)
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     app(arguments, standalone_mode=False)
-    told.write("ready\n")
-    with tempfile.TemporaryFile() as heard:
+    answers.write("ready\n")
+    with tempfile.TemporaryFile() as stderr:
         for line in sys.stdin:
-            heard.truncate(0)
+            stderr.truncate(0)
             child = os.fork()
             if not child:
-                os.dup2(heard.fileno(), 2)
+                os.dup2(stderr.fileno(), 2)
                 sys.argv = ["sameas", *json.loads(line)]
                 try:
                     command()
@@ -337,22 +337,22 @@ def serve(arguments: list[str]) -> None:
                     sys.stderr.flush()
                     os._exit(99)
                 os._exit(0)
-            told.write(f"begun {child}\n")
+            answers.write(f"begun {child}\n")
             code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-            heard.seek(0)
-            told.write(f"ended {json.dumps([code, heard.read().decode(errors='replace')])}\n")
-            heard.seek(0)
+            stderr.seek(0)
+            answers.write(f"ended {json.dumps([code, stderr.read().decode(errors='replace')])}\n")
+            stderr.seek(0)
 
 
 @dataclass
 class Count:
-    """What became of the runs of one row."""
+    """The outcomes of the runs of one row."""
 
     runs: int = 0
     old: int = 0
     new: int = 0
     mixed: int = 0
-    #: Until the process had ended that was asked to, in seconds.
+    #: Longest time from a signal to the end of the process.
     slowest_s: float = 0.0
     faults: list[str] = field(default_factory=list)
 
@@ -360,7 +360,7 @@ class Count:
         return [name, self.runs, self.old, self.new, self.mixed, round(self.slowest_s, 2), len(self.faults)]
 
     def include(self, more: Count) -> None:
-        """Add other runs."""
+        """Add the counts of other runs."""
         self.runs, self.old, self.new = self.runs + more.runs, self.old + more.old, self.new + more.new
         self.mixed, self.slowest_s = self.mixed + more.mixed, max(self.slowest_s, more.slowest_s)
         self.faults += more.faults
@@ -433,17 +433,17 @@ def sensors(folder: Path) -> list[str]:
 
 
 def night(folder: Path) -> Path:
-    """Detections of forty movers on eight exposures, among as many that are none."""
+    """Detections of forty movers on eight exposures, and as many false ones."""
     rng = np.random.default_rng(8)
-    x, way = rng.uniform(-0.1, 0.1, (2, 40)), rng.uniform(0.0, 6.28, 40)
+    x, angle = rng.uniform(-0.1, 0.1, (2, 40)), rng.uniform(0.0, 6.28, 40)
     path = folder / "night.csv"
     lines = ["ra,dec,mjd,mag"]
     for k in range(8):
         day = k / 100.0
-        ra, dec = 150.0 + x[0] + 0.2 * day * np.cos(way), x[1] + 0.2 * day * np.sin(way)
+        ra, dec = 150.0 + x[0] + 0.2 * day * np.cos(angle), x[1] + 0.2 * day * np.sin(angle)
         noise = rng.normal(0.0, 0.2 / 3600.0, (2, 40))
-        chance = rng.uniform(-0.1, 0.1, (40, 2)) + np.array([150.0, 0.0])
-        rows = [*zip(ra + noise[0], dec + noise[1], strict=True), *chance]
+        false = rng.uniform(-0.1, 0.1, (40, 2)) + np.array([150.0, 0.0])
+        rows = [*zip(ra + noise[0], dec + noise[1], strict=True), *false]
         lines += [f"{a:.7f},{b:.7f},{60000 + day:.5f},{rng.uniform(17, 20):.2f}" for a, b in rows]
     path.write_text("\n".join(lines) + "\n")
     return path
@@ -481,7 +481,7 @@ def partitioned(folder: Path) -> tuple[str, str]:
 
 
 def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
-    """The commands, and every format of tables."""
+    """The commands that are tested, those that write tables with every format."""
     a, b, c = map(str, catalogues(folder))
     image, stars = map(str, frame(folder))
 
@@ -493,92 +493,95 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
     for e in endings:
         many = output(f"n{e[1:]}").with_suffix(e)
         made.append(Work(f"many {e}", ("many", a, b, c), ("many", c, b, a), many))
-    shot = ("frame", image, "--catalog", stars, "--no-picture", "--again")
-    made.append(Work("frame", shot, (*shot, "--threshold", "6"), output("frame")))
+    arguments = ("frame", image, "--catalog", stars, "--no-picture", "--again")
+    made.append(Work("frame", arguments, (*arguments, "--threshold", "6"), output("frame")))
     for ending in (".csv", ".fits"):
-        moved = ("movers", str(night(folder)), "--sigma", "0.2", "--least")
+        arguments = ("movers", str(night(folder)), "--sigma", "0.2", "--least")
         made.append(
-            Work(f"movers {ending}", (*moved, "3"), (*moved, "2"), output(f"v{ending[1:]}").with_suffix(ending))
+            Work(f"movers {ending}", (*arguments, "3"), (*arguments, "2"), output(f"v{ending[1:]}").with_suffix(ending))
         )
     many = str(nights(folder, Path(image)))
     frames, options = sorted(map(str, Path(many).iterdir())), ("--catalog", stars, "--processes")
     parts = partitioned(folder)
     for n, name in (("1", ""), ("2", ", 2 processes")):
-        two = n == "2"
-        shot = ("frame", many, *options, n, "--no-picture")
-        series = output(f"series{n}")
-        made.append(Work(f"series of frames{name}", shot, (*shot, "--threshold", "6"), series, True, starts_others=two))
-        earlier, moved = ("movers", *frames[:2], *options, n), ("movers", *frames, *options, n)
-        made.append(Work(f"movers on frames{name}", moved, earlier, output(f"moved{n}"), True, starts_others=two))
-        parted = ("match", *parts, "--sigma", "0.1", "--workers", n)
-        made.append(Hats(f"match, partitions{name}", parted, parted, output(f"hats{n}"), starts_others=two))
-    seen = ("watch", *sensors(folder), "--no-map", "--pace", "60", "--every", "1s")
-    made.append(Watch("watch", seen, seen, output("watch")))
-    seen = ("picture", *sensors(folder), "--no-image", "--every")
-    made.append(Work("picture", (*seen, "20s"), (*seen, "30s"), output("picture")))
+        starts = n == "2"
+        arguments = ("frame", many, *options, n, "--no-picture")
+        earlier, series = (*arguments, "--threshold", "6"), output(f"series{n}")
+        made.append(Work(f"series of frames{name}", arguments, earlier, series, True, starts_others=starts))
+        earlier, arguments = ("movers", *frames[:2], *options, n), ("movers", *frames, *options, n)
+        folder_of_movers = output(f"moved{n}")
+        made.append(Work(f"movers on frames{name}", arguments, earlier, folder_of_movers, True, starts_others=starts))
+        arguments = ("match", *parts, "--sigma", "0.1", "--workers", n)
+        made.append(Hats(f"match, partitions{name}", arguments, arguments, output(f"hats{n}"), starts_others=starts))
+    arguments = ("watch", *sensors(folder), "--no-map", "--pace", "60", "--every", "1s")
+    made.append(Watch("watch", arguments, arguments, output("watch")))
+    arguments = ("picture", *sensors(folder), "--no-image", "--every")
+    made.append(Work("picture", (*arguments, "20s"), (*arguments, "30s"), output("picture")))
     return made
 
 
-def hit(work: Work, server: Server | Begun, number: signal.Signals, moments: int, rng: random.Random) -> Count:
-    """Runs of a command, each hit once."""
-    found = Count()
+def signalled(
+    work: Work, runner: ForkServer | NewProcess, number: signal.Signals, moments: int, rng: random.Random
+) -> Count:
+    """``moments`` runs of a command, each of which gets the signal once at a random moment."""
+    count = Count()
     for earlier in (True, False):
         began = time.monotonic()
-        code, said = work.forked(server, earlier)
-        longest = time.monotonic() - began
+        code, stderr = work.undisturbed(runner, earlier)
+        run_s = time.monotonic() - began
         if code:
-            raise RuntimeError(f"{work.name}: {said}")
+            raise RuntimeError(f"{work.name}: {stderr}")
         if earlier:
             old, kept = work.files(), work.keep()
     new = work.files()
     if new and old == new:
-        raise RuntimeError(f"{work.name}: two runs of different options write the same")
+        raise RuntimeError(f"{work.name}: two runs with different options write the same files")
     for moment in range(moments):
         work.restore(kept)
-        process = server.start(work.command())
+        process = runner.start(work.command())
         if moment % 2:
-            time.sleep(rng.uniform(0.0, 1.05) * longest)
+            time.sleep(rng.uniform(0.0, 1.05) * run_s)
         else:
-            _until(partial(_ended_or_drafted, process, work))
-            time.sleep(rng.choice((0.0, 1.0)) * rng.uniform(0.0, 0.1) * min(longest, 1.0))
-        asked = time.monotonic()
-        # A terminal tells all processes of Ctrl-C; who asks one to end, or kills it, mostly tells the first only.
-        tell = os.killpg if work.starts_others and (number == signal.SIGINT) != (moment % 4 == 3) else os.kill
+            _wait_until(partial(_ended_or_drafted, process, work))
+            time.sleep(rng.choice((0.0, 1.0)) * rng.uniform(0.0, 0.1) * min(run_s, 1.0))
+        sent = time.monotonic()
+        # A terminal sends Ctrl-C to all processes; SIGTERM and SIGKILL mostly go to the first process only.
+        send = os.killpg if work.starts_others and (number == signal.SIGINT) != (moment % 4 == 3) else os.kill
         with suppress(ProcessLookupError):  # it has ended
-            tell(process, number)
-        code, said = server.ended()
-        answer_s = time.monotonic() - asked
-        found.slowest_s = max(found.slowest_s, answer_s)
+            send(process, number)
+        code, stderr = runner.wait()
+        answer_s = time.monotonic() - sent
+        count.slowest_s = max(count.slowest_s, answer_s)
         drafts = work.drafts()
-        found.faults += [f"{work.name}, {number.name}: a process stayed: {words}" for words in server.orphans()]
+        count.faults += [f"{work.name}, {number.name}: a process stayed: {line}" for line in runner.orphans()]
         now = work.files()
-        found.runs += 1
-        which = work.verdict(now, old, new, number)
-        if which in ("old", "new", "mixed"):
-            setattr(found, which, getattr(found, which) + 1)
+        count.runs += 1
+        verdict = work.verdict(now, old, new, number)
+        if verdict in ("old", "new", "mixed"):
+            setattr(count, verdict, getattr(count, verdict) + 1)
         else:
-            found.faults.append(f"{work.name}, {number.name}: {which}")
-        # In the first moments of a process nothing has been begun, and Python's own ends are as good.
-        if code not in (*work.codes, CODES[number], -number) and not (code == 99 and "KeyboardInterrupt" in said):
-            found.faults.append(f"{work.name}, {number.name}: exit code {code}: {said[-200:]}")
-        if "terminate called" in said or (said.count("\n") > 1 and "KeyboardInterrupt" not in said):
-            found.faults.append(f"{work.name}, {number.name}: says {said[-300:]!r}")
+            count.faults.append(f"{work.name}, {number.name}: {verdict}")
+        # Before the command has installed its handlers, Python's default exit is as good.
+        if code not in (*work.codes, CODES[number], -number) and not (code == 99 and "KeyboardInterrupt" in stderr):
+            count.faults.append(f"{work.name}, {number.name}: exit code {code}: {stderr[-200:]}")
+        if "terminate called" in stderr or (stderr.count("\n") > 1 and "KeyboardInterrupt" not in stderr):
+            count.faults.append(f"{work.name}, {number.name}: stderr {stderr[-300:]!r}")
         if answer_s > 1.5:
-            found.faults.append(f"{work.name}, {number.name}: answered after {answer_s:.1f} s")
+            count.faults.append(f"{work.name}, {number.name}: answered after {answer_s:.1f} s")
         if number != signal.SIGKILL and (drafts or work.drafts()):
-            found.faults.append(f"{work.name}, {number.name}: a draft stayed")
+            count.faults.append(f"{work.name}, {number.name}: a draft stayed")
             for draft in work.drafts():
-                _removed(draft)
-    code, said = work.forked(server)
+                _remove(draft)
+    code, stderr = work.undisturbed(runner)
     if code or (work.files() != new):
-        found.faults.append(f"{work.name}, {number.name}: the next run does not complete it: {code}: {said[-200:]}")
+        count.faults.append(f"{work.name}, {number.name}: the next run does not complete it: {code}: {stderr[-200:]}")
     if work.drafts():
-        found.faults.append(f"{work.name}, {number.name}: a draft stayed after the next run")
-    return found
+        count.faults.append(f"{work.name}, {number.name}: a draft stayed after the next run")
+    return count
 
 
 def _ended(process: int) -> bool:
-    """Whether the process has ended, which another waits for."""
+    """Whether the process, a child of another one, has ended."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except OSError:
@@ -596,8 +599,8 @@ def _members(session: int) -> list[int]:
     return found
 
 
-def _seconds_of(processes: Sequence[int]) -> float:
-    """Seconds of the processor that processes have taken, more than none for each."""
+def _cpu_seconds(processes: Sequence[int]) -> float:
+    """CPU seconds of the processes, more than zero for each that exists."""
     tick, total = os.sysconf("SC_CLK_TCK"), 0.0
     for number in processes:
         with suppress(OSError):
@@ -610,7 +613,7 @@ def _folder(work: Work) -> Path:
     return work.output if work.output.is_dir() else work.output.parent
 
 
-def _removed(draft: Path) -> None:
+def _remove(draft: Path) -> None:
     if draft.is_dir():
         shutil.rmtree(draft)
     else:
@@ -618,20 +621,20 @@ def _removed(draft: Path) -> None:
 
 
 def _interruptible() -> None:
-    """Undo what a shell does to jobs in the background: they ignore Ctrl-C."""
+    """Handle Ctrl-C, which a shell makes background jobs ignore."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 @contextmanager
 def mounted(folder: Path) -> Iterator[bool]:
-    """A disk of 4 MB in memory at a folder; False where this user may not mount one."""
+    """Mount a memory disk of 4 MB at a folder; yields False if this user may not."""
     folder.mkdir(exist_ok=True)
     command = ["mount", "-t", "tmpfs", "-o", "size=4m", "tmpfs", str(folder)]
-    may = bool(shutil.which("mount")) and subprocess.run(command, capture_output=True).returncode == 0
+    allowed = bool(shutil.which("mount")) and subprocess.run(command, capture_output=True).returncode == 0
     try:
-        yield may
+        yield allowed
     finally:
-        if may:
+        if allowed:
             subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
@@ -639,96 +642,98 @@ def _ended_or_drafted(process: int, work: Work) -> bool:
     return _ended(process) or bool(work.drafts())
 
 
-def _until(true: Callable[[], bool], patience_s: float = 60.0) -> None:
-    end = time.monotonic() + patience_s
-    while not true() and time.monotonic() < end:
+def _wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    end = time.monotonic() + timeout_s
+    while not condition() and time.monotonic() < end:
         time.sleep(0.002)
 
 
-def places(work: Work) -> Count:
-    """Disks that are full or read-only, folders that disappear, links, outputs among the inputs, two runs at once: one
-    line, nothing lost."""
-    found = Count()
+def unwritable(work: Work) -> Count:
+    """Runs with full or read-only disks, disappearing folders, links, outputs among the inputs, two runs at once.
+
+    Required: at most one line on stderr, and no loss of the old output or of inputs.
+    """
+    count = Count()
 
     def run(work: Work, what: str, expected: int, begin: Callable[[], None] | None = None) -> None:
         old = work.files()
         done = subprocess.run(work.command(), capture_output=True, text=True, preexec_fn=begin)
-        found.runs += 1
+        count.runs += 1
         if done.returncode != expected or "Traceback" in done.stderr or "fault of sameas" in done.stderr:
-            found.faults.append(f"{work.name}, {what}: exit code {done.returncode}: {done.stderr[-300:]}")
+            count.faults.append(f"{work.name}, {what}: exit code {done.returncode}: {done.stderr[-300:]}")
         elif expected and work.files() != old:
-            found.faults.append(f"{work.name}, {what}: the old output changed")
+            count.faults.append(f"{work.name}, {what}: the old output changed")
         elif work.drafts():
-            found.faults.append(f"{work.name}, {what}: a draft stayed")
+            count.faults.append(f"{work.name}, {what}: a draft stayed")
         elif expected:
-            found.old += 1
+            count.old += 1
         else:
-            found.new += 1
+            count.new += 1
 
-    run(work.fresh("small"), "files no larger than 2 kB", 1, _small)
+    run(work.to_new_output("small"), "files of at most 2 kB", 1, _limit_file_size)
     closed = replace(work, output=work.output.with_name("closed") / work.output.name)
     closed.output.parent.mkdir(mode=0o555)
-    run(closed, "a folder that is closed", 1, _without_power)
+    run(closed, "a read-only folder", 1, _without_root_access)
     disk = work.output.with_name("disk")
-    with mounted(disk) as may:
-        if may:
-            there = replace(work, output=disk / work.output.name)
-            run(there.fresh("first"), "a disk in memory", 0)
+    with mounted(disk) as allowed:
+        if allowed:
+            on_disk = replace(work, output=disk / work.output.name)
+            run(on_disk.to_new_output("first"), "a disk in memory", 0)
             with (disk / "filler").open("wb", buffering=0) as filler, suppress(OSError):
                 while True:
                     filler.write(bytes(4096))
-            run(there.fresh("full"), "a full disk", 1)
+            run(on_disk.to_new_output("full"), "a full disk", 1)
             (disk / "filler").unlink()
             subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-            run(there.fresh("locked"), "a read-only disk", 1)
+            run(on_disk.to_new_output("locked"), "a read-only disk", 1)
     folder = work.output.with_name("inputs")
     copied = work.among_inputs(folder)
     before = _digests(folder)
-    run(copied, "output among the inputs", 0 if work.fills and not isinstance(work, Hats) else 1)
+    run(copied, "output among the inputs", 0 if work.writes_folder and not isinstance(work, Hats) else 1)
     if not before.items() <= _digests(folder).items():
-        found.faults.append(f"{work.name}, output among the inputs: an input changed")
-    if not isinstance(work, Hats):  # which is not replaced
+        count.faults.append(f"{work.name}, output among the inputs: an input changed")
+    if not isinstance(work, Hats):  # outputs in partitions are not replaced
         link = work.output.with_name(f"link{work.output.suffix}")
         link.symlink_to(work.output)
         run(replace(work, output=link), "a link", 0)
         if not link.is_symlink():
-            found.faults.append(f"{work.name}: a link was replaced")
-    twice = work.fresh("two")
-    two = [subprocess.Popen(twice.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
-    said = b"".join(process.communicate()[1] for process in two)
-    found.runs += 1
+            count.faults.append(f"{work.name}: a link was replaced")
+    shared = work.to_new_output("two")
+    both = [subprocess.Popen(shared.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) for _ in range(2)]
+    stderr = b"".join(process.communicate()[1] for process in both)
+    count.runs += 1
     # One of them may be refused, in one line.
-    refused = said.count(b"\n") == 1 and b"another" in said and sum(process.returncode for process in two) == 1
-    if ((any(process.returncode for process in two) or said) and not refused) or work.drafts():
-        found.faults.append(f"{work.name}, two runs at once: {said[-300:]!r}")
+    refused = stderr.count(b"\n") == 1 and b"another" in stderr and sum(process.returncode for process in both) == 1
+    if ((any(process.returncode for process in both) or stderr) and not refused) or work.drafts():
+        count.faults.append(f"{work.name}, two runs at once: {stderr[-300:]!r}")
     else:
-        found.new += 1
-    gone = replace(work, output=work.output.with_name("gone") / work.output.name)
-    gone.output.parent.mkdir()
-    process = subprocess.Popen(gone.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        count.new += 1
+    removed = replace(work, output=work.output.with_name("gone") / work.output.name)
+    removed.output.parent.mkdir()
+    process = subprocess.Popen(removed.command(), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     time.sleep(0.3)
-    shutil.rmtree(gone.output.parent)
-    words = process.communicate()[1]
-    found.runs += 1
-    if "Traceback" in words or "fault of sameas" in words or (process.returncode and words.count("\n") != 1):
-        found.faults.append(f"{work.name}, a folder that disappears: exit code {process.returncode}: {words[-300:]}")
+    shutil.rmtree(removed.output.parent)
+    message = process.communicate()[1]
+    count.runs += 1
+    if "Traceback" in message or "fault of sameas" in message or (process.returncode and message.count("\n") != 1):
+        count.faults.append(f"{work.name}, a folder that disappears: exit code {process.returncode}: {message[-300:]}")
     else:
-        found.old += 1
-    return found
+        count.old += 1
+    return count
 
 
 def _digests(path: Path) -> dict[str, str]:
-    """Of all files in a folder."""
+    """SHA-256 of all files in a folder."""
     return {str(one.relative_to(path)): hashlib.sha256(one.read_bytes()).hexdigest()
             for one in sorted(path.rglob("*")) if one.is_file()}  # fmt: skip
 
 
-def _small() -> None:
+def _limit_file_size() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
 
 
-def _without_power() -> None:
-    """What it begins has to ask before it writes, as a user does, even where it is root (CAP_DAC_OVERRIDE is 1)."""
+def _without_root_access() -> None:
+    """Make file permissions apply to the started program even for root: drop CAP_DAC_OVERRIDE (1)."""
     ctypes.CDLL(None).prctl(24, 1, 0, 0, 0)
 
 
@@ -737,41 +742,41 @@ def main() -> None:
         return serve(sys.argv[2:])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--moments", type=int, default=12, help="moments for each command and signal; 12 make 540")
-    parser.add_argument("--only", default="", help="commands whose name begins so; loads: crowds and millions of rows")
-    parser.add_argument("--load", default="", help="loads whose name holds this")
-    parser.add_argument("--signals-only", action="store_true", help="no disks, no two runs at once")
+    parser.add_argument("--only", default="", help="commands whose name starts with this; loads: those of loads.py")
+    parser.add_argument("--load", default="", help="loads whose name contains this")
+    parser.add_argument("--signals-only", action="store_true", help="skip disks, links and two runs at once")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args()
     rng = random.Random(given.seed)
     os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that runs at different times write the same bytes
-    made = [] if given.only == "loads" else _of_outputs(given.only, given.moments, not given.signals_only, rng)
+    made = [] if given.only == "loads" else output_tables(given.only, given.moments, not given.signals_only, rng)
     made += tables(given.load, rng) if given.only in ("", "loads") else ()
     report("faults", made)
     sys.exit(any(table.notes for table in made))
 
 
-def _of_outputs(only: str, moments: int, disks: bool, rng: random.Random) -> list[Table]:
-    """The commands whose names begin so, hit by signals, and in places where they cannot write, or only just."""
-    hits, placed, names = dict[str, Count](), dict[str, Count](), dict[str, list[str]]()
+def output_tables(only: str, moments: int, disks: bool, rng: random.Random) -> list[Table]:
+    """The tables of the commands whose names start with ``only``: signals, and outputs that cannot be written."""
+    hits, refusals, suffixes = dict[str, Count](), dict[str, Count](), dict[str, list[str]]()
     with tempfile.TemporaryDirectory() as folder:
         for work in (work for work in works(Path(folder)) if work.name.startswith(only)):
-            names.setdefault(work.kind, []).append(work.output.suffix)
-            server = Begun(work) if work.starts_others else Server(work)
-            every = [(number.name, hits, partial(hit, work, server, number, moments, rng)) for number in CODES]
-            every += [("disks, two runs", placed, partial(places, work))] if disks else []
-            for name, counts, runs in every:
-                found = runs()
-                print(*found.row(f"{work.name}: {name}"), *found.faults, sep="\n    ", flush=True)
-                counts.setdefault(work.kind, Count()).include(found)
-            server.close()
-    titles = {kind: kind if len(its) == 1 else f"{kind}, {len(its)} formats" for kind, its in names.items()}
+            suffixes.setdefault(work.kind, []).append(work.output.suffix)
+            runner = NewProcess(work) if work.starts_others else ForkServer(work)
+            tests = [(number.name, hits, partial(signalled, work, runner, number, moments, rng)) for number in CODES]
+            tests += [("disks, two runs", refusals, partial(unwritable, work))] if disks else []
+            for name, counts, test in tests:
+                result = test()
+                print(*result.row(f"{work.name}: {name}"), *result.faults, sep="\n    ", flush=True)
+                counts.setdefault(work.kind, Count()).include(result)
+            runner.close()
+    titles = {kind: kind if len(its) == 1 else f"{kind}, {len(its)} formats" for kind, its in suffixes.items()}
     made = []
-    for title, counts in (("Outputs of processes that were hit", hits), ("Outputs in places that refuse them", placed)):
+    for title, counts in (("Outputs after a signal", hits), ("Outputs that cannot be written", refusals)):
         sums = Count()
         for count in counts.values():
             sums.include(replace(count, faults=list(count.faults)))
-        rows = [*(count.row(titles[kind]) for kind, count in counts.items()), sums.row("together")]
-        columns = ("what", "runs", "old one", "new one", "files of both", "slowest answer, s", "faults")
+        rows = [*(count.row(titles[kind]) for kind, count in counts.items()), sums.row("all")]
+        columns = ("command", "runs", "old output", "new output", "files of both", "slowest answer, s", "faults")
         made.append(Table(title, columns, rows, sums.faults))
     return made if disks else made[:1]
 

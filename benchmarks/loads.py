@@ -1,8 +1,8 @@
-"""Loads that nobody foresaw: crowds within one error, equal positions, one among a million, millions of rows.
+"""Extreme inputs: crowds within one error, equal positions, one record against a million, millions of rows.
 
-Every load is one command in a process of its own: it answers, or refuses in one line, within minutes of the processor
-and within memory; and it is then started again and interrupted at random moments, which it answers within a second.
-``scripts/bench faults --only loads`` prints the table.
+Each is one command in its own process, which must succeed, or refuse in one line, within limits of CPU time and memory.
+It is then started again and gets Ctrl-C at random moments, which it must answer within ``ANSWER_S``.
+``scripts/bench faults --only loads``.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ import numpy as np
 
 from benchmarks.tables import Table
 
-#: Beyond this an answer is a fault: seconds of the processor, bytes, seconds until Ctrl-C is answered (a second is
-#: promised; starting Python and reading clocks beside other work take the rest).
+#: Limits: CPU seconds, bytes, seconds until Ctrl-C is answered (docs/promises.md promises one; the rest allows for the
+#: start of Python on a busy machine).
 CPU_S, BYTES, ANSWER_S = 900.0, 12 << 30, 1.5
-COLUMNS = ("load", "outcome", "CPU s", "peak MB", "Ctrl-C", "slowest answer, s", "what it says")
+COLUMNS = ("load", "outcome", "CPU s", "peak MB", "Ctrl-C", "slowest answer, s", "message")
 
 
 @dataclass(frozen=True)
 class Load:
-    """make : the arguments of the command, with files in a folder. moments : how often it is interrupted."""
+    """One command. make : writes its files to a folder, returns its arguments. moments : number of interrupted runs."""
 
     name: str
     make: Callable[[Path], list[str]]
@@ -40,13 +40,13 @@ class Load:
 
 
 def stars(folder: Path, *sides: tuple[int, float, float]) -> list[str]:
-    """Catalogues of so many rows each, scattered by so many arcseconds, with errors of so many arcseconds."""
+    """Catalogues around one position; sides : rows, scatter and error in arcsec of each."""
     return _catalogues(folder, [(_scattered(k, n, spread), np.full(n, sigma)) for k, (n, spread, sigma) in
                                 enumerate(sides)])  # fmt: skip
 
 
 def wide_one(folder: Path) -> list[str]:
-    """A hundred thousand rows each, one of them with an error that covers all others."""
+    """100 000 rows each, one of them with an error that covers the field."""
     place = np.random.default_rng(3).uniform(-3600.0, 3600.0, (2, 100_000))
     noise = np.random.default_rng(4).normal(0.0, 0.1, (2, 2, 100_000))
     sigma = np.full(100_000, 0.1)
@@ -55,9 +55,9 @@ def wide_one(folder: Path) -> list[str]:
 
 
 def field(folder: Path, n: int, absent: int = 0, crowd: tuple[int, float] = (0, 0.0), sides: int = 2) -> list[str]:
-    """A field of n rows each of the same stars, eleven a square minute.
+    """Catalogues of n rows each of the same stars, eleven per square arcmin.
 
-    absent : rows that hold no number. crowd : rows that are all within so many arcseconds of each other.
+    absent : number of rows with NaN positions. crowd : number of rows in one clump, and its scatter in arcsec.
     """
     side = 3600.0 * np.sqrt(n / 40_000.0)
     place = np.random.default_rng(5).uniform(-0.5 * side, 0.5 * side, (2, n))
@@ -86,7 +86,7 @@ def _catalogues(folder: Path, sides: list[tuple[np.ndarray, np.ndarray]]) -> lis
 
 
 def detections(folder: Path, n: int) -> list[str]:
-    """As many detections at one place on each of four exposures."""
+    """n detections around one position on each of four exposures."""
     path = folder / "night.csv"
     lines = ["ra,dec,mjd"]
     for k in range(4):
@@ -97,7 +97,7 @@ def detections(folder: Path, n: int) -> list[str]:
 
 
 def ships(folder: Path, n: int) -> list[str]:
-    """AIS and a radar of as many ships at one place."""
+    """AIS and radar reports of n ships around one position."""
     paths = []
     for name, column in (("ais", "mmsi"), ("radar", "track_id")):
         lines = [f"time,lat,lon,sog,cog,sigma,{column}"]
@@ -121,7 +121,7 @@ LOADS = (
     Load("20 000 against 20 000 at one position, no other", _match(lambda f: stars(f, *[(20_000, 0.0, 1.0)] * 2))),
     Load("1 against 1 000 000 within its error", _match(lambda f: stars(f, (1, 0.1, 10.0), (1_000_000, 1.0, 0.1)))),
     Load("100 000, one error covers all", _match(wide_one)),
-    Load("100 000, 1 000 positions are no numbers", _match(lambda f: field(f, 100_000, 1000))),
+    Load("100 000, 1 000 positions are NaN", _match(lambda f: field(f, 100_000, 1000))),
     Load("100 000, errors 3 600 times too large", _match(
         lambda f: [*field(f, 100_000), "--sigma", "360"])),
     Load("3 000 000 against 3 000 000", _match(lambda f: field(f, 3_000_000)), moments=2),
@@ -134,19 +134,19 @@ LOADS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Of one run: exit code, seconds of the processor, peak in MB, the last line that it said."""
+    """One run: exit code, CPU seconds, peak memory in MB, last line of stderr."""
 
     code: int
     cpu_s: float
     peak_mb: float
-    said: str
+    message: str
 
 
 def run(arguments: list[str], interrupt_after_s: float = float("inf")) -> tuple[Outcome, float]:
-    """A command in a process of its own; its outcome, and how many seconds it took to answer Ctrl-C."""
-    with tempfile.TemporaryFile("w+") as words:
+    """Run a command in its own process; its outcome, and the seconds from Ctrl-C to its end."""
+    with tempfile.TemporaryFile("w+") as stderr:
         process = subprocess.Popen([sys.executable, "-m", "sameas", *arguments, "--quiet"], stdout=subprocess.DEVNULL,
-                                   stderr=words, preexec_fn=_bounded)  # fmt: skip
+                                   stderr=stderr, preexec_fn=_limit_resources)  # fmt: skip
         answer_s, began = 0.0, time.monotonic()
         while time.monotonic() - began < interrupt_after_s:
             ended, status, used = os.wait4(process.pid, os.WNOHANG)
@@ -154,53 +154,53 @@ def run(arguments: list[str], interrupt_after_s: float = float("inf")) -> tuple[
                 break
             time.sleep(0.02)
         else:
-            asked = time.monotonic()
+            sent = time.monotonic()
             with suppress(ProcessLookupError):
                 os.kill(process.pid, signal.SIGINT)
             _, status, used = os.wait4(process.pid, 0)
-            answer_s = time.monotonic() - asked
+            answer_s = time.monotonic() - sent
         process.returncode = os.waitstatus_to_exitcode(status)
-        words.seek(0)
-        lines = words.read().strip().splitlines() or [""]
+        stderr.seek(0)
+        lines = stderr.read().strip().splitlines() or [""]
     return Outcome(process.returncode, used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0, lines[-1]), answer_s
 
 
-def _bounded() -> None:
+def _limit_resources() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
     resource.setrlimit(resource.RLIMIT_CPU, (int(CPU_S), int(CPU_S)))
     resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
 
 
-def tried(load: Load, rng: random.Random) -> tuple[list[object], list[str]]:
+def measured(load: Load, rng: random.Random) -> tuple[list[object], list[str]]:
     """The row of a load, and its faults."""
     faults, slowest_s, stopped = [], 0.0, 0
     with tempfile.TemporaryDirectory() as folder:
         arguments = load.make(Path(folder))
         began = time.monotonic()
         first, _ = run(arguments)
-        took_s = time.monotonic() - began
+        run_s = time.monotonic() - began
         kind = {0: "answered", 1: "refused"}.get(first.code, f"exit code {first.code}")
-        if first.code not in (0, 1) or "fault of sameas" in first.said or "Traceback" in first.said:
-            faults.append(f"{load.name}: exit code {first.code}: {first.said}")
+        if first.code not in (0, 1) or "fault of sameas" in first.message or "Traceback" in first.message:
+            faults.append(f"{load.name}: exit code {first.code}: {first.message}")
         for _ in range(load.moments):
-            again, answer_s = run(arguments, rng.uniform(0.1, 1.0) * took_s)
+            again, answer_s = run(arguments, rng.uniform(0.1, 1.0) * run_s)
             stopped += again.code == 130
             slowest_s = max(slowest_s, answer_s)
-            if again.code not in (0, 1, 130, -signal.SIGINT) and "KeyboardInterrupt" not in again.said:
-                faults.append(f"{load.name}, Ctrl-C: exit code {again.code}: {again.said}")
+            if again.code not in (0, 1, 130, -signal.SIGINT) and "KeyboardInterrupt" not in again.message:
+                faults.append(f"{load.name}, Ctrl-C: exit code {again.code}: {again.message}")
             if answer_s > ANSWER_S:
                 faults.append(f"{load.name}, Ctrl-C: answered after {answer_s:.1f} s")
-    said = "" if first.code == 0 else first.said.removeprefix("sameas: ").replace(f"{folder}/", "")
-    return [load.name, kind, round(first.cpu_s, 1), round(first.peak_mb), stopped, round(slowest_s, 2), said], faults
+    message = "" if first.code == 0 else first.message.removeprefix("sameas: ").replace(f"{folder}/", "")
+    return [load.name, kind, round(first.cpu_s, 1), round(first.peak_mb), stopped, round(slowest_s, 2), message], faults
 
 
 def tables(only: str, rng: random.Random) -> Iterator[Table]:
-    """The loads whose names hold ``only``."""
+    """The loads whose names contain ``only``."""
     rows, faults = [], []
     for load in LOADS:
         if only in load.name:
-            row, wrong = tried(load, rng)
+            row, faults_of_load = measured(load, rng)
             rows.append(row)
-            faults += wrong
-            print(*row, *wrong, sep="  ", flush=True)
-    yield Table("Loads that nobody foresaw", COLUMNS, rows, faults)
+            faults += faults_of_load
+            print(*row, *faults_of_load, sep="  ", flush=True)
+    yield Table("Extreme inputs", COLUMNS, rows, faults)

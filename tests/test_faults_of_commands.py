@@ -25,11 +25,11 @@ NAMES = (
 def test_outputs_are_whole_whatever_stops_a_command(name, tmp_path, monkeypatch):
     monkeypatch.setitem(os.environ, "SOURCE_DATE_EPOCH", "1700000000")
     [work] = [work for work in faults.works(tmp_path, endings=()) if work.name == name]
-    server = faults.Begun(work) if work.starts_others else faults.Server(work)
+    runner = faults.NewProcess(work) if work.starts_others else faults.ForkServer(work)
     try:
-        every = [partial(faults.hit, work, server, number, 3, random.Random(5)) for number in faults.CODES]
-        found = [run() for run in (*every, partial(faults.places, work))]
+        signals = [partial(faults.signalled, work, runner, number, 3, random.Random(5)) for number in faults.CODES]
+        counts = [run() for run in (*signals, partial(faults.unwritable, work))]
     finally:
-        server.close()
-    assert [one.faults for one in found] == [[]] * 4 and all(one.runs >= 3 for one in found)
+        runner.close()
+    assert [one.faults for one in counts] == [[]] * 4 and all(one.runs >= 3 for one in counts)
     assert set(faults.CODES) == {signal.SIGKILL, signal.SIGTERM, signal.SIGINT}
