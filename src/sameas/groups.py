@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import IntArray
 from sameas.gate import Pairs
+from sameas.kernels import threads
 from sameas.ragged import Ragged
 from sameas.representation import in_short
 
@@ -74,8 +75,13 @@ class Groups:
 
     def of_pairs(self) -> NDArray[np.int32]:
         """(m,) group of each pair, in the order of the gate."""
-        group = np.empty(len(self.order), np.int32)
-        group[self.order] = np.repeat(np.arange(len(self), dtype=np.int32), self.pair_counts)
+        group, counts = np.empty(len(self.order), np.int32), self.pair_counts
+
+        def fill(first: int, last: int) -> None:
+            numbers = np.repeat(np.arange(first, last, dtype=np.int32), counts[first:last])
+            group[self.order[self.start[first] : self.start[last]]] = numbers
+
+        threads.over(fill, self.bounds(len(threads.even(len(group))) - 1))
         return group
 
     def bounds(self, parts: int) -> list[int]:

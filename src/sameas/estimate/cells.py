@@ -63,11 +63,12 @@ class Outline:
         extent = high - low
         if records < FEWEST or not (extent > 0.0).all():
             return None
-        place = (points - low) / extent
-        some = _some_of(place)
+        some = (_some_of(points) - low) / extent
         in_corners = np.count_nonzero((np.abs(some - 0.5) > 0.5 - CORNER).all(axis=1))
         if in_corners > CORNERS * (2.0 * CORNER) ** 2 * len(some):
             return None
+        place = np.empty_like(points)
+        threads.over(lambda a, b: np.divide(points[a:b] - low, extent, out=place[a:b]), threads.even(len(points)))
         hull = _hull(_outermost(place))
         if len(hull) < 3 or 2 * len(hull) > records:
             return None
@@ -114,8 +115,13 @@ def _outermost(points: FloatArray) -> FloatArray:
     side = np.linalg.norm(from_centre[1] - from_centre[0], axis=1)
     area = from_centre[0][:, 0] * from_centre[1][:, 1] - from_centre[0][:, 1] * from_centre[1][:, 0]
     inscribed = float((area[side > 0.0] / side[side > 0.0]).min()) if side.any() else 0.0
-    x, y = points[:, 0] - centre[0], points[:, 1] - centre[1]
-    points = points[x * x + y * y >= max(0.0, inscribed) ** 2]
+    least_sq = max(0.0, inscribed) ** 2
+
+    def beyond(first: int, last: int) -> FloatArray:
+        x, y = (points[first:last] - centre).T
+        return np.asarray(points[first:last][x * x + y * y >= least_sq])
+
+    points = np.concatenate(threads.over(beyond, threads.even(len(points))))
     corners = _farthest(points)
     outside = np.zeros(len(points), np.bool_)
     for one, two in zip(corners, np.roll(corners, -1, axis=0), strict=True):
@@ -253,19 +259,25 @@ class _SphereCells:
 
     @classmethod
     def over(cls, first: Records, second: Records) -> _SphereCells:
-        latitude = np.concatenate([first.features[:, 1], second.features[:, 1]])
-        low, high = float(latitude.min()), float(latitude.max())
+        sides = first.features, second.features
+        low, high = _extremes([features[:, 1] for features in sides])
         margin = _margin(np.array([high - low]), first, second)[0]
         low, high = max(-90.0, low - margin / 3600.0), min(90.0, high + margin / 3600.0)
-        west, arc = _arc(np.concatenate([first.features[:, 0], second.features[:, 0]]))
+        west, arc = _arc([features[:, 0] for features in sides])
         narrow = max(math.cos(math.radians(max(abs(low), abs(high)))), 1e-9)
         across = _margin(np.array([arc * narrow]), first, second)[0] / narrow / 3600.0
         arc += 2.0 * across
         if arc >= 360.0:
             return cls(low, high, 0.0, 360.0)
         west -= across
-        longitude, sine = np.concatenate([first.features, second.features]).T
-        points = np.column_stack([np.mod(longitude - west, 360.0), np.sin(np.radians(sine))])
+        points = np.empty((len(first) + len(second), 2))
+
+        def project(features: FloatArray, into: FloatArray) -> None:
+            into[:, 0] = np.mod(features[:, 0] - west, 360.0)
+            into[:, 1] = np.sin(np.radians(features[:, 1]))
+
+        halves = points[: len(first)], points[len(first) :]
+        threads.each([partial(project, *half) for half in zip(sides, halves, strict=True)], len(points))
         south_west, north_east = (
             np.array([x, math.sin(math.radians(latitude))]) for x, latitude in ((0.0, low), (arc, high))
         )
@@ -368,12 +380,17 @@ def _margin(extent: FloatArray, first: Records, second: Records) -> FloatArray:
     return np.maximum(0.5 * size / max(n - 1, 1), 0.5 * (100.0 * typical / math.sqrt(n) - size)).clip(min=0.0)
 
 
-def _arc(longitude: FloatArray) -> tuple[float, float]:
+def _extremes(parts: Sequence[FloatArray]) -> tuple[float, float]:
+    """The least and the greatest of several arrays."""
+    return min(float(part.min()) for part in parts), max(float(part.max()) for part in parts)
+
+
+def _arc(longitudes: Sequence[FloatArray]) -> tuple[float, float]:
     """(west end, length) in degrees of the shortest arc with all longitudes, to half a degree."""
-    west, east = float(longitude.min()), float(longitude.max())
+    west, east = _extremes(longitudes)
     if east - west < 180.0:
         return west, east - west
-    bins, longitude = 720, np.mod(longitude, 360.0)
+    bins, longitude = 720, np.mod(np.concatenate(longitudes), 360.0)
     empty = np.bincount((longitude * (bins / 360.0)).astype(np.int64) % bins, minlength=bins) == 0
     if not empty.any():
         return 0.0, 360.0

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from sameas.estimate.error_model import MIN_PAIRS, fit_variances, log_likelihood
 from sameas.estimate.photometry import Photometry
 from sameas.evidence import Errors
 from sameas.gate import Pairs
+from sameas.kernels import threads
 from sameas.records import Records, unpack
 from sameas.representation import in_short
 from sameas.space import Plane, unit_vectors
@@ -134,11 +136,17 @@ def _distance_from_centre(records: Records, max_radius_deg: float) -> FloatArray
     """(n,) distance from the centre of a field on the sky in degrees; None if it is too wide to be one field."""
     if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * max_radius_deg:
         return None
-    place = unit_vectors(*records.features.T).T
-    middle = np.array([0.5 * (x.min() + x.max()) for x in place])
-    length = max(float(np.linalg.norm(middle)), 1e-9)
-    chord_sq = sum((x - m) ** 2 for x, m in zip(place, middle / length, strict=True))
-    distance = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(chord_sq), 1.0)))
+    bounds = threads.even(len(records))
+    parts = threads.over(lambda a, b: unit_vectors(*records.features[a:b].T).T, bounds)
+    least, greatest = (np.array([end(part, axis=1) for part in parts]) for end in (np.min, np.max))
+    middle = 0.5 * (least.min(axis=0) + greatest.max(axis=0))
+    centre = middle / max(float(np.linalg.norm(middle)), 1e-9)
+
+    def distance_of(place: FloatArray) -> FloatArray:
+        chord_sq = sum((x - m) ** 2 for x, m in zip(place, centre, strict=True))
+        return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(chord_sq), 1.0))))
+
+    distance = np.concatenate(threads.each([partial(distance_of, part) for part in parts], len(records)))
     return distance if float(distance.max()) < max_radius_deg else None
 
 

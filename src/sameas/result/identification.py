@@ -235,14 +235,23 @@ class Identification:
     ) -> Answers:
         from sameas.kernels.summary import by_row, per_record
 
-        summary = per_record(position, len(records), self.chosen, self.p_pair)
+        n_records, chosen = len(records), self.chosen
+        summary, group_of = threads.both(
+            lambda: per_record(position, n_records, chosen, self.p_pair), lambda: self._group_of, n_records
+        )
+        pairs = self.p_pair, *other, group_of
         size = self.groups.sizes_1 + self.groups.sizes_2
         n = records.n_table
         rows = tuple(np.zeros(n, np.int64) for _ in range(3))
         shares = tuple(np.zeros(n) for _ in range(3))
         counts = np.zeros(n, np.int32), np.zeros(n, np.int32), np.zeros(n, np.int64)
         alone, no_other, no_group, unusable = absent = tuple(np.ones(n, np.bool_) for _ in range(4))
-        by_row(records.rows, summary, (self.p_pair, *other, self._group_of, size), rows, shares, counts, absent)
+        threads.over(
+            lambda a, b: by_row(
+                records.rows[a:b], tuple(of[a:b] for of in summary), (*pairs, size), rows, shares, counts, absent
+            ),
+            threads.even(n_records),
+        )
         partner, pair, second = rows
         p_match, p_none, p_second = shares
         candidates, group, group_size = counts
