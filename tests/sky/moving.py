@@ -1,4 +1,4 @@
-"""Nights whose movers are known."""
+"""Simulated nights with known movers."""
 
 import numpy as np
 
@@ -11,15 +11,15 @@ def night(
 ):  # fmt: skip
     """Detections of a square field about the opposition point, and the number of the mover of each, −1 for others.
 
-    movers : of the main belt, or of given rates (n, 2) arcsec/min. false : on every exposure. stars : that stand still,
-    on nine exposures of ten. larger : errors are so many times what is quoted. apart : arcsec, 1σ per axis by which an
-    exposure's places are off. crowds : of 25 false detections within 12″ or so, the same on every exposure.
+    movers : number of main-belt movers, or rates (n, 2) arcsec/min. false : false detections per exposure. stars :
+    stationary, detected on nine exposures of ten. larger : true / quoted errors. apart : arcsec, 1σ per axis of the
+    offset of an exposure. crowds : of 25 false detections within about 12″, at the same place on every exposure.
     """
     rng = np.random.default_rng(seed)
     mjd0, ra0, dec0 = 59300.0, 190.0, -4.0
     at = rng.uniform(-0.5, 0.5, (movers, 2)) * side_deg * 3600.0
     if rate is None:
-        # Retrograde along the ecliptic, which falls to the east here.
+        # Retrograde along the ecliptic, whose latitude here decreases to the east.
         rate = np.array([-0.5, 0.21]) + rng.normal(0.0, 0.08, (movers, 2))
     magnitude = rng.uniform(17.0, 20.0, movers)
     fixed = rng.uniform(-0.5, 0.5, (stars, 2)) * side_deg * 3600.0

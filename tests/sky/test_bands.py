@@ -1,4 +1,4 @@
-"""Magnitudes of two catalogues are evidence by themselves, by name, or not at all, and what they did is told."""
+"""Magnitudes as evidence between two catalogues: by default, by named bands, or switched off; and their report."""
 
 import numpy as np
 import pytest
@@ -63,13 +63,13 @@ def test_bands_can_be_named(sides, made):
     assert np.nanmax(found.estimate.photometry.sides[1].measured.variance) > 0.0
 
 
-def test_99_is_not_a_magnitude(sides):
+def test_99_is_a_missing_magnitude(sides):
     first, second = sides
     one, two = magnitudes_of(first, second, "mag:Vmag")
     assert np.isnan(one.values).any() and np.nanmax(one.values) < 30.0 and np.nanmax(two.values) < 30.0
 
 
-def test_a_catalogue_without_a_magnitude_leaves_it_to_the_positions(sides):
+def test_without_magnitudes_only_positions_are_used(sides):
     bare = Catalogue.of({"ra": [10.0], "dec": [0.0]}, "bare", options=CatalogueOptions(sigma=0.1))
     assert magnitudes_of(bare, sides[1]) is None and magnitudes_of(sides[0], sides[1], "off") is None
 
@@ -82,13 +82,13 @@ def test_a_catalogue_without_a_magnitude_leaves_it_to_the_positions(sides):
         ("mag:", 'give "auto", "off", or columns of both catalogues'),
     ],
 )
-def test_bands_that_are_not_there_are_refused_in_words(sides, said, words):
+def test_missing_bands_are_refused_with_a_clear_message(sides, said, words):
     first, second = sides
     with pytest.raises(InputError, match=words):
         magnitudes_of(first, second, said)
 
 
-def test_the_report_says_what_brightness_did(found):
+def test_the_report_states_the_effect_of_magnitudes(found):
     lines = report.estimate_lines(found)
     text = " ".join(" ".join(lines).split())
     for words in (

@@ -1,4 +1,4 @@
-"""Below the limit of single frames: what the frames show together, how sure that is, and that no light counts twice."""
+"""Movers below the single-frame limit: detection by shift and stack, calibration, no light counted twice."""
 
 import math
 from dataclasses import replace
@@ -18,7 +18,7 @@ from sameas.sky.movers.stack import stack
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC, FWHM = 192, 1.0, 150.0, 20.0, 3.0
-#: Flux of signal to noise 5 on a frame: 2 √π σ times the noise of a pixel, the sky's 300 e and the read-out's 25.
+#: Flux of signal to noise 5 on a frame: 2 √π σ times the noise of a pixel, sky 300 e and read-out 25.
 LIMIT_E = 5.0 * 2.0 * math.sqrt(math.pi) * FWHM / 2.3548 * math.sqrt(325.0)
 
 
@@ -74,7 +74,7 @@ def searched(tied, frames, fastest=0.6, **options):
 
 
 @pytest.mark.parametrize("compiled", [False, True])
-def test_the_best_motion_of_every_pixel(compiled):
+def test_the_best_motion_of_every_pixel_agrees_with_the_reference(compiled):
     rng = np.random.default_rng(4)
     shape = (4, 9, 11)
     weight = np.where(rng.random(shape) < 0.8, rng.uniform(0.5, 2.0, shape), 0.0).astype(np.float32)
@@ -91,7 +91,7 @@ def test_the_best_motion_of_every_pixel(compiled):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_mover_that_no_frame_shows_is_found_and_measured(seed):
+def test_a_mover_below_the_single_frame_limit_is_found_and_measured(seed):
     tied, frames, track = series(seed, 0.6)
     found, tied, below = searched(tied, frames)
     assert len(found) == 0 and len(below) == 1 and below.movers.p_tracklet[0] > 0.9
@@ -108,7 +108,7 @@ def test_a_mover_that_no_frame_shows_is_found_and_measured(seed):
 
 
 @pytest.mark.slow
-def test_what_is_linked_is_not_found_again():
+def test_linked_movers_are_not_found_again():
     tied, frames, _ = series(3, -1.5, listed=True)
     found, tied, below = searched(tied, frames)
     assert len(found) == 1 and len(below) == 0
@@ -119,7 +119,7 @@ def test_what_is_linked_is_not_found_again():
 
 
 @pytest.mark.slow
-def test_noise_and_stars_alone_make_no_candidate_that_is_believed():
+def test_noise_and_stars_alone_give_no_probable_candidate():
     tied, frames, _ = series(5)
     _, _, below = searched(tied, frames, least_probability=0.0)
     p = below.movers.p_tracklet
@@ -129,14 +129,14 @@ def test_noise_and_stars_alone_make_no_candidate_that_is_believed():
 
 
 @pytest.mark.slow
-def test_what_stars_leave_in_line_on_some_frames_is_no_mover_and_hides_none():
+def test_aligned_star_residuals_are_no_mover_and_hide_none():
     for magnitude, seed in ((None, 10), (0.4, 9)):
         tied, frames, _ = series(8, magnitude)
         _, _, below = searched(tied, glinting(frames, seed))
         assert (below.movers.p_tracklet > 0.5).sum() == (magnitude is not None)
 
 
-def test_noise_is_one_everywhere_though_the_sky_is_uneven():
+def test_noise_is_normalised_on_an_uneven_sky():
     rng = np.random.default_rng(2)
     phi = np.ones((256, 256), np.float32)
     v, u = np.mgrid[0:256, 0:256]
@@ -147,7 +147,7 @@ def test_noise_is_one_everywhere_though_the_sky_is_uneven():
 
 
 @pytest.mark.slow
-def test_strips_bound_the_memory_and_change_nothing():
+def test_processing_in_strips_changes_nothing():
     from sameas.sky.movers.below_limit import BelowLimitTuning
 
     tied, frames, _ = series(1, 0.4)

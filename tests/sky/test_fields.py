@@ -1,4 +1,4 @@
-"""Catalogues whose fields lie apart are told so, with what may have been misread."""
+"""Catalogues of disjoint fields raise a doubt that names columns possibly misread."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _field(n: int = 200) -> dict[str, Any]:
         (lambda ra, dec: (ra + 3.0, dec), "do they show the same part of the sky?"),
     ],
 )  # fmt: skip
-def test_fields_apart_are_told_with_what_may_be_misread(misread: Any, words: str) -> None:
+def test_disjoint_fields_raise_a_doubt_with_possible_misreadings(misread: Any, words: str) -> None:
     first = _field()
     ra, dec = misread(first["ra"], first["dec"])
     second = {**first, "ra": ra, "dec": dec}
@@ -46,7 +46,7 @@ def test_fields_apart_are_told_with_what_may_be_misread(misread: Any, words: str
         assert wanted in told[0] or (swapped and "do they show" in told[0])
 
 
-def test_a_common_field_without_common_objects_is_not_told_to_lie_apart() -> None:
+def test_a_common_field_without_common_objects_is_not_reported_as_disjoint() -> None:
     first, second = _field(), _field()
     second["ra"] = second["ra"] + 0.01
     assert not any(
@@ -55,6 +55,6 @@ def test_a_common_field_without_common_objects_is_not_told_to_lie_apart() -> Non
 
 
 @pytest.mark.parametrize("name", ["ra_h", "ra_hr", "RA_HRS", "ra_hours", "RA [h]", "RA (hours)"])
-def test_hours_by_their_name(name: str) -> None:
+def test_a_column_named_hours_is_in_hours(name: str) -> None:
     table = Table({name: [1.0, 23.0], "dec": [1.0, 2.0], "sigma_arcsec": [0.1, 0.1]})
     np.testing.assert_allclose(Catalogue.of(table, "one").astrometry.ra_deg, [15.0, 345.0])

@@ -1,4 +1,4 @@
-"""Darks, biases and flats take away what is not light, and show the bad pixels."""
+"""Darks, biases and flats: calibrated frames, and masks of bad pixels."""
 
 from dataclasses import replace
 
@@ -19,7 +19,7 @@ SENSITIVITY[30, 40] = 0.05
 
 
 def exposed(seconds, light, name="f"):
-    """A frame of a camera with a level of 500, a dark current and an uneven sensitivity."""
+    """A frame of a camera with a bias of 500, dark current and uneven sensitivity."""
     image = 500 + CURRENT * seconds + light * SENSITIVITY + RNG.normal(0, 2.0, SHAPE)
     return Frame.of(image, facts=Facts(exposure_s=seconds, gain_e_per_adu=1.0, name=name), name=name)
 
@@ -27,7 +27,7 @@ def exposed(seconds, light, name="f"):
 BIASES = [exposed(0.0, 0.0) for _ in range(15)]
 
 
-def test_a_scaled_dark_and_a_flat_give_back_the_light():
+def test_a_scaled_dark_and_a_flat_recover_the_light():
     calibration = MasterFrames.of(
         biases=BIASES,
         darks=[exposed(100.0, 0.0) for _ in range(15)],
@@ -43,13 +43,13 @@ def test_a_scaled_dark_and_a_flat_give_back_the_light():
     assert (~good).sum() < 10
 
 
-def test_a_dark_without_bias_holds_it_and_says_where_it_does_not_fit():
+def test_a_dark_that_contains_the_bias_is_used_and_mismatches_are_reported():
     calibration = MasterFrames.of(darks=[exposed(100.0, 0.0) for _ in range(5)])
     assert np.median(calibration(exposed(100.0, 200.0)).image / SENSITIVITY) == pytest.approx(200, abs=2)
     assert any("its dark is not scaled" in line for line in calibration(exposed(30.0, 200.0)).facts.lines)
 
 
-def test_a_particle_in_one_dark_does_no_harm():
+def test_a_cosmic_ray_in_one_dark_does_no_harm():
     darks = [exposed(10.0, 0.0) for _ in range(3)]
     struck = darks[0].image.copy()
     struck[20, 20] += 10_000
@@ -57,13 +57,13 @@ def test_a_particle_in_one_dark_does_no_harm():
     assert abs(MasterFrames.of(darks=darks)(exposed(10.0, 100.0)).image[20, 20] - 100 * SENSITIVITY[20, 20]) < 20
 
 
-def test_the_level_of_saturation_moves_with_the_dark():
+def test_the_saturation_level_shifts_with_the_dark():
     frame = exposed(10.0, 100.0)
     frame = replace(frame, facts=replace(frame.facts, saturation_adu=10_000.0))
     assert MasterFrames.of(biases=BIASES)(frame).facts.saturation_adu == pytest.approx(9500, abs=2)
 
 
-def test_a_pedestal_is_taken_away_once():
+def test_a_pedestal_is_subtracted_once():
     frame = exposed(10.0, 100.0)
     frame = replace(frame, facts=replace(frame.facts, pedestal_adu=100.0))
     without = MasterFrames()(frame)
@@ -71,7 +71,7 @@ def test_a_pedestal_is_taken_away_once():
     np.testing.assert_array_equal(MasterFrames()(without).image, without.image)
 
 
-def test_masters_that_do_not_fit_are_refused():
+def test_masters_of_other_frames_are_refused():
     with pytest.raises(InputError, match="exposures from 10 to 30 s; give a bias"):
         MasterFrames.of(darks=[exposed(10.0, 0.0), exposed(30.0, 0.0)])
     small = Frame.of(RNG.normal(500, 2, (20, 20)), name="small")

@@ -1,4 +1,4 @@
-"""Stars are found where they are, with errors that hold; defects, neighbours, trails and edges are told apart."""
+"""Detection of stars: positions within their errors; defects, neighbours, trails and edges are flagged."""
 
 from pathlib import Path
 
@@ -25,7 +25,7 @@ def grid(rng, size=640, step=32, faint=2.9, bright=5.0):
 
 
 def paired(seen, found, within=2.0):
-    """Rows of the measurements and of the truth that are nearest to each other."""
+    """Rows of measurements and truth that are mutual nearest neighbours."""
     truth, xy = np.column_stack([seen.truth.x_px, seen.truth.y_px]), np.column_stack([found.x_px, found.y_px])
     apart, row = cKDTree(xy).query(truth)
     _, back = cKDTree(truth).query(xy)
@@ -66,7 +66,7 @@ def test_normalised_errors_have_unit_variance(psf, trail):
     assert abs(np.median(flux[snr > 50])) < 0.03
 
 
-def test_positions_count_from_the_middle_of_the_first_pixel():
+def test_positions_count_from_the_centre_of_the_first_pixel():
     rng = np.random.default_rng(5)
     seen = frame_of(rng, x_px=[31.0], y_px=[17.0], flux_e=[1e6], camera=Camera(shape=(64, 64), saturation_e=1e9))
     found = detect(seen.frame)
@@ -76,7 +76,7 @@ def test_positions_count_from_the_middle_of_the_first_pixel():
 
 
 @pytest.mark.slow
-def test_the_sky_alone_has_hardly_any_star():
+def test_an_empty_sky_has_hardly_any_detection():
     frame = Frame.of(np.random.default_rng(6).normal(1000, 10, (500, 500)))
     try:
         assert len(detect(frame)) < 12
@@ -87,7 +87,7 @@ def test_the_sky_alone_has_hardly_any_star():
 
 
 @pytest.mark.slow
-def test_hot_pixels_and_particles_are_masked_and_stars_are_not():
+def test_hot_pixels_and_cosmic_rays_are_masked_and_stars_are_not():
     rng = np.random.default_rng(7)
     camera = Camera(shape=(640, 640), hot_pixels=150, hot_e=5000.0, cosmics=60, saturation_e=1e9)
     seen = frame_of(rng, **grid(rng), camera=camera, psf=Moffat(2.0))
@@ -115,7 +115,7 @@ def test_a_bad_column_is_masked():
 
 
 @pytest.mark.slow
-def test_close_pairs_are_two_stars_without_pull_and_say_so():
+def test_close_pairs_are_resolved_without_bias_and_flagged():
     rng = np.random.default_rng(9)
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(30, 610, 45.0), np.arange(30, 610, 45.0)))
     x, y, angle = x + rng.uniform(-1, 1, x.size), y + rng.uniform(-1, 1, x.size), rng.uniform(0, 2 * np.pi, x.size)
@@ -134,7 +134,7 @@ def test_close_pairs_are_two_stars_without_pull_and_say_so():
 
 
 @pytest.mark.slow
-def test_a_moving_object_among_round_stars_is_called_trailed():
+def test_a_moving_object_among_round_stars_is_flagged_as_trailed():
     rng = np.random.default_rng(10)
     stars = grid(rng, 320)
     away = np.hypot(stars["x_px"] - 160, stars["y_px"] - 160) > 40
@@ -170,7 +170,7 @@ def test_saturated_stars_and_edges_are_flagged():
 
 
 @pytest.mark.slow
-def test_noise_that_pixels_share_makes_positions_less_certain():
+def test_correlated_noise_increases_position_errors():
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(12)
@@ -186,7 +186,7 @@ def test_noise_that_pixels_share_makes_positions_less_certain():
 
 
 @pytest.mark.slow
-def test_a_table_and_records_carry_the_same_positions():
+def test_table_and_records_have_the_same_positions():
     rng = np.random.default_rng(13)
     found = detect(frame_of(rng, **grid(rng, 320), camera=Camera(shape=(320, 320))).frame)
     table, records = found.table(), found.records()
@@ -203,7 +203,7 @@ def test_a_setting_out_of_range_is_refused():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "m67_poss1951").is_dir(), reason="the plate of M67 is not here")
-def test_a_photographic_plate_gives_its_stars():
+def test_stars_of_a_photographic_plate_are_found():
     frame = read(DATA / "m67_poss1951" / "M6707HH.fits")
     found = detect(frame)
     assert 1500 < len(found) < 2300
@@ -212,7 +212,7 @@ def test_a_photographic_plate_gives_its_stars():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "asteroid_2713").is_dir(), reason="the frames of asteroid 2713 are not here")
-def test_a_raw_frame_with_darks_gives_its_stars():
+def test_stars_of_a_raw_frame_with_darks_are_found():
     folder = DATA / "asteroid_2713"
     calibration = MasterFrames.of(darks=[read(path) for path in sorted(folder.glob("*Dark*"))])
     raw = read(sorted(folder.glob("*Light*"))[-1])
@@ -223,7 +223,7 @@ def test_a_raw_frame_with_darks_gives_its_stars():
 
 
 @pytest.mark.slow
-def test_a_mask_over_the_middle_does_not_hide_that_pixels_share_their_noise():
+def test_correlated_noise_is_measured_despite_a_mask_in_the_centre():
     from scipy.ndimage import gaussian_filter
 
     rng = np.random.default_rng(12)

@@ -1,4 +1,4 @@
-"""A simulated frame is identified and its plate refined; the truth is known."""
+"""A simulated frame with known truth: identification and plate refinement."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bent(xy: np.ndarray, by_px: float) -> np.ndarray:
 
 
 def scene(seed: int, *, stars: int = 900, false: int = 120, limit: float = 17.0, by_px: float = 1.5) -> Scene:
-    """Stars to magnitude 19, shown to ``limit``; the camera bends; some measurements are no stars."""
+    """Stars to magnitude 19, detected to ``limit``; a distorted camera; some false detections."""
     rng = np.random.default_rng(seed)
     cd = np.array([[-1.0, 0.05], [0.05, 1.0]]) / ARCSEC_PER_RADIAN
     pointing = Pointing(unit_vectors(150.0, 40.0), cd, np.array([499.5, 499.5]))
@@ -102,7 +102,7 @@ def wrong(found: FrameIdentification, truth: np.ndarray) -> int:
 
 
 @pytest.mark.slow
-def test_nearly_all_stars_are_identified_and_the_wrong_ones_are_as_many_as_expected(
+def test_nearly_all_stars_are_identified_and_false_matches_are_as_expected(
     seen: Scene, found: FrameIdentification
 ) -> None:
     real = int((seen.truth >= 0).sum())
@@ -130,7 +130,7 @@ def test_the_error_of_a_catalogue_without_one_is_estimated_from_the_residuals(si
 
 
 @pytest.mark.slow
-def test_a_star_that_is_much_brighter_than_catalogued_is_told(seen: Scene) -> None:
+def test_a_star_much_brighter_than_catalogued_is_reported(seen: Scene) -> None:
     kept = np.flatnonzero(seen.truth >= 0)[[40, 60]]
     flux = seen.measured.flux.copy()
     flux[kept] *= 10 ** (0.4 * np.array([2.3, -1.2]))
@@ -148,7 +148,7 @@ def test_a_star_that_is_much_brighter_than_catalogued_is_told(seen: Scene) -> No
 
 
 @pytest.mark.slow
-def test_the_loop_rests_and_finds_the_cubic_that_bends_the_frame(found: FrameIdentification) -> None:
+def test_the_loop_converges_and_finds_the_cubic_distortion(found: FrameIdentification) -> None:
     assert found.settled and found.plate.order == 3
     truth = found.placement.pointing.to_sky(np.array([[499.5, 499.5]]))
     x, y, _ = found.plate.predict(*directions_deg(truth))
@@ -157,7 +157,7 @@ def test_the_loop_rests_and_finds_the_cubic_that_bends_the_frame(found: FrameIde
 
 
 @pytest.mark.slow
-def test_normalised_residuals_have_unit_spread(found: FrameIdentification) -> None:
+def test_normalised_residuals_have_unit_variance(found: FrameIdentification) -> None:
     i, j, _ = found.pairs
     variance = found.measured.covariance[i][:, [0, 2]] + found.predicted_covariance[j][:, [0, 2]]
     chi = found.residual_px / np.sqrt(variance)
@@ -165,7 +165,7 @@ def test_normalised_residuals_have_unit_spread(found: FrameIdentification) -> No
 
 
 @pytest.mark.slow
-def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
+def test_magnitudes_distinguish_neighbours_in_a_crowd() -> None:
     crowd = scene(3, stars=30_000, false=4_000)
     header = ApproximateWcs(crowd.pointing.to_wcs((SIDE, SIDE)))
     blind, seeing = (
@@ -177,12 +177,12 @@ def test_brightness_tells_neighbours_apart_in_a_crowd() -> None:
 
 
 @pytest.mark.slow
-def test_without_motion_stars_lie_apart_and_the_fast_ones_are_lost(seen: Scene, found: FrameIdentification) -> None:
+def test_without_proper_motions_fast_stars_are_lost(seen: Scene, found: FrameIdentification) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     still = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, motion=False)
     assert (still.scatter_arcsec > 1.8 * found.scatter_arcsec).all()
     right = [len(each.pairs[0]) - wrong(each, seen.truth) for each in (found, still)]
-    # The stars that hardly move are found all the same: their errors are seen to be larger.
+    # Slow stars are still found, because larger errors are estimated.
     assert 0.9 * right[0] < right[1] < right[0]
     fast = np.intersect1d(np.arange(10), seen.truth)
     assert np.isin(fast, found.stars.rows[found.pairs[1]]).all()
@@ -199,7 +199,7 @@ def test_zero_point_colour_term_and_limit_are_those_of_the_camera(found: FrameId
 
 
 @pytest.mark.slow
-def test_an_aim_and_a_scale_do_as_well_as_a_header(seen: Scene, found: FrameIdentification) -> None:
+def test_an_aim_and_a_scale_replace_a_header(seen: Scene, found: FrameIdentification) -> None:
     aim = Aim(150.05, 39.97, 0.2, (0.8, 1.25))
     other = solve(seen.measured, seen.catalogue, aim, epoch_jyr=2020.0)
     same = dict(zip(found.pairs[0], found.stars.rows[found.pairs[1]], strict=True))
@@ -244,7 +244,7 @@ def test_a_star_close_to_another_is_missing_because_of_it() -> None:
 
 
 @pytest.mark.slow
-def test_what_a_shallow_catalogue_does_not_reach_is_said(seen: Scene, found: FrameIdentification) -> None:
+def test_measurements_fainter_than_the_catalogue_are_reported(seen: Scene, found: FrameIdentification) -> None:
     from sameas.report.frame import frame_lines
 
     assert not len(found.beyond_catalogue)
@@ -261,20 +261,20 @@ def test_what_a_shallow_catalogue_does_not_reach_is_said(seen: Scene, found: Fra
     assert f"{len(few.beyond_catalogue)} are fainter than it reaches" in told
 
 
-def test_stars_fainter_than_said_are_not_used(seen: Scene) -> None:
+def test_stars_fainter_than_the_given_limit_are_not_used(seen: Scene) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     few = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, faintest=15.0)
     assert (few.stars.magnitude <= 15.0).all() and few.settled
 
 
 @pytest.mark.slow
-def test_a_given_order_is_kept(seen: Scene) -> None:
+def test_a_given_plate_order_is_kept(seen: Scene) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     linear = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, refinement=Refinement(order=1))
     assert linear.plate.order == 1 and linear.plate.error_scale > 2.0
 
 
-def test_the_summary_is_json_without_surprises(found: FrameIdentification) -> None:
+def test_the_summary_is_plain_json(found: FrameIdentification) -> None:
     told = json.loads(json.dumps(summary(found), allow_nan=False))
     assert told["found"]["identified"] == len(found.pairs[0])
     assert told["place"]["scale_arcsec_per_px"] == pytest.approx(1.0, abs=0.02)
@@ -310,7 +310,7 @@ def test_a_wrong_field_is_refused_with_the_odds(seen: Scene) -> None:
         solve(lies, seen.catalogue, ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE))), epoch_jyr=2020.0)
 
 
-def test_cones_hold_what_hints_allow(seen: Scene) -> None:
+def test_cones_contain_all_fields_allowed_by_the_hints(seen: Scene) -> None:
     frame = footprint(seen.pointing, (SIDE, SIDE))
     assert frame.radius_deg == pytest.approx(1.1 * np.hypot(500, 500) / 3600, rel=0.01)
     about = search_cone(
@@ -320,14 +320,14 @@ def test_cones_hold_what_hints_allow(seen: Scene) -> None:
     assert not Cone(150.0, 40.0, 1.0).holds(Cone(152.0, 40.0, 1.0))
 
 
-def test_stars_that_come_into_a_cone_by_their_motion_are_in_it() -> None:
+def test_stars_that_move_into_a_cone_are_in_it() -> None:
     table = {"ra": [10.0], "dec": [21.0], "pmra": [0.0], "pmdec": [-36000.0], "ref_epoch": [2000.0]}
     runner = Catalogue.of(table, "runner", options=CatalogueOptions(sigma=0.1, pm_sigma_mas_per_yr=1.0))
     assert len(StarField.of(runner, 2100.0, near=Cone(10.0, 20.0, 0.5))) == 1
     assert len(StarField.of(runner, 2010.0, near=Cone(10.0, 20.0, 0.5))) == 0
 
 
-def test_a_bent_response_is_found_and_a_straight_one_is_left_straight() -> None:
+def test_a_nonlinear_response_is_found_and_a_linear_one_kept() -> None:
     rng = np.random.default_rng(5)
     seen, colour = rng.uniform(-12, -5, 300), np.full(300, np.nan)
     for curve, terms in ((0.0, 0), (0.08, 2)):
@@ -339,7 +339,7 @@ def test_a_bent_response_is_found_and_a_straight_one_is_left_straight() -> None:
     assert ZeroPoint.of(np.ones(2), np.ones(2), colour[:2], np.ones(2)) is None
 
 
-def test_completeness_falls_where_stars_are_lost() -> None:
+def test_completeness_drops_where_stars_are_lost() -> None:
     rng = np.random.default_rng(6)
     magnitude = rng.uniform(10, 20, 2000)
     found = (rng.random(2000) < 0.95 / (1 + np.exp((magnitude - 16.5) / 0.3))).astype(float)
@@ -353,7 +353,7 @@ def test_completeness_falls_where_stars_are_lost() -> None:
     assert Completeness.of(np.full(3, np.nan), np.ones(3)) is None
 
 
-def test_the_words_of_a_frame_never_round_an_error_to_zero_nor_the_faint_stars_to_the_bright_ones():
+def test_printed_errors_are_never_rounded_to_zero_and_faint_completeness_is_stated():
     zero = ZeroPoint(20.32901, 0.00034, -0.0001, 0.00002, (), 0.0, 1.0, (0.0, 1.0), 0.7, 0.02, 3456.0)
     assert zero.describe() == (
         "zero point 20.3290 ± 0.0003 mag, colour term -0.00010 ± 0.00002; scatter 0.020 mag of 3456 pairs"
@@ -395,7 +395,7 @@ def test_a_plate_of_1951_is_identified_with_gaia() -> None:
     fast = np.flatnonzero((moved > 1.9) & found.inside)
     lost = np.setdiff1d(fast, found.pairs[1])
     assert len(fast) == 34 and len(lost) <= 5 and int(np.argmax(np.where(found.inside, moved, 0))) in found.pairs[1]
-    # A saturated star has no magnitude to the hundredth, but it is none of those that are a hundred times fainter.
+    # The magnitude of a saturated star is inaccurate, but excludes stars a hundred times fainter.
     assert np.nanmin(found.excess_mag) > -4.0 and len(found.odd_brightness) <= 55
     table = listing(found)
     told = table[np.isin(np.ma.filled(table["star"], 0), found.stars.ids[lost])]
@@ -432,7 +432,7 @@ def test_two_raw_frames_without_a_solution_agree_to_a_tenth_of_a_pixel() -> None
 
 
 @pytest.mark.slow
-def test_stars_behind_a_mask_are_not_missed(seen: Scene, found: FrameIdentification) -> None:
+def test_masked_stars_do_not_count_as_missed(seen: Scene, found: FrameIdentification) -> None:
     measured = seen.measured
     y, x = np.mgrid[:SIDE, :SIDE]
     blind = np.hypot(x - 350, y - 600) < 250

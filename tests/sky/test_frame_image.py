@@ -1,4 +1,4 @@
-"""Frames are read as observatories write them; what cannot be used is refused in one clear line."""
+"""Frames of many observatories are read; unusable ones are refused in one clear line."""
 
 import gzip
 
@@ -19,7 +19,7 @@ def saved(path, *hdus):
     return path
 
 
-def test_the_same_pixels_come_from_every_kind_of_file(tmp_path):
+def test_all_file_types_give_the_same_pixels(tmp_path):
     whole = np.rint(SKY).astype(np.uint16)
     plain = saved(tmp_path / "plain.fits", fits.PrimaryHDU(whole))
     packed = tmp_path / "packed.fits.gz"
@@ -32,7 +32,7 @@ def test_the_same_pixels_come_from_every_kind_of_file(tmp_path):
         np.testing.assert_allclose(read(path).image, whole, atol=0.3)
 
 
-def test_the_image_is_chosen_among_extensions_and_the_choice_is_told(tmp_path):
+def test_the_image_extension_is_chosen_and_reported(tmp_path):
     path = saved(
         tmp_path / "multi.fits",
         fits.PrimaryHDU(),
@@ -47,7 +47,7 @@ def test_the_image_is_chosen_among_extensions_and_the_choice_is_told(tmp_path):
         read(path, hdu="CHIP3")
 
 
-def test_planes_of_quality_and_errors_belong_to_the_image(tmp_path):
+def test_quality_and_error_planes_are_read_with_the_image(tmp_path):
     quality = np.zeros(SKY.shape, np.int16)
     quality[3, 4] = 16
     path = saved(
@@ -70,7 +70,7 @@ def test_named_bits_of_a_mask_are_understood(tmp_path):
     assert frame.flags[1, 1] == Flag.MASKED and frame.flags[2, 2] == Flag.SATURATED and frame.flags[3, 3] == 0
 
 
-def test_a_mask_of_the_user_and_nan_pixels_are_left_out(tmp_path):
+def test_pixels_in_the_users_mask_and_nan_pixels_are_excluded(tmp_path):
     image = SKY.copy()
     image[0, 0] = np.nan
     mask = np.zeros(SKY.shape, np.uint16)
@@ -82,7 +82,7 @@ def test_a_mask_of_the_user_and_nan_pixels_are_left_out(tmp_path):
     assert np.isfinite(frame.image).all()
 
 
-def test_saturation_is_read_off_the_pixels_where_nobody_tells_it():
+def test_saturation_is_estimated_from_the_pixels_if_not_given():
     image = SKY.copy()
     image[10:16, 10:20] = 30_000.0
     image[20:24, 10:13] += np.linspace(500, 20_000, 12).reshape(4, 3)
@@ -127,7 +127,7 @@ def test_a_missing_file_and_a_frame_full_of_light_are_refused(tmp_path):
         read(path, given=Given(saturation_adu=900.0))
 
 
-def test_a_missing_time_is_a_doubt_until_it_is_needed(tmp_path):
+def test_a_missing_time_is_a_doubt_and_refused_only_if_needed(tmp_path):
     frame = read(saved(tmp_path / "timeless.fits", fits.PrimaryHDU(SKY)))
     assert any(line.startswith("doubt: the header has no time") for line in frame.facts.lines)
     with pytest.raises(InputError, match=r"timeless\.fits: the header has no time"):
@@ -135,7 +135,7 @@ def test_a_missing_time_is_a_doubt_until_it_is_needed(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_damaged_compressed_image_ends_neither_the_process_nor_in_an_error_of_the_library(tmp_path):
+def test_a_damaged_compressed_image_is_refused_without_a_crash(tmp_path):
     sky = SKY.astype(np.int16)
     image = fits.CompImageHDU(sky, compression_type="HCOMPRESS_1")
     path = saved(tmp_path / "h.fits.fz", fits.PrimaryHDU(), image)
@@ -149,7 +149,7 @@ def test_a_damaged_compressed_image_ends_neither_the_process_nor_in_an_error_of_
         read(path)
 
 
-def test_a_decoder_that_waits_for_ever_is_ended(tmp_path, monkeypatch):
+def test_a_decoder_that_hangs_is_stopped(tmp_path, monkeypatch):
     import subprocess
 
     path = saved(

@@ -1,4 +1,4 @@
-"""Keywords are understood as observatories write them, and every assumption has its line."""
+"""Header keywords of many observatories; every assumption is reported."""
 
 import numpy as np
 import pytest
@@ -36,25 +36,25 @@ MIDDLE = "2018-10-18T03:03:53.784"
         {"DATE_AVG": MIDDLE, "DATE_OBS": "2018-10-18T03:00:00", "EXPTIME": 1.0},
     ],
 )
-def test_the_middle_of_the_exposure_is_found(cards):
+def test_mid_exposure_is_computed(cards):
     time = facts(**cards).time()
     assert abs((time - Time(MIDDLE)).sec) < 1e-3
     assert time.scale == "utc"
 
 
 @pytest.mark.parametrize("name", ["IM_SCALE", "PIXSCALE", "SECPIX", "PIXELSCL", "SECPPIX"])
-def test_the_scale_of_the_pixels_is_read_as_observatories_call_it(name):
+def test_the_pixel_scale_is_read_under_its_many_names(name):
     header = fits.Header()
     header[name] = 5.21
     assert Facts.of(header).scale_arcsec_per_px == 5.21
 
 
-def test_the_scale_of_the_time_is_that_of_the_header():
+def test_the_time_scale_is_that_of_the_header():
     assert facts(DATE_OBS="2018-10-18T03:01:53", TIMESYS="TDB", EXPTIME=2).time().scale == "tdb"
     assert "assumed: times are UTC (no TIMESYS)" in facts(DATE_OBS="2018-10-18T03:01:53", EXPTIME=2).lines
 
 
-def test_an_old_plate_has_universal_time_turned_into_tt():
+def test_universal_time_of_an_old_plate_is_converted_to_tt():
     plate = facts(comments={"EXPOSURE": "Exposure time minutes"}, DATE_OBS="29/11/51", UT="12:07:00.00", EXPOSURE=50.0)
     assert plate.exposure_s == 3000
     assert plate.time().scale == "tt"
@@ -62,7 +62,7 @@ def test_an_old_plate_has_universal_time_turned_into_tt():
     assert any("there was no UTC before 1960" in line for line in plate.lines)
 
 
-def test_a_date_alone_is_taken_for_noon_and_disagreeing_clocks_are_told():
+def test_a_date_without_time_means_noon_and_disagreeing_clocks_are_reported():
     assert any(line.startswith("assumed: 12:00") for line in facts(DATE_OBS="2018-10-18", EXPTIME=0.0).lines)
     lines = facts(DATE_OBS="2018-10-18T03:01:53", MJD_OBS=58409.5, EXPTIME=10).lines
     assert any(line.startswith("doubt: MJD-OBS differs from DATE-OBS by") for line in lines)
@@ -80,7 +80,7 @@ def test_a_date_alone_is_taken_for_noon_and_disagreeing_clocks_are_told():
         ({"GEOLON": 288.515}, {}, "east positive"),
     ],
 )
-def test_longitudes_of_either_sign_are_one_place(cards, comments, how):
+def test_longitudes_of_either_sign_convention_are_read(cards, comments, how):
     found = facts(
         comments=comments, DATE_OBS="2018-10-18T03:01:53", EXPTIME=240, SITELAT="+42 36 36", GEOLAT=42.61, **cards
     )
@@ -89,7 +89,7 @@ def test_longitudes_of_either_sign_are_one_place(cards, comments, how):
     assert any(how in line for line in found.lines)
 
 
-def test_the_code_of_the_station_is_found():
+def test_the_observatory_code_is_found():
     site = facts(SITELAT="42 36 36", SITELONG="288 30 54", ORIGIN="MIT Wallace Astrophysical Observatory (810)").station
     assert site.code == "810"
 
@@ -102,7 +102,7 @@ def test_the_code_of_the_station_is_found():
         {"RA": 62.53667, "DEC": -22.83958},
     ],
 )
-def test_aims_come_in_hours_and_in_degrees(cards):
+def test_aims_in_hours_and_in_degrees_are_read(cards):
     assert facts(**cards).aim_deg == pytest.approx((62.53667, -22.83958), abs=1e-4)
 
 
@@ -111,14 +111,14 @@ def test_an_aim_of_another_equinox_is_precessed():
     assert (ra, dec) == pytest.approx((63.283, 22.967), abs=3e-3)
 
 
-def test_gain_of_a_camera_setting_is_not_believed_and_electrons_are():
+def test_camera_gain_settings_are_ignored_and_electrons_used():
     assert np.isnan(facts(GAIN=100).gain_e_per_adu)
     assert facts(GAIN=100, EGAIN=0.8).gain_e_per_adu == 0.8
     assert facts(BUNIT="electrons").gain_e_per_adu == 1.0
     assert facts(BUNIT="ELECTRONS/S", EXPTIME=30.0).gain_e_per_adu == 30.0
 
 
-def test_what_is_given_goes_before_the_header_and_is_checked():
+def test_given_values_override_the_header_and_are_checked():
     found = facts(Given(gain_e_per_adu=2.5, exposure_s=10.0), EGAIN=0.8, EXPTIME=5.0)
     assert (found.gain_e_per_adu, found.exposure_s) == (2.5, 10.0)
     assert "gain 2.5 (given)" in found.lines
@@ -132,7 +132,7 @@ def test_angles_keep_the_sign_of_a_zero_degree():
     assert Card("EXPTIME", "1.5D2 s").number() == 150.0
 
 
-def test_a_plateau_is_a_pile_of_bright_pixels_and_nothing_else():
+def test_saturation_is_recognised_by_a_pile_up_of_bright_pixels():
     rng = np.random.default_rng(3)
     falling = 1000 + 60_000 * rng.power(0.15, 40_000)[:20_000] ** 3
     assert plateau(1000 + rng.exponential(2000.0, 100_000)) == np.inf

@@ -1,4 +1,4 @@
-"""Patterns: all of them, once each, and the same however a frame is turned, scaled or mirrored."""
+"""Star patterns: complete, without repetition, invariant under rotation, scale and reflection."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def points(n: int = 11, seed: int = 0) -> np.ndarray:
 
 @pytest.mark.parametrize("k", [3, 4])
 @pytest.mark.parametrize(("shortest", "longest"), [(0.0, np.inf), (300.0, 700.0)])
-def test_every_set_of_points_is_there_once(k: int, shortest: float, longest: float) -> None:
+def test_every_set_of_points_occurs_once(k: int, shortest: float, longest: float) -> None:
     here = points()
     expected = {}
     for chosen in combinations(range(len(here)), k):
@@ -32,7 +32,7 @@ def test_every_set_of_points_is_there_once(k: int, shortest: float, longest: flo
 
 
 @pytest.mark.parametrize("k", [3, 4])
-def test_a_code_is_what_does_not_change(k: int) -> None:
+def test_codes_are_invariant(k: int) -> None:
     here, turn = points(), 1.7 * np.exp(2.0j)
     there = turn * (here @ [1.0, 1.0j]) + (30 - 700j)
     flipped = np.conj(there)
@@ -45,9 +45,9 @@ def test_a_code_is_what_does_not_change(k: int) -> None:
         assert np.allclose(first.size * abs(turn), again.size[order[1]][np.argsort(order[0])])
 
 
-def test_a_code_does_not_ask_in_which_order_the_points_come() -> None:
+def test_codes_do_not_depend_on_the_order_of_the_points() -> None:
     corner = points(4, 3)[None]
-    # The farthest two stay in front: who of them is A, and who comes third, is the code's own business.
+    # The farthest two points come first; their order and that of the others is fixed by the code.
     far = max(combinations(range(4), 2), key=lambda pair: np.linalg.norm(corner[0, pair[0]] - corner[0, pair[1]]))
     rest = [i for i in range(4) if i not in far]
     all_codes = [codes(corner[:, [*a, *b]])[1] for a in (far, far[::-1]) for b in (rest, rest[::-1])]
@@ -81,7 +81,7 @@ def test_the_index_finds_the_pattern_and_the_pointing_at_the_pole_too(flip: bool
     assert not len(index.alike(seen, 0.002, (2 * scale, 3 * scale))[0])
 
 
-def test_the_brightest_of_every_cell_are_spread_over_the_sky() -> None:
+def test_the_brightest_stars_of_every_cell_cover_the_sky() -> None:
     rng = np.random.default_rng(5)
     vectors = rng.normal(size=(40_000, 3))
     vectors[:20_000] = np.abs(vectors[:20_000])  # one octant holds half of the stars
@@ -91,5 +91,5 @@ def test_the_brightest_of_every_cell_are_spread_over_the_sky() -> None:
     octant = np.all(vectors[rows] > 0, axis=1).mean()
     assert np.all(np.diff(rank[rows]) > 0) and 0.1 < octant < 0.15
     assert len(rows) == pytest.approx(3 * 4 * np.pi / np.radians(10.0) ** 2, rel=0.03)
-    # No star left out is brighter than the third of its neighbourhood by accident: the brightest of all is in.
+    # The brightest star of all is always selected.
     assert rank[rows[0]] == 0

@@ -1,4 +1,4 @@
-"""A frame is placed where it points, by header, aim or the whole sky, and a false placement is refused."""
+"""Placing a frame by header, aim or whole-sky search; false placements are refused."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MIDDLE = np.array([549.5, 449.5])
 
 @dataclass(frozen=True)
 class Seen:
-    """Measurements, as far as a placement asks for them."""
+    """The attributes of measurements that a placement uses."""
 
     x_px: np.ndarray
     y_px: np.ndarray
@@ -45,7 +45,7 @@ def pointing(ra_deg: float, dec_deg: float, scale_arcsec: float, turn_deg: float
 
 
 def sky(rng: np.random.Generator, n: int, side_deg: float, ra_deg: float = 120.0, dec_deg: float = 35.0) -> Stars:
-    """Stars scattered over a square, ever more the fainter."""
+    """Stars uniform in a square, more of them at fainter magnitudes."""
     plane = np.radians(rng.uniform(-side_deg / 2, side_deg / 2, (n, 2)))
     ra, dec = directions_deg(from_plane(plane, unit_vectors(ra_deg, dec_deg)))
     return Stars(ra, dec, 0.1, 12 + np.log10(rng.random(n)) / 0.3)
@@ -60,7 +60,7 @@ def picture(
     spurious: float = 0.0,
     bend_px: float = 0.0,
 ) -> tuple[Seen, np.ndarray]:
-    """What a frame shows of the stars, and the catalogue row of each (−1: spurious), shuffled."""
+    """Shuffled detections of the stars in a frame, and the catalogue row of each (−1: spurious)."""
     px = where.to_px(unit_vectors(stars.ra_deg, stars.dec_deg))
     inside = np.all((px > 0) & (px < [SHAPE[1] - 1, SHAPE[0] - 1]), axis=1)
     rows = stars.order()[inside[stars.order()]][:brightest]
@@ -77,7 +77,7 @@ def picture(
 
 
 def off_px(placed: Placement | Pointing, where: Pointing) -> float:
-    """By how much a corner of the frame is put in the wrong place."""
+    """Placement error at the corners of the frame, in pixels."""
     got = placed.pointing if isinstance(placed, Placement) else placed
     corners = np.array([[0.0, 0.0], [SHAPE[1] - 1, 0], [0, SHAPE[0] - 1], [SHAPE[1] - 1, SHAPE[0] - 1]])
     return float(np.abs(got.to_px(where.to_sky(corners)) - corners).max())
@@ -88,7 +88,7 @@ def off_px(placed: Placement | Pointing, where: Pointing) -> float:
 @pytest.mark.parametrize(
     ("n", "brightest", "spurious"), [(150, 60, 0.0), (150, 60, 0.5), (150, 15, 0.5), (2000, 400, 0.3)]
 )
-def test_an_aim_and_a_rough_scale_are_enough(mirror: bool, n: int, brightest: int, spurious: float) -> None:
+def test_an_aim_and_an_approximate_scale_are_enough(mirror: bool, n: int, brightest: int, spurious: float) -> None:
     rng = np.random.default_rng(n + brightest)
     stars = sky(rng, n, 1.0)
     where = pointing(120.04, 34.97, 1.2, rng.uniform(0, 360), mirror=mirror)
@@ -116,7 +116,7 @@ def test_seven_stars_of_the_whole_field_are_enough_among_as_many_false() -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("dec_deg", [-90.0, 89.95, 0.0])
-def test_poles_and_the_zero_meridian_are_places_like_others(dec_deg: float) -> None:
+def test_frames_at_the_poles_and_the_zero_meridian_are_placed(dec_deg: float) -> None:
     rng = np.random.default_rng(9)
     stars = sky(rng, 150, 1.0, 0.0, dec_deg)
     where = pointing(0.01, dec_deg, 1.2, 200.0)
@@ -131,7 +131,7 @@ def test_the_wcs_is_the_pointing() -> None:
     px = np.array([[0.0, 0.0], [1099.0, 17.0], [300.0, 899.0]])
     world = placed.wcs.all_pix2world(px, 0)
     assert np.allclose(unit_vectors(*world.T), placed.pointing.to_sky(px), rtol=0, atol=1e-12)
-    # The frame's y axis by definition: from the middle a step up, its direction on the sky.
+    # The y axis of the frame by definition: the direction on the sky of a step up from the centre.
     step = to_plane(where.to_sky(MIDDLE + np.array([[0.0, 100.0]])), where.centre)[0]
     assert math.degrees(math.atan2(*step)) % 360 == pytest.approx(placed.rotation_deg, abs=0.05)
     assert placed.wcs.array_shape == SHAPE
@@ -168,8 +168,8 @@ def test_another_field_is_refused_with_the_odds(n: int, brightest: int) -> None:
 
 
 @pytest.mark.slow
-def test_odds_against_chance_are_what_they_say() -> None:
-    # In frames of pure chance odds of 1:1 and better may turn up in one half at most, of 20:1 in one of 20.
+def test_odds_against_chance_are_calibrated() -> None:
+    # In random frames, odds of 1:1 or better may occur in at most one half, of 20:1 in one of 20.
     volume = SearchVolume((0.2 / 57.3) ** 2, 2 * math.pi, 0.4, 2)
     best = []
     for seed in range(40):
@@ -212,7 +212,7 @@ def test_a_headers_distortion_is_taken_out_before_the_frame_is_placed() -> None:
     bent = where.to_wcs()
     bent.wcs.ctype = ["RA---TAN-SIP", "DEC--TAN-SIP"]
     bent.sip = Sip(a, np.zeros((3, 3)), None, None, bent.wcs.crpix)
-    # Where the curved camera shows them: u + A(u) is what was straight, 36 px at the side.
+    # Distorted positions: u + A(u) is the undistorted one, 36 px at the edge.
     u = x.copy()
     for _ in range(30):
         u[:, 0] = x[:, 0] - a[2, 0] * u[:, 0] ** 2 - a[0, 2] * u[:, 1] ** 2
@@ -241,7 +241,7 @@ def whole_sky(n: int = 20_000) -> Stars:
 
 
 @pytest.mark.slow
-def test_nothing_but_a_range_of_scales_finds_a_wide_field_anywhere() -> None:
+def test_a_wide_field_is_found_anywhere_from_a_range_of_scales() -> None:
     stars, hint = whole_sky(), AllSky((28.0, 35.0))
     index = sky_index(stars, SHAPE, hint)
     for seed, mirror in ((0, False), (1, True)):
@@ -279,7 +279,7 @@ def test_bad_hints_and_catalogues_are_refused(make: object, words: str) -> None:
         make()  # type: ignore[operator]
 
 
-def test_too_little_to_go_by_is_refused() -> None:
+def test_too_few_stars_or_hints_are_refused() -> None:
     rng = np.random.default_rng(17)
     stars = sky(rng, 150, 1.0)
     seen, _ = picture(rng, stars, pointing(120.0, 35.0, 1.2, 0.0))
@@ -293,7 +293,7 @@ def test_too_little_to_go_by_is_refused() -> None:
 @pytest.mark.parametrize(
     ("log_odds", "words"), [(math.log(250), "250:1"), (-math.log(30), "1:30"), (103.6, "10^45:1"), (-math.inf, "none")]
 )
-def test_odds_are_written_as_people_do(log_odds: float, words: str) -> None:
+def test_odds_are_printed_readably(log_odds: float, words: str) -> None:
     assert odds_in_words(log_odds) == words
 
 

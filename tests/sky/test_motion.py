@@ -1,4 +1,4 @@
-"""Motion to another epoch: against STILTS (stored), astropy, differences, random draws, and its own laws."""
+"""Propagation to another epoch: against STILTS (stored), astropy, differences, random draws, and invariances."""
 
 from __future__ import annotations
 
@@ -77,26 +77,26 @@ def random_stars(rng, n, sigma_scale=1.0):
     return astrometry_of(values, sigma_scale * rng.uniform(0.1, 2, (n, 6)), correlation=correlation)
 
 
-# --- outside truth
+# --- external references
 
 
 @pytest.fixture(scope="module")
-def oracle():
-    """What STILTS makes of edge cases and random stars; see data/make_motion_oracle.py."""
+def stilts():
+    """Results of STILTS for edge cases and random stars; see data/make_motion_oracle.py."""
     path = Path(__file__).parent / "data/motion_oracle.csv"
     table = np.genfromtxt(path, delimiter=",", skip_header=1)
     years, taken, answer = table[:, 0], table[:, 1:23], table[:, 23:]
     correlation = np.zeros((len(table), 5, 5))
     correlation[:, *np.triu_indices(5, 1)] = taken[:, 12:]
     correlation += correlation.swapaxes(1, 2)
-    # STILTS takes an absent radial velocity for an exact zero.
+    # STILTS treats a missing radial velocity as exactly zero.
     missing = MissingMotion(radial_velocity_sigma_km_per_s=0.0)
     old = astrometry_of(taken[:, :6], taken[:, 6:12], epoch_jyr=0.0, missing=missing, correlation=correlation)
     return old, propagate(old, years), years, answer
 
 
-def test_values_are_those_of_stilts(oracle):
-    old, new, _, answer = oracle
+def test_values_agree_with_stilts(stilts):
+    old, new, _, answer = stilts
     theirs = dataclasses.replace(new, ra_deg=answer[:, 0], dec_deg=answer[:, 1])
     assert np.abs(offset_mas(new, theirs)).max() < 0.01
     assert np.allclose(values_of(new)[:, 2:5], answer[:, 2:5], rtol=1e-8, atol=1e-6)
@@ -105,17 +105,17 @@ def test_values_are_those_of_stilts(oracle):
     assert np.allclose(new.radial_velocity_km_per_s[told], answer[told, 5], rtol=1e-7)
 
 
-def test_errors_and_correlations_are_those_of_stilts(oracle):
-    _, new, _, answer = oracle
+def test_errors_and_correlations_agree_with_stilts(stilts):
+    _, new, _, answer = stilts
     sigma = np.sqrt(np.einsum("nii->ni", new.covariance))[:, :5]
     assert np.allclose(sigma, answer[:, 6:11], rtol=1e-7, atol=0)
     correlation = new.covariance[:, :5, :5] / sigma[:, :, None] / sigma[:, None, :]
     assert np.allclose(correlation[:, *np.triu_indices(5, 1)], answer[:, 12:], rtol=1e-6, atol=1e-8)
 
 
-def test_error_of_radial_velocity_is_that_of_stilts_once_its_neglect_is_repeated(oracle):
-    """STILTS takes the new radial velocity for uncorrelated with the new parallax, which it no longer is."""
-    old, new, years, answer = oracle
+def test_error_of_radial_velocity_agrees_with_stilts_under_its_approximation(stilts):
+    """STILTS neglects the correlation of the new radial velocity with the new parallax."""
+    old, new, years, answer = stilts
     told = np.isfinite(answer[:, 11]) & (old.parallax_mas != 0)
     assert told.sum() > 120
     old, new, years, answer = old[told], new[told], years[told], answer[told]
@@ -144,8 +144,8 @@ def space_motion_of_astropy(astrometry, years):
     return dataclasses.replace(astrometry, ra_deg=end.ra.deg, dec_deg=end.dec.deg)
 
 
-def test_positions_differ_from_astropy_by_the_light_time_it_adds():
-    """ERFA's starpm lets the light travel: second order in time, of the order μt (V/c) (Vt/d)."""
+def test_positions_differ_from_astropy_by_its_light_time_effect():
+    """ERFA's starpm includes the light-time effect: second order in time, of the order μt (V/c) (Vt/d)."""
     rng = np.random.default_rng(5)
     stars, years = random_stars(rng, 300), 50.0
     values = values_of(stars)
@@ -166,7 +166,7 @@ def test_positions_differ_from_astropy_by_the_light_time_it_adds():
 # --- the derivatives
 
 
-def test_derivatives_are_finite_differences():
+def test_derivatives_agree_with_finite_differences():
     stars = random_stars(np.random.default_rng(1), 50)
     end_epoch = 2016.0 + 80.0
     end = propagate(stars, end_epoch)
@@ -185,7 +185,7 @@ def test_derivatives_are_finite_differences():
 
 
 def shifted(stars, parameter, step):
-    """``stars`` with one parameter changed; a change of place carries the proper motion parallel."""
+    """``stars`` with one parameter changed; a change of position parallel-transports the proper motion."""
     if parameter >= 2:
         name = PARAMETERS[parameter]
         return dataclasses.replace(stars, **{name: getattr(stars, name) + step})
@@ -206,7 +206,7 @@ def difference(there, back, middle):
 
 
 @pytest.mark.slow
-def test_covariance_is_that_of_random_draws():
+def test_covariance_agrees_with_random_draws():
     rng = np.random.default_rng(2)
     star = random_stars(rng, 1, sigma_scale=5.0)
     draws = rng.multivariate_normal(np.zeros(6), star.covariance[0], 200_000)
@@ -219,10 +219,10 @@ def test_covariance_is_that_of_random_draws():
     assert np.abs((np.cov(sample.T) - end.covariance[0]) / np.outer(scale, scale)).max() < 0.02
 
 
-# --- laws
+# --- invariances
 
 
-def test_no_time_changes_nothing():
+def test_zero_time_changes_nothing():
     stars = random_stars(np.random.default_rng(3), 200)
     same = propagate(stars, 2016.0)
     assert np.abs(offset_mas(stars, same)).max() < 1e-7
@@ -234,8 +234,8 @@ def test_no_time_changes_nothing():
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), years=st.floats(-150, 150))
 @example(seed=2538, years=115.0)
-def test_there_and_back_is_where_it_was(seed, years):
-    # The second-order term is added on both ways. Its share of a covariance goes with the square of the errors: over
+def test_propagation_there_and_back_is_the_identity(seed, years):
+    # The second-order term is added both ways. Its share of a covariance is proportional to the squared errors: over
     # 150 years up to 1e-3 for errors of a thousandth of random_stars', 1e-7 for these.
     stars = random_stars(np.random.default_rng(seed), 20, sigma_scale=1e-5)
     back = propagate(propagate(stars, 2016.0 + years), stars.epoch_jyr)
@@ -248,8 +248,8 @@ def test_there_and_back_is_where_it_was(seed, years):
 
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 10**6), years=st.floats(-100, 100))
-def test_a_turned_sky_gives_the_same(seed, years):
-    """A star over the pole is a star at the equator: errors and motions are vectors, whatever the axes."""
+def test_a_rotated_sky_gives_the_same(seed, years):
+    """Propagation commutes with rotations of the sky, also over a pole."""
     rng = np.random.default_rng(seed)
     stars = random_stars(rng, 20)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -258,13 +258,13 @@ def test_a_turned_sky_gives_the_same(seed, years):
     turned = propagate(turned_sky(stars, turn), 2016.0 + years)
     expected = turned_sky(propagate(stars, 2016.0 + years), turn)
     assert np.abs(offset_mas(expected, turned)).max() < 1e-6
-    # At the pole itself east is where one says; compare vectors.
+    # East is arbitrary at the pole itself; compare vectors.
     scale = np.sqrt(np.einsum("nii->ni", as_vectors(expected)))[:, :, None]
     assert (np.abs(as_vectors(turned) - as_vectors(expected)) <= 1e-6 * scale * scale.swapaxes(1, 2) + 1e-9).all()
 
 
 def to_pole(stars, years):
-    """A rotation that brings the last star, at the end of its way, within 0.1 mas of the pole."""
+    """A rotation that puts the last star, after its motion, within 0.1 mas of the pole."""
     outwards = triad(propagate(stars, 2016.0 + years))[-1, 2]
     rows = np.linalg.svd(outwards[None] + [0, 1e-10, 0])[2][[1, 2, 0]]
     rows[2] *= np.sign(rows[2] @ outwards)
@@ -283,7 +283,7 @@ def turned_sky(stars, turn):
 
 
 def as_vectors(stars):
-    """(n, 8, 8) covariances with place and proper motion as vectors in space."""
+    """(n, 8, 8) covariances with position and proper motion as vectors in space."""
     tangents = triad(stars)[:, :2].swapaxes(1, 2)
     jacobian = np.zeros((len(stars), 8, 6))
     jacobian[:, 0:3, 0:2] = jacobian[:, 4:7, 3:5] = tangents
@@ -291,10 +291,10 @@ def as_vectors(stars):
     return jacobian @ stars.covariance @ jacobian.swapaxes(1, 2)
 
 
-# --- what is missing, and what is refused
+# --- missing values and refusals
 
 
-def test_missing_proper_motion_grows_with_time():
+def test_the_error_from_missing_proper_motion_grows_with_time():
     star = Astrometry.of([10.0], [60.0], epoch_jyr=2016.0, sigma=[[0.3, 0.4]], missing=MissingMotion(7.0))
     for year in (2016.0, 2026.0, 1951.9):
         position = position_at(star, year)
@@ -303,19 +303,19 @@ def test_missing_proper_motion_grows_with_time():
         assert np.allclose([position.ra_deg[0], position.dec_deg[0]], [10.0, 60.0], rtol=1e-14)
 
 
-def test_missing_radial_velocity_is_felt_by_a_near_star_only():
+def test_missing_radial_velocity_matters_for_near_stars_only():
     sigma = np.full((1, 6), 1e-3)
     near = Astrometry.of([269.45], [4.69], epoch_jyr=2016.0, sigma=sigma, **BARNARD)
     hundredth: dict[str, Any] = {name: [value[0] / 100] for name, value in BARNARD.items()}
     far = Astrometry.of([269.45], [4.69], epoch_jyr=2016.0, sigma=sigma, **hundredth)
-    # ∂(place)/∂v = μ t² π / A, of sigma 50 km/s over 50 years
+    # ∂(position)/∂v = μ t² π / A, for σ = 50 km/s over 50 years
     expected = 10393.35 * 50**2 * 547.45 * MAS / motion.AU_KM_PER_S_YR * 50 * 1e-3
     spread = [position_at(star, 2066.0).covariance_arcsec2[0, 1, 1] ** 0.5 for star in (near, far)]
     assert spread[0] == pytest.approx(expected, rel=0.02)
     assert spread[1] < 2e-4 * expected
 
 
-def test_each_component_is_filled_for_itself():
+def test_each_missing_component_is_filled_separately():
     masked = np.ma.masked_array([3.0, 3.0], [False, True])
     stars = Astrometry.of(
         [1.0, 2.0],
@@ -329,7 +329,7 @@ def test_each_component_is_filled_for_itself():
         missing=MissingMotion(10.0, 2.0, 40.0),
     )
     assert stars.parallax_mas.tolist() == [3.0, 0.0]
-    assert stars.pm_ra_mas_per_yr.tolist() == [20.0, 20.0]  # a value without an error stays
+    assert stars.pm_ra_mas_per_yr.tolist() == [20.0, 20.0]  # a value without an error is kept
     assert stars.pm_dec_mas_per_yr.tolist() == [0.0, -5.0]
     sigma = np.sqrt(np.einsum("nii->ni", stars.covariance))
     assert sigma.tolist() == [[1, 1, 1, 10, 10, 40], [1, 1, 2, 10, 0.5, 40]]
@@ -337,7 +337,7 @@ def test_each_component_is_filled_for_itself():
     assert stars.covariance[1, 0].tolist() == [1, 0.5, 0, 0, 0.25, 0]
 
 
-def test_rows_without_place_or_error_come_out_as_nan_and_alone():
+def test_rows_without_position_or_error_are_nan_and_affect_no_others():
     sigma = [[1.0, 1.0], [np.nan, 1.0], [1.0, 1.0]]
     stars = Astrometry.of([1.0, 2.0, np.inf], [1.0, 2.0, 3.0], epoch_jyr=2000.0, sigma=sigma)
     ra, dec, covariance = position_at(stars, 2016.0)
@@ -347,7 +347,7 @@ def test_rows_without_place_or_error_come_out_as_nan_and_alone():
     assert np.isfinite(values_of(propagate(stars, 2016.0))[:2]).all()
 
 
-def test_no_parallax_leaves_the_radial_velocity_alone():
+def test_without_parallax_the_radial_velocity_is_unchanged():
     star = astrometry_of([[10, 20, 0, 500, -300, 35]], np.ones((1, 6)))
     end = propagate(star, 2116.0)
     assert end.radial_velocity_km_per_s[0] == 35
@@ -355,7 +355,7 @@ def test_no_parallax_leaves_the_radial_velocity_alone():
     assert np.isfinite(end.covariance).all()
 
 
-def test_position_is_the_first_part_of_the_propagation_in_any_chunk():
+def test_positions_alone_agree_with_the_full_propagation_for_any_chunk_size():
     stars = random_stars(np.random.default_rng(4), motion._CHUNK + 3)
     end = propagate(stars, 1991.25)
     ra, dec, covariance = position_at(stars, 1991.25)
@@ -401,7 +401,7 @@ def test_examples_run():
     assert doctest.testmod(motion).failed == 0
 
 
-def test_at_their_own_epoch_objects_are_where_they_were_seen():
+def test_at_their_own_epochs_positions_are_unchanged():
     stars = Astrometry.of(
         [10.0, 359.9], [20.0, -89.0], epoch_jyr=[2000.0, 2016.0], sigma=[[50.0, 40.0], [3.0, 4.0]],
         pm_ra_mas_per_yr=[100.0, np.nan], pm_dec_mas_per_yr=[5.0, np.nan],
@@ -413,7 +413,7 @@ def test_at_their_own_epoch_objects_are_where_they_were_seen():
     np.testing.assert_allclose(near.covariance_arcsec2, here.covariance_arcsec2, rtol=1e-9, atol=1e-12)
 
 
-def test_without_correlations_variances_are_all_that_is_kept():
+def test_without_correlations_only_variances_are_kept():
     plain = Astrometry.of([10.0, 20.0], [0.0, 1.0], epoch_jyr=2000.0, sigma=[[3.0, 4.0], [5.0, 6.0]])
     full = Astrometry.of(
         [10.0, 20.0], [0.0, 1.0], epoch_jyr=2000.0, sigma=[[3.0, 4.0], [5.0, 6.0]], correlation=np.zeros((2, 2, 2))

@@ -1,4 +1,4 @@
-"""Movers: tracklets are right, whole, as sure as they say, and the same whatever the order of the rows."""
+"""Movers: tracklets are correct, complete, calibrated, and independent of the row order."""
 
 from dataclasses import replace
 from itertools import combinations, product
@@ -20,7 +20,7 @@ from sameas.sky.movers.tracks import Tracks, compete, grow
 
 
 def named(found, truth):
-    """Of each tracklet whether it is of one mover, and whether it has all its detections."""
+    """For each tracklet: whether it is of one mover, and whether it has all detections of it."""
     pure, whole = [], []
     for row in found.members:
         names = truth[row[row >= 0]]
@@ -29,7 +29,7 @@ def named(found, truth):
     return np.array(pure), np.array(whole)
 
 
-def test_movers_of_a_crowded_night_are_found_whole():
+def test_movers_of_a_crowded_night_are_found_with_all_detections():
     detections, truth = night(1)
     found = find_movers(detections, least=3)
     pure, whole = named(found, truth)
@@ -38,7 +38,7 @@ def test_movers_of_a_crowded_night_are_found_whole():
 
 
 @pytest.mark.slow
-def test_stated_probabilities_are_frequencies():
+def test_probabilities_are_calibrated():
     p, right = [], []
     for seed in range(30, 44):
         detections, truth = night(seed, times_min=(0, 30, 75), false=150, p_detect=0.7)
@@ -66,7 +66,7 @@ def test_a_detection_belongs_to_one_tracklet_at_most():
     assert len(rows) == len(np.unique(rows)) and len(found) > 5
 
 
-def test_false_detections_alone_make_hardly_a_tracklet():
+def test_false_detections_alone_give_hardly_any_tracklet():
     detections, _ = night(4, movers=0, false=200)
     found = find_movers(detections, least=3, model=MotionModel())
     assert found.p_tracklet.sum() <= 3 and len(found) <= 3
@@ -92,14 +92,14 @@ def test_rates_and_residuals_are_those_of_a_straight_line():
     assert found.table()["tracklet"][0] == "sa00001"
 
 
-def test_learning_needs_no_names_and_finds_the_rates():
+def test_rates_are_learned_without_known_names():
     detections, _ = night(7, movers=300, side_deg=4.0)
     model = learn_motion(detections)
     top = model.rates.covariance[model.rates.share > 0.1]
     assert 0.75 < model.p_detect < 0.95 and np.sqrt(top[:, 0, 0]).max() < 0.3
 
 
-def test_links_are_one_to_one():
+def test_linked_detections_are_one_to_one():
     detections, _ = night(8, false=200)
     around = Surroundings.of(detections)
     links = candidate_links(around, MotionModel().for_bands(detections.bands))
@@ -108,7 +108,7 @@ def test_links_are_one_to_one():
     assert (detections.frame[links.i] < detections.frame[links.j]).all()
 
 
-def test_links_of_a_long_series_are_those_among_all_pairs(monkeypatch):
+def test_links_of_a_long_series_agree_with_those_among_all_pairs(monkeypatch):
     detections, _ = night(8, movers=8, false=20, times_min=tuple(range(0, 90, 3)))
     around, n = Surroundings.of(detections), len(detections)
     model = MotionModel().for_bands(detections.bands)
@@ -143,7 +143,7 @@ def test_competing_tracks_are_summed_over_all_choices():
 
 
 def chain(members, weight):
-    """Tracks with these detections; those of three have one of two as parent."""
+    """Tracks with these detections; tracks of three have a track of two as parent."""
     n = len(members)
     parent = np.array([members.index(m[:-1]) if len(m) > 2 else -1 for m in members])
     first, last = np.array([m[0] for m in members]), np.array([m[-1] for m in members])
@@ -151,7 +151,7 @@ def chain(members, weight):
     return Tracks(first, last, parent, size, weight, weight, size, np.zeros(n), np.zeros((n, 6)))
 
 
-def test_long_tracks_stay_one():
+def test_long_tracks_are_not_split():
     detections, truth = night(
         10, movers=2, false=30, times_min=tuple(range(0, 300, 5)), rate=np.array([[0.5, 0.3], [-0.6, 0.0]])
     )
@@ -173,7 +173,7 @@ def test_a_track_is_the_least_squares_fit_of_its_detections():
     np.testing.assert_allclose(tracks.state[whole, 2:4], line[0], atol=0.01)
 
 
-def test_rate_density_is_a_density_and_widens_with_errors():
+def test_the_rate_density_integrates_to_one_and_widens_with_errors():
     mixture = RateDensity.of([0.7, 0.3], [(0.0, 0.0), (0.1, 0.0)], [(0.1, 0.2), (0.5, 0.5)])
     grid = np.stack(np.meshgrid(*[np.linspace(-4, 4, 321)] * 2), -1).reshape(-1, 2)
     for error in (0.0, 0.3):
@@ -181,7 +181,7 @@ def test_rate_density_is_a_density_and_widens_with_errors():
         assert abs(np.exp(mixture.log_density(grid, spread)).sum() * (8 / 320) ** 2 - 1) < 1e-3
 
 
-def test_log_normal_is_that_of_scipy():
+def test_log_normal_agrees_with_scipy():
     from scipy.stats import multivariate_normal
 
     covariance = np.array([[2.0, 0.7], [0.7, 1.0]])
@@ -194,7 +194,7 @@ def test_the_reference_rate_is_retrograde_at_opposition_only():
     assert reference_rate(np.array([10.0]))[0] > 0.5
 
 
-def test_the_sun_is_where_astropy_has_it():
+def test_the_position_of_the_sun_agrees_with_astropy():
     from astropy.coordinates import GeocentricMeanEcliptic, get_sun
     from astropy.time import Time
 
@@ -203,7 +203,7 @@ def test_the_sun_is_where_astropy_has_it():
     assert np.abs((sun_longitude_deg(when.mjd) - there.lon.deg + 180) % 360 - 180).max() < 0.4
 
 
-def test_ecliptic_axes_turn_covariances_and_back():
+def test_covariances_rotate_to_ecliptic_axes_and_back():
     axes = EclipticAxes.of(np.array([100.0, 250.0]), np.array([40.0, -20.0]))
     both = axes.rotated(np.array([[4.0, 0.5, 1.0], [1.0, 0.0, 1.0]]))
     np.testing.assert_allclose(np.trace(both, axis1=1, axis2=2), [5.0, 2.0])
@@ -236,13 +236,13 @@ def test_fast_tracklets_score_as_near_earth_objects():
         ({"ra_deg": ["a", "b", "c"]}, "ra is not a column of numbers"),
     ],
 )
-def test_what_cannot_be_searched_is_refused(change, words):
+def test_invalid_detections_are_refused(change, words):
     given = {"ra_deg": [1.0, 2.0, 3.0], "dec_deg": [1.0, 2.0, 3.0], "mjd_utc": [60000.0, 60000.1, 60000.2]}
     with pytest.raises(InputError, match=words):
         Detections.of(**{**given, "sigma_arcsec": 0.1, **change})
 
 
-def test_least_is_two_or_more():
+def test_the_least_number_of_detections_is_at_least_two():
     with pytest.raises(InputError, match="two detections or more; give least=N"):
         find_movers(night(1)[0], least=1)
 
@@ -259,7 +259,7 @@ def test_doubtful_rows_are_set_aside_with_the_reason():
 
 @pytest.mark.parametrize("trouble", [{}, {"larger": 2.5}, {"apart": 0.4}, {"times_min": (0, 30)}])
 def test_a_stationary_source_is_no_mover(trouble):
-    """Stars whose errors are larger than quoted, on exposures that are off each other; and movers all the same."""
+    """Stars with errors larger than quoted on offset exposures; movers are still found."""
     detections, truth = night(21, movers=10, false=20, stars=150, p_detect=1.0, **trouble)
     found = find_movers(detections, least_probability=0.9)
     pure, _ = named(found, truth)
@@ -271,7 +271,7 @@ def test_a_stationary_source_is_no_mover(trouble):
 
 
 def test_two_stars_closer_than_their_errors_are_no_movers():
-    """Which detection is of which of them is open; that they stand still is not."""
+    """The assignment of detections to the two stars is ambiguous, but both are stationary."""
     rng = np.random.default_rng(4)
     place = np.concatenate([rng.uniform(-900, 900, (30, 2)), [[100.0, 100.0], [100.3, 100.0]]])
     t = np.repeat([0.0, 14.0, 31.0, 50.0], len(place))
@@ -285,14 +285,14 @@ def test_two_stars_closer_than_their_errors_are_no_movers():
 
 
 @pytest.mark.parametrize("seed", [14, 19])
-def test_a_chance_track_is_not_believed_for_what_it_has_taught(seed):
-    """Three in line by chance taught that movers of their rate are frequent, and were stated 0.97 and 0.92."""
+def test_a_chance_track_does_not_support_itself_through_learning(seed):
+    """Chance lines of three once raised the learned frequency of their own rate, and were stated 0.97 and 0.92."""
     detections, _ = night(seed, movers=0, false=300, side_deg=0.5)
     assert len(find_movers(detections, least=3)) == 0
 
 
-def test_stars_with_a_false_detection_beside_them_are_no_slow_movers():
-    """Among 800 stars whose errors are 2.5 times those quoted, one candidate of 0.73 was a star."""
+def test_stars_with_a_nearby_false_detection_are_no_slow_movers():
+    """Among 800 stars with errors 2.5 times those quoted, a star was once a candidate of 0.73."""
     detections, truth = night(3, movers=3, false=100, stars=800, larger=2.5, p_detect=1.0)
     found = find_movers(detections, least=3)
     pure, _ = named(found, truth)
@@ -300,7 +300,7 @@ def test_stars_with_a_false_detection_beside_them_are_no_slow_movers():
 
 
 def dithered(seed, dithers, *, pixels=400):
-    """A night of three movers, with pixels that are fixed on a chip whose field is off by (f, 2) arcsec."""
+    """A night of three movers, and hot pixels fixed on the chip; dithers (f, 2) arcsec of the field."""
     detections, truth = night(seed, movers=3, false=50, stars=50, side_deg=0.5, p_detect=1.0)
     rng = np.random.default_rng(seed)
     at = rng.uniform(-900.0, 900.0, (pixels, 2))
@@ -317,7 +317,7 @@ def dithered(seed, dithers, *, pixels=400):
 
 
 def test_pixels_under_a_dithered_telescope_are_no_movers():
-    """Chance makes lines of three of so many; a night of 2 000 such pixels had 39 candidates."""
+    """Many fixed pixels form lines of three by chance; a night of 2 000 once had 39 candidates."""
     seen, truth = dithered(1, [(0.0, 0.0), (15.0, -8.0), (-11.0, 4.0), (6.0, 17.0)])
     found = find_movers(seen, least=3)
     pure, _ = named(found, truth)
@@ -325,15 +325,15 @@ def test_pixels_under_a_dithered_telescope_are_no_movers():
     assert any("fixed on the chip" in line for line in left_out_lines(found))
 
 
-def test_what_moves_by_one_rate_is_not_taken_as_fixed_on_the_chip():
-    """Steps in proportion to the time between are those of objects, too."""
+def test_movers_of_one_rate_are_not_taken_for_fixed_pixels():
+    """Dithers proportional to the time differences look like motion of objects."""
     minutes = np.array([0.0, 20.0, 45.0, 70.0])[:, None]
     seen, _ = dithered(1, minutes * [[0.4, -0.2]])
     assert not fixed_on_chip(seen).any()
 
 
 def test_a_mover_hardly_faster_than_its_errors_is_no_star():
-    """0.03″/min for 70 minutes are eleven errors of 0.2″; a tenth of that is none."""
+    """0.03″/min for 70 minutes are eleven σ of 0.2″; a tenth of that is one σ and no mover."""
     for rate, movers in ((0.03, 5), (0.003, 0)):
         detections, truth = night(
             22, movers=5, stars=100, p_detect=1.0, rate=np.full((5, 2), rate), times_min=(0, 25, 50, 70)
@@ -343,7 +343,7 @@ def test_a_mover_hardly_faster_than_its_errors_is_no_star():
 
 
 def test_fast_movers_of_a_table_are_found():
-    """4 to 20″/min in any direction, without trails, among so many others that chance alone makes no link of theirs."""
+    """4 to 20″/min in any direction, without trails, in a table where chance links at these rates are rare."""
     rate = np.array([[9.0, -4.0], [-10.0, 2.0], [3.0, 3.0], [5.0, 15.0]])
     detections, truth = night(12, movers=4, false=100, times_min=(0, 12, 24, 36), side_deg=0.5, rate=rate, p_detect=1.0)
     pure, whole = named(find_movers(detections, least=3), truth)
@@ -352,7 +352,7 @@ def test_fast_movers_of_a_table_are_found():
 
 @pytest.mark.slow
 def test_fast_movers_among_many_false_detections_are_found():
-    """Chance makes more links of such rates than are tried; a third exposure in line supports the right ones."""
+    """More chance links at such rates than are tried; a third exposure in line supports the true ones."""
     rate = np.array([[9.0, -4.0], [-10.0, 2.0], [1.2, 0.9]])
     detections, truth = night(
         12, movers=3, false=400, times_min=(0, 12, 24, 36, 48), side_deg=0.3, rate=rate, p_detect=1.0
@@ -363,7 +363,7 @@ def test_fast_movers_among_many_false_detections_are_found():
     assert pure.all() and whole.sum() == 3
 
 
-def test_patterns_of_exposures_are_a_distribution():
+def test_probabilities_of_exposure_patterns_sum_to_one():
     model = MotionModel(p_detect=0.8)
     p = [np.exp(model.log_pattern(np.array([sum(one)]), np.array([4])))[0] for one in product((0, 1), repeat=4)]
     assert abs(sum(p) - 1.0) < 1e-12
@@ -374,23 +374,23 @@ def test_patterns_of_exposures_are_a_distribution():
 
 
 @pytest.mark.parametrize("p", [0.5, 0.9])
-def test_how_often_movers_are_shown_is_learned_from_those_shown_thrice(p):
+def test_the_detection_probability_is_learned_from_movers_with_three_detections(p):
     rng = np.random.default_rng(5)
     shown = rng.binomial(5, p, 4_000)
     shown = shown[shown >= 3]
     assert abs(_detection_probability(np.ones(len(shown)), shown, np.full(len(shown), 5), 0.7) - p) < 0.02
 
 
-def test_false_detections_that_crowd_are_no_movers():
-    """Halos of bright stars give many on every exposure; movers are no more frequent there than anywhere."""
+def test_clustered_false_detections_are_no_movers():
+    """Halos of bright stars give many false detections on every exposure, without more movers."""
     for seed in (41, 42):
         detections, truth = night(seed, movers=5, false=150, p_detect=1.0, crowds=40)
         pure, _ = named(find_movers(detections, least=3), truth)
         assert pure.all() and len(pure) == 5
 
 
-def test_what_moves_with_the_telescope_is_no_flood_of_movers():
-    """Fifty warm pixels under a steady drift: one rate, as no fifty asteroids have; and five asteroids all the same."""
+def test_drifting_warm_pixels_are_no_movers():
+    """Fifty warm pixels under a steady drift share one rate, unlike asteroids; five asteroids are still found."""
     rate = np.concatenate([np.array([[-0.5, 0.21]]) + np.linspace(-0.2, 0.2, 5)[:, None], np.full((50, 2), 0.3)])
     detections, truth = night(50, movers=55, rate=rate, p_detect=1.0)
     found = find_movers(detections, least=3)

@@ -1,4 +1,4 @@
-"""Frames and tables that observers have: what comes out is what a careful astronomer would want."""
+"""Real frames and tables of observers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_every_bright_star_of_a_small_telescope_is_found(number: str) -> None:
 
 
 @pytest.mark.long
-def test_a_good_header_is_not_made_worse() -> None:
+def test_a_good_header_solution_is_not_degraded() -> None:
     """2MASS towards the Galactic centre: the header is right to 0.2 px; 10 000 measurements, 72 stars of Tycho-2."""
     pytest.importorskip("photutils", reason="finding stars needs the extra sameas[frames]")
     found = sameas.match_frame(FIELD / "gc_2mass_j.fits", TYCHO, sigma="sigma", epoch="epoch", time=1999.5)

@@ -1,4 +1,4 @@
-"""Residuals that grow along the proper motions tell of an epoch that was assumed, or stated wrongly."""
+"""Residuals along the proper motions reveal a wrongly assumed or stated epoch."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _doubts(one: Table, two: Table, epochs: tuple[float | None, float | None]) -
 @pytest.mark.parametrize("common", [0.0, 10.0])
 @pytest.mark.parametrize("assumed", [None, 2010.0])
 @pytest.mark.parametrize("swapped", [False, True])
-def test_an_epoch_that_is_wrong_is_doubted_and_the_right_one_named(common, assumed, swapped):
+def test_a_wrong_epoch_raises_a_doubt_that_names_the_right_one(common, assumed, swapped):
     gaia, old = _sky(common=common)
     tables, epochs = ((old, gaia), (assumed, 2016.0)) if swapped else ((gaia, old), (2016.0, assumed))
     doubts = _doubts(*tables, epochs)
@@ -48,7 +48,7 @@ def test_an_epoch_that_is_wrong_is_doubted_and_the_right_one_named(common, assum
     assert not any("offset='find'" in doubt for doubt in doubts), doubts
 
 
-def test_the_epoch_of_what_moves_is_doubted_where_it_was_assumed():
+def test_an_assumed_epoch_of_the_moving_catalogue_is_doubted():
     gaia, old = _sky()
     gaia["ra"].unit = gaia["dec"].unit = "deg"
     doubts = _doubts(gaia, old, (None, 2000.0))  # 2016.0 is assumed, and right
@@ -61,7 +61,7 @@ def test_the_epoch_of_what_moves_is_doubted_where_it_was_assumed():
     assert any(told), doubts
 
 
-def test_an_offset_is_no_epoch_and_right_epochs_are_not_doubted():
+def test_offsets_and_right_epochs_raise_no_doubt():
     gaia, old = _sky(shift=0.1)
     doubts = _doubts(gaia, old, (2016.0, 2000.0))
     assert not any("follow the proper motions" in doubt for doubt in doubts)

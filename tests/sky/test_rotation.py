@@ -1,4 +1,4 @@
-"""The rotation between two catalogues is found and taken away, in small fields, at a pole and over the whole sky."""
+"""The rotation between two catalogues is estimated and removed in small fields, at a pole and over the whole sky."""
 
 from dataclasses import replace
 
@@ -23,13 +23,13 @@ def scene(area, n, seed=1):
 
 
 def turned(records, centre, vector):
-    """The records as another catalogue would have them, that ``vector`` brings back."""
+    """The records rotated so that ``vector`` rotates them back."""
     away = Rotation(centre, -np.array(vector), np.zeros((3, 3)))
     return replace(records, features=away.moved(records.features))
 
 
 def left(found, moved, truth):
-    """(n,) arcsec by which the records stand off where they were."""
+    """(n,) arcsec between corrected and true positions."""
     at = found.moved(moved.features)
     return np.hypot(*sphere_offset(at[:, 0], at[:, 1], truth.features[:, 0], truth.features[:, 1]).T)
 
@@ -45,13 +45,13 @@ def left(found, moved, truth):
     ],
     ids=["field", "pole", "small", "sky"],
 )
-def test_the_rotation_is_found_to_its_errors(area, n, vector):
+def test_the_rotation_is_found_within_its_errors(area, n, vector):
     made = scene(area, n)
     centre = (area.lon_deg, area.lat_deg) if isinstance(area, Cap) else (10.0, 20.0)
     moved = turned(made.second, centre, vector)
     found = find_rotation(made.first, moved)
     assert found.established and not found.notes
-    # What is left over is what the turn's own covariance says.
+    # The remaining residuals agree with the covariance of the rotation.
     back = found.of(moved)
     more = np.einsum("nvv->n", back.full_covariance() - made.second.full_covariance())
     assert np.max(left(found, moved, made.second) / np.sqrt(more)) < 4.0
@@ -76,7 +76,7 @@ def test_standard_errors_are_those_of_repeated_trials():
 
 
 @pytest.mark.slow
-def test_nothing_in_common_is_said():
+def test_unrelated_catalogues_are_reported():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(10.0, 0.0, 0.3), 40, 2)
     found = find_rotation(one.first, two.second)
     assert not found.established
@@ -84,21 +84,21 @@ def test_nothing_in_common_is_said():
 
 
 @pytest.mark.parametrize("n", [1, 40])
-def test_an_offset_that_is_no_better_than_chance_is_not_taken_away(n):
+def test_an_insignificant_offset_is_not_removed(n):
     one, two = scene(Cap(10.0, 0.0, 0.3), n, 1), scene(Cap(10.0, 0.0, 0.3), n, 2)
     found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
     assert found.rotation is None and "no offset was removed" in found.doubts
     assert not any("unit" in doubt or "offset=" in doubt for doubt in found.doubts)
 
 
-def test_catalogues_of_different_fields_are_said_to_lie_apart():
+def test_catalogues_of_disjoint_fields_are_reported():
     one, two = scene(Cap(10.0, 0.0, 0.3), 40, 1), scene(Cap(90.0, 0.0, 0.3), 40, 2)
     found = match_catalogues(catalogue(one.first, "a"), catalogue(two.second, "b"), MatchOptions(offset="find"))
     assert found.rotation is None and len(found.result.matches) == 0
     assert any("apart" in doubt for doubt in found.doubts)
 
 
-def test_no_rotation_moves_nothing():
+def test_zero_rotation_changes_nothing():
     made = scene(Cap(10.0, -80.0, 0.3), 50)
     still = Rotation((10.0, -80.0), np.zeros(3), np.zeros((3, 3)))
     np.testing.assert_array_equal(still.moved(made.second.features), made.second.features)
@@ -111,7 +111,7 @@ def catalogue(records, name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("vector", [(0.15, -0.1, 0.0), (8.0, -5.0, 0.0)], ids=["part of an error", "many errors"])
-def test_catalogues_off_each_other_are_doubted_and_brought_together(vector):
+def test_offset_catalogues_raise_a_doubt_and_are_aligned(vector):
     made = scene(Cap(40.0, 60.0, 0.4), 1500)
     first, second = catalogue(made.first, "a"), catalogue(turned(made.second, (40.0, 60.0), vector), "b")
     believed = match_catalogues(first, second)

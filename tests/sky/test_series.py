@@ -1,4 +1,4 @@
-"""A series of frames: tied together, freed of what stands still, what moves is left; known objects have their name."""
+"""A series of frames: relative alignment, removal of stationary detections, movers, names of known objects."""
 
 import json
 from dataclasses import replace
@@ -18,7 +18,7 @@ RA, DEC, SCALE = 62.5, 22.9, 1.2
 
 def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, dither_px=4.0, drift_px=(0, 0),
            minutes=8.0):  # fmt: skip
-    """Exposures of a field of unknown stars, movers (px/min), noise, hot pixels on a chip that wanders and drifts."""
+    """Exposures of a field of uncatalogued stars, movers (px/min), noise, hot pixels on a dithered, drifting chip."""
     rng = np.random.default_rng(seed)
     star = rng.uniform(20, 1000, (stars, 2))
     bright = 10 ** rng.uniform(2.5, 5.0, stars)
@@ -34,7 +34,7 @@ def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, 
         flux = np.concatenate([flux[found], np.full(hot, 2000.0), np.full(noise, 300.0)])
         sigma = np.clip(80.0 / flux, 0.02, 0.4)
         xy = xy + sigma[:, None] * rng.standard_normal(xy.shape)
-        # The plate of each frame is off by a shift and a small turn.
+        # The plate of each frame has an error of a shift and a small rotation.
         turn, shift = 1e-4 * rng.standard_normal(), 0.3 * rng.standard_normal(2)
         at = (xy - wander - 512.0) @ np.array([[1.0, turn], [-turn, 1.0]]) * SCALE + shift
         dec = DEC + at[:, 1] / 3600.0
@@ -51,7 +51,7 @@ def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, 
     return out
 
 
-def test_frames_are_tied_far_better_than_their_plates():
+def test_relative_alignment_is_far_better_than_the_plates():
     series = tie(frames(1))
     assert series.ties.min() > 40
     still = series.still & (series.sigma_arcsec < 0.1)
@@ -61,20 +61,20 @@ def test_frames_are_tied_far_better_than_their_plates():
     assert found.scatter_arcsec[0] < 0.1 and still.sum() > 300
 
 
-def test_stars_that_no_catalogue_has_are_no_movers():
+def test_uncatalogued_stars_are_no_movers():
     series = tie(frames(2, rates=()))
     found, _ = search(series)
     assert len(found) == 0
 
 
-def test_hot_pixels_stand_still_on_the_chip():
+def test_hot_pixels_are_stationary_on_the_chip():
     series = tie(frames(3, hot=60, dither_px=6.0))
     found, _ = search(series)
     assert series.fixed.sum() > 0.8 * 60 * 6 and len(found) == 1
 
 
-def test_what_creeps_over_a_chip_that_the_sky_drifts_over_is_no_mover():
-    # Warm pixels of which noise shows now one and now another: 1.1 px over the chip, 11 px over the sky.
+def test_warm_pixels_under_a_drifting_sky_are_no_movers():
+    # Warm pixels detected intermittently: 1.1 px over the chip, 11 px over the sky.
     creeping, mover = (-2.0 / 8.0 + 0.025, -1.0 / 8.0 + 0.012), (0.2, 0.05)
     series = tie(frames(11, rates=(creeping, mover), dither_px=0.1, drift_px=(2.0, 1.0)))
     found, _ = search(series)
@@ -89,7 +89,7 @@ def test_slow_and_fast_movers_are_found():
     np.testing.assert_allclose(speeds, [np.hypot(0.06, 0.02), 0.5, np.hypot(3.0, 2.0)], rtol=0.05)
 
 
-def test_a_mover_passing_a_star_loses_a_frame_and_no_more():
+def test_a_mover_passing_a_star_loses_one_frame_only():
     made = frames(5, count=8)
     hidden = made[3]
     mover = int(np.argmin(np.abs(hidden.flux - 8000.0)))
@@ -138,7 +138,7 @@ def test_elements_are_read_from_json_and_mpcorb(elements, tmp_path):
 
 
 def of_jpl(covariance=None, **object_):
-    """What JPL's small-body database answers about Ceres, with a covariance or without."""
+    """The response of JPL's small-body database for Ceres, with or without covariance."""
     row = dict(zip(CERES["fields"], CERES["data"][0], strict=True))
     tp = float(row["epoch_mjd"]) + 2400000.5 - 200.0
     value = {"e": row["e"], "q": row["q"], "tp": tp, "om": row["om"], "w": row["w"], "i": row["i"]}
@@ -153,7 +153,7 @@ def of_jpl(covariance=None, **object_):
     return {"object": {"fullname": "1 Ceres (A801 AA)"}, "orbit": orbit, **object_}
 
 
-def test_a_covariance_of_elements_is_carried_to_the_sky(tmp_path):
+def test_the_covariance_of_elements_is_propagated_to_the_sky(tmp_path):
     rng = np.random.default_rng(6)
     scale = np.array([2e-8, 5e-8, 2e-5, 3e-6, 1e-5, 4e-6])
     root = rng.standard_normal((6, 6)) * scale[:, None]
@@ -164,7 +164,7 @@ def test_a_covariance_of_elements_is_carried_to_the_sky(tmp_path):
     times = np.array([both.epoch_mjd[0] + 400.0])
     there = ephemeris(both, times)
     np.testing.assert_allclose(there.ra_deg[0], there.ra_deg[1], atol=1e-9)
-    # Orbits drawn from the covariance scatter about the place as is said; the other has the scale of its U.
+    # Orbits drawn from the covariance scatter as stated; without covariance the scale of U is used.
     some = Elements.read(path).some(np.zeros(300, np.int64))
     moved = ephemeris(replace(some, covariance=None).displaced(rng.standard_normal((300, 6)) @ root.T), times)
     off = 3600.0 * np.column_stack([(moved.ra_deg - there.ra_deg[0]) * np.cos(np.radians(there.dec_deg[0])),
@@ -175,8 +175,8 @@ def test_a_covariance_of_elements_is_carried_to_the_sky(tmp_path):
 
 
 @pytest.mark.slow
-def test_objects_of_many_epochs_are_followed_together(elements):
-    """Each as if it were alone; also from a time at which all are known."""
+def test_objects_of_different_epochs_are_propagated_together(elements):
+    """Equal to propagating each alone; also from a common epoch."""
     some = elements.some(np.zeros(4, np.int64))
     some = replace(some, epoch_mjd=some.epoch_mjd + np.array([0.0, -700.0, 900.0, -700.0]))
     times = np.array([59900.3, 59900.1])
@@ -206,7 +206,7 @@ def test_packed_dates_are_those_of_the_minor_planet_center():
 
 @pytest.mark.parametrize("e", [0.0, 0.4, 0.97, 1.0, 1.4])
 def test_two_body_motion_keeps_kepler_s_laws(e):
-    """The area that the radius sweeps grows evenly, at √(GM p)/2."""
+    """The radius sweeps area at the constant rate √(GM p)/2."""
     days = np.linspace(-300.0, 300.0, 20001)
     radius, anomaly = _two_body(np.full(len(days), 1.5), np.full(len(days), e), days)
     swept = 0.5 * radius[1:] ** 2 * np.diff(np.unwrap(anomaly)) / np.diff(days)
@@ -229,13 +229,13 @@ def test_ephemerides_are_continuous_and_near_two_body_ones(elements):
         ephemeris(elements, np.array([100000.0]))
 
 
-#: Of JPL's small-body database: it is in lists of minor planets, and among the planets that attract.
+#: From JPL's small-body database: Pluto is both in lists of minor planets and among the perturbing planets.
 PLUTO = ["134340 Pluto (1930 BM)", "-0.44", None, "54000", ".250248713478499", "39.4450697257358", "29.5739917738007",
          "17.089000919562", "110.3769579554089", "112.5971416774872", "25.24718971218841"]  # fmt: skip
 
 
 @pytest.mark.slow
-def test_pluto_does_not_attract_itself(tmp_path):
+def test_pluto_does_not_perturb_itself(tmp_path):
     pytest.importorskip("jplephem", reason="places of the planets need jplephem and skyfield-data")
     pytest.importorskip("skyfield_data", reason="places of the planets need jplephem and skyfield-data")
     path = tmp_path / "elements.json"
@@ -244,7 +244,7 @@ def test_pluto_does_not_attract_itself(tmp_path):
     both = Elements.read(path)
     together = states(both, 59300.0)
     alone = states(both.some(np.array([0])), 59300.0)
-    # Its elements hold its motion about Charon, 20 m/s, which is no motion of the two about the Sun.
+    # Its elements include its motion about the Pluto-Charon barycentre, 20 m/s.
     assert np.abs(together[0, :, 0] - alone[0, :, 0]).max() * AU_KM < 20.0
     there = _planets().perturbers(np.array([59300.0]))[8, :, 0]
     assert np.abs(together[0, :, 1] - there).max() < 0.1
@@ -276,12 +276,12 @@ def test_the_asteroid_of_ten_real_frames_comes_first(tmp_path):
     assert (tracklets["log_odds"][1:] < first["log_odds"] - 50).all()
 
 
-def test_two_frames_alone_are_searched_without_a_flood():
+def test_two_frames_alone_give_few_candidates():
     found, _ = search(tie(frames(7, count=2)), least=2)
     assert len(found) <= 2
 
 
-def test_wrong_times_make_no_flood_of_candidates():
+def test_wrong_times_give_few_candidates():
     made = frames(8, count=8, rates=((-0.2, 0.05), (0.4, 0.1)))
     order = np.random.default_rng(0).permutation(8)
     shuffled = [replace(one, mjd_utc=made[int(k)].mjd_utc) for one, k in zip(made, order, strict=True)]
@@ -290,7 +290,7 @@ def test_wrong_times_make_no_flood_of_candidates():
 
 
 @pytest.mark.parametrize("dither_px", [0.1, 6.0])
-def test_a_chip_full_of_hot_pixels_makes_no_flood(dither_px):
+def test_a_chip_full_of_hot_pixels_gives_few_candidates(dither_px):
     found, _ = search(tie(frames(9, hot=600, rates=(), dither_px=dither_px)))
     assert len(found) <= 2
 
@@ -312,7 +312,7 @@ def test_the_trail_of_a_satellite_on_one_frame_is_no_mover():
 
 
 def with_movers(seed, rates, fluxes, *, count=8):
-    """Exposures with movers of rates (n, 2) px/min, and the number of the mover of each measurement, −1 for none."""
+    """Exposures with movers of rates (n, 2) px/min, and the mover of each measurement, −1 for none."""
     rng = np.random.default_rng(seed)
     start = rng.uniform(150.0, 870.0, (len(rates), 2))
     made, truth = [], []
@@ -338,7 +338,7 @@ def with_movers(seed, rates, fluxes, *, count=8):
 
 
 @pytest.mark.slow
-def test_injected_movers_are_found_as_surely_as_is_said():
+def test_probabilities_of_injected_movers_are_calibrated():
     rng = np.random.default_rng(5)
     p, right, seen, got, n = [], [], 0, 0, 12
     for field in range(12):
@@ -361,12 +361,12 @@ def test_injected_movers_are_found_as_surely_as_is_said():
         assert len(series.exposures) == 8
     p, right = np.array(p), np.array(right)
     assert got > 0.9 * seen and seen > 60
-    # Of candidates stated 0.9 and more, nine in ten and more are real; in all as many as are expected.
+    # At least nine in ten candidates of p ≥ 0.9 are real, and the total is as expected.
     assert right[p >= 0.9].mean() > 0.95
     assert abs(right.sum() - p.sum()) < 4.0 * np.sqrt((p * (1 - p)).sum() + 1.0)
 
 
-def test_each_star_stands_once_with_its_measurement_in_every_frame():
+def test_each_star_is_listed_once_with_its_measurement_in_every_frame():
     series = tie(frames(21, rates=(), hot=20))
     stars, table = series.stars, series.star_table()
     assert 120 < len(stars) < 170
@@ -382,7 +382,7 @@ def test_each_star_stands_once_with_its_measurement_in_every_frame():
     assert row["measurement"].tolist() == series.row[at].tolist() and row["frames"] == 6
 
 
-def test_zero_points_undo_clouds_and_the_varying_star_shows():
+def test_zero_points_correct_for_clouds_and_a_variable_star_is_found():
     rng = np.random.default_rng(22)
     made, cloud = frames(22, rates=(), noise=0), np.array([0.0, 0.1, 0.4, 0.05, 0.8, 0.2])
     varying = int(np.argsort(made[0].flux)[-10])
@@ -423,7 +423,7 @@ def test_stars_of_the_catalogue_keep_their_name_and_its_scale():
     assert (stars.name == "").sum() > 30
 
 
-def test_measurements_that_are_cut_give_no_magnitude():
+def test_measurements_cut_by_the_edge_give_no_magnitude():
     made = [replace(one, flags=np.where(one.flux > 2e4, 1, 0)) for one in frames(24, rates=())]
     series = tie(made)
     there = series.stars.measurement
@@ -431,7 +431,7 @@ def test_measurements_that_are_cut_give_no_magnitude():
     assert saturated.sum() > 20 and np.isnan(series.stars.magnitude[saturated]).all()
 
 
-def test_where_nothing_is_left_nothing_moves():
+def test_without_unidentified_detections_there_are_no_movers():
     found, series = search(tie(frames(25, noise=0, rates=(), stars=60)))
     assert len(found) == 0 and len(found.table()) == 0 and len(found.detection_table()) == 0
     made = [replace(one, p_star=np.ones(len(one))) for one in frames(26)]

@@ -1,4 +1,4 @@
-"""Tracklets in the pixels: light at the predicted place on every frame, the stack, and what it says of a candidate."""
+"""Tracklets in the pixels: forced photometry on every frame, the stack, and its evidence for a candidate."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -50,7 +50,7 @@ def series(seed, flux_e=4000.0, *, seen=None, count=6, rate=(0.5, -0.1), hidden_
     return tie(exposures), frames, track
 
 
-def test_the_light_along_the_motion_is_measured_on_every_frame():
+def test_forced_photometry_along_the_motion_on_every_frame():
     tied, frames, track = series(1)
     found, tied = search(tied)
     told = stack(found, tied, frames)
@@ -73,7 +73,7 @@ def test_cut_outs_have_north_up_and_east_to_the_left():
     np.testing.assert_allclose(np.diff(columns), 5, atol=1.5)
 
 
-def test_frames_that_do_not_list_it_confirm_a_mover_by_their_light():
+def test_light_on_frames_without_detection_confirms_a_mover():
     tied, frames, _ = series(3, seen=(0, 2, 5))
     found, tied = search(tied, least_probability=0.0)
     told = stack(found, tied, frames)
@@ -81,8 +81,8 @@ def test_frames_that_do_not_list_it_confirm_a_mover_by_their_light():
     assert told.log_ratio[0] > 6.0 and told.p[0] >= found.p_tracklet[0]
 
 
-def test_frames_without_its_light_refute_a_tracklet():
-    # Three detections in a line, made of noise: their light is on no other frame.
+def test_frames_without_light_refute_a_tracklet():
+    # Three noise detections in a line: no light on the other frames.
     tied, frames, _ = series(4, seen=(0, 2, 5))
     _, empty, _ = series(4, 0.0, seen=(0, 2, 5))
     found, tied = search(tied, least_probability=0.0)
@@ -95,7 +95,7 @@ def test_frames_without_its_light_refute_a_tracklet():
     assert told.p[0] < 0.5 and len(kept) == len(left) == 0
 
 
-def test_a_bright_mover_that_creeps_by_a_pixel_and_a_half_is_no_blend():
+def test_a_bright_mover_of_one_and_a_half_pixels_in_total_is_no_blend():
     tied, _, track = series(7, 20000.0, rate=(0.06, 0.0))
     assert np.hypot(*(track[-1] - track[0])) < 2.0
     found, _ = search(tied)
@@ -104,16 +104,16 @@ def test_a_bright_mover_that_creeps_by_a_pixel_and_a_half_is_no_blend():
     assert len(search(still)[0]) == 0
 
 
-def test_a_star_over_the_track_says_nothing():
+def test_frames_with_a_star_on_the_track_are_neutral():
     tied, frames, _ = series(5, seen=(0, 1, 2, 4, 5), hidden_frame=3)
     found, tied = search(tied, least_probability=0.0)
     told = stack(found, tied, frames)
     assert told.hidden[0, 3] and not told.hidden[0, [0, 5]].any() and told.detected[0, [0, 1, 2, 4, 5]].all()
-    # What the search made of an exposure that does not list it is undone.
+    # The search's penalty for an exposure without detection is removed.
     assert abs(told.log_ratio[0] + found.log_missed[0]) < 1e-9
 
 
-def test_motion_that_leaves_the_frame_is_measured_where_it_is_on():
+def test_a_mover_that_leaves_the_frame_is_measured_while_inside():
     tied, frames, track = series(6, count=8, rate=(1.0, 0.0), seen=(0, 1, 2, 3, 4), start=220.3)
     found, tied = search(tied, least_probability=0.0)
     told = stack(found, tied, frames)
@@ -122,7 +122,7 @@ def test_motion_that_leaves_the_frame_is_measured_where_it_is_on():
 
 
 @pytest.mark.slow
-def test_the_page_blinks_steps_and_says_why(tmp_path):
+def test_the_page_blinks_steps_and_explains(tmp_path):
     from sameas.pages.movers import write_movers_page
 
     tied, frames, _ = series(7, seen=(0, 2, 3, 5))
@@ -169,7 +169,7 @@ def test_the_picture_shows_a_row_of_dots_and_the_stack(tmp_path):
     assert right.images[0].get_array()[tuple(middle)] > 0.6
 
 
-def test_a_series_without_movers_has_a_page_that_says_so(tmp_path):
+def test_the_page_of_a_series_without_movers_says_so(tmp_path):
     from sameas.pages.movers import write_movers_page
 
     tied, frames, _ = series(8, seen=())

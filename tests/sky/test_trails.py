@@ -1,4 +1,4 @@
-"""Trails on long exposures: their ends and errors are right, they link, satellites and comets make no flood."""
+"""Trails on long exposures: ends and errors, linking, satellites and comets."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ SIDE, SCALE, RA, DEC, FWHM, EXPOSURE_MIN, EVERY_MIN = 320, 1.2, 150.0, 20.0, 3.0
 
 
 def line(start, end, flux):
-    """Places (n, 2) and light (n,) of a trail."""
+    """Positions (n, 2) and flux (n,) along a trail."""
     n = max(int(np.hypot(*(np.subtract(end, start))) * 2), 1)
     share = (np.arange(n) + 0.5) / n
     return np.asarray(start) + share[:, None] * np.subtract(end, start), np.full(n, flux / n)
@@ -55,7 +55,7 @@ def frames(seed, *, rate=None, flux=2e4, count=6, stars=90, extra=None):
     return out, exposures, middle
 
 
-def test_a_trail_has_the_ends_and_the_errors_that_it_was_drawn_with():
+def test_ends_and_errors_of_a_trail_are_right():
     off, quoted = [], []
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -102,7 +102,7 @@ def test_a_mover_that_trails_is_found_by_its_trails(rate):
     assert found.scatter_arcsec[0] < 0.4
 
 
-def test_links_are_believed_less_where_a_trail_points_elsewhere():
+def test_links_against_the_direction_of_a_trail_are_less_probable():
     from dataclasses import replace
 
     from sameas.sky import Detections
@@ -128,7 +128,7 @@ def test_links_are_believed_less_where_a_trail_points_elsewhere():
 
 
 @pytest.mark.slow
-def test_a_satellite_s_trail_is_taken_away_and_told():
+def test_satellite_trails_are_removed_and_reported():
     def satellite(k, rng):
         return line((5.0, 40.0), (SIDE - 5.0, 260.0), 4e5) if k == 2 else (np.empty((0, 2)), np.empty(0))
 

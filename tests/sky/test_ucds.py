@@ -1,4 +1,4 @@
-"""Columns that are added carry UCDs of the IVOA's vocabulary, through files and into the next command."""
+"""Added columns have UCDs of the IVOA vocabulary, kept in files and recognised when read again."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sameas.sky.output_columns import UCDS
 
 
 @pytest.mark.parametrize("name", UCDS)
-def test_they_are_words_of_the_vocabulary(name: str) -> None:
+def test_ucds_are_in_the_ivoa_vocabulary(name: str) -> None:
     assert check_ucd(UCDS[name], check_controlled_vocabulary=True, has_colon=False), UCDS[name]
 
 
@@ -28,7 +28,7 @@ def match():
     return sameas.match(one, two, sigma=0.1, sigma_unit="arcsec")
 
 
-def test_every_column_that_is_added_has_one(match) -> None:
+def test_every_added_column_has_a_ucd(match) -> None:
     own = {"id", "ra", "dec"}
     for table in (match.table, match.pairs):
         for name in table.colnames:
@@ -37,7 +37,7 @@ def test_every_column_that_is_added_has_one(match) -> None:
 
 
 @pytest.mark.parametrize("ending", ["fits", "vot", "ecsv", "parquet"])
-def test_files_keep_them(match, tmp_path, ending: str) -> None:
+def test_files_keep_ucds(match, tmp_path, ending: str) -> None:
     path = tmp_path / f"out.{ending}"
     match.write(path)
     assert read_table(path)["p_match"].meta["ucd"] == "stat.probability"

@@ -1,4 +1,4 @@
-"""What a table does not say is found elsewhere, or assumed and doubted; never refused one thing at a time."""
+"""Metadata missing from a table: inferred, or assumed with a doubt; problems are refused all at once."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def scattered(n: int, sigma_arcsec: float, seed: int, spread_deg: float = 0.2) -
 
 
 @pytest.mark.parametrize(("lon", "lat", "frame"), [("l", "b", "galactic"), ("GLON", "GLAT", "galactic")])
-def test_galactic_positions_are_those_of_astropy(lon: str, lat: str, frame: str) -> None:
+def test_galactic_positions_agree_with_astropy(lon: str, lat: str, frame: str) -> None:
     truth = SkyCoord([10.0, 200.0, 359.9] * u.deg, [-60.0, 5.0, 89.0] * u.deg)
     there = catalogue({lon: truth.galactic.l.deg, lat: truth.galactic.b.deg}, sigma=0.1)
     assert there.choice.frame == frame and "names of: galactic coordinates" in there.interpretation[0]
@@ -40,21 +40,21 @@ def test_galactic_positions_are_those_of_astropy(lon: str, lat: str, frame: str)
     assert apart.max().arcsec < 0.03
 
 
-def test_ecliptic_positions_are_those_of_astropy_to_the_choice_of_the_obliquity() -> None:
+def test_ecliptic_positions_agree_with_astropy_up_to_the_obliquity() -> None:
     truth = SkyCoord([10.0, 200.0, 359.9] * u.deg, [-60.0, 5.0, 89.0] * u.deg)
     ecliptic = truth.transform_to("barycentricmeanecliptic")
     there = catalogue({"ecl_lon": ecliptic.lon.deg, "ecl_lat": ecliptic.lat.deg}, sigma=0.1)
     assert truth.separation(SkyCoord(*there.records().features.T * u.deg)).max().arcsec < 0.06
 
 
-def test_a_right_ascension_goes_before_galactic_coordinates() -> None:
+def test_equatorial_coordinates_are_preferred_to_galactic_ones() -> None:
     both = catalogue({"l": [1.0], "b": [2.0], "ra": [3.0], "dec": [4.0]}, sigma=0.1)
     assert list(both.records().features[0]) == [3.0, 4.0]
     chosen = catalogue({"l": [1.0], "b": [2.0], "ra": [3.0], "dec": [4.0]}, sigma=0.1, ra="l", dec="b")
     assert chosen.choice.frame == "galactic"
 
 
-def test_errors_along_galactic_axes_are_turned_with_them() -> None:
+def test_errors_along_galactic_axes_are_rotated() -> None:
     truth = SkyCoord(40.0 * u.deg, 20.0 * u.deg)
     table = Table({"l": [truth.galactic.l.deg], "b": [truth.galactic.b.deg], "l_error": [3.0], "b_error": [0.5]})
     table["l_error"].unit = table["b_error"].unit = u.arcsec
@@ -74,13 +74,13 @@ def test_errors_along_galactic_axes_are_turned_with_them() -> None:
         ("Right Ascension", "Declination", "deg"), ("RA (hours)", "Dec (deg)", "hourangle"),
     ],
 )  # fmt: skip
-def test_names_as_people_write_them(ra: str, dec: str, unit: str) -> None:
+def test_common_spellings_of_column_names_are_recognised(ra: str, dec: str, unit: str) -> None:
     choice = catalogue({ra: [12.0], dec: [4.0], "err (mas)": [80.0]}).choice
     assert (choice.ra.name, choice.dec.name, choice.ra.unit) == (ra, dec, unit)
     assert (choice.error.columns[0].name, choice.error.columns[0].unit) == ("err (mas)", "mas")
 
 
-def test_an_angle_in_several_columns() -> None:
+def test_an_angle_in_several_columns_is_read() -> None:
     table = Table({"RAh": [10, 0], "RAm": [0, 30], "RAs": [36.0, 0.0], "DE-": ["-", "+"], "DEd": [0, 20]})
     table["DEm"], table["DEs"] = [30, 15], MaskedColumn([36.0, 0.0], mask=[False, True])
     there = catalogue(table, sigma=0.1)
@@ -96,7 +96,7 @@ def test_sextractors_world_ellipse_is_counted_from_east() -> None:
     assert catalogue(table).records().features[0, 0] == 11.0
 
 
-def test_an_error_behind_the_name_of_a_survey() -> None:
+def test_errors_with_a_survey_prefix_are_recognised() -> None:
     assert catalogue({"ra": [1.0], "dec": [2.0], "xmm_poserr_arcsec": [1.5]}).records().covariance[0, 0] == 2.25
 
 
@@ -111,18 +111,18 @@ def test_an_error_behind_the_name_of_a_survey() -> None:
         ("2017-12-20T01:33:43Z", "2017-12-20T01:33:43"), ("2017-12-20 01:33:43+00", "2017-12-20T01:33:43"),
     ],
 )  # fmt: skip
-def test_a_date_with_a_time_zone_is_that_instant(text: str, same: str) -> None:
+def test_a_date_with_a_time_zone_is_converted(text: str, same: str) -> None:
     assert year_of(text) == pytest.approx(year_of(same), abs=1e-9)
 
 
 @pytest.mark.parametrize(("name", "value"), [("ref_epoch", 2016.0), ("obstime", 57388.5), ("mjd", 57388.5)])
-def test_a_column_of_epochs_counts_whatever_the_position_is_called(name: str, value: float) -> None:
+def test_a_column_of_epochs_is_used_for_any_position_name(name: str, value: float) -> None:
     table = {"ALPHA_J2000": [1.0], "DELTA_J2000": [2.0], name: [value]}
     assert catalogue(table, sigma=0.1).epoch_jyr == pytest.approx(2016.0, abs=2e-3)
     assert catalogue(table | {name: [3.0]}, sigma=0.1).epoch_jyr is None  # the third visit is not an epoch
 
 
-def test_where_only_the_other_moves_the_epoch_is_assumed() -> None:
+def test_the_epoch_is_assumed_if_only_the_other_catalogue_has_motions() -> None:
     moving = catalogue({"ra": [1.0], "dec": [2.0], "pmra": [5.0], "pmdec": [5.0]}, "moving", sigma=0.1, epoch=2016)
     still = catalogue({"ra": [1.0], "dec": [2.0]}, "still", sigma=0.1)
     (first, second), doubts = completed((moving, still))
@@ -136,13 +136,13 @@ def test_where_only_the_other_moves_the_epoch_is_assumed() -> None:
 
 
 @pytest.mark.parametrize(("survey", "magnitude", "mas"), [("Gaia DR3", 17.0, 0.05), ("2MASS", 9.5, 75.0)])
-def test_the_errors_of_a_survey_are_those_of_its_magnitudes(survey: str, magnitude: float, mas: float) -> None:
+def test_missing_errors_of_a_survey_follow_from_magnitudes(survey: str, magnitude: float, mas: float) -> None:
     known = next(one for one in SURVEYS if one.title == survey)
     assert known.sigma_mas(np.array([magnitude]), 1)[0] == pytest.approx(mas)
     assert known.sigma_mas(None, 2).tolist() == [known.typical_mas] * 2
 
 
-def test_a_table_of_gaia_without_errors_has_those_of_its_release() -> None:
+def test_a_gaia_table_without_errors_gets_those_of_its_release() -> None:
     table = {"source_id": [1, 2], "ra": [1.0, 2.0], "dec": [2.0, 3.0], "phot_g_mean_mag": [20.0, np.nan]}
     for epoch, faint, typical in ((2016.0, 0.4, 0.1), (2015.5, 0.7, 0.2)):
         source = catalogue(table | {"ref_epoch": [epoch] * 2})
@@ -153,7 +153,7 @@ def test_a_table_of_gaia_without_errors_has_those_of_its_release() -> None:
     assert "give sigma=ARCSEC" in source.doubts[0]
 
 
-def test_the_motions_of_a_survey_without_errors_have_those_of_its_release() -> None:
+def test_motions_without_errors_get_those_of_the_release() -> None:
     table = {
         "source_id": [1, 2, 3], "ra": [1.0, 2.0, 3.0], "dec": [2.0, 3.0, 4.0], "phot_g_mean_mag": [20.0, 15.0, 20.0],
         "pmra": [3.0, 4.0, np.nan], "pmdec": [5.0, 6.0, np.nan], "ref_epoch": [2016.0] * 3,
@@ -171,7 +171,7 @@ def test_the_motions_of_a_survey_without_errors_have_those_of_its_release() -> N
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("sigma", [0.02, 0.3, 2.0])
 @pytest.mark.parametrize("unrelated", [0, 300])
-def test_a_common_error_is_found_from_the_distances(sigma: float, unrelated: int) -> None:
+def test_a_common_error_is_estimated_from_the_distances(sigma: float, unrelated: int) -> None:
     here, there = scattered(600, sigma, seed=3)
     others, _ = scattered(unrelated, 1.0, seed=4)
     one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one")
@@ -196,7 +196,7 @@ def test_two_catalogues_without_errors_get_the_same_one_whichever_moves() -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("covered", [1.0, 0.4])
-def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) -> None:
+def test_the_error_of_large_catalogues_is_estimated_from_strips(covered: float) -> None:
     rng = np.random.default_rng(7)
     ra, dec = rng.uniform(10.0, 11.0, 40_000), rng.uniform(-0.5, 0.5, 40_000)
     dec[:100] = 0.25  # a drift scan
@@ -219,7 +219,7 @@ def test_strips_of_large_catalogues_tell_the_error_of_the_whole(covered: float) 
 @pytest.mark.parametrize(
     ("field", "window", "most"), [(1.0, 128, 1000), (1.0, 6, 10**6), (0.01, 16, 20_000), (0.0, 8, 500)]
 )
-def test_neighbours_are_found_as_a_tree_finds_them(field: float, window: int, most: int) -> None:
+def test_neighbours_agree_with_a_kd_tree(field: float, window: int, most: int) -> None:
     """Over the whole sky, a small field, and where many lie in one place; in windows however small."""
     rng = np.random.default_rng(4)
     middle = np.array([0.6, -0.64, 0.48])
@@ -233,7 +233,7 @@ def test_neighbours_are_found_as_a_tree_finds_them(field: float, window: int, mo
     assert all(len(set(row)) == 6 for row in which)
 
 
-def test_a_common_error_is_said_with_its_value() -> None:
+def test_a_common_error_is_reported_with_its_value() -> None:
     here, there = scattered(300, 0.3, seed=5)
     one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.01)
     two = catalogue({"ra": there[:, 0], "dec": there[:, 1]}, "two")
@@ -248,14 +248,14 @@ def test_a_common_error_is_said_with_its_value() -> None:
     assert doubt.endswith("the distances to one; give sigma2=ARCSEC or sigma2=COLUMN")
 
 
-def test_catalogues_of_other_parts_of_the_sky_get_a_usual_error() -> None:
+def test_disjoint_catalogues_get_a_default_error() -> None:
     one = catalogue({"ra": [10.0, 11.0], "dec": [0.0, 0.0]}, "one")
     two = catalogue({"ra": [200.0], "dec": [50.0]}, "two", sigma=0.1)
     (first, _), (doubt,) = completed((one, two))
     assert 0.2 < first.choice.error.sigma_arcsec < 0.4 and "its records do not lie near those of two" in doubt
 
 
-def test_the_unit_of_errors_is_the_one_that_fits_the_distances() -> None:
+def test_the_unit_of_errors_is_inferred_from_the_distances() -> None:
     here, there = scattered(300, 0.05, seed=6)
     one = catalogue({"ra": here[:, 0], "dec": here[:, 1]}, "one", sigma=0.001)
     two = catalogue(
@@ -271,7 +271,7 @@ def test_the_unit_of_errors_is_the_one_that_fits_the_distances() -> None:
     assert mas.choice.error.guessed_unit
 
 
-def test_a_copy_of_a_catalogue_tells_no_unit_and_no_error() -> None:
+def test_a_copy_of_a_catalogue_determines_no_unit_and_no_error() -> None:
     rng = np.random.default_rng(3)
     lon, lat = rng.uniform(10.0, 10.2, 400), rng.uniform(20.0, 20.2, 400)
     one = {"ra": lon, "dec": lat, "sigma": np.full(400, 0.2)}
@@ -286,7 +286,7 @@ def test_a_copy_of_a_catalogue_tells_no_unit_and_no_error() -> None:
     assert all(0.1 < sigma < 0.5 for sigma in found)
 
 
-def test_empty_errors_are_filled_where_that_is_allowed() -> None:
+def test_empty_errors_are_filled_on_request() -> None:
     rng = np.random.default_rng(7)
     magnitude = rng.uniform(10.0, 20.0, 1000)
     sigma = 0.01 * 10.0 ** (0.2 * (magnitude - 10.0))
@@ -307,7 +307,7 @@ def test_empty_errors_are_filled_where_that_is_allowed() -> None:
 # Which rows.
 
 
-def test_rows_given_twice_are_said() -> None:
+def test_duplicate_rows_are_reported() -> None:
     rng = np.random.default_rng(8)
     table = Table({"ra": rng.random(100), "dec": rng.random(100), "name": [f"s{k}" for k in range(100)]})
     table["flux"] = MaskedColumn(rng.random(100), mask=np.arange(100) == 3)
@@ -320,7 +320,7 @@ def test_rows_given_twice_are_said() -> None:
     assert any(doubt.startswith(told) for doubt in catalogue(twice, sigma=0.1).doubts)
 
 
-def test_our_own_table_of_a_frame_brings_errors_and_epoch_and_no_star_that_was_not_measured() -> None:
+def test_a_frame_table_of_sameas_has_errors_and_epoch_and_measured_stars_only() -> None:
     table = Table({"ra_deg": [10.0, 11.0, 12.0], "dec_deg": [1.0, 2.0, 3.0]}, meta={"REFEPOCH": 1951.9})
     table["measurement"] = MaskedColumn([0, 1, 0], mask=[False, False, True])
     for name, square in (("ee", 0.04), ("en", 0.01), ("nn", 0.09)):
@@ -332,7 +332,7 @@ def test_our_own_table_of_a_frame_brings_errors_and_epoch_and_no_star_that_was_n
     assert "1 row is a star that was not measured, and is set aside" in source.doubts
 
 
-def test_all_that_is_wrong_is_said_at_once() -> None:
+def test_all_problems_are_reported_at_once() -> None:
     with pytest.raises(InputError) as refused:
         catalogue({"ra": [1.0], "dec": [2.0]}, sigma="nosuch", id="nobody", magnitude="dark")
     for words in ("'nosuch' for sigma", "'nobody' for id", "'dark' for magnitude"):

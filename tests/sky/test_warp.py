@@ -1,4 +1,4 @@
-"""A smooth warp of one catalogue against the other is found, told from shift, turn and chance, and taken away."""
+"""A smooth distortion between two catalogues is found, distinguished from shift, rotation and chance, and removed."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def wrong_and_found(match, scene):
 
 
 @pytest.mark.slow
-def test_a_warp_is_found_and_taken_away():
+def test_a_warp_is_found_and_removed():
     tables, scene = field(1, 0.3)
     match = sameas.match(*tables, sigma_unit="arcsec", offset="find")
     warp = match.sky.warp
@@ -57,14 +57,14 @@ def test_without_a_warp_none_is_found(seed):
 
 
 @pytest.mark.slow
-def test_a_shift_and_a_turn_are_no_warp():
+def test_a_shift_and_a_rotation_are_no_warp():
     tables, _ = field(3, 0.0, shift=(2.0, -1.0), turn_deg=0.01)
     match = sameas.match(*tables, sigma_unit="arcsec", offset="find")
     assert match.sky.rotation is not None and match.sky.warp is None
 
 
 @pytest.mark.slow
-def test_a_warp_is_found_beside_a_shift():
+def test_a_warp_is_found_together_with_a_shift():
     tables, scene = field(4, 0.3, shift=(3.0, 2.0))
     match = sameas.match(*tables, sigma_unit="arcsec", offset="find")
     assert match.sky.rotation is not None and match.sky.warp is not None

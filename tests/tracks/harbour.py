@@ -1,4 +1,4 @@
-"""A harbour for tests: ships on straight courses, radars with known biases, AIS."""
+"""A simulated harbour: ships on straight courses, radars with known biases, AIS."""
 
 from dataclasses import dataclass
 
@@ -22,7 +22,7 @@ SITES = ((0.0, -10e3), (9e3, -9e3))
 
 @dataclass(frozen=True)
 class Harbour:
-    """Ships (n, 2) m and m/s; each source with its reports, and the ship that each report shows (−1: none)."""
+    """Ships (n, 2) m and m/s; each source with its reports and the ship of each report (−1: none)."""
 
     start: np.ndarray
     velocity: np.ndarray
@@ -35,7 +35,7 @@ class Harbour:
 
 
 def harbour(seed, ships=40, *, biases=((50.0, 1.0, 3.0),), sigma=25.0, q=0.2, until_s=400.0, ais=True):
-    """biases : per radar range m, azimuth deg, seconds by which its stamps are late."""
+    """biases : for each radar range (m), azimuth (deg), lateness of time stamps (s)."""
     rng = np.random.default_rng(seed)
     start = rng.uniform(-1.0, 1.0, (ships, 2)) * [12e3, 9e3]
     course, speed = rng.uniform(0.0, 2.0 * np.pi, ships), rng.uniform(1.0, 10.0, ships)

@@ -32,18 +32,18 @@ def test_a_snapshot_gives_position_time_and_accuracy():
     assert made.climb_m_per_s[0] == pytest.approx(-64 * 0.3048 / 60)
 
 
-def test_a_position_told_again_is_no_new_report():
+def test_a_repeated_position_is_no_new_report():
     again, moved = BARCELONA | {"seen_pos": 1.6}, BARCELONA | {"lat": 41.31, "seen_pos": 0.2}
     still = BARCELONA | {"seen_pos": 0.1}
     lines = snapshots(
         (100.1e7, [BARCELONA]), (100.1e7 + 1.0, [again]), (100.1e7 + 2.0, [moved]), (100.1e7 + 3.0, [still])
     )
     made = aircraft.read(lines, "roof")
-    # The last one is at the first place again, but it was fixed there anew.
+    # The last position equals the first, but is a new fix.
     assert made.lat_deg.tolist() == [41.3, 41.31, 41.3] and made.passed_over == {"position repeated": 1}
 
 
-def test_accuracy_that_is_not_stated_is_absent_and_containment_stands_in():
+def test_without_accuracy_the_containment_radius_is_used():
     mlat = {"hex": "~2a1b2c", "type": "mlat", "lat": 41.0, "lon": 2.0, "nic": 0, "rc": 0}
     by_rc = {key: value for key, value in BARCELONA.items() if key != "nac_p"} | {"hex": "a00001"}
     by_nic = {key: value for key, value in by_rc.items() if key != "rc"} | {"hex": "a00002"}
@@ -76,7 +76,7 @@ def base_station(kind, time="12:00:00.000", **cells):
     return ",".join(row)
 
 
-def test_base_station_positions_take_the_last_words_with_them():
+def test_base_station_positions_include_the_latest_other_fields():
     lines = [
         base_station(1, c10="RYR174C "),
         base_station(4, c12="450", c13="101.5", c16="-640"),
@@ -108,7 +108,7 @@ def zones(lat):
 
 
 def position_of(even, odd, newest_is_odd):
-    """Latitude and longitude of two halves (each a pair of 17-bit numbers), from the definition."""
+    """Latitude and longitude of an even and an odd CPR pair (17-bit numbers), from the definition."""
     (lat0, lon0), (lat1, lon1) = ((a / 2**17, b / 2**17) for a, b in (even, odd))
     j = np.floor(59 * lat0 - 60 * lat1 + 0.5)
     lats = [6.0 * (j % 60 + lat0), 360.0 / 59.0 * (j % 59 + lat1)]
@@ -123,7 +123,7 @@ def position_of(even, odd, newest_is_odd):
 
 
 def halves_of(path):
-    """By line: address, parity and the two numbers of every airborne position."""
+    """For each line: address, parity and the two numbers of every airborne position."""
     for number, line in enumerate(path.read_text().splitlines(), start=1):
         message = line.split(",")[1]
         bits = f"{int(message, 16):0112b}"
@@ -131,7 +131,7 @@ def halves_of(path):
             yield number, message[2:8].lower(), int(bits[53]), (int(bits[54:71], 2), int(bits[71:88], 2))
 
 
-def test_real_positions_are_those_of_the_definition():
+def test_real_positions_agree_with_the_definition():
     pytest.importorskip("rs1090")
     made = mode_s.read(SAMPLE.read_text().splitlines(), "roof")
     newest = {}
@@ -146,7 +146,7 @@ def test_real_positions_are_those_of_the_definition():
         address, place = expected[number]
         assert made.icao[k] == address
         assert (made.lat_deg[k], made.lon_deg[k]) == pytest.approx(place, abs=1e-6)
-    # What pyModeS 3.6.1 gives for the same lines.
+    # Results of pyModeS 3.6.1 for the same lines.
     other = {42: (33.831298828125, -84.35140181560905, 9850), 53: (33.83125305175781, -84.35302734375, 9875),
              56: (34.01124572753906, -84.29652622767856, 11650)}  # fmt: skip
     for number, (lat, lon, feet) in other.items():
@@ -155,23 +155,23 @@ def test_real_positions_are_those_of_the_definition():
         assert made.pressure_alt_m[k] == pytest.approx(feet * 0.3048)
 
 
-def test_accuracy_and_velocity_are_those_told_last():
+def test_accuracy_and_velocity_are_the_latest_received():
     pytest.importorskip("rs1090")
     made = mode_s.read(SAMPLE.read_text().splitlines(), "roof")
-    # a6f2b7 told NACp 10 in its target state, in line 15.
+    # a6f2b7 sends NACp 10 in its target state message, in line 15.
     of_one = (made.icao == "a6f2b7") & (made.line > 15)
     np.testing.assert_allclose(made.covariance_m2[of_one][:, 0], (10.0 / RADIUS_95) ** 2)
     np.testing.assert_allclose(made.speed_m_per_s[of_one], 204.0, atol=1.0)
-    # Positions before any NACp have that of their own kind: NUCp 7.
+    # Positions before any NACp use the accuracy of their own type: NUCp 7.
     silent = np.isnan(made.extra["nac_p"])
     assert silent.any()
     np.testing.assert_allclose(made.covariance_m2[silent][:, 0], (92.6 / RADIUS_95) ** 2)
-    # Geometric heights are the barometric ones and the difference that the velocity message tells.
+    # Geometric height = barometric height + difference in the velocity message.
     known = np.isfinite(made.alt_m)
     np.testing.assert_allclose((made.alt_m - made.pressure_alt_m)[known], made.extra["above_pressure_m"][known])
 
 
-def test_the_published_pair_gives_the_published_place():
+def test_the_published_pair_gives_the_published_position():
     pytest.importorskip("rs1090")
     odd, even = "8D40621D58C386435CC412692AD6", "8D40621D58C382D690C8AC2863A7"
     made = mode_s.read([f"1457996400.0 {odd}", f"1457996402.0 {even}"], "roof")
@@ -179,7 +179,7 @@ def test_the_published_pair_gives_the_published_place():
     assert made.pressure_alt_m[0] == pytest.approx(38000 * 0.3048) and made.icao[0] == "40621d"
 
 
-def test_counters_are_counted_on_from_the_start():
+def test_wrapping_counters_are_unwrapped_from_the_start():
     pytest.importorskip("rs1090")
     odd, even = "8D40621D58C386435CC412692AD6", "8D40621D58C382D690C8AC2863A7"
     lines = [f"@{0x100000000000:012X}{odd};", f"@{0x100000000000 + 24_000_000:012X}{even};"]
@@ -203,7 +203,7 @@ def test_broken_messages_are_counted_by_line():
         mode_s.read(["1457996400.0 8D40621D58C386435CC412692AD6"], "roof")
 
 
-def test_missing_rs1090_is_said_with_the_remedy(monkeypatch):
+def test_missing_rs1090_is_reported_with_the_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "rs1090", None)
     with pytest.raises(InputError, match=r"raw Mode S messages need rs1090: pip install 'sameas\[targets\]'"):
         mode_s.read(["1457996400.0 8D40621D58C386435CC412692AD6"], "roof")

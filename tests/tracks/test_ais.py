@@ -1,4 +1,4 @@
-"""AIS: real sentences give what their bits say, and what is broken is counted."""
+"""AIS: real sentences are decoded as specified, and broken ones are counted."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from sameas.tracks.coordinates import LocalPlane
 
 pyais = pytest.importorskip("pyais")
 SAMPLE = Path(__file__).parent / "data" / "ais_sample.nmea"
-# Where each field begins, its width and whether it has a sign, from the tables of ITU-R M.1371.
+# Start, width and sign of each field, from the tables of ITU-R M.1371.
 CLASS_A = {"speed": (50, 10, 0), "accuracy": (60, 1, 0), "lon": (61, 28, 1), "lat": (89, 27, 1), "course": (116, 12, 0),
            "heading": (128, 9, 0), "second": (137, 6, 0), "raim": (148, 1, 0)}  # fmt: skip
 CLASS_B = {"speed": (46, 10, 0), "accuracy": (56, 1, 0), "lon": (57, 28, 1), "lat": (85, 27, 1), "course": (112, 12, 0),
@@ -53,7 +53,7 @@ def sample():
     return found
 
 
-def test_every_real_report_says_what_its_bits_say(sample):
+def test_every_real_report_agrees_with_its_bits(sample):
     lines = SAMPLE.read_text().splitlines()
     assert len(sample) == 11
     for k, line in enumerate(sample.line):
@@ -71,7 +71,7 @@ def test_every_real_report_says_what_its_bits_say(sample):
         assert sample.time_s[k] % 60 == told["second"]
 
 
-def test_the_published_message_says_what_was_published(sample):
+def test_the_published_message_is_decoded_as_published(sample):
     [k] = np.flatnonzero(sample.mmsi == "366053209")
     assert (sample.lat_deg[k], sample.lon_deg[k]) == pytest.approx((37.802118, -122.341618))
     assert (sample.course_deg[k], sample.heading_deg[k], sample.speed_m_per_s[k]) == (219.3, 1.0, 0.0)
@@ -87,13 +87,13 @@ def test_damaged_lines_are_counted_by_number(sample):
     assert sample.passed_over == {"AIS message of type 4": 1}
 
 
-def test_a_base_station_is_the_clock_where_there_is_no_other(sample):
-    # Message 4 in line 13 tells 2015-06-21 09:30:10.
+def test_a_base_station_is_the_clock_if_there_is_no_other(sample):
+    # Message 4 in line 13 gives 2015-06-21 09:30:10.
     assert sample.notes[0].startswith("ais_sample.nmea: times from base stations' reports")
     assert np.ptp(sample.time_s) < 60.0 and abs(sample.time_s[0] - 1434879010.0) < 60.0
 
 
-def test_a_hull_moves_the_report_to_its_middle_even_when_told_later():
+def test_reports_are_moved_to_the_hull_centre_even_if_dimensions_come_later():
     static = encoded(type=5, shipname="EVER DIADEM", callsign="3FOF8", imo=9134270, ship_type=70,
                      to_bow=225, to_stern=70, to_port=1, to_starboard=31)  # fmt: skip
     lines = [*message(heading=90, course=100.0, speed=12.0, second=5, accuracy=1), *static]
@@ -106,7 +106,7 @@ def test_a_hull_moves_the_report_to_its_middle_even_when_told_later():
     assert made.extra["antenna_lon_deg"][0] == -1.0
 
 
-def test_without_heading_the_course_of_a_moving_ship_stands_in():
+def test_without_heading_the_course_of_a_moving_ship_is_used():
     static = encoded(type=24, partno=1, to_bow=40, to_stern=20, to_port=5, to_starboard=5)
     moving = reports([*message(heading=511, course=0.0, speed=10.0), *static])
     assert LocalPlane(50.0, -1.0).of_geodetic(moving.lat_deg, moving.lon_deg)[0] == pytest.approx([0.0, 10.0], abs=0.02)
@@ -123,7 +123,7 @@ def test_values_that_are_not_available_are_absent():
     assert made.speed_m_per_s[1] == pytest.approx(3.0 * 1852 / 3600)
 
 
-def test_no_position_and_no_receiver_are_passed_over_and_reckoning_is_coarse():
+def test_messages_without_position_are_ignored_and_dead_reckoning_is_coarse():
     made = reports(
         [*message(lat=91.0, lon=181.0), *message(second=63), *message(second=62, accuracy=1), *message(second=10)]
     )
@@ -132,14 +132,14 @@ def test_no_position_and_no_receiver_are_passed_over_and_reckoning_is_coarse():
     assert made.time_s.tolist() == [1452603731.0, 1452603730.0]
 
 
-def test_the_second_in_the_message_dates_it_back_from_its_receipt():
+def test_the_second_in_the_message_gives_its_time_before_receipt():
     def at(receipt, second):
         return reports(message(second=second), stamp=f"\\c:{receipt}*00\\").time_s[0]
 
     minute = 1452603720
     assert at(minute + 11, 9) == minute + 9
     assert at(minute + 2, 58) == minute - 2
-    # The receiver's clock may be a little behind.
+    # The receiver's clock may be slightly slow.
     assert at(minute + 58, 1) == minute + 61
 
 
@@ -153,18 +153,18 @@ def test_the_second_in_the_message_dates_it_back_from_its_receipt():
         "{},r003669945,1452603731",
     ],
 )
-def test_receivers_write_the_time_in_many_ways(stamped):
+def test_many_receiver_time_formats_are_read(stamped):
     assert reports([stamped.format(message(second=11)[0])], stamp="").time_s[0] == 1452603731.0
 
 
-def test_other_sentences_tell_the_time_too():
+def test_other_sentences_give_the_time_too():
     clock = sentence("PGHP,1,2016,1,12,13,2,11,0,338,2,,1,09").replace("!", "$")
     assert reports([clock, *message(second=10)], stamp="").time_s[0] == 1452603730.0
     clock = sentence("GPZDA,130211.00,12,01,2016,00,00").replace("!", "$")
     assert reports([clock, *message(second=60)], stamp="").time_s[0] == 1452603731.0
 
 
-def test_without_any_clock_the_seconds_are_counted_on_from_the_start():
+def test_without_a_clock_seconds_are_counted_from_the_start():
     lines = [line for second in (50, 59, 3, 2, 20) for line in message(second=second)]
     with pytest.raises(InputError, match=r"coast: no time: the lines carry no time of receipt.* give start"):
         reports(lines, stamp="")
@@ -179,7 +179,7 @@ def test_a_long_range_report_is_as_coarse_as_its_steps():
     assert made.speed_m_per_s[0] == pytest.approx(9 * 1852 / 3600) and made.time_s[0] == 1452603731.0
 
 
-def test_extended_class_b_brings_its_name_and_hull():
+def test_extended_class_b_gives_name_and_hull():
     payload = "C5N3SRgPEnJGEBT>NhWAwwo862PaLELTBJ:V00000000S0D:R220"
     made = reports([f"!AIVDM,1,1,,B,{payload},0*0B"])
     bow, stern, port, starboard = (field(bits_of(payload), *at, 0) for at in ((271, 9), (280, 9), (289, 6), (295, 6)))
@@ -187,7 +187,7 @@ def test_extended_class_b_brings_its_name_and_hull():
     assert (made.length_m[0], made.width_m[0]) == (bow + stern, port + starboard) == (26.0, 8.0)
 
 
-def test_a_message_in_parts_needs_them_in_order():
+def test_parts_of_a_message_must_be_in_order():
     first, second = encoded(type=5, shipname="A" * 20)
     made = reports([second, first, *message(), second])
     assert made.damaged.lines.tolist() == [1] and made.name.tolist() == ["A" * 20]
@@ -195,13 +195,13 @@ def test_a_message_in_parts_needs_them_in_order():
     assert made.damaged.lines.tolist() == [1]
 
 
-def test_own_ship_and_other_messages_are_passed_over():
+def test_own_ship_and_other_messages_are_ignored():
     own = message()[0].replace("VDM", "VDO").split("*")[0][1:]
     made = reports([sentence(own), *message()])
     assert made.passed_over == {"own ship's own report (VDO)": 1} and len(made) == 1
 
 
-def test_nonsense_never_ends_the_reading():
+def test_random_bytes_never_stop_the_reader():
     rng = np.random.default_rng(7)
     letters = [chr(code) for code in range(33, 120)]
     junk = [sentence("AIVDM,1,1,,A," + "".join(rng.choice(letters, 28)).replace(",", "0").replace("*", "1") + ",0")
@@ -211,7 +211,7 @@ def test_nonsense_never_ends_the_reading():
     assert (np.abs(made.lat_deg) <= 90.0).all() and (np.abs(made.lon_deg) <= 180.0).all()
 
 
-def test_missing_pyais_is_said_with_the_remedy(monkeypatch):
+def test_missing_pyais_is_reported_with_the_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pyais", None)
     with pytest.raises(InputError, match=r"AIS messages need pyais: pip install 'sameas\[targets\]'"):
         reports(["!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C"])

@@ -1,4 +1,4 @@
-"""Time: moving there and back, growth of uncertainty, order of arrival, and when a record tells nothing any more."""
+"""Alignment in time: prediction, growth of uncertainty, order of arrival, and records too old to be informative."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ SECONDS = st.floats(-200.0, 200.0)
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(0.0, 100.0), st.floats(0.0, 100.0))
-def test_two_moves_are_one(first, second):
+def test_two_predictions_equal_one(first, second):
     rng = np.random.default_rng(1)
     root = rng.standard_normal((1, 4, 4))
     state, covariance = rng.standard_normal((1, 4)), root @ root.transpose(0, 2, 1)
@@ -34,7 +34,7 @@ def test_two_moves_are_one(first, second):
 
 @settings(max_examples=50, deadline=None)
 @given(SECONDS)
-def test_noise_is_a_covariance_and_uncertainty_grows_into_past_and_future(dt):
+def test_process_noise_is_a_covariance_and_grows_into_past_and_future(dt):
     noise = process_noise(dt, 0.5)[0]
     assert np.linalg.eigvalsh(noise)[0] >= -1e-9 * max(np.trace(noise), 1.0)
     covariance = np.diag([4.0, 4.0, 1.0, 1.0])[None]
@@ -42,7 +42,7 @@ def test_noise_is_a_covariance_and_uncertainty_grows_into_past_and_future(dt):
     assert np.linalg.det(later[0, :2, :2]) >= 16.0 - 1e-9
 
 
-def test_the_noise_is_that_of_simulated_walks():
+def test_the_process_noise_agrees_with_simulated_walks():
     rng = np.random.default_rng(2)
     q, dt, n = 0.7, 0.02, 500
     shocks = np.sqrt(q * dt) * rng.standard_normal((4000, n))
@@ -52,7 +52,7 @@ def test_the_noise_is_that_of_simulated_walks():
     np.testing.assert_allclose(process_noise(n * dt, q)[0][np.ix_([0, 2], [0, 2])], sample, rtol=0.06)
 
 
-def test_what_is_unknown_of_the_velocity_is_said_by_the_covariance():
+def test_unknown_velocity_is_in_the_covariance():
     reports = States.of(
         [0.0, 1.0], [[0, 0], [1, 1]], np.eye(2), speed_m_per_s=8.0, velocity=[[3.0, 4.0], [np.nan, 0.0]],
         velocity_covariance=0.25 * np.eye(2),
@@ -63,12 +63,12 @@ def test_what_is_unknown_of_the_velocity_is_said_by_the_covariance():
     assert bare[0, 0, 0] == pytest.approx(1.0 + 80.0**2)
 
 
-def test_stamps_that_are_uncertain_blur_along_the_velocity_only():
+def test_uncertain_time_stamps_add_error_along_the_velocity_only():
     state, covariance = np.array([[0, 0, 10.0, 0.0]]), np.zeros((1, 4, 4))
     np.testing.assert_allclose(moved(state, covariance, 0.0, 0.0, 2.0)[1][0, :2, :2], [[400.0, 0.0], [0.0, 0.0]])
 
 
-def test_the_last_report_by_its_own_time_stands_for_a_track_whatever_the_order_of_arrival():
+def test_the_latest_report_by_time_represents_a_track_for_any_order_of_arrival():
     time_s = np.array([10.0, 4.0, 30.0, 12.0, 11.0, 7.0])
     track = np.array(["a", "b", "a", "b", "a", "c"], dtype=object)
     rng = np.random.default_rng(3)
@@ -80,20 +80,20 @@ def test_the_last_report_by_its_own_time_stands_for_a_track_whatever_the_order_o
     assert len(follows.at(1.0)) == 0
     assert [list(follows.at(t)) for t in (4.0, 7.0, 10.0, 99.0)] == [[1], [1, 5], [0, 1, 5], [2, 3, 5]]
     assert len(Succession.of(np.empty(0), np.empty(0, object)).at(0.0)) == 0
-    # Of equal times the one that came last.
+    # At equal times the last one received.
     assert list(Succession.of(np.zeros(3), np.array(["a", "b", "a"])).at(0.0)) == [1, 2]
 
 
-def test_records_age_out_by_their_own_uncertainty_not_by_the_clock():
+def test_records_expire_by_their_uncertainty_not_by_age():
     state = np.zeros((3, 4))
     ship, aircraft = np.diag([100.0, 100.0, 0.01, 0.01]), np.diag([100.0, 100.0, 4e4, 4e4])
     covariance = moved(state, np.stack([ship, aircraft, ship]), [60.0, 60.0, 3000.0], 0.01)[1]
     assert list(aged(covariance, 1e-6)) == [False, True, True]
-    # Where there is hardly anybody else the same records still tell objects apart.
+    # In sparse traffic the same records are still informative.
     assert list(aged(covariance, 1e-12)) == [False, False, False]
 
 
-def test_what_was_seen_earlier_is_a_part_of_the_state_now():
+def test_earlier_observations_measure_part_of_the_present_state():
     states = np.array([[100.0, 200.0, 5.0, -3.0], [-80.0, 40.0, 0.0, 2.0]])
     part = Earlier(Bearing((10.0, -5.0), dimension=4), 4.0)
     before = states @ transition(-4.0)[0].T

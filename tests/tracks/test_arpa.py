@@ -1,4 +1,4 @@
-"""ARPA: ranges and bearings as the radar measured them, true whatever their flags."""
+"""ARPA: measured ranges and true bearings for any flags."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def ttm(number="01", distance="2.50", bearing="13.6", flag="T", speed="7.0", cou
     )
 
 
-def test_a_true_target_is_taken_as_it_stands():
+def test_a_target_with_true_bearing_is_read_unchanged():
     made = reports(ZDA, RMC, ttm())
     assert made.position == "polar" and made.track_id.tolist() == ["01"]
     assert made.range_m[0] == pytest.approx(2.5 * 1852.0) and made.bearing_deg[0] == 13.6
@@ -34,7 +34,7 @@ def test_a_true_target_is_taken_as_it_stands():
     assert made.time_s[0] == DAY + 13 * 3600 + 2 * 60 + 15.5
 
 
-def test_directions_from_the_bow_are_turned_by_the_heading_heard_last():
+def test_relative_bearings_are_corrected_by_the_latest_heading():
     made = reports(ZDA, "HEHDT,350.0,T", ttm(flag="R", course_flag="R"), "IIOSD,100.0,A,101.0,P,8.0,P,,,N",
                    ttm(number="02", flag="R", course="90.0", course_flag="T"))  # fmt: skip
     np.testing.assert_allclose(made.bearing_deg, [3.6, 113.6])
@@ -43,7 +43,7 @@ def test_directions_from_the_bow_are_turned_by_the_heading_heard_last():
     assert made.bearing_deg[0] == pytest.approx(3.6)
 
 
-def test_a_bearing_from_the_bow_without_a_heading_is_no_bearing():
+def test_a_relative_bearing_without_heading_is_missing():
     made = reports(ZDA, ttm(flag="R"), ttm(number="02", course_flag="R"))
     assert made.track_id.tolist() == ["02"] and made.course_deg is None
     assert made.damaged.sentences() == [
@@ -59,7 +59,7 @@ def test_units_are_those_of_the_sentence(unit, metres, speed):
     assert (made.range_m[0], made.speed_m_per_s[0]) == (metres, pytest.approx(speed, rel=1e-5))
 
 
-def test_lost_targets_are_passed_over_and_broken_ones_counted():
+def test_lost_targets_are_ignored_and_broken_ones_counted():
     made = reports(ZDA, ttm(status="L"), ttm(status="X"), ttm(distance=""), ttm(distance="0.0"), ttm(unit="Q"),
                    ttm(bearing="abc"), ttm(flag="M"), ttm(number="09", status="Q"))  # fmt: skip
     assert made.passed_over == {"target lost by the radar": 1}
@@ -67,8 +67,8 @@ def test_lost_targets_are_passed_over_and_broken_ones_counted():
     assert made.track_id.tolist() == ["09"] and made.extra["tracked"].tolist() == [0.0]
 
 
-def test_positions_that_the_radar_worked_out_are_read_where_there_is_nothing_else():
-    # The example of a TLL sentence that chart plotters print in their sources.
+def test_positions_computed_by_the_radar_are_used_if_there_is_nothing_else():
+    # The example TLL sentence in the sources of chart plotters.
     tll = "RATLL,01,5603.370,N,01859.976,E,ALPHA,015200.36,T,"
     made = reports(ZDA, tll)
     assert made.position == "geodetic" and made.name.tolist() == ["ALPHA"]
@@ -78,7 +78,7 @@ def test_positions_that_the_radar_worked_out_are_read_where_there_is_nothing_els
     assert both.position == "polar" and both.passed_over == {"TLL of targets that TTM reports too": 1}
 
 
-def test_own_ship_is_where_her_own_ais_says_too():
+def test_own_position_may_come_from_own_ais():
     pyais = pytest.importorskip("pyais")
     [said] = pyais.encode_dict({"type": 1, "mmsi": 235000001, "lat": 50.9, "lon": -1.4, "heading": 30})
     own = said[1:].split("*")[0].replace("VDM", "VDO")
@@ -87,7 +87,7 @@ def test_own_ship_is_where_her_own_ais_says_too():
     assert made.bearing_deg[0] == pytest.approx(43.6)
     assert "bridge: own ship's place from 1 AIS sentences of her own (VDO) too" in made.notes
     tll = "RATLL,03,5046.0,N,00105.0,W,X,015200.36,T,"
-    # Places that the radar worked out were seen from own ship, where all of them were.
+    # Positions computed by the radar were measured from own ship, at the same place.
     assert reports(ZDA, RMC, tll).station_lat_deg[0] == pytest.approx(50 + 46.380 / 60)
     assert reports(ZDA, tll, RMC, tll).station_lat_deg is None
 
@@ -98,7 +98,7 @@ def test_times_of_day_cross_midnight_with_the_date_nearest_to_the_clock():
     assert (made.time_s - DAY - 86400.0).tolist() == [-2.0, 0.5, -0.5]
 
 
-def test_without_a_date_a_start_is_asked_for():
+def test_without_a_date_the_user_must_give_the_start():
     with pytest.raises(
         InputError, match="bridge: no time: the sentences have the time of day, but no date; give start"
     ):
@@ -109,11 +109,11 @@ def test_without_a_date_a_start_is_asked_for():
         reports(ttm(time=""), start_s=DAY)
 
 
-def test_the_clock_of_the_log_stands_in_for_targets_without_their_own():
+def test_targets_without_time_use_the_clock_of_the_log():
     assert reports(ZDA, ttm(time="")).time_s[0] == DAY + 13 * 3600 + 2 * 60 + 11
 
 
-def test_where_own_ship_was_is_not_made_up():
+def test_a_missing_own_position_is_not_invented():
     made = reports(ZDA, ttm())
     assert made.station_lat_deg is None and "lacks own ship's position" in made.notes[-1]
     made = reports(
@@ -125,7 +125,7 @@ def test_where_own_ship_was_is_not_made_up():
 @pytest.mark.parametrize(
     ("text", "side"), [("9100.0", "N"), ("5061.0", "N"), ("50xx.0", "N"), ("5000.0", "E"), ("", "N")]
 )
-def test_what_is_no_latitude_is_refused(text, side):
+def test_an_invalid_latitude_is_refused(text, side):
     with pytest.raises(ValueError):
         latitude(text, side)
     assert longitude("17959.99", "W") == pytest.approx(-179.99983, abs=1e-5)

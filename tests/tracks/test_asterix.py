@@ -1,4 +1,4 @@
-"""ASTERIX: cut into items as libasterix cuts them, and meaning what libasterix reads in them."""
+"""ASTERIX: items and their values agree with libasterix."""
 
 import json
 import struct
@@ -14,7 +14,7 @@ from sameas.io.sensors.format import RADIUS_95
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "asterix_oracle.json").read_text())
 DATE = 1714521600.0  # 2024-05-01
-# Names that differ between editions for subfields of one place and length.
+# Subfield names that differ between editions, at equal position and length.
 RENAMED = {"ISA": "SAL", "GS": "GSP", "BDSDATA": "MB"}
 NM, FL = 1852.0, 30.48
 
@@ -28,13 +28,13 @@ def block(category, data):
 
 
 def plot(seconds, number=1, distance=256):
-    """The data of a category 048 record: 010, 140, 040, 161."""
+    """Bytes of a category 048 record with items 010, 140, 040, 161."""
     tod = int(seconds * 128).to_bytes(3, "big")
     return bytes([0xD1, 0x10, 1, 2]) + tod + distance.to_bytes(2, "big") + b"\x40\0" + number.to_bytes(2, "big")
 
 
 @pytest.mark.parametrize("case", ORACLE["layouts"], ids=lambda case: case["edition"])
-def test_every_item_of_a_category_is_cut_where_the_specification_cuts(case):
+def test_item_boundaries_follow_the_specification(case):
     found = list(records_of(CATEGORIES[case["category"]], bytes.fromhex(case["data"])))
     assert len(found) == len(case["records"]) == 4
     for items, expected in zip(found, case["records"], strict=True):
@@ -48,7 +48,7 @@ def test_every_item_of_a_category_is_cut_where_the_specification_cuts(case):
     assert len(set().union(*case["records"])) >= 25
 
 
-def test_a_radar_plot_means_what_libasterix_reads():
+def test_a_radar_plot_agrees_with_libasterix():
     values, data = told(0)
     [made] = read(data, "radar", DATE)
     assert (made.kind, made.position) == ("asterix 048", "polar")
@@ -65,7 +65,7 @@ def test_a_radar_plot_means_what_libasterix_reads():
     )
 
 
-def test_a_system_track_means_what_libasterix_reads_and_its_covariance_is_a_signed_square():
+def test_a_system_track_agrees_with_libasterix_and_its_covariance_is_a_signed_square():
     values, data = told(1)
     [made] = read(data, "system", DATE)
     assert (made.kind, made.position) == ("asterix 062", "geodetic") and made.time_s[0] == DATE + values["070"]
@@ -86,7 +86,7 @@ def test_a_system_track_means_what_libasterix_reads_and_its_covariance_is_a_sign
     assert made.sigma_alt_m[0] == pytest.approx(values["500.AGA"] * 0.3048)
 
 
-def test_an_ads_b_report_means_what_libasterix_reads():
+def test_an_ads_b_report_agrees_with_libasterix():
     values, data = told(2)
     [made] = read(data, "ground", DATE)
     assert made.kind == "asterix 021" and made.time_s[0] == DATE + values["071"]
@@ -103,7 +103,7 @@ def test_an_ads_b_report_means_what_libasterix_reads():
 
 
 def test_a_version_0_transponder_states_nucp_in_the_bits_of_nic():
-    # FSPEC of items 010, 071, 130, 090, 210; quality with NUCp 7 and, in its second part, bits that mean nothing yet.
+    # FSPEC of items 010, 071, 130, 090, 210; quality with NUCp 7 and undefined bits in its second part.
     items = [bytes([1, 2]), (128).to_bytes(3, "big"), bytes(6), bytes([7 << 1]), bytes([0 << 3 | 2])]
     spec = bytes([0b10001101, 0b00000001, 0b00110000])
     [made] = read(block(21, spec + b"".join(items)), "ground", DATE)
@@ -111,12 +111,12 @@ def test_a_version_0_transponder_states_nucp_in_the_bits_of_nic():
     np.testing.assert_allclose(made.covariance_m2[0, 0], (92.6 / RADIUS_95) ** 2)
 
 
-def test_times_of_day_cross_midnight_and_come_late():
+def test_times_of_day_cross_midnight_and_may_be_late():
     seconds = [86399.0, 1.0, 86398.5, 3.0]
     data = b"".join(block(48, plot(s, k)) for k, s in enumerate(seconds))
     [made] = read(data, "radar", DATE)
     assert (made.time_s - DATE).tolist() == [86399.0, 86401.0, 86398.5, 86403.0]
-    # A start that is an instant, not a date, finds the nearest day.
+    # A start with a time of day selects the nearest day.
     [made] = read(data, "radar", DATE - 2.0)
     assert (made.time_s - DATE).tolist() == [-1.0, 1.0, -1.5, 3.0]
     with pytest.raises(InputError, match="radar: no date: the records have the time of day only; give start"):
@@ -132,7 +132,7 @@ def test_every_sensor_in_a_file_is_a_source():
     assert found[0].passed_over == {"block of category 034": 1}
 
 
-def test_a_block_that_comes_over_two_networks_is_one():
+def test_a_block_received_over_two_networks_counts_once():
     [made] = read(block(48, plot(1.0)) * 2 + block(48, plot(1.0, 2)), "radar", DATE)
     assert made.track_id.tolist() == ["1", "2"]
     assert made.passed_over == {"block that came before, from a second network": 1}
@@ -150,7 +150,7 @@ def test_damaged_records_are_counted_and_the_next_block_is_read():
     assert "length 65535 of the block at byte" in made.damaged.reasons[2]
 
 
-def test_any_bytes_are_records_or_damage_and_never_more():
+def test_any_bytes_are_either_records_or_damage():
     rng = np.random.default_rng(3)
     for category in CATEGORIES.values():
         for _ in range(100):
@@ -162,7 +162,7 @@ def test_any_bytes_are_records_or_damage_and_never_more():
                 pass
 
 
-def test_simulated_and_empty_records_are_passed_over():
+def test_simulated_and_empty_records_are_ignored():
     # FSPEC 010, 140, 020, 040; item 020 with SIM set.
     simulated = bytes([0xF0, 1, 2, 0, 0, 128, 0xB0, 1, 0, 0x40, 0])
     nowhere = bytes([0xC0, 1, 2, 0, 0, 128])
@@ -192,18 +192,18 @@ def capture(packets, order="<", link=1):
 
 
 @pytest.mark.parametrize(("order", "link"), [("<", 1), (">", 1), ("<", 101)])
-def test_a_capture_brings_its_date(order, link):
+def test_a_capture_gives_its_date(order, link):
     packets = [(DATE + 86400.5, block(48, plot(86399.75))), (DATE + 86401.0, block(48, plot(0.5, 2)))]
     [made] = read(capture(packets, order, link), "site")
     assert (made.time_s - DATE).tolist() == [86399.75, 86400.5]
 
 
-def test_a_capture_of_the_newer_kind_is_refused_with_the_remedy():
+def test_a_pcapng_capture_is_refused_with_the_remedy():
     with pytest.raises(InputError, match="editcap -F pcap"):
         read(b"\x0a\x0d\x0d\x0a" + bytes(20), "site")
 
 
-def test_letters_and_codes_are_those_of_the_standard():
+def test_letters_and_codes_follow_the_standard():
     # ICAO Annex 10: letters are their place in the alphabet, digits those of ASCII, a blank is 32.
     codes = [ord(c) - 64 if c.isalpha() else ord(c) for c in "KLM1023 "]
     packed = int("".join(f"{code:06b}" for code in codes), 2).to_bytes(6, "big")

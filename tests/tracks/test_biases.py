@@ -1,4 +1,4 @@
-"""Biases: there and back, derivatives, and errors that are still those of the sensor when reports are corrected."""
+"""Biases: apply and undo, derivatives, and errors of corrected reports."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def without_site(name):
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_what_is_undone_is_where_it_was(name):
+def test_undoing_a_bias_is_the_inverse(name):
     model, theta = MODELS[name], without_site(name)
     shown = model.forward(PLACE, VELOCITY, theta)
     assert np.hypot(*(shown.place - PLACE).T).min() > 20.0
@@ -35,7 +35,7 @@ def test_what_is_undone_is_where_it_was(name):
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("way", ["forward", "inverse"])
-def test_derivatives_are_those_of_the_places(name, way):
+def test_derivatives_agree_with_finite_differences(name, way):
     move, theta = getattr(MODELS[name], way), without_site(name)
     found = move(PLACE, VELOCITY, theta)
     step = 1e-3 * np.eye(2)
@@ -49,7 +49,7 @@ def test_derivatives_are_those_of_the_places(name, way):
 
 
 @pytest.mark.slow
-def test_an_offset_between_two_biased_sources_brings_their_records_together():
+def test_the_offset_of_two_biased_sources_aligns_their_records():
     other = np.array([-40.0, 0.8, 0.0, -1.0, 0.0, 0.0])
     first, second = MODELS["site"], BiasModel((4000.0, 3000.0))
     seen_1, seen_2 = (m.forward(PLACE, VELOCITY, t).place for m, t in ((first, THETA), (second, other)))
@@ -59,7 +59,7 @@ def test_an_offset_between_two_biased_sources_brings_their_records_together():
     many = model.moved(seen_2, np.stack([theta, 0.0 * theta])[:, None, :])
     np.testing.assert_allclose(many[1], seen_2, atol=1e-9)
     assert model.jacobian(seen_2, theta).shape == (7, 2, 12) and len(model.names) == 12
-    # Only what may differ is looked for, and the chart is that of the sensor that may be turned farther.
+    # Only parameters that may differ are fitted, in the plane of the sensor of larger azimuth uncertainty.
     radar = RelativeBias(first, second, VELOCITY, (0.0,) * 6 + (50.0, 1.0, 0.0, 2.0, 0.0, 0.0))
     assert radar.names == ("second_range_m", "second_azimuth_deg", "second_time_s")
     assert radar.voted(2) == [(0, -1.0), (1, -1.0)] and len(radar.turns()) == 1
@@ -67,7 +67,7 @@ def test_an_offset_between_two_biased_sources_brings_their_records_together():
     assert radar.placed(records, records) is radar
 
 
-def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
+def test_correcting_the_azimuth_keeps_the_range_error():
     site, bearing = np.zeros((1, 2)), 40.0
     position, covariance = plane_polar(
         range_m=10e3, bearing_deg=bearing + 2.0, sensor_m=site, sigma_range_m=5.0, sigma_bearing_deg=1.0
@@ -83,7 +83,7 @@ def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
     np.testing.assert_allclose(right.state[:, :2], wanted, atol=1e-6)
     np.testing.assert_allclose(right.covariance[:, :2, :2], spread, rtol=1e-9)
     assert right.time_s[0] == -3.0 and np.hypot(*right.state[0, 2:]) == pytest.approx(5.0)
-    # What is taken off is not known exactly: 0.1° across, nothing along; 2 m along, nothing across.
+    # The correction is uncertain: 0.1° across, 0 along; 2 m along, 0 across.
     for variance, along, across in [((0.0, 0.01), 0.0, (10e3 * np.radians(0.1)) ** 2), ((4.0, 0.0), 4.0, 0.0)]:
         less_sure = corrected(reports, site, theta, np.diag([*variance, 0.0, 0.0, 0.0, 0.0]))
         assert isinstance(less_sure, States)
@@ -93,7 +93,7 @@ def test_a_radar_is_still_exact_in_range_when_its_azimuth_is_corrected():
         assert np.trace(grown) == pytest.approx(along + across, rel=1e-6)
 
 
-def test_a_calibration_that_is_known_is_taken_off_at_once():
+def test_a_known_calibration_is_subtracted_directly():
     said = Reports.of("radar", "table", {"time_s": [0.0], "range_m": [1030.0], "bearing_deg": [91.0]})
     errors = SensorErrors(5.0, 0.0, 0.1)
     known = KnownBiases(range_m=30.0, azimuth_deg=1.0, north_m=7.0)
@@ -106,7 +106,7 @@ def test_a_calibration_that_is_known_is_taken_off_at_once():
         Feed.of(Description("radar", "tracks", errors=SensorErrors(position_m=5.0), calibration=known), said)
 
 
-def test_directions_are_turned_and_grow_by_what_is_not_known():
+def test_directions_are_rotated_with_the_uncertainty_of_the_bias():
     camera = Description(
         "camera", "camera", site=Site(east_m=0.0, north_m=0.0), motion=Motion(0.01, 8.0), timing=Timing(1.0),
         errors=SensorErrors(bearing_deg=0.3), calibration=KnownBiases(azimuth_deg=2.0),

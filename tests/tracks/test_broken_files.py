@@ -1,4 +1,4 @@
-"""Files of sensors that no sensor wrote: one bad line is one damaged line, and no error is unforeseen."""
+"""Corrupt sensor files: one bad line counts as one damaged line, without unexpected exceptions."""
 
 import json
 import struct
@@ -43,14 +43,14 @@ def test_static_data_cut_short_is_one_damaged_line(tmp_path):
     assert len(found) == 2 and list(damage(found)) == [2]
 
 
-def test_a_date_beyond_every_calendar_is_no_clock(tmp_path):
+def test_an_impossible_date_is_no_clock(tmp_path):
     zda = sentence("$GPZDA,120000,01,05,99999999999999999999,00,00")
     ttm = sentence("$RATTM,01,2.5,13.6,T,7.0,20.0,T,,,N,,T,,120000,A")
     with pytest.raises(InputError, match=r"no time: the sentences have the time of day, but no date"):
         read(tmp_path, "a.nmea", f"{zda}\n{ttm}\n")
 
 
-def test_a_packet_shorter_than_its_head_says_is_left_out(tmp_path):
+def test_a_packet_shorter_than_its_header_says_is_ignored(tmp_path):
     head = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
     for content in (head[:22], head + bytes(15), head + struct.pack("<IIII", 0, 0, 2000, 2000) + b"\x45" * 40):
         with pytest.raises(InputError, match=r"a\.pcap: no target of category 021, 048 or 062"):
@@ -75,7 +75,7 @@ def test_a_broken_parquet_file_is_refused_by_name(share, tmp_path):
         pa.array([1, 2], pa.duration("s")),
     ],
 )
-def test_a_column_of_another_kind_is_a_column_without_numbers(column, tmp_path):
+def test_a_column_of_the_wrong_type_has_no_numbers(column, tmp_path):
     path = tmp_path / "a.parquet"
     parquet.write_table(
         pa.table({"time": [1.7e9, 1.7e9], "lat": [50.0, 51.0], "lon": [-1.0, -1.0], "sog": column}), path
@@ -87,20 +87,20 @@ def test_a_column_of_another_kind_is_a_column_without_numbers(column, tmp_path):
 
 
 @pytest.mark.parametrize("now", [float("nan"), float("inf"), 1e300, -1e300])
-def test_a_snapshot_at_no_time_is_set_aside(now, tmp_path):
+def test_a_snapshot_without_time_is_set_aside(now, tmp_path):
     lines = [json.dumps(SNAPSHOT), json.dumps(SNAPSHOT | {"now": now})]
     [found] = read(tmp_path, "a.json", "\n".join(lines) + "\n")
     assert len(found) == 1 and damage(found) == {2: "no time"}
 
 
-def test_a_receipt_at_no_time_is_set_aside(tmp_path):
+def test_a_report_without_receipt_time_is_set_aside(tmp_path):
     pytest.importorskip("pyais")
     far = POSITION.join(["\\c:" + "9" * 400 + "*00\\", ""])
     [found] = read(tmp_path, "a.nmea", f"{STAMP}{POSITION}\n{far}\n{STAMP}{POSITION}\n")
     assert np.isfinite(found.time_s).all()
 
 
-def test_what_is_infinite_is_set_aside_or_absent():
+def test_infinite_values_are_set_aside_or_missing():
     columns: dict[str, Any] = {
         "time_s": [1.0, 2.0, 3.0, np.nan], "lat_deg": [1.0, np.inf, 1.0, 1.0], "lon_deg": [2.0, 2.0, 2.0, 2.0],
         "speed_m_per_s": [1.0, 1.0, np.inf, 1.0], "line": [5, 6, 7, 8],
@@ -114,7 +114,7 @@ def test_what_is_infinite_is_set_aside_or_absent():
         Reports.of("radar", "table", {"time_s": [np.nan], "lat_deg": [1.0], "lon_deg": [1.0]})
 
 
-def test_a_distance_below_zero_is_no_position(tmp_path):
+def test_a_negative_distance_is_no_position(tmp_path):
     text = "time,range_m,bearing_deg,kind\n1700000000,-5,10,a\n1700000001,5,10,a\n"
     [found] = read(tmp_path, "radar.csv", text)
     assert len(found) == 1 and damage(found) == {2: "a distance below 0"}
@@ -130,7 +130,7 @@ def test_a_distance_below_zero_is_no_position(tmp_path):
         ("a.nmea", f"{STAMP}{POSITION}\n{STAMP}{POSITION[:30]}", 2),
     ],
 )  # fmt: skip
-def test_a_last_line_that_is_cut_off_is_said(name, content, line, tmp_path):
+def test_a_truncated_last_line_is_reported(name, content, line, tmp_path):
     if name == "a.nmea":
         pytest.importorskip("pyais")
     [found] = read(tmp_path, name, content)
@@ -144,7 +144,7 @@ def test_a_table_without_a_last_line_end_may_be_incomplete(tmp_path):
     assert not any("last line" in note for note in found.notes)
 
 
-def test_a_reader_that_fails_names_the_file_and_the_library_s_words(tmp_path, monkeypatch):
+def test_a_reader_that_fails_names_the_file_and_the_library_error(tmp_path, monkeypatch):
     def broken(*_):
         raise struct.error("unpack requires a buffer of 4 bytes")
 
@@ -154,7 +154,7 @@ def test_a_reader_that_fails_names_the_file_and_the_library_s_words(tmp_path, mo
     assert isinstance(found.value.__cause__, struct.error)
 
 
-def test_one_source_that_cannot_be_read_does_not_end_a_run_of_many(tmp_path):
+def test_one_unreadable_source_does_not_stop_the_others(tmp_path):
     (tmp_path / "coast.csv").write_text("time,lat,lon,mmsi\n1700000000,2,3,235070762\n")
     (tmp_path / "radar.parquet").write_bytes(b"PAR1" + bytes(90) + b"PAR1")
     files = [tmp_path / "coast.csv", tmp_path / "radar.parquet"]
@@ -183,7 +183,7 @@ def row(latitude, name="x", second=0):
 
 
 LINES_OF_JSON = {"signalk": delta, "aircraft": snapshot, "table": row}
-#: Deeper than Python's stack, not closed, as deep as may just be read, and whole numbers beyond every float or reader.
+#: JSON nested beyond the stack, unclosed, nested to the limit, and integers beyond floats or the reader.
 NOT_TO_BE_READ = {
     "deep list": "[" * 100_000 + "]" * 100_000, "deep object": '{"a":' * 100_000 + "1" + "}" * 100_000,
     "open": "[" * 100_000, "nearly too deep": "[" * 960 + "]" * 960, "beyond floats": "9" * 400, "digits": "9" * 5000,
@@ -193,7 +193,7 @@ NOT_TO_BE_READ = {
 @pytest.mark.parametrize("first", [True, False])
 @pytest.mark.parametrize("text", NOT_TO_BE_READ.values(), ids=NOT_TO_BE_READ)
 @pytest.mark.parametrize("kind", LINES_OF_JSON)
-def test_json_that_cannot_be_read_sets_one_line_aside(kind, text, first, tmp_path):
+def test_unreadable_json_sets_one_line_aside(kind, text, first, tmp_path):
     made = LINES_OF_JSON[kind]
     good = [json.dumps(made(50.0)), json.dumps(made(51.0, second=20))]
     for hostile in (json.dumps(made("@")).replace('"@"', text), text):
@@ -208,7 +208,7 @@ def test_json_that_cannot_be_read_sets_one_line_aside(kind, text, first, tmp_pat
 
 @pytest.mark.parametrize("depth", [1, 100, 800])
 @pytest.mark.parametrize("kind", LINES_OF_JSON)
-def test_a_name_that_is_no_text_is_absent(kind, depth, tmp_path):
+def test_a_name_that_is_no_text_is_missing(kind, depth, tmp_path):
     made = LINES_OF_JSON[kind]
     for opening, inside, closing in ("[", "", "]"), ('{"a":', "1", "}"):
         hostile = json.dumps(made(50.5, "@", 10)).replace('"@"', opening * depth + inside + closing * depth)

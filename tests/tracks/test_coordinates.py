@@ -1,4 +1,4 @@
-"""Coordinates: there and back, covariances as a sample shows them, poles and the antimeridian, refusals."""
+"""Coordinates: round trips, covariances against samples, poles and the antimeridian, refusals."""
 
 from typing import Any
 
@@ -24,12 +24,12 @@ pymap3d = pytest.importorskip("pymap3d")
 @given(
     st.floats(-90, 90), st.floats(-180, 180), st.floats(-3e5, 3e5), st.floats(-3e5, 3e5)
 )  # fmt: skip
-def test_there_and_back_anywhere_on_earth(lat, lon, east, north):
+def test_round_trips_anywhere_on_earth(lat, lon, east, north):
     plane = LocalPlane(lat, lon)
     np.testing.assert_allclose(plane.of_geodetic(*plane.to_geodetic([[east, north]])), [[east, north]], atol=1e-6)
 
 
-def test_distances_near_the_origin_are_those_on_the_ellipsoid():
+def test_distances_near_the_origin_agree_with_the_ellipsoid():
     from pymap3d.vincenty import vdist
 
     rng = np.random.default_rng(1)
@@ -40,7 +40,7 @@ def test_distances_near_the_origin_are_those_on_the_ellipsoid():
         np.testing.assert_allclose(np.hypot(*plane.of_geodetic(lat, lon).T), geodesic, rtol=1e-6)
 
 
-def test_the_antimeridian_and_the_poles_are_places_like_others():
+def test_round_trips_at_the_antimeridian_and_the_poles():
     east = LocalPlane(10.0, 179.999).of_geodetic([10.0, 10.0], [179.999, -179.999])[1, 0]
     assert east == pytest.approx(0.002 * np.cos(np.radians(10.0)) * 111_320, rel=1e-3)
     across = LocalPlane(90.0, 0.0).of_geodetic([89.99, 89.99], [30.0, -150.0])
@@ -48,7 +48,7 @@ def test_the_antimeridian_and_the_poles_are_places_like_others():
     assert LocalPlane.about([1.0, 1.0], [179.0, -179.0]).lon_deg == pytest.approx(180.0)
 
 
-def test_a_turn_is_the_derivative_of_the_plane():
+def test_the_rotation_is_the_derivative_of_the_plane():
     plane, step = LocalPlane(60.0, 20.0), 1e-4
     lat, lon = np.array([61.0, 58.5]), np.array([23.0, 16.0])
     turn = plane.turn(lat, lon)
@@ -60,7 +60,7 @@ def test_a_turn_is_the_derivative_of_the_plane():
         np.testing.assert_allclose((there - here) / metres[:, None], turn[:, :, axis], atol=2e-5)
 
 
-def test_a_radar_finds_the_aircraft_that_stands_there():
+def test_range_and_bearing_give_the_position_of_an_aircraft():
     rng = np.random.default_rng(2)
     site = (52.0, 179.9, 120.0)
     lat, lon = 52.0 + rng.uniform(-1.5, 1.5, 50), 179.9 + rng.uniform(-2.0, 2.0, 50)
@@ -77,7 +77,7 @@ def test_a_radar_finds_the_aircraft_that_stands_there():
 
 
 @pytest.mark.parametrize(("distance", "height"), [(200e3, 10e3), (30e3, 9e3), (5e3, 0.0)])
-def test_the_covariance_on_the_ground_is_that_of_a_sample(distance, height):
+def test_the_covariance_on_the_ground_agrees_with_a_sample(distance, height):
     rng = np.random.default_rng(3)
     site, sigma = (48.0, 11.0, 500.0), {"range": 80.0, "bearing": 0.15, "height": 120.0}
     about = {"sensor_lat_deg": site[0], "sensor_lon_deg": site[1], "sensor_height_m": site[2]}
@@ -97,7 +97,7 @@ def test_the_covariance_on_the_ground_is_that_of_a_sample(distance, height):
     np.testing.assert_allclose(stated[0], sample, atol=0.04 * np.trace(sample))
 
 
-def test_a_wide_beam_bends_to_an_arc_that_the_covariance_holds():
+def test_the_covariance_of_a_wide_beam_covers_its_arc():
     rng = np.random.default_rng(4)
     bearing = 30.0 + 8.0 * rng.standard_normal(40_000)
     about: dict[str, Any] = {"sensor_m": (100.0, -50.0), "sigma_range_m": 5.0, "sigma_bearing_deg": 8.0}
@@ -109,17 +109,17 @@ def test_a_wide_beam_bends_to_an_arc_that_the_covariance_holds():
     assert along @ stated[0] @ along == pytest.approx(along @ np.cov(sample.T) @ along, rel=0.1)
 
 
-def test_along_and_across_turn_with_the_bearing():
+def test_along_and_across_errors_rotate_with_the_bearing():
     cov = along_and_across(100.0, 1.0, [0.0, 90.0, 45.0])
     np.testing.assert_allclose(cov[0], [[1, 0], [0, 100]], atol=1e-9)
     np.testing.assert_allclose(cov[1], [[100, 0], [0, 1]], atol=1e-9)
     assert cov[2, 0, 1] == pytest.approx(49.5)
 
 
-def test_bearings_are_turned_by_the_convergence_of_the_meridians_and_wrap():
+def test_bearings_are_corrected_for_meridian_convergence_and_wrap():
     plane = LocalPlane(60.0, 20.0)
     assert bearing_in_plane(plane, [359.9, 0.1], 60.0, 20.0) == pytest.approx([359.9, 0.1])
-    # North at a place to the east points to the west of the plane's north.
+    # East of the origin, true north is west of the plane's north.
     turned_by = bearing_in_plane(plane, [0.0], 60.0, 24.0)[0] - 360.0
     assert turned_by == pytest.approx(-4.0 * np.sin(np.radians(60.0)), rel=0.01)
     far = plane.of_geodetic([60.0, 60.01], [24.0, 24.0])
@@ -127,7 +127,7 @@ def test_bearings_are_turned_by_the_convergence_of_the_meridians_and_wrap():
     assert turned_by == pytest.approx(np.degrees(np.arctan2(east, north)), abs=1e-3)
 
 
-def test_what_cannot_be_is_refused_in_words():
+def test_invalid_coordinates_are_refused_with_a_clear_message():
     plane = LocalPlane(50.8, -1.3)
     with pytest.raises(
         InputError, match=r"ais: 1 positions lie farther than 900 km.*row 1: 50.8, 21.*sign of the long"

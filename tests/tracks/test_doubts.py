@@ -1,4 +1,4 @@
-"""Doubts: a source that is wrong as a whole is told in words that say how and what to do; a sound one is not."""
+"""Doubts: systematic errors of a source are reported with cause and remedy; correct sources raise none."""
 
 import re
 from dataclasses import replace
@@ -39,7 +39,7 @@ def told(sources, changed, columns):
 
 
 @pytest.mark.slow
-def test_sound_sources_raise_no_doubt():
+def test_correct_sources_raise_no_doubt():
     assert Scene.of(list(METRES.values())).doubts() == () == Scene.of(list(DEGREES.values())).doubts()
 
 
@@ -63,7 +63,7 @@ PLAIN = METRES["ais"][1]
         (DEGREES, "ais", {"time_s": AIS.time_s - 400 * 86400.0}, "has no reports while others do: .* 2024-05-01 12:0"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_named_with_the_remedy(sources, changed, columns, words):
+def test_systematic_errors_are_reported_with_the_remedy(sources, changed, columns, words):
     (sentence,) = told(sources, changed, columns)
     assert re.search(words, sentence), sentence
     if "while others do" not in sentence:
@@ -79,13 +79,13 @@ def test_what_is_wrong_is_named_with_the_remedy(sources, changed, columns, words
         ({"lat_deg": AIS.lat_deg - 30.0}, "km from ais, too far for one plane; check the sign and the order"),
     ],
 )  # fmt: skip
-def test_what_is_too_far_for_one_plane_is_refused_with_the_reason(columns, words):
+def test_sources_too_far_apart_for_one_plane_are_refused(columns, words):
     with pytest.raises(InputError, match=words):
         told(DEGREES, "ais", columns)
 
 
 @pytest.mark.slow
-def test_a_site_of_the_wrong_sign_is_named():
+def test_a_site_with_a_wrong_sign_is_reported():
     about, said = DEGREES["radar"]
     site = replace(about.site, lon_deg=-about.site.lon_deg)
     (sentence,) = Scene.of([(replace(about, site=site), said), DEGREES["ais"]]).doubts()
@@ -93,7 +93,7 @@ def test_a_site_of_the_wrong_sign_is_named():
 
 
 @pytest.mark.slow
-def test_of_three_sources_the_wrong_one_is_named():
+def test_the_wrong_one_of_three_sources_is_named():
     made = harbour(6, 30, biases=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), until_s=100.0)
     about, said = made.sources[1]
     wrong = (about, replace(said, range_m=said.range_m / 1e3))
@@ -102,7 +102,7 @@ def test_of_three_sources_the_wrong_one_is_named():
 
 
 @pytest.mark.slow
-def test_a_source_that_shares_nothing_is_told():
+def test_a_source_without_common_objects_is_reported():
     rng = np.random.default_rng(7)
     n = len(PLAIN)
     (sentence,) = told(METRES, "ais", {"x_m": rng.uniform(-12e3, 12e3, n), "y_m": rng.uniform(-9e3, 9e3, n)})
@@ -123,13 +123,13 @@ def test_a_stray_report_is_set_aside_by_its_line_and_the_others_are_kept():
     assert Scene.of([DEGREES["ais"]]).notes == ()
 
 
-def test_the_middle_of_a_plane_is_not_moved_by_what_is_absurd():
+def test_absurd_positions_do_not_move_the_centre_of_the_plane():
     lat, lon = np.r_[np.full(30, -17.8), 50.0], np.r_[np.linspace(179.5, 180.5, 30), 0.0]
     plane = LocalPlane.about(lat, (lon + 180.0) % 360.0 - 180.0)
     assert plane.lat_deg == pytest.approx(-17.8, abs=0.02) and abs(abs(plane.lon_deg) - 180.0) < 0.1
 
 
-def test_a_source_of_another_kind_of_coordinates_is_still_refused():
+def test_mixed_coordinate_types_are_refused():
     bare = Description("bare", "tracks", misses=MissRate(0.1), errors=SensorErrors(position_m=5.0))
     plots = Reports.of("bare", "table", {"time_s": [NOON], "x_m": [0.0], "y_m": [0.0]})
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""Two objects under one name get a track each, and tracks that say nothing more end."""
+"""Two objects with one id become two tracks, and tracks end after their timeout."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPEED = 8.0
 
 
 def states(places: list[list[tuple[float, float, float]]], names: list[str]) -> States:
-    """One list of (time, east, north) an object."""
+    """States from one list of (time, east, north) per object."""
     rows = [(t, x, y, name) for way, name in zip(places, names, strict=True) for t, x, y in way]
     rows.sort()
     time_s, x, y, track = (list(column) for column in zip(*rows, strict=True))
@@ -31,7 +31,7 @@ def way(start_s: float, east_m: float, count: int = 10, speed: float = 5.0) -> l
     return [(start_s + 10.0 * k, east_m + speed * 10.0 * k, 0.0) for k in range(count)]
 
 
-def test_one_name_at_two_places_becomes_two_tracks() -> None:
+def test_one_id_at_two_positions_becomes_two_tracks() -> None:
     reports = states([way(0.0, 0.0), way(5.0, 9000.0), way(2.0, -3000.0)], ["7", "7", "8"])
     found, notes = split_duplicate_ids(reports, SPEED)
     owner = np.select([reports.state[:, 0] > 5000.0, reports.state[:, 0] < -1000.0], ["far", "other"], "near")
@@ -51,20 +51,20 @@ def test_a_lone_report_far_away_is_not_used() -> None:
     assert notes == ("1 report of 7 set aside: no object moves that fast",)
 
 
-def test_a_number_given_away_again_is_not_two_objects_at_once() -> None:
+def test_a_reused_id_is_not_two_simultaneous_objects() -> None:
     found, notes = split_duplicate_ids(states([way(0.0, 0.0), way(150.0, 20e3)], ["7", "7"]), SPEED)
     assert set(found.track) == {"7"} and notes == () and found.usable.all()
 
 
 @pytest.mark.parametrize("speed", [0.0, 8.0, 20.0])
-def test_one_object_is_left_as_it_is(speed: float) -> None:
+def test_a_single_object_is_unchanged(speed: float) -> None:
     reports = states([way(0.0, 0.0, 40, speed)], ["7"])
     found, notes = split_duplicate_ids(reports, SPEED)
     assert notes == () and set(found.track) == {"7"}
     np.testing.assert_array_equal(found.state, reports.state)
 
 
-def test_an_identity_at_two_places_of_one_source_raises_the_alarm() -> None:
+def test_an_identity_at_two_positions_of_one_source_raises_an_alarm() -> None:
     rows = sorted([(t, x, y, "235070762") for one in (way(0.0, 0.0), way(5.0, 9000.0)) for t, x, y in one])
     columns = dict(zip(("time_s", "x_m", "y_m", "mmsi"), zip(*rows, strict=True), strict=True))
     scene = Scene.of([(Description("ais", "ais"), Reports.of("ais", "ais", columns))])
@@ -73,7 +73,7 @@ def test_an_identity_at_two_places_of_one_source_raises_the_alarm() -> None:
     assert any("one track each" in note for note in scene.notes)
 
 
-def test_a_track_ends_after_a_silence_longer_than_its_sources_gaps() -> None:
+def test_a_track_ends_after_a_silence_longer_than_the_gaps_of_its_source() -> None:
     steady = [(t, 0.0, 0.0) for t in np.arange(0.0, 300.0, 3.0)]
     lost = [(t, 900.0, 0.0) for t in np.arange(0.0, 60.0, 3.0)]
     rows = sorted([(*r, "1") for r in steady] + [(*r, "2") for r in lost])
@@ -84,7 +84,7 @@ def test_a_track_ends_after_a_silence_longer_than_its_sources_gaps() -> None:
     assert [len(scene.at(t).sources[0]) for t in (50.0, 59.9, 61.0)] == [2, 2, 1]  # type: ignore[arg-type]
 
 
-def test_the_longest_gaps_but_one_in_a_thousand_count() -> None:
+def test_the_timeout_is_the_99_9th_percentile_of_gaps() -> None:
     rng = np.random.default_rng(1)
     times = np.cumsum(np.where(rng.random(20_000) < 0.05, 180.0, 10.0))
     times[10_000:] += 5000.0

@@ -1,4 +1,4 @@
-"""Errors of bare plots by how much sources differ: they are those of the scene, and what a user gave stays."""
+"""Errors of bare plots estimated from differences between sources; numbers given by the user are kept."""
 
 import json
 from dataclasses import replace
@@ -15,7 +15,7 @@ from sameas.tracks.scene import POSITION_AND_VELOCITY, Scene
 from sameas.tracks.source import Clutter, Description, SensorErrors, Site, Timing
 
 SITE = Site(east_m=0.0, north_m=0.0)
-#: 1σ of ranges (m), of bearings (°), wander over the hull (m), period (s), clutter a look, lateness of stamps (s).
+#: 1σ of ranges (m) and bearings (°), wander over the hull (m), period (s), clutter per scan, time stamp lateness (s).
 TRUTH = {
     "lidar": (0.4, 0.4, 1.2, 0.5, 0.3, 0.0),
     "radar": (4.0, 1.0, 2.5, 1.5, 2.0, 1.0),
@@ -26,7 +26,7 @@ UNTIL_S = 200.0
 
 
 def course(vessel, t):
-    """Two vessels that go about their ways within 30 to 130 m, sometimes 20 m apart."""
+    """Two vessels at 30 to 130 m, sometimes 20 m apart."""
     t = np.asarray(t)[..., None]
     first = np.concatenate([90.0 * np.sin(t / 35.0), 75.0 + 40.0 * np.cos(t / 50.0)], axis=-1)
     other = np.concatenate([80.0 * np.cos(t / 30.0 + 1.0), 70.0 - 35.0 * np.sin(t / 45.0)], axis=-1)
@@ -66,13 +66,13 @@ def fitted():
 
 
 @pytest.mark.slow
-def test_errors_clutter_and_lateness_are_those_of_the_scene(fitted):
+def test_errors_clutter_and_lateness_are_estimated(fitted):
     after, fit = fitted
     assert fit.fitted == tuple(TRUTH)
     for feed in after.feeds:
         a, b, e, _, clutter, late = TRUTH[feed.description.name]
         errors, timing = feed.description.errors, feed.description.timing
-        # At 80 m, where the vessels are, within a factor of 1.6: errors that may last leave some twenty looks.
+        # At the vessels' 80 m, within a factor of 1.6: correlated errors leave about twenty independent scans.
         across = np.hypot(np.radians(b) * 80.0, e)
         found = np.hypot(np.radians(errors.bearing_deg) * 80.0, errors.extent_m)
         assert abs(np.log(found / across)) < np.log(1.6), feed.description.name
@@ -85,7 +85,7 @@ def test_errors_clutter_and_lateness_are_those_of_the_scene(fitted):
             assert timing.latency_sigma_s == 0.0
 
 
-def test_what_is_estimated_is_not_listed_as_assumed_and_is_said(fitted):
+def test_estimated_numbers_are_reported_and_not_listed_as_assumed(fitted):
     after, fit = fitted
     listed = {f"{line.source} {line.name}" for feed in after.feeds for line in feed.description.assumed}
     assert not {"lidar errors.range_m", "radar errors.bearing_deg", "camera clutter.per_deg"} & listed
@@ -93,7 +93,7 @@ def test_what_is_estimated_is_not_listed_as_assumed_and_is_said(fitted):
     assert fit.lines()[1].startswith("radar: range ± ") and fit.lines()[1].endswith(" s late")
 
 
-def test_numbers_that_a_user_gave_stay():
+def test_numbers_given_by_the_user_are_kept():
     radar = Description(
         "radar",
         "marine radar",
@@ -109,7 +109,7 @@ def test_numbers_that_a_user_gave_stay():
 
 
 @pytest.mark.slow
-def test_too_few_looks_a_single_source_and_stated_errors_are_left_alone():
+def test_few_scans_single_sources_and_stated_errors_are_not_fitted():
     whole = scene(3)
     assert fit_errors(whole.feeds[:1]).feeds == whole.feeds[:1]
     assert fit_errors(whole.feeds[2:]).shared_m == 0.0
@@ -121,7 +121,7 @@ def test_too_few_looks_a_single_source_and_stated_errors_are_left_alone():
 
 
 @pytest.mark.slow
-def test_what_all_have_in_common_is_in_the_fused_covariance_and_in_no_record():
+def test_common_errors_are_in_the_fused_covariance_only():
     after, fit = scene(4).with_fitted_errors()
     assert fit.shared_m > 0.0
     now = after.at(20.0, features=POSITION_AND_VELOCITY)
@@ -134,7 +134,7 @@ def test_what_all_have_in_common_is_in_the_fused_covariance_and_in_no_record():
 
 
 @pytest.mark.slow
-def test_a_picture_of_bare_plots_says_what_it_estimated_and_assumes_it_no_more(tmp_path):
+def test_a_picture_of_bare_plots_reports_its_estimates(tmp_path):
     lines = []
     for feed in scene(6, until_s=80.0).feeds[:2]:
         raw, name = feed.raw_reports, feed.description.name

@@ -1,4 +1,4 @@
-"""Faults of sources: clocks that jump, sources that end early, freeze, flood; sound ones raise no alarm."""
+"""Faults of sources: clock jumps, early ends, frozen or flooding sources; correct ones raise no alarm."""
 
 from dataclasses import replace
 
@@ -16,12 +16,12 @@ def sources(seed=0):
 
 
 def found(radar, ais):
-    """Kinds of the alarms by their sources."""
+    """Kinds of alarms by source."""
     return [(fault.kind, fault.source) for fault in source_faults(Scene.of([radar, ais]).feeds)]
 
 
 def with_jump(reports, seconds):
-    """The clock jumps in the middle of the file."""
+    """Reports whose clock jumps in the middle of the file."""
     time_s = reports.time_s.copy()
     time_s[len(time_s) // 2 :] += seconds
     return replace(reports, time_s=time_s)
@@ -29,13 +29,13 @@ def with_jump(reports, seconds):
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("seed", range(3))
-def test_sound_sources_raise_no_alarm(seed):
+def test_correct_sources_raise_no_alarm(seed):
     assert found(*sources(seed)) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [30.0, -30.0])
-def test_a_clock_that_jumps_is_told_with_its_jump_and_when(seconds):
+def test_a_clock_jump_is_reported_with_size_and_time(seconds):
     radar, (described, ais) = sources()
     (fault,) = source_faults(Scene.of([radar, (described, with_jump(ais, seconds))]).feeds)
     assert fault.kind == "clock" and fault.probability > 0.95
@@ -43,19 +43,19 @@ def test_a_clock_that_jumps_is_told_with_its_jump_and_when(seconds):
     assert abs(fault.first_s - ais.time_s[len(ais) // 2]) < 60.0
 
 
-def test_one_ship_that_leaps_is_no_jump_of_the_clock():
+def test_one_leaping_ship_is_no_clock_jump():
     radar, (described, ais) = sources()
     mine = (ais.mmsi == ais.mmsi[0]) & (np.arange(len(ais)) > len(ais) // 2)
     leapt = replace(ais, lat_deg=np.where(mine, ais.lat_deg + 0.001, ais.lat_deg))
     assert ("clock", "ais") not in found(radar, (described, leapt))
 
 
-def test_a_source_that_ends_early_is_told():
+def test_a_source_that_ends_early_is_reported():
     radar, (described, ais) = sources()
     assert found(radar, (described, ais.where(ais.time_s < ais.time_s.min() + 300.0))) == [("ended", "ais")]
 
 
-def test_a_source_that_freezes_is_told():
+def test_a_frozen_source_is_reported():
     radar, (described, ais) = sources()
     lat, lon = np.array(ais.lat_deg), np.array(ais.lon_deg)
     for name in set(ais.mmsi):
@@ -64,7 +64,7 @@ def test_a_source_that_freezes_is_told():
     assert found(radar, (described, replace(ais, lat_deg=lat, lon_deg=lon))) == [("frozen", "ais")]
 
 
-def test_a_source_that_floods_is_told():
+def test_a_flooding_source_is_reported():
     (described, radar), ais = sources()
     burst = np.flatnonzero(np.abs(radar.time_s - radar.time_s.mean()) < 10.0)
     rows = np.sort(np.concatenate([np.arange(len(radar)), np.repeat(burst, 20)]))
@@ -72,13 +72,13 @@ def test_a_source_that_floods_is_told():
 
 
 @pytest.mark.parametrize(("log_odds", "p"), [(-2000.0, 0.0), (0.0, 0.5), (2000.0, 1.0)])
-def test_evidence_of_any_size_is_a_probability(log_odds, p):
-    # One track that stands still among hundreds that move is evidence of this size against a frozen source.
+def test_evidence_of_any_size_gives_a_valid_probability(log_odds, p):
+    # One stationary track among hundreds of moving ones is evidence of this size against a frozen source.
     assert Fault("frozen", "radar", 0.0, 1.0, log_odds, "").probability == p
 
 
 def counted(reports, pauses):
-    """AIS without stamps: silent in pauses of the receiver, its clock counted on from the seconds in messages."""
+    """AIS without time stamps: silent in receiver pauses, its clock counted from the seconds in messages."""
     since = reports.time_s - reports.time_s.min()
     kept = ~np.any([(since > begin) & (since < end) for begin, end in pauses], axis=0)
     left = reports.where(kept)
@@ -86,7 +86,7 @@ def counted(reports, pauses):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_minutes_that_a_counted_clock_lost_are_put_in_by_the_motion_of_the_tracks(seed):
+def test_minutes_lost_by_a_counted_clock_are_restored_from_track_motion(seed):
     radar, (described, ais) = sources(seed)
     reports, truth = counted(ais, [(120.0, 200.0), (330.0, 470.0)])
     assert np.ptp(reports.time_s) < np.ptp(truth) - 100.0
@@ -96,7 +96,7 @@ def test_minutes_that_a_counted_clock_lost_are_put_in_by_the_motion_of_the_track
     assert any("counted on from the seconds in messages; 3 minutes" in note for note in scene.notes)
 
 
-def test_a_counted_clock_without_pauses_is_left_as_it_is():
+def test_a_counted_clock_without_pauses_is_unchanged():
     radar, (described, ais) = sources()
     reports, _ = counted(ais, [(1e6, 2e6)])
     feed = Scene.of([radar, (described, reports)]).feeds[1]

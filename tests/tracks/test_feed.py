@@ -1,4 +1,4 @@
-"""Plots under numbers become tracks where nobody tells velocities, or where they scatter; what is smoothed stays."""
+"""Numbered plots are filtered into tracks if velocities are missing or positions scatter; smoothed tracks are kept."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,12 @@ SPEEDS = {"speed_m_per_s": [4.0, np.nan], "course_deg": [10.0, np.nan]}
         ("marine radar", "table", PLOTS, False),  # bare plots
         ("marine radar", "table", PLOTS | SPEEDS | {"track_id": ["1", "1"]}, False),  # a tracker's
         ("marine radar", "arpa", PLOTS | {"track_id": ["1", "1"]}, False),
-        ("air radar", "asterix 048", PLOTS | SPEEDS | {"track_id": ["1", "1"]}, True),  # plots beside a tracker's speed
+        (
+            "air radar",
+            "asterix 048",
+            PLOTS | SPEEDS | {"track_id": ["1", "1"]},
+            True,
+        ),  # plots with a tracker's velocity
         ("ais", "ais", PLACES | {"mmsi": ["2", "2"]}, True),
         ("ais", "ais", PLACES | SPEEDS | {"mmsi": ["2", "2"]}, False),
         ("mlat", "table", PLACES | {"icao": ["3c0000", "3c0000"]}, True),
@@ -32,7 +37,7 @@ SPEEDS = {"speed_m_per_s": [4.0, np.nan], "course_deg": [10.0, np.nan]}
         ("camera", "table", {"time_s": [0.0, 3.0], "bearing_deg": [1.0, 2.0], "track_id": ["1", "1"]}, False),
     ],
 )
-def test_plots_with_names_and_without_velocities_are_to_be_filtered(kind, wrote, columns, needed):
+def test_plots_with_ids_and_without_velocities_are_filtered(kind, wrote, columns, needed):
     about = Description("one", kind, site=Site(east_m=0.0, north_m=0.0))
     assert need_filtering(PlacedReports(about, Reports.of("one", wrote, columns))) is needed
 
@@ -62,7 +67,7 @@ AIS = Description("ais", "ais", errors=SensorErrors(position_m=8.0, extent_m=0.0
 
 
 @pytest.mark.parametrize("said_m", [25.0, 40.0, 60.0])
-def test_whether_a_tracker_that_tells_velocities_tells_plots_or_smoothed_places_shows_in_their_scatter(said_m):
+def test_the_scatter_of_positions_shows_whether_a_tracker_reports_plots_or_smoothed_tracks(said_m):
     radar, _ = vessels(np.random.default_rng(4))
     about = Description("radar", "marine radar", errors=SensorErrors(position_m=said_m, extent_m=0.0))
     tracks = Feed.of(RADAR, radar, to_tracks=True).reports
@@ -71,11 +76,11 @@ def test_whether_a_tracker_that_tells_velocities_tells_plots_or_smoothed_places_
     names = {"time_s": radar.time_s, "track_id": radar.track_id}
     plots = Reports.of("radar", "table", names | velocity | {"x_m": radar.x_m, "y_m": radar.y_m})
     smoothed = {"x_m": tracks.state[:, 0], "y_m": tracks.state[:, 1]}
-    # A tracker's tracks are reported when they have settled.
+    # A tracker reports its tracks after convergence.
     settled = Reports.of("radar", "table", names | velocity | smoothed).where(radar.time_s > 120.0)
     assert need_filtering(PlacedReports(about, plots))
     assert not need_filtering(PlacedReports(about, settled))
-    # Few reports tell nothing.
+    # Too few reports to decide.
     assert not need_filtering(PlacedReports(about, plots.where(np.arange(40))))
     assert not need_filtering(PlacedReports(Description("radar", "tracks", errors=about.errors), plots))
 
@@ -95,7 +100,7 @@ def f1_of_pairs(scene, instants_s):
 
 
 @pytest.mark.slow
-def test_filtering_makes_pairs_right_that_bare_positions_get_wrong():
+def test_filtering_corrects_pairs_that_bare_positions_get_wrong():
     scores = {True: [], False: []}
     for seed in range(3):
         radar, ais = vessels(np.random.default_rng(seed))
@@ -108,7 +113,7 @@ def test_filtering_makes_pairs_right_that_bare_positions_get_wrong():
     assert f1_of_pairs(scene, (400.0, 590.0)) == scores[True][-1]
 
 
-def test_satellite_positions_are_given_velocities_and_stay_as_they_are():
+def test_satellite_positions_get_velocities_and_are_unchanged():
     _, ais = vessels(np.random.default_rng(5))
     plain, filtered = (Feed.of(AIS, ais, to_tracks=to_tracks).reports for to_tracks in (False, True))
     assert isinstance(plain, States) and isinstance(filtered, States)
@@ -119,8 +124,8 @@ def test_satellite_positions_are_given_velocities_and_stay_as_they_are():
     assert not filtered.covariance[last, :2, 2:].any()
 
 
-def test_the_velocities_of_a_filter_are_as_sure_as_it_says():
-    """Their squared errors over what is said of them: their dimension, on the average of many tracks."""
+def test_velocity_covariances_of_the_filter_are_consistent():
+    """Mean normalised squared error over many tracks = dimension."""
     rng = np.random.default_rng(8)
     radar, _ = vessels(rng, n=200, width_m=50e3)
     tracks = Feed.of(RADAR, radar, to_tracks=True).reports
@@ -131,5 +136,5 @@ def test_the_velocities_of_a_filter_are_as_sure_as_it_says():
     last = tracks.time_s >= 588.0
     error = tracks.state[last, 2:] - speed[tracks.track[last].astype(int)]
     chi_sq = np.einsum("nv,nvw,nw->n", error, np.linalg.inv(tracks.covariance[last, 2:, 2:]), error)
-    # The vessels keep course and speed better than the walk allows them: at most as far off as is said.
+    # The vessels manoeuvre less than the process noise allows, so errors are at most the stated ones.
     assert 0.1 < chi_sq.mean() < 2.5

@@ -1,4 +1,4 @@
-"""The filter: against one track worked by hand, consistent (NEES, NIS), whatever the order; names given twice."""
+"""The filter: against a textbook track, consistency (NEES, NIS), order of rows, reused ids."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ Q = 0.2
 
 
 def scene(rng, tracks=150, reports=12, sigma=20.0):
-    """Targets that move as the model says, reported at uneven times; the states and the truth."""
+    """Targets that follow the motion model, reported at irregular times; the states and the truth."""
     time_s = np.cumsum(rng.uniform(0.5, 12.0, (tracks, reports)), axis=1)
     truth = np.empty((tracks, reports, 4))
     truth[:, 0] = np.column_stack([rng.uniform(-1e4, 1e4, (tracks, 2)), 8.0 * rng.standard_normal((tracks, 2))])
@@ -26,7 +26,7 @@ def scene(rng, tracks=150, reports=12, sigma=20.0):
 
 
 def by_hand(time_s, position, covariance, first):
-    """The filter of the textbook, for one track."""
+    """Textbook Kalman filter of one track."""
     x, p = first
     out = [x]
     h = np.eye(2, 4)
@@ -39,7 +39,7 @@ def by_hand(time_s, position, covariance, first):
     return np.array(out), p
 
 
-def test_a_track_is_what_the_textbook_makes_of_it():
+def test_a_track_agrees_with_the_textbook_filter():
     reports, _ = scene(np.random.default_rng(1), tracks=3, reports=8)
     followed = follow(reports, acceleration_m2_per_s3=Q)
     for name in ("t0", "t1", "t2"):
@@ -55,12 +55,12 @@ def test_a_track_is_what_the_textbook_makes_of_it():
     assert list(np.flatnonzero(followed.began)) == [0, 8, 16]
 
 
-def test_errors_are_as_large_as_stated():
+def test_errors_are_consistent():
     reports, truth = scene(np.random.default_rng(2))
     followed = follow(reports, acceleration_m2_per_s3=Q)
     error = followed.states.state - truth
     nees = np.einsum("nv,nvw,nw->n", error, np.linalg.inv(followed.states.covariance), error)
-    # The last state of each track: independent of each other.
+    # The last states of the tracks are independent.
     last = nees.reshape(150, -1)[:, -1]
     low, high = chi2.ppf([0.0005, 0.9995], 4 * 150) / 150
     assert low < last.mean() < high
@@ -69,7 +69,7 @@ def test_errors_are_as_large_as_stated():
     assert low < nis.mean() < high
 
 
-def test_a_filter_that_thinks_too_well_of_its_reports_is_found_out_by_nis():
+def test_nis_detects_a_filter_with_too_small_measurement_errors():
     reports, _ = scene(np.random.default_rng(3))
     proud = States(reports.time_s, reports.state, 0.25 * reports.covariance, reports.track, reports.rows)
     nis = follow(proud, acceleration_m2_per_s3=Q).nis
@@ -85,7 +85,7 @@ def test_the_order_of_rows_changes_nothing():
     np.testing.assert_allclose(other.nis, one.nis[turn], rtol=1e-9)
 
 
-def test_the_track_knows_its_velocity_better_than_any_report():
+def test_the_velocity_of_a_track_is_more_precise_than_any_report():
     reports, truth = scene(np.random.default_rng(5))
     last = np.arange(11, len(reports), 12)
     error = follow(reports, acceleration_m2_per_s3=Q).states.state[last] - truth[last]
@@ -111,7 +111,7 @@ def test_a_straight_course_is_followed_without_lag():
     assert late_s.std() / np.sqrt(tracks) < 0.1
 
 
-def test_a_name_that_is_given_to_another_object_begins_a_new_track():
+def test_an_id_given_to_another_object_begins_a_new_track():
     time_s = np.arange(8.0)
     position = np.column_stack([5.0 * time_s, np.zeros(8)])
     position[4:, 1] += 20e3
@@ -121,7 +121,7 @@ def test_a_name_that_is_given_to_another_object_begins_a_new_track():
     assert np.abs(followed.states.state[-1, 3]) < 3.0
 
 
-def test_reports_that_tell_nothing_are_left_as_they_are():
+def test_reports_without_position_are_unchanged():
     reports, _ = scene(np.random.default_rng(6), tracks=2, reports=5)
     holed = States(reports.time_s, reports.state.copy(), reports.covariance, reports.track, reports.rows)
     holed.state[2] = np.nan
@@ -133,7 +133,7 @@ def test_reports_that_tell_nothing_are_left_as_they_are():
     assert np.isnan(followed.states.state[2]).all() and np.isnan(followed.nis[2])
 
 
-def test_velocities_measured_on_their_own_are_used_where_asked_for():
+def test_independent_velocities_are_used_on_request():
     reports, truth = scene(np.random.default_rng(7))
     rng = np.random.default_rng(8)
     covariance = reports.covariance.copy()
@@ -148,7 +148,7 @@ def test_velocities_measured_on_their_own_are_used_where_asked_for():
     assert error[1] < 0.2 * error[0]
 
 
-def test_what_it_cannot_do_is_said():
+def test_invalid_input_is_refused():
     bare = States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0)
     with pytest.raises(InputError, match="name no tracks"):
         follow(bare, acceleration_m2_per_s3=Q)

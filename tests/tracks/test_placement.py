@@ -1,4 +1,4 @@
-"""Reports brought to the plane: the same place however it was said, with the errors that were said or assumed."""
+"""Reports in the plane: equal positions from all notations, with stated or assumed errors."""
 
 from typing import Any
 
@@ -54,7 +54,7 @@ def test_an_aircraft_is_below_its_slant_range():
     assert np.linalg.norm(high.state[0, :2] - truth) < 20.0
 
 
-def test_stated_errors_count_and_the_rest_is_the_descriptions():
+def test_stated_errors_are_used_and_others_come_from_the_description():
     ais = Description("ais", "ais", errors=SensorErrors(position_m=15.0, extent_m=20.0))
     said: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON}
     said["covariance_m2"] = [[9.0, 1.0, 4.0], [np.nan] * 3]
@@ -63,7 +63,7 @@ def test_stated_errors_count_and_the_rest_is_the_descriptions():
     np.testing.assert_allclose(there.covariance[1, :2, :2], 625.0 * np.eye(2), atol=2.0)
 
 
-def test_errors_of_a_radar_grow_across_with_the_range_and_turn_with_the_bearing():
+def test_cross_range_errors_grow_with_range_and_rotate_with_the_bearing():
     radar = Description(
         "radar", "marine radar", site=Site(54.0, 10.0), errors=SensorErrors(10.0, 0.0, 0.5, extent_m=0.0)
     )
@@ -73,7 +73,7 @@ def test_errors_of_a_radar_grow_across_with_the_range_and_turn_with_the_bearing(
     np.testing.assert_allclose(np.einsum("nvv->nv", covariance), [[across, 100], [100, across]], rtol=0.02)
 
 
-def test_velocities_are_turned_to_the_plane_with_their_errors():
+def test_velocities_and_their_errors_are_rotated_to_the_plane():
     ais = Description("ais", "ais", errors=SensorErrors(speed_m_per_s=0.5, course_deg=10.0))
     said = {"time_s": [0.0, 0.0], "lat_deg": [54.0, 54.0], "lon_deg": [10.0, 14.0], "speed_m_per_s": [10.0, 10.0],
             "course_deg": [90.0, 90.0]}  # fmt: skip
@@ -84,20 +84,20 @@ def test_velocities_are_turned_to_the_plane_with_their_errors():
     assert turned == pytest.approx(4.0 * np.sin(np.radians(54.0)), rel=0.01)
 
 
-def test_who_lies_still_has_a_velocity_and_who_says_nothing_has_none():
+def test_zero_speed_is_a_velocity_and_no_speed_is_none():
     ais = Description("ais", "ais", motion=Motion(0.01, 6.0))
     said: dict[str, Any] = {"time_s": [0.0, 0.0], "lat_deg": LAT, "lon_deg": LON, "speed_m_per_s": [0.0, np.nan]}
     there = placed(ais, Reports.of("ais", "ais", said), PLANE)
     np.testing.assert_allclose(there.covariance[:, 2, 2], [0.09, 36.0], rtol=1e-4)
 
 
-def test_latency_is_taken_off_the_stamps():
+def test_latency_is_subtracted_from_time_stamps():
     radar = Description("radar", "tracks", errors=SensorErrors(position_m=1.0), timing=Timing(latency_s=2.5))
     there = placed(radar, Reports.of("radar", "table", {"time_s": [10.0], "x_m": [0.0], "y_m": [0.0]}))
     assert there.time_s[0] == 7.5
 
 
-def test_a_camera_on_a_moving_ship_gives_directions_from_where_it_was():
+def test_a_camera_on_a_moving_ship_gives_bearings_from_its_position_at_that_time():
     camera = Description("camera", "camera")
     said = {"time_s": [0.0, 1.0], "bearing_deg": [10.0, 350.0], "station_x_m": [0.0, 5.0], "station_y_m": [0.0, 1.0]}
     there = placed(camera, Reports.of("camera", "table", said))
@@ -106,14 +106,14 @@ def test_a_camera_on_a_moving_ship_gives_directions_from_where_it_was():
     np.testing.assert_allclose(there.sigma_deg, 1.0)
 
 
-def test_a_sight_is_a_bearing_that_has_a_slope_at_the_sensor_too():
+def test_bearing_derivatives_are_finite_at_the_sensor_too():
     states = np.array([[1e-9, 0.0], [30.0, 40.0]])
     sight = SlowBearing((0.0, 0.0), nearest_m=10.0)
     assert np.isfinite(sight.jacobian(states)).all() and np.abs(sight.jacobian(states)[0]).max() < 1e-3
     np.testing.assert_allclose(sight.jacobian(states)[1, 0], np.degrees([40.0, -30.0]) / 2500.0)
 
 
-def test_places_without_errors_are_as_good_as_the_radar_measures():
+def test_positions_without_errors_get_those_of_the_radar():
     radar = Description("radar", "marine radar", site=SITE)
     plots: dict[str, Any] = {"time_s": np.zeros(6), "range_m": [2e3] * 3 + [15e3] * 3}
     plots["bearing_deg"] = [0.0, 60.0, 200.0] * 2
@@ -126,7 +126,7 @@ def test_places_without_errors_are_as_good_as_the_radar_measures():
         "radar: 6 positions state no errors; assumed as good as a range ± 15 m ± 0.5 % and a bearing "
         "± 0.5°; errors.position_m overrides it",
     )
-    # From nowhere they are as good as at a quarter of the range, the same in all directions.
+    # Without a sensor position: circular errors, as at a quarter of the range.
     bare = Description("radar", "marine radar")
     sigma = np.hypot(0.25 * 44_448.0 * np.radians(0.5), 15.0)
     np.testing.assert_allclose(placed(bare, said, PLANE).covariance[:, 0, 0], sigma**2, rtol=0.02)
@@ -141,7 +141,7 @@ def test_places_without_errors_are_as_good_as_the_radar_measures():
     np.testing.assert_allclose(placed(known, said, PLANE).covariance[:, 0, 0], 49.0, rtol=1e-3)
 
 
-def test_heights_are_assumed_only_where_nothing_tells_them():
+def test_heights_are_assumed_only_if_missing():
     radar = Description("radar", "air radar", site=SITE, targets=Targets(height_m=3000.0, height_sigma_m=1.0))
     plot = {"time_s": [0.0, 0.0], "range_m": [2e4, 2e4], "bearing_deg": [0.0, 0.0], "pressure_alt_m": [8000.0, np.nan]}
     north = placed(radar, Reports.of("radar", "table", plot), PLANE).state[:, 1]
@@ -166,6 +166,6 @@ def test_heights_are_assumed_only_where_nothing_tells_them():
         ("camera", {"bearing_deg": [1.0]}, PLANE, "the sensor's position is not known"),
     ],
 )
-def test_what_is_missing_is_named_with_the_place_to_give_it(kind, said, plane, words):
+def test_missing_fields_are_named_with_where_to_give_them(kind, said, plane, words):
     with pytest.raises(InputError, match=words):
         placed(Description("one", kind), Reports.of("one", "table", {"time_s": [0.0], **said}), plane)

@@ -1,4 +1,4 @@
-"""Offsets of a small radar's plots in clutter: found by all scans together, and not where nothing is in common."""
+"""Offsets of a small radar's plots in clutter: found from all scans jointly, and not without common objects."""
 
 import numpy as np
 import pytest
@@ -44,13 +44,13 @@ def test_doubts_and_registration_fit_the_same_plots_once(monkeypatch):
     scene.doubts()
     registered, _ = scene.registered()
     assert len(fits) == 1
-    registered.doubts()  # another scene: its radar lies elsewhere
+    registered.doubts()  # another scene with the radar at another position
     assert len(fits) == 2
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [100, 101])
-def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
+def test_vessels_never_seen_by_the_radar_establish_no_offset(seed):
     scene = Scene.of(drawn(seed, 3.0, common=0, moored=0, unseen=6, silent=3, minutes=5.0).sources)
     registered, (found, _) = scene.registered()
     assert not found.established and registered.feeds[0] is scene.feeds[0]
@@ -59,22 +59,22 @@ def test_vessels_that_the_radar_never_sees_establish_nothing(seed):
 
 
 @pytest.mark.slow
-def test_what_stays_in_place_is_background_and_not_evidence():
-    """A moored vessel amid echoes that stay: hundreds of plots at its place are no more than one coincidence."""
+def test_stationary_plots_are_background_and_no_evidence():
+    """A moored vessel amid stationary echoes: hundreds of plots at its position are one coincidence."""
     moored = fitted(drawn(7, 2.0, common=0, moored=4, unseen=0, silent=0))
     moving = fitted(drawn(7, 2.0, common=4, moored=0, unseen=0, silent=0))
     assert moored.pairs > 50.0 and moving.established
     assert moored.log_evidence < moving.log_evidence - 10.0
 
 
-def test_bare_plots_of_a_radar_and_tracks_are_told_apart():
+def test_bare_plots_and_tracks_are_distinguished():
     radar, ais = Scene.of(drawn(2, 1.0, minutes=2.0).sources).feeds
     assert (shows_bare_plots(radar), shows_tracks(radar)) == (True, False)
     assert (shows_bare_plots(ais), shows_tracks(ais)) == (False, True)
     assert fit_plots(radar, []) is None
 
 
-def test_a_scene_is_what_it_is_said_to_be():
+def test_the_simulated_scene_is_as_described():
     scene = drawn(5, 3.0, common=4)
     per_turn = np.bincount(scene.truth + 1) / 240.0
     assert 0.4 < per_turn[1:5].sum() < 3.0 and 4.0 < per_turn[0] < 11.0
@@ -85,7 +85,7 @@ def test_a_scene_is_what_it_is_said_to_be():
 
 
 @pytest.mark.slow
-def test_two_peaks_of_the_search_that_are_one_solution_are_no_rivals():
+def test_two_search_peaks_with_one_solution_are_not_ambiguous():
     rng = np.random.default_rng(2035)
     azimuth_deg = rng.uniform(0.5, 8.0) * rng.choice([-1, 1])
     bias = Bias(rng.normal(0.0, 25.0), azimuth_deg, time_s=rng.uniform(0.0, 1.5))

@@ -1,4 +1,4 @@
-"""Fixes: positions handed out again are set aside where the object moves, and nowhere else."""
+"""Repeated positions of a moving object are set aside."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ def said(position, velocity, track, time_s=None, sigma=1.0):
     )  # fmt: skip
 
 
-def test_a_position_is_set_aside_where_it_is_repeated_while_the_object_moves():
+def test_a_repeated_position_of_a_moving_object_is_set_aside():
     rng = np.random.default_rng(1)
     place, v = [[0.0, 0.0], [60.0, 0.0], [60.0, 0.0], [60.0, 0.0], [240.0, 0.0]], np.full((5, 2), [60.0, 0.0])
     order = rng.permutation(10)
@@ -27,11 +27,11 @@ def test_a_position_is_set_aside_where_it_is_repeated_while_the_object_moves():
     assert sorted(order[~now.usable]) == [2, 3, 7, 8]
     assert notes == ("4 reports repeat the positions of an earlier report though the object moves; set aside: no "
                      "position was measured",)  # fmt: skip
-    # Coming back to a place is no repetition.
+    # Returning to a position is no repetition.
     assert position_updates(said([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
 
 
-def test_who_may_stand_may_be_twice_in_one_place():
+def test_an_object_that_may_be_stationary_may_repeat_its_position():
     place = np.zeros((4, 2))
     for velocity in (np.zeros((4, 2)), np.full((4, 2), 0.9), np.full((4, 2), np.nan)):
         states, notes = position_updates(said(place, velocity, ["a"] * 4, sigma=0.3))
@@ -42,7 +42,7 @@ def test_who_may_stand_may_be_twice_in_one_place():
     assert position_updates(said(place, moving, None))[0].usable.all()
 
 
-def test_a_feed_says_what_it_set_aside():
+def test_a_feed_reports_rows_set_aside():
     columns: dict[str, Any] = {
         "time_s": [0.0, 1.0, 2.0], "lat_deg": [48.0, 48.0, 48.001], "lon_deg": [2.0, 2.0, 2.0],
         "speed_m_per_s": [50.0] * 3, "course_deg": [0.0] * 3, "icao": ["4bc844"] * 3,

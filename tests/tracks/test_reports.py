@@ -1,4 +1,4 @@
-"""Reports: what a source says stays what it said, and what it does not say is absent."""
+"""Reports keep the values of a source; missing values stay missing."""
 
 import numpy as np
 import pytest
@@ -12,13 +12,13 @@ def reports(**columns):
     return Reports.of("radar", "table", base | columns)
 
 
-def test_longitudes_and_directions_come_in_one_way():
+def test_longitudes_and_directions_are_normalised():
     made = reports(course_deg=[-10.0, 370.0, np.nan])
     np.testing.assert_allclose(made.lon_deg, [179.0, -179.0, 170.0])
     np.testing.assert_allclose(made.course_deg, [350.0, 10.0, np.nan])
 
 
-def test_a_column_without_a_value_is_absent_and_unknown_names_are_extra():
+def test_empty_columns_are_missing_and_unknown_columns_are_extra():
     made = reports(speed_m_per_s=[np.nan] * 3, name=[None] * 3, nac_p=[9, 8, 7], mmsi=[235, None, "002"])
     assert made.speed_m_per_s is None and made.name is None
     assert made.extra["nac_p"].tolist() == [9, 8, 7]
@@ -35,11 +35,11 @@ def test_a_column_without_a_value_is_absent_and_unknown_names_are_extra():
         ({"bearing_deg": [1.0]}, "bearing"),
     ],
 )
-def test_the_kind_of_position_is_what_is_there(columns, kind):
+def test_the_kind_of_position_follows_from_the_columns(columns, kind):
     assert Reports.of("a", "table", {"time_s": [0.0], **columns}).position == kind
 
 
-def test_velocity_is_east_and_north_and_known_of_those_who_stand():
+def test_velocity_is_east_and_north_and_known_at_zero_speed():
     made = reports(speed_m_per_s=[10.0, 0.0, 5.0], course_deg=[90.0, np.nan, np.nan])
     np.testing.assert_allclose(made.velocity_m_per_s(), [[10.0, 0.0], [0.0, 0.0], [np.nan, np.nan]], atol=1e-12)
     made = reports(vx_m_per_s=[1.0, 2.0, 3.0], vy_m_per_s=[4.0, 5.0, 6.0])
@@ -47,7 +47,7 @@ def test_velocity_is_east_and_north_and_known_of_those_who_stand():
     assert reports().velocity_m_per_s() is None
 
 
-def test_some_rows_and_the_order_of_time_keep_every_column_together():
+def test_selecting_and_sorting_rows_keeps_all_columns_together():
     made = reports(covariance_m2=np.arange(9.0).reshape(3, 3), track_id=["a", "b", "c"], rank=np.arange(3))
     ordered = made.in_time_order()
     assert ordered.track_id.tolist() == ["a", "c", "b"] and ordered.extra["rank"].tolist() == [0, 2, 1]
@@ -55,7 +55,7 @@ def test_some_rows_and_the_order_of_time_keep_every_column_together():
     assert made.where(made.time_s > 1.0).line.tolist() == [2, 3]
 
 
-def test_damage_is_told_by_reason_and_number():
+def test_damage_is_reported_by_reason_and_count():
     damaged = Damaged.of([(9, "no time"), (2, "wrong checksum"), (7, "no time")])
     assert damaged.counts() == {"no time": 2, "wrong checksum": 1}
     assert damaged.sentences() == [
@@ -65,15 +65,15 @@ def test_damage_is_told_by_reason_and_number():
     assert reports().damaged.sentences() == []
 
 
-def test_half_a_character_can_be_written():
-    """A picture of an aircraft of such a name could not be written: JSON holds halves, files of text do not."""
+def test_lone_surrogates_can_be_written():
+    """JSON may contain lone surrogates and text files may not, so a picture with such a name could not be written."""
     halves = ["\ud83d\ude80a", "\ud800", "é", None]
     columns = {"time_s": range(4), "lat_deg": np.zeros(4), "lon_deg": np.zeros(4), "name": halves}
     made = Reports.of("adsb", "ads-b", columns | {"owner": np.array([*halves[:3], "x"])})
     assert made.name.tolist() == ["🚀a", "�", "é", None] and made.extra["owner"].tolist() == ["🚀a", "�", "é", "x"]
 
 
-def test_rows_become_columns_with_what_is_missing_absent():
+def test_rows_become_columns_with_missing_values():
     columns = of_rows([{"time_s": 1.0, "name": "A"}, {"time_s": 2.0, "covariance_m2": (1.0, 0.0, 1.0)}])
     assert columns["name"].tolist() == ["A", None]
     assert np.isnan(columns["covariance_m2"][0]).all() and columns["covariance_m2"][1].tolist() == [1.0, 0.0, 1.0]
@@ -94,7 +94,7 @@ def test_refusals_say_what_is_missing(columns, words):
         Reports.of("radar", "table", columns)
 
 
-def test_a_negative_range_is_set_aside_and_the_rest_stays():
+def test_a_negative_range_is_set_aside_and_other_rows_are_kept():
     columns = {"time_s": [0.0, 1.0, 2.0], "range_m": [100.0, -5.0, 120.0], "bearing_deg": [10.0, 20.0, 30.0]}
     reports = Reports.of("radar", "table", columns)
     assert reports.range_m.tolist() == [100.0, 120.0] and reports.damaged.counts() == {"a distance below 0": 1}

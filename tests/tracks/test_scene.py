@@ -1,4 +1,4 @@
-"""Scenes: real motion of many objects seen by unlike sensors comes back as the objects that they are."""
+"""Scenes: many moving objects, observed by different sensors, are identified."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ AIS = Description(
 
 
 def traffic(seed=1, ships=40, until_s=240.0):
-    """Ships on straight courses: radar plots every 3 s without names, AIS with names at uneven times up to 90 s old."""
+    """Ships on straight courses: radar plots every 3 s without ids, AIS at irregular times, up to 90 s old."""
     rng = np.random.default_rng(seed)
     start, velocity = rng.uniform(-6e3, 6e3, (ships, 2)), 5.0 * rng.standard_normal((ships, 2))
     radar, ais = {"time_s": [], "range_m": [], "bearing_deg": []}, {"time_s": [], "x_m": [], "y_m": [], "mmsi": []}
@@ -48,7 +48,7 @@ def traffic(seed=1, ships=40, until_s=240.0):
 
 
 @pytest.mark.parametrize("features", [2, POSITION_AND_VELOCITY])
-def test_ships_are_found_again_in_both_sources_at_any_instant(features):
+def test_ships_are_matched_in_both_sources_at_any_instant(features):
     scene, start, velocity = traffic()
     good = claimed = possible = 0
     for instant_s in (130.0, 161.5):
@@ -68,14 +68,14 @@ def test_ships_are_found_again_in_both_sources_at_any_instant(features):
     assert good / claimed > 0.95 and good / possible > 0.95
 
 
-def test_errors_of_moved_records_are_as_large_as_stated():
+def test_errors_of_predicted_records_are_consistent():
     scene, start, velocity = traffic(seed=2, ships=150)
     now = scene.at(200.0)
     for feed, records in zip(now.feeds, now.sources, strict=True):
         near = np.linalg.norm(records.features[:, None] - (start + 200.0 * velocity), axis=2)
         error = records.features - (start + 200.0 * velocity)[near.argmin(axis=1)]
         square = np.einsum("nv,nvw,nw->n", error, np.linalg.inv(records.full_covariance()), error)
-        # Ships do not wander here, so the records are a little better than the motion allows for.
+        # These ships keep straight courses, so the errors are slightly smaller than the motion model allows.
         assert 0.6 < np.median(square) / 1.386 < 1.3, feed.description.name
 
 
@@ -87,7 +87,7 @@ def test_the_order_of_reports_changes_nothing():
     assert len(now.sources[1]) == len(np.unique(ais.reports.track[ais.reports.time_s <= 120.0]))
 
 
-def test_a_stale_report_ages_out_and_says_which():
+def test_a_stale_report_expires_and_is_reported():
     said: dict[str, Any] = {"time_s": [0.0, 5000.0], "x_m": [0.0, 900.0], "y_m": [0.0, 0.0], "mmsi": ["1", "2"]}
     scene = Scene.of([(AIS, Reports.of("ais", "ais", said))])
     assert len(records_of(scene.at(10.0).sources[0])) == 1
@@ -95,7 +95,7 @@ def test_a_stale_report_ages_out_and_says_which():
     assert [int(k) for k in records_of(late.sources[0]).ids] == [1] and [int(k) for k in late.aged[0]] == [0]
 
 
-def test_bare_plots_in_four_features_observe_where_the_object_was():
+def test_bare_plots_in_four_features_measure_the_earlier_position():
     scene, _, _ = traffic(seed=4)
     now = scene.at(100.0, features=POSITION_AND_VELOCITY)
     radar, ais = now.sources
@@ -104,7 +104,7 @@ def test_bare_plots_in_four_features_observe_where_the_object_was():
     assert isinstance(ais, Records) and ais.d == 4
 
 
-def test_velocities_tell_apart_what_positions_do_not():
+def test_velocities_distinguish_objects_at_one_position():
     names = {"mmsi": ["1", "2"]}
     one: dict[str, Any] = {
         "time_s": [0.0, 0.0],
@@ -125,7 +125,7 @@ def test_velocities_tell_apart_what_positions_do_not():
     assert pairs[1].probability.min() > 0.95 > pairs[0].probability.max()
 
 
-def test_a_camera_joins_the_boat_that_it_points_at():
+def test_a_camera_bearing_is_matched_to_its_boat():
     camera = Description(
         "camera", "camera", site=Site(east_m=0.0, north_m=0.0), clutter=Clutter(per_deg=0.005), misses=MissRate(0.2),
         coverage=SensorCoverage(range_m=2000.0), errors=SensorErrors(bearing_deg=0.5, extent_m=3.0), motion=WALK,
@@ -142,7 +142,7 @@ def test_a_camera_joins_the_boat_that_it_points_at():
     assert records_of(now.sources[1]).covariance.max() < 0.5**2 + 0.3**2
 
 
-def test_a_source_is_not_held_to_have_missed_what_it_does_not_cover():
+def test_objects_outside_the_coverage_do_not_count_as_missed():
     near = Description(
         "near",
         "lidar",
@@ -156,7 +156,7 @@ def test_a_source_is_not_held_to_have_missed_what_it_does_not_cover():
     assert now.rule().q == pytest.approx((0.1, 0.2 * 2 / 5 + 3 / 5))
 
 
-def test_silent_sources_are_left_out_and_looks_that_showed_nothing_count():
+def test_silent_sources_are_excluded_and_empty_scans_count():
     plots = {"time_s": [0.0, 0.0], "range_m": [50.0, 80.0], "bearing_deg": [0.0, 90.0]}
     reports = Reports.of("radar", "table", plots)
     feeds = (
@@ -168,7 +168,7 @@ def test_silent_sources_are_left_out_and_looks_that_showed_nothing_count():
     assert [records_of(s).source for s in scene.at(3.1).with_records().sources] == ["ais"]
 
 
-def test_identities_come_with_the_instant_and_alarms_are_raised():
+def test_identities_are_used_at_an_instant_and_alarms_raised():
     one: dict[str, Any] = {
         "time_s": [0.0, 0.0, 1.0],
         "x_m": [0.0, 5e3, 5e3],
@@ -184,14 +184,14 @@ def test_identities_come_with_the_instant_and_alarms_are_raised():
     ]
 
 
-def test_every_assumed_number_comes_with_the_instant():
+def test_every_assumed_number_is_listed_with_the_instant():
     scene, _, _ = traffic(seed=5)
     told = [str(line) for line in scene.at(100.0).assumed]
     assert any(line.startswith("radar: bias.azimuth_deg = 1, assumed") for line in told)
     assert not any("misses.q" in line for line in told)
 
 
-def test_what_cannot_be_is_refused():
+def test_invalid_scenes_are_refused():
     reports = Reports.of("ais", "ais", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]})
     with pytest.raises(InputError, match="two sources are called ais"):
         Scene.of([(AIS, reports), (AIS, reports)])

@@ -1,4 +1,4 @@
-"""Registration of a scene: biases come out within their errors, with a reference and without, and do no harm."""
+"""Registration of a scene: biases within their errors, with and without a reference, and no harm without biases."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ NAMES = ("range_m", "azimuth_deg", "time_s")
 
 
 def normalised(found, truth):
-    """(biases,) errors in standard errors."""
+    """(biases,) errors in units of their standard errors."""
     return [
         (found.parameters[name].value - true) / found.parameters[name].standard_error for name, true in truth.items()
     ]
@@ -59,12 +59,12 @@ def test_biases_of_a_radar_against_ais_are_found_within_their_errors():
         assert radar.established and radar.notes == () and radar.against == ("ais",) and not ais.parameters
         assert pair_f1(made, registered, 350.0) > max(pair_f1(made, made.scene, 350.0), 0.9)
     assert np.mean(np.abs(apart) < 3.0) >= 0.95 and np.abs(apart).max() < 4.5
-    # Errors are stated neither too small nor much too large.
+    # Standard errors are neither too small nor much too large.
     assert 0.4 < np.sqrt(np.mean(np.square(apart))) < 1.5
 
 
 @pytest.mark.slow
-def test_without_a_bias_none_is_found_and_nothing_is_lost():
+def test_without_a_bias_none_is_found_and_no_pair_is_lost():
     for seed in range(2):
         made = harbour(seed + 20, biases=((0.0, 0.0, 0.0),))
         registered, (radar, _) = made.scene.registered()
@@ -75,8 +75,8 @@ def test_without_a_bias_none_is_found_and_nothing_is_lost():
 
 
 @pytest.mark.slow
-def test_a_bias_far_beyond_the_distance_of_neighbours_is_found():
-    # 2.5° at 15 km are 650 m; ships are some 700 m apart.
+def test_a_bias_as_large_as_the_distance_of_neighbours_is_found():
+    # 2.5° at 15 km are 650 m; ships are about 700 m apart.
     made = harbour(31, 60, biases=((-120.0, -2.5, 0.0),))
     _, (radar, _) = made.scene.registered()
     assert radar.established
@@ -84,7 +84,7 @@ def test_a_bias_far_beyond_the_distance_of_neighbours_is_found():
 
 
 @pytest.mark.slow
-def test_two_radars_without_a_reference_come_to_agree():
+def test_two_radars_without_a_reference_are_aligned():
     apart = []
     for seed in range(2):
         truth = (50.0, 1.0, 0.0), (-35.0, -0.7, 0.0)
@@ -95,14 +95,14 @@ def test_two_radars_without_a_reference_come_to_agree():
             assert any("neither it nor radar" in note for note in radar.notes)
         assert any("have no reference" in note for radar in found for note in radar.notes)
         assert pair_f1(made, registered, 140.0) > max(0.85, pair_f1(made, made.scene, 140.0))
-        # What displaces both alike is uncertain, and yet not in the errors of one against the other.
+        # A common displacement of both is uncertain, but not included in the errors of one relative to the other.
         own = [np.sqrt(np.median(scene.feeds[0].reports.covariance[:, 0, 0])) for scene in (made.scene, registered)]
         assert own[1] < 1.6 * own[0]
     assert np.abs(apart).max() < 3.5
 
 
 @pytest.mark.slow
-def test_a_reference_can_be_chosen_and_a_known_bias_be_fixed():
+def test_a_reference_can_be_chosen_and_a_known_bias_fixed():
     made = harbour(50, 30, until_s=200.0)
     (about, said), ais = made.sources
     fixed = replace(
@@ -123,7 +123,7 @@ def test_a_reference_can_be_chosen_and_a_known_bias_be_fixed():
         scene.registered(["radar"])
 
 
-def test_a_shifted_source_without_a_site_is_brought_back():
+def test_the_shift_of_a_source_without_a_site_is_found():
     made = harbour(60, 30, until_s=200.0)
     about, said = made.sources[1]
     rng = np.random.default_rng(1)
@@ -135,7 +135,7 @@ def test_a_shifted_source_without_a_site_is_brought_back():
     assert 5 <= found.tracks <= 30 and "east" in str(found)
 
 
-def test_a_camera_is_turned_back():
+def test_the_azimuth_bias_of_a_camera_is_found():
     made = harbour(70, 25, biases=(), until_s=120.0)
     rng = np.random.default_rng(2)
     rows = []
@@ -178,7 +178,7 @@ def speeding_up(seed, every_s, sigma_m):
 
 
 @pytest.mark.slow
-def test_a_filter_that_lags_behind_what_speeds_up_is_not_taken_for_a_late_stamp():
+def test_filter_lag_of_accelerating_ships_is_no_time_bias():
     motion = Motion(acceleration_m2_per_s3=0.01, speed_m_per_s=8.0)
     radar = Description(
         "radar", "marine radar", site=Site(east_m=0.0, north_m=-9e3), errors=SensorErrors(position_m=50.0),
@@ -198,7 +198,7 @@ def test_a_filter_that_lags_behind_what_speeds_up_is_not_taken_for_a_late_stamp(
 
 
 @pytest.mark.slow
-def test_what_has_nothing_in_common_is_left_where_it_is():
+def test_sources_without_common_objects_are_not_moved():
     made = harbour(80, 12, biases=((0.0, 0.0, 0.0),), until_s=100.0)
     radar, (about, said) = made.sources
     rng = np.random.default_rng(3)
@@ -215,7 +215,7 @@ def test_what_has_nothing_in_common_is_left_where_it_is():
 
 @pytest.mark.parametrize("kinds", [("lidar", "marine radar"), ("marine radar", "marine radar")])
 def test_plots_without_a_site_and_without_velocities_show_no_bias(kinds):
-    # Late stamps are all that may be wrong with them, and nothing tells these.
+    # Only their time stamps can be biased, and that cannot be determined.
     rng, t = np.random.default_rng(5), np.repeat(np.arange(0.0, 30.0), 2)
     place = np.array([[-100.0, 20.0], [80.0, -30.0]])[np.arange(60) % 2] + t[:, None] * [2.0, 1.0]
     sources = []
@@ -229,13 +229,13 @@ def test_plots_without_a_site_and_without_velocities_show_no_bias(kinds):
     assert any("only its latency may be biased" in note for source in found for note in source.notes)
 
 
-def test_few_tracks_are_told():
+def test_too_few_tracks_are_reported():
     made = harbour(90, 2, biases=((0.0, 0.0, 0.0),), until_s=150.0)
     _, (found, _) = made.scene.registered()
     assert any("too few tracks" in note for note in found.notes)
 
 
-def test_the_score_is_the_slope_of_the_posterior_over_all_instants():
+def test_the_score_is_the_gradient_of_the_posterior_over_all_instants():
     made = harbour(100, 20, biases=((30.0, 0.5, 0.0), (-20.0, 0.3, 0.0)), until_s=60.0)
     radars = made.scene.feeds[:2]
     met = common_scans(ComparedSource(radars[0], 0), ComparedSource(radars[1], 6), 3)
@@ -247,5 +247,5 @@ def test_the_score_is_the_slope_of_the_posterior_over_all_instants():
     for k, step in enumerate(0.02 / np.sqrt(np.diagonal(information[0]))):
         near = [theta + sign * step * np.eye(4)[k] for sign in (1.0, -1.0)]
         up, down = (pool.gain(at, pool.weighed(at, common, 1.0))[0] for at in near)
-        # Where both look moves with the biases, by little.
+        # The common field moves slightly with the biases.
         assert abs((up - down) / (2.0 * step) - score[0, k]) * step / 0.02 < 0.5

@@ -1,4 +1,4 @@
-"""Files of sensors: their format is found out from their content, and what is none is refused in words."""
+"""Sensor files: formats are recognised from content; others are refused with a clear message."""
 
 import gzip
 import json
@@ -35,12 +35,12 @@ ORACLE = json.loads((DATA / "asterix_oracle.json").read_text())
         (b"\xd4\xc3\xb2\xa1" + bytes(20), "asterix"),
     ],
 )
-def test_the_content_tells_the_format(found, name):
+def test_the_format_is_recognised_from_the_content(found, name):
     file = SensorFile(Path("file"), found, "file", ReadOptions())
     assert name in REPORT_FORMATS and format_of(file).name == name
 
 
-def test_a_gzipped_file_is_the_file(tmp_path):
+def test_gzipped_files_are_read(tmp_path):
     (tmp_path / "log.gz").write_bytes(gzip.compress((DATA / "ais_sample.nmea").read_bytes()))
     [packed], [plain] = read_reports(tmp_path / "log.gz"), read_reports(DATA / "ais_sample.nmea")
     np.testing.assert_array_equal(packed.lat_deg, plain.lat_deg)
@@ -70,13 +70,13 @@ def test_the_start_is_a_date_or_an_instant(tmp_path):
         (b"hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
     ],
 )
-def test_what_cannot_be_read_is_said(tmp_path, content, words):
+def test_unreadable_files_are_reported(tmp_path, content, words):
     (tmp_path / "file").write_bytes(content)
     with pytest.raises(InputError, match=f"file: {words}"):
         read_reports(tmp_path / "file")
 
 
-def test_wrong_paths_and_formats_are_said(tmp_path):
+def test_wrong_paths_and_formats_are_reported(tmp_path):
     with pytest.raises(InputError, match="no such file"):
         read_reports(tmp_path / "none.csv")
     with pytest.raises(InputError, match="is a directory"):
@@ -86,7 +86,7 @@ def test_wrong_paths_and_formats_are_said(tmp_path):
         read_reports(tmp_path / "a.csv", ReadOptions(format="cvs"))
 
 
-def test_a_summary_says_what_was_read_damaged_and_assumed():
+def test_a_summary_lists_rows_read_damage_and_assumptions():
     [made] = read_reports(DATA / "ais_sample.nmea", ReadOptions(source="coast"))
     said = made.summary()
     assert said[0] == "coast: 11 reports (ais, geodetic positions)"
@@ -94,7 +94,7 @@ def test_a_summary_says_what_was_read_damaged_and_assumed():
     assert any("assumed 5 m per axis" in line for line in said)
 
 
-def test_periods_are_counted_on_and_gaps_keep_their_place():
+def test_wrapping_counters_are_unwrapped_and_gaps_kept():
     values = np.array([50.0, np.nan, 10.0, 55.0, 20.0])
     np.testing.assert_array_equal(unwrapped(values, 60.0), [50.0, np.nan, 70.0, 55.0, 80.0])
     np.testing.assert_array_equal(unwrapped([np.nan], 60.0), [np.nan])
@@ -103,13 +103,13 @@ def test_periods_are_counted_on_and_gaps_keep_their_place():
     np.testing.assert_allclose(unwrapped(times % 60.0, 60.0), times - 60.0 * (times[0] // 60.0))
 
 
-def test_what_was_said_last_is_held():
+def test_the_last_value_is_held():
     assert forward_filled(np.array([np.nan, 2.0, np.nan, 5.0])).tolist() == [2.0, 2.0, 2.0, 5.0]
     assert np.isnan(forward_filled(np.array([np.nan]))).all()
     assert at_second(np.array([100.0]), np.array([np.nan]))[0] == 100.0
 
 
-def test_what_is_no_instant_is_none():
+def test_invalid_times_are_missing():
     assert instant("radar") is None and instant("") is None and instant("2024-13-45") is None
 
 

@@ -1,4 +1,4 @@
-"""Modelled sensors report what their descriptions and biases say, and true motion is that of the reports."""
+"""Simulated sensors follow their descriptions and biases; true motion interpolates reports."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ RADAR = Description(
 
 
 def vessels(count: int = 20, seed: int = 1, height_m: float | None = None) -> TrueMotion:
-    """Straight ways at constant speed about the site, 600 s long."""
+    """Straight courses at constant speed around the site, 600 s long."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, 601.0, 20.0)
     lat, lon = LAT + rng.uniform(-0.05, 0.05, count), LON + rng.uniform(-0.08, 0.08, count)
@@ -54,7 +54,7 @@ def heard(sensor: Sensor, motion: TrueMotion | None = None, seed: int = 7) -> Se
 
 
 def errors_of(sensor: Sensor, got: SensorOutput, motion: TrueMotion) -> np.ndarray:
-    """(n, 2) along and across the line of sight, of what the scene makes of the reports."""
+    """(n, 2) errors of the placed reports, along and across the line of sight."""
     [feed] = Scene.of([(sensor.description, replace(got.reports, track_id=None))], motion.plane).feeds
     true = got.truth >= 0
     k, time_s = got.truth[true], feed.reports.time_s[true]
@@ -66,7 +66,7 @@ def errors_of(sensor: Sensor, got: SensorOutput, motion: TrueMotion) -> np.ndarr
     return np.column_stack([np.sum(off * out, axis=1), off[:, 0] * out[:, 1] - off[:, 1] * out[:, 0]])
 
 
-def test_true_motion_goes_through_its_reports_and_knows_nothing_beyond_them() -> None:
+def test_true_motion_interpolates_its_reports_and_does_not_extrapolate() -> None:
     said = {"time_s": [0.0, 60.0, 120.0, 900.0], "lat_deg": [50.0, 50.01, 50.0, 50.0], "lon_deg": [0.0] * 4}
     motion = TrueMotion.of(Reports.of("ais", "table", said | {"mmsi": ["7"] * 4}), gap_s=300.0)
     north = motion.plane.of_geodetic([50.0, 50.01], [0.0, 0.0])[:, 1]
@@ -76,7 +76,7 @@ def test_true_motion_goes_through_its_reports_and_knows_nothing_beyond_them() ->
     assert motion.span_s == (0.0, 900.0)
 
 
-def test_a_smoothed_path_is_nearer_to_the_motion_than_its_reports() -> None:
+def test_a_smoothed_path_is_closer_to_the_motion_than_its_reports() -> None:
     rng = np.random.default_rng(2)
     times = np.arange(0.0, 900.0, 10.0)
     lat = 50.0 + 4e-5 * times
@@ -89,7 +89,7 @@ def test_a_smoothed_path_is_nearer_to_the_motion_than_its_reports() -> None:
     assert scatter[0] < 0.5 * scatter[1]
 
 
-def test_objects_of_reports_are_numbered_by_their_names() -> None:
+def test_objects_of_reports_are_numbered_by_their_ids() -> None:
     said = {"time_s": [0.0, 0.0, 9.0, 9.0], "lat_deg": [50.0] * 4, "lon_deg": [0.0] * 4}
     reports = Reports.of("ais", "table", said | {"mmsi": ["9", "8", None, "8"]})
     motion = TrueMotion.of(reports)
@@ -117,7 +117,7 @@ def test_range_and_bearing_errors_grow_as_those_of_a_polar_sensor() -> None:
     assert abs(across.std() / 0.5 - 1.0) < 0.1
 
 
-def test_biases_are_read_too_much() -> None:
+def test_biases_are_added_to_measurements() -> None:
     motion, sensor = vessels(), Sensor(RADAR, Bias(range_m=80.0, azimuth_deg=1.5, time_s=0.0))
     got = heard(sensor, motion)
     off = errors_of(sensor, got, motion)
@@ -132,7 +132,7 @@ def test_stamps_are_late_by_the_latency_and_the_bias() -> None:
     np.testing.assert_allclose(early.scan_times_s, np.arange(0.0, 600.0, 3.0) + 2.0)
 
 
-def test_misses_and_clutter_are_as_often_as_described() -> None:
+def test_misses_and_clutter_are_as_frequent_as_described() -> None:
     motion = vessels()
     got = heard(Sensor(replace(RADAR, clutter=Clutter(0.05))), motion)
     looks, due = 200, 200 * len(motion)
@@ -151,16 +151,16 @@ def test_nothing_is_seen_beyond_the_coverage() -> None:
     assert {-1} < set(got.truth.tolist()) < set(range(-1, 20))
 
 
-def test_an_antenna_turns_from_north_once_a_period() -> None:
+def test_an_antenna_rotates_from_north_once_per_period() -> None:
     exact = replace(RADAR, errors=SensorErrors(position_m=0.01, extent_m=0.0))
     got = heard(Sensor(exact))
     phase = (got.reports.time_s - 2.0) % 3.0 / 3.0 * 360.0
     off = (phase - np.asarray(got.reports.bearing_deg) + 180.0) % 360.0 - 180.0
-    # Who is near moves on a little while the antenna comes round.
+    # Near objects move noticeably during one rotation.
     assert np.abs(off).max() < 2.0
 
 
-def test_two_that_are_not_resolved_show_one() -> None:
+def test_two_unresolved_objects_give_one_plot() -> None:
     said = {"time_s": [0.0, 600.0] * 2, "lat_deg": [LAT + 0.05] * 4, "lon_deg": [LON, LON, LON + 1e-4, LON + 1e-4]}
     pair = TrueMotion.of(Reports.of("ais", "table", said | {"mmsi": ["1", "1", "2", "2"]}), gap_s=1e4)
     wide = replace(RADAR, misses=MissRate(1e-9), resolution=Resolution(range_m=30.0, bearing_deg=1.0))
@@ -169,7 +169,7 @@ def test_two_that_are_not_resolved_show_one() -> None:
     assert np.bincount(heard(Sensor(fine), pair).truth).tolist() == [200, 200]
 
 
-def test_a_camera_tells_directions_and_a_source_without_a_site_positions() -> None:
+def test_a_camera_gives_bearings_and_a_source_without_a_site_positions() -> None:
     motion = vessels()
     camera = Description(
         "eye", "camera", site=RADAR.site, coverage=SensorCoverage(range_m=20e3), timing=Timing(period_s=5.0)
@@ -185,7 +185,7 @@ def test_a_camera_tells_directions_and_a_source_without_a_site_positions() -> No
 
 
 @pytest.mark.slow
-def test_what_flies_tells_its_level_and_is_found_under_its_slant_range() -> None:
+def test_aircraft_report_their_level_and_are_placed_by_slant_range() -> None:
     motion = vessels(height_m=9000.0)
     radar = replace(
         RADAR, errors=SensorErrors(position_m=5.0, extent_m=0.0, height_m=0.0), targets=Targets(5000.0, 3500.0)
@@ -193,11 +193,11 @@ def test_what_flies_tells_its_level_and_is_found_under_its_slant_range() -> None
     sensor = Sensor(radar)
     got = heard(sensor, motion)
     np.testing.assert_allclose(np.asarray(got.reports.pressure_alt_m) % LEVEL_M / LEVEL_M % 1.0, 0.0, atol=1e-6)
-    # A level is told within 15 m; above 9 km of a place 6 km away that is 23 m along the ground.
+    # A flight level is rounded to 15 m; at 9 km height and 6 km distance that is 23 m on the ground.
     assert np.median(np.abs(errors_of(sensor, got, motion)[:, 0])) < 40.0
 
 
-def test_tracks_are_of_one_object_each_and_break_where_it_is_not_seen() -> None:
+def test_tracks_are_of_one_object_each_and_break_when_it_is_missed() -> None:
     got = heard(Sensor(replace(RADAR, misses=MissRate(0.5)), tracker=Tracker(begins_after=0, breaks_after=2)))
     names = np.asarray(got.reports.track_id).astype(str)
     owners = {name: set(got.truth[names == name].tolist()) for name in set(names)}
@@ -206,7 +206,7 @@ def test_tracks_are_of_one_object_each_and_break_where_it_is_not_seen() -> None:
     assert max(gaps) < 2 * 3.0 + 3.0 + 0.1
 
 
-def test_a_track_begins_late_and_knows_its_velocity() -> None:
+def test_a_track_begins_late_and_has_a_velocity() -> None:
     motion = vessels()
     got = heard(Sensor(replace(RADAR, misses=MissRate(1e-9)), tracker=Tracker(begins_after=3)), motion)
     assert got.reports.time_s.min() >= 3 * 3.0 and len(set(np.asarray(got.reports.track_id))) == len(motion)
@@ -217,7 +217,7 @@ def test_a_track_begins_late_and_knows_its_velocity() -> None:
     assert np.median(np.linalg.norm(velocity[late] - way, axis=1)) < 1.0
 
 
-def test_false_tracks_last_for_some_looks_and_are_as_dense_as_described() -> None:
+def test_false_tracks_have_the_described_duration_and_density() -> None:
     described = replace(RADAR, clutter=Clutter(0.05))
     got = heard(Sensor(described, tracker=Tracker(begins_after=0, false_looks=5.0)))
     false = got.truth < 0
@@ -229,12 +229,12 @@ def test_false_tracks_last_for_some_looks_and_are_as_dense_as_described() -> Non
 
 def test_the_same_generator_gives_the_same() -> None:
     one, two = (heard(Sensor(replace(RADAR, clutter=Clutter(0.05)), tracker=Tracker(breaks=0.01))) for _ in range(2))
-    # Older NumPy rounds the last digit by where an array lies in memory.
+    # The last digit depends on memory alignment in older NumPy.
     np.testing.assert_allclose(one.reports.range_m, two.reports.range_m, rtol=1e-13)
     np.testing.assert_array_equal(one.truth, two.truth)
 
 
-def test_nothing_to_be_seen_is_an_empty_source() -> None:
+def test_without_objects_a_source_is_empty() -> None:
     got = heard(Sensor(replace(RADAR, coverage=SensorCoverage(range_m=1.0))))
     assert len(got.reports) == 0 and len(got.truth) == 0
 

@@ -1,4 +1,4 @@
-"""The page on sensors names what the code has: every default of every kind, every part and field of a description."""
+"""The documentation of sensors lists every default of every kind, and every part and field of a description."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -10,7 +10,7 @@ PAGE = (Path(__file__).parents[2] / "docs" / "sensors.md").read_text(encoding="u
 
 
 def kinds_table():
-    """Defaults in rows, kinds in columns, as the page shows them."""
+    """Defaults in rows, kinds in columns, as on the page."""
     kinds = [name for name, kind in KINDS.items() if kind.defaults]
     names = list(dict.fromkeys(name for part in _PARTS for kind in kinds for name in KINDS[kind].defaults
                                if name.startswith(f"{part}.")))  # fmt: skip

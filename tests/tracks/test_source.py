@@ -1,4 +1,4 @@
-"""Descriptions: what the user says counts, the rest is assumed aloud, and nonsense is refused by name."""
+"""Descriptions: given values are used, assumed ones listed, invalid ones refused by name."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ kind = "ais"
 """
 
 
-def test_toml_says_what_python_says(tmp_path):
+def test_toml_and_python_descriptions_agree(tmp_path):
     path = tmp_path / "sources.toml"
     path.write_text(TOML)
     harbour, ais = read_descriptions(path)
@@ -43,7 +43,7 @@ def test_toml_says_what_python_says(tmp_path):
     assert ais.name == "ais" and ais.errors.position_m == 15.0
 
 
-def test_every_number_that_nobody_gave_is_told_with_its_reason():
+def test_every_assumed_number_is_listed_with_its_reason():
     radar = Description("harbour", "marine radar", errors=SensorErrors(bearing_deg=0.4), misses=MissRate(0.3))
     told = {line.name: line for line in radar.assumed}
     assert "errors.bearing_deg" not in told and "misses.q" not in told
@@ -53,7 +53,7 @@ def test_every_number_that_nobody_gave_is_told_with_its_reason():
     )
 
 
-def test_how_often_a_look_shows_one_object_as_two_is_told_or_assumed():
+def test_the_split_probability_is_given_or_assumed():
     assert Description("camera", "camera").resolution.split == 0.1
     told = Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": 0.3}})
     assert told.resolution.split == 0.3 and "resolution.split" not in {line.name for line in told.assumed}
@@ -63,7 +63,7 @@ def test_how_often_a_look_shows_one_object_as_two_is_told_or_assumed():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_defaults_of_every_kind_are_numbers_of_known_parts_with_reasons(kind):
+def test_defaults_of_every_kind_are_known_numbers_with_reasons(kind):
     for name, (value, why) in KINDS[kind].defaults.items():
         part, _, field = name.partition(".")
         assert hasattr(_PARTS[part](), field) and np.isfinite(value) and len(why) > 3
@@ -81,7 +81,7 @@ def test_misses_follow_the_range_and_are_certain_outside_the_coverage():
     np.testing.assert_allclose(q, [0.3, 1.0, 1.0, 0.3, 1.0, 1.0])
 
 
-def test_a_bias_that_is_known_is_not_looked_for_unless_its_doubt_is_told():
+def test_a_known_bias_is_estimated_only_if_its_uncertainty_is_given():
     known = Description("radar", "marine radar", calibration=KnownBiases(range_m=-35.0))
     assert known.bias.range_m is None and known.bias.azimuth_deg == 1.0
     assert "bias.range_m" not in {line.name for line in known.assumed}
@@ -119,7 +119,7 @@ def test_a_site_is_in_degrees_or_in_metres_and_fits_the_picture():
         ("not toml", r"cannot be read as TOML"),
     ],
 )
-def test_mistakes_in_a_file_are_named(tmp_path, text, words):
+def test_mistakes_in_a_description_file_are_named(tmp_path, text, words):
     path = tmp_path / "sources.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=words):

@@ -1,4 +1,4 @@
-"""Files of sensors find their descriptions, and what nobody described is told by the file."""
+"""Sensor files are paired with their descriptions; missing descriptions are inferred from the file."""
 
 import pytest
 
@@ -16,7 +16,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_kinds_are_told_by_name_and_columns(folder):
+def test_kinds_are_recognised_by_name_and_columns(folder):
     (folder / "harbour radar.csv").write_text(PLOTS)
     (folder / "unknown.csv").write_text("time,lat,lon\n2024-05-01T12:00:00Z,50.1,-1.2\n")
     radar, coast, plots = read_sources([folder / name for name in ("harbour radar.csv", "coast.csv", "plots.csv")])
@@ -49,7 +49,7 @@ def test_a_description_may_leave_the_kind_to_the_file(folder):
     assert (coast.description.kind, coast.why_kind) == ("other", None)
 
 
-def test_names_are_given_with_the_file(folder):
+def test_names_may_be_given_with_the_file(folder):
     toml = folder / "s.toml"
     toml.write_text('[sources.west]\nkind = "marine radar"\n')
     [west] = read_sources([f"west={folder / 'plots.csv'}"], read_source_options(toml))
@@ -71,7 +71,7 @@ def test_names_are_given_with_the_file(folder):
         ("x = 1\n", "describes no sources"),
     ],
 )
-def test_what_is_wrong_with_a_description_is_said(tmp_path, toml, message):
+def test_errors_of_a_description_are_reported(tmp_path, toml, message):
     (tmp_path / "s.toml").write_text(toml)
     with pytest.raises(InputError, match=message):
         read_source_options(tmp_path / "s.toml")
@@ -85,8 +85,8 @@ def test_a_log_of_two_sensors_gives_two_sources():
     assert [s.description.kind for s in ais] == ["ais"]
 
 
-def test_a_format_called_like_a_kind_of_source_has_that_kind(folder, monkeypatch):
-    """So a new sensor needs its format and its kind, and no table of which format has which kind."""
+def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch):
+    """So a new sensor needs no table of formats and kinds."""
     from sameas.io.sensors import sources
     from sameas.io.sensors.format import SensorFormat
     from sameas.tracks.kinds import KINDS, Kind

@@ -1,4 +1,4 @@
-"""Standing: the mixture of vessels that lie and vessels that go, against its definition and simulated vessels."""
+"""The mixture of stationary and moving vessels, against its definition and simulated vessels."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def told(velocity, sigma_m_per_s=0.3, sigma_m=5.0):
     )  # fmt: skip
 
 
-def test_the_chance_to_stand_is_that_of_bayes():
+def test_the_probability_of_being_stationary_follows_bayes():
     rng = np.random.default_rng(1)
     velocity = rng.normal(0.0, 0.8, (30, 2))
     _, stands = stationary(told(velocity), VESSELS)
@@ -30,7 +30,7 @@ def test_the_chance_to_stand_is_that_of_bayes():
     np.testing.assert_allclose(stands, 0.3 * near / (0.3 * near + 0.7 * far), rtol=1e-9)
 
 
-def test_mean_and_covariance_are_those_of_the_mixture():
+def test_mean_and_covariance_agree_with_the_mixture():
     rng = np.random.default_rng(2)
     root = rng.normal(size=(4, 4)) * np.array([5.0, 5.0, 0.4, 0.4])[:, None]
     state, covariance = np.array([[3.0, -7.0, 1.3, 0.5]]), (root @ root.T)[None]
@@ -46,7 +46,7 @@ def test_mean_and_covariance_are_those_of_the_mixture():
 
 
 @pytest.mark.slow
-def test_simulated_vessels_are_where_they_are_said_to_be():
+def test_states_of_simulated_vessels_are_consistent():
     rng = np.random.default_rng(6)
     n, age_s = 100_000, 180.0
     lies = rng.random(n) < 0.3
@@ -68,11 +68,11 @@ def test_simulated_vessels_are_where_they_are_said_to_be():
 
 def _off(states, there, age_s, walk):
     ahead, spread = moved(states.state, states.covariance, age_s, walk)
-    # What was told of the position does not matter here.
+    # The reported position does not matter here.
     return ahead[:, :2] - there[:, :2], spread[:, :2, :2] - states.covariance[:, :2, :2] + 1e-6 * np.eye(2)
 
 
-def test_velocities_that_nobody_told_and_kinds_without_standing_objects_are_left_alone():
+def test_missing_velocities_and_always_moving_kinds_are_unchanged():
     bare = States.of(np.zeros(2), np.zeros((2, 2)), np.eye(2), speed_m_per_s=8.0)
     now, stands = stationary(bare, VESSELS)
     np.testing.assert_array_equal(now.covariance, bare.covariance)
@@ -84,7 +84,7 @@ def test_velocities_that_nobody_told_and_kinds_without_standing_objects_are_left
         stationary(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=1.0))
 
 
-def test_a_vessel_at_anchor_stays_where_it_is_and_one_under_way_does_not():
+def test_an_anchored_vessel_is_not_extrapolated_and_a_moving_one_is():
     columns = {"time_s": [0.0, 0.0], "lat_deg": [50.8, 50.9], "lon_deg": [-1.3, -1.3],
                "speed_m_per_s": [0.05, 6.0], "course_deg": [200.0, 90.0]}  # fmt: skip
     reports = Reports.of("ais", "table", columns | {"mmsi": ["235000001", "235000002"]})

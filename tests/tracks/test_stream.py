@@ -1,4 +1,4 @@
-"""Streams: the readers of files, fed by pieces, read what they read of the whole."""
+"""Streams: readers fed in pieces give the result of the whole file."""
 
 import json
 import math
@@ -17,7 +17,7 @@ DATA = Path(__file__).parent / "data"
 
 
 def by_pieces(data, cuts, **options):
-    """The reports of a stream that is given these bytes in pieces, by name of the sensor."""
+    """Reports by sensor name of a stream fed with ``data`` in pieces."""
     stream, out = ReportStream("wire", **options), {}
     for a, b in zip([0, *cuts], [*cuts, len(data)], strict=True):
         stream.feed(data[a:b], 1_714_560_000.0)
@@ -27,7 +27,7 @@ def by_pieces(data, cuts, **options):
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_ais_in_any_pieces_is_the_ais_of_the_file(seed):
+def test_ais_in_any_pieces_equals_the_file(seed):
     data = (DATA / "ais_sample.nmea").read_bytes()
     cuts = np.sort(np.random.default_rng(seed).choice(len(data), 40, replace=False)).tolist()
     stream, found = by_pieces(data, cuts)
@@ -58,7 +58,7 @@ def test_own_ship_is_remembered_from_piece_to_piece():
     assert stream.own_ship == pytest.approx((50.55, -0.95, 90.0))
 
 
-def test_damaged_lines_are_counted_and_end_nothing():
+def test_damaged_lines_are_counted_and_reading_continues():
     stream = ReportStream("bridge", "nmea")
     stream.feed(b"!AIVDM,1,1,,A,33P;Tw0tjBQO22:E7dm66DrB20UP,0*00\n\xff\xfe nonsense\n", 0.0)
     assert stream.reports() == [] and sum(stream.damaged.values()) == 2
@@ -66,7 +66,7 @@ def test_damaged_lines_are_counted_and_end_nothing():
     assert len(stream.reports()[0]) == 1
 
 
-def test_aircraft_told_again_are_no_new_reports_in_later_pieces():
+def test_repeated_aircraft_positions_are_no_new_reports_in_later_pieces():
     snapshot = {"now": 1e9, "aircraft": [{"hex": "a0b1c2", "lat": 50.0, "lon": 1.0, "seen_pos": 0.2}]}
     stream = ReportStream("feeder")
     for k in range(3):
@@ -76,7 +76,7 @@ def test_aircraft_told_again_are_no_new_reports_in_later_pieces():
     assert stream.passed_over["position repeated"] == 2
 
 
-def test_sbs_positions_take_the_last_words_of_earlier_pieces():
+def test_sbs_positions_include_other_fields_of_earlier_pieces():
     stream = ReportStream("feeder")
     head = "1,1,A0B1C2,1,2024/05/01,12:00:00.000,2024/05/01,12:00:00.000"
     stream.feed(f"MSG,1,{head},BAW12,,,,,,,,,,,\n".encode(), 0.0)
@@ -86,7 +86,7 @@ def test_sbs_positions_take_the_last_words_of_earlier_pieces():
     assert reports.callsign.tolist() == ["BAW12"] and reports.lat_deg.tolist() == [50.1]
 
 
-def test_asterix_has_the_date_of_its_receipt_and_a_source_for_every_sensor():
+def test_asterix_takes_the_date_of_receipt_and_a_source_per_sensor():
     received = 1_714_560_000.0
     day_s = received % 86400.0
     stream, data = ReportStream("lan"), block(48, plot(day_s))
@@ -97,7 +97,7 @@ def test_asterix_has_the_date_of_its_receipt_and_a_source_for_every_sensor():
     assert stream.passed_over["block that came before, from a second network"] == 1
 
 
-def test_signal_k_tells_vessels_own_ship_and_targets_of_its_radar(tmp_path):
+def test_signal_k_gives_vessels_own_ship_and_radar_targets(tmp_path):
     def delta(context, *values, time="2024-05-01T12:00:00Z"):
         return {
             "context": context,
@@ -123,7 +123,7 @@ def test_signal_k_tells_vessels_own_ship_and_targets_of_its_radar(tmp_path):
     assert [reports.kind for reports in read_reports(path)] == ["ais", "arpa"]
 
 
-def test_a_line_that_is_no_object_does_not_cost_the_others():
+def test_an_invalid_line_does_not_affect_the_others():
     stream = ReportStream("coast", "table")
     stream.feed(b'time,lat\n{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}\n[1]\n', 0.0)
     [reports] = stream.reports()
@@ -132,7 +132,7 @@ def test_a_line_that_is_no_object_does_not_cost_the_others():
     assert stream.reports() == []
 
 
-def test_the_first_bytes_tell_the_format():
+def test_the_format_is_recognised_from_the_first_bytes():
     assert format_of(b"!AIVDM,1,1") == format_of(b"\\s:x*00\\!AIVDM") == "nmea"
     assert format_of(b"MSG,3,") == "sbs" and format_of(b'{"now": 1, "aircraft": [') == "aircraft"
     assert format_of(b"") is None and format_of(b'{"lat": 1') is None

@@ -1,4 +1,4 @@
-"""Tables: columns are understood by their names, and a damaged line is one line."""
+"""Tables: columns are recognised by name, and damage is confined to single lines."""
 
 import json
 from datetime import UTC, datetime
@@ -48,12 +48,12 @@ def understood(*names):
           "length_m": "Length", "width_m": "Width", "imo": "IMO"}),
     ],
 )  # fmt: skip
-def test_names_as_people_write_them_are_understood(names, expected):
+def test_common_column_names_are_recognised(names, expected):
     assert understood(*names) == expected
 
 
 @pytest.mark.parametrize("delimiter", [" ", ","])
-def test_what_astropy_writes_as_ecsv_is_what_it_was_as_csv(delimiter, tmp_path):
+def test_ecsv_of_astropy_is_read_like_csv(delimiter, tmp_path):
     written = Table({"time": ["2020-06-30T00:00:00Z"] * 2, "mmsi": [211000000, 212000000], "lat": [40.5, 40.6],
                      "lon": [-74.0, -74.1], "name": ["GENESIS VIGILANT", ""], "sog_kn": [np.nan, 3.5]})  # fmt: skip
     written.write(tmp_path / "ais.csv")
@@ -64,7 +64,7 @@ def test_what_astropy_writes_as_ecsv_is_what_it_was_as_csv(delimiter, tmp_path):
             np.testing.assert_array_equal(two.columns()[name], column, err_msg=name)
 
 
-def test_units_at_the_end_of_a_name_count_and_habits_stand_in():
+def test_units_in_names_are_used_and_usual_ones_assumed():
     made = table("time,lat,lon,sog,alt_ft,course_rad\n0,50,1,10,1000,1.5707963\n")
     assert made.speed_m_per_s[0] == pytest.approx(10 * KNOT) and made.alt_m[0] == pytest.approx(304.8)
     assert made.course_deg[0] == pytest.approx(90.0, abs=1e-5)
@@ -76,14 +76,14 @@ def test_units_at_the_end_of_a_name_count_and_habits_stand_in():
     assert made.speed_m_per_s[0] == pytest.approx(10.0)
 
 
-def test_a_unit_that_nobody_wrote_is_said():
+def test_assumed_units_are_reported():
     made = table("time,range,bearing\n0,1500,45\n")
     assert "radar.csv: range is read in m: its name states no unit" in made.notes
     made = table("time,range,bearing\n0,1.5,45\n", units={"range": "km"})
     assert made.range_m[0] == 1500.0 and "radar.csv: range is in km, as said" in made.notes
 
 
-def test_what_the_user_says_wins():
+def test_options_of_the_user_override():
     made = table(
         "when,phi,lam,lat,lon\n0,10,20,30,40\n", columns={"time_s": "when", "lat_deg": "phi", "lon_deg": "lam"}
     )
@@ -110,7 +110,7 @@ def test_refusals_say_what_to_do(text, words):
         table(text)
 
 
-def test_a_wrong_option_is_refused_with_what_there_is():
+def test_a_wrong_option_is_refused_with_the_valid_ones():
     text = "time,lat,lon\n0,1,2"
     with pytest.raises(InputError, match="'latt' is not a quantity; did you mean lat_deg"):
         table(text, columns={"latt": "lat"})
@@ -151,11 +151,11 @@ time,lat,lon,speed_m_s
     ["1452603731.5", "1452603731500", "1452603731500000", "2016-01-12T13:02:11.5Z", "2016-01-12 13:02:11.500",
      "2016-01-12T14:02:11.5+01:00"],
 )  # fmt: skip
-def test_time_is_read_as_it_is_written(cell):
+def test_common_time_formats_are_read(cell):
     assert table(f"timestamp,lat,lon\n{cell},1,2").time_s[0] == 1452603731.5
 
 
-def test_days_and_months_are_told_apart_by_the_numbers():
+def test_day_and_month_are_distinguished_by_their_values():
     made = table("# Timestamp,Latitude,Longitude\n13/01/2016 13:02:11,1,2\n05/01/2016 00:00:00,1,2")
     assert made.time_s.tolist() == [datetime(2016, 1, 13, 13, 2, 11, tzinfo=UTC).timestamp(),
                                     datetime(2016, 1, 5, tzinfo=UTC).timestamp()]  # fmt: skip
@@ -163,7 +163,7 @@ def test_days_and_months_are_told_apart_by_the_numbers():
     assert made.time_s[0] == datetime(2016, 1, 13, 13, 2, 11, tzinfo=UTC).timestamp()
 
 
-def test_time_in_two_columns_and_time_of_day():
+def test_dates_and_times_in_two_columns_and_times_of_day_are_read():
     made = table("date,time,lat,lon\n2016-01-12,13:02:11,1,2")
     assert made.time_s[0] == 1452603731.0
     with pytest.raises(InputError, match="has the time of day only; give start"):
@@ -172,11 +172,11 @@ def test_time_in_two_columns_and_time_of_day():
     assert (made.time_s - 1452556800.0).tolist() == [86399.0, 86401.5]
 
 
-def test_seconds_from_an_own_start_are_said():
+def test_seconds_from_an_arbitrary_start_are_reported():
     assert "seconds from an origin of its own" in table("t,x,y\n0.0,1,2\n1.0,2,3").notes[0]
 
 
-def test_errors_come_as_covariances_however_written():
+def test_errors_of_all_notations_become_covariances():
     circle = table("t,x,y,sigma_m\n0,1,2,3")
     axes = table("t,x,y,sigma_x,sigma_y\n0,1,2,3,4")
     full = table("t,x,y,cov_xx,cov_xy,cov_yy,sigma\n0,1,2,9,-2,16,100")
@@ -195,19 +195,19 @@ def test_bearings_alone_are_a_source():
     assert made.track_id.tolist() == ["7"]
 
 
-def test_identities_are_texts_as_people_write_them():
+def test_identities_are_read_as_text():
     made = table("time,lat,lon,mmsi,icao24,squawk\n0,1,2,2350070,4CA7A8,17\n1,1,2,2350070.0,,1000.0")
     assert made.mmsi.tolist() == ["002350070"] * 2 and made.icao.tolist() == ["4ca7a8", None]
     assert made.mode_a.tolist() == ["0017", "1000"] and made.track_id.tolist() == ["002350070"] * 2
 
 
-def test_rows_told_again_are_passed_over():
+def test_repeated_rows_are_ignored():
     made = table("time,lat,lon,mmsi\n0,1,2,9\n0,1,2,9\n0,1,2,8\n1,1,2,9")
     assert made.line.tolist() == [2, 4, 5] and made.passed_over == {"position repeated": 1}
 
 
 @pytest.mark.slow
-def test_json_lines_lists_and_parquet_say_the_same(tmp_path):
+def test_json_lines_lists_and_parquet_agree(tmp_path):
     rows = [{"time": "2016-01-12T13:02:11Z", "position": {"lat": 50.0, "lon": -1.0}, "mmsi": 235070762},
             {"time": "2016-01-12T13:02:21Z", "position": {"lat": 50.1, "lon": -1.1}, "mmsi": 235070762}]  # fmt: skip
     (tmp_path / "a.jsonl").write_text("\n".join([json.dumps(rows[0]), "{", "7", json.dumps(rows[1])]))
@@ -228,7 +228,7 @@ def test_json_lines_lists_and_parquet_say_the_same(tmp_path):
 
 
 @pytest.mark.skipif(not DATA.exists(), reason="the shared data sets are not here")
-def test_the_solent_is_read():
+def test_the_solent_file_is_read():
     [made] = read_reports(DATA / "SolentAIS_20160112_130211.csv")
     assert len(made) + sum(made.passed_over.values()) == 18623 and len(made.damaged) == 0
     assert len(set(made.mmsi)) == 91 and made.speed_m_per_s[0] == pytest.approx(5.9 * KNOT)

@@ -1,4 +1,4 @@
-"""Heights of reports: brought to one kind, offsets between sources, and a picture that believes them."""
+"""Heights of reports: conversion to one kind, offsets between sources, and use in a picture."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def source(name: str, columns: dict, sigma: float = 100.0, height_m: float = 20.
 
 
 def crossing(rng, name: str, height: str, shift_m: float = 0.0, share: float = 1.0, with_heights: bool = True):
-    """Two aircraft, 7 000 m apart in height, on one course; seen from above they are within 100 m of each other."""
+    """Two aircraft on one course, 7 000 m apart in height and within 100 m horizontally."""
     columns = {key: [] for key in ("time_s", "x_m", "y_m", "track_id", height)}
     for k, side in enumerate((-1.0, 1.0)):
         for t in np.arange(0.0, 200.0, 5.0):
@@ -33,8 +33,8 @@ def crossing(rng, name: str, height: str, shift_m: float = 0.0, share: float = 1
     return source(name, columns)
 
 
-def judged(picture: Picture) -> tuple[int, int]:
-    """How many pairs are right and wrong: the last letters of the tracks of one object are the same."""
+def counts(picture: Picture) -> tuple[int, int]:
+    """Numbers of true and false pairs; tracks of one object end in the same letter."""
     records, right, wrong = picture.records, 0, 0
     for key in set(zip(records["time_s"].tolist(), records["object"].tolist(), strict=True)):
         here = (records["time_s"] == key[0]) & (records["object"] == key[1])
@@ -46,12 +46,12 @@ def judged(picture: Picture) -> tuple[int, int]:
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize(("other", "shift_m"), [("pressure_alt_m", 0.0), ("alt_m", 250.0), ("pressure_alt_m", 150.0)])
-def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str, shift_m: float) -> None:
+def test_heights_distinguish_two_aircraft_over_one_place(other: str, shift_m: float) -> None:
     rng = np.random.default_rng(1)
     scene = Scene.of([crossing(rng, "a", "pressure_alt_m"), crossing(rng, "b", other, shift_m, share=0.8)])
     times = np.arange(20.0, 200.0, 10.0)
     picture = Picture.of(scene, times)
-    right, wrong = judged(picture)
+    right, wrong = counts(picture)
     assert wrong == 0 and right >= 20
     heights = np.ma.compressed(picture.objects["height_m"])
     assert np.all(np.minimum(abs(heights - 3000.0), abs(heights - 10_000.0)) < 100.0)
@@ -61,18 +61,18 @@ def test_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str,
 
 
 @pytest.mark.slow
-def test_without_heights_the_same_aircraft_are_mistaken() -> None:
+def test_without_heights_the_same_aircraft_are_confused() -> None:
     wrong, told = 0, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         blind = Scene.of([crossing(rng, name, "pressure_alt_m", with_heights=False) for name in "ab"])
         picture = Picture.of(blind, np.arange(20.0, 200.0, 30.0))
-        wrong += judged(picture)[1]
+        wrong += counts(picture)[1]
         told.append("height_m" in picture.objects)
     assert wrong >= 6 and not any(told)
 
 
-def test_the_difference_of_the_kinds_is_a_line_that_reports_with_both_show() -> None:
+def test_the_difference_of_height_kinds_is_fitted_by_a_line() -> None:
     rng = np.random.default_rng(5)
     level = rng.uniform(500.0, 12e3, 400)
     both: dict[str, Any] = {
@@ -80,7 +80,7 @@ def test_the_difference_of_the_kinds_is_a_line_that_reports_with_both_show() -> 
         "track_id": [str(k) for k in range(400)], "pressure_alt_m": level,
         "alt_m": 80.0 + 1.03 * level + rng.normal(0.0, 8.0, 400),
     }  # fmt: skip
-    # One in fifty has another aircraft's geometric height.
+    # One report in fifty has another aircraft's geometric height.
     both["alt_m"][::50] = rng.uniform(500.0, 12e3, 8)
     only = {**{name: both[name][:40] for name in ("time_s", "track_id", "alt_m")},
             "x_m": rng.uniform(-9e5, -8e5, 40), "y_m": rng.uniform(-9e5, -8e5, 40)}  # fmt: skip
@@ -92,7 +92,7 @@ def test_the_difference_of_the_kinds_is_a_line_that_reports_with_both_show() -> 
     assert np.all(heights[1].sigma_m < 30.0) and "by 392 reports with both" in heights[1].notes[0]
 
 
-def test_the_line_between_two_sources_is_found_from_the_aircraft_that_both_show() -> None:
+def test_the_line_between_two_sources_is_fitted_to_common_aircraft() -> None:
     rng = np.random.default_rng(8)
     times = np.arange(0.0, 100.0, 5.0)
     place, speed = rng.uniform(-6e4, 6e4, (30, 2)), rng.normal(0.0, 150.0, (30, 2))
@@ -112,15 +112,15 @@ def test_the_line_between_two_sources_is_found_from_the_aircraft_that_both_show(
     assert np.median(heights.sigma_m) < 40.0 and "+3.0 % against a" in heights.notes[0]
 
 
-def test_kinds_that_nothing_compares_are_not_believed_to_agree() -> None:
-    """Pressure heights alone against heights above the ellipsoid alone, far from each other: no line, wide errors."""
+def test_height_kinds_without_comparison_get_wide_errors() -> None:
+    """Only pressure heights against only ellipsoidal heights, far apart: no fitted line, wide errors."""
     here = {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0], "track_id": ["1"], "pressure_alt_m": [10e3]}
     there = {"time_s": [0.0], "x_m": [9e4], "y_m": [0.0], "track_id": ["2"], "alt_m": [10e3]}
     heights = Scene.of([source("here", here), source("there", there)]).heights
     assert heights[0].sigma_m[0] == 20.0 and heights[1].sigma_m[0] > 400.0
 
 
-def test_an_elevation_is_a_height_and_a_vertical_speed_moves_it() -> None:
+def test_heights_follow_from_elevation_and_vertical_speed() -> None:
     radar = {
         "time_s": [0.0, 0.0],
         "range_m": [50e3, 50e3],
@@ -132,7 +132,7 @@ def test_an_elevation_is_a_height_and_a_vertical_speed_moves_it() -> None:
     seen = {"time_s": [0.0], "lat_deg": [50.4], "lon_deg": [8.1], "alt_m": [8000.0], "climb_m_per_s": [10.0]}
     scene = Scene.of([(description, Reports.of("radar", "table", radar)), source("ads-b", seen)])
     measured, reported = scene.heights
-    # 50 km at 10°: 8 682 m above the sensor, and 190 m that the earth falls away.
+    # 50 km at 10°: 8 682 m above the sensor, and 190 m of Earth curvature.
     assert measured.height_m[0] == pytest.approx(100.0 + 8682.0 + 190.0, abs=2.0)
     assert measured.sigma_m[0] == pytest.approx(86.0, rel=0.02) and np.isnan(measured.height_m[1])
     later = reported.at(np.array([0]), np.array([6.0]))
@@ -141,7 +141,7 @@ def test_an_elevation_is_a_height_and_a_vertical_speed_moves_it() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("other", "shift_m"), [("pressure_alt_m", 0.0), ("alt_m", 250.0), ("pressure_alt_m", 400.0)])
-def test_live_two_aircraft_over_one_place_are_told_apart_by_their_heights(other: str, shift_m: float) -> None:
+def test_heights_distinguish_two_aircraft_over_one_place_in_a_live_picture(other: str, shift_m: float) -> None:
     rng = np.random.default_rng(2)
     made = [crossing(rng, "a", "pressure_alt_m"), crossing(rng, "b", other, shift_m, share=0.8)]
     live = LivePicture([description for description, _ in made])
@@ -161,5 +161,5 @@ def test_live_two_aircraft_over_one_place_are_told_apart_by_their_heights(other:
                 right, wrong = right + (ends[0] == ends[1]), wrong + (ends[0] != ends[1])
                 off += [heights[m, 0] - (3000.0 + 7000.0 * int(ends[0])) for m in members]
     assert wrong == 0 and right >= 20
-    # The offset was found by the last minutes and taken away: what is left is error.
+    # The offset estimated from the last minutes is removed; the rest is error.
     assert np.nanmax(np.abs(off)) < (120.0 if shift_m else 80.0)
