@@ -38,3 +38,36 @@ def test_a_ferry_that_leaves_her_report_behind_is_not_two():
             hers = here & ((r["source"] == "ais") | ((r["source"] == "radar") & (r["track_id"] == "0")))
             apart += len(set(r["object"][hers].tolist())) > 1
     assert apart <= 4
+
+
+def passed_by(seed):
+    """A ferry whose AIS is silent from 60 to 190 s and who turns then; a radar and the AIS of another ship see this one
+    pass her at 130 s."""
+    rng = np.random.default_rng(seed)
+    times = 10.0 * np.arange(22)
+    ferry = np.stack([6.0 * np.minimum(times, 62.0), 6.0 * np.maximum(times - 62.0, 0.0)], axis=-1)
+    other = ferry[13] + np.stack([4.0 * (times - 130.0), 0.0 * times], axis=-1)
+    x = np.stack([ferry, other])
+    v = np.gradient(x, 10.0, axis=1)
+    v[0] = np.where(times[:, None] > 62.0, [0.0, 6.0], [6.0, 0.0])
+    far = rng.uniform(-4e3, 4e3, (20, 1, 2)) + np.zeros((20, 22, 2))
+    mmsi = {"mmsi": ["235000000", "235000001"]}
+    ais, by_ais = told(rng, describe("ais", "ais", 10.0), times, x, v, 0.0, ["a", "b"], mmsi)
+    heard = (by_ais.time_s <= 60.0) | (by_ais.time_s >= 190.0) | (np.asarray(by_ais.mmsi) == "235000001")
+    return Scene.of([
+        (ais, by_ais.where(heard)),
+        told(rng, describe("radar", "tracks", 15.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 0.0,
+             [str(k) for k in range(22)]),
+    ]), times  # fmt: skip
+
+
+def test_a_ferry_that_turned_unreported_stays_one_when_another_passes_her():
+    apart = 0
+    for seed in range(4):
+        scene, times = passed_by(seed)
+        r = Picture.of(scene, times).records
+        for time_s in times[13:]:
+            hers = (r["time_s"] == time_s) & (((r["source"] == "ais") & (r["track_id"] == "a")) | (
+                (r["source"] == "radar") & (r["track_id"] == "0")))  # fmt: skip
+            apart += len(set(r["object"][hers].tolist())) > 1
+    assert apart == 0

@@ -344,7 +344,7 @@ class Past:
 
         track_of_record : (n,) ``tracks.numbers_on(scan)``.
         """
-        return with_manoeuvres(scan, track_of_record, self.track_pairs, self._log_ratio(), per_m2)
+        return with_manoeuvres(scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio(), per_m2)
 
     def with_pairs(self, pooled: PooledRecords) -> Past:
         """The memory with the pairs that passed the gate for the first time; they have no history yet."""

@@ -408,6 +408,17 @@ class Rivals:
             out = np.maximum(out, _group_maximum(side, values))
         return out
 
+    def most_free(self, values: FloatArray, agrees: BoolArray) -> FloatArray:
+        """(k,) the highest value of each pair and its rivals, without rivals whose other track has a better pair.
+
+        agrees : (k,) whether a pair may be such a better one.
+        """
+        out, padded = values, np.append(np.where(agrees, values, -np.inf), -np.inf)
+        for side in range(2):
+            better = padded[self.best_other(padded[:-1], 1 - side)]
+            out = np.maximum(out, _group_maximum(self.sides[side], np.where(better > values, -np.inf, values)))
+        return out
+
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
         """(k,) ln r within −2b … b, b = ln((1−ε)/ε); the excess of the best rival over b is subtracted, which keeps
         differences between rivals.
@@ -507,7 +518,12 @@ def _log_sums(label: IntArray, values: FloatArray, least: float) -> FloatArray:
 
 
 def with_manoeuvres(
-    scan: Scan, track_of_record: IntArray, track_pairs: TrackPairs, log_ratio: FloatArray, per_m2: float
+    scan: Scan,
+    track_of_record: IntArray,
+    previous: Scan | None,
+    track_pairs: TrackPairs,
+    log_ratio: FloatArray,
+    per_m2: float,
 ) -> Scan:
     """The scan with larger covariances for reports whose objects have manoeuvred since.
 
@@ -520,45 +536,72 @@ def with_manoeuvres(
         D = (s² I + v vᵀ) ⊗ [t²/3, t/2; t/2, 1],   t the report's age.
 
     A manoeuvre is assumed where the report's partners, one track of each other source, are jointly more probable with D
-    than without by more than the prior odds against a manoeuvre. A radar too coarse to resolve the manoeuvre does not
+    than without by more than the prior odds against a manoeuvre, and no rival explains their reports without one. A
+    rival that only passes does not: its own partner is where it should be. An assumed manoeuvre stays in the past of
+    its report until the partners favour the prediction again. A radar too coarse to resolve the manoeuvre does not
     outvote one that does. The position stays as reported; only the covariance grows, for evidence, memory and fused
     states alike.
 
-    track_of_record : (n,) numbers of the records' tracks, −1 for new ones. track_pairs, log_ratio : the pairs of the
-    previous instant, and (k,) their ln r.
+    track_of_record : (n,) numbers of the records' tracks, −1 for new ones. previous : the scan of the previous instant.
+    track_pairs, log_ratio : its pairs, and (k,) their ln r.
     """
+    assumed = _assumed_before(scan, previous)
     a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
     log_limit = math.log(per_m2) - math.log(scan.tuning.partner_odds)
     partners = (a >= 0) & (b >= 0) & (log_ratio + track_pairs.log_now >= log_limit)
     a, b, log_ratio = a[partners], b[partners], log_ratio[partners]
     if not len(a):
-        return scan
+        return _with_manoeuvres_of(scan, assumed)
     delta, total = scan.state[a, :2] - scan.state[b, :2], scan.covariance[a, :2, :2] + scan.covariance[b, :2, :2]
     log_steady, chi_sq = _log_density_and_chi_sq(delta, total)
     with np.errstate(divide="ignore"):
         # ln of the prior odds of a manoeuvre since the report.
         log_odds = np.log(np.expm1(np.maximum(scan.now.instant_s - scan.time_s, 0.0) / scan.tuning.manoeuvre_every_s))
     log_pair_steady = log_ratio + log_steady
-    best = Rivals.of(a, b, scan.source[a], scan.source[b]).most(log_pair_steady)
     # Either of the two may have manoeuvred.
     own, other, k = np.append(a, b), np.append(b, a), np.tile(np.arange(len(a)), 2)
     # No covariance raises ln p by more than χ²/2, which excludes most records early.
+    has_partner = np.bincount(own, minlength=len(scan)) > 0
     possible = np.bincount(own, 0.5 * chi_sq[k], len(scan)) + log_odds > 0.0
+    assumed &= possible | ~has_partner
     own, other, k = own[possible[own]], other[possible[own]], k[possible[own]]
     if not len(own):
-        return scan
+        return _with_manoeuvres_of(scan, assumed)
+    rivals = Rivals.of(a, b, scan.source[a], scan.source[b])
+    best = rivals.most_free(log_pair_steady, chi_sq <= scan.tuning.manoeuvre_chi_sq)
     extra = manoeuvre_covariance(scan)
     log_with_d = log_density(delta[k], total[k] + extra[own, :2, :2])
     log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
     log_pair = np.maximum(log_pair_steady[k], log_pair_with_d)
     is_partner = log_pair == _group_maximum(own * len(scan.start) + scan.source[other], log_pair)
     log_manoeuvre = np.bincount(own[is_partner], (log_with_d - log_steady[k])[is_partner], len(scan)) + log_odds
-    manoeuvred = np.zeros(len(scan), bool)
+    assumed &= (log_manoeuvre > 0.0) | ~has_partner
     # No rival explains the other record without a manoeuvre, and the partners of all sources jointly favour one.
-    manoeuvred[own[(log_pair_with_d > best[k]) & (log_manoeuvre[own] > 0.0)]] = True
+    assumed[own[(log_pair_with_d > best[k]) & (log_manoeuvre[own] > 0.0)]] = True
+    return _with_manoeuvres_of(scan, assumed)
+
+
+def _assumed_before(scan: Scan, previous: Scan | None) -> BoolArray:
+    """(n,) whether a manoeuvre since the same report was assumed in the previous scan."""
+    out = np.zeros(len(scan), bool)
+    if previous is None:
+        return out
+    assumed = previous.manoeuvre_covariance[:, 0, 0] > 0.0
+    names = [description.name for description in previous.now.descriptions]
+    for s, description in enumerate(scan.now.descriptions):
+        if assumed.any() and description.name in names:
+            t = names.index(description.name)
+            before = np.arange(previous.start[t], previous.start[t + 1])
+            before, records = before[assumed[before]], slice(scan.start[s], scan.start[s + 1])
+            out[records] = np.isin(scan.row[records], previous.row[before])
+    return out
+
+
+def _with_manoeuvres_of(scan: Scan, manoeuvred: BoolArray) -> Scan:
+    """The scan with D added to the covariances of the records (n,) whose objects have manoeuvred."""
     if not manoeuvred.any():
         return scan
-    extra = np.where(manoeuvred[:, None, None], extra, 0.0)
+    extra = np.where(manoeuvred[:, None, None], manoeuvre_covariance(scan), 0.0)
     return replace(scan.with_covariance(extra), manoeuvre_covariance=extra)
 
 
