@@ -1,15 +1,14 @@
-"""Error models of the Autoferry sensors, learned from the truth of other scenarios than the one that is judged.
+"""Error models of the Autoferry sensors, estimated from the truth of the scenarios that are not tested.
 
-Of every look the detections on a vessel's hull are the vessel's, several of them share one vote, those on no hull are
-clutter. A detection lies anywhere on the hull, which lies in any direction: L²/24 per axis, of the lengths of vessels
-that may be there, which whoever describes his sensors knows. What errors along and across the sight leave beside it is
-learned: σ_r² + L²/24 along and (r σ_β)² + L²/24 across, of most likelihood. A radar's stamps are late by what brings
-its detections nearest to the vessels.
+In every scan, detections on a vessel's hull belong to the vessel and share a weight of 1; those on no hull are clutter.
+A detection lies anywhere on a hull of length L in any direction: variance L²/24 per axis, with the lengths given.
+Maximum likelihood gives σ_r and σ_β of σ_r² + L²/24 along and (r σ_β)² + L²/24 across the line of sight. The latency of
+the radar is the one that brings its detections closest to the vessels.
 
-The scenarios are few and unlike: two are of a fjord with a ship of 36 m, one of a canal. There cameras show more that
-is false than the fjord teaches, and a radar's stamps are a second less late. What that is worth was tried: with the
-density of all its own detections told as a camera's clutter, 90, 99 and 82 % of the instants were right with memory in
-scenarios 2, 4 and 17, and not 92, 96 and 95 %; in the canal's 60 instants of half a minute that is no firm number.
+The scenarios are few and different: two in a fjord with a ship of 36 m, one in a canal, where the cameras have more
+clutter and the radar is a second less late. With the density of all its own detections as each camera's clutter, 90, 99
+and 82 % of the instants were right with memory in scenarios 2, 4 and 17, instead of 92, 96 and 95 %; the canal has only
+60 instants within half a minute.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ from benchmarks.autoferry_scenes import (
     OPTICAL,
     RADAR,
     SENSORS,
-    off_hulls,
-    off_sights,
+    bearing_difference,
+    hull_bearing_distance,
+    hull_distance,
     scans_of,
     truth_of,
-    turned,
 )
 from sameas.tracks.source import (
     Clutter,
@@ -50,38 +49,38 @@ from sameas.tracks.source import (
 
 KIND = {LIDAR: "lidar", RADAR: "marine radar", INFRARED: "camera", OPTICAL: "camera"}
 NAME = {LIDAR: "lidar", RADAR: "radar", INFRARED: "infrared", OPTICAL: "electro-optical"}
-#: What nobody learns from detections: how vessels move, and that none of the sensors sees farther.
+#: Assumed, not estimated: the motion of the vessels, and the range of all sensors.
 MOTION, REACH_M = Motion(acceleration_m2_per_s3=0.1, speed_m_per_s=3.0), 300.0
-#: Misses by range between these; misses repeat themselves, so that looks within so many seconds count as one.
+#: Bins of range for the miss rate. Misses are correlated in time: scans within REPEATED_S count as one.
 RANGES_M, REPEATED_S = (0.0, 60.0, 90.0, 120.0, 160.0, REACH_M), 5.0
-#: Clutter of positions is counted within so many metres.
+#: Clutter of radar and lidar is counted within this range.
 CLUTTER_M = 150.0
 LATENCIES_S = np.arange(0.0, 3.01, 0.25)
 
 
 @dataclass(frozen=True)
 class Errors:
-    """σ along the sight in metres, and across in degrees, beside what the hull does."""
+    """σ along the line of sight in metres and across it in degrees, without the extent of the hull."""
 
     range_m: float
     bearing_deg: float
     of_camera: bool
 
-    def log_loss(self, shown: _Shown) -> float:
-        """−ln of the likelihood, but for a constant."""
-        hull = shown.half_m**2 / 6.0
-        across = (np.radians(self.bearing_deg) * shown.range_m) ** 2 + hull
-        parts = [(shown.along_m, self.range_m**2 + hull), (shown.across, across)]
+    def negative_log_likelihood(self, data: _Residuals) -> float:
+        """−ln likelihood, up to a constant."""
+        hull = data.half_m**2 / 6.0  # L²/24
+        across = (np.radians(self.bearing_deg) * data.range_m) ** 2 + hull
+        parts = [(data.along_m, self.range_m**2 + hull), (data.across, across)]
         if self.of_camera:
-            parts = [(shown.across, self.bearing_deg**2 + np.degrees(np.sqrt(hull) / shown.range_m) ** 2)]
+            parts = [(data.across, self.bearing_deg**2 + np.degrees(np.sqrt(hull) / data.range_m) ** 2)]
         return sum(
-            float(shown.share @ (0.5 * np.log(variance) + 0.5 * error**2 / variance)) for error, variance in parts
+            float(data.weight @ (0.5 * np.log(variance) + 0.5 * error**2 / variance)) for error, variance in parts
         )
 
 
 @dataclass(frozen=True)
-class Learned:
-    """Of one sensor: errors, q by range, probability of splits, clutter per m² or degree."""
+class SensorModel:
+    """One sensor: errors, latency, miss rate q by range, probability of a split, clutter per m² or degree."""
 
     errors: Errors
     latency_s: float
@@ -91,10 +90,10 @@ class Learned:
     clutter: float
 
     def describe(self, sensor: int, half_hull_m: Sequence[float]) -> Description:
-        """The sensor among vessels of these half lengths."""
-        own, extent = self.errors, float(np.sqrt(np.mean(np.square(half_hull_m)) / 6.0))
-        polar = SensorErrors(bearing_deg=own.bearing_deg, extent_m=extent)
-        plane = SensorErrors(own.range_m, 0.0, own.bearing_deg, extent_m=extent)
+        """The description of the sensor for vessels of these half lengths."""
+        errors, extent = self.errors, float(np.sqrt(np.mean(np.square(half_hull_m)) / 6.0))
+        polar = SensorErrors(bearing_deg=errors.bearing_deg, extent_m=extent)
+        plane = SensorErrors(errors.range_m, 0.0, errors.bearing_deg, extent_m=extent)
         camera = sensor in CAMERAS
         late = Timing(period_s=1.7, latency_s=self.latency_s, latency_sigma_s=0.5)
         return Description(
@@ -106,118 +105,120 @@ class Learned:
         )  # fmt: skip
 
 
-def learned_elsewhere(scenario: str, scenarios: Iterable[str]) -> dict[int, Learned]:
-    """The models of all sensors from the scenarios but this one."""
+def models_from_others(scenario: str, scenarios: Iterable[str]) -> dict[int, SensorModel]:
+    """The models of all sensors, estimated from the other scenarios."""
     others = [other for other in scenarios if other != scenario]
-    nearest = [_Shown.of(others, RADAR, late).median_m for late in LATENCIES_S.tolist()]
-    late = float(LATENCIES_S[int(np.argmin(nearest))])
-    return {sensor: _learned(others, sensor, late if sensor == RADAR else 0.0) for sensor in SENSORS}
+    distances = [_Residuals.of(others, RADAR, latency).median_m for latency in LATENCIES_S.tolist()]
+    latency_s = float(LATENCIES_S[int(np.argmin(distances))])
+    return {sensor: _estimated(others, sensor, latency_s if sensor == RADAR else 0.0) for sensor in SENSORS}
 
 
-def describe_all(models: dict[int, Learned], scenario: str) -> dict[int, Description]:
-    """The sensors among the vessels of a scenario."""
+def describe_all(models: dict[int, SensorModel], scenario: str) -> dict[int, Description]:
+    """The descriptions of all sensors for the vessels of a scenario."""
     return {sensor: model.describe(sensor, HALF_HULL_M[scenario]) for sensor, model in models.items()}
 
 
 @dataclass(frozen=True)
-class _Shown:
-    """What a sensor showed of the vessels.
+class _Residuals:
+    """The detections of a sensor against the truth.
 
-    range_m, half_m, along_m, across, share : (n,) of the detections that are the vessels': where, of which length,
-        their errors, across in metres, of cameras in degrees, and their parts of a vote. sight_m, missed : of every
-        look at a vessel its range, and whether it was missed. splits, clutter, looks : how many.
+    range_m, half_m, along_m, across, weight : (n,) of the detections of vessels: range and half length of the vessel,
+        residuals (across in metres, of cameras in degrees), weights. vessel_range_m, missed : of every scan and vessel.
+    splits, clutter, scans : counts.
     """
 
     range_m: np.ndarray
     half_m: np.ndarray
     along_m: np.ndarray
     across: np.ndarray
-    share: np.ndarray
-    sight_m: np.ndarray
+    weight: np.ndarray
+    vessel_range_m: np.ndarray
     missed: np.ndarray
     splits: int
     clutter: int
-    looks: int
+    scans: int
 
     @property
     def median_m(self) -> float:
         return float(np.median(np.hypot(self.along_m, self.across)))
 
     @classmethod
-    def of(cls, scenarios: Sequence[str], sensor: int, latency_s: float) -> _Shown:
-        """What it showed in several scenarios."""
-        parts = [_shown(scenario, sensor, latency_s) for scenario in scenarios]
+    def of(cls, scenarios: Sequence[str], sensor: int, latency_s: float) -> _Residuals:
+        """Those of several scenarios together."""
+        parts = [_residuals(scenario, sensor, latency_s) for scenario in scenarios]
         columns = [[getattr(part, f.name) for part in parts] for f in fields(cls)]
         joined: list[Any] = [np.concatenate(c) if isinstance(c[0], np.ndarray) else sum(c) for c in columns]
         return cls(*joined)
 
 
 @cache
-def _shown(scenario: str, sensor: int, latency_s: float) -> _Shown:
-    """All looks of a sensor in a scenario against the truth."""
-    own: list[tuple[float, ...]] = []
-    sights: list[tuple[float, bool]] = []
+def _residuals(scenario: str, sensor: int, latency_s: float) -> _Residuals:
+    """Those of one scenario."""
+    detections: list[tuple[float, ...]] = []
+    opportunities: list[tuple[float, bool]] = []
     splits = clutter = 0
-    truth, looks = truth_of(scenario), scans_of(scenario, sensor)
-    for look in looks:
-        arm = truth.at(look.time_s - latency_s) - look.own_m
-        away = np.hypot(*arm.T).tolist()
-        along, across, cost, near = _compared(sensor, look.seen, arm, truth.half_m)
-        clutter += int(((cost >= 1.0).all(axis=0) & near).sum())
+    truth, scans = truth_of(scenario), scans_of(scenario, sensor)
+    for scan in scans:
+        offset = truth.at(scan.time_s - latency_s) - scan.own_m
+        ranges = np.hypot(*offset.T).tolist()
+        along, across, distance, near = _compared(sensor, scan.measured, offset, truth.half_m)
+        clutter += int(((distance >= 1.0).all(axis=0) & near).sum())
         for v in (0, 1):
-            at = np.flatnonzero((cost[v] < 1.0) & (cost[v] <= cost[1 - v])).tolist()
-            sights.append((away[v], not at))
-            splits += max(len(at) - 1, 0)
-            own += [(away[v], truth.half_m[v], along[v, k], across[v, k], 1.0 / len(at)) for k in at]
-    sight_m, missed = np.array(sights).T
-    range_m, half_m, along_m, across_m_or_deg, share = np.array(own).T
-    return _Shown(
-        range_m, half_m, along_m, across_m_or_deg, share, sight_m, missed.astype(bool), splits, clutter, len(looks)
-    )
+            on_hull = np.flatnonzero((distance[v] < 1.0) & (distance[v] <= distance[1 - v])).tolist()
+            opportunities.append((ranges[v], not on_hull))
+            splits += max(len(on_hull) - 1, 0)
+            detections += [(ranges[v], truth.half_m[v], along[v, k], across[v, k], 1.0 / len(on_hull)) for k in on_hull]
+    vessel_range_m, missed = np.array(opportunities).T
+    range_m, half_m, along_m, across_m_or_deg, weight = np.array(detections).T
+    return _Residuals(
+        range_m, half_m, along_m, across_m_or_deg, weight, vessel_range_m, missed.astype(bool), splits, clutter,
+        len(scans),
+    )  # fmt: skip
 
 
 def _compared(
-    sensor: int, seen: np.ndarray, arm: np.ndarray, half: np.ndarray
+    sensor: int, measured: np.ndarray, offset: np.ndarray, half: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Per vessel (2, n) errors along and across and distance from the hull, below 1 on it; (n,) whether it is near."""
-    away = np.hypot(*arm.T)
+    """Per vessel (2, n) residuals along and across, and distance from the hull; (n,) whether within ``CLUTTER_M``."""
+    ranges = np.hypot(*offset.T)
     if sensor in CAMERAS:
-        across = turned(seen - np.degrees(np.arctan2(*arm.T))[:, None])
-        return np.zeros_like(across), across, off_sights(across, away, half), np.ones(len(seen), bool)
-    delta = seen - arm[:, None]
-    sight = arm / away[:, None]
+        across = bearing_difference(measured - np.degrees(np.arctan2(*offset.T))[:, None])
+        distance = hull_bearing_distance(across, ranges, half)
+        return np.zeros_like(across), across, distance, np.ones(len(measured), bool)
+    delta = measured - offset[:, None]
+    sight = offset / ranges[:, None]
     along = np.einsum("vnk,vk->vn", delta, sight)
     across = np.einsum("vnk,vk->vn", delta, np.column_stack([sight[:, 1], -sight[:, 0]]))
-    return along, across, off_hulls(delta, half), np.hypot(*seen.T) < CLUTTER_M
+    return along, across, hull_distance(delta, half), np.hypot(*measured.T) < CLUTTER_M
 
 
-def _learned(scenarios: Sequence[str], sensor: int, latency_s: float) -> Learned:
-    shown = _Shown.of(scenarios, sensor, latency_s)
-    # Two looks' worth of not knowing: half of them miss.
-    period_s = float(np.median(np.diff([look.time_s for look in scans_of(scenarios[0], sensor)])))
+def _estimated(scenarios: Sequence[str], sensor: int, latency_s: float) -> SensorModel:
+    data = _Residuals.of(scenarios, sensor, latency_s)
+    period_s = float(np.median(np.diff([scan.time_s for scan in scans_of(scenarios[0], sensor)])))
     weight = min(period_s / REPEATED_S, 1.0)
-    q, middle = [], []
+    q, mean_range_m = [], []
     for low, high in pairwise(RANGES_M):
-        here = (shown.sight_m >= low) & (shown.sight_m < high)
-        if here.any():
-            q.append((weight * float(shown.missed[here].sum()) + 1.0) / (weight * float(here.sum()) + 2.0))
-            middle.append(float(shown.sight_m[here].mean()))
+        in_bin = (data.vessel_range_m >= low) & (data.vessel_range_m < high)
+        if in_bin.any():
+            # Uniform prior: one more miss in two more scans.
+            q.append((weight * float(data.missed[in_bin].sum()) + 1.0) / (weight * float(in_bin.sum()) + 2.0))
+            mean_range_m.append(float(data.vessel_range_m[in_bin].mean()))
     space = 360.0 if sensor in CAMERAS else np.pi * CLUTTER_M**2
-    # One false detection more than was seen: none in some minutes is not none at all.
-    clutter = (shown.clutter + 1.0) / (shown.looks * space)
-    split = float(np.clip(shown.splits / shown.share.sum(), 0.02, 0.5))
-    return Learned(_fitted(shown, sensor), latency_s, tuple(q), tuple(middle), split, clutter)
+    # One more than counted, so that no clutter in some minutes does not become a rate of zero.
+    clutter = (data.clutter + 1.0) / (data.scans * space)
+    split = float(np.clip(data.splits / data.weight.sum(), 0.02, 0.5))
+    return SensorModel(_fitted(data, sensor), latency_s, tuple(q), tuple(mean_range_m), split, clutter)
 
 
-def _fitted(shown: _Shown, sensor: int) -> Errors:
-    """The errors of most likelihood."""
+def _fitted(data: _Residuals, sensor: int) -> Errors:
+    """The maximum likelihood errors."""
 
     def errors(logs: np.ndarray) -> Errors:
         range_m, bearing_deg = np.exp(logs).tolist()
         return Errors(range_m, bearing_deg, sensor in CAMERAS)
 
     def cost(logs: np.ndarray) -> float:
-        return errors(logs).log_loss(shown)
+        return errors(logs).negative_log_likelihood(data)
 
     bounds = [(np.log(0.2), np.log(10.0))] * 2
     best = minimize(cost, np.log([2.0, 2.0]), method="L-BFGS-B", bounds=bounds)

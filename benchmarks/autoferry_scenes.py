@@ -1,4 +1,4 @@
-"""The Autoferry scenarios: looks of the sensors and truth of the two vessels, and what a sensor shows of a vessel."""
+"""The Autoferry scenarios: scans of the sensors, GNSS truth of the two vessels, distances of detections from hulls."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ SCENARIOS = ("scenario2", "scenario4", "scenario17")
 LIDAR, RADAR, INFRARED, OPTICAL = 1, 2, 3, 4
 SENSORS = (LIDAR, RADAR, INFRARED, OPTICAL)
 CAMERAS = (INFRARED, OPTICAL)
-#: Half the length of the hulls: Havfruen, and Gunnerus (36 m) or the jet boat of the canal.
+#: Half the lengths of the hulls: Havfruen, and Gunnerus (36 m) or, in the canal, the jet boat.
 HALF_HULL_M = {"scenario2": (6.0, 18.0), "scenario4": (6.0, 18.0), "scenario17": (6.0, 5.0)}
-#: How far from the hull a detection may be and still be one of it.
+#: A detection farther than this from the hull is not one of the vessel.
 MARGIN_M, MARGIN_DEG = 8.0, 3.0
 
 
@@ -35,42 +35,42 @@ class Truth:
     half_m: np.ndarray
 
     def at(self, instant_s: float) -> np.ndarray:
-        """(2, 2) both vessels at an instant."""
+        """(2, 2) positions of both vessels at an instant."""
         pairs = zip(self.time_s, self.position, strict=True)
         return np.array([[np.interp(instant_s, t, x[:, axis]) for axis in (0, 1)] for t, x in pairs])
 
 
 @dataclass(frozen=True)
-class Look:
-    """One look of a sensor: from where, and what it shows: (n, 2) east and north of it, or (n,) bearings in degrees."""
+class Scan:
+    """One scan of a sensor. own_m : its position. measured : (n, 2) metres east, north of it, or (n,) bearings, deg."""
 
     time_s: float
     own_m: np.ndarray
-    seen: np.ndarray
+    measured: np.ndarray
 
 
 @cache
-def scans_of(scenario: str, sensor: int) -> tuple[Look, ...]:
-    """All looks of one sensor; a measurement is norths, then easts (radar, lidar), or bearings in radians (cameras)."""
-    looks = []
-    for look in _loaded(scenario, "detections"):
-        if look["sensorID"] == sensor:
-            seen = np.asarray(look["measurement"], dtype=np.float64).reshape(-1)
-            shown = np.degrees(seen) if sensor in CAMERAS else seen.reshape(2, -1)[::-1].T
-            looks.append(Look(look["time"], np.array(look["ownshipPosition"][::-1]), shown))
-    return tuple(looks)
+def scans_of(scenario: str, sensor: int) -> tuple[Scan, ...]:
+    """All scans of one sensor. The file has norths, then easts (radar, lidar), or bearings in radians (cameras)."""
+    scans = []
+    for scan in _loaded(scenario, "detections"):
+        if scan["sensorID"] == sensor:
+            values = np.asarray(scan["measurement"], dtype=np.float64).reshape(-1)
+            measured = np.degrees(values) if sensor in CAMERAS else values.reshape(2, -1)[::-1].T
+            scans.append(Scan(scan["time"], np.array(scan["ownshipPosition"][::-1]), measured))
+    return tuple(scans)
 
 
 @cache
 def truth_of(scenario: str) -> Truth:
     """The truth of one scenario, in metres east and north of the data set's origin."""
     rows = [row for rows in _loaded(scenario, "groundTruth") for row in (rows if isinstance(rows, list) else [rows])]
-    times, places = [], []
+    times, positions = [], []
     for vessel in (1, 2):
         own = {row["time"]: row["position"][1::-1] for row in rows if row["targetID"] == vessel}
         times.append(np.array(sorted(own)))
-        places.append(np.array([own[t] for t in sorted(own)]))
-    return Truth(tuple(times), tuple(places), np.array(HALF_HULL_M[scenario]))
+        positions.append(np.array([own[t] for t in sorted(own)]))
+    return Truth(tuple(times), tuple(positions), np.array(HALF_HULL_M[scenario]))
 
 
 def _loaded(scenario: str, what: str) -> list[Any]:
@@ -79,37 +79,38 @@ def _loaded(scenario: str, what: str) -> list[Any]:
 
 
 def scene_of(scenario: str, describe: dict[int, Description]) -> Scene:
-    """The scene as these descriptions of the sensors have it."""
+    """The scene with these descriptions of the sensors."""
     return Scene(tuple(_feed(describe[sensor], scans_of(scenario, sensor), sensor) for sensor in SENSORS))
 
 
-def _feed(description: Description, looks: tuple[Look, ...], sensor: int) -> Feed:
+def _feed(description: Description, scans: tuple[Scan, ...], sensor: int) -> Feed:
     columns: dict[str, list[float]] = {name: [] for name in ("time_s", "bearing_deg", "station_x_m", "station_y_m")}
     distance: list[float] = []
-    for look in looks:
-        bearing = look.seen
+    for scan in scans:
+        bearing = scan.measured
         if sensor not in CAMERAS:
-            distance += list(np.hypot(*look.seen.T))
-            bearing = np.degrees(np.arctan2(*look.seen.T))
+            distance += list(np.hypot(*scan.measured.T))
+            bearing = np.degrees(np.arctan2(*scan.measured.T))
         columns["bearing_deg"] += list(bearing)
-        for name, value in (("time_s", look.time_s), ("station_x_m", look.own_m[0]), ("station_y_m", look.own_m[1])):
+        for name, value in (("time_s", scan.time_s), ("station_x_m", scan.own_m[0]), ("station_y_m", scan.own_m[1])):
             columns[name] += [value] * len(bearing)
-    said = columns if sensor in CAMERAS else columns | {"range_m": distance}
-    looked = [look.time_s - (description.timing.latency_s or 0.0) for look in looks]
-    return Feed.of(description, Reports.of(description.name, "table", said), scan_times_s=looked)
+    if sensor not in CAMERAS:
+        columns["range_m"] = distance
+    times = [scan.time_s - (description.timing.latency_s or 0.0) for scan in scans]
+    return Feed.of(description, Reports.of(description.name, "table", columns), scan_times_s=times)
 
 
-def off_hulls(delta_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
-    """(2, n) how far positions lie from the vessels, (2, n, 2) metres off them, below 1 where on the hull."""
+def hull_distance(delta_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """(2, n) scaled distances of positions from the vessels, below 1 on the hull; delta_m : (2, n, 2) offsets."""
     return np.asarray(np.linalg.norm(delta_m, axis=2) / (MARGIN_M + half_m)[:, None])
 
 
-def off_sights(delta_deg: np.ndarray, range_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
-    """(2, n) how far bearings lie from those of the vessels at these ranges (2,), below 1 where on the hull."""
-    wide = MARGIN_DEG + np.degrees(np.arctan2(half_m, range_m))
-    return np.asarray(np.abs(delta_deg) / wide[:, None])
+def hull_bearing_distance(delta_deg: np.ndarray, range_m: np.ndarray, half_m: np.ndarray) -> np.ndarray:
+    """(2, n) scaled distances of bearings from the vessels at ranges (2,), below 1 on the hull; delta_deg : (2, n)."""
+    half_width_deg = MARGIN_DEG + np.degrees(np.arctan2(half_m, range_m))
+    return np.asarray(np.abs(delta_deg) / half_width_deg[:, None])
 
 
-def turned(angle_deg: np.ndarray) -> np.ndarray:
-    """Differences of bearings from −180° to 180°."""
+def bearing_difference(angle_deg: np.ndarray) -> np.ndarray:
+    """Differences of bearings, wrapped to −180° to 180°."""
     return np.asarray((angle_deg + 180.0) % 360.0 - 180.0)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from benchmarks import autoferry, memory, motion
-from benchmarks.autoferry_models import describe_all, learned_elsewhere
+from benchmarks.autoferry_models import describe_all, models_from_others
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
 from benchmarks.picture import World, solent
 from benchmarks.tables import Table, report
@@ -231,7 +231,7 @@ def alarms(scenes: int) -> Table:
     notes = ["false: alarms of another kind than the fault"]
     if FOLDER.exists():
         count = sum(
-            len(source_faults(scene_of(name, describe_all(learned_elsewhere(name, SCENARIOS), name)).feeds))
+            len(source_faults(scene_of(name, describe_all(models_from_others(name, SCENARIOS), name)).feeds))
             for name in SCENARIOS
         )
         notes.append(f"autoferry, {len(SCENARIOS)} recordings as they are: {count} alarms")
@@ -315,7 +315,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield alarms(min(options.scenes, 20))
     if "positions" in options.only and FOLDER.exists():
         yield autoferry.positions(0.5)
-        yield autoferry.untold(0.5)
+        yield autoferry.kinds_only(0.5)
     if "memory" in options.only:
         yield from memory.table(every_s=30.0, seeds=1, only="")
     if "deception" in options.only and (table := deceptions(min(options.scenes, 10))) is not None:
