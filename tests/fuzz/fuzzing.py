@@ -445,11 +445,12 @@ class Fuzzer:
                 if at == end:
                     break
             if at < end:
+                silent = process.poll() is None
                 process.kill()
                 code = process.wait()
                 self.process = None
-                hung = code in (-signal.SIGKILL, -signal.SIGXCPU)
-                found.add(at, 0.0, "hung" if hung else f"ended the process ({code})")
+                hung = silent or code == -signal.SIGXCPU
+                found.add(at, 0.0, "hung" if hung else f"ended the process ({code})")  # -9: killed from outside
                 at += 1
         return found
 
