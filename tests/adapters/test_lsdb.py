@@ -1,4 +1,4 @@
-"""LSDB's crossmatch decided one to one: the pairs of our own run, and joins that cannot be right are refused."""
+"""LSDB crossmatch with one-to-one decisions: the pairs of our own run; invalid joins are refused."""
 
 import importlib.util
 
@@ -46,7 +46,7 @@ def opened(frame, margin, order):
     )
 
 
-def test_lsdb_gives_the_pairs_and_probabilities_of_our_own_run(both):
+def test_lsdb_gives_the_pairs_and_probabilities_of_match(both):
     found, (a, b), told = both
     algorithm = one_to_one(found)
     margin = np.ceil(algorithm.halo_arcsec)
@@ -59,7 +59,7 @@ def test_lsdb_gives_the_pairs_and_probabilities_of_our_own_run(both):
     assert max(abs(p - mine[i][1]) for i, p in zip(pairs["id_1"], pairs["p_match"], strict=True)) < 1e-6
 
 
-def test_joins_and_margins_that_cannot_be_right_are_refused(both):
+def test_joins_and_margins_that_would_be_wrong_are_refused(both):
     found, (a, b), _ = both
     algorithm = one_to_one(found)
     wide = np.ceil(algorithm.halo_arcsec)

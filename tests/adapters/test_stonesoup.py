@@ -1,4 +1,4 @@
-"""Behind Stone Soup's verb: sets of tracks in, associations out, as identify_many decides them."""
+"""Stone Soup adapter: sets of tracks in, associations of identify_many out."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def names_of(associations):
     return {frozenset(track.id for track in one.objects) for one in associations}
 
 
-def test_tracks_at_other_times_are_brought_together_by_the_predictor():
+def test_tracks_of_different_times_are_aligned_by_the_predictor():
     rng, states = scene(1)
     radar = tracks_of(rng, states[:17], 25.0, 0.0, [f"r{k}" for k in range(17)])
     ais = tracks_of(rng, states[3:], 10.0, 7.5, [f"a{k}" for k in range(3, 20)])
@@ -68,7 +68,7 @@ def test_tracks_at_other_times_are_brought_together_by_the_predictor():
     assert {track.id for track in alone_ais} == {"a17", "a18", "a19"}
 
 
-def test_three_sets_are_one_question_whatever_their_order():
+def test_three_sets_are_associated_jointly_in_any_order():
     rng, states = scene(2, 12)
     sets = [
         tracks_of(rng, states[rows], sigma, 0.0, [f"{letter}{k}" for k in rows])
@@ -84,7 +84,7 @@ def test_three_sets_are_one_question_whatever_their_order():
 
 
 @pytest.mark.slow
-def test_no_threshold_is_needed_where_theirs_would_have_to_be_found():
+def test_no_tuned_threshold_is_needed():
     """Their one-to-one associator within nine standard deviations, of the first track's covariance, and ours."""
 
     class LastMahalanobis(TrackMeasure):
@@ -106,7 +106,7 @@ def test_no_threshold_is_needed_where_theirs_would_have_to_be_found():
     assert ours < theirs
 
 
-def test_what_cannot_be_done_is_said():
+def test_unsupported_input_is_refused():
     rng, states = scene(3, 6)
     radar, ais = (tracks_of(rng, states, 10.0, at, [f"{at}-{k}" for k in range(6)]) for at in (0.0, 5.0))
     with pytest.raises(InputError, match="give a predictor"):

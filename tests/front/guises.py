@@ -1,4 +1,4 @@
-"""One small field of two surveys, in every guise that holds positions."""
+"""One small field of two surveys, in every container type that can hold positions."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from astropy.time import Time
 
 
 class Field:
-    """Columns of two surveys of one field: the second sees every row of the first, 16 years earlier, shuffled."""
+    """Columns of two surveys of one field: the second has every star of the first, 16 years earlier, shuffled."""
 
     def __init__(self):
         rng = np.random.default_rng(5)

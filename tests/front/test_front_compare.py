@@ -1,4 +1,4 @@
-"""Two outputs compared, against what was changed between them."""
+"""Comparison of two outputs with known differences."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def tables():
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("ending", ["fits", "csv", "parquet"])
-def test_what_changed_is_told_and_nothing_else(tables, tmp_path, ending: str) -> None:
+def test_only_actual_changes_are_listed(tables, tmp_path, ending: str) -> None:
     first, second, swapped = tables
     for name, other in (("before", second), ("after", swapped)):
         sameas.match({**first}, other, sigma=0.2, id="name").write(tmp_path / f"{name}.{ending}")
@@ -37,7 +37,7 @@ def test_what_changed_is_told_and_nothing_else(tables, tmp_path, ending: str) ->
     assert "0 of 20 are of another object" in same and "10 objects" in same
 
 
-def test_a_partner_that_the_other_table_does_not_have_is_another_answer(tmp_path) -> None:
+def test_a_partner_missing_from_the_other_table_is_a_difference(tmp_path) -> None:
     first = {"ra": [10.0, 10.1], "dec": [0.0, 0.0], "name": ["a0", "a1"]}
     for name, nearer in (("before", "b0"), ("after", "b2")):
         other = {"ra": [10.00001, 10.10001], "dec": [0.0, 0.0], "name": [nearer, "b1"]}
@@ -47,7 +47,7 @@ def test_a_partner_that_the_other_table_does_not_have_is_another_answer(tmp_path
     assert "first a0" in told and "second b0, probability" in told and "second b2, probability" in told
 
 
-def test_every_candidate_of_a_join_of_all_is_no_second_answer(tables, tmp_path) -> None:
+def test_extra_candidates_of_a_join_of_all_are_no_difference(tables, tmp_path) -> None:
     first, second, _ = tables
     ra, dec = (np.concatenate([np.asarray(second[name]), np.asarray(second[name])]) for name in ("ra", "dec"))
     ra[10:] += 0.3 / 3600.0
@@ -59,7 +59,7 @@ def test_every_candidate_of_a_join_of_all_is_no_second_answer(tables, tmp_path) 
 
 
 @pytest.mark.slow
-def test_a_sensor_left_out_is_no_difference_by_itself(tmp_path) -> None:
+def test_an_excluded_sensor_is_no_difference_by_itself(tmp_path) -> None:
     times = np.arange(0.0, 60.0, 5.0)
     ais = {"time": times, "mmsi": ["235000001"] * 12, "x_m": 5.0 * times, "y_m": 0.0 * times}
     radar = {"time": times, "track_id": ["7"] * 12, "x_m": 5.0 * times + 2.0, "y_m": 0.0 * times}
@@ -74,7 +74,7 @@ def test_a_sensor_left_out_is_no_difference_by_itself(tmp_path) -> None:
     assert "6 in both; 3 only in with" in told and "0 of 6 are of another object" in told
 
 
-def test_the_command_says_it_and_refuses_what_has_nothing_in_common(tables, tmp_path) -> None:
+def test_the_command_compares_and_refuses_unrelated_outputs(tables, tmp_path) -> None:
     from typer.testing import CliRunner
 
     first, second, swapped = tables

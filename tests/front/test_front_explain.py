@@ -1,4 +1,4 @@
-"""`sameas.explain`: why, from what an output holds."""
+"""`sameas.explain`: explanations from the contents of an output."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_a_record_of_the_second(match, tmp_path):
         sameas.explain(path, "b3", source=3)
 
 
-def test_every_candidate_is_told_where_the_table_has_them(match, tmp_path):
+def test_every_candidate_is_listed_if_the_table_has_them(match, tmp_path):
     path = tmp_path / "pairs.fits"
     match.write(path, "pairs")
     row = int(np.argmax(match.identification.answers_1.candidates.filled(0)))

@@ -1,4 +1,4 @@
-"""`sameas.match_frame`: a frame and whatever holds stars, and what the result offers."""
+"""`sameas.match_frame`: a frame against any catalogue input, and the methods of its result."""
 
 from typing import Any
 
@@ -62,7 +62,7 @@ def test_a_frame_is_matched_with_a_table(made, found):
     assert middle.separation(SkyCoord(*WHERE, unit="deg")).arcsec < 1.0
 
 
-def test_the_report_says_what_the_catalogue_was_taken_for(found):
+def test_the_report_describes_the_interpretation_of_the_catalogue(found):
     report = found.report()
     for words in ("Frame: m.fits", "Catalogue: catalogue", "ra_error, dec_error [mas, by convention]",
                   "names of: Gaia archive", "Found in catalogue"):  # fmt: skip
@@ -98,7 +98,7 @@ def test_pictures_and_notebooks(found):
 
 
 @pytest.mark.slow
-def test_what_is_lacking_is_named_as_python_has_it(made):
+def test_missing_values_are_named_as_python_arguments(made):
     path, stars = made
     refused: dict[str, dict[str, Any]] = {
         "no plate solution and no aim in the header; give aim=RA,DEC and scale=LO,HI": {},

@@ -1,4 +1,4 @@
-"""`sameas.match_many`: several sources at once, and what the result offers."""
+"""`sameas.match_many`: several sources jointly, and the methods of the result."""
 
 from typing import Any
 
@@ -41,7 +41,7 @@ def found(three):
 
 
 @pytest.mark.slow
-def test_an_offset_of_one_catalogue_is_found_and_taken_away(three, found):
+def test_an_offset_of_one_catalogue_is_found_and_removed(three, found):
     assert names(found) == (90, 90)
     assert set(found.sky.rotations) == {"second", "third"}
     rotation = found.sky.rotations["third"]
@@ -49,7 +49,7 @@ def test_an_offset_of_one_catalogue_is_found_and_taken_away(three, found):
     assert "offset                added to third: " in found.report()
     seen = found.joined(3)
     off = sphere_offset(seen["ra_object"].data, seen["dec_object"].data, seen["ra_1"].data, seen["dec_1"].data)
-    assert np.abs(off).max() < 0.5  # places are on the frame of the most precise catalogue
+    assert np.abs(off).max() < 0.5  # positions are in the frame of the most precise catalogue
     without = sameas.match_many(*three, sigma1=0.05, sigma2=0.1, sigma3=0.2)
     assert any("offset='find'" in doubt for doubt in without.doubts)
 
@@ -61,7 +61,7 @@ def test_the_order_of_the_catalogues_changes_nothing(three, found):
 
 
 @pytest.mark.slow
-def test_it_takes_what_match_takes(three):
+def test_match_many_accepts_all_input_types_of_match(three):
     columns = [{name: values for name, values in one.items() if name != "name"} for one in three[:2]]
     plain = sameas.match_many(*columns, sigma=0.1)
     for guise in ("pandas", "lazy polars", "table"):
@@ -80,7 +80,7 @@ def test_records_are_explained_by_id_and_by_row(found):
             found.explain(**options)
 
 
-def test_a_written_table_says_how_it_was_made(found, tmp_path):
+def test_a_written_table_has_its_provenance(found, tmp_path):
     found.write(tmp_path / "objects.fits", 2)
     facts = read_provenance(tmp_path / "objects.fits")
     assert facts["command"].startswith("sameas.match_many(dict, dict, dict, offset='find'")
@@ -88,7 +88,7 @@ def test_a_written_table_says_how_it_was_made(found, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_command_takes_the_option_that_its_doubt_names(three, tmp_path, monkeypatch):
+def test_the_command_accepts_the_option_named_by_its_doubt(three, tmp_path, monkeypatch):
     from astropy.table import Table
     from typer.testing import CliRunner
 

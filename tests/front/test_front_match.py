@@ -1,4 +1,4 @@
-"""`sameas.match`: anything that holds positions goes in, and what the result offers."""
+"""`sameas.match`: all input types, and the methods of the result."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ from sameas.sky import Catalogue, CatalogueOptions
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("guise", GUISES)
-def test_whatever_holds_positions_is_matched_alike(stars, in_memory, guise):
+def test_all_input_types_give_the_same_match(stars, in_memory, guise):
     first, second = GUISES[guise](stars.first), GUISES[guise](stars.second)
     found = sameas.match(first, second, sigma=0.05)
     assert found.pairs["row_2"].tolist() == stars.partner().tolist() == in_memory.pairs["row_2"].tolist()
@@ -28,7 +28,7 @@ def test_whatever_holds_positions_is_matched_alike(stars, in_memory, guise):
     assert len(found.table) == len(stars.ra) and found.table["sep_arcsec"].unit == "arcsec"
 
 
-def test_guises_mix(stars):
+def test_input_types_can_be_mixed(stars):
     found = sameas.match(GUISES["skycoord"](stars.first), GUISES["lazy polars"](stars.second), sigma=0.05)
     assert len(found) == len(stars.ra) and found.sky.moved.startswith("first moved from 2016.00 to 2000.00")
 
@@ -43,7 +43,7 @@ def test_paths_and_catalogues(stars, tmp_path):
         assert found.names == ("first", "plate") and len(found) == len(stars.ra)
 
 
-def test_the_command_and_python_write_the_same(stars, tmp_path, monkeypatch):
+def test_the_command_and_python_write_equal_tables(stars, tmp_path, monkeypatch):
     from typer.testing import CliRunner
 
     from sameas.cli.app import app
@@ -67,7 +67,7 @@ def test_the_command_and_python_write_the_same(stars, tmp_path, monkeypatch):
     assert differ <= {"date_utc", "options_1", "options_2", "doubts"}  # options come as text from a command line
 
 
-def test_a_galactic_skycoord_is_turned_to_icrs_with_its_motion(stars):
+def test_a_galactic_skycoord_is_transformed_to_icrs_with_its_motion(stars):
     first = GUISES["skycoord"](stars.first).galactic
     found = sameas.match(first, stars.second, sigma=0.05)
     assert found.pairs["row_2"].tolist() == stars.partner().tolist()
@@ -86,7 +86,7 @@ def test_a_skycoord_with_times_of_its_own_and_distances():
     assert np.allclose(astrometry.radial_velocity_km_per_s, [5.0, 6.0])
 
 
-def test_masked_quantities_and_times_come_through_the_join():
+def test_masked_quantities_and_times_survive_the_join():
     first = QTable({
         "ra": [10.0, 10.1, 10.2] * u.deg, "dec": [20.0, 20.1, 20.2] * u.deg,
         "flux": MaskedColumn([1.0, 2.0, 3.0], mask=[False, True, False], unit="Jy"),
@@ -150,7 +150,7 @@ def test_records_give_indices():
     assert sameas.match(radar, ais, error_scale=1).estimate.errors == sameas.Errors()
 
 
-def test_records_on_the_sphere_carry_their_table():
+def test_records_on_the_sphere_keep_their_table():
     place = np.array([[10.0, 20.0], [10.1, 20.1]])
     table = Table({"star": ["a", "b"]})
     first = Records.of(place, sigma=0.1, space=Sphere(), source="one", table=table)
@@ -158,7 +158,7 @@ def test_records_on_the_sphere_carry_their_table():
     assert found.table["star"].tolist() == ["a", "b"] and found.table["sep_arcsec"].unit == "arcsec"
 
 
-def test_a_written_table_says_how_it_was_made(stars, in_memory, tmp_path):
+def test_a_written_table_has_its_provenance(stars, in_memory, tmp_path):
     path = tmp_path / "out.fits"
     in_memory.write(path)
     facts = read_provenance(path)
@@ -201,7 +201,7 @@ def test_refusals_name_the_options_as_python_has_them(stars, words):
         sameas.match(stars.first, stars.second, **REFUSED[words])
 
 
-def test_what_holds_no_positions_is_refused(stars, in_memory):
+def test_input_without_positions_is_refused(stars, in_memory):
     for wrong, words in ((3, "int does not hold positions; give a path"), ([1, 2], "list does not"),
                          (np.zeros((3, 2)), "numpy ndarray does not hold positions")):  # fmt: skip
         with pytest.raises(InputError, match=words):
@@ -244,7 +244,7 @@ def test_one_table_given_twice_is_doubted(stars):
 
 
 @pytest.mark.slow
-def test_objects_given_twice_with_errors_of_their_own_are_doubted():
+def test_duplicate_objects_with_their_own_errors_are_doubted():
     rng = np.random.default_rng(4)
     place, sigma = rng.uniform([40.0, 0.0], [40.05, 0.05], (600, 2)), 0.2 / 3600.0
 
@@ -262,7 +262,7 @@ def test_objects_given_twice_with_errors_of_their_own_are_doubted():
     assert doubt.startswith("in second ") and "one object given twice" in doubt and "p_second" in doubt
 
 
-def test_libraries_of_data_frames_are_not_imported_for_others():
+def test_data_frame_libraries_are_imported_only_for_data_frames():
     program = (
         "import sys, sameas; sameas.match({'ra': [1.0, 2.0], 'dec': [1.0, 2.0]}, {'ra': [1.0], 'dec': [1.0]}, sigma=1);"
         "print(sorted({'pandas', 'polars', 'matplotlib'} & set(sys.modules)))"
@@ -271,7 +271,7 @@ def test_libraries_of_data_frames_are_not_imported_for_others():
     assert run.stdout.strip() == "[]"
 
 
-def test_names_of_columns_that_are_no_text_or_stand_twice(stars):
+def test_column_names_that_are_no_text_or_repeated(stars):
     """Data frames have numbers, tuples and twins for names."""
     pandas, pyarrow = pytest.importorskip("pandas"), pytest.importorskip("pyarrow")
     frame = pandas.DataFrame(stars.first)
@@ -324,6 +324,6 @@ def test_a_right_ascension_that_is_infinite_is_set_aside_without_a_warning(stars
         ({"ra": [1.0], "dec": "x"}, "first: dec is a single value, not a column"),
     ],
 )
-def test_columns_that_are_no_table_are_refused_in_words(columns, words):
+def test_columns_that_are_no_table_are_refused_with_a_clear_message(columns, words):
     with pytest.raises(sameas.InputError, match=words):
         sameas.match(columns, {"ra": [1.0], "dec": [1.0]})

@@ -1,4 +1,4 @@
-"""Values print in at most ten lines; results and pictures show themselves in notebooks."""
+"""Values print in at most ten lines; results and pictures have notebook representations."""
 
 import dataclasses
 import importlib
@@ -17,7 +17,7 @@ PACKAGES = ("sameas", "sameas.sky", "sameas.tracks", "sameas.picture", "sameas.s
 
 
 def reachable(value, found):
-    """Every object of ours that hangs on a value, by its class."""
+    """All sameas objects reachable from a value, by class."""
     kind = type(value)
     if not kind.__module__.startswith("sameas") or kind in found:
         return found
@@ -69,7 +69,7 @@ def test_public_dataclasses_of_arrays_print_in_short(package):
         assert not holds or own != f"{kind.__qualname__}.__repr__" or "__repr__" in inspect.getsource(kind), name
 
 
-def test_arrays_are_told_by_kind_and_shape():
+def test_arrays_are_printed_by_dtype_and_shape():
     @in_short
     @dataclasses.dataclass(frozen=True)
     class Many:
@@ -85,7 +85,7 @@ def test_arrays_are_told_by_kind_and_shape():
 
 
 @pytest.mark.slow
-def test_results_show_themselves_in_notebooks(in_memory):
+def test_results_have_notebook_representations(in_memory):
     pytest.importorskip("matplotlib")
     html = in_memory._repr_html_()
     assert (

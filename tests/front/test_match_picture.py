@@ -1,4 +1,4 @@
-"""A picture in one call: the command's answer from Python, from files and from tables in memory."""
+"""`match_picture`: the command's result from Python, from files and from tables in memory."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def found(toml):
 
 
 @pytest.mark.slow
-def test_tables_in_memory_make_the_picture_that_their_files_make(found, toml, tmp_path) -> None:
+def test_tables_in_memory_and_files_give_the_same_picture(found, toml, tmp_path) -> None:
     pd = pytest.importorskip("pandas")
     ais, radar = harbour()
     pd.DataFrame(ais).to_csv(tmp_path / "ais.csv", index=False)
@@ -65,7 +65,7 @@ def test_tables_in_memory_make_the_picture_that_their_files_make(found, toml, tm
         np.testing.assert_allclose(other.objects["x_m"].filled(0), found.objects["x_m"].filled(0), atol=1e-3)
 
 
-def test_it_answers_as_other_results_do(found, tmp_path) -> None:
+def test_the_result_has_the_methods_of_other_results(found, tmp_path) -> None:
     assert len(found) == len(found.picture.instants_s) == 6
     assert {"object", "members", "probability"} <= set(found.table.colnames)
     assert {"source", "row", "object", "p_object"} <= set(found.pairs.colnames)
@@ -85,7 +85,7 @@ def test_it_answers_as_other_results_do(found, tmp_path) -> None:
     assert summary["command"].startswith("sameas.match_picture(dict, dict, sensors=") and summary["files"] == []
 
 
-def test_a_sensor_left_out_and_an_instant(toml) -> None:
+def test_an_excluded_sensor_and_a_single_instant(toml) -> None:
     ais, radar = harbour()
     sources = {"ais": ais, "radar": radar}
     alone = sameas.match_picture(sources, sensors=toml, at=START + 60.0, without="ais")

@@ -1,4 +1,4 @@
-"""A live picture of a small harbour, fed by a replay or by wires, and served for real."""
+"""A live picture of a small harbour, fed by a replay or by sockets, and served over HTTP."""
 
 import asyncio
 import contextlib
@@ -23,7 +23,7 @@ EVIL = "<img src=x onerror=alert(1)>"
 
 
 def harbour(ships=5, until_s=200.0, seed=3):
-    """AIS of ships, one with a name that is markup, and a radar's targets on top."""
+    """AIS of ships, one of them named with markup, and radar targets at the same positions."""
     rng = np.random.default_rng(seed)
     place, speed = rng.uniform(-3000.0, 3000.0, (ships, 2)), rng.normal(0.0, 5.0, (ships, 2))
     rows = {"ais": [], "radar": []}
@@ -67,11 +67,11 @@ def replay(pace=20.0, **made):
 
 @contextlib.contextmanager
 def served(keeper, access=None):
-    """The address of a real uvicorn that serves a keeper while it runs, in a thread of its own."""
+    """URL of a uvicorn server of a running keeper, in its own thread."""
     import uvicorn
 
     class Server(uvicorn.Server):
-        """One that leaves signals alone: only the main thread may catch them."""
+        """A server without signal handlers, which only the main thread may install."""
 
         @contextlib.contextmanager
         def capture_signals(self):
@@ -104,5 +104,5 @@ def served(keeper, access=None):
 
 @pytest.fixture
 def keeper(tmp_path):
-    # Long enough for a busy machine: a replay that has ended shows no ships any more.
+    # Long enough for a busy machine: a replay that has ended shows no ships.
     return Keeper(settings(), tmp_path / "state", replay=replay(until_s=2400.0))

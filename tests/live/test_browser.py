@@ -1,4 +1,4 @@
-"""The live map in a browser that really draws it; every page as long as the whole suite of units, so slow."""
+"""The live map in a real browser (slow)."""
 
 import time
 
@@ -11,7 +11,7 @@ from sameas.live.server import Access
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
 
 
-def test_the_map_goes_on_looks_back_and_runs_nothing_that_a_ship_says(keeper, tmp_path):
+def test_the_map_updates_shows_the_past_and_runs_no_markup_in_names(keeper, tmp_path):
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:
@@ -19,7 +19,7 @@ def test_the_map_goes_on_looks_back_and_runs_nothing_that_a_ship_says(keeper, tm
             first = page.js("mapPage.live.tick")
             page.until(f"mapPage.live.tick > {first + 4}")
             assert page.js("mapPage.now.time") == pytest.approx(page.js("mapPage.live.present.t"), abs=21.0)
-            # The name that is markup is a text.
+            # A name with markup stays text.
             page.until(f"[...document.querySelectorAll('#rows .label')].some(e => e.textContent === {EVIL!r})")
             assert page.js("document.querySelectorAll('img').length") == 0
             number = next(n for n, row in keeper.frame.object_rows.items() if EVIL in row)
@@ -68,7 +68,7 @@ def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path
         assert any(one["acknowledged_by"] for one in keeper.alarm_list())
 
 
-def test_the_page_says_when_no_news_come(keeper, tmp_path):
+def test_the_page_reports_a_lost_connection(keeper, tmp_path):
     with served(keeper) as url:
         page = Browser(tmp_path / "profile", url)
         try:

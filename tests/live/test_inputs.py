@@ -1,4 +1,4 @@
-"""Inputs: real sockets on the loopback; a wire that breaks is connected again, a flood drops the oldest."""
+"""Inputs: real sockets on the loopback; broken connections are restored, a flood drops the oldest data."""
 
 import asyncio
 import json
@@ -28,7 +28,7 @@ async def until(true, seconds=60.0):
 
 
 @pytest.mark.parametrize("group", ["127.0.0.1", "239.192.77.1"])
-def test_datagrams_come_in_from_a_place_and_from_a_group(group):
+def test_unicast_and_multicast_datagrams_are_received(group):
     async def run():
         port = free_port(socket.SOCK_DGRAM)
         wire = Wire(f"udp://{group}:{port}?interface=127.0.0.1", ReportStream("coast", "table"))
@@ -37,7 +37,7 @@ def test_datagrams_come_in_from_a_place_and_from_a_group(group):
         assert not wire.state.error
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
             out.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-            # Without an end of line: the datagram is its end.
+            # Without a line end: the end of the datagram ends the line.
             out.sendto(LINE.strip(), (group, port))
         await until(lambda: len(wire.queue))
         [reports] = wire.take()
@@ -48,7 +48,7 @@ def test_datagrams_come_in_from_a_place_and_from_a_group(group):
 
 
 @pytest.mark.slow
-def test_a_wire_that_breaks_is_connected_again():
+def test_a_broken_connection_is_restored():
     async def run():
         port, served = free_port(), []
 
@@ -71,7 +71,7 @@ def test_a_wire_that_breaks_is_connected_again():
     assert reports.mmsi.tolist()[:2] == ["235070762", "235070763"] and wire.state.connections >= 2
 
 
-def test_who_connects_to_us_is_heard():
+def test_incoming_connections_are_read():
     async def run():
         port = free_port()
         wire = Wire(f"tcp-listen://127.0.0.1:{port}", ReportStream("coast", "table"))
@@ -90,14 +90,14 @@ def test_who_connects_to_us_is_heard():
     assert len(asyncio.run(run()).take()[0]) == 1
 
 
-def test_a_flood_drops_the_oldest_and_counts_them():
+def test_a_flood_drops_and_counts_the_oldest_data():
     queue = BoundedQueue(100)
     for k in range(50):
         queue.put(bytes([k]) * 10, float(k), False)
     assert queue.dropped == 40 and [piece[0] for piece in queue.take(1000)] == list(range(40, 50)) and not len(queue)
 
 
-def test_a_wire_that_is_none_is_refused():
+def test_an_invalid_input_address_is_refused():
     for url in ("carrier-pigeon://loft", "udp://10.0.0.1"):
         with pytest.raises(InputError, match="input"):
             Wire(url, ReportStream("x"))

@@ -1,4 +1,4 @@
-"""The keeper: its journal and state survive a kill, its alarms begin and end, bad input ends nothing."""
+"""The keeper: journal and state survive a kill, alarms begin and end, bad input never stops it."""
 
 import asyncio
 import contextlib
@@ -32,7 +32,7 @@ from sameas.tracks.reports import Reports
 
 
 def numbers(frame):
-    """MMSI to the number of the object."""
+    """{MMSI: object number}."""
     return {m: n for m, n in zip(frame.objects["mmsi"].tolist(), frame.objects["object"].tolist(), strict=True) if m}
 
 
@@ -43,7 +43,7 @@ def ticked(keeper, until_s, since_s=0.0, every_s=2.0):
 
 
 @pytest.mark.slow
-def test_ships_and_their_targets_are_one_and_the_journal_says_so(keeper, tmp_path):
+def test_ships_are_matched_with_their_radar_targets_in_the_journal(keeper, tmp_path):
     frame = ticked(keeper, 60.0)
     assert len(numbers(frame)) == 5
     assert all(len(its) == 2 for its in frame.members.values())
@@ -61,7 +61,7 @@ def test_ships_and_their_targets_are_one_and_the_journal_says_so(keeper, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_watch_that_ended_goes_on_with_the_same_numbers(tmp_path):
+def test_a_restarted_watch_keeps_its_object_numbers(tmp_path):
     first = Keeper(settings(), tmp_path, replay=replay())
     before = numbers(ticked(first, 60.0))
     first.close()
@@ -73,7 +73,7 @@ def test_a_watch_that_ended_goes_on_with_the_same_numbers(tmp_path):
 
 
 @pytest.mark.slow
-def test_killed_without_warning_it_keeps_who_is_who(tmp_path):
+def test_identities_survive_a_kill(tmp_path):
     program = (
         "import sys; sys.path.insert(0, '.')\n"
         "from pathlib import Path\nfrom tests.live.conftest import *\nfrom tests.live.test_keeper import numbers\n"
@@ -99,7 +99,7 @@ def test_killed_without_warning_it_keeps_who_is_who(tmp_path):
 
 
 @pytest.mark.slow
-def test_deltas_joined_are_the_frame(keeper):
+def test_deltas_add_up_to_the_frame(keeper):
     objects, records = {}, {}
     for k in range(1, 20):
         frame = keeper.tick(START_S + 2.0 * k)
@@ -113,7 +113,7 @@ def test_deltas_joined_are_the_frame(keeper):
 
 
 @pytest.mark.slow
-def test_who_will_pass_near_is_an_alarm_until_he_has(tmp_path):
+def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     t = np.arange(0.0, 400.0, 2.0)
     ship: dict[str, Any] = {
         "time_s": START_S + t, "x_m": 100.0 + 0.0 * t, "y_m": 2000.0 - 10.0 * t, "mmsi": ["235000001"] * len(t),
@@ -145,7 +145,7 @@ def test_who_will_pass_near_is_an_alarm_until_he_has(tmp_path):
     keeper.close()
 
 
-def test_reports_that_cannot_be_used_end_nothing(keeper):
+def test_unusable_reports_do_not_stop_the_keeper(keeper):
     ticked(keeper, 20.0)
     keeper._add("radar", Reports.of("radar", "table", {"time_s": [START_S], "x_m": [0.0], "y_m": [0.0]}), 0.0)
     assert keeper.health()["sources"]["radar"]["refused"] == 0 or keeper.health()["sources"]["radar"]["error"]
@@ -156,7 +156,7 @@ def test_reports_that_cannot_be_used_end_nothing(keeper):
     keeper.close()
 
 
-def test_a_registration_or_search_that_fails_ends_nothing_and_the_state_is_saved(tmp_path, monkeypatch):
+def test_a_failed_registration_or_search_does_not_stop_the_keeper(tmp_path, monkeypatch):
     def failing(*arguments):
         raise ZeroDivisionError("a fault of ours")
 
@@ -165,7 +165,7 @@ def test_a_registration_or_search_that_fails_ends_nothing_and_the_state_is_saved
     keeper = Keeper(settings(register_every_s=0.1, faults_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(keeper.run(until=lambda: keeper._tick >= 3))
     assert keeper.journal is None and load_state(tmp_path)["tick"] == 3
-    # Nor does one that fails in a way that it does not catch.
+    # Nor does an exception that the keeper does not catch.
     monkeypatch.setattr(Keeper, "register", failing)
     again = Keeper(settings(register_every_s=0.1, every_s=0.05), tmp_path, replay=replay())
     asyncio.run(again.run(until=lambda: again._tick >= 6))
@@ -196,7 +196,7 @@ def test_a_state_that_other_code_saved_is_refused_in_one_line(tmp_path, monkeypa
 
 
 class AttributeNames(pickle.Pickler):
-    """Collects the names of what objects of sameas hold."""
+    """Collects the attribute names of sameas objects."""
 
     def __init__(self) -> None:
         super().__init__(io.BytesIO(), protocol=5)
@@ -210,7 +210,7 @@ class AttributeNames(pickle.Pickler):
         return NotImplemented
 
 
-def test_what_states_hold_is_that_of_their_layout(keeper):
+def test_the_contents_of_states_match_the_layout_version(keeper):
     ticked(keeper, 20.0)
     names = AttributeNames()
     names.dump(keeper.picture)
@@ -219,7 +219,7 @@ def test_what_states_hold_is_that_of_their_layout(keeper):
     assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (4, "f42ad68175d0")
 
 
-def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):
+def test_settings_are_read_and_unknown_ones_refused(tmp_path):
     path = tmp_path / "sensors.toml"
     path.write_text(
         "[watch]\nevery_s = 2\nown_ship = { lat_deg = 50.0, lon_deg = -1.0 }\nplane = { lat_deg = 50, lon_deg = -1 }\n"
@@ -258,8 +258,8 @@ def test_settings_are_read_and_what_is_unknown_is_refused(tmp_path):
         Keeper(read_settings(path))
 
 
-def test_a_watch_that_ticks_seldom_ends_when_it_is_asked_to(tmp_path):
-    """It slept until its next tick: Ctrl-C was answered after as long as --every says."""
+def test_a_watch_with_a_long_interval_stops_at_once(tmp_path):
+    """The keeper once slept until its next tick, so Ctrl-C took up to --every."""
 
     async def stopped():
         keeper, over = Keeper(settings(every_s=3600.0), tmp_path, replay=replay()), asyncio.Event()
@@ -274,7 +274,7 @@ def test_a_watch_that_ticks_seldom_ends_when_it_is_asked_to(tmp_path):
 
 
 @pytest.mark.long
-def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
+def test_memory_stays_constant_over_an_hour_at_hundredfold_pace(tmp_path):
     psutil = pytest.importorskip("psutil")
 
     made = harbour(until_s=3600.0)
@@ -282,7 +282,7 @@ def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
     process, sizes = psutil.Process(), []
     for k in range(1, 720):
         keeper.tick(START_S + 5.0 * k)
-        if k == 300:  # a source dies, and comes back as a flood
+        if k == 300:  # a source stops, and returns as a flood
             flood = made["radar"].where(np.flatnonzero(made["radar"].time_s > START_S + 1400.0)[:5000])
             keeper._add("radar", flood, time.time())
         sizes.append(process.memory_info().rss / 1e6)
@@ -292,7 +292,7 @@ def test_an_hour_at_a_hundred_times_its_pace_leaves_memory_flat(tmp_path):
 
 
 def events(folder):
-    """What the journal says of identities and alarms."""
+    """The entries of the journal on identities and alarms."""
     with contextlib.closing(sqlite3.connect(folder / "journal.sqlite")) as base:
         assert base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
         joined = base.execute("SELECT object, source, track, event FROM identities ORDER BY rowid").fetchall()
@@ -301,8 +301,8 @@ def events(folder):
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_room(tmp_path):
-    """The watch ended with "a fault of sameas", and without its alarms."""
+def test_a_full_disk_is_an_alarm_and_missing_entries_are_written_later(tmp_path):
+    """The watch once ended with "a fault of sameas" and lost its alarms."""
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
     ticked(one, 60.0)
     ticked(two, 20.0)
@@ -326,7 +326,7 @@ def test_a_full_disk_is_an_alarm_and_what_is_missing_is_written_when_there_is_ro
 
 
 @pytest.mark.slow
-def test_ticks_that_the_journal_refused_are_made_up_for(tmp_path, monkeypatch):
+def test_ticks_not_written_to_the_journal_are_written_later(tmp_path, monkeypatch):
     one, two = (Keeper(settings(), tmp_path / name, replay=replay()) for name in ("one", "two"))
     written = Journal._write_identities
 
@@ -342,11 +342,11 @@ def test_ticks_that_the_journal_refused_are_made_up_for(tmp_path, monkeypatch):
     one.close()
     two.close()
     (joined, _, objects), (joined_2, _, objects_2) = events(tmp_path / "one"), events(tmp_path / "two")
-    # Those that came and went in between are not known.
+    # Alarms that began and ended in between are unknown.
     assert {row for row in joined if row[3] == "joined"} >= set(joined_2) and objects == objects_2
 
 
-def test_a_folder_that_disappears_ends_nothing_but_is_said_at_the_end(tmp_path):
+def test_a_deleted_folder_does_not_stop_the_keeper_and_is_reported_at_the_end(tmp_path):
     keeper = Keeper(settings(save_every_s=2.0), tmp_path / "state", replay=replay())
     ticked(keeper, 10.0)
     shutil.rmtree(tmp_path / "state")
@@ -356,7 +356,7 @@ def test_a_folder_that_disappears_ends_nothing_but_is_said_at_the_end(tmp_path):
         keeper.close()
 
 
-def test_a_folder_is_one_watchs_alone(tmp_path):
+def test_a_folder_is_locked_by_one_watch(tmp_path):
     keeper = Keeper(settings(), tmp_path, replay=replay())
     with pytest.raises(InputError, match="another run writes there; give another folder, or end that one"):
         Keeper(settings(), tmp_path, replay=replay())
@@ -364,7 +364,7 @@ def test_a_folder_is_one_watchs_alone(tmp_path):
     Keeper(settings(), tmp_path, replay=replay()).close()
 
 
-def test_the_archive_waits_ten_minutes_at_most(tmp_path):
+def test_the_archive_is_written_at_least_every_ten_minutes(tmp_path):
     keeper = Keeper(settings(), tmp_path, replay=replay())
     ticked(keeper, 20.0)
     assert not (tmp_path / "archive").exists()
@@ -383,7 +383,7 @@ def test_the_archive_waits_ten_minutes_at_most(tmp_path):
         ("ais", "clock", "source", "ais: its clock jumps by"),
     ],
 )
-def test_deception_and_faults_of_sources_are_alarms_that_are_acknowledged(source, change, kind, words, tmp_path):
+def test_deception_and_source_faults_are_alarms_that_can_be_acknowledged(source, change, kind, words, tmp_path):
     made = harbour(until_s=330.0)
     reports = made[source]
     late, arrivals_s = reports.time_s > START_S + 200.0, {name: one.time_s for name, one in made.items()}

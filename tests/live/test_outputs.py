@@ -1,4 +1,4 @@
-"""Outputs are read back by our own readers, and by parsers that are not ours."""
+"""Outputs are read back by our own readers and by independent parsers."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from sameas.live.outputs import FORMATS, Sink, geojson, metrics, sinks_of
 
 @pytest.fixture(scope="module")
 def frame(tmp_path_factory):
-    """One frame for all tests, which only read it."""
+    """One frame, shared read-only by all tests."""
     keeper = Keeper(settings(), tmp_path_factory.mktemp("outputs") / "state", replay=replay(until_s=2400.0))
     for k in range(1, 30):
         made = keeper.tick(START_S + 2.0 * k)
@@ -37,7 +37,7 @@ def placed(frame):
 
 
 @pytest.mark.slow
-def test_asterix_062_is_what_the_reader_reads(frame):
+def test_asterix_062_round_trips(frame):
     [reports] = read_back(frame, "asterix", "asterix")
     truth = placed(frame)
     assert reports.kind == "asterix 062" and len(reports) == 5
@@ -50,7 +50,7 @@ def test_asterix_062_is_what_the_reader_reads(frame):
         assert np.sqrt(reports.covariance_m2[k, 0]) == pytest.approx(np.sqrt(one["var_x_m2"]), abs=0.5)
 
 
-def test_ttm_and_tll_are_what_the_reader_reads(frame):
+def test_ttm_and_tll_round_trip(frame):
     lines = b"".join(FORMATS["nmea"](frame)).decode()
     assert lines.count("$RATTM") == 5 == lines.count("$RATLL")
     [reports] = read_back(frame, "nmea", "nmea")
@@ -61,7 +61,7 @@ def test_ttm_and_tll_are_what_the_reader_reads(frame):
         assert reports.speed_m_per_s[k] == pytest.approx(one["speed_m_per_s"], abs=0.1)
 
 
-def test_signal_k_deltas_are_what_the_reader_reads(frame):
+def test_signal_k_deltas_round_trip(frame):
     [reports] = read_back(frame, "signalk", "signalk")
     truth = {one["mmsi"]: one for one in frame.listed()}
     assert set(reports.mmsi) == set(truth)
@@ -69,14 +69,14 @@ def test_signal_k_deltas_are_what_the_reader_reads(frame):
         assert reports.lat_deg[k] == pytest.approx(truth[mmsi]["lat_deg"])
 
 
-def test_cursor_on_target_is_xml_whatever_a_ship_is_called(frame):
+def test_cursor_on_target_is_valid_xml_for_any_ship_name(frame):
     found = [ET.fromstring(part) for part in FORMATS["cot"](frame)]
     assert len(found) == 5 and EVIL in {one.find("detail/contact").get("callsign") for one in found}
     assert all(one.get("type") == "a-u-S" and 0.0 < float(one.find("point").get("ce")) < 200.0 for one in found)
     assert all(abs(float(one.find("point").get("lat")) - SITE[0]) < 0.2 for one in found)
 
 
-def test_lines_and_geojson_hold_every_object(frame):
+def test_lines_and_geojson_contain_every_object(frame):
     lines = [json.loads(line) for line in b"".join(FORMATS["jsonl"](frame)).splitlines()]
     assert {one["object"] for one in lines} == set(frame.objects["object"].tolist())
     assert all(set(one["sources"]) and one["time_s"] == frame.time_s for one in lines)
@@ -97,8 +97,8 @@ def test_a_sink_sends_what_fits_in_datagrams(frame):
             sinks_of([wrong])
 
 
-def test_no_text_of_a_transponder_ends_an_output(frame, monkeypatch):
-    """An address of six letters that are no digits ended the output of ASTERIX, and the tick with it."""
+def test_no_transponder_text_stops_an_output(frame, monkeypatch):
+    """A six-letter address that is no hexadecimal number once stopped the ASTERIX output."""
     hostile = {"icao": "zzzzzz", "mmsi": "=cmd()", "name": 'a*00\r\n$GPGLL,"/><x', "label": "]]>\x1b[31m\u2028"}
     listed = [one | hostile for one in frame.listed()]
     monkeypatch.setattr(type(frame), "listed", lambda self: listed)

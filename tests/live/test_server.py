@@ -1,4 +1,4 @@
-"""The server, served for real: events with ids, tokens, and what other programs ask for."""
+"""The HTTP server: event streams, tokens, and endpoints for other programs."""
 
 import json
 import urllib.error
@@ -28,7 +28,7 @@ class NoRedirect(urllib.request.HTTPRedirectHandler):
 
 
 def events(url, count, **headers):
-    """The first events of a stream: kind, id and content."""
+    """The first ``count`` events of a stream: kind, id and content."""
     request, out = (
         urllib.request.Request(f"{url}/events", headers={k.replace("_", "-"): v for k, v in headers.items()}),
         [],
@@ -46,19 +46,19 @@ def events(url, count, **headers):
 
 
 @pytest.mark.slow
-def test_events_begin_with_the_whole_and_go_on_from_the_last_id(keeper):
+def test_event_streams_begin_with_a_full_frame_and_resume_from_the_last_id(keeper):
     with served(keeper) as url:
         first, second, third = events(url, 3)
         assert (first[0], second[0]) == ("whole", "delta") and first[1] + 1 == second[1]
         assert len(first[2]["objects"]) >= 4 and first[2]["own"]["x"] == 0.0 and "cpa" in first[2]
         [again] = events(url, 1, Last_Event_ID=str(second[1]))
         assert again[:2] == ("delta", third[1]) and again[2]["objects"] == third[2]["objects"]
-        # Of a time that is forgotten, or another run's, nothing can be continued.
+        # Ids that are too old or of another run cannot be resumed.
         assert events(url, 1, Last_Event_ID="123456789")[0][0] == "whole"
 
 
 @pytest.mark.slow
-def test_others_may_ask_for_objects_metrics_and_health(keeper):
+def test_objects_metrics_and_health_are_served(keeper):
     with served(keeper) as url:
         events(url, 8)
         status, headers, body = ask(f"{url}/objects.geojson")
@@ -78,14 +78,14 @@ def test_others_may_ask_for_objects_metrics_and_health(keeper):
         assert EVIL not in body and headers["x-frame-options"] == "DENY"
 
 
-def test_a_page_of_another_name_cannot_reach_the_loopback(keeper):
+def test_requests_with_another_host_name_are_refused(keeper):
     with served(keeper) as url:
         assert ask(f"{url}/objects", Host="evil.example:80")[0] == 421
         assert ask(f"{url}/alarms/1/acknowledge", "POST")[0] == 403
         assert ask(f"{url}/alarms/999/acknowledge", "POST", X_Sameas="1")[0] == 404
 
 
-def test_beyond_the_loopback_tokens_say_who_may_look_and_who_may_act(keeper):
+def test_beyond_the_loopback_tokens_give_roles(keeper):
     with served(keeper, Access("0.0.0.0", "op-secret", "view-secret")) as url:
         assert ask(f"{url}/objects")[0] == 401 and ask(f"{url}/objects?token=wrong")[0] == 401
         assert ask(f"{url}/objects", Authorization="Bearer view-secret")[0] == 200
@@ -105,7 +105,7 @@ def test_roles(token, role):
     assert Access("0.0.0.0", "a", "b").role(token) == role
 
 
-def test_no_name_ends_an_event(keeper):
+def test_no_name_breaks_an_event_stream(keeper):
     frame = keeper.tick(START_S + 2.0)
     delta = Delta(frame.tick, frame.time_s, objects=[(1, 'a\n\nevent: whole\r\ndata: {}\u2028</script>\x1b[31m"')])
     event = _event("delta", keeper, frame, delta)

@@ -1,4 +1,4 @@
-"""From the wire to the picture: sensors that send over real sockets, one of which dies and floods, and the command."""
+"""From sockets to the picture: sensors over real sockets, one that stops and floods, and the command."""
 
 import asyncio
 import json
@@ -38,7 +38,7 @@ input = {{ url = "tcp://127.0.0.1:{tcp}", format = "table" }}
 
 
 def lines(reports, when):
-    """JSON lines of the reports of one time of the harbour, as of ``when``."""
+    """JSON lines of harbour reports, stamped with ``when``."""
     columns = {name: column.tolist() for name, column in reports.columns().items() if name not in ("line", "time_s")}
     for k in range(len(reports)):
         row = {
@@ -49,13 +49,13 @@ def lines(reports, when):
 
 
 def at(reports, k):
-    """The reports of the k-th second step."""
+    """The reports of the k-th time step."""
     times = np.unique(reports.time_s)
     return reports.where(reports.time_s == times[k])
 
 
 @pytest.mark.slow
-def test_sensors_that_send_become_one_picture_and_one_that_dies_is_an_alarm(tmp_path):
+def test_sensors_over_sockets_make_one_picture_and_a_dead_one_raises_an_alarm(tmp_path):
     made, ports = harbour(until_s=60.0), {"udp": free_port(socket.SOCK_DGRAM), "tcp": free_port()}
     path = tmp_path / "sensors.toml"
     path.write_text(TOML.format(**ports))
@@ -70,7 +70,7 @@ def test_sensors_that_send_become_one_picture_and_one_that_dies_is_an_alarm(tmp_
         task = asyncio.create_task(keeper.run(until=over.is_set))
         out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         await until(lambda: writers and all(wire.state.connected for wire in keeper.wires.values()))
-        for k in range(3000):  # kernels may have to be compiled first: minutes where much else runs
+        for k in range(3000):  # kernels may have to be compiled first, which takes minutes on a busy machine
             if k >= 20 and keeper.frame is not None and len(keeper.frame.members) >= 5:
                 break
             now = time.time()

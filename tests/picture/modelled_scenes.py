@@ -27,7 +27,7 @@ def describe(name, kind, sigma_m=20.0, period_s=10.0, clutter_per_km2=0.0, q=0.1
 
 
 def wandering(rng, n, looks, every_s, tau_s, sigma_m):
-    """(n, looks, 2) errors that last for tau_s."""
+    """(n, looks, 2) errors with correlation time tau_s."""
     error = sigma_m * rng.standard_normal((n, looks, 2))
     rho = np.exp(-every_s / tau_s) if tau_s > 0.0 else 0.0
     for k in range(1, looks):
@@ -60,7 +60,7 @@ def straight(start, velocity, times_s):
 
 
 def two_meet(seed, gap_m, side_by_side=False, swap_s=None, tau_s=60.0):
-    """Two objects on opposite courses, or side by side, seen by a tracking radar every 10 s and by AIS every 30 s."""
+    """Two objects on opposite or parallel courses, observed by a tracking radar every 10 s and AIS every 30 s."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, 301.0, 10.0)
     course = [[4.0, 0.0], [4.0 if side_by_side else -4.0, 0.0]]

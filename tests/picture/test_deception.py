@@ -1,4 +1,4 @@
-"""Deception is an alarm with its probability: AIS that drags or falls silent; a sound picture has none."""
+"""Deception alarms with probabilities: AIS that drifts away or falls silent; none in a correct picture."""
 
 import pickle
 
@@ -38,7 +38,7 @@ def faults(made):
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize(("drag", "leap"), [(4.0, 0.0), (0.0, 800.0)])
 @pytest.mark.parametrize("radars", [("radar",), ("radar", "other")])
-def test_ais_that_drags_a_ship_away_from_where_radars_see_it_is_an_alarm(drag, leap, radars):
+def test_ais_that_drifts_away_from_the_radar_position_is_an_alarm(drag, leap, radars):
     (fault,) = faults(scene(drag_m_per_s=drag, leap_m=leap, radars=radars))
     assert (fault.kind, fault.source, fault.track) == ("dragged", "ais", MMSI[0])
     assert fault.probability > 0.95 and 150.0 < fault.first_s < 230.0
@@ -46,13 +46,13 @@ def test_ais_that_drags_a_ship_away_from_where_radars_see_it_is_an_alarm(drag, l
 
 
 @pytest.mark.slow
-def test_a_second_radar_makes_it_more_probable():
+def test_a_second_radar_raises_the_probability_of_deception():
     one, two = (faults(scene(drag_m_per_s=4.0, radars=radars))[0] for radars in (("radar",), ("radar", "other")))
     assert two.log_odds > one.log_odds + 2.0
 
 
 @pytest.mark.slow
-def test_a_ship_that_falls_silent_while_a_radar_goes_on_seeing_it_is_an_alarm():
+def test_ais_silence_of_a_ship_still_on_radar_is_an_alarm():
     (fault,) = faults(scene(silent_from_s=200.0))
     assert (fault.kind, fault.track) == ("silent", MMSI[0]) and 190.0 <= fault.first_s < 200.1
     assert "has gone silent: radar saw it for" in str(fault)
@@ -68,7 +68,7 @@ def test_a_ship_that_falls_silent_while_a_radar_goes_on_seeing_it_is_an_alarm():
         ({}, ""),
     ],
 )
-def test_a_live_picture_finds_them_too(changes, kind):
+def test_a_live_picture_finds_deception_too(changes, kind):
     made = sources(radars=("radar", "other"), **changes)
     live = LivePicture([description for description, _ in made])
     for now_s in TIMES:
@@ -81,5 +81,5 @@ def test_a_live_picture_finds_them_too(changes, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_sound_picture_raises_none(seed):
+def test_a_correct_picture_raises_no_alarm(seed):
     assert faults(scene(seed, radars=("radar", "other"))) == ()

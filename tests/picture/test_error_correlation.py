@@ -1,4 +1,4 @@
-"""How long errors last is learned from a source's own tracks, however restless its objects are said to be."""
+"""The correlation time of errors is learned from a source's own tracks, for any assumed process noise."""
 
 import numpy as np
 import pytest
@@ -27,18 +27,18 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tracks", "ais"])
 @pytest.mark.parametrize("tau_s", [0.0, 12.0, 180.0])
-def test_it_is_found_whatever_the_kind_is_believed_to_do(kind, tau_s):
+def test_the_correlation_is_learned_for_any_assumed_kind(kind, tau_s):
     true = np.exp(-10.0 / tau_s) if tau_s else 0.0
     assert abs(learned(tau_s, kind) - true) < 0.12
 
 
 @pytest.mark.slow
-def test_what_the_user_says_is_not_learned():
+def test_a_given_correlation_is_not_estimated():
     assert learned(180.0, given={"one": 0.0}) == 0.0
     assert learned(0.0, given={"one": 30.0}) == pytest.approx(np.exp(-1.0 / 3.0))
 
 
-def test_before_any_look_the_kind_decides():
+def test_before_any_scan_the_default_of_the_kind_is_used():
     rng = np.random.default_rng(2)
     x, v = straight([[0.0, 0.0]], [[4.0, 0.0]], np.zeros(1))
     scene = Scene.of([told(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
@@ -51,7 +51,7 @@ def test_before_any_look_the_kind_decides():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-def test_what_lasts_is_found_from_pairs_that_are_sure(share):
+def test_correlations_are_learned_from_certain_pairs(share):
     rng = np.random.default_rng(3)
     times = np.arange(25) * 10.0
     x, v = straight(rng.uniform(-9e3, 9e3, (60, 2)), 4.0 * rng.standard_normal((60, 2)), times)
@@ -69,7 +69,7 @@ def test_what_lasts_is_found_from_pairs_that_are_sure(share):
 
 @pytest.mark.parametrize("d", [4, 8])
 @pytest.mark.parametrize("way", ["interpreted", "compiled"])
-def test_an_update_is_that_of_kalman_s_matrices(d, way):
+def test_an_update_is_the_kalman_update(d, way):
     rng = np.random.default_rng(d)
     root, noise_root = rng.normal(size=(60, d, d)), rng.normal(size=(60, 2, 2))
     mean, covariance = rng.normal(size=(60, d)), root @ root.transpose(0, 2, 1)
@@ -86,7 +86,7 @@ def test_an_update_is_that_of_kalman_s_matrices(d, way):
 
 
 @pytest.mark.parametrize("way", ["interpreted", "compiled"])
-def test_evidence_of_correlations_is_the_mean_over_motions_and_linear_between_correlations(way):
+def test_evidence_is_averaged_over_motions_and_interpolated_between_correlations(way):
     rng = np.random.default_rng(6)
     shift, roots = 2.0 * rng.normal(size=(20, 2)), rng.normal(size=(2, 20, 2, 2))
     first, motion = (root @ root.transpose(0, 2, 1) + 0.2 * np.eye(2) for root in roots)

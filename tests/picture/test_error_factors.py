@@ -1,4 +1,4 @@
-"""Error factors: errors that are stated too large or too small are counted as large as sure pairs show them."""
+"""Error factors: wrongly stated errors are rescaled to the residuals of certain pairs."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def after_pairs(rng, true, n, stated_m, weight=1.0):
         for t in range(s + 1, len(true)):
             later, first = (np.broadcast_to(stated_m[k] ** 2 * np.eye(2), (n, 2, 2)) for k in (t, s))
             spread = np.hypot(true[s] * stated_m[s], true[t] * stated_m[t])
-            # The sources stand in either order.
+            # Sources in either order.
             factors = factors.with_sure_pairs(
                 (np.full(n, t), np.full(n, s)), spread * rng.standard_normal((n, 2)), (later, first),
                 np.zeros((n, 2, 2)), np.full(n, weight),
@@ -49,7 +49,7 @@ def after_pairs(rng, true, n, stated_m, weight=1.0):
 
 
 @pytest.mark.parametrize("true", [(1.0, 1.0, 1.0), (2.0, 0.5, 1.0), (0.5, 0.5, 0.5)])
-def test_three_sources_show_whose_errors_are_not_as_stated(true):
+def test_three_sources_determine_whose_errors_are_wrongly_stated(true):
     factors = after_pairs(np.random.default_rng(2), true, 120, (10.0, 20.0, 15.0))
     away = np.log(factors.factor / np.array(true))
     assert np.all(np.abs(away) < 4.0 * np.maximum(factors.sigma, 0.05))
@@ -57,14 +57,14 @@ def test_three_sources_show_whose_errors_are_not_as_stated(true):
     assert told_of == {f"source {k}" for k in range(3) if true[k] != 1.0}
 
 
-def test_more_sources_than_are_weighed_together_are_found_in_blocks():
+def test_many_sources_are_estimated_in_blocks():
     true = np.array([1.0, 2.0, 0.5, 1.0, 2.0])
     assert len(true) > BLOCK
     factors = after_pairs(np.random.default_rng(3), true, 120, np.full(5, 10.0))
     assert np.all(np.abs(np.log(factors.factor / true)) < 0.35)
 
 
-def test_without_sure_pairs_errors_are_as_stated_and_differences_seen_before_tell_nothing():
+def test_without_certain_or_new_pairs_errors_stay_as_stated():
     assert ErrorFactors().of_sources(("a", "b")).factor == pytest.approx(np.ones(2))
     again = after_pairs(np.random.default_rng(4), (3.0, 3.0), 500, (10.0, 10.0), weight=0.0)
     assert again.factor == pytest.approx(np.ones(2)) and not again.lines()
@@ -99,7 +99,7 @@ def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_ways_that_are_as_stated_leave_errors_as_stated(seed):
+def test_track_displacements_as_stated_leave_errors_as_stated(seed):
     # Ways say what errors are at least; whether larger ones are correlated they do not say.
     rng = np.random.default_rng(seed)
     assert after_ways(rng, 1.0, 300) == pytest.approx(1.0, rel=0.12)

@@ -96,7 +96,7 @@ def assert_same(live, batch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filtered", [False, True])
-def test_fed_as_reports_arrive_it_decides_as_the_batch_picture(filtered):
+def test_a_live_picture_agrees_with_the_batch_picture(filtered):
     # Nothing is missed: the batch picture knows how long tracks are silent before it begins, the live one learns it.
     made = sources(filtered=filtered, seen=1.0)
     batch = list(picture_states(Scene.of(made), INSTANTS))
@@ -107,7 +107,7 @@ def test_fed_as_reports_arrive_it_decides_as_the_batch_picture(filtered):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("filtered", [False, True])
-def test_reports_that_come_late_and_out_of_order_within_the_lag_change_nothing(filtered):
+def test_late_and_unordered_reports_within_the_lag_change_nothing(filtered):
     made = sources(2, filtered=filtered)
     rng = np.random.default_rng(0)
     late = [rng.uniform(0.0, 6.0, len(reports)) for _, reports in made]
@@ -117,7 +117,7 @@ def test_reports_that_come_late_and_out_of_order_within_the_lag_change_nothing(f
 
 
 @pytest.mark.slow
-def test_what_is_later_than_the_lag_is_counted_and_left_out():
+def test_reports_later_than_the_lag_are_counted_and_ignored():
     made = sources(3)
     picture = LivePicture([d for d, _ in made], lag_s=5.0)
     list(live_states(made, INSTANTS[:20], batches(made), picture))
@@ -127,7 +127,7 @@ def test_what_is_later_than_the_lag_is_counted_and_left_out():
 
 
 @pytest.mark.slow
-def test_pickled_and_loaded_it_goes_on_with_the_same_numbers():
+def test_a_pickled_picture_continues_with_the_same_numbers():
     made = sources(4)
     picture = LivePicture([d for d, _ in made])
     arrivals = batches(made)
@@ -139,7 +139,7 @@ def test_pickled_and_loaded_it_goes_on_with_the_same_numbers():
 
 
 @pytest.mark.slow
-def test_memory_stays_flat():
+def test_memory_stays_constant():
     made = sources(5, ships=6)
     picture = LivePicture([d for d, _ in made])
     sizes = []
@@ -172,7 +172,7 @@ def bare(seed=0):
 
 
 @pytest.mark.slow
-def test_plots_without_names_keep_their_identity_though_rows_are_used_again():
+def test_plots_without_ids_keep_their_identity_when_rows_are_reused():
     made = bare()
     times = np.arange(1.0, 40.0, 1.0)
     picture = LivePicture([d for d, _ in made])
@@ -187,7 +187,7 @@ def test_plots_without_names_keep_their_identity_though_rows_are_used_again():
 
 
 @pytest.mark.slow
-def test_one_id_at_two_places_becomes_two_objects():
+def test_one_id_at_two_positions_becomes_two_objects():
     rng = np.random.default_rng(1)
     picture = LivePicture([Description("ais", "ais")])
     for t in np.arange(0.0, 120.0, 2.0):
@@ -213,7 +213,7 @@ def test_one_id_at_two_places_becomes_two_objects():
 
 
 @pytest.mark.slow
-def test_biases_are_found_by_the_last_minutes_and_taken_off():
+def test_biases_are_estimated_from_the_last_minutes_and_removed():
     from tests.tracks.harbour import harbour
 
     made = harbour(3, biases=((60.0, 1.0, 0.0),)).sources
@@ -228,7 +228,7 @@ def test_biases_are_found_by_the_last_minutes_and_taken_off():
     assert several[0] < 0.2 < 0.5 < several[1]
 
 
-def test_a_ships_radar_without_a_site_lays_the_plane_about_the_ship():
+def test_a_ships_radar_without_a_site_centres_the_plane_on_the_ship():
     picture = LivePicture([Description("radar", "marine radar")])
     columns: dict[str, Any] = {"time_s": [0.0], "range_m": [900.0], "bearing_deg": [90.0], "track_id": ["1"]}
     columns |= {"station_lat_deg": [50.0], "station_lon_deg": [-1.0]}
@@ -237,7 +237,7 @@ def test_a_ships_radar_without_a_site_lays_the_plane_about_the_ship():
     np.testing.assert_allclose(picture.advance(1.0).objects.state[0, :2], [900.0, 0.0], atol=1.0)
 
 
-def test_refusals_say_what_is_wrong():
+def test_refusals_name_the_error():
     picture = LivePicture([Description("ais", "ais")])
     with pytest.raises(InputError, match="no source 'radar'"):
         picture.add("radar", Reports.of("radar", "table", {"time_s": [0.0], "x_m": [0.0], "y_m": [0.0]}))

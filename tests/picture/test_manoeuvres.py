@@ -1,4 +1,4 @@
-"""Manoeuvres: a report that its ship has left behind stays hers, whatever a coarse radar cannot see."""
+"""Manoeuvres: an old report stays with its ship after the ship has departed."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def departing(seed):
 
 
 @pytest.mark.slow
-def test_a_ferry_that_leaves_her_report_behind_is_not_two():
+def test_a_ferry_that_departs_from_its_report_is_not_split():
     apart = 0
     for seed in range(8):
         scene, times = departing(seed)

@@ -1,4 +1,4 @@
-"""Memory: calibrated for tracks whose errors last, bounded, and silent where nothing new was said."""
+"""Memory of track pairs: calibrated for correlated errors, bounded, and unchanged without new reports."""
 
 from dataclasses import replace
 
@@ -63,7 +63,7 @@ def log_loss(log_odds, same):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("tau_s", [(60.0, 600.0), (0.0, 0.0), (0.0, 600.0)])
-def test_memory_is_calibrated_however_long_errors_last(tau_s):
+def test_memory_is_calibrated_for_any_correlation_time(tau_s):
     same, past, now = (
         np.concatenate(column) for column in zip(*(couples_apart(k, tau_s) for k in range(3)), strict=True)
     )
@@ -78,7 +78,7 @@ def test_memory_is_calibrated_however_long_errors_last(tau_s):
 
 
 @pytest.mark.slow
-def test_memory_is_bounded_by_what_numbers_are_worth():
+def test_memory_is_bounded_by_the_reliability_of_track_ids():
     scene, times = two_meet(0, 200.0)
     past, tuning = Past(reassigned=0.01), Tuning(parted_chi_sq=np.inf)
     for time_s in times:
@@ -92,7 +92,7 @@ def test_memory_is_bounded_by_what_numbers_are_worth():
     assert said.max() > 0.5 and said.max() - said.min() > 0.9 * np.log(0.99 / 0.01)
 
 
-def test_what_is_said_twice_is_no_evidence():
+def test_repeated_reports_are_no_evidence():
     scene, _ = two_meet(1, 200.0)
     past = Past()
     for time_s in (0.0, 10.0, 20.0):
@@ -106,7 +106,7 @@ def test_what_is_said_twice_is_no_evidence():
         np.testing.assert_allclose(np.asarray(past.rule().log_ratio) + past.track_pairs.log_now, said, atol=1e-9)
 
 
-def test_a_track_that_jumps_begins_anew():
+def test_a_track_that_jumps_starts_a_new_memory():
     rng = np.random.default_rng(2)
     times = np.arange(0.0, 61.0, 10.0)
     x, v = straight([[0.0, 0.0]], [[3.0, 0.0]], times)
@@ -124,7 +124,7 @@ def test_a_track_that_jumps_begins_anew():
         assert len(past.track_pairs) == (time_s < 40.0)
 
 
-def test_records_without_names_have_no_past():
+def test_records_without_ids_have_no_memory():
     rng = np.random.default_rng(3)
     times = np.arange(0.0, 31.0, 10.0)
     x, v = straight([[0.0, 0.0], [500.0, 0.0]], [[3.0, 0.0]] * 2, times)
@@ -137,7 +137,7 @@ def test_records_without_names_have_no_past():
     assert not len(past.track_pairs) and past.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
 
 
-def test_memory_says_the_same_of_a_pair_either_way_round():
+def test_memory_is_symmetric_in_a_pair():
     one = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="one")
     two = Records.of([[5.0, 0.0], [8.0, 0.0]], sigma=5.0, source="two")
     memory = Memory({"one": [3, 4], "two": [7, -1]}, first=[3, 4], second=[7, 7], log_ratio=[5.5, -2.0])
@@ -148,7 +148,7 @@ def test_memory_says_the_same_of_a_pair_either_way_round():
     assert memory(pairs).informative.sum() == 2
 
 
-def test_what_cannot_be_is_refused():
+def test_invalid_memory_settings_are_refused():
     with pytest.raises(InputError, match="first < second"):
         Memory({}, [2], [1], [0.5])
     with pytest.raises(InputError, match="once, in ascending order"):
@@ -228,7 +228,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
 
 
 @pytest.mark.slow
-def test_pairs_that_passed_each_other_long_ago_are_not_compared_for_ever():
+def test_pairs_that_separated_long_ago_are_forgotten():
     # Four ships on one straight, two each way: all meet within four minutes, and go on.
     rng, times = np.random.default_rng(8), np.arange(0.0, 501.0, 20.0)
     start = np.column_stack([[0.0, 2000.0, 400.0, 2400.0], np.zeros(4)])
@@ -249,7 +249,7 @@ def test_pairs_that_passed_each_other_long_ago_are_not_compared_for_ever():
 
 
 @pytest.mark.slow
-def test_what_was_known_of_tracks_that_part_counts_when_they_meet_again():
+def test_memory_of_separated_tracks_counts_when_they_meet_again():
     # Two ships pass each other, turn round a kilometre apart, and pass each other again.
     rng, times = np.random.default_rng(3), np.arange(0.0, 601.0, 10.0)
     way = 6.0 * np.minimum(times, 600.0 - times) - 600.0
@@ -283,18 +283,18 @@ def p_one(scene, every_s=30.0):
 
 
 @pytest.mark.parametrize("seed", [2, 3])
-def test_what_is_always_apart_by_more_than_errors_last_is_two_objects(seed):
+def test_a_lasting_separation_beyond_correlated_errors_is_two_objects(seed):
     # A single look cannot tell 75 m from 0 with errors of 31 m; minutes of them can, if these do not last.
     assert np.mean(p_one(beside(seed, 75.0))) < 0.25
 
 
-def test_what_others_show_of_errors_limits_what_stated_ones_may_excuse():
+def test_errors_measured_on_other_tracks_override_stated_ones():
     # Errors of 30 m are stated for both, and others show 8 m: 100 m apart are two objects.
     p = p_one(beside(2, 100.0, sigma_m=(8.0, 8.0), stated_m=(30.0, 30.0), others=12))
     assert p[-5:].mean() < 0.5
 
 
-def test_a_ship_that_both_see_stays_one_object_whatever_is_stated():
+def test_a_ship_seen_by_both_sources_stays_one_object_for_any_stated_errors():
     for stated_m in ((30.0, 8.0), (45.0, 15.0)):
         assert p_one(beside(2, 0.0, stated_m=stated_m, radar_sees_it=True)).min() > 0.999
 
@@ -321,7 +321,7 @@ def abreast(seed, gap_m=40.0, swaps=0.0):
 
 
 @pytest.mark.slow
-def test_trackers_that_swap_nothing_are_not_taken_to_swap_ships_abreast():
+def test_trackers_without_swaps_are_not_suspected_of_them():
     right, rates = [], []
     for seed in range(3):
         (scene, times), watch = abreast(seed), Watch()
@@ -338,7 +338,7 @@ def test_trackers_that_swap_nothing_are_not_taken_to_swap_ships_abreast():
 
 
 @pytest.mark.slow
-def test_swaps_of_ships_abreast_are_found_though_no_single_report_shows_them():
+def test_swaps_of_ships_abreast_are_found_over_many_reports():
     rates = []
     for seed in range(3):
         (scene, times), watch = abreast(seed, swaps=0.1), Watch()

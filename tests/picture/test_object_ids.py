@@ -1,4 +1,4 @@
-"""Numbers: an object keeps its own; it appears, is confirmed, coasts and ends; noise does not make records change."""
+"""Object numbers are kept; objects appear, are confirmed, coast and end; noise does not switch records."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ ALONE = Watch(evidence=lambda now, past: now.rule() + now.identity(), bound=1.0)
 
 
 def memberships(picture):
-    """Per instant {source and last letter of the track} of every object that has records."""
+    """For each instant {source and last letter of the track} of every object with records."""
     r = picture.records
     names = [f"{s} {t[-1]}" for s, t in zip(r["source"].tolist(), r["track_id"].tolist(), strict=True)]
     out = [{} for _ in picture.instants_s]
@@ -25,7 +25,7 @@ def memberships(picture):
 
 
 def changes(picture):
-    """How often the records that are together are not those of the instant before."""
+    """How often the records grouped together differ from those of the previous instant."""
     return sum(a != b for a, b in pairwise(frozenset(each.values()) for each in memberships(picture)))
 
 
@@ -34,7 +34,7 @@ TWO_SIGMA_M = 2.0 * 20.0 * np.sqrt(2.0)
 
 
 @pytest.mark.slow
-def test_who_crosses_keeps_its_records():
+def test_crossing_objects_keep_their_records():
     right = {frozenset({"radar 0", "ais 0"}), frozenset({"radar 1", "ais 1"})}
     for seed in range(20):
         scene, times = two_meet(seed, TWO_SIGMA_M)
@@ -42,7 +42,7 @@ def test_who_crosses_keeps_its_records():
 
 
 @pytest.mark.slow
-def test_switching_has_to_be_earned_side_by_side():
+def test_objects_side_by_side_switch_only_with_evidence():
     with_memory = without = 0
     for seed in range(8):
         scene, times = two_meet(seed, TWO_SIGMA_M, side_by_side=True, tau_s=0.0)
@@ -52,7 +52,7 @@ def test_switching_has_to_be_earned_side_by_side():
 
 
 @pytest.mark.slow
-def test_numbers_stay_with_their_objects_where_they_cross():
+def test_crossing_objects_keep_their_numbers():
     for seed in range(6):
         scene, times = two_meet(seed, 40.0)
         o = Picture.of(scene, times[8:23]).objects
@@ -62,7 +62,7 @@ def test_numbers_stay_with_their_objects_where_they_cross():
 
 
 @pytest.mark.slow
-def test_a_picture_mends_where_a_radar_swaps_its_numbers():
+def test_a_picture_corrects_track_swaps_of_a_radar():
     mended = 0
     for seed in range(6):
         scene, times = two_meet(seed, 60.0, swap_s=150.0)
@@ -92,7 +92,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
     there = [(1000.0 + 5.0 * t, 0.0) for t in range(0, 1400, 10)]
     looks = {10.0 * k: [there[k]] + [(float(5000 + 40 * j), 3e3) for j in range(3)] for k in range(6)}
     looks |= {10.0 * k: [(float(5000 + 40 * j), 3e3) for j in range(3)] for k in range(6, 140)}
-    # A false echo that shows once.
+    # A false echo in one scan.
     looks[20.0] = [*looks[20.0], (-8e3, -8e3)]
     picture = Picture.of(plots(looks), sorted(looks), watch=Watch())
     o = picture.objects
@@ -109,7 +109,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
     assert o["stage"][false].tolist() == ["tentative", "tentative", "tentative", "ended"]
 
 
-def test_what_speaks_is_there_and_two_sources_are_believed_at_once():
+def test_transponders_and_two_agreeing_sources_are_confirmed_at_once():
     scene, times = two_meet(0, 500.0)
     assert set(Picture.of(scene, times[:1]).objects["stage"].tolist()) == {"confirmed"}
     watch = Watch(stages=Stages(scans=1, of=1))
@@ -119,7 +119,7 @@ def test_what_speaks_is_there_and_two_sources_are_believed_at_once():
 
 
 @pytest.mark.slow
-def test_who_comes_back_under_a_name_of_its_own_has_its_number_again():
+def test_an_identified_object_that_returns_gets_its_old_number():
     rng = np.random.default_rng(5)
     early, late = np.arange(0.0, 100.0, 10.0), np.arange(2000.0, 2100.0, 20.0)
     x, v = straight([[0.0, 0.0]], [[5.0, 0.0]], np.concatenate([early, late]))
@@ -135,7 +135,7 @@ def test_who_comes_back_under_a_name_of_its_own_has_its_number_again():
     assert o["stage"][mine][-1] == "confirmed"
 
 
-def test_a_ship_that_brakes_harder_than_ships_do_keeps_its_number():
+def test_a_ship_that_brakes_unusually_hard_keeps_its_number():
     times = np.arange(0.0, 601.0, 60.0)
     rng = np.random.default_rng(6)
     x, v = (np.array(part) for part in straight([[0.0, 0.0]], [[18.0, 0.0]], times))
@@ -146,7 +146,7 @@ def test_a_ship_that_brakes_harder_than_ships_do_keeps_its_number():
 
 
 @pytest.mark.slow
-def test_live_and_batch_are_one():
+def test_live_and_batch_object_ids_agree():
     scene, times = two_meet(3, 80.0)
     watch, numbers = Watch(), []
     for time_s in times:
@@ -159,6 +159,6 @@ def test_live_and_batch_are_one():
     assert [m.now.instant_s for m in picture_states(scene, times[:2])] == times[:2].tolist()
 
 
-def test_stages_that_cannot_be_are_refused():
+def test_invalid_stage_settings_are_refused():
     with pytest.raises(InputError, match="1 ≤ scans ≤ of"):
         Stages(scans=4, of=3)

@@ -1,4 +1,4 @@
-"""The picture as a whole: one instant is what identify_many says; columns, summary, explanations; odd sources."""
+"""The whole picture: agreement with identify_many, columns, summary, explanations, unusual sources."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -39,7 +39,7 @@ def ships(seed=1, n=30, looks=8, names=True):
     ], times
 
 
-def test_one_instant_is_what_identify_many_says():
+def test_one_instant_agrees_with_identify_many():
     sources, times = ships()
     scene = Scene.of(sources)
     now = scene.at(times[3])
@@ -63,7 +63,7 @@ def test_one_instant_is_what_identify_many_says():
         )
 
 
-def test_objects_are_nearer_to_the_truth_than_their_records_and_as_near_as_they_say():
+def test_objects_are_more_accurate_than_their_records_and_consistent():
     sources, times = ships(seed=2, n=60)
     rng = np.random.default_rng(2)
     start, velocity = rng.uniform(-4e3, 4e3, (60, 2)), 4.0 * rng.standard_normal((60, 2))
@@ -93,7 +93,7 @@ def test_the_order_of_sources_changes_nothing():
     np.testing.assert_allclose(one.objects["probability"], other.objects["probability"], atol=1e-9)
 
 
-def test_plots_without_names_are_followed_too():
+def test_plots_without_ids_are_followed_too():
     sources, times = ships(seed=4, names=False)
     o = Picture.of(Scene.of(sources), times).objects
     assert len(set(o["object"].tolist())) == 30
@@ -101,7 +101,7 @@ def test_plots_without_names_are_followed_too():
     assert all(len(set(o["object"][o["mmsi"] == mmsi].tolist())) == 1 for mmsi in set(o["mmsi"].tolist()) - {""})
 
 
-def test_one_source_is_a_picture_and_so_is_none():
+def test_one_source_or_none_makes_a_picture():
     sources, times = ships(seed=5)
     picture = Picture.of(Scene.of(sources[1:2]), times)
     assert set(picture.objects["n_sources"].tolist()) == {1} and set(picture.records["p_alone"].tolist()) == {1.0}
@@ -117,7 +117,7 @@ def test_one_source_is_a_picture_and_so_is_none():
     ]
 
 
-def test_the_summary_tells_how_well_places_are_known():
+def test_the_summary_states_position_errors():
     sources, times = ships(seed=8)
     picture = Picture.of(Scene.of(sources), [*times, times[-1] + 20.0, times[-1] + 60.0])
     o, told = picture.objects, picture.summary.places
@@ -142,7 +142,7 @@ def test_a_source_may_begin_late_and_fall_silent():
     assert len(set(o["object"].tolist())) == 30
 
 
-def test_directions_take_part_and_are_no_position_alone():
+def test_bearings_are_used_and_are_no_position_alone():
     camera = Description(
         "camera", "camera", site=Site(east_m=0.0, north_m=0.0), misses=MissRate(0.2), motion=WALK,
         coverage=SensorCoverage(range_m=3000.0), errors=SensorErrors(bearing_deg=0.5, extent_m=3.0),
@@ -178,7 +178,7 @@ def test_rows_and_lines_lead_back_to_the_file():
     assert (r["age_s"][mine] == r["time_s"][mine] - reports.time_s[r["row"][mine]]).all()
 
 
-def test_degrees_are_there_where_the_plane_is_on_the_earth():
+def test_degrees_are_given_if_the_plane_is_on_the_earth():
     rng = np.random.default_rng(9)
     columns = {"time_s": np.zeros(5), "lat_deg": 50.8 + 0.01 * rng.random(5), "lon_deg": 179.995 + 0.01 * np.arange(5)}
     reports = Reports.of("ais", "ais", columns | {"mmsi": [str(k) for k in range(5)]})
@@ -190,7 +190,7 @@ def test_degrees_are_there_where_the_plane_is_on_the_earth():
 
 
 @pytest.mark.slow
-def test_explanations_name_objects_by_their_numbers_and_come_where_records_change():
+def test_explanations_use_object_numbers_and_come_when_records_change():
     scene, times = two_meet(1, 60.0)
     picture = Picture.of(scene, times)
     for (k, number), text in picture.texts.items():
@@ -203,7 +203,7 @@ def test_explanations_name_objects_by_their_numbers_and_come_where_records_chang
         state.explain(9)
 
 
-def test_the_summary_says_what_a_user_should_know():
+def test_the_summary_lists_the_important_facts():
     sources, times = ships(seed=10)
     rng = np.random.default_rng(10)
     # Of the third, half is taken away, and it lies elsewhere.
@@ -225,7 +225,7 @@ def test_the_summary_says_what_a_user_should_know():
         assert words in told_lines, words
 
 
-def test_stale_reports_are_said_to_be_left_out():
+def test_excluded_stale_reports_are_reported():
     said: dict[str, Any] = {
         "time_s": [0.0, 0.0, 900.0],
         "x_m": [0.0, 900.0, 900.0],
@@ -239,7 +239,7 @@ def test_stale_reports_are_said_to_be_left_out():
 
 
 @pytest.mark.slow
-def test_a_ghost_of_real_traffic_never_appears():
+def test_no_ghost_of_real_traffic_appears():
     if not SOLENT.exists():
         pytest.skip("needs the Solent AIS log of Stone Soup's demos")
     (reports,) = read_reports(SOLENT)
@@ -252,7 +252,7 @@ def test_a_ghost_of_real_traffic_never_appears():
     assert "coasting" not in o["stage"].tolist()
 
 
-def test_instants_and_pictures_that_cannot_be_are_refused():
+def test_invalid_instants_and_pictures_are_refused():
     assert instants((0.0, 25.0), 10.0).tolist() == [0.0, 10.0, 20.0]
     with pytest.raises(InputError, match="every_s is 0"):
         instants((0.0, 1.0), 0.0)

@@ -1,4 +1,4 @@
-"""Kernels of an instant give what the formulas give, written along the rows; interpreted and compiled alike."""
+"""Kernels of an instant agree with NumPy formulas, interpreted and compiled."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def spd(rng, *shape):
     return root @ np.swapaxes(root, -1, -2) + 0.1 * np.eye(shape[-1])
 
 
-def test_states_go_on_as_their_transition_says(rng):
+def test_states_are_predicted_by_their_transition(rng):
     state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
     there, spread = moved(state, covariance, dt, walk)
     f = transition(dt)
@@ -39,7 +39,7 @@ def test_states_go_on_as_their_transition_says(rng):
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("late_s", [0.0, 0.7])
-def test_states_are_moved_by_a_kernel_as_by_arrays_to_the_last_bit(rng, way, late_s, monkeypatch):
+def test_prediction_by_kernel_and_by_arrays_agree_bit_for_bit(rng, way, late_s, monkeypatch):
     state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
     covariance[:, 0, 3] += 0.1  # what is not quite symmetric is made so
     covariance[4] = np.nan
@@ -51,7 +51,7 @@ def test_states_are_moved_by_a_kernel_as_by_arrays_to_the_last_bit(rng, way, lat
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_last_reports_are_moved_as_the_formulas_say(rng, way):
+def test_last_reports_are_predicted_as_by_the_formulas(rng, way):
     n, was = 8, np.array([3, 0, 7, 7])
     state, covariance, walk, late = rng.standard_normal((n, 4)), spd(rng, n, 4), rng.random(n), rng.random(n)
     before, dt, left = 0.5 * spd(rng, n, 4), rng.random(4), 0.1 * spd(rng, 4, 2)
@@ -66,7 +66,7 @@ def test_last_reports_are_moved_as_the_formulas_say(rng, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_errors_of_two_reports_go_together_as_the_formulas_say(rng, way):
+def test_correlations_of_two_reports_agree_with_the_formulas(rng, way):
     was, now, m = np.array([2, 0, 1]), np.array([1, 1, 0]), 3
     one, other = 0.2 * spd(rng, 4, 4), 0.2 * spd(rng, 4, 4)
     old, new = one[was, :2, :2] + spd(rng, m, 2), other[now, :2, :2] + spd(rng, m, 2)
@@ -86,7 +86,7 @@ def test_errors_of_two_reports_go_together_as_the_formulas_say(rng, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_weights_of_covariance_intersection_are_the_best(rng, way):
+def test_weights_of_covariance_intersection_are_optimal(rng, way):
     information = spd(rng, 6, 3, 4)
     weights = np.empty((6, 3))
     getattr(weights_of_least_determinant, way)(information, STEPS, OPTIMAL, BISECTIONS, weights)
@@ -98,7 +98,7 @@ def test_weights_of_covariance_intersection_are_the_best(rng, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_states_of_objects_are_sums_of_information(rng, way):
+def test_states_of_objects_are_information_sums(rng, way):
     n = 7
     state, covariance = 1e4 + rng.standard_normal((n, 4)), spd(rng, n, 4)
     members = np.array([[0, 1, -1], [2, -1, 3], [-1, 4, -1], [5, 6, -1]])
@@ -149,6 +149,6 @@ def test_two_ordered_lists_of_rows_are_merged(rng, way):
 
 
 @pytest.mark.parametrize("n", [1, 2, 20, 501])
-def test_percentiles_are_those_of_numpy_to_the_last_digit(rng, n):
+def test_percentiles_agree_with_numpy_to_the_last_digit(rng, n):
     values = rng.standard_normal((n, 2))
     assert np.array_equal(_percentiles(values, (0.05, 0.95)), np.percentile(values, (5, 95), axis=0))

@@ -1,4 +1,4 @@
-"""Pictures of bare plots go through every look, and say of objects what the tracker says."""
+"""Pictures of bare plots process every scan and report the tracker's objects."""
 
 from dataclasses import replace
 from typing import Any
@@ -35,7 +35,7 @@ def columns(picture):
 
 
 @pytest.mark.slow
-def test_scans_between_two_instants_are_not_passed_over():
+def test_scans_between_two_instants_are_processed():
     """However seldom the picture is asked for, objects are followed as they are when it is asked for at every look."""
     scene = passing(1)
     looks = scan_times_between(scene.feeds, -1.0, 20.0)
@@ -49,7 +49,7 @@ def test_scans_between_two_instants_are_not_passed_over():
     assert (one["stage"] == "confirmed").sum() == 2
 
 
-def test_looks_at_nearly_one_time_are_gone_through_together():
+def test_nearly_simultaneous_scans_are_processed_together():
     scene = passing(1, 6.0)
     lidar, radar = scene.feeds
     late = replace(radar, scan_times_s=radar.scan_times_s + 0.05)
@@ -59,7 +59,7 @@ def test_looks_at_nearly_one_time_are_gone_through_together():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 5])
-def test_false_plots_that_fall_together_are_not_confirmed(seed):
+def test_coincident_false_plots_are_not_confirmed(seed):
     """Among seven false plots a look some fall together every few seconds, and exist with 99 % for a moment."""
     scene, tracks = crossing(seed, until_s=50.0)
     o = Picture.of(scene, np.arange(1.0, 49.0)).objects
@@ -70,7 +70,7 @@ def test_false_plots_that_fall_together_are_not_confirmed(seed):
     assert sure.sum() > 80
 
 
-def test_the_share_of_objects_still_to_be_found_falls_look_by_look():
+def test_the_share_of_undetected_objects_falls_with_every_scan():
     scene = Scene(passing(1, 12.0).feeds[:1])
     carried, looks = PlotPicture(), scan_times_between(scene.feeds, -1.0, 10.0)
     shares = []
@@ -84,7 +84,7 @@ def test_the_share_of_objects_still_to_be_found_falls_look_by_look():
 
 
 @pytest.mark.slow
-def test_an_object_that_nobody_shows_coasts_and_ends_once():
+def test_an_undetected_object_coasts_and_ends_once():
     scene = passing(3, 60.0, ends_s=25.0)
     picture = Picture.of(scene, np.arange(2.0, 58.0, 1.0))
     o = picture.objects
@@ -103,7 +103,7 @@ def test_an_object_that_nobody_shows_coasts_and_ends_once():
 
 
 @pytest.mark.slow
-def test_probabilities_are_of_records_whatever_known_object_they_are():
+def test_probabilities_of_records_are_summed_over_known_objects():
     """Sets of the answer that differ in what is remembered only count as one."""
     state = PlotPicture().at(passing(2), 16.1)
     assert isinstance(state.detections, TrackedObjects)
@@ -137,7 +137,7 @@ def _p_alone(state):
 
 
 @pytest.mark.slow
-def test_explanations_call_what_is_remembered_by_its_number():
+def test_explanations_name_remembered_objects_by_number():
     state = PlotPicture().at(passing(2), 15.0)
     sure = state.objects.number[(state.objects.stage == 1) & (state.objects.detected)]
     assert len(sure) == 2
@@ -150,7 +150,7 @@ def test_explanations_call_what_is_remembered_by_its_number():
         state.explain(99999)
 
 
-def test_it_is_for_scenes_in_which_nobody_names_anything_and_somebody_tells_places():
+def test_the_plot_tracker_needs_positions_and_no_ids():
     scene = passing(1, 6.0)
     assert nameless(scene) and isinstance(Picture.of(scene, [3.0]).watch, PlotPicture)
     said: dict[str, Any] = {"time_s": [0.0, 1.0], "x_m": [0.0, 1.0], "y_m": [0.0, 0.0]}
@@ -161,7 +161,7 @@ def test_it_is_for_scenes_in_which_nobody_names_anything_and_somebody_tells_plac
     assert isinstance(Picture.of(scene, [3.0], watch=Watch()).watch, Watch)
 
 
-def test_a_picture_without_memory_is_what_identify_many_says():
+def test_a_picture_without_memory_agrees_with_identify_many():
     scene = passing(4)
     now = scene.at(0.0, features=POSITION_AND_VELOCITY)
     state = PlotPicture().advance(now)
@@ -176,7 +176,7 @@ def test_a_picture_without_memory_is_what_identify_many_says():
 
 
 @pytest.mark.slow
-def test_it_goes_on_where_a_picture_ended_and_never_back():
+def test_a_picture_is_continued_forward_only():
     scene = passing(1, 20.0)
     whole = Picture.of(scene, [5.0, 10.0, 15.0])
     first = Picture.of(scene, [5.0, 10.0])

@@ -1,4 +1,4 @@
-"""Following: objects found again from look to look, each look used once, where nothing has a name."""
+"""Plot tracker: objects are followed from scan to scan without ids, and each scan is used once."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -118,7 +118,7 @@ def test_positions_are_better_than_those_of_the_best_sensor():
 
 
 @pytest.mark.slow
-def test_clutter_is_not_believed_and_objects_end_when_nobody_sees_them():
+def test_clutter_is_not_confirmed_and_undetected_objects_end():
     rng = np.random.default_rng(5)
     track = course((0.0, 50.0), (1.0, 0.0), until_s=30.0)
     both = sensor("lidar", 2.0, 0.5, clutter_per_km2=60.0), sensor("radar", 4.0, 1.5, clutter_per_km2=60.0)
@@ -133,7 +133,7 @@ def test_clutter_is_not_believed_and_objects_end_when_nobody_sees_them():
 
 
 @pytest.mark.slow
-def test_a_look_is_used_once_however_often_it_is_asked_for():
+def test_a_scan_is_used_once():
     """Lidar and radar look at 4.0 and 3.0, and again at 4.5: between these nothing is new."""
     scene, _ = crossing(1)
     seldom, often = followed(scene, [4.2, 4.45, 4.95]), followed(scene, [4.2, *np.arange(4.21, 4.45, 0.01), 4.45, 4.95])
@@ -148,7 +148,7 @@ def test_a_look_is_used_once_however_often_it_is_asked_for():
 
 
 @pytest.mark.slow
-def test_what_was_known_comes_from_looks_that_stand_no_more():
+def test_prior_states_come_from_earlier_scans_only():
     """Nothing fused comes back: what the lidar shows at an instant has no part in what was known there."""
     scene, _ = crossing(1, until_s=12.0)
     times = np.arange(1.0, 10.0, 0.5)
@@ -170,7 +170,7 @@ def moved_look(feed, look_s, step_m):
 
 
 @pytest.mark.slow
-def test_doubt_about_one_source_does_not_slow_another():
+def test_an_ambiguous_source_does_not_hinder_another():
     """Four directions fall on a boat that turns: which is its own stays open; the lidar is followed."""
     rng = np.random.default_rng(2)
     times = np.arange(0.0, 30.0, 0.5)
@@ -213,7 +213,7 @@ def test_the_order_of_sources_changes_nothing():
 
 
 @pytest.mark.slow
-def test_what_a_source_has_missed_it_is_expected_to_miss():
+def test_a_source_that_missed_an_object_is_expected_to_miss_it_again():
     """A boat that the camera never sees passes under a spot on its lens, which is less believed to be the boat."""
     rng = np.random.default_rng(7)
     boat = course((-60.0, 100.0), (2.0, 0.0))
@@ -245,7 +245,7 @@ def taken_in(tracks, place):
     return bool(((off < 15.0) & (tracks.members >= 0).all(axis=1)).any())
 
 
-def test_nothing_to_be_seen_is_no_error():
+def test_sources_without_plots_are_no_error():
     # Its first plot comes when all is over.
     plot = {"time_s": [90.0], "x_m": [0.0], "y_m": [0.0]}
     late = Feed.of(sensor("lidar", 2.0, 0.5), Reports.of("lidar", "table", plot))
@@ -256,7 +256,7 @@ def test_nothing_to_be_seen_is_no_error():
     assert len(none) == 0 and none.identification is None
 
 
-def test_what_it_does_not_follow_is_refused_in_words():
+def test_unsupported_sources_are_refused_with_a_clear_message():
     scene, _ = crossing(1, until_s=5.0)
     now = scene.at(2.0, features=POSITION_AND_VELOCITY)
     tracker = PlotTracker()
@@ -309,7 +309,7 @@ def weight(rule, sources, row, region):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_weights_of_sets_are_those_of_the_formulas(seed):
+def test_weights_of_sets_agree_with_the_formulas(seed):
     rng = np.random.default_rng(seed)
     known, looks = three_sources(rng)
     region = Region(np.zeros(2), (100.0, 100.0))
@@ -330,14 +330,14 @@ def test_weights_of_sets_are_those_of_the_formulas(seed):
     np.testing.assert_allclose(found.sets.log_weight[several], np.log(expected), atol=1e-6)
 
 
-def test_it_is_no_rule_for_one_source_after_another():
+def test_the_rule_is_refused_by_sequential_identification():
     _, looks = three_sources(np.random.default_rng(1))
     rule = BernoulliObjects(1e-4, ("lidar", "radar"), {}, {}, np.empty(0), np.empty((0, 2)))
     with pytest.raises(InputError, match="BernoulliObjects needs whole sets of records; use it in identify_many"):
         identify_sequentially(looks, rule=rule)
 
 
-def test_with_nothing_known_and_misses_alike_everywhere_it_is_the_poisson_field():
+def test_without_known_objects_the_rule_is_the_poisson_field():
     rng = np.random.default_rng(3)
     _, looks = three_sources(rng)
     nobody = Records.of(np.empty((0, 2)), sigma=1.0, source=KNOWN)
@@ -374,7 +374,7 @@ def test_existence_follows_bayes_and_misses_are_remembered():
     assert (missed.aged(10.0, 60.0, 10.0).expected_q(np.full((1, 2), 0.3), 6.0, 0.1) != q).all()
 
 
-def test_two_at_one_place_that_no_look_tells_apart_become_one_and_two_that_a_look_shows_stay():
+def test_unresolved_objects_at_one_position_are_merged_and_resolved_ones_kept():
     twins = objects([[0.0, 0.0], [3.0, 1.0], [80.0, 0.0]])
     never, both = twins, twins
     for _ in range(4):
@@ -389,7 +389,7 @@ def test_two_at_one_place_that_no_look_tells_apart_become_one_and_two_that_a_loo
     assert len(hull.merged(1e-4)) < len(both)
 
 
-def test_a_set_of_objects_can_be_parted_and_joined():
+def test_object_tables_can_be_split_and_joined():
     whole = objects(np.arange(10.0).reshape(5, 2))
     apart = replace(whole, separate_log_odds=np.arange(25.0).reshape(5, 5))
     for a, b in combinations(range(5), 2):

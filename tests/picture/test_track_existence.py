@@ -1,4 +1,4 @@
-"""Lives of tracks: who lives long is real, at the rate that is stated; a track that breaks goes on under its number."""
+"""Track existence: long-lived tracks are real with calibrated probability; broken tracks keep their object number."""
 
 import numpy as np
 import pytest
@@ -49,7 +49,7 @@ def test_false_tracks_are_not_confirmed_and_real_ones_are():
     assert counts[1] <= 3
 
 
-def test_a_mixture_of_lives_is_found():
+def test_a_mixture_of_track_durations_is_fitted():
     rng = np.random.default_rng(1)
     n, real = 1500, rng.random(1500) < 0.2
     life = np.where(real, rng.exponential(900.0, n), rng.exponential(12.0, n))
@@ -69,7 +69,7 @@ def test_a_mixture_of_lives_is_found():
 
 
 @pytest.mark.slow
-def test_a_track_that_breaks_goes_on_under_the_number_of_its_object():
+def test_a_broken_track_keeps_its_object_number():
     times = np.arange(0.0, 401.0, 10.0)
     before, after = times <= 180.0, times >= 220.0
     for seed in range(6):
@@ -86,6 +86,6 @@ def test_a_track_that_breaks_goes_on_under_the_number_of_its_object():
         assert set(o["stage"][o["time_s"] >= 300.0].tolist()) == {"confirmed"}
 
 
-def test_stages_refuse_a_certainty_that_cannot_be():
+def test_invalid_confirmation_probabilities_are_refused():
     with pytest.raises(InputError, match="sure and real as probabilities"):
         Watch(stages=Stages(real=1.0))

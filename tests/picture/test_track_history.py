@@ -1,4 +1,4 @@
-"""Belonging: shares of tracks go over in minutes; reports left behind by a manoeuvre stay with their tracks."""
+"""Track history: shares of tracks change over minutes; reports before a manoeuvre stay with their tracks."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def shown(history, instant_s, number):
     return history.advance(instant_s, 7 * one, number * one, np.zeros(1, bool), np.array([1, 2]))
 
 
-def test_shares_sum_to_one_and_go_over_in_minutes():
+def test_shares_sum_to_one_and_change_over_minutes():
     history = TrackHistory()
     for t in range(0, 600, 10):
         history = shown(history, float(t), 1)
@@ -28,7 +28,7 @@ def test_shares_sum_to_one_and_go_over_in_minutes():
     assert abs(wrong.share[wrong.number == 2] - (1.0 - np.exp(-1000.0 / Tuning().history_s))) < 0.01
 
 
-def test_a_number_comes_back_with_the_tracks_that_were_its_own_for_long():
+def test_a_number_returns_with_its_long_standing_tracks():
     history = TrackHistory()
     for t in range(0, 300, 10):
         history = shown(history, float(t), 1)
@@ -53,7 +53,7 @@ def ferry(seed, stops_s=200.0):
 
 
 @pytest.mark.slow
-def test_a_report_left_behind_by_a_manoeuvre_stays_with_the_track_that_went_with_it():
+def test_a_report_before_a_manoeuvre_stays_with_its_track():
     together = 0
     for seed in range(5):
         scene, times = ferry(seed)

@@ -1,4 +1,4 @@
-"""Kernels of pairs of tracks give what the formulas give, written along the pairs; interpreted and compiled."""
+"""Kernels of track pairs agree with NumPy formulas, interpreted and compiled."""
 
 import numpy as np
 import pytest
@@ -100,7 +100,7 @@ def stepped(mean, covariance, rows, a, b, step, total):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_pairs_go_through_an_instant_as_the_formulas_say(rng, way):
+def test_the_update_of_pairs_agrees_with_the_formulas(rng, way):
     m, n = 7, 20
     total = spd(rng, m, 2)
     root = np.linalg.cholesky(total)
@@ -132,7 +132,7 @@ def test_pairs_go_through_an_instant_as_the_formulas_say(rng, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_mixture_has_the_moments_of_what_is_drawn_from_both(rng, way):
+def test_a_merged_mixture_has_the_moments_of_its_samples(rng, way):
     (mean, other), (covariance, other_covariance) = rng.normal(size=(2, 3, 2, 8)), spd(rng, 2, 3, 2, 8)
     rows, others = packed(mean, covariance), packed(other[:2], other_covariance[:2])
     before, (means, covariances), (other_means, others_covariances) = rows.copy(), unpacked(rows), unpacked(others)

@@ -1,4 +1,4 @@
-"""What a picture says names records as a user finds them, and does not hide that a rival may be the more probable."""
+"""Texts of a picture name records by track and line, and mention more probable rivals."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, MissRate, SensorErrors, Site
 
 
-def test_the_share_of_misses_has_the_standard_error_that_trials_show():
+def test_the_standard_error_of_the_miss_share_agrees_with_trials():
     """Looks follow each other: what one misses the next three miss as well."""
     rng, pulls = np.random.default_rng(4), []
     for _ in range(300):
@@ -53,7 +53,7 @@ def crossing(seed=4):
 
 
 @pytest.mark.slow
-def test_explanations_name_tracks_and_lines_as_the_identities_do():
+def test_explanations_and_identities_name_the_same_tracks_and_lines():
     picture = Picture.of(Scene.of(crossing()), np.arange(1.0, 39.0, 2.0))
     r, o = picture.records, picture.objects
     assert picture.texts
@@ -67,7 +67,7 @@ def test_explanations_name_tracks_and_lines_as_the_identities_do():
         assert ("By itself" in text) == better
 
 
-def test_a_rival_that_is_more_probable_by_itself_is_said_to_be_so():
+def test_a_more_probable_rival_is_reported():
     camera, radar = ("camera", "line 3"), ("radar", "5")
     rival = Rival((radar,), 0.51, 0.0, {}, (), chosen=False)
     chosen = Rival((camera, radar), 0.49, 3.0, {"position": 3.0}, (), chosen=True)
@@ -77,7 +77,7 @@ def test_a_rival_that_is_more_probable_by_itself_is_said_to_be_so():
 
 
 @pytest.mark.slow
-def test_a_plot_without_a_number_is_explained_anew_at_every_look():
+def test_a_plot_without_id_is_explained_at_every_scan():
     times = np.arange(1.0, 39.0, 2.0)
     picture = Picture.of(Scene.of(crossing()), times)
     r = picture.records
