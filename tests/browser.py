@@ -17,9 +17,9 @@ CHROMIUM = next(
 
 
 class Browser:
-    """One page of a headless Chromium: ``js`` evaluates, ``click`` and ``wheel`` do as a hand would.
+    """One page of a headless Chromium: ``js`` evaluates; ``click`` and ``wheel`` simulate user input.
 
-    errors : exceptions of its scripts. complaints : errors that the browser has logged. requests : addresses asked for.
+    errors : exceptions of its scripts. complaints : errors logged by the browser. requests : requested URLs.
     """
 
     def __init__(self, profile: Path, page: Path | str, size: tuple[int, int] = (1400, 1000)) -> None:

@@ -44,7 +44,7 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 @dataclass(frozen=True)
 class Block:
-    """A fenced block: its kind, what its comments say, its line in the page, and what a text block below it shows."""
+    """A fenced block: its kind, options from comments, line in the page, and the text block below it."""
 
     kind: str
     code: str
@@ -155,7 +155,7 @@ def is_alike(wanted: str, line: str, within: float) -> bool:
 
 
 @pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=named)
-def test_links_lead_somewhere(page):
+def test_links_are_valid(page):
     text = page.read_text(encoding="utf-8")
     for target in LINK.findall(re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)):
         if target.startswith(("http://", "https://", "mailto:")):
@@ -174,12 +174,12 @@ def anchors(page: Path) -> set[str]:
 
 
 @pytest.mark.parametrize("page", [*PAGES, *OTHERS], ids=named)
-def test_documents_name_no_private_place(page):
+def test_documents_name_no_private_paths(page):
     text = page.read_text(encoding="utf-8")
     assert not re.search(r"/work\b|/tmp\b|/home/|\.\./shared|METHOD\.md|PERFORMANCE\.md|STYLE\.md", text)
 
 
-def test_equations_that_the_code_cites_are_on_the_page_of_the_method():
+def test_equations_cited_in_code_are_on_the_method_page():
     heads = re.findall(r"^#+ ([\d.]*\d)\.? ", (HOME / "docs/method.md").read_text(encoding="utf-8"), re.MULTILINE)
     for path in (HOME / "src").rglob("*.py"):
         for number in re.findall(r"METHOD (\d(?:\.\d)?)", path.read_text(encoding="utf-8")):

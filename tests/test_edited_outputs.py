@@ -1,4 +1,4 @@
-"""What sameas wrote and somebody edited, cut or damaged is refused in one line, and what is left of it is told."""
+"""Outputs of sameas that were edited, cut or damaged: used as far as valid, otherwise refused in one line."""
 
 import json
 import sqlite3
@@ -50,7 +50,7 @@ EDITS = {
 
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("edit", EDITS)
-def test_an_edited_table_is_told_of_or_refused(edit, output, tmp_path):
+def test_an_edited_table_is_read_or_refused(edit, output, tmp_path):
     table, facts = output[0].copy(), dict(output[1])
     EDITS[edit](table, facts)
     write_table(table, tmp_path / "edited.ecsv", provenance=facts)
@@ -93,7 +93,7 @@ VERSION = {"version": sameas.__version__, "layout": LAYOUT}
 
 
 @pytest.mark.parametrize("state", ["text", ["a", "list"], VERSION, {"names": []}, VERSION | {"picture": 3, "tick": 1}])
-def test_a_state_of_something_else_is_refused(state, tmp_path):
+def test_a_state_of_another_kind_is_refused(state, tmp_path):
     if "picture" in state:
         state = state | {"names": list(settings().sources)}
     (tmp_path / "state.pickle").write_bytes(dumps(state))
@@ -135,7 +135,7 @@ def test_a_damaged_list_of_partitions_is_refused(name, content, words, tmp_path)
 @pytest.mark.parametrize(
     "url", ["udp://127.0.0.1:1e308", "udp://127.0.0.1:99999", "udp://[::1", "udp://h:\N{VULGAR FRACTION ONE HALF}"]
 )
-def test_an_output_or_input_at_no_port_is_refused(url):
+def test_addresses_without_a_valid_port_are_refused(url):
     from dataclasses import replace
 
     from sameas.live.keeper import _wires

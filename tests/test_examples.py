@@ -1,4 +1,4 @@
-"""The examples run, on a piece of the sky, and say what the demo promises."""
+"""The examples run on a part of the sky with the results stated in the demo."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def tables(demo: ModuleType) -> tuple[Table, Table]:
 
 
 @pytest.mark.slow
-def test_the_packages_hold_what_we_think(tables: tuple[Table, Table]) -> None:
+def test_the_data_packages_have_the_expected_contents(tables: tuple[Table, Table]) -> None:
     hipparcos, gaia = tables
     assert (len(hipparcos), len(gaia)) == (117_955, 482_176)
     assert np.sum(hipparcos["Hpmag"] < 9.5) == 96_019
@@ -40,7 +40,7 @@ def test_the_packages_hold_what_we_think(tables: tuple[Table, Table]) -> None:
 
 
 @pytest.mark.slow
-def test_stars_put_in_from_hipparcos_are_moved_to_2016_but_for_polaris(tables: tuple[Table, Table]) -> None:
+def test_stars_inserted_from_hipparcos_are_propagated_to_2016_except_polaris(tables: tuple[Table, Table]) -> None:
     hipparcos, gaia = tables
     bright = gaia[gaia["source_id"] < 0]
     own = hipparcos[np.searchsorted(hipparcos["HIP"], -bright["source_id"])]
@@ -54,7 +54,7 @@ def test_stars_put_in_from_hipparcos_are_moved_to_2016_but_for_polaris(tables: t
 
 
 @pytest.mark.slow
-def test_the_demo_runs_and_is_right_where_nearest_neighbour_is_not(
+def test_the_demo_is_right_where_nearest_neighbour_is_wrong(
     demo: ModuleType,
     tables: tuple[Table, Table],
     tmp_path: Path,
@@ -88,7 +88,7 @@ def new_york() -> ModuleType:
     return module
 
 
-def test_the_log_of_new_york_is_what_its_readme_says(new_york: ModuleType) -> None:
+def test_the_log_of_new_york_agrees_with_its_readme(new_york: ModuleType) -> None:
     log = new_york.log()
     said = (EXAMPLES / "data" / "README.md").read_text(encoding="utf-8")
     assert f"{len(log)} AIS reports of {len(set(log.mmsi))} vessels" in said
@@ -96,7 +96,7 @@ def test_the_log_of_new_york_is_what_its_readme_says(new_york: ModuleType) -> No
 
 
 @pytest.mark.slow
-def test_vessels_off_manhattan_are_told_from_each_other(
+def test_vessels_off_manhattan_are_distinguished(
     new_york: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from sameas.io.sensors.sources import read_source_options, read_sources

@@ -1,4 +1,4 @@
-"""Commands that are killed, interrupted and refused by disks, a few moments each; scripts/bench faults hits more."""
+"""Commands killed, interrupted or stopped by disk errors at a few moments; scripts/bench faults tries more."""
 
 import os
 import random
@@ -22,7 +22,7 @@ NAMES = (
 @pytest.mark.long
 @pytest.mark.skipif(sys.platform != "linux", reason="forks, and mounts a file system of bounded size")
 @pytest.mark.parametrize("name", NAMES)
-def test_outputs_are_whole_whatever_stops_a_command(name, tmp_path, monkeypatch):
+def test_outputs_are_complete_whatever_stops_a_command(name, tmp_path, monkeypatch):
     monkeypatch.setitem(os.environ, "SOURCE_DATE_EPOCH", "1700000000")
     [work] = [work for work in faults.works(tmp_path, endings=()) if work.name == name]
     runner = faults.NewProcess(work) if work.starts_others else faults.ForkServer(work)

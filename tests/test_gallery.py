@@ -1,4 +1,4 @@
-"""The notebooks of docs/gallery/ run from top to bottom, and are kept without outputs: the site makes these anew."""
+"""The notebooks of docs/gallery/ run from top to bottom and are stored without outputs; the site generates these."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_notebook_has_a_title_a_place_in_the_gallery_and_no_outputs(path):
         assert not cell.get("outputs") and not cell.get("execution_count")
 
 
-def test_the_gallery_shows_only_what_is_there():
+def test_the_gallery_lists_existing_notebooks_only():
     assert len(NOTEBOOKS) >= 6
     linked = [part.split(")")[0] for part in (GALLERY / "index.md").read_text().split("](")[1:]]
     assert sorted(name for name in linked if name.endswith(".ipynb")) == [path.name for path in NOTEBOOKS]

@@ -1,4 +1,4 @@
-"""Names from files stay text: on the terminal, in headers, regions, maps and tables; the source runs no text."""
+"""Names from files stay text: on the terminal, in headers, regions, maps and tables; no text is executed."""
 
 import ast
 import json
@@ -33,7 +33,7 @@ def stars(names):
 
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
-def test_cells_come_back_as_they_were(ending, tmp_path):
+def test_cells_round_trip(ending, tmp_path):
     # Formulas too: what a spreadsheet makes of a cell is said in the documents, not changed here.
     names = [name for name in HOSTILE if name.isascii() or ending != ".fits"]
     # XML has no control characters, and it and CSV know one line end only.
@@ -49,7 +49,7 @@ CONTROLS = ["a\nEND\r\n--", "a\nb", "a\rb", "a\tb", "a\x00b", "\x1b[31mred\x1b]0
 
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
-def test_names_of_columns_are_one_line_and_their_tables_are_read_again(ending, tmp_path):
+def test_column_names_are_one_line_and_their_tables_round_trip(ending, tmp_path):
     given = ["ra", "dec", *CONTROLS, "a  END  --", "a b", *HOSTILE[:3], HOSTILE[8]]
     write_table(Table([[float(k)] for k in range(len(given))], names=given), tmp_path / f"t{ending}", provenance={})
     back = read_table(tmp_path / f"t{ending}")
@@ -62,7 +62,7 @@ def test_names_of_columns_are_one_line_and_their_tables_are_read_again(ending, t
 @pytest.mark.slow_after(1)
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
 @pytest.mark.parametrize("text", CONTROLS)
-def test_what_is_said_of_columns_does_not_make_a_table_unreadable(text, ending, tmp_path):
+def test_column_descriptions_never_make_a_table_unreadable(text, ending, tmp_path):
     table = stars(["a"])
     table.meta["key"], table["name"].description = text, text
     table["ra"].unit = UnrecognizedUnit(text)
@@ -80,7 +80,7 @@ def test_an_ecsv_header_with_an_empty_line_is_read(tmp_path):
     assert "\n# \n" in (tmp_path / "t.ecsv").read_text() and read_table(tmp_path / "t.ecsv")["name"].tolist() == ["a"]
 
 
-def test_headers_of_fits_hold_nothing_but_printable_ascii(tmp_path):
+def test_fits_headers_contain_printable_ascii_only(tmp_path):
     table = stars(["a"])
     table.meta = {f"KEY{k}": text for k, text in enumerate(HOSTILE)} | {"comments": HOSTILE, "HISTORY": HOSTILE}
     table["name"].description = HOSTILE[10]
@@ -94,7 +94,7 @@ def test_headers_of_fits_hold_nothing_but_printable_ascii(tmp_path):
     assert len(read_table(tmp_path / "t.fits")) == 1
 
 
-def test_a_region_is_one_line_whatever_its_star_is_called(tmp_path):
+def test_a_region_is_one_line_for_any_star_name(tmp_path):
     n = len(HOSTILE)
     listing = Table({
         "ra_deg": np.full(n, 10.0), "dec_deg": np.zeros(n), "star": HOSTILE, "remark": HOSTILE[::-1],
@@ -110,7 +110,7 @@ def test_a_region_is_one_line_whatever_its_star_is_called(tmp_path):
         ), line
 
 
-def test_geojson_is_json_whatever_the_names_are(tmp_path):
+def test_geojson_is_valid_for_any_names(tmp_path):
     n = len(HOSTILE)
     objects = {"time_s": np.zeros(n), "object": np.arange(n), "lat_deg": np.zeros(n), "lon_deg": np.arange(n) + 0.0,
                "name": np.array(HOSTILE, object)}  # fmt: skip
@@ -137,7 +137,7 @@ def calls(tree):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: str(path.relative_to(SOURCE)))
-def test_the_source_runs_no_text_and_unpacks_no_objects(path):
+def test_the_source_calls_no_eval_exec_or_pickle(path):
     tree = ast.parse(path.read_text(encoding="utf-8"))
     imported = {
         alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names

@@ -1,4 +1,4 @@
-"""Maps: outlines lie where the earth has them, sheets are checked, pages work in a browser, pictures are drawn."""
+"""Maps: coastlines against known places, checks of sheets, pages in a browser, static charts."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ in_a_browser = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show 
 
 
 def winding(rings: tuple[NDArray[Any], ...], place: tuple[float, float]) -> int:
-    """How often all rings together go round a place: 1 on land, 0 on water."""
+    """Winding number of all rings around a place: 1 on land, 0 on water."""
     total = 0.0
     for ring in rings:
         angle = np.unwrap(np.arctan2(*(np.vstack([ring, ring[:1]]) - place).T))
@@ -58,14 +58,14 @@ def winding(rings: tuple[NDArray[Any], ...], place: tuple[float, float]) -> int:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("off", [0.0, 2.0])
-def test_land_is_where_the_earth_has_it(lat: float, lon: float, land: bool, off: float) -> None:
+def test_land_and_water_at_known_places(lat: float, lon: float, land: bool, off: float) -> None:
     plane = LocalPlane(float(np.clip(lat - off, -90.0, 90.0)), lon + off)
     place = plane.of_geodetic([lat], [lon])[0] + [3.0, 7.0]
     around = outline(plane, -400e3, -400e3, 400e3, 400e3)
     assert winding(around.land, tuple(place)) == int(land)
 
 
-def test_where_cells_meet_there_is_no_coast() -> None:
+def test_cell_borders_are_no_coast() -> None:
     around = outline(LocalPlane(25.0, 10.0), -400e3, -400e3, 400e3, 400e3)
     assert len(around.land) >= 4 and not around.coast and around.borders
     sea = outline(LocalPlane(0.0, -25.0), -300e3, -300e3, 300e3, 300e3)
@@ -84,13 +84,13 @@ def test_the_coast_is_the_shore_of_the_land() -> None:
     assert all(np.abs(ring).max() <= 60e3 + 1e-6 for ring in around.land)
 
 
-def test_a_box_without_room_is_refused() -> None:
+def test_an_empty_box_is_refused() -> None:
     with pytest.raises(InputError, match="give west < east"):
         outline(SOLENT, 10.0, 0.0, -10.0, 5.0)
 
 
 @pytest.mark.parametrize(("lat", "lon"), [(50.77, -1.25), (-17.5, 179.9), (89.6, 40.0), (0.0, 0.0)])
-def test_lines_of_the_graticule_lie_on_what_they_say(lat: float, lon: float) -> None:
+def test_graticule_lines_are_at_their_labels(lat: float, lon: float) -> None:
     plane = LocalPlane(lat, lon)
     lines = graticule(plane, -90e3, -90e3, 90e3, 90e3)
     assert min(sum(line.parallel for line in lines), sum(not line.parallel for line in lines)) >= 3
@@ -105,7 +105,7 @@ def test_lines_of_the_graticule_lie_on_what_they_say(lat: float, lon: float) -> 
 # ---- sheets ----
 
 
-def test_a_sheet_says_what_is_wrong_with_its_columns() -> None:
+def test_invalid_columns_of_a_sheet_are_refused_by_name() -> None:
     good = {"time_s": [0.0], "object": [1], "stage": ["confirmed"], "x_m": [0.0], "y_m": [0.0]}
     with pytest.raises(InputError, match="objects: there is no column y_m"):
         MapSheet.of("map", {name: good[name] for name in list(good)[:4]}, {})
@@ -131,7 +131,7 @@ def test_masked_cells_are_absent_and_unknown_sources_get_a_place() -> None:
     assert sheet.extent() == sheet.home() == (-48.0, -50.0, 52.0, 50.0)
 
 
-def test_what_is_looked_at_first_are_confirmed_objects_and_sites() -> None:
+def test_the_first_view_contains_confirmed_objects_and_sites() -> None:
     stage = ["confirmed", "confirmed", "tentative"]
     objects = {"time_s": [0.0] * 3, "object": [1, 2, 3], "stage": stage, "x_m": [0.0, 500.0, 9e5], "y_m": [0.0] * 3}
     sheet = MapSheet.of("map", objects, {}, sensors=[MapSensor("radar", x_m=-100.0, y_m=-300.0)])
@@ -140,7 +140,7 @@ def test_what_is_looked_at_first_are_confirmed_objects_and_sites() -> None:
     assert told["extent"] == [-100.0, -300.0, 500.0, 0.0] and told["box"][2] >= 9e5
 
 
-def test_an_instant_without_anything_is_shown_too() -> None:
+def test_an_empty_instant_is_shown_too() -> None:
     sheet = MapSheet.of("map", {}, {}, instants_s=[0.0, 1.0])
     assert len(sheet.instants_s) == 2 and "columns" in map_page(sheet)
 
@@ -150,7 +150,9 @@ def test_an_instant_without_anything_is_shown_too() -> None:
     st.tuples(st.integers(0, 359), st.integers(1, 360)),
     st.lists(st.tuples(st.integers(0, 359), st.integers(1, 90)), max_size=3),
 )
-def test_a_sensor_sees_its_sector_less_its_shadows(whole: tuple[int, int], dark: list[tuple[int, int]]) -> None:
+def test_the_coverage_of_a_sensor_is_its_sector_minus_shadows(
+    whole: tuple[int, int], dark: list[tuple[int, int]]
+) -> None:
     sector = (float(whole[0]), float(sum(whole) % 360))
     shadows = tuple((float(a), float((a + w) % 360)) for a, w in dark)
     coverage = SensorCoverage(range_m=1000.0, sector_deg=sector, shadows_deg=shadows)
@@ -171,7 +173,7 @@ def test_members_are_read_from_their_list() -> None:
 
 
 def unpack(heads: list[dict[str, Any]], text: str) -> dict[str, NDArray[Any]]:
-    """Straight from the definition in pages/map.py."""
+    """From the definition in pages/map.py."""
     data, at, found = gzip.decompress(base64.b64decode(text)), 0, {}
     for head in heads:
         n, total, values = head["n"], 0, []
@@ -190,7 +192,7 @@ def unpack(heads: list[dict[str, Any]], text: str) -> dict[str, NDArray[Any]]:
 
 @pytest.mark.slow
 @given(st.lists(st.one_of(st.just(np.nan), st.floats(-1e6, 1e6)), max_size=30), st.sampled_from([0.01, 0.5, 1.0]))
-def test_packed_columns_come_back_to_half_a_step(values: list[float], step: float) -> None:
+def test_packed_columns_round_trip_to_half_a_step(values: list[float], step: float) -> None:
     column = np.array(values, np.float64)
     back = unpack(*packed({"a": (column, step), "b": (column[::-1], 1.0)}))
     assert np.array_equal(np.isnan(back["a"]), np.isnan(column))
@@ -207,7 +209,7 @@ def test_numbers_too_large_to_be_shown_are_refused() -> None:
 
 
 @pytest.mark.slow
-def test_the_page_is_small_and_asks_for_nothing() -> None:
+def test_the_page_is_small_and_makes_no_requests() -> None:
     sheet = charted(60, 60, reach_m=20e3)
     page = map_page(sheet)
     assert len(page) < 600_000 + 45 * len(sheet.objects["object"])
@@ -215,14 +217,14 @@ def test_the_page_is_small_and_asks_for_nothing() -> None:
     assert "default-src 'none'" in page
 
 
-def test_names_from_radio_do_not_end_the_script() -> None:
+def test_received_names_cannot_end_the_script() -> None:
     page = map_page(charted(3, 4, names={1: HOSTILE, 2: "{{js}}", 3: "\u2028"}))
     assert HOSTILE not in page and page.count("</script>") == 4
     assert "\\u003c/script>\\u003cscript>" in page
     assert page.count("mapPage = {") == 1
 
 
-def test_a_page_that_cannot_be_written_says_so(tmp_path: Path) -> None:
+def test_an_unwritable_page_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
         write_map_page(charted(2, 2), tmp_path / "none" / "map.html")
 
@@ -267,7 +269,7 @@ def words(browser: Browser, name: str) -> str:
 
 @pytest.mark.slow
 @in_a_browser
-def test_the_page_holds_the_columns_of_the_sheet(shown: tuple[Browser, MapSheet]) -> None:
+def test_the_page_contains_the_columns_of_the_sheet(shown: tuple[Browser, MapSheet]) -> None:
     browser, sheet = shown
     for table, columns in (("objects", sheet.objects), ("records", sheet.records)):
         for here, there, step in (("x", "x_m", 0.01), ("y", "y_m", 0.01), ("n", "object", 1e-9)):
@@ -280,7 +282,7 @@ def test_the_page_holds_the_columns_of_the_sheet(shown: tuple[Browser, MapSheet]
 
 @pytest.mark.slow
 @in_a_browser
-def test_the_page_and_the_plane_agree_on_the_earth(shown: tuple[Browser, MapSheet]) -> None:
+def test_page_and_local_plane_give_equal_coordinates(shown: tuple[Browser, MapSheet]) -> None:
     browser, _ = shown
     rng = np.random.default_rng(1)
     xy = rng.uniform(-300e3, 300e3, (20, 2))
@@ -293,7 +295,7 @@ def test_the_page_and_the_plane_agree_on_the_earth(shown: tuple[Browser, MapShee
 
 @pytest.mark.slow
 @in_a_browser
-def test_the_slider_moves_what_is_drawn(shown: tuple[Browser, MapSheet]) -> None:
+def test_the_slider_changes_the_drawn_instant(shown: tuple[Browser, MapSheet]) -> None:
     browser, sheet = shown
     browser.js("mapPage.show(0)")
     assert words(browser, "time") == "22:13:20" and words(browser, "day") == "2023-11-14"
@@ -348,7 +350,7 @@ def test_a_click_on_an_object_explains_it(shown: tuple[Browser, MapSheet]) -> No
 
 
 @in_a_browser
-def test_an_ambiguous_object_shows_what_else_it_might_be(shown: tuple[Browser, MapSheet]) -> None:
+def test_an_ambiguous_object_shows_its_alternatives(shown: tuple[Browser, MapSheet]) -> None:
     browser, _ = shown
     browser.js("mapPage.show(20); mapPage.pick(1)")
     browser.until("document.getElementById('object').innerText.includes('Why')")
@@ -422,7 +424,7 @@ def test_wheel_and_drag_move_the_chart(shown: tuple[Browser, MapSheet]) -> None:
 
 
 @in_a_browser
-def test_nothing_went_wrong_and_nothing_was_fetched(shown: tuple[Browser, MapSheet]) -> None:
+def test_no_script_errors_and_no_requests(shown: tuple[Browser, MapSheet]) -> None:
     browser, _ = shown
     assert not browser.errors
     assert not [url for url in browser.requests if not url.startswith(("file:", "data:", "blob:"))]
@@ -430,7 +432,7 @@ def test_nothing_went_wrong_and_nothing_was_fetched(shown: tuple[Browser, MapShe
 
 @pytest.mark.slow
 @in_a_browser
-def test_thousands_of_ships_thin_out_and_come_back_whole_when_one_zooms_in(tmp_path: Path) -> None:
+def test_thousands_of_ships_are_thinned_and_complete_after_zooming_in(tmp_path: Path) -> None:
     write_map_page(charted(2000, 2, reach_m=20_000.0), tmp_path / "map.html")
     browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1400, 900))
     try:
@@ -440,7 +442,7 @@ def test_thousands_of_ships_thin_out_and_come_back_whole_when_one_zooms_in(tmp_p
         assert browser.js("mapPage.crowd.radius") < 5 and whole > 2000
         # Of the records only those of the ambiguous two are left.
         assert few <= 3 * len(browser.js(ambiguous))
-        # A dot is an object to the hand as a symbol is.
+        # Dots are clickable like symbols.
         assert browser.js("mapPage.hits.filter(hit => !hit.record).length") > 1500
         for _ in range(7):
             browser.js("document.getElementById('closer').click()")
@@ -466,7 +468,7 @@ def test_thousands_of_ships_thin_out_and_come_back_whole_when_one_zooms_in(tmp_p
 
 @pytest.mark.slow
 @in_a_browser
-def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) -> None:
+def test_improbable_objects_do_not_count_as_seen_by_several(tmp_path: Path) -> None:
     sheet = charted(6, 6)
     several = np.asarray(sheet.objects["n_sources"]) > 1
     first = int(np.flatnonzero(several & (sheet.instant_of(sheet.objects) == 3) & (sheet.objects["object"] != 1))[0])
@@ -483,7 +485,7 @@ def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) ->
         assert f"\n{sources} sources" not in told and "These records are one object" not in told
         row = f"document.querySelector('#rows tr[data-number=\"{number}\"]')"
         assert browser.js(f"{row}.querySelector('.sources').textContent") == "?"
-        # Nothing of a number or of the sources is cut off.
+        # Numbers and sources are not cut off.
         cells = "[...document.querySelectorAll('#rows td.number, #rows td.sources')]"
         cut = f"{cells}.filter(td => td.scrollWidth > td.clientWidth).length"
         assert browser.js(cut) == 0
@@ -498,7 +500,7 @@ def test_what_is_improbable_is_not_said_to_be_seen_by_several(tmp_path: Path) ->
 
 @pytest.mark.slow
 @in_a_browser
-def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
+def test_local_metres_make_a_map_on_a_phone(tmp_path: Path) -> None:
     write_map_page(charted(plane=None), tmp_path / "map.html")
     browser = Browser(tmp_path / "profile", tmp_path / "map.html", (1000, 700))
     try:
@@ -518,7 +520,7 @@ def test_metres_alone_make_a_map_on_a_phone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_chart_of_many_objects_has_no_more_to_draw_than_one_of_few() -> None:
+def test_the_number_of_drawn_paths_does_not_grow_with_objects() -> None:
     pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
     from sameas.plots.map import chart
 
@@ -546,7 +548,7 @@ def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -
     assert (tmp_path / "map.png").stat().st_size > 20_000
 
 
-def test_the_chart_and_the_page_count_the_same_objects_as_seen_by_several() -> None:
+def test_chart_and_page_agree_on_objects_seen_by_several() -> None:
     pytest.importorskip("matplotlib", reason="charts need the extra sameas[plots]")
     from sameas.plots.map import chart
 
@@ -559,7 +561,7 @@ def test_the_chart_and_the_page_count_the_same_objects_as_seen_by_several() -> N
     assert f"{several - 1} seen by two or more sources" in chart(sheet, sheet.instants_s[3]).get_suptitle()
 
 
-def test_a_coast_of_ones_own_stands_for_the_other(tmp_path: Path) -> None:
+def test_a_users_coastline_replaces_the_default(tmp_path: Path) -> None:
     island = np.array([[0.0, 0.0], [900.0, 0.0], [900.0, 900.0]])
     sheet = replace(charted(3, 3), ground=Outline((island,), (island,)))
     page = map_page(sheet)

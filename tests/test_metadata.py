@@ -1,4 +1,4 @@
-"""What is said of the package stands in one place, and says the same wherever it is repeated."""
+"""Package metadata is consistent wherever it is repeated."""
 
 import importlib.util
 import re
@@ -17,7 +17,7 @@ def text_of(name):
     return (HOME / name).read_text("utf-8")
 
 
-def test_the_version_stands_in_one_place_and_is_repeated_right():
+def test_the_version_is_the_same_everywhere():
     assert "version" not in PROJECT and "version" in PROJECT["dynamic"]
     assert re.search(r"^version: (.*)$", text_of("CITATION.cff"), re.MULTILINE)[1] == sameas.__version__
     newest = re.search(r"^## (\S+) – (unreleased|\d{4}-\d\d-\d\d)$", text_of("CHANGELOG.md"), re.MULTILINE)
@@ -25,7 +25,7 @@ def test_the_version_stands_in_one_place_and_is_repeated_right():
     assert f"Version {sameas.__version__}" in text_of("README.md")
 
 
-def test_the_citation_says_what_the_project_says():
+def test_the_citation_agrees_with_the_project_metadata():
     citation = text_of("CITATION.cff")
     assert f"license: {PROJECT['license']}" in citation
     for author in PROJECT["authors"]:
@@ -55,12 +55,12 @@ def test_links_of_the_long_description_are_absolute():
 
 
 @pytest.mark.parametrize("key", ["title", "tags", "authors", "affiliations", "date", "bibliography"])
-def test_the_paper_has_the_head_that_its_journal_asks_for(key):
+def test_the_paper_has_the_header_required_by_its_journal(key):
     head = text_of("paper.md").split("---")[1]
     assert re.search(rf"^{key}:", head, re.MULTILINE)
 
 
-def test_every_figure_of_the_papers_tables_is_measured():
+def test_every_row_of_the_papers_tables_is_in_measured_md():
     """Rows of the paper's tables are rows of docs/measured.md."""
     measured = [row.replace("*", "") for row in text_of("docs/measured.md").splitlines()]
     rows = [row for row in text_of("paper.md").splitlines() if row.startswith("| ") and re.search(r"\d", row)]
@@ -69,12 +69,12 @@ def test_every_figure_of_the_papers_tables_is_measured():
         assert row in measured, row
 
 
-def test_what_the_paper_cites_is_in_its_bibliography():
+def test_all_citations_of_the_paper_are_in_its_bibliography():
     cited = set(re.findall(r"@([\w:]+)", text_of("paper.md").split("---", 2)[2]))
     assert cited == set(re.findall(r"^@\w+\{([\w:]+),", text_of("paper.bib"), re.MULTILINE)) and len(cited) >= 8
     assert len(re.findall(r"\n  doi = ", text_of("paper.bib"))) >= 6
 
 
-def test_the_paper_is_of_the_length_that_its_journal_asks_for():
+def test_the_paper_has_the_length_required_by_its_journal():
     words = len(re.sub(r"^\|.*$", "", text_of("paper.md").split("---", 2)[2], flags=re.MULTILINE).split())
     assert 250 <= words <= 1750

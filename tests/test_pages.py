@@ -1,4 +1,4 @@
-"""Pages run their own script and nothing else, whatever the names in them are."""
+"""Pages run only their own script, for any names in them; layout and colours."""
 
 import base64
 import hashlib
@@ -25,7 +25,7 @@ def filled(template, title="", **marks):
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
-def test_the_policy_names_the_digest_of_the_script_and_no_other_source(template):
+def test_the_content_policy_allows_only_the_hash_of_the_script(template):
     page = filled(template, data=script_safe({"name": HOSTILE}))
     (script,) = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
@@ -34,32 +34,32 @@ def test_the_policy_names_the_digest_of_the_script_and_no_other_source(template)
     assert rules.pop("script-src") == f"'sha256-{digest}'"
     assert rules.pop("default-src") == "'none'" and rules.pop("img-src") == "data:"
     assert rules == {"style-src": "'unsafe-inline'", "base-uri": "'none'", "form-action": "'none'"}
-    # The policy counts for what comes after it.
+    # The policy applies to the content after it.
     assert page.index("Content-Security-Policy") < page.index("<title>")
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
-def test_what_stands_for_a_mark_is_no_mark_itself(template):
+def test_replacement_text_is_not_replaced_again(template):
     page = filled(template, title="{{data}}", data=script_safe({"name": HOSTILE}))
     assert "<title>{{data}}" in page and page.count("{{js}}") == 1 and HOSTILE not in page
 
 
 @pytest.mark.parametrize("template", TEMPLATES)
-def test_a_page_holds_nothing_that_controls_a_terminal(template):
+def test_pages_contain_no_terminal_control_characters(template):
     hostile = "a \x1b[31mred\x1b]0;t\x07\x85 \u2028 b"
     page = filled(template, title=hostile, data=script_safe({"name": hostile}))
     # In data JSON's own escapes stand for the first 32 characters; what stands for others shows nowhere.
     assert not re.search(r"[\x00-\x08\x0b\x0c\x0e-\x1f\u2028]", page) and "<title>a \\x1b[31mred" in page
 
 
-def test_templates_have_no_handlers_that_the_policy_would_stop():
+def test_templates_have_no_inline_handlers():
     for template in ["head.html", *TEMPLATES]:
         assert not re.search(r"\son\w+=|javascript:", asset(template))
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
-def test_a_script_that_got_into_a_page_is_not_run(tmp_path):
+def test_an_injected_script_is_not_run(tmp_path):
     page = map_page(charted(12, 4, names={1: HOSTILE}))
     broken = page.replace("<body>", "<body>" + HOSTILE.replace("</script><script>", "<script>", 1), 1)
     assert broken != page and np.char.count(broken, "document.title=1") > 0
@@ -126,7 +126,7 @@ def pages_in(folder, name, cards, ship):
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
-def test_no_name_of_a_file_or_in_a_header_runs_in_a_page_or_on_a_terminal(tmp_path):
+def test_names_of_files_and_in_headers_are_never_executed(tmp_path):
     """A folder of frames: file names that are markup, a filter and an object that end a script; and what is printed."""
     markup, script = "<img src=x onerror=document.title=1>", "</script><script>document.title=2</script>"
     (tmp_path / '"><img src=x onerror=document.title=3>').mkdir()
@@ -149,7 +149,7 @@ def test_no_name_of_a_file_or_in_a_header_runs_in_a_page_or_on_a_terminal(tmp_pa
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
-def test_on_a_phone_the_record_is_under_the_frame_and_numbers_are_whole(every_page, tmp_path):
+def test_on_a_phone_the_record_is_below_the_frame_and_numbers_are_not_cut(every_page, tmp_path):
     browser = Browser(tmp_path / "profile", every_page["frame"], SIZES[1])
     try:
         browser.do("Emulation.setDeviceMetricsOverride", width=390, height=844, deviceScaleFactor=1, mobile=True)
@@ -169,7 +169,7 @@ def test_on_a_phone_the_record_is_under_the_frame_and_numbers_are_whole(every_pa
 
 @pytest.mark.long
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
-def test_what_is_fainter_than_the_catalogue_reaches_is_counted_apart(every_page, tmp_path):
+def test_measurements_fainter_than_the_catalogue_are_counted_separately(every_page, tmp_path):
     page = every_page["frame"].read_text("utf-8")
     stars = re.search(r'"measured":.*?"star":\[(.*?)\]', page)[1].split(",")
     alone = [row for row, star in enumerate(stars) if star == "null"]
@@ -192,7 +192,7 @@ def test_what_is_fainter_than_the_catalogue_reaches_is_counted_apart(every_page,
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
 @pytest.mark.parametrize("size", SIZES, ids=["window", "phone"])
 @pytest.mark.parametrize("kind", ["frame", "series", "movers", "map"])
-def test_no_page_is_wider_than_its_window_by_day_and_by_night(every_page, kind, size, tmp_path):
+def test_no_page_is_wider_than_its_window_in_either_colour_scheme(every_page, kind, size, tmp_path):
     browser = Browser(tmp_path / "profile", every_page[kind], size)
     try:
         browser.do(
@@ -233,7 +233,7 @@ def lab(colour, seen_by):
 
 
 def ciede2000(one, two):
-    """Difference of two colours: Sharma, Wu, Dalal 2005, Color Res. Appl. 30, 21."""
+    """CIEDE2000 colour difference: Sharma, Wu, Dalal 2005, Color Res. Appl. 30, 21."""
     (l1, a1, b1), (l2, a2, b2) = one, two
     mean = (np.hypot(a1, b1) + np.hypot(a2, b2)) / 2
     g = 0.5 * (1 - np.sqrt(mean**7 / (mean**7 + 25.0**7)))
@@ -252,7 +252,7 @@ def ciede2000(one, two):
     return np.sqrt(dl**2 + dc**2 + dh**2 + both * dc * dh)
 
 
-def test_the_difference_of_colours_is_that_of_the_published_pairs():
+def test_colour_differences_agree_with_the_published_pairs():
     # Pairs 1, 7, 17 and 25 of Sharma's table 1.
     assert ciede2000((50, 2.6772, -79.7751), (50, 0, -82.7485)) == pytest.approx(2.0425, abs=1e-4)
     assert ciede2000((50, 0, 0), (50, -1, 2)) == pytest.approx(2.3669, abs=1e-4)
@@ -262,7 +262,7 @@ def test_the_difference_of_colours_is_that_of_the_published_pairs():
 
 @pytest.mark.parametrize("theme", [":root", ":root.day"])
 @pytest.mark.parametrize("eye", [np.eye(3), np.array(DEUTERANOPIA)], ids=["all cones", "deuteranopia"])
-def test_the_marks_of_a_frame_differ_from_each_other_and_from_the_sky(theme, eye):
+def test_marks_of_a_frame_are_distinguishable_from_each_other_and_the_sky(theme, eye):
     (block,) = re.findall(rf"^{theme} {{(.*?)}}", asset("frame.css"), re.DOTALL | re.MULTILINE)
     named = dict(re.findall(r"--(\w+): (#\w{6})\b", block))
     marks = {name: lab(named[name], eye) for name in ("found", "alone", "lost", "odd", "night")}

@@ -1,4 +1,4 @@
-"""Metrics of a picture: against their definitions by enumeration, against Stone Soup's, and on cases one can count."""
+"""Metrics of a picture: against enumeration, against Stone Soup, and on hand-counted cases."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sameas.score.picture import FALSE, Identities, gospa, majority_votes, mean_
 
 
 def table(seed: int, instants: int = 6, objects: int = 5, sources: int = 3) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """A random picture: every source shows most objects, one in five is told to be another, some records are false."""
+    """A random picture: every source detects most objects, one in five is misassigned, some records are false."""
     rng = np.random.default_rng(seed)
     rows, true = [], []
     for t, s in itertools.product(range(instants), range(sources)):
@@ -29,7 +29,7 @@ def table(seed: int, instants: int = 6, objects: int = 5, sources: int = 3) -> t
 
 
 def counted(records: dict[str, np.ndarray], true: np.ndarray) -> tuple[int, int, int]:
-    """Pairs told, true and right, one after another."""
+    """Numbers of reported, true and correct pairs, counted one by one."""
     told_pairs = true_pairs = right = 0
     for a, b in itertools.combinations(range(len(true)), 2):
         if records["time_s"][a] != records["time_s"][b] or records["source"][a] == records["source"][b]:
@@ -40,7 +40,7 @@ def counted(records: dict[str, np.ndarray], true: np.ndarray) -> tuple[int, int,
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_pairs_are_those_of_the_definition(seed: int) -> None:
+def test_pairs_agree_with_the_definition(seed: int) -> None:
     records, true = table(seed)
     found = pair_score(Identities.of(records, true)).pairs
     assert (found.n_claimed, found.n_true, found.n_right) == counted(records, true)
@@ -64,13 +64,13 @@ def test_a_perfect_picture() -> None:
     assert found.continuity == 1.0 and found.number_changes_per_hour == 0.0
 
 
-def test_an_instant_is_right_only_with_every_record() -> None:
+def test_an_instant_is_correct_only_with_all_records() -> None:
     records: dict[str, Any] = {"time_s": [0, 0, 1, 1], "source": ["a", "b", "a", "b"], "object": [1, 1, 1, 2]}
     assert pair_score(Identities.of(records, [5, 5, 5, 5])).right.tolist() == [True, False]
     assert pair_score(Identities.of(records, [5, 5, 5, FALSE])).right.tolist() == [True, True]
 
 
-def test_who_claims_a_record_twice_claims_a_pair_too_many() -> None:
+def test_a_record_in_two_objects_is_an_extra_pair() -> None:
     records: dict[str, Any] = {"time_s": [0, 0, 0], "source": ["a", "b", "b"], "object": [1, 1, 1]}
     found = pair_score(Identities.of(records, [5, 5, 6])).pairs
     assert (found.n_claimed, found.n_true, found.n_right) == (2, 1, 1)
@@ -95,28 +95,28 @@ def test_false_records_are_never_a_true_pair() -> None:
     assert (found.n_claimed, found.n_true, found.n_right) == (1, 0, 0)
 
 
-def test_an_object_stands_for_what_most_of_its_records_are() -> None:
+def test_an_object_represents_the_majority_of_its_records() -> None:
     records: dict[str, Any] = {"time_s": [0] * 7, "source": list("abcabab"), "object": [1, 1, 1, 2, 2, 3, 3]}
     found = majority_votes(Identities.of(records, [4, 4, 9, 4, 9, FALSE, FALSE]))
     assert dict(zip(found.assigned.tolist(), found.true.tolist(), strict=True)) == {1: 4, 2: FALSE, 3: FALSE}
 
 
-def test_switches_count_only_what_had_to_change() -> None:
-    # Number 2 joins while 1 still stands: no switch until 1 is gone.
+def test_only_necessary_switches_are_counted() -> None:
+    # Number 2 begins while 1 still exists: no switch until 1 has ended.
     records: dict[str, Any] = {"time_s": [0, 1, 1, 2, 3], "source": list("aabaa"), "object": [1, 1, 2, 2, 1]}
     found = siap(Identities.of(records, [0, 0, 0, 0, 0]))
     assert found.switches == 2 and found.ambiguity == 5 / 4 and found.continuity == 3 / 4
     assert found.number_changes_per_hour == pytest.approx(2 / (4 / 3600.0))
 
 
-def test_continuity_counts_the_time_in_which_nothing_stands() -> None:
+def test_continuity_counts_uncovered_time() -> None:
     records: dict[str, Any] = {"time_s": [0, 1, 1, 2], "source": list("aaba"), "object": [1, 1, 1, 1]}
-    # At instant 1 the object's two records are of two objects: it stands for none.
+    # At instant 1 the two records are of two objects, so it represents none.
     found = siap(Identities.of(records, [0, 0, 3, 0]))
     assert found.completeness == 2 / 4 and found.continuity == 2 / 4 and found.spuriousness == 1 / 3
 
 
-def test_completeness_ambiguity_and_spuriousness_are_those_of_stone_soup() -> None:
+def test_completeness_ambiguity_and_spuriousness_agree_with_stone_soup() -> None:
     pytest.importorskip("stonesoup", reason="the extra sameas[study] is not installed")
     from stonesoup.measures import Euclidean
     from stonesoup.metricgenerator.manager import MultiManager
@@ -164,7 +164,7 @@ def test_completeness_ambiguity_and_spuriousness_are_those_of_stone_soup() -> No
     assert ours.spuriousness == pytest.approx(theirs["SIAP Spuriousness"])
 
 
-def test_nees_is_the_number_of_components_where_covariances_are_honest() -> None:
+def test_nees_of_consistent_covariances_is_the_dimension() -> None:
     rng = np.random.default_rng(5)
     root = rng.normal(size=(4000, 2, 2)) + 2.0 * np.eye(2)
     spread = root @ root.transpose(0, 2, 1)
@@ -175,13 +175,13 @@ def test_nees_is_the_number_of_components_where_covariances_are_honest() -> None
     assert nees(off, spread / 4.0, np.zeros((4000, 2))).mean == pytest.approx(4.0 * honest.mean)
 
 
-def test_states_that_are_not_known_are_left_out() -> None:
+def test_unknown_states_are_excluded() -> None:
     found = nees([[1.0, 0.0], [np.nan, 0.0]], [np.eye(2)] * 2, np.zeros((2, 2)))
     assert (found.n, found.mean) == (1, 1.0)
     assert math.isnan(nees(np.empty((0, 2)), np.empty((0, 2, 2)), np.empty((0, 2))).mean)
 
 
-def test_mean_gospa_is_the_mean_of_its_instants() -> None:
+def test_mean_gospa_is_the_mean_over_instants() -> None:
     pictures = [(np.array([[0.0, 0.0]]), np.array([[3.0, 4.0], [90.0, 0.0]])), (np.empty((0, 2)), np.empty((0, 2)))]
     mean, parts = mean_gospa(pictures, cutoff=20.0)
     assert mean == pytest.approx(0.5 * gospa(*pictures[0], cutoff=20.0).distance) and parts[0].missed == 1
@@ -196,7 +196,7 @@ def test_refusals_say_what_to_give() -> None:
         nees([[0.0, 1.0]], [1.0], [[0.0, 0.0]])
 
 
-def test_nothing_gives_no_numbers() -> None:
+def test_empty_pictures_give_nan() -> None:
     empty = Identities.of({"time_s": [], "source": [], "object": []}, [])
     found = siap(empty)
     assert math.isnan(pair_score(empty).pairs.f1) and math.isnan(pair_score(empty).share_right)

@@ -1,4 +1,4 @@
-"""The study: many scenes at once are the scenes one by one, tallies are what scores say, and the oracle agrees."""
+"""The study: batches of scenes equal single scenes, tallies agree with scores, rules with enumeration."""
 
 import dataclasses
 import math
@@ -54,7 +54,7 @@ def pairs_of(verdict):
 
 
 @pytest.mark.parametrize("name", FORMATIONS)
-def test_all_at_once_is_one_by_one(name):
+def test_batches_of_scenes_equal_single_scenes(name):
     formation = FORMATIONS[name]
     scenes = drawn(formation)
     rules = [Identified("close", Close()), Identified("uniform", Uniform()),
@@ -64,7 +64,7 @@ def test_all_at_once_is_one_by_one(name):
         claimed, certain = [], {}
         for scene in range(len(scenes)):
             rows, records = scenes.one(scene)
-            # One scene alone, rules told what they would be told; the box of its own records alone.
+            # A single scene with the same rule parameters, and a box from its own records only.
             alone = dataclasses.replace(scenes, count=1, stride=FAR, sources=records,
                                         scene=tuple(np.zeros(len(r), int) for r in rows))  # fmt: skip
             rule = contender.rule(alone, formation)
@@ -79,14 +79,14 @@ def test_all_at_once_is_one_by_one(name):
         np.testing.assert_allclose(p, expected, atol=1e-6)
 
 
-def test_groups_never_cross_scenes_even_without_a_gate():
+def test_groups_never_join_scenes_even_without_a_gate():
     scenes = drawn(FORMATIONS["grid"])
     pairs = experiments.OPEN_GATE(*scenes.sources)
     assert np.array_equal(scenes.scene[0][pairs.i], scenes.scene[1][pairs.j])
     assert len(pairs) == (scenes.sizes[0] * scenes.sizes[1]).sum()
 
 
-def test_a_lattice_is_that_of_simulate():
+def test_a_lattice_agrees_with_simulate():
     formation = Lattice((3, 2), 2.0, (0.0, 0.0), (1e-9, 1e-9))
     scenes = drawn(formation, 2)
     given = grid(np.random.default_rng(0), shape=(3, 2), spacing_sigmas=2.0 / math.sqrt(2e-18), q1=0.0, q2=0.0,
@@ -96,7 +96,7 @@ def test_a_lattice_is_that_of_simulate():
         assert {tuple(x + 0.0) for x in ours} == {tuple(x + 0.0) for x in theirs}
 
 
-def test_sources_miss_and_err_as_told():
+def test_sources_have_the_given_misses_and_errors():
     scenes = drawn(FIVE, 4000)
     seen = [len(t) / len(scenes.targets) for t in scenes.truth]
     assert seen == pytest.approx([0.8, 0.7], abs=0.015)
@@ -132,7 +132,7 @@ def test_refusals(make, words):
 # ---- tallies ----
 
 
-def test_a_tally_is_what_the_scores_say_scene_by_scene():
+def test_a_tally_agrees_with_the_scores_of_single_scenes():
     scenes = drawn(FIVE, 30)
     verdict = Identified("close", Close())(scenes, FIVE)
     figures = count(scenes, verdict).figures()
@@ -166,7 +166,7 @@ def test_a_tally_is_what_the_scores_say_scene_by_scene():
 
 
 @pytest.mark.slow
-def test_standard_errors_are_those_of_repetition():
+def test_standard_errors_agree_with_repetition():
     contender = Identified("close", Close())
     figures = [count(s, contender(s, FIVE)).figures() for s in (drawn(FIVE, 100, seed) for seed in range(120))]
     for name in ("right", "whole", "wrong pairs"):
@@ -174,7 +174,7 @@ def test_standard_errors_are_those_of_repetition():
         assert np.mean([f[name].error for f in figures]) == pytest.approx(spread, rel=0.25)
 
 
-def test_many_to_one_answers_wrong_the_record_that_is_named_twice():
+def test_a_record_named_twice_counts_as_wrong():
     scenes = drawn(Lattice((2, 1), 3.0, (0.0, 0.0)), 1)
     same = int(np.flatnonzero(scenes.truth[1] == scenes.truth[0][0])[0])
     one_to_one = Verdict(np.array([0, 1]), np.array([same, 1 - same]))
@@ -184,7 +184,7 @@ def test_many_to_one_answers_wrong_the_record_that_is_named_twice():
     assert rightly(scenes, twice).tolist() == [1.0]
 
 
-def test_a_lead_is_the_difference_of_two_rules_with_the_error_of_the_difference():
+def test_a_lead_is_a_difference_of_two_rules_with_its_standard_error():
     point = trial.Point("x", "lead", FIVE, (Identified("close", Close()), Identified("uniform", Uniform())))
     close, uniform = (t.figures() for t in trial.tallies(point, [0]))
     assert close["lead"] == Ratio(0.0, 0.0)
@@ -192,7 +192,7 @@ def test_a_lead_is_the_difference_of_two_rules_with_the_error_of_the_difference(
     assert 0 < uniform["lead"].error < 0.7 * uniform["right"].error
 
 
-def test_nothing_to_judge_is_nan():
+def test_an_empty_tally_is_nan():
     empty = Tally(np.zeros(len(tally.COLUMNS)), np.zeros((len(tally.COLUMNS),) * 2), np.zeros((1, 3, tally.BINS)), 0.0)
     assert math.isnan(empty.ratio("right", "records").value) and math.isnan(empty.calibration_error.value)
 
@@ -200,7 +200,7 @@ def test_nothing_to_judge_is_nan():
 # ---- contenders ----
 
 
-def test_enumeration_decides_as_the_assignment_does():
+def test_enumeration_agrees_with_assignment():
     for formation in (FIVE, FORMATIONS["grid"]):
         scenes = drawn(formation, 30)
         assert pairs_of(Enumerated("all", Close())(scenes, formation)) == pairs_of(
@@ -209,7 +209,7 @@ def test_enumeration_decides_as_the_assignment_does():
 
 
 @pytest.mark.slow
-def test_who_knows_the_formation_decides_best():
+def test_the_rule_with_the_known_formation_is_best():
     formation = Lattice((5, 1), 1.9, (0.2, 0.2))
     scenes = drawn(formation, 1500)
     shares = {
@@ -220,7 +220,7 @@ def test_who_knows_the_formation_decides_best():
     assert shares["close objects"] > shares["independent Bayes"] + 0.08
 
 
-def test_an_estimated_reach_is_that_of_each_scene():
+def test_the_reach_is_estimated_for_each_scene():
     scenes = drawn(FIVE, 25)
     verdict = EstimatedReach()(scenes, FIVE)
     from sameas import CloseObjects
@@ -239,7 +239,7 @@ def test_an_estimated_reach_is_that_of_each_scene():
     assert len(EstimatedReach()(drawn(alone), alone).i) > 5  # one record a source: nothing to measure, b is assumed
 
 
-def test_stone_soup_assigns_the_least_distances_within_its_threshold():
+def test_stone_soup_minimises_distances_within_its_threshold():
     pytest.importorskip("stonesoup")
     from benchmarks.study.stonesoup import StoneSoup
     from scipy.optimize import linear_sum_assignment
@@ -257,7 +257,7 @@ def test_stone_soup_assigns_the_least_distances_within_its_threshold():
 
 
 @pytest.mark.slow
-def test_without_stone_soup_its_column_is_left_out_and_said(monkeypatch):
+def test_without_stone_soup_its_column_is_omitted_with_a_note(monkeypatch):
     from benchmarks.study import command, stonesoup
 
     monkeypatch.setattr(stonesoup, "find_spec", lambda name: None)
@@ -278,7 +278,7 @@ def test_the_exact_prior_is_never_worse_and_the_line_rarely_is():
     assert np.all(found.loss[~found.differ] == 0)
 
 
-def test_the_oracle_of_three_sources_finds_what_the_joint_answer_is():
+def test_enumeration_of_three_sources_agrees_with_the_joint_result():
     scenes = drawn(TRIPLE, 25)
     answer = several._in_order(identify_many, scenes, TRIPLE, (0, 1, 2))
     best = several.enumerated(scenes, TRIPLE)
@@ -288,7 +288,7 @@ def test_the_oracle_of_three_sources_finds_what_the_joint_answer_is():
 
 
 @pytest.mark.slow
-def test_the_joint_answer_does_not_mind_the_order_and_the_sequential_one_does():
+def test_only_the_sequential_result_depends_on_the_order():
     counts = several.counts(several.Several("order", dataclasses.replace(TRIPLE, density=0.15), 50), 0)
     assert counts.mean("joint order") == Ratio(0.0, 0.0)
     assert counts.mean("order matters").value > 0.1
@@ -296,7 +296,7 @@ def test_the_joint_answer_does_not_mind_the_order_and_the_sequential_one_does():
     assert math.isnan(counts.mean("oracle whole").value)
 
 
-def test_partitions_are_compared_by_their_records():
+def test_partitions_are_compared_record_by_record():
     scenes = drawn(TRIPLE, 2)
     right = np.full((len(scenes.targets), 3), -1)
     for s, truth in enumerate(scenes.truth):
@@ -312,7 +312,7 @@ def test_partitions_are_compared_by_their_records():
     assert several.differs(scenes, right, wrong).tolist() == [False, True]
 
 
-def test_moris_constants_are_the_published_ones_and_hold_for_sparse_fields():
+def test_moris_constants_agree_with_the_paper_and_hold_for_sparse_fields():
     assert [mori.constant(m) for m in (1, 2, 3)] == pytest.approx([2 / math.sqrt(math.pi), math.pi, 9.453], abs=5e-4)
     for m in (1, 2, 3):
         density = 0.03 / mori.constant(m)
@@ -373,7 +373,7 @@ def test_the_command_writes_tables_figures_and_the_page(small, tmp_path, capsys)
     assert (tmp_path / "out/tables/several.md").read_text().startswith("| scene | sources |")
 
 
-def test_one_experiment_alone_writes_its_tables_and_no_page(small, tmp_path, capsys):
+def test_a_single_experiment_writes_its_tables_and_no_page(small, tmp_path, capsys):
     main(["--quick", "--only", "priors", "-o", str(tmp_path)])
     assert "Linear prior" in capsys.readouterr().out
     assert sorted(path.name for path in tmp_path.rglob("*") if path.is_file()) == ["priors.md", "priors.parquet"]
@@ -388,7 +388,7 @@ def test_one_experiment_alone_writes_its_tables_and_no_page(small, tmp_path, cap
 
 
 @pytest.mark.slow
-def test_processes_change_nothing(monkeypatch):
+def test_the_number_of_processes_changes_nothing(monkeypatch):
     point = trial.Point("x", "processes", FIVE, (Identified("close", Close()),))
     monkeypatch.setattr(trial, "PIECE", trial.BLOCK)
     outcomes = []

@@ -1,4 +1,4 @@
-"""The ten tasks of a stranger are one command or one cell each; run as a program it times them, on this machine.
+"""The ten tasks of a new user are one command or one cell each; run as a program this file times them.
 
 What the page says they print is tested with the other pages (test_docs.py).
 """
@@ -24,7 +24,7 @@ import pytest
 HOME = Path(__file__).parents[1]
 PAGE = HOME / "docs" / "tasks" / "ten.md"
 FENCE = re.compile(r"^```(python|console)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-#: What a stranger wants to do, by a word of the heading.
+#: The tasks of a new user, by a word of the heading.
 WANTED = ("catalogues", "Three", "prior", "Why", "plate", "frames", "map", "radar", "without|no radar", "pandas")
 
 
@@ -82,7 +82,7 @@ def _cpu() -> float:
     return sum(part.ru_utime + part.ru_stime for part in parts)
 
 
-def test_each_of_the_ten_is_one_command_or_one_cell():
+def test_each_task_is_one_command_or_one_cell():
     _, tasks = page()
     assert [task.heading.partition(".")[0] for task in tasks] == [str(k) for k in range(1, 11)]
     for task, word in zip(tasks, WANTED, strict=True):
@@ -93,7 +93,7 @@ def test_each_of_the_ten_is_one_command_or_one_cell():
 
 
 @pytest.mark.long
-def test_the_ten_tasks_run_one_after_the_other(tmp_path, monkeypatch):
+def test_the_ten_tasks_run_in_order(tmp_path, monkeypatch):
     for package in ("photutils", "pymap3d", "pandas", "matplotlib"):
         pytest.importorskip(package, reason="the ten tasks need the extras sameas[all]")
     monkeypatch.chdir(tmp_path)

@@ -9,14 +9,14 @@ from sameas.cli.app import app
 
 @pytest.fixture(scope="session")
 def field_files(tmp_path_factory):
-    """Paths of two FITS files: 120 stars, and 100 of them seen again."""
+    """Paths of two FITS files: 120 stars, and 100 of them observed again."""
     where = tmp_path_factory.mktemp("field")
     return save(field(120, 2), where / "first.fits"), save(field(100, 3), where / "second.fits")
 
 
 @pytest.fixture
 def sameas():
-    """Runs the command in this process; gives the result with stdout, stderr and exit_code."""
+    """A function that runs the command in this process and returns stdout, stderr and exit_code."""
 
     def run(*arguments, exit_code=0):
         result = CliRunner().invoke(app, [str(a) for a in arguments])
@@ -28,7 +28,7 @@ def sameas():
 
 @pytest.fixture
 def refusal(sameas):
-    """What the command says when it refuses: one line on stderr, without its prefix."""
+    """A function that returns the refusal of a command: one line on stderr, without its prefix."""
 
     def run(*arguments):
         result = sameas(*arguments, exit_code=1)

@@ -1,4 +1,4 @@
-"""`sameas explain`: from what an output holds, or the match repeated from its provenance."""
+"""`sameas explain`: from the contents of an output, or by repeating the match from its provenance."""
 
 import shutil
 
@@ -15,7 +15,7 @@ def matched(tmp_path, sameas, field_files):
 
 
 @pytest.mark.slow
-def test_a_record_is_explained_in_words_of_the_sky(sameas, matched):
+def test_a_record_is_explained_in_terms_of_the_sky(sameas, matched):
     text = sameas("explain", matched, "s7").stdout
     assert text.startswith("first s7 (row 7) is second s7, probability 1 − ")
     assert "arcsec" in text and "mag" in text and "no partner" in text
@@ -34,7 +34,7 @@ def test_unknown_records_and_changed_or_missing_inputs_are_refused(tmp_path, ref
     assert "second.fits, which no longer exists" in refusal("explain", matched, "s7", "--again")
 
 
-def test_a_record_is_explained_when_the_inputs_have_moved(tmp_path, sameas, refusal, matched):
+def test_a_record_is_explained_after_the_inputs_were_moved(tmp_path, sameas, refusal, matched):
     for name in ("first.fits", "second.fits"):
         (tmp_path / name).unlink()
     text = sameas("explain", matched, "s7").stdout

@@ -85,7 +85,7 @@ def files(tmp_path_factory) -> Files:
 
 @pytest.fixture(scope="module")
 def done(files, tmp_path_factory):
-    """The folder of outputs of one frame, and what was printed."""
+    """The output folder of one frame, and the printed text."""
     from typer.testing import CliRunner
 
     from sameas.cli.app import app
@@ -98,7 +98,7 @@ def done(files, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_what_is_printed_tells_place_counts_and_assumptions(done):
+def test_the_printed_text_gives_position_counts_and_assumptions(done):
     _, text = done
     for words in (
         "placed", "by                    the header's plate solution, odds 10^", "scale                 2.0",
@@ -109,7 +109,7 @@ def test_what_is_printed_tells_place_counts_and_assumptions(done):
 
 
 @pytest.mark.slow
-def test_what_was_estimated_is_printed_with_its_standard_error(done):
+def test_estimates_are_printed_with_their_standard_errors(done):
     out, text = done
     told, words = json.loads((out / "night.json").read_text())["estimated"], " ".join(text.split())
     assert all(error > 0.0 for _, error in told.values())
@@ -117,7 +117,7 @@ def test_what_was_estimated_is_printed_with_its_standard_error(done):
     assert re.search(r"errors (as quoted|quoted) ", words) and {"error_scale"} <= set(told)
 
 
-def test_errors_of_frame_and_catalogue_are_told_in_the_words_of_a_match(done):
+def test_errors_of_frame_and_catalogue_are_reported_as_for_a_match(done):
     out, text = done
     told = json.loads((out / "night.json").read_text())
     assert "fewer than 200 pairs" in told["error_note"] and "by source fewer than 200 pairs" in " ".join(text.split())
@@ -132,7 +132,7 @@ def test_errors_of_frame_and_catalogue_are_told_in_the_words_of_a_match(done):
 
 
 @pytest.mark.slow
-def test_doubts_of_the_catalogue_are_told_of_the_frame(files, sameas, tmp_path):
+def test_doubts_about_the_catalogue_are_reported_with_the_frame(files, sameas, tmp_path):
     table = sky()
     table["pmra"], table["pmdec"] = 3.0, -2.0
     table.remove_columns([name for name in table.colnames if name in ("pmra_error", "pmdec_error")])
@@ -142,7 +142,7 @@ def test_doubts_of_the_catalogue_are_told_of_the_frame(files, sameas, tmp_path):
     assert "doubt pmra has no column of errors" in text and "--pm-sigma" in text
 
 
-def test_the_table_holds_the_truth_and_how_it_was_made(done):
+def test_the_table_agrees_with_the_truth_and_has_its_provenance(done):
     out, _ = done
     rows, truth = read_table(out / "night.stars.fits"), sky()
     found = rows[rows["fate"] == "identified"]
@@ -156,7 +156,7 @@ def test_the_table_holds_the_truth_and_how_it_was_made(done):
 
 
 @pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
-def test_the_solution_stands_alone_and_in_the_copy(done, files):
+def test_the_solution_is_written_alone_and_into_the_copy(done, files):
     out, _ = done
     rows = read_table(out / "night.stars.fits")
     found = rows[rows["fate"] == "identified"][:50]
@@ -168,7 +168,7 @@ def test_the_solution_stands_alone_and_in_the_copy(done, files):
     assert fits.getheader(out / "night.wcs.fits")["GAIN"] == 1.5
 
 
-def test_regions_are_one_for_each_row_that_can_be_seen(done):
+def test_every_visible_row_has_a_region(done):
     out, _ = done
     lines = (out / "night.reg").read_text().splitlines()
     fate = np.asarray(read_table(out / "night.stars.fits")["fate"])
@@ -189,7 +189,7 @@ def test_a_second_run_does_nothing_until_something_changes(done, files, sameas):
 
 
 @pytest.mark.slow
-def test_many_frames_go_on_where_one_fails(files, sameas, tmp_path):
+def test_one_failing_frame_does_not_stop_the_others(files, sameas, tmp_path):
     good = [picture(tmp_path / f"n{k}.fits", sky(), seed=k) for k in (1, 2)]
     (tmp_path / "bad.fits").write_bytes(good[0].read_bytes()[:30_000])
     out = tmp_path / "out"
@@ -213,7 +213,7 @@ def test_many_frames_go_on_where_one_fails(files, sameas, tmp_path):
 
 
 @pytest.mark.slow
-def test_two_processes_write_what_one_writes(files, sameas, tmp_path):
+def test_two_processes_write_the_same_as_one(files, sameas, tmp_path):
     frames = [picture(tmp_path / f"n{k}.fits", sky(), seed=k) for k in (1, 2)]
     for processes in (1, 2):
         out = tmp_path / f"by{processes}"
@@ -250,7 +250,7 @@ BARE = {"solved": False}
         ({}, ("--catalog", "nowhere.fits"), r"nowhere\.fits: no such file"),
     ],
 )  # fmt: skip
-def test_what_cannot_be_done_is_one_clear_line(files, refusal, tmp_path, cards, options, words):
+def test_impossible_requests_give_one_clear_line(files, refusal, tmp_path, cards, options, words):
     frame = picture(tmp_path / "bare.fits", sky(), **cards)
     arguments = ["frame", frame, "-o", tmp_path / "out", *options]
     if "--catalog" not in options:
@@ -268,7 +268,7 @@ def test_what_cannot_be_done_is_one_clear_line(files, refusal, tmp_path, cards, 
     ],
     ids=["nan", "saturated", "no stars"],
 )  # fmt: skip
-def test_bad_images_are_one_clear_line(files, refusal, tmp_path, image, words):
+def test_bad_images_give_one_clear_line(files, refusal, tmp_path, image, words):
     header = pointing().to_wcs().to_header()
     header["DATE-OBS"] = "2016-01-01T12:00:00"
     fits.PrimaryHDU(image, header).writeto(tmp_path / "bad.fits")
@@ -277,7 +277,7 @@ def test_bad_images_are_one_clear_line(files, refusal, tmp_path, image, words):
 
 
 @pytest.mark.slow
-def test_a_catalogue_without_epoch_is_used_where_it_is_and_one_that_moves_is_doubted(files, sameas, tmp_path):
+def test_a_catalogue_without_epoch_is_used_as_given_and_doubted_if_it_has_motions(files, sameas, tmp_path):
     table = sky()["source_id", "ra", "dec", "phot_g_mean_mag", "pmra", "pmdec"]
     table["ra"].unit = table["dec"].unit = "deg"
     write_table(table, tmp_path / "moves.ecsv", provenance={})
@@ -289,7 +289,7 @@ def test_a_catalogue_without_epoch_is_used_where_it_is_and_one_that_moves_is_dou
 
 
 @pytest.mark.slow
-def test_errors_and_a_time_that_nobody_says_are_estimated_or_doubted_and_never_asked_for(files, sameas, tmp_path):
+def test_missing_errors_and_times_are_estimated_or_doubted_and_never_required(files, sameas, tmp_path):
     table = sky()["source_id", "ra", "dec", "phot_g_mean_mag", "pmra", "pmdec", "ref_epoch"]
     table.rename_columns(["source_id", "phot_g_mean_mag"], ["star", "mag"])
     table["ra"].unit = table["dec"].unit = "deg"
@@ -303,7 +303,7 @@ def test_errors_and_a_time_that_nobody_says_are_estimated_or_doubted_and_never_a
     assert "left at epoch 2016.0; give --time DATE" in text
 
 
-def test_a_folder_of_parquet_is_read_where_the_cone_is(files, tmp_path):
+def test_only_the_cone_is_read_from_a_folder_of_parquet(files, tmp_path):
     folder = tmp_path / "hats"
     for k, part in enumerate(np.array_split(np.arange(400), 3)):
         path = folder / "dataset" / "Norder=1" / "Dir=0" / f"Npix={k}.parquet"
@@ -322,7 +322,7 @@ def test_a_folder_of_parquet_is_read_where_the_cone_is(files, tmp_path):
 
 
 class Archive(http.server.BaseHTTPRequestHandler):
-    """Answers as the archive's TAP service does to a job: made, run, asked for its phase, fetched, deleted."""
+    """Fake TAP service: creates, runs, reports, returns and deletes jobs."""
 
     asked: ClassVar[list[str]]
 
@@ -383,7 +383,7 @@ def archive(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_the_archive_is_asked_once_for_a_field_and_its_neighbours(archive):
+def test_the_archive_is_queried_once_for_a_field_and_its_neighbours(archive):
     ask, asked = archive
     stars = catalogue("gaia", Cone(*WHERE, 0.12), archive=ask)
     assert len(stars) == 400 and stars.epoch_jyr == 2016.0 and stars.has_motion
@@ -395,7 +395,7 @@ def test_the_archive_is_asked_once_for_a_field_and_its_neighbours(archive):
     assert len(asked) == 2
 
 
-def test_a_silent_archive_is_one_line_that_names_what_works_offline(tmp_path):
+def test_an_unreachable_archive_gives_one_line_with_the_offline_alternative(tmp_path):
     pytest.importorskip("pyvo", reason="the archive needs the extra sameas[archive]")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -405,7 +405,7 @@ def test_a_silent_archive_is_one_line_that_names_what_works_offline(tmp_path):
         catalogue("gaia", None)
 
 
-def test_round_cones_hold_the_ones_they_are_about():
+def test_rounded_cones_contain_the_requested_ones():
     rng = np.random.default_rng(7)
     for _ in range(200):
         cone = Cone(rng.uniform(0, 360), rng.uniform(-89.9, 89.9), rng.uniform(0.01, 3))
@@ -415,7 +415,7 @@ def test_round_cones_hold_the_ones_they_are_about():
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to show the page in")
 @pytest.mark.filterwarnings("ignore:The WCS transformation has more axes")
-def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_path):
+def test_the_page_shows_zooms_and_describes_a_star_in_a_browser(done, tmp_path):
     out, _ = done
     rows = read_table(out / "night.stars.fits")
     third = int(np.flatnonzero(rows["fate"] == "identified")[2])
@@ -432,7 +432,7 @@ def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_pa
         browser.wheel(left + x, top + y, -400)
         browser.until(f"framePage.view.scale > 1.5 * {before}")
         nx, ny = browser.js(at)
-        assert abs(nx - x) < 1 and abs(ny - y) < 1  # the point under the hand stays
+        assert abs(nx - x) < 1 and abs(ny - y) < 1  # the point under the cursor stays
         browser.click(left + nx, top + ny)
         record = browser.js("document.getElementById('record').innerText")
         assert str(rows["star"][third]) in record and "none of them" in record and f"Measurement {third}" in record
@@ -443,7 +443,7 @@ def test_the_page_shows_zooms_and_tells_a_stars_record_in_a_browser(done, tmp_pa
         browser.js("document.getElementById('whole').click()")
         assert browser.js("framePage.view.scale") == pytest.approx(before)
         assert browser.js("document.getElementById('many').value === document.getElementById('many').max")
-        # The page's own plate model is that of the files, there and back.
+        # The plate model in the page agrees with that of the files in both directions.
         solved = WCS(fits.getheader(out / "night.wcs"))
         for px in ([0.0, 0.0], [319.0, 12.0], [150.5, 300.25]):
             sky = solved.pixel_to_world(*px)
@@ -510,7 +510,7 @@ def test_a_folder_without_frames_is_refused(files, sameas, tmp_path):
 
 
 @pytest.mark.slow
-def test_files_of_a_frame_come_together_and_say_the_same_every_time(files, sameas, tmp_path, monkeypatch):
+def test_files_of_a_frame_appear_together_and_are_reproducible(files, sameas, tmp_path, monkeypatch):
     """An interruption between two files left the table of the new run beside the page of the old one."""
     from sameas.io import plate
 
@@ -534,7 +534,7 @@ def test_files_of_a_frame_come_together_and_say_the_same_every_time(files, samea
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
 
 
-def test_calibration_frames_of_a_folder_that_nobody_named_are_told(tmp_path, capsys):
+def test_calibration_frames_found_in_a_folder_are_reported(tmp_path, capsys):
     from sameas.cli.frames import expanded
 
     for name, kind in (("dark", "Dark Frame"), ("light", "Light Frame")):

@@ -1,4 +1,4 @@
-"""`sameas match`: what it prints, what it writes, in every format."""
+"""`sameas match`: printed text and written files, in every format."""
 
 import json
 import re
@@ -22,7 +22,7 @@ def pairs(path):
 
 
 @pytest.mark.slow
-def test_blends_are_written_beside_the_joined_table(tmp_path, sameas, refusal):
+def test_blends_are_written_next_to_the_joined_table(tmp_path, sameas, refusal):
     made = blended_field(np.random.default_rng(6), objects=300)
     files = [tmp_path / "coarse.csv", tmp_path / "fine.csv"]
     for records, path in zip((made.first, made.second), files, strict=True):
@@ -40,7 +40,7 @@ def test_blends_are_written_beside_the_joined_table(tmp_path, sameas, refusal):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["fits", "vot", "ecsv", "csv", "parquet"])
-def test_every_format_in_and_out_gives_the_same_pairs_and_keeps_its_provenance(tmp_path, sameas, kind):
+def test_every_format_gives_the_same_pairs_and_keeps_the_provenance(tmp_path, sameas, kind):
     unit = ["--sigma-unit", "arcsec"] if kind == "csv" else []
     first = save(field(120, 2), tmp_path / f"first.{kind}")
     second = save(field(100, 3), tmp_path / f"second.{kind}")
@@ -54,7 +54,7 @@ def test_every_format_in_and_out_gives_the_same_pairs_and_keeps_its_provenance(t
     assert sum(told["error_shares"]) == pytest.approx(1.0)
 
 
-def test_the_printed_text_tells_what_was_understood_estimated_and_found(tmp_path, sameas, field_files):
+def test_the_printed_text_lists_interpretation_estimates_and_matches(tmp_path, sameas, field_files):
     out = tmp_path / "out.fits"
     text = sameas("match", *field_files, "-o", out, "--compare-nearest", "--certify").stdout
     for words in (
@@ -69,7 +69,7 @@ def test_the_printed_text_tells_what_was_understood_estimated_and_found(tmp_path
 
 
 @pytest.mark.slow
-def test_provenance_is_the_same_but_for_the_date_and_the_paths(tmp_path, sameas, field_files):
+def test_provenance_is_equal_except_date_and_paths(tmp_path, sameas, field_files):
     told = []
     for name in ("one.fits", "two.fits"):
         sameas("match", *field_files, "-o", tmp_path / name, "-q")
@@ -91,7 +91,7 @@ def test_provenance_keeps_every_estimate_with_its_standard_error(tmp_path, samea
 
 
 @pytest.mark.slow
-def test_provenance_keeps_what_could_not_be_told_of_the_errors_and_why(tmp_path, sameas, field_files):
+def test_provenance_keeps_undetermined_errors_and_the_reason(tmp_path, sameas, field_files):
     sameas("match", *field_files, "-o", tmp_path / "few.fits", "-q")
     assert "fewer than 200 pairs" in read_provenance(tmp_path / "few.fits")["error_note"]
     rng, names = np.random.default_rng(4), ("first.fits", "second.fits")
@@ -113,7 +113,7 @@ def test_provenance_keeps_what_could_not_be_told_of_the_errors_and_why(tmp_path,
 
 
 @pytest.mark.slow
-def test_pictures_are_drawn_of_all_that_there_is(tmp_path, sameas, field_files):
+def test_all_possible_plots_are_drawn(tmp_path, sameas, field_files):
     pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
     text = sameas("match", *field_files, "-o", tmp_path / "out.fits", "--pictures", tmp_path / "drawn").stdout
     names = {path.name for path in (tmp_path / "drawn").iterdir()}
@@ -123,31 +123,31 @@ def test_pictures_are_drawn_of_all_that_there_is(tmp_path, sameas, field_files):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("join", "rows"), [("1and2", 100), ("1not2", 20), ("1or2", 120), ("2not1", 0)])
-def test_joins_by_the_names_of_stilts(tmp_path, sameas, field_files, join, rows):
+def test_stilts_names_of_joins_are_accepted(tmp_path, sameas, field_files, join, rows):
     sameas("match", *field_files, "-o", tmp_path / "out.ecsv", "--join", join, "-q", "--nway-columns")
     table = read_table(tmp_path / "out.ecsv")
     assert len(table) == rows and {"p_any", "p_i", "dist_bayesfactor"} <= set(table.colnames)
 
 
-def test_quiet_prints_nothing_but_doubts(tmp_path, sameas, field_files):
+def test_quiet_prints_only_doubts(tmp_path, sameas, field_files):
     result = sameas("match", *field_files, "-o", tmp_path / "out.fits", "-q", "--density", "1e9,700")
     assert result.stdout == ""
     assert result.stderr.startswith("sameas: doubt: density: 1e+09 per square degree was given for first")
 
 
-def test_a_dry_run_tells_what_it_understands_and_writes_nothing(tmp_path, sameas, field_files):
+def test_a_dry_run_prints_its_interpretation_and_writes_nothing(tmp_path, sameas, field_files):
     text = sameas("match", *field_files, "-o", tmp_path / "out.fits", "--dry-run").stdout
     assert "mean density there" in text and "Nothing was identified or written" in text
     assert list(tmp_path.iterdir()) == []
 
 
-def test_options_of_one_catalogue_win_over_those_of_both(tmp_path, sameas, field_files):
+def test_options_of_one_catalogue_override_those_of_both(tmp_path, sameas, field_files):
     text = sameas("match", *field_files, "--dry-run", "--sigma", "0.3", "--sigma2", "0.2").stdout
     assert "0.3 arcsec on each axis (option)" in text and "0.2 arcsec on each axis (option)" in text
 
 
 @pytest.mark.parametrize("said", [["sigma", "sigma", "angle"], ["sigma,sigma,angle"]])
-def test_an_ellipse_is_three_columns(tmp_path, sameas, field_files, said):
+def test_an_ellipse_is_given_by_three_columns(tmp_path, sameas, field_files, said):
     table = field(120, 2)
     table["angle"] = np.zeros(120)
     path = save(table, tmp_path / "ellipses.fits")
@@ -155,7 +155,7 @@ def test_an_ellipse_is_three_columns(tmp_path, sameas, field_files, said):
     assert "ellipse, angle east of north" in text
 
 
-def test_rows_that_cannot_be_used_are_counted_by_their_reason(tmp_path, sameas, field_files):
+def test_unusable_rows_are_counted_by_reason(tmp_path, sameas, field_files):
     table = field(120, 2)
     table["sigma"][[0, 1, 2]] = 0.0, -1.0, np.nan
     table["ra"][3] = np.nan
@@ -177,7 +177,7 @@ def test_one_row_and_the_same_file_twice_work(tmp_path, sameas, field_files):
     assert re.search(r"identified +120 +120\n", text)
 
 
-def test_guessed_ids_that_are_not_unique_give_way_to_row_numbers(tmp_path, sameas, field_files):
+def test_guessed_ids_that_are_not_unique_are_replaced_by_row_numbers(tmp_path, sameas, field_files):
     table = field(120, 2)
     table.rename_column("name", "id")
     table["id"][1] = "s0"
@@ -185,7 +185,7 @@ def test_guessed_ids_that_are_not_unique_give_way_to_row_numbers(tmp_path, samea
     assert "id is not unique, so rows are numbered" in text
 
 
-def test_errors_in_another_unit_are_questioned(tmp_path, sameas, field_files):
+def test_errors_in_another_unit_raise_a_doubt(tmp_path, sameas, field_files):
     too_small = sameas("match", *field_files, "-o", tmp_path / "o.fits", "--sigma", "2.8e-5")
     assert re.search(r"the residuals are \S+ times what the quoted errors say: are their units right\?",
                      " ".join(too_small.stdout.split()))  # fmt: skip

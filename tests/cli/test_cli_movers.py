@@ -39,7 +39,7 @@ def test_a_table_becomes_tracklets(table, tmp_path):
     assert each["n_detections"].sum() == len(found)
 
 
-def test_one_table_an_exposure_is_the_same(table, tmp_path):
+def test_one_table_per_exposure_gives_the_same(table, tmp_path):
     whole = read_table(table)
     parts = []
     for k, mjd in enumerate(sorted(set(whole["mjd"]))):
@@ -110,10 +110,10 @@ def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     assert run(luxembourg, "--site", "north", "-o", out).exit_code == 2
 
 
-def test_a_report_leaves_out_what_is_not_probable_enough_and_says_so(luxembourg, tmp_path):
+def test_improbable_tracklets_are_omitted_from_a_report_and_counted(luxembourg, tmp_path):
     header = tmp_path / "who.toml"
     header.write_text(WHO)
-    # Of the second mover two detections are left, of brightnesses that hardly go together.
+    # Two detections of the second mover remain, with inconsistent magnitudes.
     night = read_table(luxembourg)
     night["mag"][5] = 18.45
     night[:6].write(tmp_path / "pair.csv")
@@ -137,7 +137,7 @@ def test_without_an_output_it_is_wrong_usage(table):
     assert run(table, "--sigma", 0.2).exit_code == 2
 
 
-def test_two_exposures_are_doubted(table, tmp_path):
+def test_two_exposures_raise_a_doubt(table, tmp_path):
     whole = read_table(table)
     first = sorted(set(whole["mjd"]))[:2]
     whole[[mjd in first for mjd in whole["mjd"]]].write(tmp_path / "two.csv")
@@ -145,7 +145,7 @@ def test_two_exposures_are_doubted(table, tmp_path):
     assert told.exit_code == 0 and "nothing confirms that motion is straight" in " ".join(told.output.split())
 
 
-def test_frames_that_are_none_are_refused_one_by_one(table, tmp_path):
+def test_files_that_are_no_frames_are_refused_one_by_one(table, tmp_path):
     """The way of a series of frames is begun: every file is told what it lacks, then the series."""
     other = tmp_path / "other.fits"
     other.write_text("no frame")

@@ -1,4 +1,4 @@
-"""``sameas picture`` from files to files: what it finds, writes, says and refuses."""
+"""``sameas picture``: objects, written files, printed text and refusals."""
 
 import csv
 import json
@@ -33,7 +33,7 @@ def write(path, head, rows):
 
 @pytest.fixture(scope="module")
 def coast(tmp_path_factory):
-    """AIS and a radar that reads 60 m and 1° too much, of eight ships during two minutes; one ship has no AIS."""
+    """AIS and a radar with biases of 60 m and 1°, of eight ships over two minutes; one ship has no AIS."""
     folder, rng = tmp_path_factory.mktemp("coast"), np.random.default_rng(3)
     place, speed = rng.uniform(-6e3, 6e3, (8, 2)), rng.normal(0.0, 5.0, (8, 2))
     ais, radar = [], []
@@ -56,7 +56,7 @@ def coast(tmp_path_factory):
 
 @pytest.fixture
 def picture(sameas, coast, tmp_path):
-    """Makes a picture of the coast; gives what was printed and the folder."""
+    """A function that makes a picture of the coast and returns the printed text and the folder."""
 
     def run(*more, files=("ais.csv", "radar.csv"), exit_code=0):
         out = tmp_path / "out"
@@ -69,7 +69,7 @@ def picture(sameas, coast, tmp_path):
 
 @pytest.fixture
 def refused(refusal, coast, tmp_path):
-    """What the command says when it refuses; nothing is written."""
+    """A function that returns the refusal of the command and checks that nothing is written."""
 
     def run(*arguments):
         said = refusal("picture", *arguments, "-o", tmp_path / "out", "--quiet", *QUICK)
@@ -80,7 +80,7 @@ def refused(refusal, coast, tmp_path):
 
 
 @pytest.mark.slow
-def test_files_become_objects_tables_a_map_and_a_summary(picture):
+def test_files_give_objects_tables_a_map_and_a_summary(picture):
     shown, out = picture("--every", "10s")
     assert sorted(os.listdir(out)) == [
         "identities.parquet", "map.html", "objects.geojson", "objects.parquet", "picture.png", "summary.json",
@@ -111,7 +111,7 @@ def test_files_become_objects_tables_a_map_and_a_summary(picture):
 
 
 @pytest.mark.slow
-def test_the_summary_is_told_in_numbers_too(picture, coast):
+def test_the_summary_is_written_as_numbers_too(picture, coast):
     _, out = picture("--every", "30s", *QUICK)
     told = json.loads((out / "summary.json").read_text())
     ais, radar = told["sources"]
@@ -128,7 +128,7 @@ def test_the_summary_is_told_in_numbers_too(picture, coast):
 
 
 @pytest.mark.slow
-def test_tables_may_be_csv_and_say_nothing_where_nothing_is_known(picture):
+def test_tables_may_be_csv_with_empty_cells_for_missing_values(picture):
     _, out = picture("--every", "60s", "--format", "csv", *QUICK)
     with open(out / "identities.csv", newline="") as file:
         rows = list(csv.DictReader(file))
@@ -140,13 +140,13 @@ def test_tables_may_be_csv_and_say_nothing_where_nothing_is_known(picture):
 
 
 @pytest.mark.slow
-def test_an_older_picture_in_the_folder_is_pointed_out(picture):
+def test_an_older_picture_in_the_folder_is_reported(picture):
     picture("--every", "60s", *QUICK)
     shown, out = picture("--every", "60s", "--format", "csv", *QUICK)
     assert f"not of this one: {out / 'objects.parquet'}, {out / 'identities.parquet'}" in shown.stderr
 
 
-def test_quiet_says_doubts_and_alarms_only(sameas, coast, tmp_path):
+def test_quiet_prints_only_doubts_and_alarms(sameas, coast, tmp_path):
     rows = [[START + t, 235000001, LAT + 0.03 * k, LON, 0.0, 0.0] for t in range(0, 60, 6) for k in (0, 1)]
     write(tmp_path / "ais.csv", ["time", "mmsi", "lat", "lon", "sog_kn", "cog_deg"], rows)
     shown = sameas("picture", tmp_path / "ais.csv", "-o", tmp_path / "out", "--every", "20s", "--quiet", *QUICK)
@@ -159,7 +159,7 @@ def test_quiet_says_doubts_and_alarms_only(sameas, coast, tmp_path):
 
 @pytest.mark.slow
 def test_the_tables_are_the_same_for_any_number_of_threads(picture, monkeypatch):
-    # Small pictures are not worth threads: here all that are allowed are used.
+    # Small pictures use one thread by default; here all allowed threads are used.
     monkeypatch.setattr(threads.even, "__defaults__", (1,))
     contents = []
     for count in ("1", "2", "3"):
@@ -185,13 +185,13 @@ def test_the_order_of_the_files_changes_no_object(picture):
             assert words[0] == words[1], name
 
 
-def test_one_source_is_a_picture(sameas, coast, tmp_path):
+def test_one_source_makes_a_picture(sameas, coast, tmp_path):
     shown = sameas("picture", coast / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", *QUICK)
     assert "Picture: 2024-05-01 23:11:00 UTC\n  objects               7 confirmed\n  assumed" in shown.stdout
 
 
 @pytest.mark.slow
-def test_a_source_left_out_leaves_the_picture_of_the_others(sameas, coast, tmp_path):
+def test_excluding_a_source_gives_the_picture_of_the_others(sameas, coast, tmp_path):
     both = (coast / "ais.csv", coast / "radar.csv", "--at", "23:11", "--format", "csv", *QUICK)
     sameas("picture", *both, "--without", "radar", "-o", tmp_path / "what-if")
     sameas("picture", coast / "ais.csv", "--at", "23:11", "--format", "csv", *QUICK, "-o", tmp_path / "alone")
@@ -206,13 +206,13 @@ def test_a_source_left_out_leaves_the_picture_of_the_others(sameas, coast, tmp_p
         (("ais", "radar"), "--without ais, radar: no source is left"),
     ],
 )
-def test_a_source_that_is_not_there_is_not_left_out(names, words, refused, coast):
+def test_an_unknown_source_cannot_be_excluded(names, words, refused, coast):
     options = [part for name in names for part in ("--without", name)]
     assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", coast / "sensors.toml", *options)
 
 
 @pytest.mark.slow
-def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
+def test_sources_in_local_metres_give_no_geojson(sameas, tmp_path):
     rows = [[t, 1 + k, 100.0 * k + 2.0 * t, 50.0] for t in range(0, 20, 2) for k in range(3)]
     write(tmp_path / "radar.csv", ["t", "track_id", "x_m", "y_m"], rows)
     bearings = [[t, float(np.degrees(np.arctan2(r[2] - 50.0, r[3] + 400.0)))] for r in rows for t in [r[0]]]
@@ -223,7 +223,7 @@ def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
     )
     shown = sameas("picture", tmp_path / "radar.csv", tmp_path / "camera.csv", "-s", tmp_path / "s.toml",
                    "-o", tmp_path / "out", "--every", "6s", *QUICK)  # fmt: skip
-    # A description without a kind is of the kind that its name tells.
+    # Without a kind, the kind follows from the name of the description.
     assert "read as marine radar: by its name" in shown.stdout and "0 to 18 s" in shown.stdout
     assert sorted(os.listdir(tmp_path / "out")) == ["identities.parquet", "objects.parquet", "summary.json"]
     assert "3 confirmed; seen: 3 by 2 sources at once" in shown.stdout
@@ -241,7 +241,7 @@ def test_sources_in_metres_make_no_geojson(sameas, tmp_path):
          "its table in a TOML file given with --sensors"),
     ],
 )  # fmt: skip
-def test_files_that_cannot_be_used_are_refused_with_what_to_do(content, words, refused, coast, tmp_path):
+def test_unusable_files_are_refused_with_a_remedy(content, words, refused, coast, tmp_path):
     (tmp_path / "told.csv").write_text(content)
     assert words in refused(coast / "ais.csv", tmp_path / "told.csv")
 
@@ -255,7 +255,7 @@ def test_files_that_cannot_be_used_are_refused_with_what_to_do(content, words, r
         ("hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
     ],
 )
-def test_a_file_that_cannot_be_read_is_set_aside_and_said(content, words, sameas, refused, coast, tmp_path):
+def test_an_unreadable_file_is_set_aside_and_reported(content, words, sameas, refused, coast, tmp_path):
     (tmp_path / "told.csv").write_text(content)
     out = tmp_path / "picture"
     result = sameas("picture", coast / "ais.csv", tmp_path / "told.csv", "-o", out, "--quiet", *QUICK, exit_code=1)
@@ -278,7 +278,7 @@ def test_a_file_that_cannot_be_read_is_set_aside_and_said(content, words, sameas
         (TOML + "file = { path = 3 }\n", "sources.radar.file.path is 3; give a text"),
     ],
 )
-def test_descriptions_that_cannot_be_used_are_refused_with_what_to_do(toml, words, refused, coast, tmp_path):
+def test_invalid_descriptions_are_refused_with_a_remedy(toml, words, refused, coast, tmp_path):
     if toml is not None:
         (tmp_path / "s.toml").write_text(toml)
     assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", tmp_path / "s.toml")
@@ -295,7 +295,7 @@ def test_descriptions_that_cannot_be_used_are_refused_with_what_to_do(toml, word
         (("--every", "0.0001s"), "--every 0.0001s makes 1 170 000 instants from 2024-05-01 23:10:00 to 23:11:57 UTC"),
     ],
 )
-def test_times_that_make_no_picture_are_refused(when, words, refused, coast):
+def test_invalid_times_are_refused(when, words, refused, coast):
     assert words in refused(coast / "ais.csv", coast / "radar.csv", "-s", coast / "sensors.toml", *when)
 
 
@@ -310,12 +310,12 @@ def test_times_that_make_no_picture_are_refused(when, words, refused, coast):
         (("a.csv", "--format", "fits"), "'fits' is not known"),
     ],
 )
-def test_wrong_usage_is_told(arguments, words, sameas):
+def test_wrong_usage_is_reported(arguments, words, sameas):
     shown = sameas("picture", *arguments, exit_code=2)
     assert words in " ".join(shown.stderr.replace("│", " ").split())
 
 
-def test_a_time_of_day_is_that_of_the_reports_through_midnight():
+def test_a_time_of_day_refers_to_the_reports_also_across_midnight():
     midnight = 1714608000.0
     late = midnight - 600.0, midnight + 900.0
     assert Instants(None, "23:55", None, None).of(late).tolist() == [midnight - 300.0]
@@ -323,20 +323,20 @@ def test_a_time_of_day_is_that_of_the_reports_through_midnight():
     assert Instants(300.0, None, "23:56", "00:10").of(late).tolist() == [midnight, midnight + 300, midnight + 600]
 
 
-def test_without_a_wish_there_are_enough_instants_and_not_too_many():
+def test_the_default_number_of_instants_is_reasonable():
     assert len(Instants(None, None, None, None).of((START, START + 100.0))) == 101
     for span_s in (7000.0, 86400.0, 1e7):
         assert 100 <= len(Instants(None, None, None, None).of((START, START + span_s))) <= 202
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_work(refusal, coast, tmp_path):
+def test_an_unwritable_folder_is_refused_at_the_start(refusal, coast, tmp_path):
     (tmp_path / "file").write_text("mine")
     said = refusal("picture", coast / "nothing.csv", "-o", tmp_path / "file")
     assert said == f"cannot write into {tmp_path / 'file'}: file exists; give another folder"
 
 
 @pytest.mark.slow
-def test_stopped_while_it_writes_it_leaves_nothing(sameas, coast, tmp_path, monkeypatch):
+def test_an_interruption_while_writing_leaves_nothing(sameas, coast, tmp_path, monkeypatch):
     from sameas.io import geojson
 
     def stopped(*_):
@@ -347,7 +347,7 @@ def test_stopped_while_it_writes_it_leaves_nothing(sameas, coast, tmp_path, monk
     assert "stopped; nothing was written" in shown.stderr and not (tmp_path / "out").exists()
 
 
-def test_without_matplotlib_there_is_no_image_and_all_else(sameas, coast, tmp_path, monkeypatch):
+def test_without_matplotlib_only_the_image_is_missing(sameas, coast, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     shown = sameas("picture", coast / "ais.csv", "-o", tmp_path / "out", "--at", "23:11", "--no-map")
@@ -356,7 +356,7 @@ def test_without_matplotlib_there_is_no_image_and_all_else(sameas, coast, tmp_pa
 
 
 @pytest.mark.parametrize("missing", ["pymap3d", "pyais"])
-def test_a_missing_package_is_named_with_how_to_install_it(missing, refused, coast, tmp_path, monkeypatch):
+def test_a_missing_package_is_named_with_its_install_line(missing, refused, coast, tmp_path, monkeypatch):
     for name in [name for name in sys.modules if name.partition(".")[0] == missing]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, missing, None)
@@ -366,7 +366,7 @@ def test_a_missing_package_is_named_with_how_to_install_it(missing, refused, coa
     assert "pip install 'sameas[targets]'" in refused(file, "--start", "2024-05-01")
 
 
-def test_damaged_lines_are_named_and_the_rest_is_used(sameas, coast, tmp_path):
+def test_damaged_lines_are_listed_and_the_rest_used(sameas, coast, tmp_path):
     lines = (coast / "ais.csv").read_text().splitlines()
     lines[4], lines[9] = "ink", lines[9].replace("50.", "fifty ")
     (tmp_path / "ais.csv").write_text("\n".join(lines) + "\n")

@@ -1,4 +1,4 @@
-"""``sameas picture`` on plots without names: objects are followed from look to look, through misses and clutter."""
+"""``sameas picture`` on plots without ids: objects are followed from scan to scan through misses and clutter."""
 
 import csv
 import json
@@ -30,7 +30,7 @@ resolution = {{ split = 0.02 }}
 
 @pytest.fixture(scope="module")
 def quay(tmp_path_factory):
-    """Bare plots of a lidar and a radar: two boats that pass each other 12 m apart, one look in five missed, and as
+    """Bare plots of a lidar and a radar: two boats that pass each other at 12 m, one detection in five missed, and as
     many false plots as true ones."""
     folder, rng = tmp_path_factory.mktemp("quay"), np.random.default_rng(4)
     for name, (sigma_m, period_s) in SENSORS.items():
@@ -50,7 +50,7 @@ def quay(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def made(quay, tmp_path_factory):
-    """The picture every five seconds, ten looks of the lidar: what was printed, and the folder."""
+    """The picture every five seconds (ten lidar scans): printed text and folder."""
     from typer.testing import CliRunner
 
     from sameas.cli.app import app
@@ -72,7 +72,7 @@ def confirmed(objects):
 
 
 @pytest.mark.slow
-def test_two_that_pass_each_other_are_confirmed_keep_their_numbers_and_no_false_plot_is(made):
+def test_two_passing_boats_are_confirmed_and_keep_their_numbers_and_false_plots_are_not_confirmed(made):
     _, out = made
     there = confirmed(read_table(out / "objects.parquet"))
     there = there[there["time_s"] > START + 5.0]
@@ -90,12 +90,12 @@ def test_two_that_pass_each_other_are_confirmed_keep_their_numbers_and_no_false_
     told = json.loads((out / "summary.json").read_text())
     assert told["confirmed_objects_by_number_of_sources"] == [0, 0, 2]
     assert told["unconfirmed_objects"] > 20
-    # Misses are counted of what is there, and not of false plots: one look in five, of some twenty.
+    # The miss share is that of the boats, without false plots: one in five, from about twenty scans.
     assert told["misses"] and all(one["share"] < 0.5 for one in told["misses"])
 
 
 @pytest.mark.slow
-def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, quay):
+def test_members_are_plots_of_the_files_and_no_remembered_objects(made, quay):
     _, out = made
     objects, records = read_table(out / "objects.parquet"), read_table(out / "identities.parquet")
     assert set(" ".join(objects["sources"]).split()) == {"lidar", "radar"} == set(records["source"])
@@ -117,7 +117,7 @@ def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, qua
     assert ((p_alone >= 0.0) & (p_alone <= 1.0)).all()
     alone = {key for key, (n, p) in held.items() if p > 0.99}
     assert alone
-    # Positions lead back to the lines of the files.
+    # Positions refer to lines of the files.
     with open(quay / "lidar.csv", newline="") as file:
         lines = [None, *csv.reader(file)]
     for row in records[records["source"] == "lidar"][:20]:
@@ -125,7 +125,7 @@ def test_members_are_plots_of_the_files_and_what_is_remembered_is_none(made, qua
 
 
 @pytest.mark.slow
-def test_it_is_said_that_objects_are_followed_and_what_was_taken_for_how_long(made, sameas, quay, tmp_path):
+def test_tracking_and_its_assumptions_are_reported(made, sameas, quay, tmp_path):
     shown, _ = made
     text = " ".join(shown.split())
     assert "no source identifies its objects: they are tracked from scan to scan" in text
@@ -140,7 +140,7 @@ def test_it_is_said_that_objects_are_followed_and_what_was_taken_for_how_long(ma
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
-def test_the_map_opens_and_tells_why(made, tmp_path):
+def test_the_map_opens_and_explains(made, tmp_path):
     _, out = made
     browser = Browser(tmp_path / "profile", out / "map.html")
     try:

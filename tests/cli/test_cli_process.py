@@ -1,4 +1,4 @@
-"""The command as its own process: what depends on signals, devices and terminals."""
+"""The command as its own process: signals, devices and terminals."""
 
 import errno
 import importlib
@@ -32,7 +32,7 @@ def run(*arguments, **settings):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_process_that_is_asked_to_end_says_so_in_one_line_and_leaves_no_draft(number, code, tmp_path):
+def test_a_terminated_process_prints_one_line_and_leaves_no_draft(number, code, tmp_path):
     pipe, folder = tmp_path / "never.csv", tmp_path / "out"
     os.mkfifo(pipe)
     process = subprocess.Popen([*COMMAND, "picture", f"radar={pipe}", "-o", str(folder)], stdout=subprocess.PIPE,
@@ -52,7 +52,7 @@ def test_a_table_is_not_read_from_a_pipe(tmp_path, field_files):
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="names of files are bytes")
-def test_a_name_that_is_no_text_names_a_file_as_well(tmp_path, field_files):
+def test_file_names_that_are_no_valid_text_work(tmp_path, field_files):
     paths = [tmp_path / f"{k}\udcff.csv" for k in (0, 1)]
     for path, table in zip(paths, field_files, strict=True):
         write_table(read_table(table), path, provenance={})
@@ -65,7 +65,7 @@ def test_a_name_that_is_no_text_names_a_file_as_well(tmp_path, field_files):
 
 
 @pytest.mark.parametrize("command", ["match", "compare", "picture", "explain"])
-def test_a_name_that_is_too_long_for_a_file_is_no_fault_of_sameas(command, tmp_path, field_files, sameas):
+def test_a_file_name_that_is_too_long_is_no_internal_error(command, tmp_path, field_files, sameas):
     name, out = tmp_path / f"{'n' * 300}.fits", tmp_path / "out.fits"
     given = {"match": [name, field_files[0], "-o", out], "compare": [name, name],
              "picture": [name, name, "-o", out], "explain": [name, "1"]}[command]  # fmt: skip
@@ -77,7 +77,7 @@ def test_a_name_that_is_too_long_for_a_file_is_no_fault_of_sameas(command, tmp_p
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="such a folder cannot be removed there")
-def test_a_folder_that_is_gone_under_the_command_is_no_fault_of_sameas(tmp_path, field_files, monkeypatch, refusal):
+def test_a_folder_deleted_during_the_run_is_no_internal_error(tmp_path, field_files, monkeypatch, refusal):
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
@@ -87,7 +87,7 @@ def test_a_folder_that_is_gone_under_the_command_is_no_fault_of_sameas(tmp_path,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", ["0", "1", "2"])
-def test_a_stream_that_is_closed_stops_nothing(closed, tmp_path, field_files):
+def test_a_closed_stream_does_not_stop_the_command(closed, tmp_path, field_files):
     out = tmp_path / "o.fits"
     command = shlex.join([*COMMAND, "match", *map(str, field_files), "-o", str(out)])
     done = subprocess.run(["sh", "-c", f"{command} {closed}>&-"], capture_output=True, text=True, timeout=120)
@@ -99,7 +99,7 @@ def test_a_stream_that_is_closed_stops_nothing(closed, tmp_path, field_files):
     "ending",
     [".fits", pytest.param(".parquet", marks=pytest.mark.long), pytest.param(".csv", marks=pytest.mark.long)],
 )
-def test_whenever_it_is_asked_to_end_the_output_is_the_old_one_or_the_new_one(ending, tmp_path, field_files):
+def test_a_signal_at_any_time_leaves_the_old_or_the_new_output(ending, tmp_path, field_files):
     out = tmp_path / f"o{ending}"
     began = time.monotonic()
     run("match", *field_files, "-o", out)
@@ -118,7 +118,7 @@ def test_whenever_it_is_asked_to_end_the_output_is_the_old_one_or_the_new_one(en
 
 
 @pytest.mark.slow
-def test_two_processes_of_frames_end_when_asked_to(tmp_path):
+def test_two_frame_processes_end_on_a_signal(tmp_path):
     frames = [tmp_path / f"{name}.fits" for name in "ab"]
     for frame in frames:
         os.mkfifo(frame)
@@ -146,7 +146,7 @@ def _until(true, patience_s=60.0):
 
 
 def _interruptible():
-    """Undo what a shell does to jobs in the background: they ignore Ctrl-C, and so would the command."""
+    """Restore SIGINT: shells make background jobs, and so this command, ignore Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
@@ -166,7 +166,7 @@ def test_a_full_disk_leaves_no_half_written_file(tmp_path, field_files):
 
 
 @pytest.mark.slow
-def test_a_reader_that_leaves_does_not_stop_the_work(tmp_path, field_files):
+def test_a_closed_pipe_does_not_stop_the_work(tmp_path, field_files):
     out = tmp_path / "o.fits"
     arguments = [*COMMAND, "match", *field_files, "-o", str(out)]
     process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -177,7 +177,7 @@ def test_a_reader_that_leaves_does_not_stop_the_work(tmp_path, field_files):
 
 
 @pytest.mark.slow
-def test_colour_on_a_terminal_unless_no_color(field_files):
+def test_colour_on_a_terminal_unless_no_color_is_set(field_files):
     for unwanted in (False, True):
         environment = {**os.environ, "TERM": "xterm"} | ({"NO_COLOR": "1"} if unwanted else {})
         for name in () if unwanted else ("NO_COLOR",):
@@ -210,7 +210,7 @@ def _read(terminal):
         ("raise SystemExit('words')", 1, "done\nended\n"),
     ],
 )
-def test_a_process_ends_at_once_but_not_before_all_is_said(end, code, said):
+def test_a_process_ends_at_once_after_flushing_its_output(end, code, said):
     """What is registered for its end runs, and threads at work are waited for, as Python does."""
     probe = f"""
 import atexit, sys, threading, time
@@ -227,7 +227,7 @@ sameas.cli.process()
     assert (done.returncode, done.stdout) == (code, said)
 
 
-def test_help_imports_nothing_heavy_of_ours():
+def test_help_imports_no_heavy_modules_of_sameas():
     probe = """
 import sys
 sys.argv = ["sameas", "--help"]
@@ -244,7 +244,7 @@ except SystemExit:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("rows", "side_deg"), [(60, 1.0), (1000, 0.02)])
-def test_a_short_run_imports_nothing_that_it_does_not_need(tmp_path, rows, side_deg):
+def test_a_short_run_imports_no_unneeded_modules(tmp_path, rows, side_deg):
     """Which would take longer than the match itself: nor do the larger groups of a thousand rows in a crowd."""
     rng = np.random.default_rng(3)
     ra, dec = rng.uniform(10.0, 10.0 + side_deg, (2, rows))
@@ -286,7 +286,7 @@ def test_commands_are_listed_with_the_first_sentence_of_their_docstring():
 
 
 @pytest.mark.slow
-def test_a_command_makes_its_own_options_only():
+def test_a_command_builds_only_its_own_options():
     probe = """
 import sys
 sys.argv = ["sameas", "match", "--help"]
@@ -324,7 +324,7 @@ with outcome.answering(False), replacing(sys.argv[1]) as draft:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_compiled_loop_does_not_keep_a_process_that_is_to_stop(number, code, tmp_path):
+def test_a_compiled_loop_does_not_delay_termination(number, code, tmp_path):
     process = subprocess.Popen([sys.executable, "-c", _BUSY, str(tmp_path / "out.txt")], stdout=subprocess.PIPE,
                                stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible)  # fmt: skip
     assert process.stdout.readline() == "begun\n"
@@ -364,7 +364,7 @@ sameas.cli.main()
 @pytest.mark.slow
 @pytest.mark.parametrize("where", ["in", "before"])
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_import_that_catches_the_signal_and_fails_is_no_fault(number, code, where, tmp_path, field_files):
+def test_an_import_that_swallows_the_signal_and_fails_is_no_internal_error(number, code, where, tmp_path, field_files):
     """NumPy 2.0 does: a traceback, or a fault of sameas, was printed where the command was asked to end."""
     for name, file in zip(("a.fits", "b.fits"), field_files, strict=True):
         (tmp_path / name).symlink_to(file)
@@ -394,7 +394,7 @@ except KeyboardInterrupt:
 """
 
 
-def test_a_worker_that_is_asked_twice_to_end_still_removes_its_draft(tmp_path):
+def test_a_worker_signalled_twice_still_removes_its_draft(tmp_path):
     """Who is interrupted asks its workers to end, and again when it ends itself."""
     done = subprocess.run([sys.executable, "-c", _TWICE, str(tmp_path / "out.txt")], timeout=60, check=False)
     assert done.returncode in (3, 143) and not list(tmp_path.iterdir())
@@ -407,7 +407,7 @@ def _answer(path):
     return {name: table[name].tolist() for name in table.colnames}
 
 
-def test_a_process_that_is_asked_to_end_while_an_object_is_deleted_prints_no_traceback():
+def test_a_signal_during_object_deletion_prints_no_traceback():
     program = """
 import os, signal, time
 from sameas.cli.outcome import end_cleanly_when_asked
@@ -423,7 +423,7 @@ time.sleep(30)
     assert (done.returncode, done.stderr) == (143, "sameas: stopped; nothing was written\n")
 
 
-def test_an_interruption_in_compiled_code_is_one(capsys):
+def test_an_interruption_in_compiled_code_is_reported_as_such(capsys):
     """numba's wrappers make a SystemError of it; it was called a fault of sameas."""
     from sameas.cli import outcome
 
@@ -436,7 +436,7 @@ def test_an_interruption_in_compiled_code_is_one(capsys):
 
 
 @pytest.mark.parametrize(("kind", "code"), [("KeyboardInterrupt", 130), ("Terminated", 143)])
-def test_a_process_that_is_stopped_before_its_command_begins_says_so(kind, code, monkeypatch):
+def test_a_process_stopped_before_its_command_begins_reports_it(kind, code, monkeypatch):
     """typer's own exit code is that of Ctrl-C, whatever the signal was, and it says nothing."""
     from sameas.cli import main, outcome
 
@@ -464,7 +464,7 @@ def test_a_process_that_is_stopped_before_its_command_begins_says_so(kind, code,
     assert ended == [(code, "stopped; nothing was written")]
 
 
-def test_a_frame_that_is_interrupted_ends_the_series(monkeypatch):
+def test_an_interruption_in_one_frame_ends_the_series(monkeypatch):
     """It was said to be a fault of that frame, and the next one was begun."""
     from sameas.cli import frames
     from sameas.front.framing import FrameRequest
@@ -478,7 +478,7 @@ def test_a_frame_that_is_interrupted_ends_the_series(monkeypatch):
         frames.run_all([request], processes=1, again=True, shown=False, tell=print)
 
 
-def test_a_disk_that_is_full_where_temporary_files_go_is_no_fault_of_sameas(capsys):
+def test_a_full_temporary_disk_is_no_internal_error(capsys):
     from sameas.cli import outcome
 
     with pytest.raises(typer.Exit) as ended, outcome.answering(False):
@@ -494,7 +494,7 @@ def test_a_disk_that_is_full_where_temporary_files_go_is_no_fault_of_sameas(caps
 @pytest.mark.parametrize(
     "circumstance", ["python -O", "no home", "a home that is read-only", "no home, no place for compiled kernels"]
 )
-def test_the_answer_is_the_same_in_every_home(circumstance, tmp_path, field_files):
+def test_the_result_does_not_depend_on_the_home_folder(circumstance, tmp_path, field_files):
     run("match", *field_files, "-o", tmp_path / "here.parquet")
     switches = ["-O"] if circumstance == "python -O" else []
     environment = dict(os.environ)
@@ -515,7 +515,7 @@ def test_the_answer_is_the_same_in_every_home(circumstance, tmp_path, field_file
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may become another user")
-def test_another_user_to_whom_the_installation_is_read_only(tmp_path, field_files):
+def test_a_read_only_installation_works_for_another_user(tmp_path, field_files):
     """Nobody has no home, and may write into his own folder only: neither kernels beside the source, nor caches."""
     run("match", *field_files, "-o", tmp_path / "here.parquet")
     for folder in {above for path in (tmp_path / "x", *map(Path, field_files)) for above in path.parents[:-2]}:
@@ -565,7 +565,7 @@ print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), np.array_equal(answer(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
-def test_a_process_forked_after_use_answers_the_same():
+def test_a_forked_process_gives_the_same_result():
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", _FORKED], capture_output=True, text=True, timeout=120)
     assert done.stdout == "0 True\n", done.stderr[-2000:]
 
@@ -582,7 +582,7 @@ print(components.label_pairs.compiled(one, one, parent, *short, *(np.zeros(4, np
 
 
 @pytest.mark.slow
-def test_two_first_compilations_at_once_do_not_disturb_each_other(tmp_path):
+def test_two_simultaneous_first_compilations_do_not_interfere(tmp_path):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-c", _FIRST]
     two = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)

@@ -1,4 +1,4 @@
-"""What a user may do wrong, and gets: one clear line, exit code 1 or 2, nothing written."""
+"""User errors give one clear line, exit code 1 or 2, and no output."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from sameas.cli.app import app
 
 @pytest.fixture
 def refused(tmp_path, refusal, field_files):
-    """Refusal of a match of a changed first table with the second; nothing is left behind."""
+    """A function that returns the refusal of a match with a changed first table and checks that nothing is written."""
 
     def run(change=lambda table: None, *options, name="wrong.fits"):
         table = field(120, 2)
@@ -25,7 +25,7 @@ def refused(tmp_path, refusal, field_files):
     return run
 
 
-def test_a_missing_file_and_what_is_no_table(tmp_path, refusal, field_files):
+def test_missing_files_and_files_that_are_no_table(tmp_path, refusal, field_files):
     out = tmp_path / "o.fits"
     assert "frist.fits: no such file; did you mean first.fits" in refusal(
         "match", field_files[0].replace("first", "frist"), field_files[1], "-o", out
@@ -39,7 +39,7 @@ def test_a_missing_file_and_what_is_no_table(tmp_path, refusal, field_files):
     assert "or give --format1 NAME" in refusal("match", tmp_path / "page.xyz", field_files[1], "-o", out)
 
 
-def test_no_position_or_two_name_the_option_of_that_catalogue(refused):
+def test_missing_or_ambiguous_positions_name_the_option_of_that_catalogue(refused):
     assert "give --ra1 NAME --dec1 NAME" in refused(lambda t: t.remove_column("ra"))
 
     def second_position(table):
@@ -48,18 +48,18 @@ def test_no_position_or_two_name_the_option_of_that_catalogue(refused):
     assert "2 candidates for right ascension: 'ALPHA_J2000', 'ra'; give --ra1 NAME" in refused(second_position)
 
 
-def test_a_column_that_is_not_there_names_the_option_that_was_typed(refused):
+def test_an_unknown_column_names_the_typed_option(refused):
     assert "no column 'sigmas' for --sigma1; did you mean 'sigma'?" in refused(lambda t: None, "--sigma1", "sigmas")
     assert "no column 'sigmas' for --sigma; did you mean" in refused(lambda t: None, "--sigma", "sigmas")
 
 
-def test_what_is_missing_in_both_is_said_in_sentences(refused):
+def test_problems_of_both_catalogues_are_reported_in_sentences(refused):
     assert "did you mean 'ra'? Also: second: no column 'rra' for --ra" in refused(lambda t: None, "--ra", "rra")
 
 
 @pytest.mark.parametrize("option", ["--radius", "--within", "--max-sep"])
 @pytest.mark.parametrize("command", ["match", "many"])
-def test_who_gives_a_radius_reads_what_decides_instead(command, option):
+def test_a_radius_option_is_refused_with_the_alternative(command, option):
     done = CliRunner().invoke(app, [command, "a.csv", "b.csv", "-o", "c.csv", option, "1"])
     words = " ".join(done.output.replace("│", " ").split())
     assert done.exit_code == 2 and f"No such option: {option}. No radius is needed" in words
@@ -88,7 +88,7 @@ def test_unknown_units(refused):
     assert "--sigma1 0 is not positive" in refused(unitless, "--sigma1", "0")
 
 
-def test_absurd_errors_are_refused_before_they_take_a_day(refused):
+def test_absurd_errors_are_refused_at_once(refused):
     words = refused(lambda t: None, "--sigma1", "0.4", "--sigma-unit1", "deg")
     assert "so large that about" in words and "give --sigma-unit1 UNIT" in words
 
@@ -102,7 +102,7 @@ def test_correlations_beyond_one_name_the_row(refused):
     assert "correlations beyond ±1 in 1 row (first: row 11)" in words
 
 
-def test_ids_that_were_asked_for_must_be_unique(refused):
+def test_given_ids_must_be_unique(refused):
     def twice(table):
         table["name"][2] = "s1"
 
@@ -118,7 +118,7 @@ def test_tables_without_usable_rows(refused):
     assert "none of its 120 rows can be used: no error (120)" in refused(no_errors)
 
 
-def test_outputs_that_cannot_be_are_refused_before_the_work(tmp_path, refusal, field_files):
+def test_impossible_outputs_are_refused_at_the_start(tmp_path, refusal, field_files):
     copy = tmp_path / "copy.fits"
     copy.symlink_to(field_files[0])
     before = Path(field_files[0]).read_bytes()
@@ -149,7 +149,7 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(tmp_path, refusal, f
         (["--hdu1", "7"], "has no extension 7"),
     ],
 )
-def test_options_of_the_match_that_make_no_sense(tmp_path, refusal, field_files, options, words):
+def test_invalid_match_options(tmp_path, refusal, field_files, options, words):
     assert words in refusal("match", *field_files, "-o", tmp_path / "o.fits", *options)
 
 
@@ -162,13 +162,13 @@ def test_options_of_the_match_that_make_no_sense(tmp_path, refusal, field_files,
         ([], "give -o OUT"),
     ],
 )
-def test_wrong_usage_ends_with_2_and_tells_what_was_probably_meant(sameas, field_files, options, words):
+def test_wrong_usage_exits_with_2_and_suggests_the_right_option(sameas, field_files, options, words):
     result = sameas("match", *field_files, *options, exit_code=2)
     assert words in " ".join(result.stderr.replace("│", " ").split())
 
 
 @pytest.mark.slow
-def test_an_interruption_within_the_work_writes_nothing(tmp_path, sameas, field_files, monkeypatch):
+def test_an_interruption_writes_nothing(tmp_path, sameas, field_files, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
@@ -183,7 +183,7 @@ def test_debug_shows_the_traceback_of_an_error_before_its_line(sameas, field_fil
     assert result.stderr.startswith("Traceback") and "\nsameas: nowhere.fits: no such file" in result.stderr
 
 
-def test_a_fault_of_ours_is_called_one(tmp_path, refusal, field_files, monkeypatch):
+def test_an_internal_error_is_reported_as_such(tmp_path, refusal, field_files, monkeypatch):
     def broken(*_, **__):
         raise ZeroDivisionError("division\nby zero")
 

@@ -1,4 +1,4 @@
-"""What is compiled beside the search is what an identification then needs."""
+"""Kernels compiled in parallel with the search are those that identification needs."""
 
 import os
 import subprocess
@@ -24,14 +24,14 @@ assert posterior.exact.compiled.stats.cache_hits and not posterior.exact.compile
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
-def test_sums_compiled_beforehand_are_found(tmp_path):
+def test_kernels_compiled_beforehand_are_used(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     subprocess.run([sys.executable, "-m", "sameas.cli.warmup"], env=environment, check=True, timeout=300)
     subprocess.run([sys.executable, "-c", LATER], env=environment, check=True, timeout=300)
 
 
 @pytest.mark.parametrize(("quiet", "said"), [(False, 1), (True, 0)])
-def test_compilation_is_said_and_shared(quiet, said, monkeypatch, capsys, tmp_path):
+def test_compilation_is_announced_and_shared(quiet, said, monkeypatch, capsys, tmp_path):
     begun = []
     monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce])
     monkeypatch.setattr("sameas.cli.warmup.beside", begun.append)

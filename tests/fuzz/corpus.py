@@ -1,4 +1,4 @@
-"""What is fuzzed: a few small files of every format, made by the library's own writers, and how they are read."""
+"""Fuzz targets: a few small files of every format, mostly from the library's own writers, and their readers."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def frame(path: Path) -> object:
 
 
 def hcompressed(path: Path) -> object:
-    """A frame whose decoder is kept: to start Python for each takes longer than to decode."""
+    """Read a frame with a persistent decoder process: starting Python takes longer than decoding."""
     from unittest import mock
 
     with mock.patch.object(subprocess, "run", DECODER.run):
@@ -66,17 +66,17 @@ def hcompressed(path: Path) -> object:
 
 
 class Decoder:
-    """A process forked here that decodes one image after the other; where one ends it, another takes over.
+    """A forked process that decodes images one after another; it is replaced when an image kills it.
 
-    What it wrote beyond its memory stays with it: an image that ends a decoder which has read others is read again by a
-    new one, so that what comes of an image is its own.
+    Memory corrupted by one image may affect later ones: an image that kills a used decoder is read again by a new one,
+    so that every outcome belongs to its image.
     """
 
     def __init__(self) -> None:
         self.process, self.read = 0, 0
 
     def run(self, command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
-        """What ``subprocess.run`` gives for [Python, "-c", a program, its arguments]."""
+        """The result of ``subprocess.run`` for [Python, "-c", program, *arguments]."""
         while True:
             if not self.process:
                 self._fork(command[2])
@@ -96,7 +96,7 @@ class Decoder:
         try:
             self.asks.write(json.dumps(arguments) + "\n")
             self.asks.flush()
-            # What wrote beyond its memory may wait for a lock of its own for ever.
+            # After memory corruption the process may wait for one of its locks for ever.
             there = select.select([self.answers], [], [], DECODED_S)[0]
             if not there:
                 os.kill(self.process, signal.SIGXCPU)
@@ -123,7 +123,7 @@ class Decoder:
             os._exit(code)
 
     def end(self) -> int:
-        """The exit code of the process, which ends when nobody asks it any more."""
+        """Close the pipe, on which the process ends, and return its exit code."""
         with contextlib.suppress(BrokenPipeError):
             self.asks.close()
         self.answers.close()
@@ -133,7 +133,7 @@ class Decoder:
 
 
 def _decode_all(program: Any, asked: Any, told: int) -> None:
-    """Runs a program with the arguments of every line, within seconds of the processor and 1 GB, and answers each."""
+    """Run the program with the arguments of every line, within CPU and memory (1 GB) limits, and answer each."""
     import resource
     import time
 
@@ -152,7 +152,7 @@ def _decode_all(program: Any, asked: Any, told: int) -> None:
         os.write(told, (json.dumps(answer) + "\n").encode())
 
 
-#: A decoder reads so many images, each within so many seconds of the clock.
+#: Images per decoder process, and wall-clock seconds per image.
 DECODED, DECODED_S = 500, 20.0
 DECODER = Decoder()
 
@@ -175,7 +175,7 @@ def sensors_toml(path: Path) -> object:
 
 
 def settings_toml(path: Path) -> object:
-    """The settings of a watch, and its keeper before the first wire is heard."""
+    """Read the settings of a watch and create its keeper, without opening inputs."""
     from sameas.live.keeper import Keeper
     from sameas.live.settings import read_settings
 
@@ -223,7 +223,7 @@ def stars() -> Any:
 
 
 def written(ending: str) -> Callable[[], list[bytes]]:
-    """The stars as our writer of this ending has them."""
+    """The stars as written by our writer of this extension."""
 
     def seeds() -> list[bytes]:
         from sameas.io import write_table
@@ -248,7 +248,7 @@ def votables() -> list[bytes]:
 
 
 def texts(*names: str, mark: str = ";", instead: str = ";") -> Callable[[], list[bytes]]:
-    """Texts that tests/io/test_io_text.py has. mark : what stands between columns; instead : what shall stand there."""
+    """Texts of tests/io/test_io_text.py. mark : column separator there; instead : its replacement."""
 
     def seeds() -> list[bytes]:
         source = (TESTS / "io" / "test_io_text.py").read_text(encoding="utf-8")
@@ -471,7 +471,7 @@ def signal_k() -> list[bytes]:
 
 
 def small_bodies() -> list[bytes]:
-    """Answers of JPL's small-body database: of a query, and of one object with its covariance."""
+    """Responses of JPL's small-body database: to a query, and for one object with its covariance."""
     fields = ["full_name", "epoch_mjd", "e", "q", "i", "om", "w", "a", "ma", "tp", "H", "G", "condition_code"]
     row = ["1 Ceres (A801 AA)", "61200", ".0796", "2.5455", "10.588", "80.25", "73.3", "2.7656", "231.5", "2461599.9",
            "3.35", "0.12", "0"]  # fmt: skip
@@ -540,7 +540,7 @@ TARGETS: Mapping[str, Target] = {
 
 @dataclass
 class Corpus:
-    """The seeds of the targets, made when they are first asked for, ready to be changed."""
+    """The seeds of the targets, created on first use and unpacked for mutation."""
 
     made: dict[str, list[bytes]] = field(default_factory=dict)
 

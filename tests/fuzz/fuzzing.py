@@ -34,17 +34,17 @@ from typing import Any
 
 HERE = Path(__file__).parent
 SOURCE = HERE.parents[1] / "src" / "sameas"
-#: Libraries that read, where they are installed.
+#: Libraries used for reading, if installed.
 LIBRARIES = ("numpy", "numba", "astropy", "pyarrow", "PyYAML", "pyais", "pyModeS", "rs1090", "pymap3d")
-#: An input is read within so many seconds of the processor, and so many bytes beyond those that the child had before.
+#: Limits per input: CPU seconds, and bytes beyond the child's memory at start.
 SECONDS, BYTES = 5.0, 1 << 30
-#: Where Python is not asked in that time (a loop in C), so many seconds of the processor end the child.
+#: CPU seconds after which the child is killed if Python does not regain control (a loop in C).
 LAST_SECONDS = 12
-#: A child that sleeps says nothing for so many seconds.
+#: Seconds without output after which a child counts as hanging.
 SILENT_SECONDS = 600.0
-#: A child reads so many inputs; a new one then takes over, so that what libraries keep does not add up.
+#: Inputs per child; then a new one takes over, so that memory leaks of libraries do not add up.
 INPUTS_OF_A_CHILD = 20_000
-#: Findings are kept after so many inputs.
+#: Findings are saved after this number of inputs.
 INPUTS_OF_A_PART = 2000
 
 NUMBERS = (
@@ -79,7 +79,7 @@ TEXTS = (
 
 
 def changed(content: bytes, rng: random.Random, others: Sequence[bytes]) -> bytes:
-    """The content after some random changes, mostly one or two."""
+    """The content after a few random mutations, mostly one or two."""
     out = bytearray(content)
     for _ in range(1 + min(int(rng.expovariate(0.9)), 12)):
         rng.choice(CHANGES)(out, rng, others)
@@ -130,7 +130,7 @@ def _text(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
 
 
 def _number(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
-    """A number becomes another; in cards of FITS with as many characters as before."""
+    """Replace a number by another; in FITS cards of equal length."""
     begin = _place(out, rng)
     digits = [at for at in range(begin, min(begin + 4000, len(out))) if 48 <= out[at] <= 57]
     if digits:
@@ -145,7 +145,7 @@ def _number(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None
 
 
 def _card(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
-    """In FITS the value of a card; elsewhere a line, gone or twice."""
+    """In FITS change the value of a card; elsewhere delete or duplicate a line."""
     if out[:6] == b"SIMPLE":
         cards = [at for at in range(0, min(len(out), 40000), 80) if out[at + 8 : at + 10] == b"= "]
         if cards:
@@ -164,15 +164,15 @@ def _card(out: bytearray, rng: random.Random, others: Sequence[bytes]) -> None:
 CHANGES = (_bits, _bits, _byte, _byte, _cut, _less, _again, _other, _text, _number, _number, _number, _card, _card)
 
 
-# The child: reads inputs, and says of each what came of it.
+# The child: reads inputs and reports the outcome of each.
 
 
 class TooLong(BaseException):
-    """An input was not read within its seconds."""
+    """An input exceeded its CPU time."""
 
 
 def input_of(name: str, seed: int, number: int, corpus: Any) -> bytes:
-    """Input ``number`` of a target: a file of its corpus, changed."""
+    """Input ``number`` of a target: a mutated file of its corpus."""
     from corpus import TARGETS
 
     rng = random.Random(f"{name}:{seed}:{number}")
@@ -181,14 +181,14 @@ def input_of(name: str, seed: int, number: int, corpus: Any) -> bytes:
 
 
 def outcome(read: Any, path: Path) -> str:
-    """What came of reading a file: "answered", "refused", or what is wrong with it."""
+    """Outcome of reading a file: "answered", "refused", or a description of the fault."""
     from sameas.errors import InputError
 
     ignored: list[Any] = []
     hook, sys.unraisablehook = sys.unraisablehook, ignored.append
     try:
         read(path)
-        if ignored:  # what a library caught, and printed with a traceback
+        if ignored:  # a traceback printed by a library that caught the exception
             raise ignored[0].exc_value
     except InputError as error:
         if ignored:
@@ -275,12 +275,12 @@ def _modules() -> list[str]:
     return sorted({Path(file).relative_to(SOURCE).as_posix() for file in files if file})
 
 
-# The parent: gives a child its work, and takes over where it dies or hangs.
+# The parent: distributes work to a child, and replaces it when it dies or hangs.
 
 
 @dataclass
 class Findings:
-    """What came of the inputs of one format. faults : by what was wrong, the numbers of the inputs."""
+    """Outcomes of the inputs of one format. faults : {description: input numbers}."""
 
     tried: int = 0
     answered: int = 0
@@ -308,7 +308,7 @@ class Findings:
 
 @dataclass(frozen=True)
 class Code:
-    """What reads the inputs.
+    """Identification of the code that reads the inputs.
 
     modules : a digest of each loaded module of sameas, without its comments and docstrings. libraries : their versions.
     inputs : a digest of the first fifty inputs, which changes with the corpus and with how inputs are changed.
@@ -320,7 +320,7 @@ class Code:
 
     @classmethod
     def of(cls, modules: Sequence[str], name: str, seed: int, corpus: Any) -> Code:
-        """The code that is there now."""
+        """The current code."""
         digest = hashlib.sha256()
         for number in range(50):
             digest.update(input_of(name, seed, number, corpus))
@@ -337,7 +337,7 @@ class Code:
         )  # fmt: skip
 
     def stands(self, later: Code) -> bool:
-        """Whether it is the same later, when more modules may have been loaded."""
+        """Whether ``later``, with possibly more modules loaded, is the same code."""
         return (
             self.modules.items() <= later.modules.items()
             and (self.libraries, self.inputs) == (later.libraries, later.inputs)
@@ -345,7 +345,7 @@ class Code:
 
 
 def _meaning(path: Path) -> bytes:
-    """A module as its syntax tree, without comments and docstrings: what does not change when only words do."""
+    """Syntax tree of a module without comments and docstrings, so that rewording does not change it."""
     tree = ast.parse(path.read_bytes())
     for node in ast.walk(tree):
         if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)):
@@ -381,7 +381,7 @@ class Kept:
 
     @classmethod
     def of(cls, folder: Path, name: str, seed: int, corpus: Any) -> Kept:
-        """Those of an earlier run with this seed and this code, or none yet."""
+        """The findings of an earlier run with this seed and code, or empty ones."""
         path = folder / f"{name.replace(' ', '-')}-{seed}.json"
         if not path.exists():
             return cls(path, name, seed)
@@ -406,7 +406,7 @@ class Kept:
         draft.replace(self.path)
 
     def again(self, fuzzer: Fuzzer) -> None:
-        """Read once more what ended in a fault."""
+        """Read the inputs that ended in a fault again."""
         before, self.findings.faults = self.findings.faults, {}
         for number in sorted(number for numbers in before.values() for number in numbers):
             self.findings.tried -= 1
@@ -414,14 +414,14 @@ class Kept:
         self.save()
 
     def printed(self, older: bool) -> tuple[Findings, str]:
-        """The findings to be printed, and what they were read by."""
+        """The findings to print, and the code that produced them."""
         if older and self.older is not None and int(self.older["upto"]) > self.upto:
             return Findings(**self.older["findings"]), self.older["day"]
         return self.findings, "this code"
 
 
 class Fuzzer:
-    """A child process, renewed when it has died, hung or read enough."""
+    """A child process, replaced when it died, hung or reached its number of inputs."""
 
     def __init__(self, seed: int = 0) -> None:
         self.seed, self.read = seed, 0
@@ -485,7 +485,7 @@ class Fuzzer:
         return self.process
 
     def _lines(self, process: subprocess.Popen[bytes]) -> Iterator[str]:
-        """What the child says, until it ends, or says nothing for long."""
+        """Lines of the child's output, until it ends or its timeout."""
         assert process.stdout is not None
         while True:
             while b"\n" in self.rest:

@@ -1,4 +1,4 @@
-"""What is fuzzed of what sameas itself writes, and reads again: tables to explain and compare, states, partitions."""
+"""Fuzz targets among the files that sameas writes and reads again: tables, states, partitions."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def _once() -> Iterator[None]:
 
 
 def told(path: Path) -> object:
-    """Why records are what they are, and what differs, as ``explain`` and ``compare`` say it."""
+    """Run ``explain`` and ``compare`` on a table."""
     import sameas
     from sameas.errors import InputError
 

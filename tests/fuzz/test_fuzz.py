@@ -1,4 +1,4 @@
-"""Some hundred changed files of every format: an answer, or one line that refuses them. scripts/fuzz tries more."""
+"""A few hundred mutated files of every format are read, or refused in one line. scripts/fuzz tries more."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""Reports for the Minor Planet Center."""
+"""ADES and 80-column reports for the Minor Planet Center."""
 
 import math
 from dataclasses import replace
@@ -50,7 +50,7 @@ def test_reports_are_valid(observer, tmp_path, monkeypatch):
         assert "submit is OK" in (tmp_path / "valsubmit.file").read_text()
 
 
-def test_a_report_says_what_is_known_and_no_more(observer, tmp_path):
+def test_a_report_contains_known_values_only(observer, tmp_path):
     write_psv(rows(), observer, tmp_path / "a.psv", software="sameas")
     lines = (tmp_path / "a.psv").read_text().splitlines()
     assert lines[0] == "# version=2022" and "! mpcCode 810" in lines
@@ -61,7 +61,7 @@ def test_a_report_says_what_is_known_and_no_more(observer, tmp_path):
     assert first["obsTime"] == "2018-10-18T03:03:53.784Z" and first["rmsCorr"] == "0.030"
 
 
-def test_no_name_ends_a_line_or_a_report(tmp_path):
+def test_no_name_breaks_a_line_or_a_report(tmp_path):
     """Names of a header, of orbits and of tracklets: text in the one row or element that they belong to."""
     name = 'a|b\nprovID|\x1b[31m</trkSub><script>&"\u2028'
     observer = Observer("810", name, (name,), (name,), (("design", name),), "Gaia3", comments=(name,))
@@ -78,7 +78,7 @@ def test_no_name_ends_a_line_or_a_report(tmp_path):
     assert len(paths[2].read_text(encoding="utf-8").split("\n")) - 1 == 5 + len(every)
 
 
-def test_lines_have_80_columns_and_round_over(observer, tmp_path):
+def test_lines_have_80_columns_and_round_up_correctly(observer, tmp_path):
     lines = [line_of(one, observer) for one in rows()]
     assert [len(line) for line in lines] == [80, 80]
     assert lines[0].startswith("02713") and "-00 30 00.00" in lines[0] and lines[0].endswith("810")
@@ -96,7 +96,7 @@ def test_lines_have_80_columns_and_round_over(observer, tmp_path):
         (("[submitter]", "[submitter"), "is not TOML"),
     ],
 )
-def test_a_header_that_lacks_something_is_refused(change, words, tmp_path):
+def test_an_incomplete_header_is_refused(change, words, tmp_path):
     path = tmp_path / "who.toml"
     path.write_text(HEADER.replace(*change))
     with pytest.raises(InputError, match=words):

@@ -1,4 +1,4 @@
-"""Files made to hurt: each is read or refused in one line, within seconds and within memory."""
+"""Hostile files are read or refused in one line, within seconds and bounded memory."""
 
 import base64
 import gzip
@@ -30,7 +30,7 @@ def within_seconds():
 
 
 def read(path, content, reader=read_table):
-    """What a reader makes of a file: the number of its rows, or the refusal."""
+    """The number of rows of a file, or the text of its refusal."""
     path.write_bytes(content)
     assert len(content) < 1 << 20
     try:
@@ -64,7 +64,7 @@ ROW = "<TABLEDATA><TR><TD>1</TD><TD>2</TD></TR></TABLEDATA>"
         ),
     ],
 )
-def test_votable_that_claims_more_cells_than_it_has(content, tmp_path):
+def test_votable_that_declares_more_cells_than_it_has(content, tmp_path):
     assert "takes more than 256 MB, by its nrows and arraysize" in read(tmp_path / "t.vot", content)
 
 
@@ -78,7 +78,7 @@ def test_votable_of_wide_columns_is_read(tmp_path):
 
 
 @pytest.mark.parametrize("unit", ["10**99999999 deg", "10^(99999999)deg", "10+99999999deg", "mag(10**(+99999999) m)"])
-def test_units_with_a_huge_power_are_not_multiplied_out(unit, tmp_path):
+def test_units_with_a_huge_power_are_not_expanded(unit, tmp_path):
     field = f'<FIELD name="dec" datatype="double" unit="{unit}"/>'
     assert "a power that no unit has" in read(tmp_path / "t.vot", votable(RA + field, ROW))
     assert read(tmp_path / "t.tsv", f"ra\tdec\n{unit}\tdeg\n-\t-\n1\t2\n".encode()) == 1
@@ -109,7 +109,7 @@ def test_units_of_catalogues_have_no_huge_power():
 
 
 @pytest.mark.parametrize("code", ["B", "A", "D"])
-def test_fits_arrays_that_name_the_same_bytes(code, tmp_path):
+def test_fits_arrays_that_share_bytes(code, tmp_path):
     rows, heap = 20_000, 400_000
     lists = np.empty(rows, object)
     lists[:] = [np.zeros(1, "f8" if code == "D" else "u1")] * rows
@@ -134,7 +134,7 @@ def test_fits_arrays_that_name_the_same_bytes(code, tmp_path):
         ("brackets.cat", b"#   1 NUMBER a" + b" [ " * 100_000 + b"b\n# 2 B  b\n1 2\n", 1),
     ],
 )
-def test_patterns_look_at_every_byte_a_few_times(name, content, rows, tmp_path):
+def test_regular_expressions_run_in_linear_time(name, content, rows, tmp_path):
     assert read(tmp_path / name, content) == rows or rows is None
 
 
@@ -152,13 +152,13 @@ def test_vizier_rows_end_before_the_blank_lines_above_a_comment(tmp_path):
 
 
 @pytest.mark.parametrize(("ending", "row"), [(".dat.gz", b"1 2\n"), (".cat.gz", b"1 2\n"), (".tsv.gz", b"1\t2\n")])
-def test_packed_text_that_unpacks_without_end(ending, row, tmp_path):
+def test_compressed_text_that_expands_without_limit(ending, row, tmp_path):
     head = {".dat.gz": b"ra dec\n", ".cat.gz": b"# 1 RA x\n# 2 DEC x\n", ".tsv.gz": b"ra\tdec\n \t \n-\t-\n"}[ending]
     content = gzip.compress(head + row * 10_000_000, 1)
     assert "unpacks to more than 32 MB" in read(tmp_path / f"t{ending}", content)
 
 
-def test_packed_votable_is_looked_at_for_its_provenance_within_memory(tmp_path):
+def test_provenance_of_a_compressed_votable_is_read_in_bounded_memory(tmp_path):
     (tmp_path / "t.vot.gz").write_bytes(gzip.compress(b'<?xml version="1.0"?><VOTABLE>' + b" " * 300_000_000, 1))
     assert read_provenance(tmp_path / "t.vot.gz") == {}
 
@@ -166,14 +166,14 @@ def test_packed_votable_is_looked_at_for_its_provenance_within_memory(tmp_path):
 # ---- sensors ----
 
 
-def test_tables_of_more_columns_than_any_has(tmp_path):
+def test_tables_with_too_many_columns(tmp_path):
     names = b",".join(b"c%d" % k for k in range(100_000))
     assert "has 100003 columns" in read(tmp_path / "t.csv", b"time,lat,lon," + names + b"\n1,2,3\n", read_reports)
     objects = b"".join(b'{"time":1,"lat":1,"lon":2,"c%d":1}\n' % k for k in range(25_000))
     assert "has 25003 columns" in read(tmp_path / "t.json", objects, read_reports)
 
 
-def test_json_of_many_rows_and_columns_takes_the_columns_that_it_needs(tmp_path):
+def test_only_needed_columns_of_a_large_json_are_read(tmp_path):
     objects = b"".join(b'{"time":%d,"lat":1,"lon":2,"c%d":1}\n' % (k, k % 4000) for k in range(20_000))
     assert read(tmp_path / "t.json", objects, read_reports) == 20_000
 
@@ -208,12 +208,12 @@ def test_parquet_of_equal_cells(tmp_path):
     assert "claims 11000000 rows in" in message and "is it the right file?" in message
 
 
-def test_packed_log_that_unpacks_without_end(tmp_path):
+def test_compressed_log_that_expands_without_limit(tmp_path):
     content = gzip.compress(b"time,lat,lon\n" + b"1,2,3\n" * 10_000_000, 1)
     assert "unpacks to more than 32 MB" in read(tmp_path / "t.csv.gz", content, read_reports)
 
 
-def test_names_of_files_that_cannot_be(tmp_path):
+def test_impossible_file_names(tmp_path):
     for reader in (read_reports, read_table, lambda name: catalogue(name, None), Observer.read):
         with pytest.raises(InputError):
             reader("x" * 5000)
@@ -221,7 +221,7 @@ def test_names_of_files_that_cannot_be(tmp_path):
         read_reports("/proc/self/mem", ReadOptions())
 
 
-# ---- what observers and folders say ----
+# ---- observers and folders ----
 
 OBSERVER = (
     '[observatory]\nmpcCode="810"\n[submitter]\nname="J"\n[telescope]\ndesign="a"\naperture="1"\ndetector="c"\n'
@@ -249,7 +249,7 @@ def test_a_single_observer_may_be_a_number(tmp_path):
     assert Observer.read(tmp_path / "who.toml").observers == ("5",)
 
 
-def test_folders_of_parquet_that_are_no_catalogue(tmp_path):
+def test_folders_of_parquet_without_a_catalogue(tmp_path):
     path = tmp_path / "a.parquet"
     path.write_bytes(b"PAR1" + struct.pack("<q", -1))
     with pytest.raises(InputError, match="cannot be read as a catalogue of Parquet files"):

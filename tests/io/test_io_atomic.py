@@ -1,4 +1,4 @@
-"""An output is whole or absent, whatever happens on the way."""
+"""Outputs are complete or absent, whatever interrupts them."""
 
 import errno
 import os
@@ -43,7 +43,7 @@ def test_an_interruption_leaves_a_folder_as_it_was(there, stop, tmp_path):
     assert not there or (os.listdir(out), (out / "map.html").read_text()) == (["map.html"], "old")
 
 
-def test_all_files_of_a_folder_come_at_once_beside_what_was_there(tmp_path):
+def test_all_files_of_a_folder_appear_at_once_next_to_existing_ones(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "map.html").write_text("old")
     with filling(tmp_path) as draft:
@@ -55,7 +55,7 @@ def test_all_files_of_a_folder_come_at_once_beside_what_was_there(tmp_path):
     }  # fmt: skip
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
+def test_a_folder_that_cannot_be_created_is_refused(tmp_path):
     (tmp_path / "file").write_text("mine")
     for name in ("file", "file/deeper"):
         with pytest.raises(InputError, match=f"into .*{name}: .*; give another"), filling(tmp_path / name):
@@ -78,12 +78,12 @@ def test_an_interrupted_table_leaves_the_old_one(ending, tmp_path, monkeypatch):
     assert read_table(out)["x"][0] == 1 and read_provenance(out) == {"run": 1}
 
 
-def test_the_draft_keeps_the_extension_and_lies_beside(tmp_path):
+def test_the_draft_has_the_same_extension_and_folder(tmp_path):
     with replacing(tmp_path / "t.fits.gz") as draft:
         assert draft.name.endswith(".fits.gz") and draft.parent == tmp_path
 
 
-def test_permissions_are_those_of_the_umask_or_of_the_file_before(tmp_path):
+def test_permissions_follow_the_umask_or_the_replaced_file(tmp_path):
     out = tmp_path / "t.csv"
     before = os.umask(0o027)
     try:
@@ -104,7 +104,7 @@ def test_a_link_is_followed(tmp_path):
     assert (tmp_path / "link.txt").is_symlink() and (tmp_path / "real.txt").read_text() == "new"
 
 
-def test_bad_outputs_are_refused_before_anything_is_written(tmp_path):
+def test_invalid_outputs_are_refused_before_anything_is_written(tmp_path):
     with (
         pytest.raises(InputError, match=r"nowhere does not exist; make it first"),
         replacing(tmp_path / "nowhere/x"),
@@ -125,7 +125,7 @@ def test_other_errors_pass_through(tmp_path):
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_a_full_device_is_said_in_words(code, ending, tmp_path, monkeypatch):
+def test_a_full_device_is_reported_clearly(code, ending, tmp_path, monkeypatch):
     from sameas.io import tables
 
     out = tmp_path / f"t{ending}"
@@ -151,7 +151,7 @@ def is_device(path):
 
 @pytest.mark.skipif(not is_device("/dev/full"), reason="needs /dev/full")
 @pytest.mark.parametrize("format", ["fits", "csv", "ecsv", "votable", "parquet"])
-def test_a_device_that_is_full_says_so_and_stays_a_device(format):
+def test_a_full_device_is_reported_and_remains_a_device(format):
     with pytest.raises(InputError, match="cannot write /dev/full: no space left on device"):
         write_table(Table({"x": range(100_000)}), "/dev/full", provenance={}, format=format)
     assert is_device("/dev/full")
@@ -159,7 +159,7 @@ def test_a_device_that_is_full_says_so_and_stays_a_device(format):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not os.path.exists("/dev/stdout"), reason="needs /dev/stdout")
-def test_a_pipe_is_written_to():
+def test_a_pipe_can_be_written():
     code = (
         "from sameas.io import write_table; from astropy.table import Table;"
         "write_table(Table({'x': [1, 2]}), '/dev/stdout', provenance={}, format='csv')"
@@ -168,23 +168,25 @@ def test_a_pipe_is_written_to():
     assert said.stdout == b"x\n1\n2\n"
 
 
-def test_the_draft_of_a_killed_process_goes_with_the_next_output(tmp_path):
+def test_the_draft_of_a_killed_process_is_removed_by_the_next_output(tmp_path):
     code = (
         "import os, sys, signal\nfrom sameas.io.atomic import filling, replacing\n"
         "with replacing(sys.argv[1]) as draft, filling(sys.argv[2]):\n os.kill(os.getpid(), signal.SIGKILL)\n"
     )
     subprocess.run([sys.executable, "-c", code, tmp_path / "a.txt", tmp_path], check=False)
     assert len(os.listdir(tmp_path)) == 2 and all(name.startswith(".sameas-") for name in os.listdir(tmp_path))
-    others = tmp_path / f".sameas-00000000-{os.getpid()}-0123456789ab"  # of another machine: it may be at work
+    others = (
+        tmp_path / f".sameas-00000000-{os.getpid()}-0123456789ab"
+    )  # of another machine, where it may still be running
     others.touch()
     with replacing(tmp_path / "a.txt") as draft:
         with replacing(tmp_path / "b.txt"):
             pass
-        draft.write_text("whole")  # that of a living process stays
+        draft.write_text("whole")  # that of a running process stays
     assert sorted(os.listdir(tmp_path)) == [others.name, "a.txt", "b.txt"]
 
 
-def test_files_of_a_folder_that_is_still_a_draft_are_not_said_to_be_written(tmp_path, monkeypatch):
+def test_files_of_a_draft_folder_are_not_reported_as_written(tmp_path, monkeypatch):
     from sameas.io import atomic
 
     monkeypatch.chdir(tmp_path)
@@ -201,7 +203,7 @@ def test_files_of_a_folder_that_is_still_a_draft_are_not_said_to_be_written(tmp_
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 @pytest.mark.parametrize("kind", ["folder", "csv with its provenance"])
-def test_files_of_one_output_come_together_however_it_is_interrupted(kind, tmp_path, monkeypatch):
+def test_files_of_one_output_appear_together_despite_interruptions(kind, tmp_path, monkeypatch):
     """A page was the new one, and the table beside it the old one, where SIGTERM came between."""
     replaced = os.replace
 
@@ -234,7 +236,7 @@ def test_files_of_one_output_come_together_however_it_is_interrupted(kind, tmp_p
 
 
 @pytest.mark.parametrize("output", [replacing, filling])
-def test_a_stop_while_a_draft_is_removed_leaves_that_to_the_end_of_the_process(output, tmp_path, monkeypatch):
+def test_a_draft_whose_removal_is_interrupted_is_removed_at_exit(output, tmp_path, monkeypatch):
     """A refusal removed its draft when SIGTERM came: the draft was forgotten before it was gone."""
 
     def stopped(*given, **options):

@@ -1,4 +1,4 @@
-"""GeoJSON of a picture: a map program understands it."""
+"""GeoJSON of a picture, as map programs expect it."""
 
 import json
 
@@ -60,13 +60,13 @@ def test_lines_go_to_the_records_and_are_cut_at_the_antimeridian(tmp_path):
     assert west == [[179.9995, -10.0], [180.0, -9.9995]] and east == [[-180.0, -9.9995], [-179.9995, -9.999]]
 
 
-def test_seconds_of_ones_own_have_no_date(tmp_path):
+def test_seconds_from_an_arbitrary_start_have_no_date(tmp_path):
     mine = objects() | {"time_s": np.array([0.0, 10.0, 20.0])}
     write_geojson(mine, tmp_path / "o.geojson")
     assert "time" not in json.loads((tmp_path / "o.geojson").read_text())["features"][1]["properties"]
 
 
-def test_a_picture_in_metres_of_its_own_is_refused_and_nothing_is_left(tmp_path):
+def test_a_picture_in_local_metres_is_refused_and_nothing_is_written(tmp_path):
     flat = {name: column for name, column in objects().items() if not name.endswith("_deg")}
     with pytest.raises(InputError, match="no lat_deg; GeoJSON needs latitudes and longitudes"):
         write_geojson(flat, tmp_path / "o.geojson")

@@ -1,4 +1,4 @@
-"""How a file was made is kept with it, and comes back as it was given."""
+"""Provenance is stored in files and round-trips."""
 
 import hashlib
 import os
@@ -18,7 +18,7 @@ from sameas.errors import InputError
 from sameas.io import checksum, read_provenance, read_table, write_table
 
 with warnings.catch_warnings():
-    # Hypothesis writes its table of characters on first use; two workers that do so at once leave a file open.
+    # Hypothesis writes its character table on first use; two workers doing so at once leave a file open.
     warnings.simplefilter("ignore", ResourceWarning)
     find(st.text(), lambda text: True)
 
@@ -42,7 +42,7 @@ FACTS = {
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_provenance_survives_and_is_not_mixed_with_the_table(ending, tmp_path):
+def test_provenance_round_trips_separately_from_the_table(ending, tmp_path):
     path = tmp_path / f"t{ending}"
     write_table(Table({"x": [1, 2]}), path, provenance=FACTS)
     again = read_provenance(path)
@@ -63,7 +63,7 @@ plain = st.one_of(st.text(max_size=120), st.integers(), st.floats(allow_nan=Fals
         max_size=4,
     )
 )
-def test_any_provenance_survives(ending, tmp_path, facts):
+def test_any_provenance_round_trips(ending, tmp_path, facts):
     text = "".join(
         v for value in facts.values() for v in (value if isinstance(value, list) else [value]) if isinstance(v, str)
     )
@@ -74,7 +74,7 @@ def test_any_provenance_survives(ending, tmp_path, facts):
     assert read_provenance(path) == facts
 
 
-def test_numpy_values_and_paths_become_plain(tmp_path):
+def test_numpy_values_and_paths_become_plain_values(tmp_path):
     facts = {
         "n": np.int64(3),
         "q": np.float64(0.5),
@@ -92,14 +92,14 @@ def test_numpy_values_and_paths_become_plain(tmp_path):
     }
 
 
-def test_a_file_that_does_not_say_gives_nothing(tmp_path):
+def test_a_file_without_provenance_gives_none(tmp_path):
     for ending in (".fits", ".vot", ".ecsv", ".csv", ".parquet"):
         write_table(Table({"x": [1]}), tmp_path / f"t{ending}", provenance={})
         assert read_provenance(tmp_path / f"t{ending}") == {}
     assert not (tmp_path / "t.csv.provenance.json").exists()
 
 
-def test_the_sidecar_of_an_earlier_run_is_taken_away(tmp_path):
+def test_the_sidecar_of_an_earlier_run_is_removed(tmp_path):
     write_table(Table({"x": [1]}), tmp_path / "t.csv", provenance={"run": 1})
     assert sorted(os.listdir(tmp_path)) == ["t.csv", "t.csv.provenance.json"]
     assert (tmp_path / "t.csv").read_text() == "x\n1\n"
@@ -107,7 +107,7 @@ def test_the_sidecar_of_an_earlier_run_is_taken_away(tmp_path):
     assert os.listdir(tmp_path) == ["t.csv"]
 
 
-def test_fits_says_it_in_readable_lines_too(tmp_path):
+def test_fits_has_readable_provenance_lines_too(tmp_path):
     write_table(Table({"x": [1]}), tmp_path / "t.fits", provenance={"software": "sameas 0.1.0"})
     assert "sameas: software = sameas 0.1.0" in list(fits.getheader(tmp_path / "t.fits", 1)["HISTORY"])
 

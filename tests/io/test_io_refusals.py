@@ -1,4 +1,4 @@
-"""What cannot be read or written is refused in one sentence that names the file."""
+"""Unreadable and unwritable files are refused in one sentence that names the file."""
 
 import gzip
 import urllib.request
@@ -46,7 +46,7 @@ def test_directories_empty_files_and_unknown_names(tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
-def test_other_content_than_the_name_says(ending, tmp_path):
+def test_content_that_does_not_match_the_extension(ending, tmp_path):
     path = tmp_path / f"t{ending}"
     assert "is a PNG picture" in refusal(path, b"\x89PNG\r\n\x1a\n" + b"\x00" * 100)
     page = b"\n<!DOCTYPE html>\n<html><body>503 Service Unavailable</body></html>"
@@ -68,7 +68,7 @@ def test_another_format_is_named_with_the_remedy(tmp_path):
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".parquet", ".fits.gz", ".csv.gz", ".ecsv.gz", ".vot.gz"])
 @pytest.mark.parametrize("share", [0.95, 0.7, 0.2])
-def test_files_cut_short_are_refused(ending, share, tmp_path):
+def test_truncated_files_are_refused(ending, share, tmp_path):
     path = tmp_path / f"t{ending}"
     rng = np.random.default_rng(1)
     write_table(Table({"x": rng.random(2160), "y": rng.random(2160)}), path, provenance={})
@@ -76,7 +76,7 @@ def test_files_cut_short_are_refused(ending, share, tmp_path):
     refusal(path, whole[: int(len(whole) * share)])
 
 
-def test_a_fits_file_cut_short_says_so(tmp_path):
+def test_a_truncated_fits_file_is_reported(tmp_path):
     path = tmp_path / "t.fits"
     write_table(Table({"x": np.arange(5000.0)}), path, provenance={})
     assert "is cut off: 20000 of" in refusal(path, path.read_bytes()[:20000])
@@ -87,7 +87,7 @@ def test_fits_without_a_table(tmp_path):
     assert "holds images only, no table" in refusal(tmp_path / "image.fits")
 
 
-def test_votable_without_a_table_hands_on_what_it_says(tmp_path):
+def test_the_message_of_a_votable_without_table_is_reported(tmp_path):
     text = b"""<?xml version="1.0"?><VOTABLE version="1.3" xmlns="http://www.ivoa.net/xml/VOTable/v1.3">
 <RESOURCE type="results"><INFO name="QUERY_STATUS" value="ERROR">Unknown table gaia.dr9</INFO></RESOURCE>
 </VOTABLE>"""
@@ -113,7 +113,7 @@ def test_a_zipped_name_on_an_unzipped_file(tmp_path):
         ("# only\n# comments\n", "has no line with the names"),
     ],
 )
-def test_csv_that_cannot_be_understood(text, words, tmp_path):
+def test_malformed_csv(text, words, tmp_path):
     import re
 
     assert re.search(words, refusal(tmp_path / "t.csv", text.encode()))
@@ -135,7 +135,7 @@ def test_csv_that_is_not_utf8(tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".fits", ".vot", ".ecsv", ".csv", ".parquet"])
-def test_columns_that_have_no_cells_are_refused_and_nothing_is_written(ending, tmp_path):
+def test_columns_that_are_no_cells_are_refused_and_nothing_is_written(ending, tmp_path):
     path = tmp_path / f"out{ending}"
     with pytest.raises(InputError, match=rf"out{ending}: column where is a SkyCoord; write its parts"):
         write_table(Table({"where": SkyCoord([1], [2], unit="deg")}), path, provenance={})
@@ -150,7 +150,7 @@ def test_columns_that_have_no_cells_are_refused_and_nothing_is_written(ending, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_text_whose_last_line_was_cut_off_says_so(tmp_path):
+def test_a_truncated_last_line_is_reported(tmp_path):
     assert "the last line is incomplete, the file was cut off" in refusal(tmp_path / "t.csv", b"a,b,c\n1,2,3\n4,5")
     for name, head in (("t.csv", b"a,b\n"), ("t.ecsv", b"# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n"
                        b"# - {name: a, datatype: int64}\n# - {name: b, datatype: int64}\na,b\n")):  # fmt: skip
@@ -174,7 +174,7 @@ VOTABLE = """<?xml version="1.0"?>{doctype}<VOTABLE version="1.3" xmlns="http://
     ],
 )
 @pytest.mark.parametrize("packed", ["", "votable", "parquet"])
-def test_a_votable_whose_rows_lie_elsewhere_is_refused_and_nothing_is_loaded(
+def test_a_votable_with_remote_rows_is_refused_and_nothing_is_loaded(
     doctype, stream, encoding, packed, tmp_path, monkeypatch
 ):
     loaded = []
@@ -194,7 +194,7 @@ def test_a_votable_whose_rows_lie_elsewhere_is_refused_and_nothing_is_loaded(
     assert not loaded
 
 
-def test_metadata_that_unfold_without_an_end_are_refused(tmp_path):
+def test_metadata_that_expand_without_limit_are_refused(tmp_path):
     names = "abcdefghij"
     lines = [f"#   {b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in pairwise(names)]
     for meta in (["#   a: &a [x, x]", *lines], ["#   a: &a [x, *a]"]):
@@ -203,7 +203,7 @@ def test_metadata_that_unfold_without_an_end_are_refused(tmp_path):
         assert "its metadata unfold to more than 1000000 values" in refusal(tmp_path / "t.ecsv", text)
 
 
-def test_tables_of_more_columns_than_any_has_are_refused(tmp_path):
+def test_tables_with_too_many_columns_are_refused(tmp_path):
     names = [f"c{k}" for k in range(6000)]
     said = "has 6000 columns; tables of up to 5000 are read"
     row = "1," * 5999 + "1\n"
@@ -218,7 +218,7 @@ def test_tables_of_more_columns_than_any_has_are_refused(tmp_path):
         read_table(tmp_path / "t.parquet")
 
 
-def test_numbers_beyond_63_bits_in_many_columns_are_read_at_once(tmp_path, monkeypatch):
+def test_many_columns_of_numbers_beyond_63_bits_are_read_quickly(tmp_path, monkeypatch):
     calls, arrow = [], csv._arrow
 
     def counted(*given):
@@ -234,7 +234,7 @@ def test_numbers_beyond_63_bits_in_many_columns_are_read_at_once(tmp_path, monke
 
 
 @pytest.mark.slow
-def test_a_packed_votable_unpacks_to_no_more_than_its_bound(tmp_path):
+def test_a_compressed_votable_is_expanded_up_to_a_limit(tmp_path):
     assert "unpacks to more than 256 MB" in refusal(
         tmp_path / "t.vot.gz", gzip.compress(b"<VOTABLE>" + bytes(300 << 20))
     )

@@ -1,4 +1,4 @@
-"""What is written is read back: every kind of column through every format."""
+"""Round trips of every kind of column through every format."""
 
 import gzip
 import os
@@ -97,7 +97,7 @@ def test_every_kind_of_number_survives_with_and_without_masks(ending, kind, tmp_
     values = np.array([limits.min, 0, 1, limits.max], kind)
     table = Table({"x": values, "y": MaskedColumn(values[[1, 2, 2, 3]], mask=[False, True, False, False])})
     again = through(table, ending, tmp_path)
-    if kind[0] == "f" and ending == ".fits":  # FITS has one word for a missing float: NaN
+    if kind[0] == "f" and ending == ".fits":  # FITS has NaN as the only missing float
         assert np.isnan(again["y"][1])
         table["y"] = table["y"].filled(np.nan)
     assert_same(table, again)
@@ -140,7 +140,7 @@ def test_a_table_without_rows_is_a_table(ending, tmp_path):
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_columns_that_are_missing_throughout_survive(ending, tmp_path):
+def test_columns_without_any_value_survive(ending, tmp_path):
     table = Table({"n": [1, 2], "id": MaskedColumn([7, 8], mask=True), "s": MaskedColumn(["a", "b"], mask=True)})
     again = through(table, ending, tmp_path)
     assert again["id"].mask.all() and again["s"].mask.all()
@@ -196,7 +196,7 @@ def test_any_table_survives(ending, tmp_path, table):
 def test_astropy_reads_what_we_write(ending, tmp_path, monkeypatch):
     from astropy.io.misc import parquet
 
-    # Its reader asks for pandas and then does without, if pyarrow does.
+    # Its reader tries pandas first and works without it if pyarrow is installed.
     monkeypatch.setattr(parquet, "HAS_PANDAS", True, raising=False)
     if ending == ".parquet" and not NEW_PYARROW:
         pytest.importorskip("pandas")
@@ -246,7 +246,7 @@ def test_fits_gives_native_copies_and_keeps_the_header(tmp_path):
     assert table["id"].mask[0]
 
 
-def test_the_first_of_several_fits_tables_is_taken_and_it_is_said(tmp_path):
+def test_the_first_of_several_fits_tables_is_read_and_reported(tmp_path):
     path = tmp_path / "t.fits"
     two = [fits.BinTableHDU(Table({"x": [n]}), name=name) for n, name in ((1, "STARS"), (2, "GALAXIES"))]
     fits.HDUList([fits.PrimaryHDU(), *two]).writeto(path)
@@ -295,7 +295,7 @@ def test_csv_takes_names_from_a_comment_line(tmp_path):
     assert write_text(tmp_path / "t.csv", "# v1\n#id,ra,dec\n1,2.5,3\n").colnames == ["id", "ra", "dec"]
 
 
-def test_csv_keeps_dates_as_they_stand(tmp_path):
+def test_csv_keeps_dates_unchanged(tmp_path):
     table = write_text(tmp_path / "t.csv", "day,n\n2016-01-01,1\n2017-05-03,2\n")
     assert list(table["day"]) == ["2016-01-01", "2017-05-03"]
 
@@ -305,12 +305,12 @@ def test_csv_keeps_line_ends_within_quotes(tmp_path):
     assert_same(table, through(table, ".csv", tmp_path))
 
 
-def test_a_zipped_file_is_zipped(tmp_path):
+def test_a_gz_file_is_compressed(tmp_path):
     write_table(Table({"x": [1]}), tmp_path / "t.csv.gz", provenance={})
     assert gzip.decompress((tmp_path / "t.csv.gz").read_bytes()) == b"x\n1\n"
 
 
-def test_votable_of_another_make(tmp_path):
+def test_votable_of_other_software(tmp_path):
     table = write_text(
         tmp_path / "t.xml",
         """<?xml version="1.0"?><VOTABLE version="1.3" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE>
@@ -328,7 +328,7 @@ def test_votable_of_another_make(tmp_path):
     assert_same(table, through(table, ".vot", tmp_path))
 
 
-def test_parquet_of_another_make(tmp_path):
+def test_parquet_of_other_software(tmp_path):
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -353,7 +353,7 @@ def test_parquet_of_another_make(tmp_path):
     assert "column odd" in table.meta["sameas_notes"][0]
 
 
-def test_harmless_remarks_of_astropy_are_not_heard(tmp_path):
+def test_harmless_astropy_warnings_are_suppressed(tmp_path):
     table = Table({"x y": [1.0]})
     table["x y"].unit = u.Unit("wobble", parse_strict="silent")
     with warnings.catch_warnings():
@@ -387,7 +387,7 @@ def test_lists_of_several_lengths_survive(ending, tmp_path):
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
-def test_any_name_of_a_column_is_written(ending, tmp_path):
+def test_any_column_name_is_written(ending, tmp_path):
     table = Table({"RA (deg)": [1.0], "pm[mas/yr]": [2.0], "a,b": [3.0]})
     assert_same(table, through(table, ending, tmp_path))
 
@@ -395,7 +395,7 @@ def test_any_name_of_a_column_is_written(ending, tmp_path):
 @pytest.mark.parametrize(
     "more", [None, (1, 2), np.float64(3.0), np.str_("text"), 1j, u.m, Time(2016.0, format="jyear")]
 )
-def test_what_astropy_reads_of_a_parquet_table_is_as_astropy_writes_it(more):
+def test_astropy_reads_our_parquet_like_its_own(more):
     """Plain values without the half of astropy, anything else with it."""
     if isinstance(more, np.str_) and not minversion("astropy", "7.2"):
         pytest.skip("this astropy cannot write NumPy's text in metadata itself")

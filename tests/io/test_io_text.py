@@ -1,4 +1,4 @@
-"""The texts that astronomers have: known by what is in them, under whatever extension, gzipped or not."""
+"""Text tables in astronomy: recognised by content, for any extension, compressed or not."""
 
 import gzip
 
@@ -82,7 +82,7 @@ def test_a_sextractor_catalogue(ending, tmp_path):
     assert theirs.colnames == table.colnames and (theirs["MAG_APER"] == table["MAG_APER"]).all()
 
 
-def test_a_sextractor_catalogue_whose_comments_do_not_fit(tmp_path):
+def test_a_sextractor_catalogue_with_inconsistent_comments(tmp_path):
     short = SEXTRACTOR.replace(" 14.25 14.50 0", "").replace(" 99.0  99.0  3", "")
     with pytest.raises(InputError, match=r"number 6 columns, but the first row has 3 cells"):
         read(tmp_path / "s.cat", short)
@@ -90,7 +90,7 @@ def test_a_sextractor_catalogue_whose_comments_do_not_fit(tmp_path):
         read(tmp_path / "s.cat", SEXTRACTOR.replace("99.0  99.0  3", "99.0  3"))
 
 
-def test_a_sextractor_catalogue_of_columns_without_number_is_none(tmp_path):
+def test_sextractor_columns_without_number_are_no_catalogue(tmp_path):
     """29 207 columns without a row took 20 s (found by fuzzing)."""
     comments = "".join(line + "\n" for line in SEXTRACTOR.splitlines() if line.startswith("#"))
     with pytest.raises(InputError, match="do not number the columns from 1 on"):
@@ -99,7 +99,7 @@ def test_a_sextractor_catalogue_of_columns_without_number_is_none(tmp_path):
 
 @pytest.mark.parametrize("delimiter", [";", "\t", "|"])
 @pytest.mark.parametrize("ending", [".tsv", ".csv", ".txt.gz", ".dat"])
-def test_an_answer_of_vizier(delimiter, ending, tmp_path):
+def test_a_vizier_table(delimiter, ending, tmp_path):
     table = read(tmp_path / f"v{ending}", VIZIER.replace(";", delimiter).replace("ra" + delimiter, "ra;"))
     assert table.colnames == ["_2MASS", "RAJ2000", "DEJ2000", "errMaj", "Jmag", "Date"] and len(table) == 2
     assert table["RAJ2000"].unit == "deg" and table["errMaj"].unit == "arcsec" and table["Date"].unit is None
@@ -109,7 +109,7 @@ def test_an_answer_of_vizier(delimiter, ending, tmp_path):
     assert table.meta["title"].startswith("2MASS All-Sky") and table.meta["name"] == "II/246; II/246/out"
 
 
-def test_an_answer_of_vizier_in_columns_of_fixed_width(tmp_path):
+def test_a_vizier_table_of_fixed_width(tmp_path):
     lines = ["A          RA      Name   ", "           deg            ", "---------- ------- -------"]
     table = read(
         tmp_path / "v.txt", "\n".join(["#Title: x", *lines, "       1.5   150.1 a b", "             150.2 c"]) + "\n"
@@ -118,7 +118,7 @@ def test_an_answer_of_vizier_in_columns_of_fixed_width(tmp_path):
     assert table["RA"].unit == "deg" and list(table["A"].mask) == [False, True]
 
 
-def test_of_several_tables_of_vizier_the_first_is_taken_and_that_is_said(tmp_path):
+def test_the_first_of_several_vizier_tables_is_read_and_reported(tmp_path):
     table = read(tmp_path / "v.tsv", VIZIER + "#Name: II/999\n" + VIZIER.split("\n\n")[1])
     assert len(table) == 2
     assert table.meta["sameas_notes"] == [
@@ -146,7 +146,7 @@ def test_a_machine_readable_table(ending, tmp_path):
 
 
 @pytest.mark.parametrize("ending", ["", ".gz"])
-def test_a_table_of_the_cds_with_its_readme_beside(ending, tmp_path):
+def test_a_cds_table_with_its_readme(ending, tmp_path):
     other = MRT.partition("Byte-by-byte")[2].replace("table.dat", "other.dat").replace("RAdeg", "RBdeg")
     (tmp_path / "ReadMe").write_text(MRT + "Note\n\nByte-by-byte" + other)
     table = read(tmp_path / f"table.dat{ending}", MRT_ROWS)
@@ -154,7 +154,7 @@ def test_a_table_of_the_cds_with_its_readme_beside(ending, tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".txt", ".dat", ".asc", ".txt.gz", ".csv"])
-def test_text_parted_by_blanks(ending, tmp_path):
+def test_blank_separated_text(ending, tmp_path):
     table = read(tmp_path / f"b{ending}", BLANKS)
     assert table.colnames == ["id", "ra", "dec", "name"] and list(table["id"]) == [4472832130942575872, 2]
     assert list(table["ra"]) == [150.0279671, 150.0]
@@ -162,7 +162,7 @@ def test_text_parted_by_blanks(ending, tmp_path):
     assert list(quoted["name"]) == ["a star", "b"] and quoted["ra"].mask[1] and np.isnan(quoted["dec"][1])
 
 
-def test_text_parted_by_blanks_that_cannot_be_understood(tmp_path):
+def test_malformed_blank_separated_text(tmp_path):
     with pytest.raises(InputError, match=r"line 1 holds numbers; put the names of the columns above"):
         read(tmp_path / "b.txt", "1 2 3\n4 5 6\n")
     with pytest.raises(InputError, match=r"line 4 has 2 cells, not 3"):
@@ -174,7 +174,7 @@ def test_a_column_whose_title_has_blanks_is_one_column(tmp_path):
 
 
 @pytest.mark.parametrize("ending", [".cat", ".ldac", ".fits"])
-def test_fits_ldac_gives_its_objects_and_the_instant_of_its_image(ending, tmp_path):
+def test_fits_ldac_gives_its_objects_and_the_time_of_its_image(ending, tmp_path):
     image = fits.Header()
     image["MJD-OBS"], image["EXPTIME"] = 58000.5, 30.0
     text = np.array([[card.ljust(80) for card in repr(image).split("\n")]], dtype="S80")
@@ -188,7 +188,7 @@ def test_fits_ldac_gives_its_objects_and_the_instant_of_its_image(ending, tmp_pa
     assert table.colnames == ["ALPHA_J2000"] and table.meta["MJD-OBS"] == 58000.5 and "sameas_notes" not in table.meta
 
 
-def test_what_is_only_read_is_not_written(tmp_path):
+def test_read_only_formats_are_not_written(tmp_path):
     assert set(known_formats()) - set(written_formats()) == {"sextractor", "ipac", "mrt", "vizier", "ascii"}
     with pytest.raises(InputError, match=r"the extension '.tbl' is not known; known are .fits"):
         write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={})
@@ -196,7 +196,7 @@ def test_what_is_only_read_is_not_written(tmp_path):
         write_table(Table({"x": [1]}), tmp_path / "t.tbl", provenance={}, format="ipac")
 
 
-def test_a_file_of_another_extension_is_known_by_its_first_bytes(tmp_path):
+def test_a_file_of_another_extension_is_recognised_by_its_first_bytes(tmp_path):
     write_table(Table({"x": [1.0]}), tmp_path / "t.fits", provenance={})
     (tmp_path / "t.fits").rename(tmp_path / "t.cat2")
     assert read_table(tmp_path / "t.cat2").colnames == ["x"]
