@@ -439,3 +439,36 @@ def test_the_order_of_the_records_changes_no_probability():
         other_pairs, _, _, other = solved(a, b, scene, PerPair(0.0))
         theirs = as_table(other_pairs, other.p_pair)
         np.testing.assert_allclose([theirs[name(*edge)] for edge in p], list(p.values()), rtol=0, atol=1e-12)
+
+
+def test_no_sum_is_read_before_it_is_written(monkeypatch):
+    """The workspace of the elimination is not cleared: whatever it holds, the answer is the same, to the last bit."""
+    from sameas.kernels import posterior as kernels
+
+    def poisoned(records, pairs):
+        workspace = elimination(records, pairs)
+        for array in workspace:
+            array.fill(np.nan if array.dtype == np.float64 else -(10**15))
+        return workspace
+
+    def near(seed):
+        rng = np.random.default_rng(seed)
+        one, two = rng.uniform(0.0, 1.0, (2, 8, 2))
+        distance = np.hypot(*(one[:, None] - two).transpose(2, 0, 1))
+        return {(int(i), int(j)): rng.normal(1.0, 2.0) for i, j in np.argwhere(distance < 0.315)}
+
+    def shares():
+        share, method = np.zeros(len(best.weight)), np.zeros(len(grouped), np.int8)
+        state = best.weight, best.dual_1, best.dual_2, EVERY, share, method
+        getattr(kernels.exact, "function", kernels.exact)(0, len(grouped), *shape, *state)
+        return share
+
+    elimination = kernels.elimination
+    for seed in range(30):
+        _, grouped, best, _ = solved(8, 8, near(seed), PerPair(-0.7))
+        shape = grouped.start, grouped.start_1, grouped.start_2, grouped.local_1, grouped.local_2
+        monkeypatch.setattr(kernels, "elimination", elimination)
+        clean = shares()
+        monkeypatch.setattr(kernels, "elimination", poisoned)
+        with np.errstate(invalid="ignore"):
+            np.testing.assert_array_equal(shares(), clean)
