@@ -1,4 +1,4 @@
-"""How often right: nearest neighbour, mutual nearest, STILTS best and sameas on fields with known truth."""
+"""Right and found pairs of nearest neighbour, mutual nearest, STILTS best and `sameas`, on fields with known truth."""
 
 from __future__ import annotations
 

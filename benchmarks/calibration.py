@@ -1,4 +1,4 @@
-"""As sure as it should be: stated probabilities against observed frequencies, where the model is the true one."""
+"""Stated probabilities against observed frequencies, with the true model and with everything estimated."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def tables(options: argparse.Namespace, curves: dict[str, Statements]) -> Iterat
     true = [line for line in lines if line[1] in ("true", "CommonObjects")]
     worst = max(float(line[k]) for line in true for k in (3, 4, 5, 6))  # type: ignore[arg-type]
     notes = (
-        f"where the model is true the largest ECE is {worst:.4f} (asked: ≤ {LIMIT}); ten equal bins; default gate",
+        f"largest ECE with the true model: {worst:.4f} (target: ≤ {LIMIT}); ten equal bins; default gate",
         "estimated: densities and errors from the data; linear: the papers' line through ln P(k), not the true prior",
     )
     yield Table(f"Calibration, {options.rows} rows", COLUMNS, lines, notes)

@@ -1,8 +1,8 @@
-"""How near centroids come to the truth on simulated frames: ours, sep, photutils; and whether stated errors hold.
+"""Errors of centroids on simulated frames by `sameas`, sep and photutils, and whether our stated errors are right.
 
-Single stars, so that only the centroid is judged. Shown are the robust scatter per axis in pixels, for faint, middling
-and bright stars, the time from pixels, and for ours the scatter of (centroid − truth) over its stated error, 1 if the
-errors are true. sep states errors for its barycentres only.
+Single stars, so that only the centroid is tested. Printed are the robust scatter per axis in pixels for faint, middling
+and bright stars, the time from pixels, and for `sameas` the scatter of (centroid − truth) over the stated error, 1 if
+the stated errors are right. sep states errors for its barycentres only.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def photutils_windowed(seen: SimulatedFrame) -> Found:
 
 
 def photutils_stars(seen: SimulatedFrame) -> Found:
-    """photutils: DAOStarFinder, told the true width."""
+    """photutils: DAOStarFinder, given the true width."""
     from photutils.background import Background2D
     from photutils.detection import DAOStarFinder
 

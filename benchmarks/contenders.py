@@ -1,8 +1,7 @@
-"""Other ways to identify the records of an instant, as others do it, beside ours in ``picture``.
+"""Other methods to identify the records of an instant, for comparison in ``picture``.
 
-All take source after source against the objects so far, an object standing where its first record is, and get our
-states, moved to one time. Each way pairs the objects with the records of the next source; what is not paired begins an
-object.
+All match source after source with the objects found before; an object has the position of its first record. They get
+our states, brought to one time. What remains unmatched starts an object.
 """
 
 from __future__ import annotations
@@ -29,59 +28,59 @@ COMPASS_M = 1852.0
 Pairing = Callable[[Records, Records, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def ways() -> dict[str, Callable[[Instant], list[np.ndarray]]]:
-    """By name; Stone Soup's only where it is installed."""
+def methods() -> dict[str, Callable[[Instant], list[np.ndarray]]]:
+    """The methods by name; that of Stone Soup if it is installed."""
     pairings: dict[str, Pairing] = {"nearest": nearest_one, "k = min": most, "1852 m": compass, "50 m + 4 %": radar_pi}
     if find_spec("stonesoup") is not None:
         pairings["Stone Soup"] = stone_soup
-    return {name: _in_turn(pairing) for name, pairing in pairings.items()}
+    return {name: _source_by_source(pairing) for name, pairing in pairings.items()}
 
 
-def _in_turn(pairing: Pairing) -> Callable[[Instant], list[np.ndarray]]:
-    def way(now: Instant) -> list[np.ndarray]:
-        places, spreads = np.empty((0, 2)), np.empty((0, 2, 2))
+def _source_by_source(pairing: Pairing) -> Callable[[Instant], list[np.ndarray]]:
+    def method(now: Instant) -> list[np.ndarray]:
+        positions, covariances = np.empty((0, 2)), np.empty((0, 2, 2))
         numbers = []
         for feed, source in zip(now.feeds, now.sources, strict=True):
             new = records_of(source)
             number = np.full(len(new), -1)
             sensor = feed.sensor_at(now.instant_s)
-            away = np.hypot(*(new.features - (0.0 if sensor is None else sensor)).T)
-            if len(places) and len(new):
-                known = Records.of(places, covariance=spreads, source="objects")
-                i, j = pairing(known, new, away)
+            range_m = np.hypot(*(new.features - (0.0 if sensor is None else sensor)).T)
+            if len(positions) and len(new):
+                known = Records.of(positions, covariance=covariances, source="objects")
+                i, j = pairing(known, new, range_m)
                 number[j] = i
-            alone = np.flatnonzero(number < 0)
-            number[alone] = len(places) + np.arange(len(alone))
-            places = np.concatenate([places, new.features[alone]])
-            spreads = np.concatenate([spreads, new.full_covariance()[alone]])
+            unmatched = np.flatnonzero(number < 0)
+            number[unmatched] = len(positions) + np.arange(len(unmatched))
+            positions = np.concatenate([positions, new.features[unmatched]])
+            covariances = np.concatenate([covariances, new.full_covariance()[unmatched]])
             numbers.append(number)
         return numbers
 
-    return way
+    return method
 
 
-def nearest_one(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Every new record to the object that is nearest in the metric of both errors, within three sigma."""
+def nearest_one(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Every new record to the object nearest in Mahalanobis distance, within 3σ."""
     pairs = THREE_SIGMA(known, new)
     chosen = nearest(pairs, source=2)
     return pairs.i[chosen], pairs.j[chosen]
 
 
-def most(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As many pairs as can be within three sigma, with the least sum of squares."""
+def most(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest number of pairs within 3σ, with the least sum of squares."""
     pairs = THREE_SIGMA(known, new)
     chosen = most_pairs(pairs, groups(pairs))
     return pairs.i[chosen], pairs.j[chosen]
 
 
-def compass(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compass(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every new record to the nearest object within 1852 m, record by record, as COMPASS does without identities."""
     return _within(known, new, np.full(len(new), COMPASS_M))
 
 
-def radar_pi(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def radar_pi(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every new record to the nearest object within 50 m and 4 % of the range, as OpenCPN's radar_pi."""
-    return _within(known, new, 50.0 + 0.04 * away_m)
+    return _within(known, new, 50.0 + 0.04 * range_m)
 
 
 def _within(known: Records, new: Records, reach_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -90,11 +89,11 @@ def _within(known: Records, new: Records, reach_m: np.ndarray) -> tuple[np.ndarr
     return at[near], near
 
 
-def stone_soup(known: Records, new: Records, away_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stone_soup(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stone Soup's OneToOneTrackAssociator, every state a track of one time, threshold three sigma.
 
-    Its Mahalanobis measure takes the covariance of the first side alone: new records stand first, and to be fair each
-    is given the median covariance of the objects beside its own.
+    Its Mahalanobis measure uses the covariance of the first side only: new records are first, each with the median
+    covariance of the objects added to its own.
     """
     from stonesoup.dataassociator.tracktotrack import OneToOneTrackAssociator
     from stonesoup.measures import Mahalanobis

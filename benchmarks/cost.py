@@ -1,4 +1,4 @@
-"""What estimation costs: everything estimated against one identification with given parameters, CPU of one thread."""
+"""CPU time of one thread of a match with everything estimated, relative to one match with given parameters."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def seconds(runs: Sequence[Callable[[], Any]], times: int) -> list[float]:
     return [min(these) for these in taken]
 
 
-def told(task: Task, estimate: Estimate) -> Rule:
+def rule_of(task: Task, estimate: Estimate) -> Rule:
     """The rule of a task, with what magnitudes and the sizes of the errors say as it was learned."""
     shares = np.full(len(task.first), estimate.share_1), np.full(len(task.second), estimate.share_2)
     brightness = estimate.photometry.rule(shares) if estimate.photometry is not None else None
@@ -83,7 +83,7 @@ def told(task: Task, estimate: Estimate) -> Rule:
 
 
 def every_quantity(task: Task, brightness: Brightness | None) -> object:
-    """All that can be asked of an estimate."""
+    """Compute everything that an estimate computes on demand."""
     _, estimate = match(task.first, task.second, brightness=brightness)
     return estimate.quantities, estimate.error_model, estimate.detection_1, estimate.detection_2
 
@@ -95,7 +95,7 @@ def measured(task: Task, times: int) -> Iterator[list[object]]:
         kinds |= {"one band": one_band(task.brightness), "two bands": task.brightness}
     for kind, brightness in kinds.items():
         _, estimate = match(task.first, task.second, brightness=brightness)
-        rule = told(task, estimate)
+        rule = rule_of(task, estimate)
         runs = (
             lambda rule=rule: identify(task.first, task.second, rule=rule),
             lambda: identify(task.first, task.second, rule=task.rule),
@@ -120,7 +120,7 @@ def estimation(options: argparse.Namespace) -> Table:
     notes = (
         "ratio: all estimated over one identification with the same evidence, its parameters given",
         "× positions given: over one identification by positions alone, whatever the evidence that is estimated",
-        "and every standard error: with all that is computed when it is asked for, error model and completeness too",
+        "and every standard error: with everything that is computed on demand, error model and completeness too",
     )
     return Table("Cost of estimation, CPU of one thread", columns, lines, notes)
 

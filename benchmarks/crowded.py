@@ -1,8 +1,8 @@
-"""A crowded real frame identified with itself: the core of 47 Tucanae, seen by Hubble.
+"""A crowded Hubble frame, the core of 47 Tucanae, matched with itself.
 
-The frame is detected twice with different settings. Both lists are identified with each other as they are, and with
-the second one displaced by 0.3 px and thinned by 30 %. One-to-one, no double claims; the stated probabilities are
-compared with what the detections themselves say (the nearest within half a width is the same star).
+The frame is detected twice with different settings. The two lists are matched as they are, and with the second one
+displaced by 0.3 px and thinned by 30 %. Truth: the nearest detection within half a width is the same star. Printed are
+double claims and the stated probabilities against this truth.
 
     python benchmarks/crowded.py [j8bt06nyq_flt.fits]     # of Debian's python-drizzle-testdata (apt install it)
 """

@@ -1,4 +1,4 @@
-"""Frame and catalogue with nothing told: wrong identifications, calibration, standard errors, magnitudes."""
+"""Frame against catalogue with everything estimated: wrong pairs, calibration, standard errors, magnitudes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TRUE, ESTIMATED, ONE_BAND, TWO_BANDS = (
 
 @dataclass
 class Tally:
-    """What one contender said of all frames: counts of each frame, and its probabilities where it states any."""
+    """The counts of one method per frame, and its candidates' probabilities if it states any."""
 
     frames: list[tuple[int, int, int, int]] = field(default_factory=list)
     stated: list[np.ndarray] = field(default_factory=list)
@@ -41,14 +41,14 @@ class Tally:
     expected: float = 0.0
 
     def add(self, claimed: Pairs, scene: SimulatedScene) -> None:
-        """Claimed pairs, wrong ones, records of the frame decided wrongly, catalogue stars claimed twice."""
+        """Add one frame: claimed and wrong pairs, frame records decided wrongly, catalogue stars claimed twice."""
         true = scene.true_pairs()
         wrong = int((~is_true_pair(claimed, true)).sum())
         twice = len(claimed[1]) - len(np.unique(claimed[1]))
         self.frames.append((len(claimed[0]), wrong, decided_wrongly(claimed, true, scene), twice))
 
     def add_answer(self, answer: Identification, scene: SimulatedScene) -> None:
-        """The same of an answer with probabilities."""
+        """The same for an answer with probabilities."""
         self.add((answer.matches.rows_1, answer.matches.rows_2), scene)
         self.stated.append(answer.p_pair)
         self.happened.append(is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs()))
@@ -70,7 +70,7 @@ class Tally:
 
 
 def decided_wrongly(claimed: Pairs, true: Pairs, scene: SimulatedScene) -> int:
-    """Records of the frame that are given a wrong partner, one where they have none, or none where they have one."""
+    """Number of frame records with a wrong partner, a partner instead of none, or none instead of one."""
     partner, truth = (np.full(len(scene.first), -1) for _ in range(2))
     partner[claimed[0]], truth[true[0]] = claimed[1], true[1]
     return int(np.count_nonzero(partner != truth))
@@ -92,11 +92,11 @@ def frames(options: argparse.Namespace, seed: int, change: Change | None = None)
         yield made if change is None else replace(made, scene=change(rng, made.scene))
 
 
-# ---- who is right how often ----
+# ---- wrong pairs by method ----
 
 
 def contest(options: argparse.Namespace) -> Table:
-    """Everyone on the same frames."""
+    """All methods on the same frames."""
     tallies: dict[str, Tally] = {}
     missing: set[str] = set()
     settled = True
@@ -114,9 +114,9 @@ def contest(options: argparse.Namespace) -> Table:
         "Brier",
     )  # fmt: skip
     notes = (
-        f"nothing told: {alone / known - 1:+.1%} wrong identifications against the true parameters (asked: within 5 %)",
-        f"with magnitudes {two / alone:.1%} of the wrong ones without (asked: at most 60 %)",
-        f"all estimates settled: {settled}; ± from frame to frame; NWAY is told area and completeness",
+        f"all estimated: {alone / known - 1:+.1%} wrong pairs relative to the true parameters (target: within 5 %)",
+        f"with magnitudes {two / alone:.1%} of the wrong pairs without (target: at most 60 %)",
+        f"all estimates converged: {settled}; ± from frame to frame; NWAY is given area and completeness",
         *(f"{name}: missing" for name in sorted(missing)),
     )
     sizes = f"{options.frames} frames of {options.side:g}°, {Sky().stars_per_deg2:.0f} stars per square degree"
@@ -124,7 +124,7 @@ def contest(options: argparse.Namespace) -> Table:
 
 
 def ours(made: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]]:
-    """Our answers, with what was estimated."""
+    """Our answers and estimates."""
     first, second = made.scene.first, made.scene.second
     yield TRUE, identify(first, second, rule=true_rule(made)), None
     yield ESTIMATED, *match(first, second)
@@ -133,7 +133,7 @@ def ours(made: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]
 
 
 def others(made: Exposure, options: argparse.Namespace, missing: set[str]) -> Iterator[tuple[str, Pairs]]:
-    """The pairs that everybody else claims."""
+    """The pairs of the other methods."""
     yield "nearest within 3σ", accuracy.nearest(made.scene)
     yield "mutual nearest within 3σ", accuracy.mutual(made.scene)
     known = true_rule(made)
@@ -154,7 +154,7 @@ def others(made: Exposure, options: argparse.Namespace, missing: set[str]) -> It
 def nway(
     arrays: workload.Arrays, scene: SimulatedScene, area_arcsec2: float, interpreters: peers.Interpreters
 ) -> Pairs | None:
-    """NWAY's pairs, told the true area and completeness; None where it is missing."""
+    """NWAY's pairs, given the true area and completeness; None if it is missing."""
     completeness = len(scene.true_pairs()[0]) / len(scene.first)
     found = interpreters.nway("nway_pairs", arrays.folder, area_arcsec2 / 3600.0**2, completeness)
     return None if found is None else (found[0], found[1])
@@ -180,7 +180,7 @@ def spoiled(options: argparse.Namespace) -> Table:
         lines += [[words, name, *tally.line()[1:4:2], *tally.line()[6:]] for name, tally in tallies.items()]
     worst = max(float(line[5]) for line in lines if line[1] != TRUE)  # type: ignore[arg-type]
     columns = ("errors", "by", "wrong", "decided wrongly", "expected wrong", "ECE", "Brier")
-    return Table("Errors not as quoted", columns, lines, (f"largest ECE {worst:.4f} (asked: ≤ 0.01)",))
+    return Table("Errors not as quoted", columns, lines, (f"largest ECE {worst:.4f} (target: ≤ 0.01)",))
 
 
 # ---- real ----
@@ -249,7 +249,7 @@ SECTIONS: dict[str, Callable[[argparse.Namespace], Iterator[Table]]] = {
 
 
 def tables(options: argparse.Namespace) -> Iterator[Table]:
-    """The sections that are asked for."""
+    """The selected sections."""
     for name in options.only:
         yield from SECTIONS[name](options)
 

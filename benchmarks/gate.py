@@ -1,4 +1,4 @@
-"""What the gate does to the probabilities: gates of 3σ to 8σ against 10σ; why 6.4σ is the default."""
+"""Change of the probabilities with gates of 3σ to 8σ against one of 10σ: why 6.4σ is the default."""
 
 from __future__ import annotations
 

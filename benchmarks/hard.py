@@ -1,10 +1,10 @@
-"""Hard scenes: small fleets before sensors with the field's troubles, stated probability beside truth.
+"""Pictures of small fleets with one unstated sensor trouble each, 19 kinds: stated probabilities against the truth.
 
-Fourteen ships in a bay, or aircraft, turn slowly near each other; most speak (AIS or ADS-B), one in four is silent.
-Trackers and radars see them, and each kind of scene has one trouble that their descriptions do not state. All of the
-picture is used as ``sameas picture`` does: offsets are estimated first. Judged is every object that has two records or
-a rival: stated probability against the frequency with which exactly its records are one ship, and pairs that are wrong
-or missed, beside those of nearest neighbour (mutually nearest within the 99 % region of the stated errors).
+Fourteen ships in a bay, or aircraft, turn slowly near each other; three of four report (AIS or ADS-B), the others do
+not. Trackers and radars see them, and each kind of scene has one trouble that the descriptions of the sensors do not
+state. The picture is made as by ``sameas picture``, with estimated offsets. Scored is every object with two records or
+an alternative: stated probability against the frequency with which exactly its records are one ship; and wrong and
+missed pairs, compared with mutual nearest within the 99 % region of the stated errors.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Movers injected into the pixels of series, real and simulated: what is found, what is false, what is stated."""
+"""Movers injected into the pixels of simulated and real series of frames: found, false, stated probabilities."""
 
 from __future__ import annotations
 

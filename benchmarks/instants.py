@@ -1,8 +1,8 @@
-"""How long one instant of a picture takes: two or three sources that track many targets, far apart and crowded.
+"""CPU time of one instant of a picture: two or three sources that track many targets, sparse and crowded.
 
-Timed is the processor's time of one thread, instant by instant after the first: what the sources say (``Scene.at``),
-which of their records are one object and what the picture carries on (``Watch.advance``), and the columns of its two
-tables. Beside it ``identify_many`` alone, without memory and without identities.
+Measured is one thread, instant by instant after the first: aligning the sources (``Scene.at``), identifying their
+records and updating the tracks (``Watch.advance``), the columns of the two tables. For comparison ``identify_many``
+alone, without memory and without identities.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""How long a cycle of the live picture takes: three sources that report every target every second.
+"""CPU time of one cycle of the live picture: three sources that report every target every second.
 
-Timed is the processor's time of one thread, second by second after the first ones: taking in what has come
-(``LivePicture.add``: positions brought to the plane, repetitions and jumps set aside, tracks continued) and the picture
-of the instant (``LivePicture.advance``).
+Measured is one thread, second by second after the first ones: ``LivePicture.add`` (positions brought to the plane,
+repetitions and jumps excluded, tracks continued) and ``LivePicture.advance`` (the picture of the instant).
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
-"""Memory: is what a picture says with memory as often right as it says, whatever lasts of its sensors' errors?
+"""Stated probabilities of a picture with memory against observed frequencies, for errors that persist in time.
 
-Real motion (AIS of the Solent), modelled trackers: every source's errors have a share that is the track's for good (its
-antenna's place on the hull, the rest of a bias), a share that lasts for some time τ and is forgotten, and the rest is
-new at every report. All is described rightly but for how long errors last, which nobody tells. Trackers may swap ships
-that are near each other. Judged is every object of two records or more, or with a rival: stated probability against
-the frequency with which exactly its records are one ship, by how near the next ship is; with memory, and
-by each instant alone.
+Real motion (AIS of the Solent), modelled trackers. The errors of every source have a constant part per track (position
+of the antenna on the hull, residual bias), a part with correlation time τ, and white noise. The descriptions of the
+sensors are right, but do not give the correlation time. Trackers may swap ships that are close to each other. Scored is
+every object with two records or more, or an alternative: stated probability against the frequency with which exactly
+its records are one ship, by the spacing of the ships; with memory, and for each instant alone.
 """
 
 from __future__ import annotations

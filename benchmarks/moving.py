@@ -1,7 +1,7 @@
-"""Nights of detections with one trouble of the field each, whose movers are known: what is found, and how sure.
+"""Simulated nights with one trouble each and known movers: found, false, stated probabilities.
 
-Four exposures of half a degree, 10 to 25 minutes apart, errors of 0.2″, 300 false detections on each, ten movers of
-18 to 20.5 mag, a limit of 20.3 mag; the kinds say what is other.
+Usual: four exposures of half a degree, 10 to 25 minutes apart, errors of 0.2″, 300 false detections on each, ten movers
+of 18 to 20.5 mag, limit 20.3 mag. The kinds say what differs. ``scripts/bench movers --hard NIGHTS``.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ SIDE_ARCSEC, SIGMA_ARCSEC, LIMIT_MAG = 1800.0, 0.2, 20.3
 
 @dataclass(frozen=True)
 class Kind:
-    """What is other than usual on a night.
+    """A kind of night.
 
-    exposures, movers, false : numbers. larger : errors are so many times what is quoted. apart : arcsec, an exposure's
-    offset, 1σ per axis. tails : share of the detections with five times the error. stars : that stand still, seen on
-    nine exposures of ten. speed : arcsec/min, evenly and in any direction, from and to; None is the main belt.
-    crowds : of 25 false detections within 12″, the same on every exposure. warm : pixels under a dithered telescope.
-    steady : the dither is the same from exposure to exposure, and so is the time.
+    exposures, movers, false : numbers. error_scale : true over quoted errors. offset : σ per axis of an exposure's
+    offset, arcsec. tails : share of the detections with five times the error. stars : stationary ones, on 90 % of the
+    exposures. speed : range in arcsec/min, uniform, any direction; None is the main belt. crowds : number of clumps of
+    25 false detections within 12″, the same on every exposure. warm : number of warm pixels under a dithered telescope.
+    steady : constant dither and time between exposures.
     """
 
     name: str
     exposures: int = 4
     movers: int = 10
     false: int = 300
-    larger: float = 1.0
-    apart: float = 0.0
+    error_scale: float = 1.0
+    offset: float = 0.0
     tails: float = 0.0
     stars: int = 0
     speed: tuple[float, float] | None = None
@@ -51,17 +51,17 @@ KINDS = (
     Kind("eight exposures", exposures=8),
     Kind("1 500 false", false=1500),
     Kind("no movers", movers=0),
-    Kind("errors 2.5 × quoted", larger=2.5),
-    Kind("errors 0.4 × quoted", larger=0.4),
+    Kind("errors 2.5 × quoted", error_scale=2.5),
+    Kind("errors 0.4 × quoted", error_scale=0.4),
     Kind("one error in twenty 5 ×", tails=0.05),
-    Kind("exposures 0.3″ off", apart=0.3),
+    Kind("exposures 0.3″ off", offset=0.3),
     Kind("2 to 20″/min", speed=(2.0, 20.0)),
     Kind("0.01 to 0.06″/min, 150 stars", speed=(0.01, 0.06), stars=150),
     Kind("150 stars", stars=150),
     Kind("150 stars, two exposures", stars=150, exposures=2),
     Kind("1 500 stars", stars=1500),
-    Kind("1 500 stars, errors 2.5 ×", stars=1500, larger=2.5),
-    Kind("150 stars, exposures 0.3″ off", stars=150, apart=0.3),
+    Kind("1 500 stars, errors 2.5 ×", stars=1500, error_scale=2.5),
+    Kind("150 stars, exposures 0.3″ off", stars=150, offset=0.3),
     Kind("crowds of false ones", crowds=12),
     Kind("60 warm pixels, dithered", warm=60),
     Kind("60 warm pixels, steady drift", warm=60, steady=True),
@@ -70,7 +70,7 @@ BOUNDS = (0.5, 0.8, 0.95, 0.99, 1.01)
 
 
 def night(kind: Kind, rng: np.random.Generator) -> tuple[Detections, np.ndarray]:
-    """The detections of a night and (n,) the number of the mover of each, −1 for none."""
+    """The detections of a night, and (n,) the mover of each, −1 for none."""
     between = np.full(kind.exposures - 1, 18.0) if kind.steady else rng.uniform(10.0, 25.0, kind.exposures - 1)
     minutes = np.concatenate([[0.0], np.cumsum(between)])
     n = kind.movers
@@ -95,9 +95,9 @@ def night(kind: Kind, rng: np.random.Generator) -> tuple[Detections, np.ndarray]
         mag = [light[shown], star_light[constant], pixel_light]
         mag = [one + 0.1 * rng.standard_normal(len(one)) for one in mag]
         bright = np.concatenate([*mag, 18.0 + 3.0 * rng.random(len(false)) ** 0.3, rng.uniform(18.0, 21.0, len(crowd))])
-        scale = kind.larger * np.where(rng.random(len(place)) < kind.tails, 5.0, 1.0)
+        scale = kind.error_scale * np.where(rng.random(len(place)) < kind.tails, 5.0, 1.0)
         place = place + SIGMA_ARCSEC * scale[:, None] * rng.standard_normal(place.shape)
-        place = place + kind.apart * rng.standard_normal(2)
+        place = place + kind.offset * rng.standard_normal(2)
         who = np.concatenate([np.flatnonzero(shown), np.full(len(place) - int(shown.sum()), -1)])
         rows.append(np.column_stack([place, bright, np.full(len(place), k), who]))
     x, y, bright, frame, who = np.concatenate(rows).T
@@ -114,7 +114,7 @@ def _places(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 def tables(nights: int) -> Iterator[Table]:
-    """What is found of each kind, and what of candidates is stated."""
+    """One row per kind: found movers, false candidates, stated probabilities."""
     rows: list[tuple[Any, ...]] = []
     for number, kind in enumerate(KINDS):
         found = there = 0
@@ -142,7 +142,7 @@ def tables(nights: int) -> Iterator[Table]:
     notes = (
         f"{nights} nights of each kind; found: of movers that three exposures show (two where there are two), with p "
         "of 0.5 and more",
-        "false: candidates no two detections of which are one mover's; said: how many candidates are expected false",
-        "of the candidates of each p so many are real / there are (expected)",
+        "false: candidates no two detections of which are one mover's; expected: number of false ones by the stated p",
+        "by p: real / all candidates (expected real)",
     )
-    yield Table("Movers of nights with one trouble each", ("night", "found", "false", "said", *heads), rows, notes)
+    yield Table("Movers of nights with one trouble each", ("night", "found", "false", "expected", *heads), rows, notes)

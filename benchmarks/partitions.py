@@ -1,4 +1,8 @@
-"""Catalogues in partitions: is it the answer of one machine, and what a row costs, beside LSDB's nearest neighbour."""
+"""Matching of catalogues in partitions: agreement with a match in memory, and cost per row, next to LSDB's nearest.
+
+The workload of ``speed`` as HATS catalogues; --awkward puts a pole, RA 0 and holes into the field; --sizes measures
+the cost per row against the number of rows. ``scripts/bench partitions``.
+"""
 
 from __future__ import annotations
 
@@ -20,21 +24,21 @@ from sameas.partitions.output import finish_catalogue, write_hats
 from sameas.partitions.run import PIECE_ROWS
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
-#: Objects of one field where it is asked what a row costs; more are in several, on the same parallel.
-FIELD = 2_500_000
-#: Holes in the awkward field.
+#: Objects of one field with --sizes; larger catalogues have several fields at the same declination.
+FIELD_OBJECTS = 2_500_000
+#: Holes in the field of --awkward.
 HOLES = 12
-COLUMNS = ("partitions", "pairs", "others than one machine", "claimed twice", "largest |Δp|", "% |Δp| > 1e-6",
+COLUMNS = ("partitions", "pairs", "differences from one machine", "claimed twice", "largest |Δp|", "% |Δp| > 1e-6",
            "not certain", "halo, arcsec", "decided on, per row", "estimating, µs/row", "deciding, µs/row",
            "memory, GB")  # fmt: skip
 NOTES = (
-    "one machine: everything in memory at once, decided by the same estimates; |Δp| of having no partner",
-    "µs of the processor per row of both catalogues, in one process that does all, its start after the first import, "
-    "reading and writing Parquet included; decided on: records with halos, and again where a halo was widened",
+    "one machine: everything in memory at once, with the same estimates; Δp of p_none",
+    "CPU µs per row of both catalogues in one process, after the imports, reading and writing Parquet included; "
+    "decided on: records with halos, counted again if a halo was widened",
 )
-#: Of how a row's cost grows with a catalogue.
+#: Columns of --sizes.
 SIZES = ("rows", "partitions", "pairs", "estimating, µs/row", "deciding, µs/row", "both, seconds", "memory, GB")
-#: Times of a process and its children, in a process of its own: what was loaded and compiled before does not count.
+#: Programs that measure `sameas` and LSDB in a new process, without imports and compilation.
 OURS = """
 import dataclasses, resource, sys, sameas
 def used():
@@ -42,7 +46,7 @@ def used():
 def cpu():
     return sum(used()[:2])
 def most_memory():
-    try:  # the other number is that of the process that started this one, where that was larger
+    try:  # ru_maxrss would include the parent process
         with open("/proc/self/status") as lines:
             return next(int(line.split()[1]) / 1e6 for line in lines if line.startswith("VmHWM"))
     except OSError:
@@ -66,8 +70,10 @@ print(sum(resource.getrusage(resource.RUSAGE_SELF)[:2]) - start, n)
 
 
 def tables(n: int, lam: float, awkward: bool = False, field: int = 0) -> list[Any]:
-    """The workload of the other benchmarks as two tables; ``awkward``: around the pole, so that RA 0 lies in it, with
-    holes where neither source looks. field : its number; each lies elsewhere."""
+    """The workload of the other benchmarks as two tables.
+
+    awkward : around the pole, which includes RA 0, with holes in both sources. field : number, which sets the position.
+    """
     from sameas.simulate.scenes import crowded_sky
 
     rng = np.random.default_rng(71 + field)
@@ -79,32 +85,32 @@ def tables(n: int, lam: float, awkward: bool = False, field: int = 0) -> list[An
     for records in (scene.first, scene.second):
         sigma = np.sqrt(records.covariance[:, 0])
         ra, dec = np.mod(records.features[:, 0], 360.0), records.features[:, 1]
-        seen = np.ones(len(ra), np.bool_)
+        kept = np.ones(len(ra), np.bool_)
         for (x, y), radius in zip(*holes, strict=True) if awkward else ():
             at = np.radians(ra)
-            seen &= np.hypot((90.0 - dec) * np.cos(at) - x, (90.0 - dec) * np.sin(at) - y) > radius
+            kept &= np.hypot((90.0 - dec) * np.cos(at) - x, (90.0 - dec) * np.sin(at) - y) > radius
         out.append(
-            Rows({"id": field * n + np.arange(seen.sum()), "ra": ra[seen], "dec": dec[seen], "pos_err": sigma[seen]})
+            Rows({"id": field * n + np.arange(kept.sum()), "ra": ra[kept], "dec": dec[kept], "pos_err": sigma[kept]})
         )
     return out
 
 
 def run(program: str, *arguments: Any) -> list[float]:
-    """What a program prints, as numbers."""
+    """The numbers that a program prints."""
     done = subprocess.run([sys.executable, "-c", program, *map(str, arguments)], capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(done.stderr)
     return [float(word) for word in done.stdout.splitlines()[-1].split()]
 
 
-def told(folder: Path) -> dict[str, Any]:
-    """The output's columns."""
+def output(folder: Path) -> dict[str, Any]:
+    """The columns of the output."""
     rows = HatsCatalogue.open(folder).rows(EVERYTHING, ["id_1", "id_2", "p_none"])
     return {name: rows.column(name).to_numpy(zero_copy_only=False) for name in ("id_1", "id_2", "p_none")}
 
 
 def stored(folder: Path, both: list[Any], most: int) -> tuple[str, tuple[Path, Path]]:
-    """Both as catalogues, the second cut coarser: how many partitions, and where."""
+    """Write both as catalogues, the second with larger partitions: numbers of partitions, paths."""
     for name in ("a", "b", "out"):
         shutil.rmtree(folder / name, ignore_errors=True)
     one, two = (write_hats(table, folder / name, most_rows=rows)
@@ -113,10 +119,9 @@ def stored(folder: Path, both: list[Any], most: int) -> tuple[str, tuple[Path, P
 
 
 def in_fields(folder: Path, rows: int, lam: float, most: int) -> tuple[str, tuple[Path, Path], int]:
-    """Both as catalogues of one field, or of as many as it takes, written one after another: how many partitions,
-    where, and how many rows."""
-    fields = max(1, round(rows / FIELD))
-    coarser = 3 * most if fields == 1 else min(3 * most, rows // fields // 8)  # so that none holds rows of two fields
+    """Write both as catalogues of one or more fields, field by field: numbers of partitions, paths, number of rows."""
+    fields = max(1, round(rows / FIELD_OBJECTS))
+    coarser = 3 * most if fields == 1 else min(3 * most, rows // fields // 8)  # no partition with rows of two fields
     most = min(most, coarser)
     cells: tuple[list[Cell], list[Cell]] = [], []
     n, paths = 0, (folder / "a", folder / "b")
@@ -133,14 +138,14 @@ def in_fields(folder: Path, rows: int, lam: float, most: int) -> tuple[str, tupl
 
 
 def size(folder: Path, rows: int, lam: float, most: int) -> tuple[Any, ...]:
-    """What a row costs in catalogues of so many objects, without the comparison with one machine."""
+    """The row of --sizes for catalogues of ``rows`` objects."""
     cells, paths, n = in_fields(folder, rows, lam, most)
     estimating, deciding, _, _, _, pairs, memory = run(OURS, *paths, folder / "out", PIECE_ROWS)
     return (n, cells, int(pairs), 1e6 * estimating / n, 1e6 * deciding / n, estimating + deciding, memory)
 
 
 def row(folder: Path, both: list[Any], most: int, piece_rows: int) -> tuple[Any, ...]:
-    """One way to cut the sky."""
+    """The row of the table for partitions of at most ``most`` rows."""
     cells, paths = stored(folder, both, most)
     estimating, deciding, doubtful, halo, read, _, memory = run(OURS, *paths, folder / "out", piece_rows)
     found = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec")
@@ -151,19 +156,19 @@ def row(folder: Path, both: list[Any], most: int, piece_rows: int) -> tuple[Any,
     partner[result.first.ids[result.matches.rows_1]] = result.second.ids[result.matches.rows_2]
     p_none = np.empty(len(both[0]))
     p_none[result.first.ids] = np.ma.getdata(result.answers_1.p_none)
-    ours = told(folder / "out")
+    ours = output(folder / "out")
     id_1, id_2 = ours["id_1"].astype(int), np.nan_to_num(ours["id_2"].astype(float), nan=-1.0).astype(int)
-    claims, apart = id_2[id_2 >= 0], np.abs(ours["p_none"] - p_none[id_1])
+    claims, difference = id_2[id_2 >= 0], np.abs(ours["p_none"] - p_none[id_1])
     rows = sum(map(len, both))
     return (
         cells, len(claims), int(np.count_nonzero(id_2 != partner[id_1])),
-        len(claims) - len(np.unique(claims)), float(apart.max()), 100.0 * float((apart > 1e-6).mean()),
+        len(claims) - len(np.unique(claims)), float(difference.max()), 100.0 * float((difference > 1e-6).mean()),
         int(doubtful), halo, read / rows, 1e6 * estimating / rows, 1e6 * deciding / rows, memory,
     )  # fmt: skip
 
 
 def lsdb_row(folder: Path, rows: int) -> tuple[Any, ...] | None:
-    """LSDB's nearest neighbour on the last cut; None where it is not installed."""
+    """LSDB's nearest neighbour on the last partitions; None if it is not installed."""
     try:
         import lsdb
     except ImportError:
@@ -175,12 +180,14 @@ def lsdb_row(folder: Path, rows: int) -> tuple[Any, ...] | None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rows", type=float, default=1e6, help="of objects")
+    parser.add_argument("--rows", type=float, default=1e6, help="number of objects")
     parser.add_argument("--lam", type=float, default=0.5, help="chance candidates of a record within 3σ")
-    parser.add_argument("--most-rows", type=float, nargs="*", default=[3e5, 2.5e4, 1.5e3], help="of a partition")
-    parser.add_argument("--awkward", action="store_true", help="around a pole, and with holes")
-    parser.add_argument("--together", action="store_true", help="decide small partitions together, as is the default")
-    parser.add_argument("--sizes", type=float, nargs="+", help="instead: what a row costs with so many objects")
+    parser.add_argument("--most-rows", type=float, nargs="*", default=[3e5, 2.5e4, 1.5e3], help="rows of a partition")
+    parser.add_argument("--awkward", action="store_true", help="around a pole, with holes")
+    parser.add_argument(
+        "--together", action="store_true", help="decide small partitions together (the default of sameas)"
+    )
+    parser.add_argument("--sizes", type=float, nargs="+", help="instead: cost per row at these numbers of objects")
     options = parser.parse_args()
     if options.sizes:
         with tempfile.TemporaryDirectory() as name:

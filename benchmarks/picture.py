@@ -1,11 +1,10 @@
-"""One picture from many sensors: AIS or ADS-B of real objects, and two or three modelled sensors on top.
+"""Pairs identified between AIS or ADS-B logs of real motion and two or three modelled radars, by `sameas` and others.
 
-Real motion, modelled sensors: vessels in the Solent (AIS) and aircraft about Paris (ADS-B) are where their reports say;
-radars about them miss some, add false echoes, break tracks, read range and azimuth wrongly and stamp late, with every
-number drawn by ``sameas.simulate.sensors``. The log itself is the first source. Nobody uses identities: the radars know
-none. Judged are pairs of records at every instant (``sameas.score.picture``): ours by one instant alone, biases as
-they are, known and found, and with memory (``sameas.picture``); beside it other ways, given our states moved to the
-instant, without our registration and with it.
+Vessels in the Solent (AIS) and aircraft around Paris (ADS-B) are where their reports say. Radars miss some of them, add
+false echoes, break tracks, have biases of range, azimuth and time, all drawn by ``sameas.simulate.sensors``. The log is
+the first source; identities are not used. Scored are pairs of records at every instant (``sameas.score.picture``): ours
+for one instant, with biases uncorrected, known and estimated, and with memory (``sameas.picture``); and other methods
+(``contenders.py``) on our states, without and with our registration. ``scripts/bench picture``, 8 minutes.
 """
 
 from __future__ import annotations
@@ -55,20 +54,20 @@ from sameas.tracks.source import (
 )
 
 CACHE = Path(__file__).resolve().parents[1] / "cache"
-#: What the radars read wrong and nobody is told.
+#: Biases of the radars, not given to any method.
 BIASES = (Bias(50.0, 1.0, time_s=0.5), Bias(-30.0, -0.8, time_s=-0.3), Bias(40.0, 0.6, time_s=0.4))
-#: Radars are shown the antennas of the log's paths, not hulls about them.
+#: Modelled radars detect the antenna, not a hull around it.
 AIS_ERRORS = SensorErrors(position_m=5.0, extent_m=0.0)
-#: Positions of a receiver network are late by up to a second and seldom stamped better.
+#: Time stamps of a receiver network are off by up to a second.
 ADSB_ERRORS = SensorErrors(position_m=60.0)
 SPAN_S, WARM_S = 1500.0, 300.0
-#: Of GOSPA: an object farther off is not found.
+#: GOSPA: an object farther away than this counts as missed.
 CUTOFF_M = 200.0
 
 
 @dataclass(frozen=True)
 class World:
-    """Objects that move, and where radars stand: (lat, lon, height) each."""
+    """Moving objects and the sites of the radars: (lat, lon, height) each."""
 
     name: str
     log: Reports
@@ -78,7 +77,7 @@ class World:
     radar: Description
 
     def sensor(self, number: int, noise_m: float, misses: float) -> Sensor:
-        """One of the radars."""
+        """Radar ``number`` with this noise and miss rate."""
         lat, lon, height = self.sites[number]
         described = replace(
             self.radar, name=f"radar {number + 1}", site=Site(lat, lon, height), misses=MissRate(misses),
@@ -88,7 +87,7 @@ class World:
 
 
 def solent() -> World | None:
-    """The Solent from 13:05, its busiest stretch about Portsmouth harbour."""
+    """The Solent from 13:05, the busiest time, around Portsmouth harbour; None without the data."""
     log = motion.solent()
     if log is None:
         return None
@@ -105,7 +104,7 @@ def solent() -> World | None:
 
 
 def paris(cache: Path) -> World:
-    """Aircraft about Paris, the busiest 25 minutes of three hours."""
+    """Aircraft around Paris, the busiest 25 minutes of three hours."""
     whole = motion.aircraft(cache)
     start = float(whole.time_s.min()) + 24 * 300.0
     log = motion.between(whole, start, start + SPAN_S + 200.0)
@@ -117,17 +116,17 @@ def paris(cache: Path) -> World:
     )  # fmt: skip
     sites = ((48.72, 2.38, 90.0), (49.01, 2.55, 120.0), (48.61, 2.68, 90.0))
     described = Description("adsb", "ads-b", errors=ADSB_ERRORS, timing=Timing(latency_s=0.0))
-    # The log repeats the last position where none was received: such repetitions are no truth.
+    # The log repeats the last position while none is received: repetitions are not truth.
     plane = LocalPlane.about(np.asarray(log.lat_deg), np.asarray(log.lon_deg))
-    there = PlacedReports(described, log, plane).in_plane
-    assert isinstance(there, States)
-    measured = log.where(position_updates(there)[0].usable)
+    placed = PlacedReports(described, log, plane).in_plane
+    assert isinstance(placed, States)
+    measured = log.where(position_updates(placed)[0].usable)
     return World("Paris, ADS-B", log, described, TrueMotion.of(measured, described, gap_s=30.0), sites, radar)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A world as its sensors report it, and the truth of every report of every source."""
+    """The reports of all sources, and the true object of every report."""
 
     world: World
     sources: tuple[tuple[Description, Reports], ...]
@@ -141,9 +140,9 @@ class Trial:
         sources, truth = [(world.described, world.log)], [world.true.objects_of(world.log)]
         for number in range(sensors):
             sensor = world.sensor(number, noise_m, misses)
-            heard = sensor(world.true, (start, start + SPAN_S), rng)
-            sources.append((sensor.description, heard.reports))
-            truth.append(heard.truth)
+            simulated = sensor(world.true, (start, start + SPAN_S), rng)
+            sources.append((sensor.description, simulated.reports))
+            truth.append(simulated.truth)
         return cls(world, tuple(sources), tuple(truth), (Bias(), *BIASES[:sensors]))
 
     def true_of(self, records: Mapping[str, np.ndarray]) -> np.ndarray:
@@ -153,23 +152,23 @@ class Trial:
         return np.array([truth[source][row] for source, row in pairs], np.int64)
 
     def instants(self, every_s: float) -> np.ndarray:
-        """Times of the picture, after the trackers have begun."""
+        """Times of the picture, after ``WARM_S`` for the trackers to start."""
         start = float(self.world.log.time_s.min())
         return np.arange(start + WARM_S, start + SPAN_S, every_s)
 
     def scene(self) -> Scene:
-        """With the biases that nobody told."""
+        """The scene with uncorrected biases."""
         return Scene.of(self.sources, self.world.true.plane)
 
     def scene_unbiased(self) -> Scene:
-        """As if somebody had told them."""
+        """The scene corrected for the true biases."""
         pairs = zip(self.sources, self.biases, strict=True)
         return Scene.of([(described, corrected(reports, bias)) for (described, reports), bias in pairs],
                         self.world.true.plane)  # fmt: skip
 
 
 def corrected(reports: Reports, bias: Bias) -> Reports:
-    """Reports without a bias that is known."""
+    """The reports, corrected for a known bias."""
     if reports.range_m is None or reports.bearing_deg is None:
         return reports
     course = None if reports.course_deg is None else (reports.course_deg - bias.azimuth_deg) % 360.0
@@ -179,21 +178,21 @@ def corrected(reports: Reports, bias: Bias) -> Reports:
     )  # fmt: skip
 
 
-Way = Callable[[Instant], list[np.ndarray]]
+Method = Callable[[Instant], list[np.ndarray]]
 
 
 def alone(now: Instant) -> list[np.ndarray]:
-    """Object numbers of the records of every source, by one instant and nothing else."""
+    """Object numbers of the records of every source, from this instant only."""
     found = identify_many(now.sources, rule=now.rule(), region=now.region)
     return [np.ma.filled(found.of(k).object, -1) for k in range(len(now.sources))]
 
 
-def judged(trial: Trial, scene: Scene, instants: np.ndarray, way: Way) -> PictureScore:
-    """The score of a way to identify, instant by instant."""
+def scored(trial: Trial, scene: Scene, instants: np.ndarray, method: Method) -> PictureScore:
+    """The score of a method that identifies instant by instant."""
     columns: dict[str, list[np.ndarray]] = {"time_s": [], "source": [], "object": [], "row": []}
     for instant_s in instants:
         now = scene.at(float(instant_s)).with_records()
-        for feed, source, numbers in zip(now.feeds, now.sources, way(now), strict=True):
+        for feed, source, numbers in zip(now.feeds, now.sources, method(now), strict=True):
             rows = records_of(source).ids
             columns["time_s"].append(np.full(len(rows), instant_s))
             columns["source"].append(np.full(len(rows), feed.description.name))
@@ -204,10 +203,10 @@ def judged(trial: Trial, scene: Scene, instants: np.ndarray, way: Way) -> Pictur
 
 
 @dataclass(frozen=True)
-class Remembered:
-    """The picture over time against the truth: pairs, the SIAP metrics, and whether fused states are honest.
+class MemoryScore:
+    """The picture with memory against the truth: pairs, SIAP metrics, NEES of the fused states.
 
-    error_m, half_m : of the fused places, their root mean square, and within which half of them lie.
+    error_m, half_m : RMS and median error of the fused positions.
     gospa_m, missed, false : means over instants.
     """
 
@@ -221,16 +220,16 @@ class Remembered:
     false: float
 
     @classmethod
-    def of(cls, trial: Trial, picture: Picture) -> Remembered:
+    def of(cls, trial: Trial, picture: Picture) -> MemoryScore:
         identities = Identities.of(picture.records, trial.true_of(picture.records))
-        stands = majority_votes(identities)
-        key = {pair: k for k, pair in enumerate(zip(stands.time_s.tolist(), stands.assigned.tolist(), strict=True))}
+        votes = majority_votes(identities)
+        key = {pair: k for k, pair in enumerate(zip(votes.time_s.tolist(), votes.assigned.tolist(), strict=True))}
         objects = picture.objects
         at = [key.get(pair, -1) for pair in zip(objects["time_s"].tolist(), objects["object"].tolist(), strict=True)]
-        row = np.flatnonzero([k >= 0 and stands.true[k] >= 0 for k in at])
+        row = np.flatnonzero([k >= 0 and votes.true[k] >= 0 for k in at])
         k = np.array(at)[row]
-        places = {t: trial.world.true.at(t)[:, :2] for t in np.unique(stands.time_s).tolist()}
-        true = np.array([places[t][j] for t, j in zip(stands.time_s[k].tolist(), stands.true[k], strict=True)])
+        places = {t: trial.world.true.at(t)[:, :2] for t in np.unique(votes.time_s).tolist()}
+        true = np.array([places[t][j] for t, j in zip(votes.time_s[k].tolist(), votes.true[k], strict=True)])
         found = np.column_stack([objects["x_m"], objects["y_m"]])[row]
         packed = [np.ma.filled(objects[name], np.nan)[row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2")]
         honest = nees(found, np.stack([packed[0], packed[1], packed[1], packed[2]], axis=-1).reshape(-1, 2, 2), true)
@@ -240,21 +239,21 @@ class Remembered:
 
 
 def gospa(trial: Trial, picture: Picture) -> tuple[float, float, float]:
-    """Mean GOSPA in metres, and missed and false objects per instant: the confirmed ones against all true ones."""
+    """Mean GOSPA in metres, missed and false objects per instant, of the confirmed objects against all true ones."""
     objects = picture.objects
-    shown = (objects["stage"] == "confirmed") & ~np.ma.getmaskarray(objects["x_m"])
+    confirmed = (objects["stage"] == "confirmed") & ~np.ma.getmaskarray(objects["x_m"])
     place = np.column_stack([np.ma.getdata(objects[name]) for name in ("x_m", "y_m")])
     pictures = []
     for instant_s in picture.instants_s:
         true = trial.world.true.at(float(instant_s))[:, :2]
-        pictures.append((place[shown & (objects["time_s"] == instant_s)], true[np.isfinite(true).all(axis=1)]))
+        pictures.append((place[confirmed & (objects["time_s"] == instant_s)], true[np.isfinite(true).all(axis=1)]))
     mean, parts = mean_gospa(pictures, cutoff=CUTOFF_M)
     return mean, float(np.mean([part.missed for part in parts])), float(np.mean([part.false for part in parts]))
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Seconds between instants: those that are judged alone, and those of the picture with memory."""
+    """Seconds between instants: scored alone, and of the picture with memory."""
 
     alone_s: float
     picture_s: float
@@ -272,10 +271,10 @@ class Lines:
     def of(cls, trial: Trial, label: list[object], steps: Steps) -> Lines:
         began = time.process_time()
         instants = trial.instants(steps.alone_s)
-        as_it_is, known = trial.scene(), trial.scene_unbiased()
-        found, biases = as_it_is.registered()
-        picture = Remembered.of(trial, Picture.of(found, trial.instants(steps.picture_s)))
-        one = [judged(trial, scene, instants, alone) for scene in (as_it_is, known, found)]
+        biased, known = trial.scene(), trial.scene_unbiased()
+        found, biases = biased.registered()
+        picture = MemoryScore.of(trial, Picture.of(found, trial.instants(steps.picture_s)))
+        one = [scored(trial, scene, instants, alone) for scene in (biased, known, found)]
         ours = [
             *label, *(score.pairs.f1 for score in one), picture.score.pairs.f1, picture.score.pairs.precision,
             picture.score.pairs.recall, picture.score.share_right, picture.siap.completeness, picture.siap.ambiguity,
@@ -283,8 +282,8 @@ class Lines:
             picture.nees.median, picture.error_m, picture.half_m, picture.gospa_m, picture.missed, picture.false,
         ]  # fmt: skip
         others = [
-            [*label, name, *(judged(trial, scene, instants, way).pairs.f1 for scene in (as_it_is, found))]
-            for name, way in contenders.ways().items()
+            [*label, name, *(scored(trial, scene, instants, method).pairs.f1 for scene in (biased, found))]
+            for name, method in contenders.methods().items()
         ]
         others.append([*label, "ours, one instant", one[0].pairs.f1, one[2].pairs.f1])
         print(f"  {trial.world.name} {label}: {time.process_time() - began:.0f} s of CPU", flush=True)
@@ -292,7 +291,7 @@ class Lines:
 
 
 def _bias_rows(trial: Trial, found: tuple[SourceBiases, ...]) -> list[list[object]]:
-    """Found and true, of every radar."""
+    """True and estimated biases of every radar."""
     rows: list[list[object]] = []
     for source, bias in zip(found[1:], trial.biases[1:], strict=True):
         row: list[object] = [source.source]
@@ -309,7 +308,7 @@ OURS = (
     "complete", "ambiguity", "continuity", "switches", "NEES (2)", "median (1.39)", "fused, m", "half within, m",
     "GOSPA, m", "missed", "false",
 )  # fmt: skip
-OTHERS = (*LABEL, "way", "F1, biased", "F1, biases found")
+OTHERS = (*LABEL, "method", "F1, biased", "F1, biases found")
 FOUND = (
     *LABEL, "source", "range, m", "found", "±", "azimuth, °", "found", "±", "late, s", "found", "±",
 )  # fmt: skip
@@ -324,23 +323,23 @@ def tables(world: World, noises: tuple[float, ...], misses: tuple[float, ...], s
     notes = (
         f"real motion, modelled sensors; F1 of pairs of records over all instants, one in {steps.alone_s:g} s, with "
         f"memory one in {steps.picture_s:g} s",
-        "the log is one of the sources and the truth too: NEES comes out below 2 where its records weigh most",
+        "the log is a source and the truth at once: NEES is below 2 where its records have the most weight",
         f"GOSPA of the confirmed objects, cutoff {CUTOFF_M:g} m; missed and false per instant",
     )
     return [
         Table(f"{world.name}: ours", OURS, [line.ours for line in lines], notes),
         Table(
-            f"{world.name}: beside others, one instant", OTHERS, [row for line in lines for row in line.others], notes
+            f"{world.name}: other methods, one instant", OTHERS, [row for line in lines for row in line.others], notes
         ),
         Table(f"{world.name}: biases", FOUND, [row for line in lines for row in line.biases], notes),
     ]
 
 
 def main() -> None:
-    """Prints the tables and keeps them."""
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="25 m and 10 %% misses only, a third of the instants")
-    parser.add_argument("--every", type=float, help="seconds between instants that are judged alone; 60, 180 if quick")
+    parser.add_argument("--every", type=float, help="seconds between instants scored alone; 60, 180 if quick")
     parser.add_argument("--step", type=float, help="seconds between instants of the picture; 10, 30 if quick")
     parser.add_argument("--cache", type=Path, default=CACHE, help="folder of downloads")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""What approximations of the posterior are worth: against exact elimination, on groups that it can solve."""
+"""Errors of the approximations of the posterior against exact elimination, on groups that allow both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Real stars, NGC 188, Gaia × 2MASS: sameas beside STILTS and nearest neighbour, differences explained."""
+"""NGC 188, Gaia × 2MASS: pairs of `sameas`, STILTS and nearest neighbour, with an explanation of each difference."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was estimated against the truth: mean deviation and coverage of 1.96 standard errors, by kind of frame."""
+"""Estimates against the truth: mean deviation, and coverage of ±1.96 standard errors, by kind of frame."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ BOTH, FRAME, FLOOR_ARCSEC = 1.7, 1.4, 0.1
 ALIKE_ARCSEC, DISPLACED = 0.1, 0.02
 #: Share of the frame's magnitudes that are those of another star.
 UNRELATED = 0.05
-#: 95 % lie within so many standard errors. A floor of none within its error lies exactly so far from none.
+#: Standard errors that cover 95 %. A floor consistent with 0 lies exactly this far from 0.
 WITHIN = 1.96 + 1e-9
-#: Asked of the share of trials that do.
+#: Targeted range of the share of trials within them.
 LEAST, MOST = 0.90, 0.98
 
 
@@ -36,8 +36,8 @@ LEAST, MOST = 0.90, 0.98
 class Kind:
     """Frames of one kind.
 
-    side_deg : None for the side that is asked for. banded : whether magnitudes are told. change : what is done to a
-    frame that was made. known : true values that are not those of honest frames; NaN where there is no such value.
+    side_deg : None for that of the options. banded : whether magnitudes are given. change : applied to
+    the simulated frame. known : true values that differ from those of unchanged frames; NaN where there is none.
     """
 
     title: str
@@ -96,7 +96,7 @@ def confused(rng: np.random.Generator, made: Exposure) -> Exposure:
     return replace(made, brightness=(Magnitudes(values, frame.sigma, frame.names), catalogue))
 
 
-#: What is true of errors that are not as quoted by one factor; what one number would be in their place is not asked.
+#: True values if the errors differ from the quoted ones by more than one factor; quantities without one are NaN.
 UNEVEN = {"error_scale": np.nan, "factor_1": FRAME, "floor": FLOOR_ARCSEC, "both": np.nan, "floor_instead": np.nan}
 KINDS = (
     Kind("crowded, positions alone"),
@@ -151,9 +151,9 @@ def _table(kind: Kind, deviations: Mapping[str, list[float]], options: argparse.
             outside.append(f"{name} {covered:.3f}")
     columns = ("quantity", "n", "mean deviation, σ", "of its own error", "spread, σ", "within 1.96 σ")
     side = kind.side_deg or options.trial_side
-    asked = f"asked: {LEAST:.2f} to {MOST:.2f} within 1.96 σ; outside: {', '.join(outside) or 'none'}"
+    target = f"target: {LEAST:.2f} to {MOST:.2f} within 1.96 σ; outside: {', '.join(outside) or 'none'}"
     title = f"Standard errors, {options.trials} frames of {side:g}°: {kind.title}"
-    notes = (f"{asked}. Of {options.trials} trials, chance moves a share by ±{1.96 * _chance(options.trials):.3f}",)
+    notes = (f"{target}. Of {options.trials} trials, chance moves a share by ±{1.96 * _chance(options.trials):.3f}",)
     return Table(title, columns, lines, notes)
 
 
@@ -179,7 +179,7 @@ def true_rule(made: Exposure) -> PoissonField:
 
 
 def truths(made: Exposure) -> dict[str, float]:
-    """What the estimates should be, where errors and magnitudes are what is said of them."""
+    """The true values of the estimates if errors and magnitudes are as quoted."""
     rule, sky = true_rule(made), made.sky
     only_1, only_2, common = (float(x) for x in (rule.only_1, rule.only_2, rule.common))  # type: ignore[arg-type]
     pairs = made.scene.true_pairs()
@@ -215,7 +215,7 @@ def true_colour_terms(estimate: Estimate, made: Exposure) -> dict[str, float]:
 
 
 def found(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
-    """All numbers that were estimated."""
+    """All estimated quantities."""
     yield from estimate.quantities.items()
     model = estimate.error_model
     if model is not None:

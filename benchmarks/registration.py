@@ -1,4 +1,4 @@
-"""The offset between two sources: what it costs to be ignored, chased by nearest neighbours, or estimated."""
+"""Pairs found between two sources with an offset: ignored, fitted by nearest neighbours, or estimated."""
 
 from __future__ import annotations
 

@@ -1,11 +1,12 @@
-"""Sensors as they are: offsets of a small radar in clutter, alarms of sources that deceive or fail, what probabilities
-with memory mean (``scripts/bench memory``), how large the errors of fused positions are (``scripts/bench autoferry``).
+"""Sensor troubles: azimuth offsets of a radar in clutter, and alarms for sources that deceive or fail.
 
-The radar in clutter is modelled (``sameas.simulate.boat_radar``): a small radar on a moving boat, ten plots a turn, one
-or two of them of vessels with AIS. Each scene has an azimuth offset of 0.5 to 8° either way. An answer is right within
-1° and three standard errors (or 0.5°); established and not right is false. In scenes with nothing in common whatever is
-established is false. Peers are given the same plots and AIS: the azimuth at which most plots lie within a radius of a
-vessel (fixed radius), the median turn to the nearest vessel (nearest neighbour), and the instants' fit, which weighs
+Also prints the tables of ``memory`` (stated probabilities) and of ``autoferry`` (errors of fused positions).
+
+The radar in clutter is modelled (``sameas.simulate.boat_radar``): a small radar on a moving boat, ten plots per
+rotation, one or two of them from vessels with AIS, azimuth offset 0.5 to 8° either way. An estimate is right within 1°
+and three standard errors (or 0.5°); established and not right is false. In scenes without common objects every
+established offset is false. Other methods get the same plots and AIS: the azimuth at which most plots lie within a
+radius of a vessel (fixed radius), the median rotation to the nearest vessel (nearest neighbour), and a fit that weighs
 every pair of 16 instants. Stone Soup has no registration.
 """
 

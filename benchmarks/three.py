@@ -1,4 +1,4 @@
-"""Three catalogues, Hipparcos, Gaia, Tycho-2: all together beside two at a time and one after another."""
+"""Hipparcos, Gaia and Tycho-2: a joint match of all three, against matches two at a time and in sequence."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
-"""Traffic: what ships and aircraft do near each other, stated probability beside truth.
+"""Pictures of dense traffic: stated probabilities against the truth.
 
 Ships side by side in a lock, pilot boats alongside, tugs and their tows, ferries across a fairway, aircraft above each
-other in a stack. They are judged as the scenes of ``scripts/bench hard`` are, and none of them has been used to choose
-a number of the library.
+other in a stack. Scored as the scenes of ``hard``; none was used to choose a number of the library.
 """
 
 from __future__ import annotations
