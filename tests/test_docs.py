@@ -83,7 +83,7 @@ def named(page: Path) -> str:
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    module = types.ModuleType("page")  # where dataclasses look for the names of their annotations
+    module = types.ModuleType("page")  # dataclasses resolve annotations there
     monkeypatch.setitem(sys.modules, "page", module)
     names = vars(module)
     for block in blocks(page):

@@ -39,7 +39,7 @@ def test_a_notebook_runs(path, tmp_path, monkeypatch):
     if path.stem == "stone-soup":
         pytest.importorskip("stonesoup", reason="Stone Soup is not installed: pip install 'sameas[stonesoup]'")
     monkeypatch.chdir(tmp_path)
-    module = types.ModuleType("notebook")  # where dataclasses look for the names of their annotations
+    module = types.ModuleType("notebook")  # dataclasses resolve annotations there
     monkeypatch.setitem(sys.modules, "notebook", module)
     for number, code in enumerate(cells(path, "code")):
         run(code, f"{path.name}, cell {number}", vars(module))

@@ -86,8 +86,8 @@ def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs
 
 
 def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
-    """The factor of one source after n ways of its tracks, of errors ``true`` times as stated; the velocities' errors
-    carry positions away by ``carried_m``, and nothing moves."""
+    """The factor of one source after n displacements of its tracks; errors are ``true`` times the stated ones. Errors
+    of the velocity displace positions by ``carried_m``; objects are stationary."""
     stated, carried = (np.broadcast_to(m**2 * np.eye(2), (n, 2, 2)) for m in (stated_m, carried_m))
     spread = np.sqrt(2.0 * (1.0 - correlation) * (true * stated_m) ** 2 + carried_m**2)
     shift, factors = spread * rng.standard_normal((n, 2)), ErrorFactors().of_sources(("ais",))
@@ -100,7 +100,7 @@ def after_ways(rng, true, n, correlation=0.0, stated_m=10.0, carried_m=0.0):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_track_displacements_as_stated_leave_errors_as_stated(seed):
-    # Ways say what errors are at least; whether larger ones are correlated they do not say.
+    # Displacements give a lower bound of the errors, not the correlated part.
     rng = np.random.default_rng(seed)
     assert after_ways(rng, 1.0, 300) == pytest.approx(1.0, rel=0.12)
     assert after_ways(rng, 1.0, 300, correlation=0.9) == pytest.approx(1.0, rel=0.12)
@@ -109,7 +109,7 @@ def test_track_displacements_as_stated_leave_errors_as_stated(seed):
 
 
 def crowd(seed, stated):
-    """Eight ships in 600 m before three trackers whose errors of 20 m are stated ``stated`` times as large."""
+    """Eight ships within 600 m, observed by three trackers with σ = 20 m, stated as ``stated`` times that."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, 601.0, 10.0)
     x, v = straight(rng.uniform(0.0, 600.0, (8, 2)), 0.3 * rng.standard_normal((8, 2)), times)
@@ -122,7 +122,7 @@ def crowd(seed, stated):
 
 
 @pytest.mark.slow
-def test_errors_stated_half_as_large_do_not_make_a_picture_sure_of_what_is_wrong():
+def test_errors_stated_half_as_large_do_not_make_a_picture_overconfident():
     expected = wrong = right = total = 0
     for seed in range(4):
         scene, times = crowd(seed, 0.5)
@@ -136,7 +136,7 @@ def test_errors_stated_half_as_large_do_not_make_a_picture_sure_of_what_is_wrong
     assert right > 0.93 * total
 
 
-def test_a_picture_says_whose_errors_are_not_as_stated():
+def test_a_picture_reports_whose_errors_are_wrongly_stated():
     for stated, due in ((1.0, []), (2.0, ["tracker 0", "tracker 1", "tracker 2"])):
         scene, times = crowd(1, stated)
         errors = Picture.of(scene, times).summary.errors

@@ -1,4 +1,4 @@
-"""Hysteresis: who is with whom stays while nothing else is much more probable; probabilities stay what they are."""
+"""Hysteresis: a partition is kept until another is much more probable; probabilities are unchanged."""
 
 from itertools import pairwise
 
@@ -18,20 +18,20 @@ RULE = PoissonObjects(density=1e-7, q=0.1)
 
 
 def alongside(echo_x_m):
-    """Two vessels 20 m apart that speak, and one echo at x; the records are those of the pooled records."""
+    """Two vessels with AIS 20 m apart, and one echo at x; rows as in the pooled records."""
     ais = Records.of([[0.0, 0.0], [20.0, 0.0]], sigma=15.0, source="ais", ids=["left", "right"])
     radar = Records.of([[echo_x_m, 0.0]], sigma=10.0, source="radar", ids=["echo"])
     return identify_many([ais, radar], rule=RULE)
 
 
 def company(found):
-    """The AIS that the echo is with."""
+    """The AIS record matched with the echo."""
     [members] = found.members[~np.ma.getmaskarray(found.members)[:, 1]]
     return ("left", "right")[int(members[0])]
 
 
 def was(found, echo_with):
-    """The objects of the last instant: 1 left, 2 right, and the echo with one of them."""
+    """The objects of the previous instant: 1 left, 2 right, and the echo with one of them."""
     out = np.full(len(found.pooled), -1)
     for s, source in enumerate(found.pooled.sources):
         ids = source.ids[source.rows]
@@ -41,7 +41,7 @@ def was(found, echo_with):
 
 
 @pytest.mark.slow
-def test_what_is_even_stays_and_what_is_much_more_probable_is_shown():
+def test_ties_keep_the_previous_partition_and_much_more_probable_ones_replace_it():
     # ln of the odds of right against left is (x² − (20 − x)²) / 2 (15² + 10²); a move breaks one link.
     bound = np.log(3.0)
     for x in np.linspace(-30.0, 50.0, 41):
@@ -52,12 +52,12 @@ def test_what_is_even_stays_and_what_is_much_more_probable_is_shown():
             assert company(shown) == ("right" if odds > bound else "left")
             assert kept.any() == (0.0 < odds < bound)
             np.testing.assert_array_equal(shown.answer.probability, found.answer.probability)
-            # How much more probable another partition would be is said.
+            # The odds of the more probable partition are reported.
             assert shown.groups.gap.max() == pytest.approx(odds if kept.any() else 0.0, abs=1e-6)
     assert company(with_hysteresis(alongside(10.0), was(alongside(10.0), "right"), bound)[0]) == "right"
 
 
-def test_records_that_were_not_there_go_where_they_are_most_probable():
+def test_new_records_join_their_most_probable_object():
     found = alongside(14.0)
     before = was(found, "left")
     before[[found.pooled.start[list(found.pooled.given).index(1)]]] = -1
@@ -66,7 +66,7 @@ def test_records_that_were_not_there_go_where_they_are_most_probable():
 
 
 def moored(seed, looks=60):
-    """Two vessels moored side by side, whose AIS is 18 m apart, and the one echo of both under two radars' numbers."""
+    """Two vessels moored side by side, AIS 18 m apart, and their common echo in the tracks of two radars."""
     rng = np.random.default_rng(seed)
     times = 10.0 * np.arange(looks)
     x, v = straight([[0.0, 0.0], [18.0, 0.0]], np.zeros((2, 2)), times)
@@ -80,7 +80,7 @@ def moored(seed, looks=60):
 
 
 def changes(picture):
-    """How often the records that are together are not those of the instant before."""
+    """How often the records grouped together differ from those of the previous instant."""
     r, out = picture.records, []
     names = np.array([f"{s} {t}" for s, t in zip(r["source"].tolist(), r["track_id"].tolist(), strict=True)])
     for time_s in picture.instants_s:
@@ -90,7 +90,7 @@ def changes(picture):
 
 
 @pytest.mark.slow
-def test_an_echo_of_two_vessels_side_by_side_does_not_go_to_and_fro():
+def test_a_common_echo_of_two_vessels_does_not_alternate():
     steady = restless = 0
     for seed in range(6):
         scene, times = moored(seed)
@@ -100,7 +100,7 @@ def test_an_echo_of_two_vessels_side_by_side_does_not_go_to_and_fro():
 
 
 @pytest.mark.slow
-def test_who_is_kept_says_why_and_how_probable_it_is():
+def test_a_kept_partition_is_explained_with_its_probability():
     kept = 0
     for seed in range(3):
         watch = Watch()
@@ -115,6 +115,6 @@ def test_who_is_kept_says_why_and_how_probable_it_is():
     assert kept > 0
 
 
-def test_a_bound_below_even_is_refused():
+def test_a_threshold_below_even_odds_is_refused():
     with pytest.raises(InputError, match=r"bound is 0\.5"):
         Watch(bound=0.5)

@@ -9,7 +9,7 @@ from sameas.tracks.scene import Scene
 
 
 def departing(seed):
-    """A ferry that lies still, and leaves with 8 m/s after 62 s; AIS every 60 s, a fine radar and a coarse one."""
+    """A stationary ferry that departs at 8 m/s after 62 s; AIS every 60 s, a precise radar and a coarse one."""
     rng = np.random.default_rng(seed)
     times = 10.0 * np.arange(18)
     speed = np.where(times > 62.0, 8.0, 0.0)
@@ -17,7 +17,7 @@ def departing(seed):
     x[0, :, 0] = 8.0 * np.maximum(times - 62.0, 0.0)
     v = np.stack([speed, np.zeros(18)], axis=-1)[None]
     mmsi = {"mmsi": ["235000001"]}
-    # Others all about, so that it is known how many there are.
+    # Other ships around, so that densities can be estimated.
     far = rng.uniform(-4e3, 4e3, (30, 1, 2)) + np.zeros((30, 18, 2))
     return Scene.of([
         told(rng, describe("ais", "ais", 15.0, period_s=60.0), times[::6], x[:, ::6], v[:, ::6], 600.0, ["a"], mmsi),

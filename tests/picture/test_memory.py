@@ -23,7 +23,7 @@ from sameas.tracks.source import Description, Motion, SensorErrors, Timing
 
 
 def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
-    """Pairs of tracks, half of them of one object, the others of a second one in convoy; what is said at the end."""
+    """Pairs of tracks, half of one object and half of two objects in convoy; their final log odds."""
     rng = np.random.default_rng(seed)
     times = np.arange(looks) * 3.0
     same = rng.random(n) < 0.5
@@ -35,7 +35,7 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
     sources = [told(rng, one, times, x, v, tau_s[0], names), told(rng, two, times[::3], (x + apart[:, None])[:, ::3],
                v[:, ::3], tau_s[1], names)]  # fmt: skip
     scene, past = Scene.of(sources), Past(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
-    # Also those that are far apart are compared to the end.
+    # Pairs far apart are also compared until the end.
     tuning = Tuning(parted_chi_sq=np.inf)
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
@@ -48,7 +48,7 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
 
 
 def _all_pairs(scan, number):
-    """Pairs of tracks of one name."""
+    """Pairs of tracks with equal ids."""
     n = len(scan) // 2
     a = np.arange(n)
     b = n + np.argsort(scan.track[n:].astype(int))[scan.track[:n].astype(int)]
@@ -73,7 +73,7 @@ def test_memory_is_calibrated_for_any_correlation_time(tau_s):
         some = (p > low) & (p <= high)
         if some.sum() >= 15:
             error = np.sqrt(p[some].mean() * (1.0 - p[some].mean()) / some.sum())
-            # Convoys are the worst case, so it may be less sure than it could; never surer than is right.
+            # Convoys are the worst case: the memory may be underconfident, never overconfident.
             assert p[some].mean() - same[some].mean() < 3.0 * error + 0.02 or p[some].mean() < 0.5
 
 
@@ -102,7 +102,7 @@ def test_repeated_reports_are_no_evidence():
     said = np.asarray(past.rule().log_ratio) + past.track_pairs.log_now
     for time_s in (21.0, 24.0, 29.0):
         past = past.advance(Scan.of(scene.at(time_s)))
-        # Now and past together say what they did; the reports have only grown older.
+        # The sum of present and past evidence is unchanged; the reports have only aged.
         np.testing.assert_allclose(np.asarray(past.rule().log_ratio) + past.track_pairs.log_now, said, atol=1e-9)
 
 
@@ -207,7 +207,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
         }
         described = Description(name, "tracks", motion=still, errors=error, timing=Timing(10.0, 0.0, 0.0))
         sources.append((described, Reports.of(name, "table", columns | {"track_id": ["7"] * len(times)})))
-    # A half surely lasts, τ is surely tau_s, convoys are certain, and nobody swaps.
+    # Half of the error is correlated, with τ = tau_s; convoys are certain and swaps impossible.
     tuning = Tuning(lasting_shares=(0.5,), correlation_s=(tau_s,), convoy_log_odds=1e9)
     scene, past = Scene.of(sources), Past(reassigned=1e-300)
     for time_s in times:
@@ -221,7 +221,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
             )  # fmt: skip
             past = replace(past, track_pairs=replace(fresh, log_convoy=np.array([1e9])))
     rho = np.exp(-10.0 / tau_s) if tau_s else 0.0
-    # Of any distance, an area of (1e5 m)²: the density of a pair is per m² of it.
+    # Any distance within an area of (1e5 m)²; the density of a pair is per m².
     due = brute_force(x, sigma, rho, True) - brute_force(x, sigma, rho, False) - np.log(2.0 * np.pi * 1e10)
     pairs = past.track_pairs
     assert pairs.log_ratio[0] + pairs.log_reported[0] == pytest.approx(due, abs=1e-3)
@@ -229,7 +229,7 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
 
 @pytest.mark.slow
 def test_pairs_that_separated_long_ago_are_forgotten():
-    # Four ships on one straight, two each way: all meet within four minutes, and go on.
+    # Four ships on one line, two in each direction: all meet within four minutes.
     rng, times = np.random.default_rng(8), np.arange(0.0, 501.0, 20.0)
     start = np.column_stack([[0.0, 2000.0, 400.0, 2400.0], np.zeros(4)])
     x, v = straight(start, np.column_stack([[6.0, -6.0, 6.0, -6.0], np.zeros(4)]), times)
@@ -244,13 +244,13 @@ def test_pairs_that_separated_long_ago_are_forgotten():
         counts.append(len(watch.past.track_pairs) + len(watch.past.track_pairs.distant))
         shown = np.append(state.scan.track, "")[state.members]
         assert sorted(shown.tolist()) == [[k, k] for k in names[: len(shown)]]
-    # Each ship's own two tracks, and with all that met before.
+    # The two tracks of each ship, and all pairs that have met.
     assert counts[0] == 4 < counts[1]
 
 
 @pytest.mark.slow
 def test_memory_of_separated_tracks_counts_when_they_meet_again():
-    # Two ships pass each other, turn round a kilometre apart, and pass each other again.
+    # Two ships pass, turn around a kilometre apart, and pass again.
     rng, times = np.random.default_rng(3), np.arange(0.0, 601.0, 10.0)
     way = 6.0 * np.minimum(times, 600.0 - times) - 600.0
     x = np.stack([np.column_stack([side * way, np.full(len(times), side * 40.0)]) for side in (1.0, -1.0)])
@@ -277,19 +277,19 @@ def p_one(scene, every_s=30.0):
         names = np.append(state.scan.track, "")[state.members]
         first = (names == "a0").any(axis=1)
         together = first & (names == "r1").any(axis=1)
-        # Apart, the rest of the ship's probability is what they have at most.
+        # If separate, at most the remaining probability of the ship.
         out.append(float(state.probability[together][0] if together.any() else 1.0 - state.probability[first][0]))
     return np.array(out[len(out) // 2 :])
 
 
 @pytest.mark.parametrize("seed", [2, 3])
 def test_a_lasting_separation_beyond_correlated_errors_is_two_objects(seed):
-    # A single look cannot tell 75 m from 0 with errors of 31 m; minutes of them can, if these do not last.
+    # One scan cannot distinguish 75 m from 0 with σ = 31 m; minutes can, if errors are uncorrelated.
     assert np.mean(p_one(beside(seed, 75.0))) < 0.25
 
 
 def test_errors_measured_on_other_tracks_override_stated_ones():
-    # Errors of 30 m are stated for both, and others show 8 m: 100 m apart are two objects.
+    # 30 m are stated for both, other tracks show 8 m: 100 m apart are two objects.
     p = p_one(beside(2, 100.0, sigma_m=(8.0, 8.0), stated_m=(30.0, 30.0), others=12))
     assert p[-5:].mean() < 0.5
 

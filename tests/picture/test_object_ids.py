@@ -71,13 +71,13 @@ def test_a_picture_corrects_track_swaps_of_a_radar():
             frozenset({"radar 0", "ais 1"}), frozenset({"radar 1", "ais 0"}),
         }  # fmt: skip
         o = picture.objects
-        # The numbers stay with the names that nobody else bears.
+        # The numbers stay with the unique ids.
         assert all(len(set(o["object"][o["mmsi"] == mmsi].tolist())) == 1 for mmsi in ("235000000", "235000001"))
     assert mended == 6
 
 
 def plots(looks):
-    """A scene of a radar with false echoes: looks as {time: positions}, those that show nothing among them."""
+    """A scene of a radar with false echoes: scans as {time: positions}, empty scans included."""
     radar = describe("radar", "marine radar", period_s=10.0, clutter_per_km2=0.05)
     rows = [(t, *p) for t, places in looks.items() for p in places]
     columns = dict(zip(("time_s", "x_m", "y_m"), np.array(rows, float).reshape(-1, 3).T, strict=True))
@@ -102,7 +102,7 @@ def test_an_object_appears_is_confirmed_coasts_and_ends():
     assert set(after[:-1].tolist()) == {"coasting"} and after[-1] == "ended"
     spread = np.asarray(o["var_x_m2"][first][6:])
     assert (np.diff(spread) > 0).all() and o["n_sources"][first][6:].max() == 0
-    # It went on as it had gone: 5 m/s to the east, which nobody told.
+    # Extrapolated at the estimated 5 m/s to the east.
     coasting = np.flatnonzero(first)[8]
     assert abs(o["x_m"][coasting] - (1000.0 + 5.0 * o["time_s"][coasting])) < 4.0 * np.sqrt(o["var_x_m2"][coasting])
     false = np.asarray(o["x_m"] < -7e3)

@@ -26,7 +26,7 @@ SOLENT = Path(__file__).parents[2] / ".." / "shared" / "data" / "stonesoup_demos
 
 
 def ships(seed=1, n=30, looks=8, names=True):
-    """Ships that three sources see, 20 m and 15 m, one in ten missed at every look of the plots."""
+    """Ships observed by three sources, σ 20 m and 15 m; one in ten is missed in every scan of the plots."""
     rng = np.random.default_rng(seed)
     times = np.arange(looks) * 10.0
     x, v = straight(rng.uniform(-4e3, 4e3, (n, 2)), 4.0 * rng.standard_normal((n, 2)), times)
@@ -74,7 +74,7 @@ def test_objects_are_more_accurate_than_their_records_and_consistent():
     error = np.column_stack([o["x_m"], o["y_m"]])[several] - truth
     spread = np.array([[o["var_x_m2"], o["cov_xy_m2"]], [o["cov_xy_m2"], o["var_y_m2"]]])[:, :, several]
     square = np.einsum("nv,nvw,nw->n", error, np.linalg.inv(np.moveaxis(spread, 2, 0)), error)
-    # Two of the three are smoothed: what they have in common is not counted twice, so it may err on the safe side.
+    # Two of the three are smoothed; their common errors are not counted twice, so covariances may be conservative.
     assert 0.4 < square.mean() / 2.0 < 1.2 and np.sqrt(np.mean(error**2)) < 16.0
     assert np.sqrt(np.mean((o["vx_m_per_s"][several] - velocity[who, 0]) ** 2)) < 0.3
 
@@ -97,7 +97,7 @@ def test_plots_without_ids_are_followed_too():
     sources, times = ships(seed=4, names=False)
     o = Picture.of(Scene.of(sources), times).objects
     assert len(set(o["object"].tolist())) == 30
-    # Those that only radars show: nobody tells what they are called, and their speed comes from their places.
+    # Objects on radar only have no identity, and their speed is estimated from positions.
     assert all(len(set(o["object"][o["mmsi"] == mmsi].tolist())) == 1 for mmsi in set(o["mmsi"].tolist()) - {""})
 
 
@@ -128,7 +128,7 @@ def test_the_summary_states_position_errors():
     line = next(line for line in picture.summary.lines() if line.startswith("places"))
     assert line.startswith(f"places: known to {told.shown_m:.2g} m (1σ, the median object)")
     assert ("coast without" in line) == (told.coasting > 0.0)
-    # Who coasts is known less well.
+    # Coasting objects have larger errors.
     assert told.coasting_m is None or told.coasting_m > told.shown_m
 
 
@@ -159,7 +159,7 @@ def test_bearings_are_used_and_are_no_position_alone():
         both, alone = o["n_sources"] == 2, o["sources"] == "camera"
         assert both.sum() == 4 and alone.sum() == 2
         assert np.ma.getmaskarray(o["x_m"])[alone].all() and not np.ma.getmaskarray(o["x_m"])[both].any()
-        # The camera narrows what the radar says across the line of sight.
+        # The camera reduces the radar's error across the line of sight.
         assert np.all(o["var_x_m2"][both] + o["var_y_m2"][both] < 2 * 20.0**2)
         seen = r["source"] == "camera"
         assert (np.ma.getmaskarray(r["bearing_deg"]) == ~seen).all() and np.ma.getmaskarray(r["x_m"])[seen].all()

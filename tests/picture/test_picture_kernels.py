@@ -41,7 +41,7 @@ def test_states_are_predicted_by_their_transition(rng):
 @pytest.mark.parametrize("late_s", [0.0, 0.7])
 def test_prediction_by_kernel_and_by_arrays_agree_bit_for_bit(rng, way, late_s, monkeypatch):
     state, covariance, dt, walk = rng.standard_normal((9, 4)), spd(rng, 9, 4), rng.normal(0.0, 5.0, 9), rng.random(9)
-    covariance[:, 0, 3] += 0.1  # what is not quite symmetric is made so
+    covariance[:, 0, 3] += 0.1  # slightly asymmetric covariances are symmetrised
     covariance[4] = np.nan
     monkeypatch.setattr("sameas.tracks.alignment.runs_compiled", lambda kernel: False)
     expected = moved(state, covariance, dt, walk, late_s)
@@ -93,7 +93,7 @@ def test_weights_of_covariance_intersection_are_optimal(rng, way):
     total = np.einsum("nk,nkvw->nvw", weights, information)
     slope = np.einsum("nkvw,nwv->nk", information, np.linalg.inv(total)) / 4.0
     assert weights.min() >= 0.0 and weights.sum(axis=1) == pytest.approx(np.ones(6))
-    # No estimate deserves more weight, and none that has some deserves less.
+    # Optimality: no estimate gains from more weight, and none with weight from less.
     assert slope.max() < 1.0 + 2.0 * OPTIMAL and slope[weights > 1e-3] == pytest.approx(1.0, abs=1e-3)
 
 

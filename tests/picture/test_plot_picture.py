@@ -28,7 +28,7 @@ def passing(seed, until_s=30.0, ends_s=np.inf):
 
 
 def columns(picture):
-    """What of the objects is the same however they were asked for."""
+    """Columns of the objects at the last instant."""
     last = picture.objects["time_s"] == picture.objects["time_s"].max()
     return {name: np.ma.filled(column[last], np.nan) if column.dtype.kind == "f" else column[last]
             for name, column in picture.objects.items()}  # fmt: skip
@@ -36,7 +36,7 @@ def columns(picture):
 
 @pytest.mark.slow
 def test_scans_between_two_instants_are_processed():
-    """However seldom the picture is asked for, objects are followed as they are when it is asked for at every look."""
+    """Objects are tracked equally for rare instants and for an instant at every scan."""
     scene = passing(1)
     looks = scan_times_between(scene.feeds, -1.0, 20.0)
     often = Picture.of(scene, [*looks, 20.0])
@@ -60,7 +60,7 @@ def test_nearly_simultaneous_scans_are_processed_together():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1, 5])
 def test_coincident_false_plots_are_not_confirmed(seed):
-    """Among seven false plots a look some fall together every few seconds, and exist with 99 % for a moment."""
+    """With seven false plots per scan some coincide every few seconds, and briefly exist with 99 %."""
     scene, tracks = crossing(seed, until_s=50.0)
     o = Picture.of(scene, np.arange(1.0, 49.0)).objects
     sure = o["stage"] == "confirmed"
@@ -104,7 +104,7 @@ def test_an_undetected_object_coasts_and_ends_once():
 
 @pytest.mark.slow
 def test_probabilities_of_records_are_summed_over_known_objects():
-    """Sets of the answer that differ in what is remembered only count as one."""
+    """Sets that differ only in the remembered object count as one."""
     state = PlotPicture().at(passing(2), 16.1)
     assert isinstance(state.detections, TrackedObjects)
     found, scan = state.detections.tracks.identification, state.scan

@@ -34,7 +34,7 @@ def sensor(name, sigma_m, period_s, q=0.2, clutter_per_km2=20.0):
 
 
 def plots(rng, description, tracks, until_s, reach_m=300.0):
-    """A feed of looks at tracks (functions of time), with the misses, errors and clutter of its description."""
+    """A feed of scans of tracks (functions of time), with misses, errors and clutter as described."""
     times = np.arange(0.0, until_s, description.timing.period_s)
     columns = {"time_s": [], "x_m": [], "y_m": []}
     false = description.clutter.per_km2 * (2.0 * reach_m) ** 2 / 1e6
@@ -53,7 +53,7 @@ def course(start, velocity, until_s=np.inf):
 
 
 def crossing(seed, q=0.2, until_s=60.0):
-    """Two vessels that cross, 12 m apart when they are nearest, before a radar and a lidar."""
+    """Two crossing vessels, 12 m apart at the closest, observed by a radar and a lidar."""
     rng = np.random.default_rng(seed)
     tracks = (course((-120.0, 6.0), (4.0, 0.0)), course((120.0, -6.0), (-4.0, 0.0)))
     near, far = sensor("lidar", 2.0, 0.5, q), sensor("radar", 4.0, 1.5, q)
@@ -62,7 +62,7 @@ def crossing(seed, q=0.2, until_s=60.0):
 
 
 def followed(scene, times, tracker=None):
-    """What is found at each of the instants."""
+    """The tracker's objects at each of the instants."""
     tracker, tracks, out = tracker or PlotTracker(correlation_s=0.0), None, []
     for t in times:
         now = replace(scene.at(t, features=POSITION_AND_VELOCITY), region=REGION, density=3e-8)
@@ -72,7 +72,7 @@ def followed(scene, times, tracker=None):
 
 
 def there(tracks, place, within_m=8.0):
-    """The surest of the objects that are near a place: its number and how far off it is; (0, inf) for none."""
+    """(number, distance) of the most probable object near a position; (0, inf) if there is none."""
     off = np.linalg.norm(tracks.state[:, :2] - place, axis=1)
     near = np.flatnonzero((off < within_m) & (tracks.prior_of >= 0))
     if not len(near):
@@ -113,7 +113,7 @@ def test_positions_are_better_than_those_of_the_best_sensor():
                     delta = f.state[k, :2] - track(t)
                     square.append(delta @ np.linalg.solve(f.covariance[k, :2, :2], delta) / 2.0)
     assert np.sqrt(np.mean(np.square(fused))) < 0.8 * np.sqrt(np.mean(np.square(own)))
-    # Covariances are those of the errors, within what wrong members and a random walk that nobody made do to them.
+    # Covariances are consistent, apart from wrong members and process noise without real manoeuvres.
     assert 0.4 < np.mean(square) < 1.6
 
 
@@ -134,7 +134,7 @@ def test_clutter_is_not_confirmed_and_undetected_objects_end():
 
 @pytest.mark.slow
 def test_a_scan_is_used_once():
-    """Lidar and radar look at 4.0 and 3.0, and again at 4.5: between these nothing is new."""
+    """Lidar and radar scan at 4.0 and 3.0, and again at 4.5: nothing new in between."""
     scene, _ = crossing(1)
     seldom, often = followed(scene, [4.2, 4.45, 4.95]), followed(scene, [4.2, *np.arange(4.21, 4.45, 0.01), 4.45, 4.95])
     assert len(seldom[-1].prior_objects) > 3
@@ -143,13 +143,13 @@ def test_a_scan_is_used_once():
         np.testing.assert_allclose(
             getattr(often[-1].prior_objects, column), getattr(seldom[-1].prior_objects, column), rtol=1e-6, atol=1e-9
         )
-    # Sightings are as many, whose memory fades as the time goes.
+    # Numbers of sightings are equal, up to their decay with time.
     np.testing.assert_allclose(often[-1].prior_objects.hits, seldom[-1].prior_objects.hits, rtol=1e-6)
 
 
 @pytest.mark.slow
 def test_prior_states_come_from_earlier_scans_only():
-    """Nothing fused comes back: what the lidar shows at an instant has no part in what was known there."""
+    """No double counting: the lidar plots of an instant are not in the prior state of that instant."""
     scene, _ = crossing(1, until_s=12.0)
     times = np.arange(1.0, 10.0, 0.5)
     lidar, radar = scene.feeds
@@ -160,7 +160,7 @@ def test_prior_states_come_from_earlier_scans_only():
 
 
 def moved_look(feed, look_s, step_m):
-    """A feed with all plots of one look moved."""
+    """A feed with all plots of one scan shifted."""
     given = feed.reports
     place = given.state[:, :2] + np.where(given.time_s[:, None] == look_s, step_m, 0.0)
     columns = {"time_s": given.time_s, "x_m": place[:, 0], "y_m": place[:, 1]}
@@ -171,7 +171,7 @@ def moved_look(feed, look_s, step_m):
 
 @pytest.mark.slow
 def test_an_ambiguous_source_does_not_hinder_another():
-    """Four directions fall on a boat that turns: which is its own stays open; the lidar is followed."""
+    """Four bearings fit a turning boat, so the assignment is ambiguous; the lidar plots are used."""
     rng = np.random.default_rng(2)
     times = np.arange(0.0, 30.0, 0.5)
 
@@ -214,7 +214,7 @@ def test_the_order_of_sources_changes_nothing():
 
 @pytest.mark.slow
 def test_a_source_that_missed_an_object_is_expected_to_miss_it_again():
-    """A boat that the camera never sees passes under a spot on its lens, which is less believed to be the boat."""
+    """A boat never seen by the camera passes under a spot on the lens, which then hardly matches the boat."""
     rng = np.random.default_rng(7)
     boat = course((-60.0, 100.0), (2.0, 0.0))
     lidar = plots(rng, sensor("lidar", 2.0, 0.5, clutter_per_km2=1.0), [boat], 60.0)
@@ -240,13 +240,13 @@ def test_a_source_that_missed_an_object_is_expected_to_miss_it_again():
 
 
 def taken_in(tracks, place):
-    """Whether both sources show the object that is there."""
+    """Whether the object at this position has members of both sources."""
     off = np.linalg.norm(tracks.state[:, :2] - place, axis=1)
     return bool(((off < 15.0) & (tracks.members >= 0).all(axis=1)).any())
 
 
 def test_sources_without_plots_are_no_error():
-    # Its first plot comes when all is over.
+    # Its first plot is after the last instant.
     plot = {"time_s": [90.0], "x_m": [0.0], "y_m": [0.0]}
     late = Feed.of(sensor("lidar", 2.0, 0.5), Reports.of("lidar", "table", plot))
     scene, _ = crossing(3, until_s=5.0)
@@ -277,7 +277,7 @@ def test_unsupported_sources_are_refused_with_a_clear_message():
 
 
 def three_sources(rng):
-    """Known objects, and two sources that look, near each other in a plane."""
+    """Known objects and two sources, near each other in a plane."""
     known = Records.of(20.0 * rng.standard_normal((3, 2)), covariance=np.diag([9.0, 4.0]), source=KNOWN)
     looks = [
         Records.of(known.features[:2] + 3.0 * rng.standard_normal((2, 2)), sigma=2.0, source="lidar"),
@@ -287,7 +287,7 @@ def three_sources(rng):
 
 
 def weight(rule, sources, row, region):
-    """w of a set by the formulas of the module, over that of its records alone being false or unknown objects."""
+    """Weight of a set by the formulas, relative to its records each being false or a new object."""
     names, existence = ("lidar", "radar"), rule.existence
     log_j = joint_density(sources, np.array([row]), region).log_density[0]
     alone = [joint_density(sources, np.array([[k if t == s else -1 for t in range(3)]]), region).log_density[0]
@@ -358,7 +358,7 @@ def objects(place, sigma_m=2.0, existence=0.9, hits=5.0):
 
 
 def looked(before, seen, q=0.3, split=0.02):
-    """BernoulliTable objects after looks of two sources."""
+    """BernoulliTable objects after scans of two sources."""
     seen = np.asarray(seen, float)
     same = np.full(seen.shape, q)
     return before.after(Sighting(seen, np.ones(2), same)).with_separate_odds(seen, same, np.full(2, split))
@@ -382,7 +382,7 @@ def test_unresolved_objects_at_one_position_are_merged_and_resolved_ones_kept():
         both = looked(both, [[1.0, 1.0], [1.0, 1.0], [1.0, 1.0]])
     assert never.merged(1e-4).number.tolist() == [1, 3]
     assert both.merged(1e-4).number.tolist() == [1, 2, 3]
-    # A source that splits hulls shows nothing by two detections.
+    # Two detections of a source that splits hulls do not resolve two objects.
     hull = twins
     for _ in range(4):
         hull = looked(hull, [[1.0, 0.0], [1.0, 0.0], [1.0, 1.0]], split=0.7)

@@ -14,14 +14,14 @@ RADAR = describe("radar", "marine radar", clutter_per_km2=0.01)
 
 
 def joined(parts):
-    """One source's reports from several tellings of it."""
+    """Reports of several parts joined into one source."""
     names = ("time_s", "x_m", "y_m", "vx_m_per_s", "vy_m_per_s", "track_id")
     columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return RADAR, Reports.of("radar", "table", columns)
 
 
 def radar_with_false_tracks(seed, real=12, false=160, looks=80, lasting=3.0):
-    """Real objects seen all the time, and false tracks that begin at any look and last for ``lasting`` looks."""
+    """Real objects in all scans, and false tracks that begin at any scan and last for ``lasting`` scans."""
     rng = np.random.default_rng(seed)
     parts = []
     for k in range(real + false):
@@ -74,7 +74,7 @@ def test_a_broken_track_keeps_its_object_number():
     before, after = times <= 180.0, times >= 220.0
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        # They meet while nobody sees them: only their velocities tell who is who.
+        # They meet while undetected: only their velocities distinguish them.
         x, v = straight([[-800.0, 10.0], [800.0, -10.0]], [[4.0, 0.0], [-4.0, 0.0]], times)
         parts = [told(rng, RADAR, times[part], x[:, part], v[:, part], 0.0, names)[1]
                  for part, names in ((before, ["a 1", "b 1"]), (after, ["a 2", "b 2"]))]  # fmt: skip
@@ -82,7 +82,7 @@ def test_a_broken_track_keeps_its_object_number():
         r, o = picture.records, picture.objects
         numbers = {name: set(r["object"][r["track_id"] == name].tolist()) for name in ("a 1", "a 2", "b 1", "b 2")}
         assert numbers["a 1"] == numbers["a 2"] and numbers["b 1"] == numbers["b 2"]
-        # What the first tracks said for them is not lost: they are confirmed soon after at the latest.
+        # The evidence of their first tracks is kept: they are confirmed soon after at the latest.
         assert set(o["stage"][o["time_s"] >= 300.0].tolist()) == {"confirmed"}
 
 

@@ -38,7 +38,7 @@ def test_a_number_returns_with_its_long_standing_tracks():
 
 
 def ferry(seed, stops_s=200.0):
-    """A ferry that stops at a pier between two of its AIS reports; a radar goes on seeing it; others lie about."""
+    """A ferry that stops at a pier between two AIS reports, tracked by a radar; other ships are stationary."""
     rng = np.random.default_rng(seed)
     times = np.arange(0.0, 301.0, 10.0)
     x, v = (np.array(part) for part in straight([[0.0, 0.0]], [[9.0, 0.0]], times))
@@ -59,5 +59,5 @@ def test_a_report_before_a_manoeuvre_stays_with_its_track():
         scene, times = ferry(seed)
         o = Picture.of(scene, times).objects
         together += set(o["object"].tolist()) == {1} and bool((o["n_sources"][o["time_s"] > 0.0] == 2).all())
-    # By the motion that is described she is 13 σ from her report.
+    # By the motion model the ferry is 13 σ from its report.
     assert together >= 4

@@ -14,7 +14,7 @@ from sameas.tracks.source import Description, MissRate, SensorErrors, Site
 
 
 def test_the_standard_error_of_the_miss_share_agrees_with_trials():
-    """Looks follow each other: what one misses the next three miss as well."""
+    """Correlated scans: an object missed once is missed in the next three scans too."""
     rng, pulls = np.random.default_rng(4), []
     for _ in range(300):
         due = np.repeat(rng.integers(3, 9, 60), 4).astype(np.float64)
