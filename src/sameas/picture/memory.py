@@ -344,7 +344,12 @@ class Past:
 
         track_of_record : (n,) ``tracks.numbers_on(scan)``.
         """
-        return with_manoeuvres(scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio(), per_m2)
+        names, n = self.tracks.error_correlation.names, len(self.swaps.log_probable)
+        known = np.array([names.index(d.name) if d.name in names else n for d in scan.now.descriptions], np.int64)
+        swap_rate = np.append(self.swaps.rate(np.arange(n), scan.tuning), 0.0)[known]
+        return with_manoeuvres(
+            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio(), per_m2, swap_rate
+        )
 
     def with_pairs(self, pooled: PooledRecords) -> Past:
         """The memory with the pairs that passed the gate for the first time; they have no history yet."""

@@ -524,6 +524,7 @@ def with_manoeuvres(
     track_pairs: TrackPairs,
     log_ratio: FloatArray,
     per_m2: float,
+    swap_rate: FloatArray,
 ) -> Scan:
     """The scan with larger covariances for reports whose objects have manoeuvred since.
 
@@ -543,7 +544,7 @@ def with_manoeuvres(
     states alike.
 
     track_of_record : (n,) numbers of the records' tracks, −1 for new ones. previous : the scan of the previous instant.
-    track_pairs, log_ratio : its pairs, and (k,) their ln r.
+    track_pairs, log_ratio : its pairs, and (k,) their ln r. swap_rate : (S,) h of the scan's sources, 0 for new ones.
     """
     assumed = _assumed_before(scan, previous)
     a, b = _places(track_of_record, np.stack([track_pairs.first, track_pairs.second]))
@@ -568,7 +569,10 @@ def with_manoeuvres(
     if not len(own):
         return _with_manoeuvres_of(scan, assumed)
     rivals = Rivals.of(a, b, scan.source[a], scan.source[b])
-    best = rivals.most_free(log_pair_steady, chi_sq <= scan.tuning.manoeuvre_chi_sq)
+    # Where a swap of ids is more probable than a manoeuvre, a rival may have the history of its better pair.
+    free = rivals.most_free(log_pair_steady, chi_sq <= scan.tuning.manoeuvre_chi_sq)
+    is_swap = np.exp(log_odds[own]) < swap_rate[scan.source[other]]
+    best = np.where(is_swap, rivals.most(log_pair_steady)[k], free[k])
     extra = manoeuvre_covariance(scan)
     log_with_d = log_density(delta[k], total[k] + extra[own, :2, :2])
     log_pair_with_d = log_odds[own] + log_ratio[k] + log_with_d
@@ -577,7 +581,7 @@ def with_manoeuvres(
     log_manoeuvre = np.bincount(own[is_partner], (log_with_d - log_steady[k])[is_partner], len(scan)) + log_odds
     assumed &= (log_manoeuvre > 0.0) | ~has_partner
     # No rival explains the other record without a manoeuvre, and the partners of all sources jointly favour one.
-    assumed[own[(log_pair_with_d > best[k]) & (log_manoeuvre[own] > 0.0)]] = True
+    assumed[own[(log_pair_with_d > best) & (log_manoeuvre[own] > 0.0)]] = True
     return _with_manoeuvres_of(scan, assumed)
 
 
