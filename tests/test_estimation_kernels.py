@@ -85,7 +85,7 @@ def test_the_shares_of_error_scales_maximise_the_likelihood(seed):
     start_shares = np.random.default_rng(seed).dirichlet(np.ones(3))
     expected = naive.log_likelihood(*by_cell, start_shares)
     assert mixture.log_likelihood(*state, start_shares) == pytest.approx(expected, **exactly)
-    found = mixture.likeliest(*state, start_shares, 1e-3, 100, 1e-12, 1e-3, 1e-10)
+    found = mixture.max_likelihood_shares(*state, start_shares, 1e-3, 100, 1e-12, 1e-3, 1e-10)
     best = naive.log_likelihood(*by_cell, naive.em_shares(*by_cell, 5000))
     assert found.sum() == pytest.approx(1.0) and np.all(found >= 0.0)
     assert naive.log_likelihood(*by_cell, found) == pytest.approx(best, rel=1e-9)

@@ -527,15 +527,15 @@ class Companions:
 
 
 def _mutual_companions(i: IntArray, k: IntArray, p: FloatArray, n: int) -> IntArray:
-    """(n,) the companion of each record: mutually the likeliest, with p > 0.5; −1 if none."""
+    """(n,) the companion of each record: mutually the most probable, with p > 0.5; −1 if none."""
     likely = np.flatnonzero(p > 0.5)
     order = likely[np.argsort(p[likely], kind="stable")]
-    likeliest = np.full(n, -1)
-    likeliest[i[order]] = k[order]
-    has = np.flatnonzero(likeliest >= 0)
-    mutual = likeliest[likeliest[has]] == has
+    most_probable = np.full(n, -1)
+    most_probable[i[order]] = k[order]
+    has = np.flatnonzero(most_probable >= 0)
+    mutual = most_probable[most_probable[has]] == has
     out = np.full(n, -1)
-    out[has[mutual]] = likeliest[has[mutual]]
+    out[has[mutual]] = most_probable[has[mutual]]
     return out
 
 

@@ -251,7 +251,7 @@ LEAST_VOLUME = 1e-3
 
 
 def smoothing(others: FloatArray, volume: FloatArray, density: FloatArray, weight: FloatArray) -> float:
-    """The likeliest pseudo-count of :data:`SMOOTHS` for one level of cells.
+    """The maximum-likelihood pseudo-count of :data:`SMOOTHS` for one level of cells.
 
     others : (n,) other records in the cell of each record. volume : of that cell. density : (n,) by coarser cells,
     towards which the pseudo-count draws. weight : (n,) of the records.

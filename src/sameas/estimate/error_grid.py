@@ -11,7 +11,7 @@ with ρ the density of the other source (METHOD 11.1). Competition between recor
 over one-to-one hypotheses for the remaining points of the grid. The prior says that formal errors are usually too
 small, and that a floor of the size of the quoted error is common.
 
-With many pairs, estimation starts from the likeliest point. With few, :class:`ErrorAverage` keeps all points that are
+With many pairs, estimation starts from the best point. With few, :class:`ErrorAverage` keeps all points that are
 not ruled out, and probabilities are averaged over them (:func:`identify_averaged`). With errors θ_k and the number of
 common objects n_k by each,
 
@@ -64,7 +64,7 @@ class GridTuning:
     shares : of the poorer source in common, equally probable.
     min_weight : points of a smaller weight are dropped.
     min_points : the steps are halved, at most ``halvings`` times, until this many points are left. max_points : kept.
-    max_averaged : number of common objects from which the likeliest errors are taken instead of the average.
+    max_averaged : number of common objects from which the best errors are used instead of the average.
     """
 
     chance_candidates: float = 3.0
@@ -181,8 +181,8 @@ class ErrorScan:
     gain: float
 
     @property
-    def likeliest(self) -> Errors:
-        """The point of greatest weight, without a tail."""
+    def best(self) -> Errors:
+        """The point of largest weight, without a tail."""
         return self.errors[int(np.argmax(self.weight))].with_mixture(Errors())
 
     def average(self, d: int) -> ErrorAverage:

@@ -149,7 +149,7 @@ def _sample(p_pair: FloatArray, most: int) -> IntArray:
 def better_model(errors: Errors, pairs: Pairs, p_pair: FloatArray, most: int) -> tuple[Errors, float]:
     """The errors of the model fitted to these (m,) pairs, and its gain in ln likelihood over ``errors``.
 
-    Both get the likeliest mixture of error scales. The gain is infinite where a single factor replaces ``errors``.
+    Both get the maximum-likelihood mixture of error scales. The gain is infinite where one factor replaces ``errors``.
     """
     probable = _sample(p_pair, most)
     model = fit_error_model(pairs, p_pair, most)
@@ -173,17 +173,17 @@ LADDER, LADDER_STEPS = 1.5 ** np.arange(-5.0, 8.0), 30
 
 
 def log_likelihood(errors: Errors, pairs: Pairs, weight: FloatArray) -> float:
-    """ln likelihood of pairs with these (m,) weights, by S with the likeliest mixture of scales."""
+    """ln likelihood of pairs with these (m,) weights, by S with the maximum-likelihood mixture of scales."""
     return float(weight @ with_fitted_mixture(errors, pairs, weight).log_density(pairs))
 
 
 def with_fitted_mixture(errors: Errors, pairs: Pairs, weight: FloatArray) -> Errors:
-    """S with the likeliest mixture of scales for pairs with these (m,) weights."""
+    """S with the maximum-likelihood mixture of scales for pairs with these (m,) weights."""
     return errors.with_mixture(_fit_mixture(errors.pairs(pairs).mahalanobis_sq, pairs.d, weight, LADDER))
 
 
 def _fit_mixture(mahalanobis_sq: FloatArray, d: int, weight: FloatArray, scales: FloatArray) -> Errors:
-    """The likeliest mixture of these scales for pairs with these (m,) weights, by EM."""
+    """The maximum-likelihood mixture of these scales for pairs with these (m,) weights, by EM."""
     exponent = -0.5 * mahalanobis_sq[:, None] / scales**2
     density = np.exp(exponent - exponent.max(axis=1, keepdims=True)) / scales**d
     shares = np.full(len(scales), 1.0 / len(scales))
@@ -566,7 +566,7 @@ def _on_ladder(
     shift: float,
     tuning: ScalesTuning,
 ) -> ErrorFit:
-    """The likeliest mixture of one ladder, with rungs ``shift`` of a step above 1, 1.5, …"""
+    """The maximum-likelihood mixture of the grid of scales ``shift`` of a step above 1, 1.5, …"""
     from sameas.kernels.mixture import fit
 
     rungs = max(4, math.ceil(math.log(reach / 2.0) / math.log(tuning.rung)) + 1)

@@ -320,7 +320,7 @@ def match_sample(
     """The estimates from a sample drawn by the caller.
 
     coverage : of the sample, with its counted records. columns : of its records, as evidence. Other arguments as of
-    :func:`match`. The likeliest errors are taken, however few the pairs are.
+    :func:`match`. The errors of maximum likelihood are used, however few the pairs are.
     """
     seen = _photometry(coverage.first, coverage.second, brightness)
     all_records = Sampling(enough=2**62)
@@ -345,7 +345,7 @@ def _fit(
     """The search with the fitted error model, its result, and remarks for the user."""
     tuning = search.tuning
     if scan is not None and scan.contrast > tuning.min_gain and scan.gain > tuning.min_gain:
-        search = replace(search, gate_errors=scan.likeliest)
+        search = replace(search, gate_errors=scan.best)
     result, remarks = search.run(errors, max_iterations), []
     while errors is None and result.iterations < max_iterations:
         model, gain = result.better_model()

@@ -32,7 +32,7 @@ SWEEPS = 4
 MAX_LOG_ODDS = 300.0
 #: A message is not updated if it changes by less than this share of the convergence threshold. Records without an
 #: updated message are skipped.
-STILL = 0.1
+QUIET_SHARE = 0.1
 
 
 def _pairs_wanted(first: int, last: int, start: IntArray, *rest: Any) -> float:
@@ -190,13 +190,13 @@ def messages(
     to_row_claim: FloatArray,
     belief: FloatArray,
     sweeps: int,
-    settled: float,
+    tolerance: float,
 ) -> float:
     """Sum-product messages of the LOCAL groups.
 
     Writes to_column (m,), the odds of each pair without its column's other pairs; to_row_claim (m,), the odds without
     its row's other pairs; and belief (m,), the probability of each pair. At most ``sweeps`` sweeps, fewer if no message
-    changes by more than ``settled``. Returns the largest change in the last sweep.
+    changes by more than ``tolerance``. Returns the largest change in the last sweep.
     """
     worst = 0.0
     for g in range(first, last):
@@ -225,7 +225,7 @@ def messages(
                 odds[e - low] = math.exp(max(x, -700.0))
         for sweep in range(sweeps):
             change = 0.0
-            still = STILL * settled if sweep > 0 else -1.0
+            quiet = QUIET_SHARE * tolerance if sweep > 0 else -1.0
             for r in range(n1):
                 if not row_open[r]:
                     continue
@@ -240,7 +240,7 @@ def messages(
                     new = odds[e] / others
                     at = at_column[e]
                     moved, scale = abs(new - claim[at]), 1.0 + new
-                    if moved > still * scale:
+                    if moved > quiet * scale:
                         change = max(change, moved / scale)
                         claim[at] = new
                         column_open[local2[low + e]] = True
@@ -256,10 +256,10 @@ def messages(
                     others = sum_but(k, whole, free[c], claim, first_, last_)
                     new = 1.0 / others
                     e = at_row[k]
-                    if abs(new - to_row[e]) > still * new:
+                    if abs(new - to_row[e]) > quiet * new:
                         to_row[e] = new
                         row_open[local1[low + e]] = True
-            if change < settled:
+            if change < tolerance:
                 break
         for e in range(low, high):
             to_column[e] = claim[at_column[e - low]]

@@ -158,7 +158,7 @@ def _derivatives(
 
 
 @part
-def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: FloatArray) -> None:
+def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, target: FloatArray) -> None:
     """Write to ``wanted`` the y ≥ 0, Σ y = 1, that maximises slope·y − ½ y·bend·y (active sets). free : (k,) a guess of
     the nonzero ones, updated."""
     # In loops: np.max, np.argmin and np.flatnonzero would import scipy.linalg whenever the compiled kernel is loaded.
@@ -186,9 +186,9 @@ def _on_simplex(slope: FloatArray, bend: FloatArray, free: BoolArray, wanted: Fl
         if n > 1 and right[lowest, 0] < 0.0:
             free[at[lowest]] = False
             continue
-        wanted[:] = 0.0
+        target[:] = 0.0
         for a in range(n):
-            wanted[at[a]] = right[a, 0]
+            target[at[a]] = right[a, 0]
         best, gain = -1, 1e-9 * steepest
         for k in range(size):
             if not free[k]:
@@ -208,7 +208,7 @@ def _steps(start: IntArray, count: FloatArray, odds: FloatArray, *rest: Any) -> 
 
 
 @small_by(_steps)
-def likeliest(
+def max_likelihood_shares(
     start: IntArray,
     count: FloatArray,
     odds: FloatArray,
@@ -217,7 +217,7 @@ def likeliest(
     shares: FloatArray,
     spread: float,
     steps: int,
-    settled: float,
+    min_gain: float,
     shortest: float,
     ridge: float,
 ) -> FloatArray:
@@ -225,14 +225,14 @@ def likeliest(
     among nonnegative shares, which converge quickly near the maximum.
 
     start, count, odds, density, pseudo : as in ``log_likelihood``. shares : initial ones, to each of which ``spread``
-    is added. Stops after ``steps`` iterations, or when one gains less than ``settled``. Newton steps are shortened to
+    is added. Stops after ``steps`` iterations, or when one gains less than ``min_gain``. Newton steps are shortened to
     no less than the fraction ``shortest``.
     """
     size = len(shares)
     free = (shares > 0.0) | (pseudo > 0.0)
     shares = (shares + spread) / summed(shares + spread)
-    slope, bend, wanted, tried = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
-    reached = -np.inf
+    slope, bend, target, trial = np.empty(size), np.empty((size, size)), np.empty(size), np.empty(size)
+    log_reached = -np.inf
     for _ in range(steps):
         _derivatives(start, count, odds, density, pseudo, shares, ridge, slope, bend)
         shares = np.maximum(shares * slope, 0.0)
@@ -241,23 +241,23 @@ def likeliest(
         for k in range(size):
             for h in range(size):
                 slope[k] += bend[k, h] * shares[h]
-        _on_simplex(slope, bend, free, wanted)
+        _on_simplex(slope, bend, free, target)
         now = log_likelihood(start, count, odds, density, pseudo, shares)
         length = 1.0
         while length > shortest:
             for k in range(size):
                 # The quadratic approximation may make a share with pseudo-counts 0, which it cannot be.
                 least = 0.1 * shares[k] if pseudo[k] > 0.0 else 0.0
-                tried[k] = max(shares[k] + length * (wanted[k] - shares[k]), least)
-            tried /= summed(tried)
-            log_tried = log_likelihood(start, count, odds, density, pseudo, tried)
-            if log_tried > now:
-                now = log_tried
-                shares = tried.copy()
+                trial[k] = max(shares[k] + length * (target[k] - shares[k]), least)
+            trial /= summed(trial)
+            log_trial = log_likelihood(start, count, odds, density, pseudo, trial)
+            if log_trial > now:
+                now = log_trial
+                shares = trial.copy()
                 break
             length *= 0.25
-        gained, reached = now - reached, now
-        if gained < settled:
+        gain, log_reached = now - log_reached, now
+        if gain < min_gain:
             break
     return shares
 
@@ -282,8 +282,8 @@ def fit(
     than ``standing_out``. Returns the shares, the improvement by the tail, and the log likelihood.
 
     start, count, odds, squares : as returned by ``cells``. The likelihood of n pairs of odds o is (1 + o f)^n, whose
-    logarithm is concave in the shares, so the maximum is unique. pseudo, shares : as in ``likeliest``; search : its
-    last five arguments.
+    logarithm is concave in the shares, so the maximum is unique. pseudo, shares : as in ``max_likelihood_shares``;
+    search : its last five arguments.
     """
     density = np.empty((len(squares), len(scales)))
     for k in range(len(scales)):
@@ -292,20 +292,20 @@ def fit(
             volume *= scales[k]
         for b in range(len(squares)):
             density[b, k] = math.exp(-0.5 * squares[b] / variance) / volume
-    best = likeliest(start, count, odds, density, pseudo, shares, *search)
-    reached, typical = log_likelihood(start, count, odds, density, pseudo, best), summed(best[:core])
+    best = max_likelihood_shares(start, count, odds, density, pseudo, shares, *search)
+    log_reached, typical = log_likelihood(start, count, odds, density, pseudo, best), summed(best[:core])
     if typical == summed(best):
-        return best, 0.0, reached
+        return best, 0.0, log_reached
     if typical == 0.0:
-        return best, np.inf, reached
+        return best, np.inf, log_reached
     narrow, kept = density[:, :core].copy(), pseudo[:core].copy()
-    alone = likeliest(start, count, odds, narrow, kept, best[:core] / typical, *search)
+    alone = max_likelihood_shares(start, count, odds, narrow, kept, best[:core] / typical, *search)
     without = log_likelihood(start, count, odds, narrow, kept, alone)
-    if reached - without > standing_out:
-        return best, reached - without, reached
+    if log_reached - without > standing_out:
+        return best, log_reached - without, log_reached
     best[:core] = alone
     best[core:] = 0.0
-    return best, reached - without, without
+    return best, log_reached - without, without
 
 
 # Grades of records, and their counts: see ``sameas.estimate.grades``.

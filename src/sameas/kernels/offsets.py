@@ -186,12 +186,12 @@ def messages(
     log_weight: FloatArray,
     records: tuple[int, int],
     sweeps: int,
-    settled: float,
+    tolerance: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sum-product messages under every offset: probabilities of pairs, and the sum over hypotheses.
 
     records : numbers of records of both sources. At most ``sweeps`` sweeps, fewer if no message changes by more than
-    the relative ``settled``. Returns the probabilities (m,), the log of the sum over all hypotheses (s,) in Bethe's
+    the relative ``tolerance``. Returns the probabilities (m,), the log of the sum over all hypotheses (s,) in Bethe's
     approximation, and the expected number of common objects (s,).
     """
     sets, m = len(start) - 1, len(i)
@@ -206,7 +206,7 @@ def messages(
         order, ends = by_component(i[start[s] : start[s + 1]], j[start[s] : start[s + 1]], records)
         for g in range(len(ends) - 1):
             pairs = start[s] + order[ends[g] : ends[g + 1]]
-            exchange(pairs, i, j, weight, to_row, to_column, by_row, by_column, sweeps, settled)
+            exchange(pairs, i, j, weight, to_row, to_column, by_row, by_column, sweeps, tolerance)
         for a in range(records[0]):
             log_sum[s] += math.log(by_row[a])
         for b in range(records[1]):
@@ -243,7 +243,7 @@ def by_component(i: IntArray, j: IntArray, records: tuple[int, int]) -> tuple[In
 @inlined
 def exchange(
     pairs: IntArray, i: IntArray, j: IntArray, weight: FloatArray, to_row: FloatArray, to_column: FloatArray,
-    by_row: FloatArray, by_column: FloatArray, sweeps: int, settled: float,
+    by_row: FloatArray, by_column: FloatArray, sweeps: int, tolerance: float,
 ) -> None:  # fmt: skip
     """Iterate the messages of one component until they converge; writes the sums of its records."""
     for _ in range(sweeps):
@@ -251,7 +251,7 @@ def exchange(
         sum_by_row(pairs, i, weight, to_row, by_row)
         for e in pairs:
             new = weight[e] / (1.0 + max(by_row[i[e]] - 1.0 - weight[e] * to_row[e], 0.0))
-            moving = moving or abs(new - to_column[e]) > 1e-9 + settled * new
+            moving = moving or abs(new - to_column[e]) > 1e-9 + tolerance * new
             to_column[e] = new
         sum_by_column(pairs, j, to_column, by_column)
         for e in pairs:

@@ -55,13 +55,13 @@ def climb(
     values: FloatArray,
     steps: int,
     longest: float,
-    settled: float,
+    tolerance: float,
 ) -> None:
     """Newton steps towards the maximum of the penalised likelihood of ``values`` (k,) at ``knots``, in place.
 
     magnitude, log_odds, p_detected : (n,) of the records: magnitudes, log odds without the curve, and probabilities of
     being detected. penalty : (k, k). A step is limited to ``longest`` for each value; the iteration has converged when
-    no value changes by more than ``settled``.
+    no value changes by more than ``tolerance``.
     """
     n, k = len(magnitude), len(knots)
     low, along, starts = np.empty(n, np.int64), np.empty(n), directory(knots)
@@ -90,7 +90,7 @@ def climb(
         for a in range(k):
             values[a] += min(max(step[a, 0], -longest), longest)
             furthest = max(furthest, abs(step[a, 0]))
-        if furthest <= settled:
+        if furthest <= tolerance:
             break
 
 
@@ -261,15 +261,15 @@ def learn(
         covariance[:] = inverse * wider
         mean[:] = owned / max(number, 1e-300)
         before, typical = typical, _scatters(scatter, error, hats, leverages, excess, mean[:k], number, k + c, priors)
-        settled = abs(typical - before) <= priors[-1] * error[0]
+        converged = abs(typical - before) <= priors[-1] * error[0]
         alone = shares[-1]
         _shares(shares, counts, weight, number, priors)
-        settled &= abs(shares[-1] - alone) <= priors[-1] * np.sqrt(shares[-1] / max(weight, 1.0))
+        converged &= abs(shares[-1] - alone) <= priors[-1] * np.sqrt(shares[-1] / max(weight, 1.0))
         for a in range(k + c):
             now = offset[a] if a < k else slopes[a - k]
-            settled &= abs(solved[a] - now) <= priors[-1] * np.sqrt(covariance[a, a])
+            converged &= abs(solved[a] - now) <= priors[-1] * np.sqrt(covariance[a, a])
         offset[:], slopes[:] = solved[:k], solved[k:]
-        if settled:
+        if converged:
             break
 
 

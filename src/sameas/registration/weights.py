@@ -144,8 +144,8 @@ def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening:
     )
 
 
-def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray, settled: float) -> Weighed:
-    """Weights of candidate pairs by messages, iterated until their relative change is below ``settled``."""
+def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray, tolerance: float) -> Weighed:
+    """Weights of candidate pairs by messages, iterated until their relative change is below ``tolerance``."""
     from sameas.kernels.offsets import messages
 
     volume, expected = candidates.volume, candidates.expected
@@ -159,7 +159,7 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     records = len(scene.first), len(scene.second)
     log_weight = log_odds[s] + candidates.log_normal
     share, log_sum, total = messages(
-        candidates.start, candidates.i, candidates.j, log_weight, records, scene.tuning.sweeps, settled
+        candidates.start, candidates.i, candidates.j, log_weight, records, scene.tuning.sweeps, tolerance
     )
     # The likelihood has the remaining number ``rest``, the pairs have ``due``: the last term corrects for that.
     alone = candidates.in_common * (np.log(rest) - np.log(np.maximum(expected, 0.5))) + in_both[:, None] * np.log(

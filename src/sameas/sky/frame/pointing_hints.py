@@ -1,7 +1,7 @@
 """Hints on the pointing of a frame, and the candidate pointings under each hint.
 
 A hint defines the searched volume (:class:`~sameas.sky.frame.odds.SearchVolume`, which lowers the odds), the allowed
-placements, and the candidate pointings, in lists, the cheapest and likeliest first.
+placements, and the candidate pointings, in lists, the cheapest and most probable first.
 
 Candidates come from patterns of three or four points, described independently of shift, rotation and scale: the two
 points A, B farthest apart are mapped to 0 and 1 of the complex plane; the positions of the others are the pattern's
