@@ -50,7 +50,7 @@ OVERREACH = 0.6
 #: Greatest dimension for discs; in more, records have too many neighbours.
 MOST_DIMENSIONS = 3
 #: Where a disc must contain more records than ``MANY``, centres nearer than this fraction of the radius count as one.
-APART = 0.125
+MIN_SPACING = 0.125
 MANY = 64.0
 #: Greatest number of cells along an axis; farther ones share a number.
 MOST_CELLS = 2.0**40
@@ -133,8 +133,8 @@ def _buckets(ground: Points, side: float, n: int) -> Buckets:
     return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
 
-def within_holes(here: Points, seen: BoolArray, there: Points, density: FloatArray, share: float) -> BoolArray:
-    """Which records of one source, ``here`` (n,), lie in holes of the other, ``there``.
+def within_holes(own: Points, seen: BoolArray, other: Points, density: FloatArray, share: float) -> BoolArray:
+    """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
 
     seen : (n,) whether they may be covered, by the cells.
     density : (n,) expected density of the other source at them, per (unit of the residuals)^d.
@@ -144,15 +144,15 @@ def within_holes(here: Points, seen: BoolArray, there: Points, density: FloatArr
     these are then extended to their borders by smaller discs around the records in them.
     """
     found = ~seen
-    if here.d > MOST_DIMENSIONS or len(there.points) < COMPANY or not seen.any():
+    if own.d > MOST_DIMENSIONS or len(other.points) < COMPANY or not seen.any():
         return found
     wanted, beyond = seen, OVERREACH * max(0.0, 1.0 - share)
     if not seen.all():
-        widest = _radius(DISC, float(density[seen].min()), here.d)
-        wanted = seen | here.near(there, 2.0 * widest)
-    discs = opened(here, there, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+        widest = _radius(DISC, float(density[seen].min()), own.d)
+        wanted = seen | own.near(other, 2.0 * widest)
+    discs = opened(own, other, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
     if discs.any():
-        discs |= opened(here, there, wanted & discs, density, STEP, beyond, 1.0)
+        discs |= opened(own, other, wanted & discs, density, STEP, beyond, 1.0)
     return found | discs
 
 
@@ -163,40 +163,40 @@ def _radius(expected: float, density: Floats, d: int) -> Floats:
 
 
 def opened(
-    here: Points, there: Points, wanted: BoolArray, density: FloatArray, expected: float, beyond: float, least: float
+    own: Points, other: Points, wanted: BoolArray, density: FloatArray, expected: float, beyond: float, least: float
 ) -> BoolArray:
     """Which points lie inside empty discs around ``wanted`` points that contain at least ``least`` of them."""
-    found = np.zeros(len(here.points), np.bool_)
+    found = np.zeros(len(own.points), np.bool_)
     remaining = density[wanted]
     while len(remaining):
         high = float(remaining.max())
-        low = high / 2.0**here.d  # discs up to twice as large use the same cells
+        low = high / 2.0**own.d  # discs up to twice as large use the same cells
         remaining = remaining[remaining <= low]
-        rows = here.isolated(wanted, density, (low, high), expected / ball_volume(here.d), there)
+        rows = own.isolated(wanted, density, (low, high), expected / ball_volume(own.d), other)
         if len(rows):
-            radius = _radius(expected, density[rows], here.d)
-            inside = _inside(here, there, rows, radius, beyond * density[rows] ** (-1.0 / here.d), least)
+            radius = _radius(expected, density[rows], own.d)
+            inside = _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least)
             found[inside] = True
     return found
 
 
 def _inside(
-    here: Points, there: Points, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
+    own: Points, other: Points, rows: IntArray, radius: FloatArray, beyond: FloatArray, least: float
 ) -> IntArray:
     """Rows of the points inside empty discs around ``rows`` that contain enough points."""
     from sameas.kernels.coverage import clear, empty_discs
 
-    side, centres, empty = float(radius.min()) / math.sqrt(here.d), here.at(rows), np.empty(len(rows), np.bool_)
-    empty_discs(centres, radius, *_sorted(there, there.in_discs(centres, radius, side), side), empty)
+    side, centres, empty = float(radius.min()) / math.sqrt(own.d), own.at(rows), np.empty(len(rows), np.bool_)
+    empty_discs(centres, radius, *_sorted(other, other.in_discs(centres, radius, side), side), empty)
     centres, radius, beyond = centres[empty], radius[empty], beyond[empty]
     if len(centres) and least > MANY:
-        chosen = _one_per_cell(centres, APART * float(radius.min()))
+        chosen = _one_per_cell(centres, MIN_SPACING * float(radius.min()))
         centres, radius, beyond = centres[chosen], radius[chosen], beyond[chosen]
     if not len(centres):
         return np.empty(0, np.int64)
-    rows = here.in_discs(centres, radius, side)
+    rows = own.in_discs(centres, radius, side)
     outside = np.ones(len(rows), np.bool_)
-    clear(centres, radius, radius - beyond, least, *_sorted(here, rows, side), outside)
+    clear(centres, radius, radius - beyond, least, *_sorted(own, rows, side), outside)
     return rows[~outside]
 
 

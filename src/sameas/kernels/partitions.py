@@ -719,14 +719,14 @@ def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArr
         for s in order:
             if owner[entry[begin[s]]] == s:
                 continue
-            lost = 0.0
+            displaced = 0.0
             for e in range(begin[s], begin[s + 1]):
-                other, again = owner[entry[e]], False
+                other, repeated = owner[entry[e]], False
                 for f in range(begin[s], e):
-                    again = again or owner[entry[f]] == other
-                if other != NONE and not again:
-                    lost += weight[other]
-            if weight[s] > lost + 1e-9 * abs(lost) and (turn > 0 or lost == 0.0):
+                    repeated = repeated or owner[entry[f]] == other
+                if other != NONE and not repeated:
+                    displaced += weight[other]
+            if weight[s] > displaced + 1e-9 * abs(displaced) and (turn > 0 or displaced == 0.0):
                 for e in range(begin[s], begin[s + 1]):
                     other = owner[entry[e]]
                     if other != NONE:

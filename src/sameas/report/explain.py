@@ -266,12 +266,12 @@ def picture_lines(objects: Table, records: Table, record: str, source: str | Non
 
 def _record_of(records: Table, record: str, source: str, at_s: float | None) -> tuple[int, str, list[str]]:
     """The row in the table of records, its name, and the lines about it."""
-    ours = texts_of(records["source"]) == source
-    if not ours.any():
+    of_source = texts_of(records["source"]) == source
+    if not of_source.any():
         known = ", ".join(sorted(set(texts_of(records["source"]).tolist())))
         raise InputError(f"the picture has no source {source}; it has {known}")
     for column in ("track_id", "line", "row"):
-        named = ours & (texts_of(records[column]) == record.strip())
+        named = of_source & (texts_of(records[column]) == record.strip())
         if named.any():
             when = _nearest(np.asarray(records["time_s"])[named], at_s)
             at = int(np.flatnonzero(named & (np.asarray(records["time_s"]) == when))[0])
@@ -310,25 +310,25 @@ def _nearest(times: NDArray[Any], at_s: float | None) -> float:
 def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool) -> IntArray:
     """The rows of the table with a record of a catalogue, given by its id or its row."""
     name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
-    there = ~_absent(table[facts[f"ra_column_{source}"]])
+    present = ~_absent(table[facts[f"ra_column_{source}"]])
     if column is not None and not by_row:
-        rows = np.flatnonzero(there & (texts_of(table[column]) == record.strip()))
+        rows = np.flatnonzero(present & (texts_of(table[column]) == record.strip()))
         if not len(rows):
-            listed = ", ".join(texts_of(table[column])[np.flatnonzero(there)[:3]])
+            listed = ", ".join(texts_of(table[column])[np.flatnonzero(present)[:3]])
             raise InputError(f"{name} has no record with the id {record} in the output; its first ids are {listed}")
         return rows
-    number, position = _whole_number(record, name), _row_numbers(table, facts, source, there)
+    number, position = _whole_number(record, name), _row_numbers(table, facts, source, present)
     rows = np.flatnonzero(position == number)
     if not len(rows):
         raise InputError(f"{name} has no row {number} in the output; rows are counted from 0")
     return rows
 
 
-def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, there: BoolArray) -> IntArray:
+def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, present: BoolArray) -> IntArray:
     """(n,) the catalogue row of each row of the table, −1 for none; refused unless the table has them all."""
     leading = {"all1": (1,), "1or2": (1,), "pairs": (1,), "all2": (2,)}.get(facts.get("join", ""), ())
     ids = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
-    held = np.flatnonzero(there)
+    held = np.flatnonzero(present)
     same = np.ones(len(held), bool)
     same[1:] = np.any([part[held][1:] != part[held][:-1] for part in ids], axis=0)
     number = np.full(len(table), -1)
@@ -374,10 +374,10 @@ def _where(table: Table, facts: Mapping[str, Any], row: int, source: int) -> lis
 
 
 def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]) -> str:
-    there = [k for k in (1, 2) if not _is_absent(table, facts[f"ra_column_{k}"], row)]
-    called = " = ".join(f"{names[k - 1]} {_called(table, facts, row, k)}" for k in there)
-    p = _value(table, "p_match" if len(there) == 2 else "p_none", row)
-    return f"{called}{' alone' * (len(there) == 1)}" + (
+    present = [k for k in (1, 2) if not _is_absent(table, facts[f"ra_column_{k}"], row)]
+    called = " = ".join(f"{names[k - 1]} {_called(table, facts, row, k)}" for k in present)
+    p = _value(table, "p_match" if len(present) == 2 else "p_none", row)
+    return f"{called}{' alone' * (len(present) == 1)}" + (
         "" if p is None else f", probability {probability_text(float(p))}"
     )
 

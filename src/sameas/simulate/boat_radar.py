@@ -64,9 +64,9 @@ class _Hulls:
 
     @classmethod
     def drawn(cls, count: int, rng: np.random.Generator, within_m: float = 4500.0) -> _Hulls:
-        angle, away = rng.uniform(0.0, 2.0 * np.pi, count), within_m * np.sqrt(rng.uniform(0.02, 1.0, count))
+        angle, range_m = rng.uniform(0.0, 2.0 * np.pi, count), within_m * np.sqrt(rng.uniform(0.02, 1.0, count))
         return cls(
-            away[:, None] * np.column_stack([np.sin(angle), np.cos(angle)]), rng.uniform(1.0, 8.0, count),
+            range_m[:, None] * np.column_stack([np.sin(angle), np.cos(angle)]), rng.uniform(1.0, 8.0, count),
             rng.uniform(0.0, 2.0 * np.pi, count), rng.normal(0.0, 3e-4, count),
             np.exp(rng.uniform(np.log(12.0), np.log(150.0), count)),
         )  # fmt: skip
@@ -129,9 +129,9 @@ def boat_radar(
     ]  # fmt: skip
     scan, place, truth = (np.concatenate(part) for part in zip(*echoes, strict=True))
     arm = place - station[scan]
-    away = np.hypot(*arm.T)
-    kept = (away < REACH_M) & (away > 60.0)
-    scan, arm, away, truth = scan[kept], arm[kept], away[kept], truth[kept]
+    range_m = np.hypot(*arm.T)
+    kept = (range_m < REACH_M) & (range_m > 60.0)
+    scan, arm, range_m, truth = scan[kept], arm[kept], range_m[kept], truth[kept]
     heading = _heading_error(len(turns), rng)[scan]
     bearing = np.degrees(np.arctan2(arm[:, 0], arm[:, 1])) + bias.azimuth_deg + heading
     bearing = STEP_DEG * np.round((bearing + BEARING_DEG * rng.normal(size=len(scan))) / STEP_DEG) % 360.0
@@ -145,7 +145,7 @@ def boat_radar(
         "station_lat_deg": lat[scan],
         "station_lon_deg": lon[scan],
     }
-    read_m = away * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(scan))
+    read_m = range_m * (1.0 + bias.range_gain) + bias.range_m + RANGE_M * rng.normal(size=len(scan))
     columns["range_m"] = np.maximum(read_m, 1.0)
     radar = Reports.of("radar", "table", {name: column[order] for name, column in columns.items()})
     ais, mmsi = _ais(vessels, named, since, span_s, plane, rng)
@@ -189,8 +189,12 @@ def _shore(station: FloatArray, rng: np.random.Generator) -> Echoes:
 def _sea(station: FloatArray, rng: np.random.Generator) -> Echoes:
     """Returns of the sea around the boat."""
     scan = np.repeat(np.arange(len(station)), rng.poisson(SEA_PLOTS, len(station)))
-    away = 60.0 + rng.exponential(SEA_M, len(scan))
-    return scan, station[scan] + away[:, None] * _unit(rng.uniform(0.0, 2.0 * np.pi, len(scan))), np.full(len(scan), -1)
+    range_m = 60.0 + rng.exponential(SEA_M, len(scan))
+    return (
+        scan,
+        station[scan] + range_m[:, None] * _unit(rng.uniform(0.0, 2.0 * np.pi, len(scan))),
+        np.full(len(scan), -1),
+    )
 
 
 def _heading_error(turns: int, rng: np.random.Generator) -> FloatArray:

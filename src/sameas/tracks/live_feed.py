@@ -148,31 +148,31 @@ class GrowingFeed:
         if not len(reports):
             return
         placed = PlacedReports(self.description, reports, self.plane, self.tuning)
-        there, sensor_m = placed.in_plane, placed.sensor_m
+        in_plane, sensor_m = placed.in_plane, placed.sensor_m
         biases = known_biases(self.description, sensor_m)
-        there = corrected(there, sensor_m, biases) if biases.any() else there
+        in_plane = corrected(in_plane, sensor_m, biases) if biases.any() else in_plane
         attributes = {name: column for name in MODELS if (column := getattr(reports, name, None)) is not None}
-        heights = None if isinstance(there, Directions) else HeightColumns.of(self.description, reports)
-        usable = np.flatnonzero(there.usable)
-        self.counts.newest_s = max(self.counts.newest_s, float(there.time_s.max()))
-        if isinstance(there, Directions):
+        heights = None if isinstance(in_plane, Directions) else HeightColumns.of(self.description, reports)
+        usable = np.flatnonzero(in_plane.usable)
+        self.counts.newest_s = max(self.counts.newest_s, float(in_plane.time_s.max()))
+        if isinstance(in_plane, Directions):
             self._directions = True
-            new = _Rows.of_directions(there, usable, sensor_m, attributes)
+            new = _Rows.of_directions(in_plane, usable, sensor_m, attributes)
         else:
-            if self.to_tracks is None and there.track is not None:
+            if self.to_tracks is None and in_plane.track is not None:
                 self._decide_filtering(placed)
-            new = _Rows.of_states(there, usable, sensor_m, attributes)
+            new = _Rows.of_states(in_plane, usable, sensor_m, attributes)
         if heights is not None:
             new.heights, self._has_heights = heights.table[usable], True
         if self._named is None:
-            self._named = there.track is not None
-        if there.track is not None:
-            new.name = self._names(there.track[usable])
+            self._named = in_plane.track is not None
+        if in_plane.track is not None:
+            new.name = self._names(in_plane.track[usable])
         new.serial = self._serial + np.arange(len(usable))
         self._serial += len(usable)
         self.counts.taken += len(usable)
-        if there.track is None or isinstance(there, Directions):
-            if there.track is not None:
+        if in_plane.track is None or isinstance(in_plane, Directions):
+            if in_plane.track is not None:
                 new.number = self._numbered(new.name)
             places = self._claim(len(new))
             self._rows.put(places, new)
@@ -342,9 +342,11 @@ class GrowingFeed:
                 (rows.measured[own, :2], new.measured[:, :2]),
             )
         )  # fmt: skip
-        again = repeated(number, time_s, place) - len(own)
-        again = again[again >= 0]
-        out[again[in_motion(new.measured[again, 2:], new.measured_covariance[again, 2:, 2:], self.tuning)]] = False
+        repeats = repeated(number, time_s, place) - len(own)
+        repeats = repeats[repeats >= 0]
+        out[repeats[in_motion(new.measured[repeats, 2:], new.measured_covariance[repeats, 2:, 2:], self.tuning)]] = (
+            False
+        )
         return out
 
     def _split_ids(self, new: _Rows, own: IntArray) -> bool:
@@ -365,8 +367,10 @@ class GrowingFeed:
                 at = last[rows.number[last] == new.number[k]]
                 if not len(at):
                     continue
-                away = self.tuning.place_sigmas * math.sqrt(float(np.trace(rows.measured_covariance[at[0], :2, :2])))
-                self._split[name] = Branches.of(float(rows.time_s[at[0]]), rows.measured[at[0]], away)
+                radius_m = self.tuning.place_sigmas * math.sqrt(
+                    float(np.trace(rows.measured_covariance[at[0], :2, :2]))
+                )
+                self._split[name] = Branches.of(float(rows.time_s[at[0]]), rows.measured[at[0]], radius_m)
             branches = self._split[name]
             owner = branches.add(float(new.time_s[k]), new.measured[k], float(radius[k]), limit, self.tuning)
             if owner is None:
@@ -565,22 +569,22 @@ class _Rows:
 
     @classmethod
     def of_states(
-        cls, there: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
+        cls, in_plane: States, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
     ) -> _Rows:
         rows = cls._without_states(len(usable))
         for column in ("measured", "filtered", "state"):
-            setattr(rows, column, there.state[usable])
+            setattr(rows, column, in_plane.state[usable])
         for column in ("measured_covariance", "filtered_covariance", "covariance"):
-            setattr(rows, column, there.covariance[usable])
-        return rows._with(there.time_s[usable], usable, sensor_m, attributes)
+            setattr(rows, column, in_plane.covariance[usable])
+        return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
 
     @classmethod
     def of_directions(
-        cls, there: Directions, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
+        cls, in_plane: Directions, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
     ) -> _Rows:
         rows = cls(len(usable))
-        rows.measured[:, 0], rows.measured[:, 1] = there.bearing_deg[usable], there.sigma_deg[usable]
-        return rows._with(there.time_s[usable], usable, sensor_m, attributes)
+        rows.measured[:, 0], rows.measured[:, 1] = in_plane.bearing_deg[usable], in_plane.sigma_deg[usable]
+        return rows._with(in_plane.time_s[usable], usable, sensor_m, attributes)
 
     def _with(
         self, time_s: FloatArray, usable: IntArray, sensor_m: FloatArray | None, attributes: dict[str, NDArray[Any]]
