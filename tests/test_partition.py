@@ -8,7 +8,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from sameas.kernels import partitions
 from sameas.many.identify import identify_many
-from sameas.many.marginals import EXACT, MOST_RECORDS, best_partition, best_sets, incidence_of, packed_groups
+from sameas.many.marginals import EXACT, MAX_RECORDS, best_partition, best_sets, incidence_of, packed_groups
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import TUNING, Sets
 from sameas.records import Records
@@ -135,7 +135,7 @@ def test_a_group_of_more_records_than_a_sum_can_hold_is_summed_without_improbabl
     ]
     found = identify_many(sources, rule=PoissonObjects(0.1, 0.1))
     widest = int(np.argmax(found.pooled.sizes))
-    assert found.pooled.sizes[widest] > MOST_RECORDS
+    assert found.pooled.sizes[widest] > MAX_RECORDS
     assert found.groups.cut[widest] in TUNING.cuts
     total = np.zeros(len(found.pooled))
     at, record = found.sets.entries()

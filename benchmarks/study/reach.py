@@ -11,7 +11,7 @@ from benchmarks.study.contenders import INNER, PAPERS_GATE, Counted, Gate, Verdi
 from benchmarks.study.scenes import Formation, Scenes
 from sameas._identify import identify
 from sameas.evidence import CloseObjects
-from sameas.evidence.close import LEAST_SIGMAS, estimate_reach
+from sameas.evidence.close import MIN_SIGMAS, estimate_reach
 from sameas.prior import Prior
 
 
@@ -32,7 +32,7 @@ class EstimatedReach:
         for scene in np.flatnonzero(scenes.open):
             rows, (first, second) = scenes.one(int(scene))
             known = max(len(first), len(second)) >= 2
-            b = tuple(estimate_reach(first, second).b) if known else LEAST_SIGMAS
+            b = tuple(estimate_reach(first, second).b) if known else MIN_SIGMAS
             answer = identify(first, second, rule=CloseObjects(INNER, b), prior=prior, gate=self.gate)
             i, j = rows[0][answer.pairs.i], rows[1][answer.pairs.j]
             parts = i[answer.chosen], j[answer.chosen], i, j, answer.p_pair

@@ -25,7 +25,7 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 #: In two dimensions inverses and determinants have closed forms if the determinant is at least this share of the
 #: product of the variances.
-LEAST_SHARE = 1e-6
+MIN_SHARE = 1e-6
 
 
 def symmetric(matrix: FloatArray) -> FloatArray:
@@ -38,7 +38,7 @@ def inverse(covariance: FloatArray) -> FloatArray:
     if covariance.shape[-1] == 2:
         a, b, c = covariance[..., 0, 0], 0.5 * (covariance[..., 0, 1] + covariance[..., 1, 0]), covariance[..., 1, 1]
         determinant = a * c - b * b
-        if (determinant > LEAST_SHARE * a * c).all():
+        if (determinant > MIN_SHARE * a * c).all():
             out = np.empty(covariance.shape)
             out[..., 0, 0], out[..., 1, 1] = c / determinant, a / determinant
             out[..., 0, 1] = out[..., 1, 0] = -b / determinant
@@ -56,7 +56,7 @@ def log_determinant(matrix: FloatArray) -> FloatArray:
     if matrix.shape[-1] == 2:
         scale = matrix[..., 0, 0] * matrix[..., 1, 1]
         determinant = scale - matrix[..., 0, 1] * matrix[..., 1, 0]
-        if (determinant > LEAST_SHARE * scale).all():
+        if (determinant > MIN_SHARE * scale).all():
             return np.asarray(np.log(determinant))
     return np.asarray(np.linalg.slogdet(matrix)[1])
 

@@ -48,12 +48,12 @@ STEP = 5.0
 #: with fewer of these a disc that reaches so far is found less often.
 OVERREACH = 0.6
 #: Greatest dimension for discs; in more, records have too many neighbours.
-MOST_DIMENSIONS = 3
+MAX_DIMENSIONS = 3
 #: Where a disc must contain more records than ``MANY``, centres nearer than this fraction of the radius count as one.
 MIN_SPACING = 0.125
 MANY = 64.0
 #: Greatest number of cells along an axis; farther ones share a number.
-MOST_CELLS = 2.0**40
+MAX_CELLS = 2.0**40
 
 
 @in_short
@@ -129,7 +129,7 @@ def _buckets(ground: Points, side: float, n: int) -> Buckets:
             sides[v] = wraps / number[v]
         else:
             low[v] = float(ground.points[:, v].min())
-            number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MOST_CELLS)) + 1 | 1
+            number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
     return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
 
@@ -144,7 +144,7 @@ def within_holes(own: Points, seen: BoolArray, other: Points, density: FloatArra
     these are then extended to their borders by smaller discs around the records in them.
     """
     found = ~seen
-    if own.d > MOST_DIMENSIONS or len(other.points) < COMPANY or not seen.any():
+    if own.d > MAX_DIMENSIONS or len(other.points) < COMPANY or not seen.any():
         return found
     wanted, beyond = seen, OVERREACH * max(0.0, 1.0 - share)
     if not seen.all():
@@ -247,7 +247,7 @@ DENSER = 1.05
 #: deviations, which an even field does not.
 UNEVEN = 2.0
 #: Least fraction of the region that is common to both sources.
-LEAST_VOLUME = 1e-3
+MIN_VOLUME = 1e-3
 
 
 def smoothing(others: FloatArray, volume: FloatArray, density: FloatArray, weight: FloatArray) -> float:
@@ -404,7 +404,7 @@ class Coverage:
 
     def _mean_densities(self, seen_1: BoolArray, seen_2: BoolArray) -> tuple[float, float]:
         """Mean densities of both sources where both observe, for these covered records."""
-        volume = max(self._volume(seen_1, seen_2), LEAST_VOLUME * self.volume)
+        volume = max(self._volume(seen_1, seen_2), MIN_VOLUME * self.volume)
         number_1, number_2 = (max(int(np.count_nonzero(seen)), 1) for seen in (seen_1, seen_2))
         return number_1 / volume, number_2 / volume
 

@@ -22,7 +22,7 @@ from sameas.estimate.error_grid import Average, Averaged, Solution, without_posi
 from sameas.estimate.error_model import DEFAULT_SCALES, ScalesTuning, fit_errors
 from sameas.estimate.grades import Grades
 from sameas.estimate.photometry import LearningPairs, Photometry
-from sameas.estimate.quantity import MOST_MISSING
+from sameas.estimate.quantity import MAX_MISSING
 from sameas.estimate.sample import Setting
 from sameas.evidence import Brightness, Errors, PoissonField, Rule
 from sameas.evidence.detection import logit
@@ -282,8 +282,8 @@ class Estimates:
         for p_partner, counted in zip(self.p_partner, self.counted, strict=True):
             p = p_partner[counted]
             variance, mean = float((p * (1.0 - p)).sum()), float(p.mean())
-            missing = min(variance / max(len(p) * mean * (1.0 - mean), 1e-300), MOST_MISSING)
-            r = min(max(missing, ratio, self.tuning.min_rate), MOST_MISSING)
+            missing = min(variance / max(len(p) * mean * (1.0 - mean), 1e-300), MAX_MISSING)
+            r = min(max(missing, ratio, self.tuning.min_rate), MAX_MISSING)
             error = math.sqrt(variance / (1.0 - missing))
             small.append(abs(self.change) * r**2 / (1.0 - r) <= self.tuning.tolerance * error)
         return all(small) or abs(self.change) <= self.tuning.tolerance_number

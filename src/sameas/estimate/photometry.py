@@ -49,11 +49,11 @@ PSEUDO_UNRELATED = 0.5
 INITIAL_SHARES, INITIAL_UNRELATED = np.array([0.8, 0.12, 0.03]), 0.05
 #: Pairs per knot and greatest number of knots of a curve; prior standard deviations of its second differences, mag, and
 #: of slopes of colours.
-PER_KNOT, MOST_KNOTS = 150.0, 12
+PER_KNOT, MAX_KNOTS = 150.0, 12
 BEND_SIGMA, SLOPE_SIGMA = 0.3, 1.0
 #: Pseudo-pairs that draw the scatter at a knot to the mean scatter, and least scatter, mag.
 PSEUDO_PAIRS = 20.0
-LEAST_SCATTER = 0.003
+MIN_SCATTER = 0.003
 FIRST_STEPS, STEPS, LAST_STEPS = 8, 2, 20
 #: EM ends when no estimate changes by more than this share of its standard error; the first fit, whose pairs have
 #: probabilities without magnitudes, may end earlier.
@@ -137,7 +137,7 @@ def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
     from sameas.kernels.relation import quartiles
 
     difference, x, c = sample.pairs[:, 0], sample.pairs[:, 5], sample.colours.shape[1] // 2
-    knots = knots_of(x, sample.weight, PER_KNOT, MOST_KNOTS)
+    knots = knots_of(x, sample.weight, PER_KNOT, MAX_KNOTS)
     centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
     k = len(knots)
@@ -145,7 +145,7 @@ def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
     quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, found)
     enough = np.bincount(nearest, sample.weight, k) > PSEUDO_PAIRS
     lower, offset, upper = np.where(enough, found[:, :k], found[:, k:])
-    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, LEAST_SCATTER)
+    scatter = np.maximum((upper - lower) / QUARTILE_RANGE, MIN_SCATTER)
     no_fit = np.zeros((k + c, k + c)), np.zeros(k + c), math.inf, float(sample.weight.sum())
     return Relation(
         knots, offset, scatter, np.zeros(c), centres, SCALES, INITIAL_SHARES, INITIAL_UNRELATED, background, *no_fit
@@ -162,7 +162,7 @@ def _after_em(sample: Sample, relation: Relation, steps: int, tolerance: float) 
     shares, error = np.append(relation.shares, relation.unrelated), np.array([relation.scatter_error])
     covariance, mean = relation.covariance.copy(), relation.mean_basis.copy()
     learned = offset, scatter, slopes, relation.scales, shares, covariance, mean, error
-    priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, LEAST_SCATTER, tolerance])
+    priors = np.array([*TAIL_ALLOWANCE, PSEUDO_UNRELATED, PSEUDO_PAIRS, MIN_SCATTER, tolerance])
     learn(sample.pairs, colours, relation.knots, learned, _penalty(len(offset), len(slopes)), priors, steps)
     return replace(
         relation, offset=offset, slopes=slopes, covariance=covariance, mean_basis=mean, scatter=scatter,

@@ -18,7 +18,7 @@ from sameas.result import Identification
 from sameas.space import Sphere
 
 #: Greatest share of the information on a share that may be missing.
-MOST_MISSING = 0.95
+MAX_MISSING = 0.95
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class _Share:
     def missing(self) -> float:
         """The share of the information that is missing because pairs are uncertain."""
         whole = self.number * self.share * (1.0 - self.share)
-        return min(self.unsure / max(whole, 1e-300), MOST_MISSING)
+        return min(self.unsure / max(whole, 1e-300), MAX_MISSING)
 
     @property
     def count_error(self) -> float:

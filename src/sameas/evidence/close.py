@@ -93,7 +93,7 @@ def log_interval(low: FloatArray, high: FloatArray, width: FloatArray) -> FloatA
 #: Up to this correlation the angle integral is smooth enough for its 20 nodes (Genz 2004).
 SMOOTH_CORRELATION = 0.925
 #: Smaller shares of the shell are not computed as a difference of two boxes, each exact to about 1e-15.
-LEAST_DIFFERENCE = 1e-5
+MIN_DIFFERENCE = 1e-5
 #: The interval of integration ends where the value has fallen to e⁻³⁶ of its peak, below the rounding of a double.
 DROP = 36.0
 #: Borders of panels around an edge of Φ, in widths of the edge.
@@ -112,8 +112,8 @@ def log_correlated_density(delta: FloatArray, covariance: FloatArray, a: FloatAr
     if len(smooth):
         outer, inner = (_box(delta[smooth], sigma[smooth], rho[smooth], c) for c in (b, a))
         share[smooth] = outer - inner
-    far = np.flatnonzero(share < LEAST_DIFFERENCE)
-    log_share = np.log(np.maximum(share, LEAST_DIFFERENCE))
+    far = np.flatnonzero(share < MIN_DIFFERENCE)
+    log_share = np.log(np.maximum(share, MIN_DIFFERENCE))
     for begin in range(0, len(far), BATCH):
         some = far[begin : begin + BATCH]
         log_share[some] = _log_shell(delta[some], sigma[some], rho[some], a, b)
@@ -441,7 +441,7 @@ def _per_feature(value: float | tuple[float, ...], d: int, name: str) -> FloatAr
 #: The inner box in standard deviations of a residual's feature, as in the papers [T].
 INNER_SIGMAS = 1.1
 #: The least outer box, in the same unit: with few neighbours their distance may be underestimated; 4 σ is always safe.
-LEAST_SIGMAS = 4.0
+MIN_SIGMAS = 4.0
 #: A given box is doubted if neighbours lie outside by more than this number of standard errors (chosen).
 DOUBT_SIGMAS = 2.0
 
@@ -524,7 +524,7 @@ def estimate_reach(first: Records, second: Records) -> Spacing:
         error = np.where(neighbour > 0.0, 0.5 * d * spread / neighbour, np.inf)
     sigma = np.sqrt(sum(_typical_variance(source) for source in (first, second)))
     a = INNER_SIGMAS * sigma
-    b = np.maximum(2.0 * neighbour, LEAST_SIGMAS * sigma)
+    b = np.maximum(2.0 * neighbour, MIN_SIGMAS * sigma)
     return Spacing(a, b, neighbour, error, sigma, count)
 
 

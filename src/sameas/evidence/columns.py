@@ -27,7 +27,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 
 #: A column of integers with at most this many different values is categorical (chosen).
-MOST_CODES = 12
+MAX_CODES = 12
 
 
 @in_short
@@ -176,7 +176,7 @@ class CodedColumn:
             return cls(name, number, None, log_odds)
         if data.dtype.kind in "iu":
             distinct = np.unique(data[~missing])
-            if len(distinct) > MOST_CODES:
+            if len(distinct) > MAX_CODES:
                 return cls(name, np.where(missing, np.nan, data.astype(np.float64)), None, log_odds)
         texts = np.array([_word(cell) for cell in data.tolist()], dtype=object)
         missing = missing | (texts == "")

@@ -87,15 +87,15 @@ def roughness(k: int, bend: float, weight: FloatArray | float = 1.0) -> FloatArr
 
 
 #: Records per knot of the curve, and greatest number of knots.
-PER_KNOT, MOST_KNOTS = 100.0, 24
+PER_KNOT, MAX_KNOTS = 100.0, 24
 #: Prior standard deviations of the curve's logit: of its second differences between knots, and of its value.
 BEND, PRIOR_SIGMA = 1.0, 6.0
 #: Newton steps: their number in the first fit and in later ones, greatest length in logit, and length at convergence.
 FIRST_STEPS, STEPS, MAX_STEP, TOLERANCE = 8, 2, 2.0, 0.05
 #: Shares are clipped to 1e-6 … 1 − 1e-6.
-LEAST_SHARE = 1e-6
+MIN_SHARE = 1e-6
 #: The reported curve: least number of records in a bin, widths of the bins in mag, and greatest number of bins.
-LEAST_IN_BIN, WIDTHS, MOST_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
+MIN_IN_BIN, WIDTHS, MAX_BINS = 30, (0.1, 0.2, 0.25, 0.5, 1.0, 2.0), 24
 
 
 @in_short
@@ -156,12 +156,12 @@ def share_error(number: FloatArray, matched: FloatArray, variance: FloatArray) -
 def _edges(magnitude: FloatArray) -> FloatArray:
     """Edges of equal bins of a round width; sparse bins at both ends are merged."""
     low, high = float(magnitude.min()), float(magnitude.max())
-    width = next((w for w in WIDTHS if (high - low) / w <= MOST_BINS), (high - low) / MOST_BINS)
+    width = next((w for w in WIDTHS if (high - low) / w <= MAX_BINS), (high - low) / MAX_BINS)
     edges = width * np.arange(np.floor(low / width), np.floor(high / width) + 2)
     count = np.bincount(((magnitude - edges[0]) / width).astype(np.int64), minlength=len(edges) - 1)[: len(edges) - 1]
     below, above = np.cumsum(count), np.cumsum(count[::-1])
-    begin = int(np.searchsorted(below, LEAST_IN_BIN))
-    end = len(count) - int(np.searchsorted(above, LEAST_IN_BIN))
+    begin = int(np.searchsorted(below, MIN_IN_BIN))
+    end = len(count) - int(np.searchsorted(above, MIN_IN_BIN))
     return edges[[0, -1]] if end <= begin + 1 else np.concatenate([edges[:1], edges[begin + 1 : end], edges[-1:]])
 
 
@@ -180,7 +180,7 @@ class ShareCurve:
         """The curve of greatest penalised likelihood, from magnitudes (n,), shares at the records' positions, and the
         probabilities of a partner; a few steps from ``start`` if given."""
         if start is None:
-            knots = knots_of(magnitude, np.ones(len(magnitude)), PER_KNOT, MOST_KNOTS)
+            knots = knots_of(magnitude, np.ones(len(magnitude)), PER_KNOT, MAX_KNOTS)
             start = cls(knots, np.zeros(len(knots)))
         from sameas.kernels.relation import climb
 
@@ -205,7 +205,7 @@ class ShareCurve:
 
         terms = np.zeros(len(magnitude))
         rows = np.arange(len(magnitude)) if rows is None else rows
-        weigh(magnitude, share, rows, LEAST_SHARE, self.knots, self.values, terms)
+        weigh(magnitude, share, rows, MIN_SHARE, self.knots, self.values, terms)
         return terms
 
 
@@ -217,5 +217,5 @@ def _penalty(k: int) -> FloatArray:
 
 def logit(share: FloatArray) -> FloatArray:
     """ln s / (1 − s), for shares clipped to 1e-6 … 1 − 1e-6."""
-    share = np.clip(share, LEAST_SHARE, 1.0 - LEAST_SHARE)
+    share = np.clip(share, MIN_SHARE, 1.0 - MIN_SHARE)
     return np.log(share) - np.log1p(-share)

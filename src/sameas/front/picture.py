@@ -29,7 +29,7 @@ from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells
 from sameas.maps.outline import Coast
 from sameas.maps.sheet import MapAlarm, MapSensor, MapSheet
-from sameas.picture.picture import MOST_INSTANTS, Picture, instants
+from sameas.picture.picture import MAX_INSTANTS, Picture, instants
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.watch import EvidenceOf, Watch, all_evidence
 from sameas.report.picture import (
@@ -77,7 +77,7 @@ class Instants:
         if self.every_s is not None and not 0.0 < self.every_s < np.inf:
             raise InputError(Message(Argument("every", f"{self.every_s:g}s"), " is no time between instants"),
                              "give a time above 0")  # fmt: skip
-        if self.every_s is not None and (last - first) / self.every_s >= MOST_INSTANTS:
+        if self.every_s is not None and (last - first) / self.every_s >= MAX_INSTANTS:
             times = f" makes {count(round((last - first) / self.every_s))} instants from {span(first, last)}"
             every = Argument("every", f"{self.every_s:g}s")
             raise InputError(Message(every, times), "give a longer time between instants")

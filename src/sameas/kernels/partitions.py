@@ -34,7 +34,7 @@ MIN_LOWERED_NATS, MIN_PRUNED_SHARE = 0.01, 0.02
 #: Sums with a smaller cut are no more accurate than samples, and the best partition alone is worse: the rms error of
 #: probabilities on random groups of 8 to 30 records, weak and strong sets, is 0.01 to 0.02 with a cut of 2, 0.05 to
 #: 0.09 with a cut of 1, 0.01 by samples, 0.16 to 0.24 by the best partition alone.
-LEAST_CUT = 2.0
+MIN_CUT = 2.0
 #: Groups of at most this many records and sets are summed partition by partition, if the best partition outweighs the
 #: second by more than the last number, in nats.
 FEW_RECORDS, FEW_SETS, CLEAR_NATS = 3, 7, 1e-9
@@ -336,7 +336,7 @@ def packed(
     lowered coordinate by coordinate, and annealed if that is not enough. Excluding sets splits the group into blocks,
     and a block's own duals are tighter. c is the first of ``cuts`` at which a block has at most ``max_records``
     records and its sum at most ``cap`` steps between states. ``cut`` is the lowest c of a group's blocks, or −1 if a
-    block has none; only the other blocks are written then. Blocks of c below :data:`LEAST_CUT` have the best partition
+    block has none; only the other blocks are written then. Blocks of c below :data:`MIN_CUT` have the best partition
     of that sum, and probabilities from samples of their partitions.
     """
     local = np.full(len(dual), NONE)
@@ -474,11 +474,11 @@ def _packed_group(
         hint = _anneal(begin, entry, weight, sweeps, own_dual)
         pruned, inexact = (begin, entry, weight, place, hint), np.zeros(n, np.bool_)
         for cut in cuts:
-            if cut < LEAST_CUT and not inexact.any():
+            if cut < MIN_CUT and not inexact.any():
                 inexact = ~done
             pruned = _prune(*pruned, cut, block, done, own_dual)
             if _sum_blocks(*pruned[:4], block, done, max_records, cap, share, chosen):
-                if cut < LEAST_CUT:
+                if cut < MIN_CUT:
                     _by_samples(begin, entry, weight, place, hint, inexact, source, chosen, share)
                 return cut
     return -1.0

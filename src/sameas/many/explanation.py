@@ -28,7 +28,7 @@ from sameas.result.explanation import probability_text
 #: Least probability of a listed rival (chosen).
 MIN_PROBABILITY = 1e-9
 #: Most rivals in the text.
-MOST_RIVALS = 8
+MAX_RIVALS = 8
 
 #: A record: the name of its source and its id there.
 Name = tuple[str, Any]
@@ -209,7 +209,7 @@ def _lines(x: ObjectExplanation) -> list[str]:
         f"Group {x.group}: {x.records} records; probabilities are {summed}.",
         "",
     ]
-    first = x.rivals[:MOST_RIVALS]
+    first = x.rivals[:MAX_RIVALS]
     listed = first if chosen in first else (*first[:-1], chosen)
     width = max(len(str(rival)) for rival in listed) + 2
     lines.append(f"{'records':>{width}}  {'probability':>11}  {'log-odds':>8}  terms")

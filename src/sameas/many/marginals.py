@@ -203,7 +203,7 @@ def _group_of_record(sets: Sets, n_records: int) -> IntArray:
 #: A sum without the sets of larger reduced cost counts as exact: e⁻³⁰ is below the resolution of a probability.
 EXACT = 30.0
 #: Most records of a block: the bits of a state.
-MOST_RECORDS = 63
+MAX_RECORDS = 63
 
 
 @in_short
@@ -306,7 +306,7 @@ def packed_groups(
     share, chosen, cut = np.zeros(n), np.zeros(n, bool), np.full(len(groups), -1.0)
     packed(
         np.flatnonzero(groups & (sets.floor <= 0)), sets.start, sets.members, sets.log_weight, tuning.small,
-        np.array(tuning.cuts), MOST_RECORDS, min(tuning.block_steps, tuning.max_steps), dual, share, chosen, cut,
+        np.array(tuning.cuts), MAX_RECORDS, min(tuning.block_steps, tuning.max_steps), dual, share, chosen, cut,
     )  # fmt: skip
     return share, chosen, cut
 
@@ -371,12 +371,12 @@ class _Sums:
         cost : (k,) reduced costs. chosen : (k,) sets of the best partition, never excluded. weight : (k,) ln w, with a
         count prior tilted by its slope at the best partition; used by the samples.
         """
-        from sameas.kernels.partitions import LEAST_CUT, set_samples
+        from sameas.kernels.partitions import MIN_CUT, set_samples
 
         share, cut = np.zeros(len(self.sets)), cut.copy()
         for value in self.tuning.cuts:
             unsolved = cut < 0
-            if value < LEAST_CUT or not unsolved.any():
+            if value < MIN_CUT or not unsolved.any():
                 break
             part, _, solved = self.below(np.where(chosen, 0.0, cost), value, unsolved)
             share += part
@@ -404,7 +404,7 @@ class _Sums:
         at = kept[blocks.at]
         start, table = self._remaining_table(blocks, kept[blocks.certain])
         eliminate(
-            np.flatnonzero(blocks.size <= MOST_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
+            np.flatnonzero(blocks.size <= MAX_RECORDS), blocks.start, blocks.first, blocks.mask, sets.log_weight[at],
             sets.size[at] - 1, start, table, self.counts, self.tuning.max_steps, part, best, solved,
         )  # fmt: skip
         done = groups
@@ -415,7 +415,7 @@ class _Sums:
     def _too_wide(self, kept: IntArray) -> BoolArray:
         """(g,) groups in which the kept sets connect more records than a state has bits; they are not tried."""
         sets, wide = self.sets, np.zeros(len(self.sets.start) - 1, bool)
-        kept = kept[(self._sizes > MOST_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
+        kept = kept[(self._sizes > MAX_RECORDS)[sets.group[kept]] & (sets.size[kept] > 1)]
         if self.counts or not len(kept):
             return wide
         at, source = np.nonzero(sets.members[kept] != NO_RECORD)
@@ -425,7 +425,7 @@ class _Sums:
             csr_array((np.ones(len(at), np.int8), edges), shape=(size, size)), directed=False
         )
         records = np.bincount(part[: self.n_records])
-        wide[sets.group[kept[records[part[self.n_records :]] > MOST_RECORDS]]] = True
+        wide[sets.group[kept[records[part[self.n_records :]] > MAX_RECORDS]]] = True
         return wide
 
     @cached_property

@@ -79,7 +79,7 @@ def _column(name: str, values: FloatArray, step: float) -> tuple[dict[str, Any],
 #: The scripts of the page, each after those it uses.
 SCRIPTS = ("table", "words", "earth", "marks", "labels", "chart", "ground", "panel", "listing", "hands")
 #: Size of the chart relative to the extent of the data, and its least half width in metres.
-ROOM, LEAST_M = 4.0, 20e3
+ROOM, MIN_M = 4.0, 20e3
 #: Step of stored probabilities.
 PROBABILITY_STEP = 1e-5
 
@@ -143,7 +143,7 @@ def _settings(sheet: MapSheet) -> dict[str, Any]:
 def _ground(sheet: MapSheet) -> dict[str, Any]:
     """The box of the plane that can be viewed, and the coasts and borders in it."""
     west, south, east, north = sheet.extent()
-    half = max(ROOM * max(east - west, north - south) / 2.0, LEAST_M if sheet.plane is not None else 0.0)
+    half = max(ROOM * max(east - west, north - south) / 2.0, MIN_M if sheet.plane is not None else 0.0)
     x, y = (west + east) / 2.0, (south + north) / 2.0
     box = (x - half, y - half, x + half, y + half)
     if sheet.ground is not None:

@@ -17,10 +17,10 @@ from sameas.report.movers import reasons
 from sameas.sky.movers.known import KnownObjects
 from sameas.sky.movers.search import Movers
 from sameas.sky.movers.stack import Stack
-from sameas.sky.series import LEAST_FLOOR_ARCSEC, Series, Stars
+from sameas.sky.series import MIN_FLOOR_ARCSEC, Series, Stars
 
 #: Maximum number of candidates, and of frames per candidate, on the page (chosen: some megabytes).
-MOST, MOST_FRAMES = 24, 40
+MOST, MAX_FRAMES = 24, 40
 #: In units of the pixel noise: distance of black below the sky, least white level, softening of asinh.
 _BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
 
@@ -118,11 +118,11 @@ def _mover(found: Movers, series: Series, pixels: Stack, known: KnownObjects | N
 def _frames(pixels: Stack, k: int) -> NDArray[np.int64]:
     """The frames of a candidate on the page: those that cover it; of too many, evenly spaced detections or frames."""
     covering = np.flatnonzero(np.isfinite(pixels.flux[k]) | pixels.detected[k])
-    if len(covering) <= MOST_FRAMES:
+    if len(covering) <= MAX_FRAMES:
         return covering
     detected = covering[pixels.detected[k, covering]]
-    choice = detected if len(detected) >= MOST_FRAMES else covering
-    return np.asarray(choice[np.unique(np.linspace(0, len(choice) - 1, MOST_FRAMES).astype(np.int64))])
+    choice = detected if len(detected) >= MAX_FRAMES else covering
+    return np.asarray(choice[np.unique(np.linspace(0, len(choice) - 1, MAX_FRAMES).astype(np.int64))])
 
 
 def _known(found: Movers, known: KnownObjects | None, k: int) -> dict[str, Any] | None:
@@ -146,7 +146,7 @@ def _sheet(cuts: NDArray[np.float32], top: float) -> dict[str, Any]:
 # The page of a series: frames with links to their pages, zero points, light curves of stars, doubts.
 
 #: Maximum number of stars on the page, and how many of them are the least constant (chosen: some megabytes).
-MOST_STARS, LEAST_CONSTANT = 600, 200
+MAX_STARS, MIN_CONSTANT = 600, 200
 
 
 def series_field(
@@ -167,7 +167,7 @@ def series_field(
             "missing": one["found"]["missing"], "zero": rounded(stars.zero_point[k], 4),
             "zero_err": rounded(stars.zero_error[k], 4), "ensemble": int(stars.ensemble[k]),
             "scatter": rounded(series.floor_arcsec[k], 3),
-            "below": bool(series.floor_arcsec[k] <= LEAST_FLOOR_ARCSEC),
+            "below": bool(series.floor_arcsec[k] <= MIN_FLOOR_ARCSEC),
             "width": rounded(one.get("psf_fwhm_px") or np.nan, 2),
             "shift": column(series.shift_arcsec[k], 5), "doubts": list(doubts[k]),
         }
@@ -189,11 +189,11 @@ def series_field(
 def _shown(stars: Stars) -> IntArray:
     """Rows of the stars on the page: all, or the least constant and the brightest."""
     usable = np.flatnonzero(np.isfinite(stars.mean) & np.isfinite(stars.scatter_mag))
-    if len(usable) <= MOST_STARS:
+    if len(usable) <= MAX_STARS:
         return usable
-    variable = usable[np.argsort(stars.p_constant[usable], kind="stable")][:LEAST_CONSTANT]
+    variable = usable[np.argsort(stars.p_constant[usable], kind="stable")][:MIN_CONSTANT]
     bright = usable[np.argsort(stars.mean[usable], kind="stable")]
-    bright = bright[~np.isin(bright, variable)][: MOST_STARS - len(variable)]
+    bright = bright[~np.isin(bright, variable)][: MAX_STARS - len(variable)]
     return np.sort(np.concatenate([variable, bright]))
 
 

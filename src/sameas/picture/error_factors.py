@@ -254,7 +254,7 @@ def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:
 BLOCK, STEPS = 3, 5
 #: At most this many pairs and reports of an instant are used, to limit the time; and at most this many reports of a
 #: source: more add no information.
-MOST_PAIRS, MOST_REPORTS, MOST_OF_SOURCE = 64, 32, 2000
+MAX_PAIRS, MAX_REPORTS, MOST_OF_SOURCE = 64, 32, 2000
 
 
 @dataclass(frozen=True)
@@ -294,7 +294,7 @@ class ErrorFactors:
         """
         steady = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
         which = np.flatnonzero(steady & (self.reports[source] < MOST_OF_SOURCE))
-        return which[evenly(place[which], MOST_REPORTS)]
+        return which[evenly(place[which], MAX_REPORTS)]
 
     def with_shifts(
         self,
@@ -347,7 +347,7 @@ class ErrorFactors:
         weight: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorFactors:
-        """The estimate after pairs of tracks that are surely one object, at most :data:`MOST_PAIRS` per instant.
+        """The estimate after pairs of tracks that are surely one object, at most :data:`MAX_PAIRS` per instant.
 
         Parameters
         ----------

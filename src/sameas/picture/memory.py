@@ -47,7 +47,7 @@ from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
 from sameas.many.pooled import PooledRecords
-from sameas.picture.error_factors import MOST_PAIRS, ErrorFactors, evenly
+from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan, objects_per_m2
@@ -396,8 +396,8 @@ class Past:
         elapsed = scan.now.instant_s - self.track_pairs.anchor_s[at]
         delta = scan.state[places[:, 0], :2] - scan.state[places[:, 1], :2]
         due = np.flatnonzero((elapsed >= scan.tuning.lasting_s) & self.track_pairs.anchor_new[at].all(axis=1))
-        # Pairs added at one instant are due at one instant; beyond MOST_PAIRS they wait for the next.
-        due = due[evenly(scan.state[places[due, 0], :2], MOST_PAIRS)]
+        # Pairs added at one instant are due at one instant; beyond MAX_PAIRS they wait for the next.
+        due = due[evenly(scan.state[places[due, 0], :2], MAX_PAIRS)]
         correlation = tracks.error_correlation
         source = correlation.numbers(scan)[scan.source]
         restart = np.isnan(elapsed)

@@ -36,7 +36,7 @@ from sameas.picture.scan import Scan
 from sameas.ragged import places_in
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
-MOST_REPORTS = 256
+MAX_REPORTS = 256
 
 
 @dataclass(frozen=True)
@@ -257,7 +257,7 @@ class NamedTracks:
             return np.asarray(roots[0][k[which]] @ roots[1][k[which]].transpose(0, 2, 1))
 
         position = scan.state[place, :2]
-        sample = evenly(position, MOST_REPORTS)
+        sample = evenly(position, MAX_REPORTS)
         correlation = correlation.updated(
             source[sample], elapsed[sample], shift[sample], (r_last[sample] + r_new[sample], common(sample)),
             motion[sample], scan.tuning,

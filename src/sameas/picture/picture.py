@@ -32,7 +32,7 @@ from sameas.tracks.placement import Directions
 from sameas.tracks.scene import POSITION, Scene
 
 #: More instants are refused: the unit of the step is most likely wrong.
-MOST_INSTANTS = 1_000_000
+MAX_INSTANTS = 1_000_000
 
 
 def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
@@ -51,7 +51,7 @@ def instants(span_s: tuple[float, float], every_s: float) -> FloatArray:
     if not 0.0 < every_s < math.inf:
         raise InputError(f"instants: every_s is {every_s}; give seconds above 0")
     low, high = math.ceil(first / every_s), math.floor(last / every_s)
-    if high - low >= MOST_INSTANTS:
+    if high - low >= MAX_INSTANTS:
         raise InputError(f"instants: {high - low + 1} instants from {first:g} to {last:g} s; give a longer every_s")
     return every_s * np.arange(low, high + 1, dtype=np.float64) if high >= low else np.array([last])
 

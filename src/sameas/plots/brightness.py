@@ -104,7 +104,7 @@ def _share_identified(axes: Axes, match: SkyMatch) -> None:
 
 
 #: Maximum number of pairs drawn.
-MOST_DOTS = 5000
+MAX_DOTS = 5000
 
 
 def brightness(match: SkyMatch) -> Figure:
@@ -175,7 +175,7 @@ def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
     j = match.result.pairs.j[matches.pair]
     one = photometry.sides[0].measured.values[i, 0]
     two = photometry.sides[1].measured.values[j, 0]
-    some = slice(None, None, max(1, -(-len(one) // MOST_DOTS)))
+    some = slice(None, None, max(1, -(-len(one) // MAX_DOTS)))
     axes.plot(two[some], (one - two)[some], ".", ms=2.0, color=FAINT, alpha=0.5, rasterized=True)
     relation = photometry.first_relation
     if relation is not None:

@@ -27,9 +27,9 @@ DRAWABLE = 60
 #: Share of the true partners inside the dashed contour.
 INSIDE = 0.99
 #: The contour is drawn if its radius exceeds this, σ. For normal errors the radius is 3.03 σ.
-LEAST_CONTOUR = 3.2
+MIN_CONTOUR = 3.2
 #: Minimum probability of the candidates drawn, other than those of the requested record.
-LEAST_DRAWN = 1e-3
+MIN_DRAWN = 1e-3
 DASHES = (0, (5, 4))
 
 
@@ -129,7 +129,7 @@ def _competing(result: Identification, pairs: IntArray, own: int | None, source:
     own : index of that record in its source. A distant, nearly impossible candidate would shrink the rest of the plot.
     """
     i, j, p = result.pairs.i[pairs], result.pairs.j[pairs], result.p_pair[pairs]
-    probable = (p >= LEAST_DRAWN) | result.chosen[pairs]
+    probable = (p >= MIN_DRAWN) | result.chosen[pairs]
     if own is not None:
         probable |= (i if source == 1 else j) == own
         seed = np.flatnonzero((i if source == 1 else j) == own)[:1]
@@ -235,7 +235,7 @@ def _ellipses(axes: Axes, side: _CatalogueSide, reach: float) -> FloatArray:
             axes.fill(*outline.T, facecolor=side.colour, alpha=alpha, linewidth=0, zorder=2)
             axes.plot(*outline.T, color=side.colour, lw=0.8, zorder=2)
         outermost.append(ellipse(place, covariance, max(reach, 3.0)))
-        if reach > LEAST_CONTOUR:
+        if reach > MIN_CONTOUR:
             axes.plot(*outermost[-1].T, color=side.colour, lw=1.2, ls=DASHES, zorder=1)
         axes.plot(*place, marker=side.marker, ms=5, color=side.colour, zorder=5)
     return np.concatenate(outermost)
@@ -310,7 +310,7 @@ def _key(axes: Axes, match: SkyMatch, sides: tuple[_CatalogueSide, _CatalogueSid
         dot = Line2D([], [], color=side.colour, marker=side.marker, ls="", ms=6)
         entries.append((dot, f"{side.catalogue.name}: error here {_arcsec(side.size)} on each axis"))
     entries.append((Patch(facecolor=FIRST, alpha=0.3), "ellipses: 1, 2 and 3 σ of the quoted errors"))
-    if containment(match.estimate.spread, INSIDE) > LEAST_CONTOUR:
+    if containment(match.estimate.spread, INSIDE) > MIN_CONTOUR:
         wider = _wider(sides)
         line = Line2D([], [], color=wider.colour, ls=DASHES, lw=1.2)
         entries.append((line, f"{100 * INSIDE:.0f} % of true partners, by the estimated errors"))

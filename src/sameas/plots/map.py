@@ -123,7 +123,7 @@ WIDTH_IN = 11.0
 #: West, south, east and north in metres.
 Box = tuple[float, float, float, float]
 #: Maximum number of labels.
-MOST_LABELS = 200
+MAX_LABELS = 200
 
 
 def chart(drawn: MapSheet, instant_s: float | None = None) -> Figure:
@@ -418,7 +418,7 @@ def _labels(axes: Axes, now: _Snapshot, box: Box) -> None:
     metres_per_point = (box[2] - box[0]) / (9.2 * 72.0)
     taken = [np.concatenate([p - 6 * metres_per_point, p + 6 * metres_per_point])
              for p in (now.state(int(row))[0] for row in now.rows)]  # fmt: skip
-    for k in np.argsort(~np.array(important, bool), kind="stable")[:MOST_LABELS]:
+    for k in np.argsort(~np.array(important, bool), kind="stable")[:MAX_LABELS]:
         row = int(now.rows[k])
         words = str(o["label"][row])[:24] or f"#{o['object'][row]}"
         size = np.array([5.4 * len(words), 11.0]) * metres_per_point

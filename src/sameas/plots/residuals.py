@@ -257,7 +257,7 @@ def _detail(match: SkyMatch) -> str:
 # Scatter of the identified pairs by quoted error and by magnitude.
 
 #: Minimum number of pairs per bin, and maximum number of bins.
-LEAST, MOST_BINS = 40, 16
+LEAST, MAX_BINS = 40, 16
 #: Axes are logarithmic if errors differ by more than this factor.
 FAR = 20.0
 #: Median separation of two-dimensional normal errors over their σ, and √n times the relative error of that median.
@@ -340,7 +340,7 @@ def _bins(values: FloatArray) -> list[NDArray[np.intp]]:
     """Indices of the values in ascending bins of equal number; one bin if the values hardly differ."""
     order = np.argsort(values, kind="stable")
     low, high = np.quantile(values, (0.02, 0.98))
-    number = 1 if high - low <= 0.02 * abs(high) else max(1, min(MOST_BINS, len(values) // LEAST))
+    number = 1 if high - low <= 0.02 * abs(high) else max(1, min(MAX_BINS, len(values) // LEAST))
     return np.array_split(order, number)
 
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 #: Maximum number of sources of a frame compared with a position.
 NEIGHBOURS = 3
 #: Minimum of the extra scatter of a frame's bright sources, arcsec (chosen).
-LEAST_FLOOR_ARCSEC = 0.02
+MIN_FLOOR_ARCSEC = 0.02
 #: Flags of measurements with an unreliable position: never movers.
 _SPOILT = Flag.HOT | Flag.COSMIC | Flag.POOR | Flag.EDGE
 #: Flags of measurements with an incomplete flux: not used for zero points.
@@ -453,7 +453,7 @@ def _floors(
             residual = (stack[k] - centre).ravel()
             spread = 1.4826 * np.nanmedian(np.abs(residual - np.nanmedian(residual)))
             if np.isfinite(spread):
-                floor[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), LEAST_FLOOR_ARCSEC**2))
+                floor[k] = math.sqrt(max(spread**2 - np.nanmedian(variances[k]), MIN_FLOOR_ARCSEC**2))
     return floor
 
 

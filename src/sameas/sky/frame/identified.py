@@ -424,7 +424,7 @@ def solve(
 
 
 #: Grid of the common error of stars: range in pixels, number of steps (chosen).
-LEAST_PX, LARGEST_PX, STEPS = 1e-3, 10.0, 200
+MIN_PX, LARGEST_PX, STEPS = 1e-3, 10.0, 200
 #: Minimum probability of pairs used for it; share of outliers (doubles, blends) and factor on their errors (chosen).
 SURE, TAIL_SHARE, TAIL = 0.9, 0.05, 5.0
 
@@ -442,7 +442,7 @@ def common_star_error(found: FrameIdentification) -> float:
     parameters = (found.plate.order + 1) * (found.plate.order + 2) // 2
     residual_sq = residual**2 * len(residual) / max(len(residual) - parameters, 1)
     sigma2 = scale**2 * found.measured.covariance[i[sure]][:, [0, 2]].mean(axis=1, keepdims=True)
-    s2 = (scale * np.geomspace(LEAST_PX, LARGEST_PX, STEPS)) ** 2
+    s2 = (scale * np.geomspace(MIN_PX, LARGEST_PX, STEPS)) ** 2
     log_likelihood = [_log_tailed(residual_sq, sigma2 + variance).sum() for variance in s2]
     return float(np.sqrt(s2[int(np.argmax(log_likelihood))]))
 

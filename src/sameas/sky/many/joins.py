@@ -29,7 +29,7 @@ from sameas.sky.many.match import ManyMatch
 from sameas.sky.output_columns import meta_of
 
 #: Minimum probability of a runner-up that is listed (chosen).
-LEAST_RUNNER_UP = 1e-3
+MIN_RUNNER_UP = 1e-3
 #: Object number of unusable rows.
 NO_OBJECT = -1
 _WORDS = {
@@ -152,9 +152,9 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
 
 
 def _runner_up_texts(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
-    """(k,) runners-up as "catalogue id = catalogue id", masked below :data:`LEAST_RUNNER_UP`."""
+    """(k,) runners-up as "catalogue id = catalogue id", masked below :data:`MIN_RUNNER_UP`."""
     rows = np.ma.filled(match.objects.runner_up, NO_RECORD)[at]
-    some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= LEAST_RUNNER_UP)
+    some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= MIN_RUNNER_UP)
     names = [_to_ascii(catalogue.name) for catalogue in match.catalogues]
     words = [
         " = ".join(

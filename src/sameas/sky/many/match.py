@@ -54,9 +54,9 @@ UNBOUNDED = 1e4
 #: Minimum pairwise probability of candidates that imply further ones (chosen).
 PLAUSIBLE = 1e-6
 #: Maximum number of catalogues: more have too many patterns to estimate (chosen).
-MOST_CATALOGUES = 8
+MAX_CATALOGUES = 8
 #: Minimum time span, years, that determines a motion (chosen).
-LEAST_SPAN_YR = 0.1
+MIN_SPAN_YR = 0.1
 
 
 @in_short
@@ -278,7 +278,7 @@ class ManyMatch:
             epoch = catalogue.astrometry.epoch_jyr[rows]
             measured[present] |= moving_rows(catalogue)[rows]
             first[present], last[present] = np.fmin(first[present], epoch), np.fmax(last[present], epoch)
-        return np.asarray(measured | (last - first > LEAST_SPAN_YR))
+        return np.asarray(measured | (last - first > MIN_SPAN_YR))
 
     @cached_property
     def broken(self) -> int:
@@ -500,8 +500,8 @@ def _initial_population(
 
 
 def _refuse(catalogues: Sequence[Catalogue]) -> None:
-    if not 2 <= len(catalogues) <= MOST_CATALOGUES:
-        raise InputError(f"{len(catalogues)} catalogues given; give two to {MOST_CATALOGUES}, as a list")
+    if not 2 <= len(catalogues) <= MAX_CATALOGUES:
+        raise InputError(f"{len(catalogues)} catalogues given; give two to {MAX_CATALOGUES}, as a list")
     names = [catalogue.name for catalogue in catalogues]
     duplicate = next((name for name in names if names.count(name) > 1), None)
     if duplicate is not None:
