@@ -28,13 +28,13 @@ _BLACK, _WHITE, _SOFT = 2.0, 12.0, 4.0
 def write_movers_page(
     path: str | os.PathLike[str], title: str, found: Movers, series: Series, pixels: Stack,
     known: KnownObjects | None = None, below: tuple[Movers, Stack, KnownObjects | None] | None = None,
-    told: BoolArray | None = None,
+    in_report: BoolArray | None = None,
 ) -> None:  # fmt: skip
     """Writes the page of the moving objects on a series of frames: one file, complete in itself.
 
     found : the tracklets. pixels : cut-outs of the first of them. known : their known objects, if elements were given.
-    below : the same three for movers that only the stacked frames show, if these were searched. told : (k,) tracklets
-    in the report, None without a report.
+    below : the same three for movers found only in the stacked frames, if these were searched. in_report : (k,) whether
+    a tracklet is in the report; None without a report.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def write_movers_page(
     )
     movers = [_mover(found, series, pixels, known, k) for k in range(count)]
     for k, one in enumerate(movers):
-        one["report"] = None if told is None else bool(told[k])
+        one["report"] = None if in_report is None else bool(in_report[k])
     if below is not None:
         faint, light, names = below
         movers += [_mover(faint, series, light, names, k) for k in range(min(len(light), MOST))]
