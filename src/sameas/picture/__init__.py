@@ -1,7 +1,7 @@
-"""The picture: objects that persist, from what many sources say over time, and its metrics where the truth is known.
+"""The picture: persistent objects from the reports of many sources over time.
 
-:class:`Picture` is that of a whole span; :class:`Watch` goes from instant to instant, for live use, and
-:class:`PlotPicture` from scan to scan where no source names what it shows.
+Use :class:`Picture` for a whole time span, :class:`Watch` from instant to instant for live use, and
+:class:`PlotPicture` from scan to scan if no source has track ids.
 """
 
 import lazy_loader

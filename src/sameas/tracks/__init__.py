@@ -1,8 +1,8 @@
-"""Targets seen by sensors: sources described, their reports in one plane and at one instant, biases taken away.
+"""Tracks: descriptions of sensors, their reports in one plane and at one instant, and the removal of their biases.
 
-Use :class:`Scene` where several sensors watch the same objects: describe each (:class:`Description`, or
-:func:`read_descriptions` from a file), read what it wrote (:func:`sameas.io.sensors.read_reports`), and ask the scene
-for an instant, which :func:`sameas.identify_many` understands.
+Use :class:`Scene` if several sensors observe the same objects: describe each (:class:`Description`, or
+:func:`read_descriptions` from a file), read its reports (:func:`sameas.io.sensors.read_reports`), and pass the records
+of an instant of the scene to :func:`sameas.identify_many`.
 """
 
 import lazy_loader

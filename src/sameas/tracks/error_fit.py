@@ -6,16 +6,16 @@ three-cornered hat). Along and across the line of sight, at range r,
 
     Var along = a₁² + a₂² + e₁² + e₂²,    Var across = (r b₁)² + (r b₂)² + e₁² + e₂²,
 
-with a the error of ranges, b that of bearings, and e the wander of the measured point over the hull; directions have
+with a the error of ranges, b that of bearings, and e the scatter of the measured point over the hull; directions have
 only the second. Which plots are of one object is unknown: a pair within a box is of one object with probability π, else
-by chance, with uniform density in the box. Numbers that the user did not give have log-normal priors about those of the
-kind (e about ``hull_sigma_m``). EM finds the maximum of the posterior, from several starting points. Errors are
-correlated in time, so the scans within ``fit_correlation_s`` count as one. Of a source that may be late, several
-latencies are tried. All fits are averaged with their posterior probabilities as weights.
+by chance, with uniform density in the box. Values not given by the user have log-normal priors about those of the kind
+(e about ``hull_sigma_m``). EM finds the maximum of the posterior, from several starting points. Errors are correlated
+in time, so the scans within ``fit_correlation_s`` count as one. For a source with possible latency, several latencies
+are tried. All fits are averaged with their posterior probabilities as weights.
 
-Sensors at one place all see the near side of a hull. This common error is in no difference. It is assumed to have half
-the variance of the wander, e² averaged in logarithms (chosen: three recordings give 0.3 to 1.2), and is a part of the
-errors of fused positions that further sources do not reduce.
+Sensors at one place all detect the near side of a hull. This common error does not appear in differences. It is assumed
+to have half the variance of the scatter, e² averaged in logarithms (chosen: three recordings give 0.3 to 1.2), and is
+a part of the errors of fused positions that further sources do not reduce.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Kinds of sources: what is assumed of each where its description does not say, and why. Tables only.
+"""Kinds of sources: tables of the values assumed for each if its description does not give them, with reasons.
 
 A new kind is a new :class:`Kind` in :data:`KINDS`. Names are those of :class:`sameas.tracks.source.Description`,
-``part.field``. Every value that is used from here is in the description's ``assumed`` and printed with the result.
+``part.field``. Every value used from here is in the description's ``assumed`` and is printed with the result.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ Value = float | tuple[float, ...]
 class Kind:
     """One kind of source.
 
-    defaults : name of a quantity to (value, why). correlation_s : correlation time of its position errors before any
-    is measured, seconds (chosen). directions : whether it gives directions alone. self_named : whether its objects
-    name themselves, so that no tracker swaps their ids.
+    defaults : (value, reason) by name of the quantity. correlation_s : prior correlation time of its position errors,
+    seconds (chosen). directions : whether it gives only directions. self_named : whether its objects transmit their
+    own ids, so that no tracker swaps them.
     """
 
     title: str
@@ -68,7 +68,7 @@ KINDS: Mapping[str, Kind] = {
             "bias.time_s": (2.0, "displays and networks forward plots about one rotation late"),
             **_VESSEL,
         },
-        correlation_s=60.0,  # a radar smooths the tracks that it names, for a minute or so
+        correlation_s=60.0,  # a radar smooths its tracks over about a minute
     ),
     "air radar": Kind(
         "a surveillance radar for aircraft: primary, secondary or Mode S",

@@ -36,7 +36,7 @@ from sameas.tracks.kinds import KINDS
 
 @dataclass(frozen=True)
 class Site:
-    """Where a sensor stands: latitude, longitude and height, or metres east and north in a plane of the user's own."""
+    """Position of a sensor: latitude, longitude and height, or metres east and north in a plane of the user's own."""
 
     lat_deg: float | None = None
     lon_deg: float | None = None
@@ -50,7 +50,7 @@ class Site:
             raise InputError("site: give lat_deg and lon_deg, or east_m and north_m")
 
     def in_plane(self, plane: LocalPlane | None) -> tuple[float, float]:
-        """(east, north) in metres; ``plane`` None stands for the user's own plane."""
+        """(east, north) in metres; plane : None for the user's own plane."""
         if (plane is None) == (self.east_m is None):
             raise InputError(
                 "site: its coordinates are not those of the picture; give both in degrees, or both in metres"
@@ -188,10 +188,10 @@ class Motion:
 
 @dataclass(frozen=True)
 class BiasPrior:
-    """The prior of unknown biases, 1σ; 0 or None: there is none. ``Scene.registered`` estimates them.
+    """Prior 1σ of unknown biases, 0 or None for no bias. ``Scene.registered`` estimates them.
 
-    range_m, azimuth_deg, range_gain : of a sensor with a site. time_s : by which stamps are late, besides
-    timing.latency_s. shift_m : of the whole source, to the east and to the north each.
+    range_m, azimuth_deg, range_gain : of a sensor with a site. time_s : latency in addition to timing.latency_s.
+    shift_m : of the whole source, per axis (east and north).
     """
 
     range_m: float | None = None
