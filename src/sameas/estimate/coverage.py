@@ -29,30 +29,30 @@ if TYPE_CHECKING:
 
 # Holes and edges of a source, to the spacing of its records: discs that are empty although many records are expected.
 #
-# Cells show where a source does not observe at all; discs find the rest at the borders, and holes smaller than cells. A
-# record lies in a hole if it is inside an empty disc around a record of its own source (an interval in one dimension, a
-# ball in three): a morphological opening of the empty space by that disc.
+# Cells find the large regions that a source does not observe; discs find the remainder at their borders, and holes
+# smaller than cells. A record lies in a hole if it is inside an empty disc around a record of its own source (an
+# interval in one dimension, a ball in three): a morphological opening of the empty space by that disc.
 
 Floats = TypeVar("Floats", float, FloatArray)
 
 #: Records expected in an empty disc, by the density where its source observes. More than in a cell: cells are few and
 #: fixed, but a disc is tried around every record.
 DISC = 12.0
-#: Records expected in it from the number of records of its own source in it (its centre included), at least, so that a
-#: region poor in objects is not taken for a hole.
+#: Minimum number of records expected in it from the number of records of its own source in it (including its centre),
+#: so that a region with few objects is not mistaken for a hole.
 COMPANY = 7.0
 #: Records expected in a smaller empty disc that extends a hole to its border.
 STEP = 5.0
 #: An empty disc at a border reaches beyond it to the first records, by about this fraction of their spacing. The
-#: accepted part of the disc is that much smaller, times 1 − share, because discs are tried around records only, and
-#: with fewer of these a disc that reaches so far is found less often.
+#: accepted part of the disc is that much smaller, times 1 − share, because discs are centred on records, and with fewer
+#: records a disc with this overreach is less frequent.
 OVERREACH = 0.6
-#: Greatest dimension for discs; in more, records have too many neighbours.
+#: Maximum dimension for discs; in more dimensions records have too many neighbours.
 MAX_DIMENSIONS = 3
 #: Where a disc must contain more records than ``MANY``, centres nearer than this fraction of the radius count as one.
 MIN_SPACING = 0.125
 MANY = 64.0
-#: Greatest number of cells along an axis; farther ones share a number.
+#: Maximum number of cells along an axis; farther ones share a number.
 MAX_CELLS = 2.0**40
 
 

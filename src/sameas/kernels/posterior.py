@@ -28,11 +28,12 @@ from sameas.kernels.eliminate import eliminate, scratch
 # no partner yet either leaves it alone or pairs it with a neighbour that is not eliminated. The order of elimination,
 # through records of both sources, keeps few records open.
 
-#: Most partial sums of one group.
+#: Maximum number of partial sums of one group.
 MAX_SUMS = 1 << 22
-#: Most open records: their sums fill MAX_SUMS, and far more would not fit into the bits of a word.
+#: Maximum number of open records: their sums fill MAX_SUMS, and far more would not fit into the bits of a word.
 MAX_OPEN = 22
-#: A group of more than RETRY_ABOVE sums is ordered from STARTS different first records, and the fewest sums are taken.
+#: A group of more than RETRY_ABOVE sums is ordered from STARTS different first records; the order with the fewest sums
+#: is used.
 RETRY_ABOVE, STARTS = 2048, 8
 #: Every RESCALE_EVERY steps, sums are divided by their largest if that is not within this factor of 1.
 RESCALE_EVERY, RESCALE_BEYOND = 4, 1e60

@@ -166,7 +166,7 @@ class Journal:
         self._base.executemany("INSERT INTO identities VALUES (?,?,?,?,?,?)", rows)
 
     def flush(self) -> Path | None:
-        """Writes the rows that wait for the archive to a Parquet file, and returns its path; None where none wait."""
+        """Writes the rows that wait for the archive to a Parquet file, and returns its path; None if there are none."""
         if not self._archive:
             return None
         import pyarrow as pa

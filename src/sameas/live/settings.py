@@ -81,7 +81,7 @@ class WatchSettings:
 
     @property
     def origin(self) -> LocalPlane | None:
-        """The plane about the given origin; None where none is given."""
+        """The plane about the given origin; None if it is not given."""
         return None if self.plane is None else LocalPlane(self.plane["lat_deg"], self.plane["lon_deg"])
 
 

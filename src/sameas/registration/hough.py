@@ -27,17 +27,17 @@ from sameas.space import Sphere
 
 @dataclass(frozen=True)
 class Tuning:
-    """The chosen numbers of :func:`sameas.registration.register`; σ is the standard deviation of a residual.
+    """Fixed parameters of :func:`sameas.registration.register`, chosen; σ is the standard deviation of a residual.
 
     Attributes
     ----------
-    beginnings, fewest_beginnings : most and fewest offsets that are refined. refined_records : fewer than
+    beginnings, fewest_beginnings : maximum and minimum number of refined offsets. refined_records : fewer than
         ``beginnings`` are refined if the second source has more than 16 × refined_records / beginnings records.
-    sure : an offset is established from this posterior probability on.
+    sure : minimum posterior probability of an established offset.
     small_overlap : an overlap below this share of both sources is reported.
 
-    most_pairs : most pairs whose votes are counted one by one; above, the counts are a correlation by FFT.
-    most_cells : most cells of a count.
+    most_pairs : maximum number of pairs whose votes are counted one by one; above, the counts are a correlation by FFT.
+    most_cells : maximum number of cells of a count.
     fine_sigmas : cells up to this many σ need no finer count. coarse_peaks : peaks of a coarse count that are refined.
     first_records, more_records : records that vote first, and the factor to the next number of them.
     decided_score, few_peaks : the votes of a sample decide at this score, with at most this many peaks near it.
@@ -46,18 +46,18 @@ class Tuning:
     node_peaks : peaks kept at each node of the grid on a patch.
     step_sigmas, reach_widths, most_steps : a step of the grid moves the patch's edge by this many σ; the grid extends
         to this many prior widths in at most this many steps.
-    peak_share, peak_cells : least share of the best score, and least distance in cells, of fine peaks.
+    peak_share, peak_cells : minimum share of the best score, and minimum distance in cells, of fine peaks.
     vote_sample : records that locate the votes within a coarse cell.
 
-    gate_sigmas : pairs farther than this many σ are not weighed.
-    cell_sigmas, cells_per_record : size of the cells in which pairs are searched, and most cells for a record.
-    sweeps, roughly, closely : most sweeps of messages, and the relative change at which they have converged, in the
+    gate_sigmas : pairs farther apart than this many σ are ignored.
+    cell_sigmas, cells_per_record : size of the cells in which pairs are searched, and maximum number per record.
+    sweeps, roughly, closely : maximum number of sweeps of messages, and the relative change at convergence, in the
         search and afterwards.
     least_common, most_common_share : limits of the number of common objects: objects, and share of the smaller source.
 
     widenings : factors on the errors, by iteration. kept : candidates that remain after each.
     from_patches, from_sample : first of the widenings with all records, after patches and after a sample.
-    settled : the refinement has converged at a step below this share of a standard error.
+    settled : the refinement has converged if a step is below this share of a standard error.
     same_sigmas, same_errors : two solutions are the same if 9 of 10 records move by at most this many σ, or if they
         differ by at most this many standard errors.
     most_behind : solutions with a log likelihood lower than the best by this are dropped.
