@@ -19,48 +19,48 @@ from sameas.arrays import FloatArray
 from sameas.kernels import compiled
 from sameas.picture.live import LivePicture
 
-#: What a cycle may take, p99 in milliseconds, by targets: far apart, busy, crowded.
-ASKED_MS = {500: (40.0, 60.0, 90.0), 1000: (60.0, 100.0, 180.0)}
-#: Cycles that are not counted: the first compile, and then every track is new.
-FIRST = 4
+#: Targets for the p99 of a cycle in milliseconds, by number of targets: sparse, busy, crowded.
+TARGET_MS = {500: (40.0, 60.0, 90.0), 1000: (60.0, 100.0, 180.0)}
+#: Cycles that are not counted, because kernels are compiled or all tracks are new.
+WARMUP_CYCLES = 4
 
 
 def cycles(targets: int, crowd: float, seed: int, count: int) -> FloatArray:
     """(count, 2) milliseconds of ``add`` and of ``advance`` of each cycle."""
-    sources = modelled(Case(3, targets, 0.0), crowd, seed, count + FIRST + 1.0, period_s=1.0)
+    sources = modelled(Case(3, targets, 0.0), crowd, seed, count + WARMUP_CYCLES + 1.0, period_s=1.0)
     picture = LivePicture([description for description, _ in sources], lag_s=5.0)
     spent = []
-    for second in range(1, count + FIRST + 1):
-        came = [
+    for second in range(1, count + WARMUP_CYCLES + 1):
+        received = [
             (description.name, reports.where((reports.time_s > second - 1.0) & (reports.time_s <= second)))
             for description, reports in sources
         ]
         began = time.thread_time()
-        for name, reports in came:
+        for name, reports in received:
             picture.add(name, reports)
         added = time.thread_time()
         picture.advance(float(second))
         spent.append((added - began, time.thread_time() - added))
-    return 1e3 * np.array(spent[FIRST:])
+    return 1e3 * np.array(spent[WARMUP_CYCLES:])
 
 
 def lines(seeds: int, count: int) -> Iterator[list[object]]:
-    """The rows of the table, one for each number of targets and crowd."""
-    for targets, asked in ASKED_MS.items():
-        for crowd, limit in zip(CROWDS, asked, strict=True):
+    """The rows of the table, one per number of targets and crowding."""
+    for targets, limits in TARGET_MS.items():
+        for crowd, limit in zip(CROWDS, limits, strict=True):
             spent = np.concatenate([cycles(targets, crowd, seed, count) for seed in range(seeds)])
-            whole = spent.sum(axis=1)
+            total = spent.sum(axis=1)
             yield [
                 3, targets, crowd, float(np.median(spent[:, 0])), float(np.median(spent[:, 1])),
-                float(np.median(whole)), float(np.quantile(whole, 0.99)), limit,
+                float(np.median(total)), float(np.quantile(total, 0.99)), limit,
             ]  # fmt: skip
 
 
-COLUMNS = ("sources", "targets", "others within σ", "add, ms", "advance, ms", "cycle, ms", "p99", "asked")
+COLUMNS = ("sources", "targets", "others within σ", "add, ms", "advance, ms", "cycle, ms", "p99", "target")
 
 
 def main() -> None:
-    """Prints the table and keeps it."""
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one scene of ten cycles each")
     options = parser.parse_args()

@@ -26,7 +26,7 @@ GAIA, TWOMASS = FOLDER / "gaia_results.fits", FOLDER / "2MASS_results.ecsv"
 GAIA_ARCSEC, TWOMASS_ARCSEC = 0.0003, 0.08
 GAIA_EPOCH = 2015.5
 RADIUS_ARCSEC = 2.0
-NOBODY = -1
+NO_PARTNER = -1
 
 
 def missing() -> str | None:
@@ -64,12 +64,12 @@ class Field:
 
     def ours(self) -> np.ndarray:
         """Our partner."""
-        return np.asarray(self.found.result.answers_1.partner.filled(NOBODY))
+        return np.asarray(self.found.result.answers_1.partner.filled(NO_PARTNER))
 
     def nearest(self) -> tuple[np.ndarray, np.ndarray]:
         """The nearest source and how far it is; −1 beyond the radius."""
         near = self.found.nearest(moved=True)
-        return np.where(near.separation_arcsec <= RADIUS_ARCSEC, near.rows, NOBODY), near.separation_arcsec
+        return np.where(near.separation_arcsec <= RADIUS_ARCSEC, near.rows, NO_PARTNER), near.separation_arcsec
 
     def nearest_star(self, j: int) -> tuple[int, float]:
         """The Gaia star nearest to a 2MASS source, and how far it is."""
@@ -86,14 +86,14 @@ class Field:
         return float(np.hypot(*sphere_offset(*a, *b)))
 
     def probability(self, i: int, j: int) -> float | None:
-        """Ours of that pair, None where it is no candidate."""
+        """Our probability of the pair, None if it is not a candidate."""
         r = self.found.result
         at = np.flatnonzero((r.rows_1 == i) & (r.rows_2 == j))
         return float(r.p_pair[at[0]]) if len(at) else None
 
 
 def stilts_partners(first: Any, second: Any) -> np.ndarray | None:
-    """STILTS find=best within the radius, on the same moved positions; None where it is missing."""
+    """STILTS find=best within the radius, on the same moved positions; None if it is missing."""
     from astropy.table import Table as FitsTable
 
     if not shutil.which(peers.PEERS["stilts"].program):
@@ -108,7 +108,7 @@ def stilts_partners(first: Any, second: Any) -> np.ndarray | None:
             f"error={RADIUS_ARCSEC:g}", "find=best", "join=1and2", f"out={out}", "ofmt=fits",
         ])()  # fmt: skip
         table = FitsTable.read(out)
-    partners = np.full(first.n_table, NOBODY)
+    partners = np.full(first.n_table, NO_PARTNER)
     partners[np.asarray(table["row_1"])] = np.asarray(table["row_2"])
     return partners
 
@@ -117,13 +117,13 @@ def stilts_partners(first: Any, second: Any) -> np.ndarray | None:
 
 
 def summary(field: Field) -> Table:
-    """Pairs, double claims, agreement."""
+    """Pairs, double claims, agreement with ours."""
     ours, (near, _) = field.ours(), field.nearest()
-    said = {"sameas": ours, f"nearest within {RADIUS_ARCSEC:g}″": near}
+    partners = {"sameas": ours, f"nearest within {RADIUS_ARCSEC:g}″": near}
     if field.stilts is not None:
-        said[f"STILTS find=best, {RADIUS_ARCSEC:g}″"] = field.stilts
+        partners[f"STILTS find=best, {RADIUS_ARCSEC:g}″"] = field.stilts
     lines = []
-    for name, partner in said.items():
+    for name, partner in partners.items():
         claimed = partner[partner >= 0]
         twice = int(np.sum(np.unique(claimed, return_counts=True)[1] > 1))
         both = (partner >= 0) & (ours >= 0)
@@ -150,7 +150,7 @@ def summary(field: Field) -> Table:
 
 
 def claims(field: Field) -> Table:
-    """2MASS sources that are nearest to two Gaia stars, and who got them."""
+    """2MASS sources that are nearest to two Gaia stars, and the star that we matched with each."""
     near, distance = field.nearest()
     ours = field.ours()
     sources, count = np.unique(near[near >= 0], return_counts=True)
@@ -159,7 +159,7 @@ def claims(field: Field) -> Table:
         stars = np.flatnonzero(near == source)
         stars = stars[np.argsort(distance[stars])]
         holder = np.flatnonzero(ours == source)
-        words = "nobody" if not len(holder) else "the nearer" if holder[0] == stars[0] else (
+        words = "none" if not len(holder) else "the nearer" if holder[0] == stars[0] else (
             "the farther" if holder[0] in stars else "another star"
         )  # fmt: skip
         p = [field.probability(int(i), int(source)) for i in stars]

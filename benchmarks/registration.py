@@ -21,7 +21,7 @@ from sameas.simulate.scenes import SimulatedScene, poisson_field
 TARGETS = 40
 DENSITIES, MISSES, SHIFTS = (0.01, 0.03), (0.1, 0.3), (0.0, 2.0, 4.0, 8.0, 30.0)
 #: Rounds of the nearest-neighbour peer, and how far it looks in the end, in σ.
-CHASES, REACH_SIGMAS = 30, 3.0
+ICP_STEPS, REACH_SIGMAS = 30, 3.0
 
 
 def drawn(seed: int, q: float, density: float, n: int = TARGETS) -> SimulatedScene:
@@ -38,17 +38,17 @@ def put(records: Records, features: np.ndarray) -> Records:
     return replace(records, features=np.ascontiguousarray(features))
 
 
-def undone(model: Offset, theta: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The positions that the offset would move to ``wanted``, by Newton's method."""
-    at = wanted.copy()
+def inverse(model: Offset, theta: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """The positions that the offset moves to ``positions``, by Newton's method."""
+    at = positions.copy()
     for _ in range(20):
-        missing = wanted - model.moved(at, theta)
-        at = at + np.linalg.solve(model.carried(at, theta), missing[..., None])[..., 0]
+        residual = positions - model.moved(at, theta)
+        at = at + np.linalg.solve(model.carried(at, theta), residual[..., None])[..., 0]
     return at
 
 
 def f1(made: SimulatedScene, pairs: tuple[np.ndarray, np.ndarray]) -> float:
-    """F1 of the claimed pairs; NaN where there is nothing to find."""
+    """F1 of the claimed pairs; NaN without true pairs."""
     return score_pairs(pairs, made.true_pairs()).f1
 
 
@@ -58,16 +58,16 @@ def pairs_of(answer: object) -> tuple[np.ndarray, np.ndarray]:
     return found.rows_1, found.rows_2
 
 
-def chased(first: Records, second: Records) -> tuple[np.ndarray, np.ndarray]:
-    """The peer: iterated closest points (ICP), mutual nearest and the mean of their residuals, wide to narrow."""
+def icp(first: Records, second: Records) -> tuple[np.ndarray, np.ndarray]:
+    """For comparison, iterative closest point (ICP): mutual nearest, mean residual, within a shrinking radius."""
     from scipy.spatial import cKDTree
 
     x, y = first.features, second.features.copy()
-    for step in range(CHASES):
+    for step in range(ICP_STEPS):
         reach = max(30.0 * 0.7**step, REACH_SIGMAS)
-        away, nearest = cKDTree(y).query(x)
-        _, back = cKDTree(x).query(y)
-        rows = np.flatnonzero((back[nearest] == np.arange(len(x))) & (away <= reach * math.sqrt(2.0)))
+        distance, nearest = cKDTree(y).query(x)
+        _, backward = cKDTree(x).query(y)
+        rows = np.flatnonzero((backward[nearest] == np.arange(len(x))) & (distance <= reach * math.sqrt(2.0)))
         if len(rows):
             y = y + (x[rows] - y[nearest[rows]]).mean(axis=0)
     return rows, nearest[rows]
@@ -75,7 +75,7 @@ def chased(first: Records, second: Records) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class Tally:
-    """Values of one column, seed after seed."""
+    """The values of one column, one per seed."""
 
     values: list[float] = field(default_factory=list)
 
@@ -90,38 +90,38 @@ class Tally:
         return float(np.nanstd(self.values) / math.sqrt(len(self.values)))
 
 
-def known(made: SimulatedScene, q: float, density: float) -> float:
-    """F1 without an offset, with the true densities and misses told."""
+def f1_with_truth(made: SimulatedScene, q: float, density: float) -> float:
+    """F1 without an offset, with the true densities and miss rates given."""
     one = density * q * (1 - q)
     return f1(made, pairs_of(identify(made.first, made.second, rule=PoissonField(density * (1 - q) ** 2, one, one))))
 
 
 def shifts(scenes: int) -> Table:
-    """Criterion 3: a shift of any size."""
+    """Shifts of 0 to 30σ."""
     lines = []
     for density in DENSITIES:
         for q in MISSES:
             for shift in SHIFTS:
-                told, without, icp, ours, loss, sure = (Tally() for _ in range(6))
+                truth, without, by_icp, ours, loss, established = (Tally() for _ in range(6))
                 for seed in range(scenes):
                     made = drawn(seed, q, density)
                     angle = 2.0 * math.pi * np.random.default_rng(seed + 10**6).uniform()
                     away = shift * np.array([math.cos(angle), math.sin(angle)])
                     second = put(made.second, made.second.features - away)
                     found = register(made.first, second, Shift())
-                    told.values.append(known(made, q, density))
+                    truth.values.append(f1_with_truth(made, q, density))
                     unshifted = f1(made, pairs_of(match(made.first, made.second, errors=Errors())[0]))
                     without.values.append(f1(made, pairs_of(match(made.first, second, errors=Errors())[0])))
-                    icp.values.append(f1(made, chased(made.first, second)))
+                    by_icp.values.append(f1(made, icp(made.first, second)))
                     ours.values.append(f1(made, pairs_of(found.identification)))
                     loss.values.append(unshifted - ours.values[-1])
-                    sure.values.append(100.0 * found.established)
+                    established.values.append(100.0 * found.established)
                 lines.append(
-                    [density, q, shift, told.mean, without.mean, icp.mean, ours.mean, loss.mean, loss.error,
-                     "yes" if loss.mean <= 0.03 else "no", sure.mean]
+                    [density, q, shift, truth.mean, without.mean, by_icp.mean, ours.mean, loss.mean, loss.error,
+                     "yes" if loss.mean <= 0.03 else "no", established.mean]
                 )  # fmt: skip
-    columns = ("β·s²", "misses", "shift σ", "F1 told all", "F1 no offset", "F1 ICP", "F1 register", "loss", "± s.e.",
-               "within 0.03", "established %")  # fmt: skip
+    columns = ("β·s²", "misses", "shift σ", "F1 truth given", "F1 no registration", "F1 ICP", "F1 register", "loss",
+               "± s.e.", "within 0.03", "established %")  # fmt: skip
     return Table(
         f"Shift: mean F1 of {scenes} scenes of {TARGETS} targets", columns, lines,
         ("loss: F1 of match on the unshifted scene less F1 of register on the shifted one",),
@@ -130,7 +130,7 @@ def shifts(scenes: int) -> Table:
 
 @dataclass(frozen=True)
 class Trial:
-    """An offset to find: its name, its model for a scene, the truth."""
+    """An offset to estimate: name, model for a scene, true parameters."""
 
     name: str
     model: Callable[[SimulatedScene, float], Offset]
@@ -155,54 +155,54 @@ TRIALS = (
 
 
 def others(scenes: int) -> Table:
-    """Criterion 3: rotation and scale, and a sensor's biases, with the coverage of their standard errors."""
+    """Rotation and scale, and biases of a sensor, with the coverage of their standard errors."""
     lines = []
     for trial in TRIALS:
         for density in DENSITIES:
             for q in MISSES:
-                # Scenes of their own: the same draws in every line would err alike.
+                # Different scenes for every line, so that their errors are independent.
                 base = 10**4 * (1 + len(lines))
-                loss, sure, seconds = Tally(), Tally(), Tally()
+                loss, established, time_ms = Tally(), Tally(), Tally()
                 z = []
                 for seed in range(scenes):
                     made = drawn(base + seed, q, density)
                     model = trial.model(made, math.sqrt(TARGETS / density)).placed(made.first, made.second)
                     theta = np.array(trial.theta)
-                    second = put(made.second, undone(model, theta, made.second.features))
+                    second = put(made.second, inverse(model, theta, made.second.features))
                     start = time.perf_counter()
                     found = register(made.first, second, model)
-                    seconds.values.append(1e3 * (time.perf_counter() - start))
+                    time_ms.values.append(1e3 * (time.perf_counter() - start))
                     unshifted = f1(made, pairs_of(match(made.first, made.second, errors=Errors())[0]))
                     loss.values.append(unshifted - f1(made, pairs_of(found.identification)))
-                    sure.values.append(100.0 * found.established)
+                    established.values.append(100.0 * found.established)
                     z.append((found.theta - theta) / found.standard_errors)
                 inside = 100.0 * np.mean(np.abs(z) < 2.0, axis=0)
                 within = ", ".join(f"{name} {share:.1f}" for name, share in zip(model.names, inside, strict=True))
-                lines.append([trial.name, density, q, loss.mean, loss.error, within, sure.mean, seconds.mean])
+                lines.append([trial.name, density, q, loss.mean, loss.error, within, established.mean, time_ms.mean])
     columns = ("offset", "β·s²", "misses", "F1 loss", "± s.e.", "% within 2 s.e.", "established %", "ms")
     error = 100.0 * math.sqrt(0.0455 * 0.9545 / scenes)
     return Table(
         f"Other offsets, {scenes} scenes", columns, lines,
-        (f"within 2 s.e.: 95.4 % is due, with a standard error of {error:.1f} %",),
+        (f"within 2 s.e.: 95.4 % is expected, with a standard error of {error:.1f} %",),
     )  # fmt: skip
 
 
 def times(runs: int) -> Table:
-    """How long it takes, and beside one identification with everything estimated."""
+    """Time of a registration, and of one match with everything estimated."""
     lines = []
     for n in (40, 300, 2000, 20_000):
         made = drawn(1, 0.1, 0.01, n)
         for name, model in (("shift", Shift()), ("similarity", Similarity())):
             second = put(made.second, made.second.features - [8.0, 3.0])
-            took: dict[str, list[float]] = {"register": [], "match": []}
+            seconds: dict[str, list[float]] = {"register": [], "match": []}
             for _ in range(runs + 1):
                 start = time.perf_counter()
                 register(made.first, second, model)
                 middle = time.perf_counter()
                 match(made.first, made.second, errors=Errors())
-                took["register"].append(middle - start)
-                took["match"].append(time.perf_counter() - middle)
-            medians = [1e3 * float(np.median(took[key][1:])) for key in ("register", "match")]
+                seconds["register"].append(middle - start)
+                seconds["match"].append(time.perf_counter() - middle)
+            medians = [1e3 * float(np.median(seconds[key][1:])) for key in ("register", "match")]
             lines.append([n, name, *medians, medians[0] / medians[1]])
     return Table("Time, ms (median)", ("objects", "offset", "register", "match alone", "×"), lines)
 

@@ -136,8 +136,8 @@ def _parquet(data: bytes, normalise: Normaliser) -> Content:
     layout = file.metadata.to_dict()
     layout.pop("serialized_size")  # of texts that are taken out
     schema = file.schema_arrow
-    told = {key.decode(): value.decode("utf-8", "replace") for key, value in (schema.metadata or {}).items()}
-    lines = [f"{key}: {normalise(value)}" for key, value in told.items()]
+    metadata = {key.decode(): value.decode("utf-8", "replace") for key, value in (schema.metadata or {}).items()}
+    lines = [f"{key}: {normalise(value)}" for key, value in metadata.items()]
     lines += [f"{field.name}: {field.type}, {field.metadata}" for field in schema]
     table = file.read()
     text = "\n".join([*lines, *(_column(name, table[name].to_pylist()) for name in table.column_names)])
