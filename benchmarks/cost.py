@@ -106,7 +106,7 @@ def measured(task: Task, times: int) -> Iterator[list[object]]:
         ratio = all_of_it / given
         yield [
             task.name, len(task.first), len(task.second), kind, 1e3 * plain, 1e3 * given, 1e3 * all_of_it,
-            estimate.rounds, ratio, all_of_it / plain, "yes" if ratio <= ASKED else "no", 1e3 * asked_all,
+            estimate.iterations, ratio, all_of_it / plain, "yes" if ratio <= ASKED else "no", 1e3 * asked_all,
         ]  # fmt: skip
 
 
@@ -114,8 +114,8 @@ def estimation(options: argparse.Namespace) -> Table:
     """Estimation of densities, errors and magnitudes."""
     lines = [line for task in tasks(options) for line in measured(task, options.times)]
     columns = (
-        "scene", "rows 1", "rows 2", "evidence", "positions given, ms", "all given, ms", "all estimated, ms", "rounds",
-        "ratio", "× positions given", f"at most {ASKED:g}", "and every standard error, ms",
+        "scene", "rows 1", "rows 2", "evidence", "positions given, ms", "all given, ms", "all estimated, ms",
+        "iterations", "ratio", "× positions given", f"at most {ASKED:g}", "and every standard error, ms",
     )  # fmt: skip
     notes = (
         "ratio: all estimated over one identification with the same evidence, its parameters given",

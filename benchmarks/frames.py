@@ -99,13 +99,13 @@ def contest(options: argparse.Namespace) -> Table:
     """All methods on the same frames."""
     tallies: dict[str, Tally] = {}
     missing: set[str] = set()
-    settled = True
+    converged = True
     for made in frames(options, 71):
         for name, claimed in others(made, options, missing):
             tallies.setdefault(name, Tally()).add(claimed, made.scene)
         for name, answer, estimate in ours(made):
             tallies.setdefault(name, Tally()).add_answer(answer, made.scene)
-            settled &= estimate is None or estimate.settled
+            converged &= estimate is None or estimate.converged
     lines = [[name, *tally.line()] for name, tally in tallies.items()]
     wrong = {name: sum(f[1] for f in tally.frames) for name, tally in tallies.items()}
     known, alone, two = wrong[TRUE], wrong[ESTIMATED], wrong[TWO_BANDS]
@@ -116,7 +116,7 @@ def contest(options: argparse.Namespace) -> Table:
     notes = (
         f"all estimated: {alone / known - 1:+.1%} wrong pairs relative to the true parameters (target: within 5 %)",
         f"with magnitudes {two / alone:.1%} of the wrong pairs without (target: at most 60 %)",
-        f"all estimates converged: {settled}; ± from frame to frame; NWAY is given area and completeness",
+        f"all estimates converged: {converged}; ± from frame to frame; NWAY is given area and completeness",
         *(f"{name}: missing" for name in sorted(missing)),
     )
     sizes = f"{options.frames} frames of {options.side:g}°, {Sky().stars_per_deg2:.0f} stars per square degree"
@@ -193,7 +193,8 @@ def real(options: argparse.Namespace) -> Iterator[Table]:
         lines = [[name, q.value, q.standard_error, q.unit] for name, q in e.quantities.items()]
         decide = ", ".join(f"{name} {value:.2f}" for name, value in e.decisive.items())
         notes = (
-            f"median |ln odds|: {decide}; brightness changes {e.changed_by_brightness} answers; {e.rounds} rounds",
+            f"median |ln odds|: {decide}; brightness changes {e.changed_by_brightness} answers; "
+            f"{e.iterations} iterations",
         )
         yield Table(f"{title}: estimated", ("quantity", "value", "±", "unit"), lines, notes)
         for curve, mine in ((e.detection_1, found.first), (e.detection_2, found.second)):

@@ -86,13 +86,13 @@ def test_clear_partners_are_found_whatever_the_quoted_errors(objects, floor, sca
         scene = formal_field(np.random.default_rng([7, objects, seed]), objects, floor_arcsec=floor, scale=scale)
         true, found, wrong, certain, answer, estimate = counts(scene)
         assert found >= true - 1 and wrong <= 1 and certain == 0
-        assert abs(answer.expected_wrong - wrong) < 1.5 and estimate.left_open is not None
+        assert abs(answer.expected_wrong - wrong) < 1.5 and estimate.error_ranges is not None
 
 
 def test_many_pairs_determine_floor_and_factor():
     scene = formal_field(np.random.default_rng(8), 1500, floor_arcsec=0.3)
     true, found, wrong, certain, _, estimate = counts(scene)
-    assert found >= true - 1 and wrong <= 2 and certain == 0 and estimate.left_open is None
+    assert found >= true - 1 and wrong <= 2 and certain == 0 and estimate.error_ranges is None
     assert estimate.errors.floor * estimate.errors.typical_scale == pytest.approx(0.3, rel=0.05)
     assert estimate.typical_scale == pytest.approx(0.3 / 0.07, rel=0.6) and estimate.gate_sigmas > 12.0
 

@@ -55,7 +55,7 @@ def test_magnitudes_remove_most_false_matches(frame, alone, found):
 def test_the_result_is_one_to_one_and_converged(found):
     answer, estimate = found
     assert len(np.unique(answer.matches.rows_1)) == len(np.unique(answer.matches.rows_2)) == len(answer.matches)
-    assert estimate.settled and estimate.notes == ()
+    assert estimate.converged and estimate.notes == ()
 
 
 def test_the_contribution_of_every_term_is_reported(alone, found):
@@ -163,13 +163,13 @@ def test_too_few_pairs_to_learn_magnitudes_are_reported():
     assert any("too few pairs with magnitudes" in note and "not used" in note for note in estimate.notes)
 
 
-@pytest.mark.parametrize("rounds", [1, 2, 4, 5, 6, 7, 8])
-def test_em_iterations_may_reach_their_limit_before_and_after_the_gate_widens(rounds):
+@pytest.mark.parametrize("limit", [1, 2, 4, 5, 6, 7, 8])
+def test_em_iterations_may_reach_their_limit_before_and_after_the_gate_widens(limit):
     made = exposure(np.random.default_rng(18), Sky(stars_per_deg2=60_000.0), side_deg=0.12)
     scene = misquoted(made.scene, 2.0)
-    answer, estimate = match(scene.first, scene.second, brightness=made.brightness, rounds=rounds)
-    assert estimate.settled != any("had not converged" in note for note in estimate.notes)
-    assert estimate.settled or estimate.rounds == rounds
+    answer, estimate = match(scene.first, scene.second, brightness=made.brightness, max_iterations=limit)
+    assert estimate.converged != any("had not converged" in note for note in estimate.notes)
+    assert estimate.converged or estimate.iterations == limit
     assert len(answer.matches) > 0 and np.isfinite(answer.p_pair).all()
 
 

@@ -35,7 +35,7 @@ def test_the_number_of_common_objects_and_the_miss_probabilities_are_estimated()
     made, first, second = scene(0)
     answer, found = match(first, second)
     true = len(made.true_pairs()[0])
-    assert found.settled and found.rounds <= 30 and found.notes == ()
+    assert found.converged and found.iterations <= 30 and found.notes == ()
     assert found.common == pytest.approx(true, abs=3 * math.sqrt(true) * 0.3)
     assert found.common == pytest.approx(answer.p_pair.sum(), rel=1e-9)
     assert found.share_1 == pytest.approx(0.7, abs=0.03) and found.share_2 == pytest.approx(0.8, abs=0.03)
@@ -140,8 +140,8 @@ def test_with_few_pairs_the_error_scale_is_averaged_over():
     place = np.arange(10)[:, None] * [1.0, 1.0]
     answer, found = match(Records.of(place, sigma=0.01), Records.of(place + 0.005, sigma=0.01))
     assert len(answer.matches) == 10
-    assert found.left_open.factors[0] < 0.5 < found.left_open.factors[1]
-    assert found.left_open.floors[0] == 0.0 and found.left_open.floors[1] > 0.003
+    assert found.error_ranges.factors[0] < 0.5 < found.error_ranges.factors[1]
+    assert found.error_ranges.floors[0] == 0.0 and found.error_ranges.floors[1] > 0.003
     assert any("too few pairs" in note and "averaged over what they leave open" in note for note in found.notes)
 
 

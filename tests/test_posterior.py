@@ -45,7 +45,7 @@ def test_the_posterior_is_the_sum_over_all_hypotheses(name, draw):
     pairs, grouped, _, sure = solved(n1, n2, ratios, prior)
     ours = as_table(pairs, sure.p_pair)
     sum_1, sum_2 = sums(pairs, sure.p_pair)
-    assert not np.any(sure.method == APPROXIMATE) and sure.unsettled == 0.0
+    assert not np.any(sure.method == APPROXIMATE) and sure.message_change == 0.0
     assert set(sure.method.tolist()) == {0, 1} and sum(sure.counts().values()) == len(grouped)
     for rows_1, rows_2, local in components_of(n1, n2, ratios):
         a, b = len(rows_1), len(rows_2)
@@ -211,8 +211,8 @@ def test_thinning_improbable_pairs_changes_probabilities_within_the_stated_limit
         every = posterior(grouped, best, Tuning(small=EVERY))
         fewer = posterior(grouped, best, Tuning(small=0, improbable=limit))
         np.testing.assert_allclose(fewer.p_pair, every.p_pair, rtol=0, atol=error)
-        assert set(fewer.neglected.tolist()) <= {0.0, limit}
-        left_out += np.count_nonzero(fewer.neglected)
+        assert set(fewer.excluded_below.tolist()) <= {0.0, limit}
+        left_out += np.count_nonzero(fewer.excluded_below)
     assert left_out
 
 
@@ -315,7 +315,7 @@ def test_the_local_method_is_as_good_as_stated(monkeypatch, prior, n, degree, mi
     for seed in range(4):
         scene = torus_field(np.random.default_rng([seed, n]), n, degree, misses)
         pairs, local, p_exact, exact = local_and_exact(monkeypatch, scene, prior)
-        assert exact.all() and local.unsettled < 1e-2
+        assert exact.all() and local.message_change < 1e-2
         errors.append(np.abs(local.p_pair - p_exact))
         for total in sums(pairs, local.p_pair):
             assert total.max() <= 1 + 1e-9

@@ -148,7 +148,7 @@ def test_shifts_of_any_size_lose_no_matches(shift):
         found = register(made.first, put(made.second, made.second.features - away), Shift())
         error = found.theta - away
         assert error @ np.linalg.solve(found.covariance, error) < 16.0
-        assert found.established and found.settled and found.notes == ()
+        assert found.established and found.converged and found.notes == ()
         lost.append(f1(made, match(made.first, made.second, errors=Errors())[0]) - f1(made, found.identification))
     assert np.mean(lost) < 0.03
 
@@ -310,7 +310,7 @@ def test_too_few_pairs_are_reported(one, two, sigma):
     two = np.random.default_rng(0).uniform(0, 50, (30, 2)) if two is None else two
     found = register(Records.of(one, sigma=sigma), Records.of(two, sigma=sigma), Shift())
     assert not found.established and np.isfinite(found.theta).all() and np.isfinite(found.covariance).all()
-    assert any("too few pairs" in note for note in found.notes) and found.rounds < 60
+    assert any("too few pairs" in note for note in found.notes) and found.iterations < 60
 
 
 def test_errors_larger_than_the_field_are_reported():

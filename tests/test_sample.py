@@ -99,7 +99,7 @@ def test_after_an_unrepresentative_sample_em_runs_over_all_records():
     # No sample is accepted.
     _, found = match(made.first, made.second, sampling=FEW, tuning=MatchTuning(max_sample_error=-1e3))
     assert max(believed.learned_from) < len(made.first)
-    assert found.learned_from == (len(made.first), len(made.second)) and found.rounds > believed.rounds
+    assert found.learned_from == (len(made.first), len(made.second)) and found.iterations > believed.iterations
     true = len(made.true_pairs()[0])
     assert found.common == pytest.approx(true, abs=4 * math.sqrt(true) * 0.3)
 

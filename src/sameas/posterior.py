@@ -91,16 +91,16 @@ class Posterior:
     ----------
     p_pair : (m,) probability of each pair, in the order of the gate.
     method : (g,) index into :data:`METHODS`.
-    neglected : (g,) pairs with a first estimate below this probability were not summed exactly; 0 if all were.
-    unsettled : largest relative change of a message in the last sweep (0 without messages).
+    excluded_below : (g,) pairs with a first estimate below this probability were not summed exactly; 0 if all were.
+    message_change : largest relative change of a message in the last sweep (0 without messages).
     open : (m,) pairs that were summed exactly together with a record whose pairs are incomplete (``cut``); with all its
         pairs an exact sum may be impossible. In the order of the gate; None without ``cut``.
     """
 
     p_pair: FloatArray
     method: NDArray[np.int8]
-    neglected: FloatArray
-    unsettled: float
+    excluded_below: FloatArray
+    message_change: float
     open: BoolArray | None = None
 
     def counts(self) -> dict[str, int]:
@@ -120,23 +120,23 @@ def posterior(
     method = np.zeros(len(groups), np.int8)
     linear = best.prior.slope is not None
     _exact(groups, best, share, method, tuning.small if linear else EVERY)
-    neglected = np.zeros(len(groups))
-    unsettled = 0.0
+    excluded_below = np.zeros(len(groups))
+    message_change = 0.0
     open_pairs = _NONE
     edge = None if cut is None else _Edge.of(groups, cut, method)
     if np.count_nonzero(method == APPROXIMATE):
         if linear:
-            open_pairs = _sum_probable(groups, best, method, share, neglected, tuning.improbable, edge)
+            open_pairs = _sum_probable(groups, best, method, share, excluded_below, tuning.improbable, edge)
         else:
             open_pairs = np.flatnonzero(np.repeat(method == APPROXIMATE, groups.pair_counts))
     if len(open_pairs):
-        unsettled = _local(groups, best, open_pairs, method, share, neglected, tuning, edge)
+        message_change = _local(groups, best, open_pairs, method, share, excluded_below, tuning, edge)
         share = _scaled_to_one(groups, share)
         if not math.isfinite(float(share.sum())):
             raise ArithmeticError("a probability is not a number; please report this with the records")
     p_pair = np.empty(m)
     p_pair[groups.order] = np.minimum(np.maximum(share, 0.0, out=share), 1.0, out=share)
-    return Posterior(p_pair, method, neglected, unsettled, None if edge is None else edge.pairs(groups))
+    return Posterior(p_pair, method, excluded_below, message_change, None if edge is None else edge.pairs(groups))
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def _sum_probable(
     best: Hypothesis,
     method: NDArray[np.int8],
     share: FloatArray,
-    neglected: FloatArray,
+    excluded_below: FloatArray,
     improbable: float,
     edge: _Edge | None,
 ) -> IntArray:
@@ -188,7 +188,7 @@ def _sum_probable(
     large = method == APPROXIMATE
     _upper_bounds(groups, best, large, share)
     probable = np.flatnonzero(np.repeat(large, groups.pair_counts) & (share >= improbable))
-    neglected[large & (np.minimum.reduceat(share, groups.start[:-1]) < improbable)] = improbable
+    excluded_below[large & (np.minimum.reduceat(share, groups.start[:-1]) < improbable)] = improbable
     method[large] = ELIMINATED
 
     def fill(first: int, last: int) -> IntArray:
@@ -370,14 +370,14 @@ def _local(
     open_pairs: IntArray,
     method: NDArray[np.int8],
     share: FloatArray,
-    neglected: FloatArray,
+    excluded_below: FloatArray,
     tuning: Tuning,
     edge: _Edge | None,
 ) -> float:
     """Fill ``share`` of the pairs that elimination gave up; returns the last relative change of the messages.
 
-    ``method`` becomes THINNED for groups that split into parts that can be summed, and ``neglected`` the probability,
-    as first estimated, below which their pairs keep that estimate.
+    ``method`` becomes THINNED for groups that split into parts that can be summed, and ``excluded_below`` the
+    probability, as first estimated, below which their pairs keep that estimate.
     """
     messages = _messages(groups, best, open_pairs, method, share, tuning)
     group = groups.group
@@ -386,7 +386,7 @@ def _local(
         if threshold == tuning.neighbourhood_threshold:
             # From here on the dropped pairs matter, and messages alone are too over-confident to choose them.
             share[open_pairs] = _neighbourhoods(groups, best, open_pairs, messages, tuning)
-        neglected[group[open_pairs]] = threshold
+        excluded_below[group[open_pairs]] = threshold
         probable = open_pairs[(share[open_pairs] > threshold) | best.chosen[open_pairs]]
         thin = _Thinned.of(groups, best, probable, messages.weight[probable])
         part, solved = thin.exact()

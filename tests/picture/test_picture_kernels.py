@@ -9,7 +9,7 @@ from sameas.gate.zones import _percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.intersection import sum_of_records, weights_of_least_determinant
-from sameas.kernels.kalman import errors_forgotten, states_moved, tracks_moved, ways_of_tracks
+from sameas.kernels.kalman import innovation_model, report_factors, states_moved, tracks_moved
 from sameas.kernels.order import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_factors import growth
@@ -71,13 +71,13 @@ def test_correlations_of_two_reports_agree_with_the_formulas(rng, way):
     one, other = 0.2 * spd(rng, 4, 4), 0.2 * spd(rng, 4, 4)
     old, new = one[was, :2, :2] + spd(rng, m, 2), other[now, :2, :2] + spd(rng, m, 2)
     root_before, root, motion = np.empty((3, m, 2, 2))
-    getattr(ways_of_tracks, way)(was, now, one, other, old, new, root_before, root, motion)
+    getattr(report_factors, way)(was, now, one, other, old, new, root_before, root, motion)
     np.testing.assert_allclose(root_before, np.linalg.cholesky(one[was, :2, :2]), rtol=1e-10)
     np.testing.assert_allclose(root, np.linalg.cholesky(other[now, :2, :2]), rtol=1e-10)
     np.testing.assert_allclose(motion, growth(old + new - one[was, :2, :2] - other[now, :2, :2]), rtol=1e-9, atol=1e-12)
     share, forgotten = rng.random(m), 0.3 * rng.random(m)
     slope, noise = np.empty((m, 2, 4)), np.empty((m, 2, 2))
-    getattr(errors_forgotten, way)(root_before, root, old, new, share, forgotten, slope, noise)
+    getattr(innovation_model, way)(root_before, root, old, new, share, forgotten, slope, noise)
     common, s = forgotten[:, None, None] * (root_before @ root.transpose(0, 2, 1)), share[:, None, None]
     gain = common.transpose(0, 2, 1) @ inverse(old - s * one[was, :2, :2])
     lasting = np.sqrt(s) * (root - gain @ root_before)

@@ -149,7 +149,7 @@ def test_a_star_much_brighter_than_catalogued_is_reported(seen: Scene) -> None:
 
 @pytest.mark.slow
 def test_the_loop_converges_and_finds_the_cubic_distortion(found: FrameIdentification) -> None:
-    assert found.settled and found.plate.order == 3
+    assert found.converged and found.plate.order == 3
     truth = found.placement.pointing.to_sky(np.array([[499.5, 499.5]]))
     x, y, _ = found.plate.predict(*directions_deg(truth))
     assert np.hypot(x[0] - 499.5, y[0] - 499.5) < 1.0
@@ -264,7 +264,7 @@ def test_measurements_fainter_than_the_catalogue_are_reported(seen: Scene, found
 def test_stars_fainter_than_the_given_limit_are_not_used(seen: Scene) -> None:
     header = ApproximateWcs(seen.pointing.to_wcs((SIDE, SIDE)))
     few = solve(seen.measured, seen.catalogue, header, epoch_jyr=2020.0, faintest=15.0)
-    assert (few.stars.magnitude <= 15.0).all() and few.settled
+    assert (few.stars.magnitude <= 15.0).all() and few.converged
 
 
 @pytest.mark.slow

@@ -100,7 +100,7 @@ def test_probabilities_of_stars_are_calibrated(scene: Sky, found: ManyMatch) -> 
     p = found.objects.probability
     assert right.mean() > 0.97
     assert abs((right - p).mean()) < 4.0 * np.sqrt(np.mean(p * (1.0 - p)) / len(p)) + 0.004
-    assert found.settled and not found.doubts
+    assert found.converged and not found.doubts
 
 
 @pytest.mark.slow

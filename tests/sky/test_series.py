@@ -54,7 +54,7 @@ def frames(seed, *, count=6, stars=150, noise=40, rates=((-0.2, 0.05),), hot=0, 
 def test_relative_alignment_is_far_better_than_the_plates():
     series = tie(frames(1))
     assert series.ties.min() > 40
-    still = series.still & (series.sigma_arcsec < 0.1)
+    still = series.stationary & (series.sigma_arcsec < 0.1)
     found, _ = search(series)
     assert len(found) == 1 and found.size[0] == 6 and found.p_tracklet[0] > 0.99
     # Plates are off by 0.3″.

@@ -130,15 +130,15 @@ class Estimate:
     errors : the errors of the evidence: model S of the covariances, and distribution of the residuals relative to S.
     gate_sigmas : radius of the gate, in quoted standard deviations of the typical pair.
     coverage : where both sources observe.
-    rounds, settled : number of EM iterations, and whether they converged.
+    iterations, converged : number of EM iterations, and whether they converged.
     learned_from : records of each source that were used: all, or those of a sample.
     notes : remarks for the user.
     photometry : relations of the magnitudes of both sources; None if not given or not informative.
     precision : evidence of the sizes of the quoted errors; None if not used or not informative.
     columns : evidence of other columns; None if not given.
     trends : growth of the errors in addition to the quoted ones; included in ``errors``.
-    answer : the identification. judged : whether the distribution of the errors was estimated from its pairs.
-    left_open : ranges of the errors over which probabilities are averaged with few pairs; None with many.
+    answer : the identification. errors_estimated : whether the distribution of the errors was estimated from its pairs.
+    error_ranges : ranges of the errors over which probabilities are averaged with few pairs; None with many.
 
     The properties are computed when first used.
     """
@@ -149,15 +149,15 @@ class Estimate:
     errors: Errors
     gate_sigmas: float
     coverage: Coverage
-    rounds: int
-    settled: bool
+    iterations: int
+    converged: bool
     learned_from: tuple[int, int]
     notes: tuple[str, ...]
     photometry: Photometry | None
     precision: Precision | None
     answer: Identification = field(repr=False)
-    judged: bool
-    left_open: ErrorRanges | None = None
+    errors_estimated: bool
+    error_ranges: ErrorRanges | None = None
     columns: ColumnEvidence | None = None
     trends: tuple[Trend, ...] = ()
 
@@ -165,7 +165,7 @@ class Estimate:
     def quantities(self) -> Mapping[str, Quantity]:
         """All numbers by name, with standard errors; see ``sameas.estimate.quantity.quantities``."""
         return quantities(
-            self.answer, self.coverage, self.photometry, errors=self.judged, learned_from=self.learned_from
+            self.answer, self.coverage, self.photometry, errors=self.errors_estimated, learned_from=self.learned_from
         )
 
     @property
@@ -210,7 +210,7 @@ class Estimate:
     @cached_property
     def error_model(self) -> ErrorModel | None:
         """Factors and floor of each source's errors, as far as distinguishable; None if errors were not estimated."""
-        return error_model(self.answer) if self.judged else None
+        return error_model(self.answer) if self.errors_estimated else None
 
     @cached_property
     def spread(self) -> Errors:
@@ -238,7 +238,7 @@ def match(
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
     evidence: Sequence[Column | Related] = (),
-    rounds: int = 30,
+    max_iterations: int = 30,
     sampling: Sampling = Sampling(),  # noqa: B008
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
@@ -253,7 +253,7 @@ def match(
     brightness : magnitudes of every row of both tables, as evidence; None uses positions only.
     precision : whether the sizes of the quoted errors are evidence: faint objects have larger ones.
     evidence : columns used as evidence, of one source or related columns of both.
-    rounds : greatest number of EM iterations.
+    max_iterations : maximum number of EM iterations.
     sampling : size of the sample of large sources from which estimates are made.
     tuning : limits, such as the number of pairs below which probabilities are averaged over errors.
     progress : called with the name of each step.
@@ -273,9 +273,9 @@ def match(
     search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
     if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
-        return search.match_averaged(scan, rounds)
-    search, result, remarks = _fit(search, scan, errors, rounds)
-    answer, result = search.identify_all(result, rounds)
+        return search.match_averaged(scan, max_iterations)
+    search, result, remarks = _fit(search, scan, errors, max_iterations)
+    answer, result = search.identify_all(result, max_iterations)
     return answer, replace(_to_estimate(answer, search.coverage, result, remarks), trends=search.trends)
 
 
@@ -313,7 +313,7 @@ def match_sample(
     brightness: tuple[Magnitudes, Magnitudes] | None = None,
     precision: bool = True,
     columns: ColumnEvidence | None = None,
-    rounds: int = 30,
+    max_iterations: int = 30,
     tuning: MatchTuning = DEFAULT_MATCH,
     progress: Callable[[str], None] = lambda stage: None,
 ) -> SampleMatch:
@@ -330,8 +330,8 @@ def match_sample(
         coverage, seen, precision, density, gate, all_records, progress, tuning=tuning, columns=columns
     )
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
-    search, result, remarks = _fit(search, scan, errors, rounds)
-    answer, result = search.identify_all(result, rounds)
+    search, result, remarks = _fit(search, scan, errors, max_iterations)
+    answer, result = search.identify_all(result, max_iterations)
     estimate = _to_estimate(answer, coverage, result, remarks)
     (one, two), common = result.estimates.setting.n_counted, result.estimates.n_common
     share_1, share_2 = (min(1.0, common / max(n, 1)) for n in (one, two))
@@ -617,7 +617,7 @@ class _GateSearch:
         limit = math.sqrt(error_average.limit)
         result = _GateResult(whole, estimates, p_counted, limit, n, converged, whole.n_counted, self.tuning)
         estimate = _to_estimate(answer, self.coverage, result, [])
-        return answer, replace(estimate, left_open=error_average.ranges(average.weight))
+        return answer, replace(estimate, error_ranges=error_average.ranges(average.weight))
 
     def identify_all(self, result: _GateResult, max_iterations: int) -> tuple[Identification, _GateResult]:
         """All records identified; after further iterations over all of them if a sample was not representative."""

@@ -93,7 +93,7 @@ def tracks_moved(
 
 
 @small_by(_work)
-def ways_of_tracks(
+def report_factors(
     last: IntArray, now: IntArray, reported_last: FloatArray, reported: FloatArray, old: FloatArray, new: FloatArray,
     root_last: FloatArray, root: FloatArray, motion: FloatArray,
 ) -> None:  # fmt: skip
@@ -115,7 +115,7 @@ def ways_of_tracks(
 
 
 @small_by(_work)
-def errors_forgotten(
+def innovation_model(
     root_last: FloatArray, root: FloatArray, old: FloatArray, new: FloatArray, share: FloatArray,
     decaying: FloatArray, slope: FloatArray, noise: FloatArray,
 ) -> None:  # fmt: skip

@@ -29,7 +29,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
-from sameas.kernels.kalman import errors_forgotten, tracks_moved, ways_of_tracks
+from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan
@@ -209,7 +209,7 @@ class NamedTracks:
             np.where(new_report[:, None, None], *manoeuvres), previous.covariance, moved, old, drift,
         )  # fmt: skip
         new, shift = scan.covariance[place, :2, :2], scan.state[place, :2] - moved
-        ways_of_tracks(
+        report_factors(
             last, place, previous.reported_covariance, scan.reported_covariance, old, new, root_last, root, motion
         )
         correlation, factors = self._error_estimates(
@@ -217,7 +217,7 @@ class NamedTracks:
         )
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
-        errors_forgotten(root_last, root, old, new, share, decaying, slope, noise)
+        innovation_model(root_last, root, old, new, share, decaying, slope, noise)
         error_mean, error_covariance = self.error_mean[at], self.error_covariance[at]
         error_covariance[:, :2, :2] += drift
         updated_mean, updated_covariance, log_own, chi_sq = error_update(

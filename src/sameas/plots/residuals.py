@@ -35,7 +35,7 @@ def residuals(match: SkyMatch) -> Figure:
 
     Both have the scale of the first; an inset magnifies the second.
     """
-    still, moved = match.still_offsets, match.result.matches.residual
+    still, moved = match.offsets_without_motion, match.result.matches.residual
     subtitle = f"{count(len(moved))} identified pairs. {_sentence(match, match.moved)}"
     figure = sheet(_finding(still, moved), subtitle, 11.0, 6.25)
     figure.set_layout_engine("compressed")

@@ -47,7 +47,8 @@ class Solution:
 
     theta (p,), covariance (p, p). common : expected number of common objects. log_likelihood : of the identification,
     minus that of nothing in common. log_evidence : the same, averaged over the offsets near this one by their prior.
-    in_common : number of records of either source in the overlap. rounds, settled : iterations; whether they converged.
+    in_common : number of records of either source in the overlap. iterations, converged : their number, and
+    whether they converged.
     """
 
     theta: FloatArray
@@ -56,8 +57,8 @@ class Solution:
     log_likelihood: float
     log_evidence: float
     in_common: tuple[int, int]
-    rounds: int
-    settled: bool
+    iterations: int
+    converged: bool
 
 
 @dataclass(frozen=True)
@@ -352,7 +353,7 @@ class Registration:
     log_evidence : ln of the odds of this offset against nothing in common.
     rivals : other solutions, most probable first.
     probability : of this offset, among all solutions and nothing in common.
-    rounds, settled : iterations of the refinement, and whether they converged.
+    iterations, converged : iterations of the refinement, and whether they converged.
     notes : doubts; empty if there are none.
     tuning : numbers of the search and the decision.
     """
@@ -366,8 +367,8 @@ class Registration:
     log_evidence: float
     rivals: tuple[Solution, ...]
     probability: float
-    rounds: int
-    settled: bool
+    iterations: int
+    converged: bool
     notes: tuple[str, ...]
     tuning: Tuning = DEFAULT_TUNING
 
@@ -399,7 +400,7 @@ def register(
     density: tuple[float, float] | None = None,
     rule: Rule | None = None,
     prior: Prior = EVIDENCE_ALONE,
-    rounds: int = 40,
+    max_iterations: int = 40,
     tuning: Tuning = DEFAULT_TUNING,
 ) -> Registration:
     """The offset of the second source from the first, with its covariance, and the identification after removing it.
@@ -416,7 +417,8 @@ def register(
     density : (ρ₁, ρ₂) of all records of each source; estimated if not given.
     rule, prior : evidence and prior of the identification, such as ``Field`` and ``CommonObjects(q1, q2)``; without a
         rule everything is estimated as by ``match``.
-    rounds : most iterations of the last refinement. tuning : numbers of the search and the decision.
+    max_iterations : maximum number of iterations of the last refinement. tuning : numbers of the search and the
+        decision.
 
     Raises
     ------
@@ -443,7 +445,7 @@ def register(
             raise InputError(f"{records.source} has no usable records; no offset can be found")
     placed = model.placed(first, second)
     scene = PlacedSources.of(first, second, placed, tuning)
-    solutions = refine(scene, _initial_offsets(first, second, placed, tuning), rounds)
+    solutions = refine(scene, _initial_offsets(first, second, placed, tuning), max_iterations)
     best = solutions[0]
     registered = _registered(scene, best)
     if rule is None:
@@ -454,7 +456,7 @@ def register(
     probability = 1.0 / (1.0 + sum(math.exp(x) for x in ahead) + math.exp(min(-best.log_evidence, 700.0)))
     return Registration(
         placed, best.theta, best.covariance, registered, answer, best.common, best.log_evidence, tuple(solutions[1:]),
-        probability, best.rounds, best.settled, _notes(scene, solutions), tuning,
+        probability, best.iterations, best.converged, _notes(scene, solutions), tuning,
     )  # fmt: skip
 
 
@@ -515,6 +517,6 @@ def _notes(scene: PlacedSources, solutions: list[Solution]) -> tuple[str, ...]:
         notes.append(
             f"small overlap: only {100 * fewest:.0f} % to {100 * most:.0f} % of the records lie in the common area"
         )
-    if not best.settled:
-        notes.append(f"the offset had not converged after {best.rounds} iterations")
+    if not best.converged:
+        notes.append(f"the offset had not converged after {best.iterations} iterations")
     return tuple(notes)

@@ -35,7 +35,7 @@ def findings(match: SkyMatch) -> list[str]:
         *_brightness(match),
         *_columns(match),
         *entry("gate", f"{e.gate_sigmas:.1f} quoted σ"),
-        *entry("iterations", f"{e.rounds}{_sampled(match)}, " + ("converged" if e.settled else "not converged")),
+        *entry("iterations", f"{e.iterations}{_sampled(match)}, " + ("converged" if e.converged else "not converged")),
     ]
 
 
@@ -189,7 +189,7 @@ def _errors_in_words(match: SkyMatch) -> str:
 
 def _evidence_errors(match: SkyMatch) -> str:
     """The error model used as evidence; "" where it is the quoted errors with fitted scales."""
-    errors, left = match.estimate.errors, match.estimate.left_open
+    errors, left = match.estimate.errors, match.estimate.error_ranges
     if left is not None:
         (low, high), (least, most) = left.factors, left.floors
         return (

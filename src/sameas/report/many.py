@@ -29,7 +29,7 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
         numbers = f"{figures(found.common)} common, gate {found.gate_sigmas:.1f} σ"
         lines += entry("two by two", f"{first} and {second}: {numbers}, residuals {found.typical_scale:.2f} σ")
     rounds = f"{match.iterations} iteration{'s' * (match.iterations > 1)}" + (
-        "" if match.settled else ", not converged"
+        "" if match.converged else ", not converged"
     )
     lines += entry("all together", f"estimated in {rounds}")
     return [*lines, *(DOUBT + words(doubt) for doubt in match.doubts)]

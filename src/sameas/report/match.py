@@ -251,7 +251,7 @@ def _residuals(match: SkyMatch) -> list[str]:
     expected = math.sqrt(quantile(0.5, match.result.pairs.d))
     rows = [("at the common epoch", after, match.result.matches.mahalanobis)]
     if match.epoch_jyr is not None:
-        before = match.still_offsets
+        before = match.offsets_without_motion
         rows.insert(0, ("at their own epochs", before, _mahalanobis_before_motion(match, before)))
     mean_and_rms = f"{'mean':>9}{'rms':>10}"
     lines = [

@@ -166,8 +166,8 @@ def series_lines(series: Series) -> list[str]:
     minutes = 1440.0 * (series.exposures[-1].mjd_utc - series.exposures[0].mjd_utc)
     lines = [
         f"Series: {counted(len(series.exposures), 'frame')} over {minutes:.1f} minutes, {count(n)} measurements",
-        f"  in the star catalogue {count(int(series.star.sum()))}, stationary {count(int(series.still.sum()))},"
-        f" fixed on the chip {count(int(series.fixed.sum()))}, on bad pixels {count(int(series.spoilt.sum()))}; "
+        f"  in the star catalogue {count(int(series.star.sum()))}, stationary {count(int(series.stationary.sum()))},"
+        f" fixed on the chip {count(int(series.fixed.sum()))}, on bad pixels {count(int(series.unreliable.sum()))}; "
         f"candidates {count(int(series.left.sum()))}",
         f"  registered by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
     ]

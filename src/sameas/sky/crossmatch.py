@@ -179,7 +179,7 @@ class SkyMatch:
         return self.result.second.over_table(self.estimate.coverage.covered[1])
 
     @cached_property
-    def still_offsets(self) -> FloatArray:
+    def offsets_without_motion(self) -> FloatArray:
         """(k, 2) east and north offsets of the matched pairs, arcsec, each record at the epoch of its catalogue."""
         a, b = self.first.astrometry, self.second.astrometry
         i, j = self.result.matches.rows_1, self.result.matches.rows_2

@@ -171,8 +171,8 @@ class Series:
     exposures : in order of time. frame, row : (n,) exposure of each measurement, and its row there.
     place : (n, 2) arcsec east and north of ``middle_deg`` on the tangent plane, in the common system.
     sigma_arcsec : (n,) error of the position relative to other frames, per axis.
-    star : (n,) mask of catalogue stars. still : (n,) stationary on the sky. fixed : (n,) stationary on the chip.
-    spoilt : (n,) with an unreliable position: a hot pixel, a cosmic ray hit, cut at the edge.
+    star : (n,) mask of catalogue stars. stationary : (n,) stationary on the sky. fixed : (n,) stationary on the chip.
+    unreliable : (n,) with an unreliable position: a hot pixel, a cosmic ray hit, cut at the edge.
     magnitude : (n,) differential, on the scale of the catalogue if any frame has it.
     floor_arcsec : (f,) extra scatter of bright sources. shift_arcsec : (f, 2) median shift of the plates.
     ties : (f,) number of sources that tie each frame. stars : with their measurements. notes : lines for the user.
@@ -186,9 +186,9 @@ class Series:
     place: FloatArray
     sigma_arcsec: FloatArray
     star: BoolArray
-    still: BoolArray
+    stationary: BoolArray
     fixed: BoolArray
-    spoilt: BoolArray
+    unreliable: BoolArray
     magnitude: FloatArray
     floor_arcsec: FloatArray
     shift_arcsec: FloatArray
@@ -205,7 +205,7 @@ class Series:
     @property
     def left(self) -> BoolArray:
         """(n,) mask of the measurements without another explanation: candidates for movers."""
-        return ~(self.star | self.still | self.fixed | self.spoilt)
+        return ~(self.star | self.stationary | self.fixed | self.unreliable)
 
     def sky(self, place: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(k,) ra_deg, dec_deg of places (k, 2) on the tangent plane."""
@@ -308,11 +308,11 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     sigma = np.sqrt(variance + floor[frame] ** 2)
     reach = tuning.reach_px * float(np.median(scale))
     days = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
-    still = _stationary(
+    stationary = _stationary(
         tied, frame, days, sigma, reach, tuning.drift_px * float(np.median(scale)), len(ordered), tuning
     )
     chip = np.column_stack([everything["x_px"], everything["y_px"]])
-    dithered_px = _dither_px(tied, chip, frame, still, len(ordered))
+    dithered_px = _dither_px(tied, chip, frame, stationary, len(ordered))
     fixed = np.zeros(len(frame), bool)
     if dithered_px > 2.0 * tuning.reach_px:
         # Only for dithered frames: otherwise chip defects are stationary on the sky too.
@@ -320,7 +320,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     names = np.concatenate([e.names for e in ordered])
     names = np.where(everything["p_star"] >= tuning.min_p_star, names, "")
     stars = gather(
-        tied, frame, sigma, names, still & ~fixed, everything["flux"], everything["flux_err"],
+        tied, frame, sigma, names, stationary & ~fixed, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
         0.25 * float(np.median(scale)),
     )  # fmt: skip
@@ -328,8 +328,8 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.min_p_star, still, fixed & ~still,
-        (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.min_p_star, stationary,
+        fixed & ~stationary, (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
         _notes(ordered, ties, tuning),
     )  # fmt: skip
 
@@ -505,11 +505,11 @@ def _stationary(
     return (often & ~(drifting & significant)) | (few & ~significant)
 
 
-def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, still: BoolArray, frames: int) -> float:
+def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, stationary: BoolArray, frames: int) -> float:
     """The largest displacement of the field on the chip along an axis, px."""
     middles = []
     for k in range(frames):
-        selected = still & (frame == k)
+        selected = stationary & (frame == k)
         if selected.sum() < 4:
             continue
         design = np.column_stack([place[selected], np.ones(selected.sum())])
@@ -591,17 +591,17 @@ class Stars:
 
 
 def gather(
-    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], still: BoolArray, flux: FloatArray,
+    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, flux: FloatArray,
     flux_err: FloatArray, whole: BoolArray, magnitude: FloatArray, frames: int, blur_arcsec: float,
     tuning: StarTuning = TUNING,
 ) -> Stars:  # fmt: skip
     """The stars among the measurements of a series.
 
     place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star.
-    still : (n,) stationary. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale
-    of the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
+    stationary : (n,) mask. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale of
+    the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
     """
-    rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, still, frames, tuning)
+    rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, stationary, frames, tuning)
     at, measured = np.maximum(rows, 0), rows >= 0
     weight = np.where(measured, 1.0 / sigma[at] ** 2, 0.0)
     total = weight.sum(axis=1)
@@ -630,7 +630,7 @@ def _instrumental(flux: FloatArray) -> FloatArray:
 
 
 def _rows(
-    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], still: BoolArray, frames: int,
+    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, frames: int,
     tuning: StarTuning,
 ) -> tuple[IntArray, NDArray[Any]]:  # fmt: skip
     """(s, f) measurement of each star in each frame, −1 for none, and (s,) names.
@@ -639,13 +639,13 @@ def _rows(
     """
     named = np.flatnonzero(name != "")
     names, star = np.unique(name[named], return_inverse=True)
-    capacity = len(names) + int((still & (name == "")).sum())
+    capacity = len(names) + int((stationary & (name == "")).sum())
     rows = np.full((capacity, frames), -1)
     rows[star, frame[named]] = named
     sums, weights = np.zeros((capacity, 2)), np.zeros(capacity)
     np.add.at(sums, star, place[named] / sigma[named, None] ** 2)
     np.add.at(weights, star, 1.0 / sigma[named] ** 2)
-    count, unnamed = len(names), still & (name == "")
+    count, unnamed = len(names), stationary & (name == "")
     area = float(np.prod(np.maximum(np.ptp(place, axis=0), 60.0))) if len(place) else 1.0
     # The frame with most measurements comes first.
     for k in np.argsort(-np.bincount(frame[unnamed], minlength=frames), kind="stable"):

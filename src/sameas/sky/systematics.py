@@ -334,7 +334,7 @@ class Warp:
         return float(0.5 * (self.coefficients[1, 0] + self.coefficients[2, 1]) / self.radius_arcsec)
 
     @property
-    def turn_arcsec(self) -> float:
+    def rotation_arcsec(self) -> float:
         """Mean rotation, arcsec, north through east."""
         turn = 0.5 * (self.coefficients[2, 0] - self.coefficients[1, 1]) / self.radius_arcsec
         return float(turn * ARCSEC_PER_RADIAN)
@@ -342,7 +342,7 @@ class Warp:
     def __str__(self) -> str:
         return (
             f"a smooth warp of order {self.order}, {self.rms_arcsec:.2g}″ rms and up to {self.largest_arcsec:.2g}″ "
-            f"(scale {1e6 * self.scale:+.2g} parts in a million, turn {self.turn_arcsec:+.2g}″), from "
+            f"(scale {1e6 * self.scale:+.2g} parts in a million, turn {self.rotation_arcsec:+.2g}″), from "
             f"{self.pairs} pairs"
         )
 

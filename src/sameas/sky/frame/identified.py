@@ -108,7 +108,7 @@ class FrameIdentification:
     predicted_px : (m, 2) pixel of each star by the plate model; predicted_covariance : (m, 3) its covariance, px².
     candidate : (m,) mask of the candidate stars.
     zero_point, completeness : photometric, None without magnitudes.
-    iterations, settled : number of iterations, and whether they converged. notes : lines for the user.
+    iterations, converged : number of iterations, and whether they converged. notes : lines for the user.
     """
 
     measured: Measurements
@@ -123,7 +123,7 @@ class FrameIdentification:
     zero_point: ZeroPoint | None
     completeness: Completeness | None
     iterations: int
-    settled: bool
+    converged: bool
     notes: tuple[str, ...] = ()
 
     @property

@@ -398,7 +398,7 @@ def _plate(identification: FrameIdentification) -> dict[str, Any]:
         "coefficients_sigma_arcsec": spread.tolist(),
         "rms_arcsec": plate.rms_arcsec.tolist(),
         "rounds": identification.iterations,
-        "settled": identification.settled,
+        "settled": identification.converged,
     }
 
 

@@ -248,12 +248,12 @@ class ApproximateWcs:
     ----------
     wcs : any celestial astropy WCS, distorted or not.
     radius_deg : maximum offset; a quarter of the frame's shorter side if not given.
-    turn_deg : maximum rotation, of either sign. scale_tolerance : maximum relative error of the scale.
+    max_rotation_deg : maximum rotation, of either sign. scale_tolerance : maximum relative error of the scale.
     """
 
     wcs: Any
     radius_deg: float | None = None
-    turn_deg: float = 2.0
+    max_rotation_deg: float = 2.0
     scale_tolerance: float = 0.02
 
     words = "the header's plate solution"
@@ -261,8 +261,8 @@ class ApproximateWcs:
     def __post_init__(self) -> None:
         if not getattr(self.wcs, "has_celestial", False):
             raise InputError("ApproximateWcs: the WCS has no celestial axes; give an Aim instead")
-        if not (self.radius_deg is None or self.radius_deg > 0) or not 0 < self.turn_deg <= 180:
-            raise InputError("ApproximateWcs: radius_deg must be positive, and turn_deg within 0 … 180")
+        if not (self.radius_deg is None or self.radius_deg > 0) or not 0 < self.max_rotation_deg <= 180:
+            raise InputError("ApproximateWcs: radius_deg must be positive, and max_rotation_deg within 0 … 180")
         if not 0 < self.scale_tolerance < 0.5:
             raise InputError(f"ApproximateWcs: scale_tolerance is {self.scale_tolerance}; give a share such as 0.02")
 
@@ -276,7 +276,7 @@ class ApproximateWcs:
         """The volume that is searched."""
         pointing = Pointing.of_wcs(self.wcs, problem.shape)
         side = 2 * self.radius_px(pointing, problem) * pointing.scale_arcsec / ARCSEC_PER_RADIAN
-        return SearchVolume(side**2, 2 * math.radians(self.turn_deg), 2 * self.scale_tolerance, 1)
+        return SearchVolume(side**2, 2 * math.radians(self.max_rotation_deg), 2 * self.scale_tolerance, 1)
 
     def allows(self, pointing: Pointing, problem: PlateProblem) -> bool:
         """Whether a placement agrees with the hint."""
@@ -497,11 +497,11 @@ def _correlated(problem: PlateProblem, header: ApproximateWcs) -> Iterator[Point
     stars = problem.vectors[problem.stars_near(header_pointing.to_sky(middle[None])[0], reach)]
     predicted = header_pointing.to_px(stars)
     predicted = predicted[problem.inside(predicted, radius)] - header_pointing.origin_px
-    steps = math.ceil(math.radians(header.turn_deg) * problem.half_diagonal_px / bin_px)
+    steps = math.ceil(math.radians(header.max_rotation_deg) * problem.half_diagonal_px / bin_px)
     proposals = []
     for depth in (50, 200):
         measured = problem.px[:depth] - header_pointing.origin_px
-        for angle in np.linspace(-1, 1, 2 * steps + 1) * math.radians(header.turn_deg):
+        for angle in np.linspace(-1, 1, 2 * steps + 1) * math.radians(header.max_rotation_deg):
             sine, cosine = math.sin(angle), math.cos(angle)
             rotated = predicted[:depth] @ np.array([[cosine, sine], [-sine, cosine]])
             for excess, shift in _peaks(measured, rotated, radius, bin_px):

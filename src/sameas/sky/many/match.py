@@ -247,7 +247,7 @@ class ManyMatch:
     catalogues : in the given order, as the sources of ``objects``. epoch_jyr : of the objects' states, None if
     positions were not moved. objects : the result; its ``fused.state`` is (n, 4), see :class:`StarObservers`.
     two_by_two : the pairwise matches, by catalogue names. expected : by catalogue names, the expected number of objects
-    in exactly these. iterations, settled : of EM, and whether it converged. doubts : what looks wrong.
+    in exactly these. iterations, converged : of EM, and whether it converged. doubts : what looks wrong.
     rotations : by catalogue name, the rotation that was removed.
     """
 
@@ -257,7 +257,7 @@ class ManyMatch:
     two_by_two: dict[tuple[str, str], SkyMatch]
     expected: dict[tuple[str, ...], float]
     iterations: int
-    settled: bool
+    converged: bool
     doubts: tuple[str, ...]
     rotations: Mapping[str, Rotation] = field(default_factory=dict)
 

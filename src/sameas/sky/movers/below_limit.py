@@ -308,7 +308,7 @@ def _filtered(
     inverse = np.where(np.isfinite(background.variance), 1.0 / background.variance, 0.0).astype(np.float32)
     inverse[(frame.flags & _NO_LIGHT) != 0] = 0.0
     in_frame = np.flatnonzero(series.frame == n)
-    known_sources = in_frame[(series.star | series.still | series.fixed | series.spoilt)[in_frame]]
+    known_sources = in_frame[(series.star | series.stationary | series.fixed | series.unreliable)[in_frame]]
     chip = np.column_stack([exposure.x_px, exposure.y_px])[series.row[known_sources]]
     snr = np.nan_to_num(exposure.snr[series.row[known_sources]], nan=10.0)
     to_chip = chip_map(series, n)

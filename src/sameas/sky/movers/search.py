@@ -545,11 +545,11 @@ def search(
         slow, stuck = _stationary_and_fixed(found, series, tuning)
         if not (slow | stuck).any():
             break
-        stationary, fixed = series.still.copy(), series.fixed.copy()
+        stationary, fixed = series.stationary.copy(), series.fixed.copy()
         for mask, selected in ((stationary, slow), (fixed, stuck & ~slow)):
             members = found.members[selected]
             mask[found.detections.rows[members[members >= 0]]] = True
-        series = replace(series, still=stationary, fixed=fixed)
+        series = replace(series, stationary=stationary, fixed=fixed)
     slow, stuck = _stationary_and_fixed(found, series, tuning)
     wanted = (found.size >= least) & (found.p_tracklet >= least_probability) & ~slow & ~stuck
     return found.only(wanted), series

@@ -411,9 +411,9 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
     """The series with unexplained measurements remeasured as trails where these fit better.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
-    trail are marked as spoilt, and so are all along lines of trails longer than ``max_px`` allows.
+    trail are marked as unreliable, and so are all along lines of trails longer than ``max_px`` allows.
     """
-    place, sigma, spoilt = series.place.copy(), series.sigma_arcsec.copy(), series.spoilt.copy()
+    place, sigma, unreliable = series.place.copy(), series.sigma_arcsec.copy(), series.unreliable.copy()
     vector, error = np.full((len(place), 2), np.nan), np.full(len(place), np.nan)
     magnitude, exposures, long = series.magnitude.copy(), list(series.exposures), 0
     for n, frame in enumerate(frames):
@@ -421,7 +421,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         rows = np.flatnonzero(series.frame == n)
         at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
         flags = np.asarray(one.flags)[series.row[rows]]
-        free = ~(series.star | series.still | series.fixed)[rows]
+        free = ~(series.star | series.stationary | series.fixed)[rows]
         tried = free & ((flags & _NO_LIGHT) == 0)
         if not tried.any() or len(rows) < 6:
             continue
@@ -444,11 +444,11 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
             again = any(one.covers(trail.middle[None], width)[0] for one in known)
             parts[mine] = True
             done |= parts
-            spoilt[rows[parts & ~measured]] = True
+            unreliable[rows[parts & ~measured]] = True
             if again:
                 continue
             row, own = rows[mine], int(series.row[rows[mine]])
-            measured[mine], spoilt[row] = True, False
+            measured[mine], unreliable[row] = True, False
             known.append(trail)
             ends = to_sky(trail.middle + trail.half * np.array([[1.0], [-1.0], [0.0]]))
             place[row] = ends[2] + series.place[row] - to_sky(at[mine][None])[0]
@@ -469,7 +469,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         for line in _long_lines(known, width, 1.8 * tuning.max_px):
             parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(
                 np.column_stack([x, y])[series.row[rows]], width, math.inf))  # fmt: skip
-            spoilt[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
+            unreliable[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
             long += 1
         exposures[n] = replace(
             one, x_px=x, y_px=y, covariance_px=cov, covariance=sky, flux=flux, flux_err=flux_err, flags=marks,
@@ -477,7 +477,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         )  # fmt: skip
     note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
     return replace(
-        series, place=place, sigma_arcsec=sigma, spoilt=spoilt, magnitude=magnitude, exposures=tuple(exposures),
+        series, place=place, sigma_arcsec=sigma, unreliable=unreliable, magnitude=magnitude, exposures=tuple(exposures),
         trails=Trails(vector, error, tuning.min_widths), notes=(*series.notes, *([note] if long else [])),
     )  # fmt: skip
 
