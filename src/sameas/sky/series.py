@@ -598,8 +598,8 @@ def gather(
     """The stars among the measurements of a series.
 
     place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star.
-    stationary : (n,) mask. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale of
-    the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
+    stationary : (n,) mask. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale
+    of the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
     """
     rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, stationary, frames, tuning)
     at, measured = np.maximum(rows, 0), rows >= 0
