@@ -54,7 +54,7 @@ def test_a_viewer_sees_alarms_and_an_operator_acknowledges_them(keeper, tmp_path
                     # An active alarm shows the present closest approach as well as the one when it was raised, and the
                     # tab counts what the button counts: the active alarms, not the past ones.
                     current = "[...document.querySelectorAll('#alarms li.current')]"
-                    page.until(f"{current}.some(e => / – now \\d+ m in \\d+\\.\\d min/.test(e.textContent))")
+                    page.until(f"{current}.some(e => / – now \\d+ m in \\d+\\.\\d min/.test(e.textContent))", 60.0)
                     counted = "+(document.querySelector('#tab-alarms span')?.textContent ?? 0)"
                     assert page.js(f"{current}.length === {counted}")
                 assert page.js("location.search") == "" and page.js("document.cookie") == ""
