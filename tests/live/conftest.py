@@ -91,7 +91,7 @@ def served(keeper, access=None):
     thread = threading.Thread(target=lambda: asyncio.run(run()))
     thread.start()
     try:
-        end = time.monotonic() + 20.0
+        end = time.monotonic() + 120.0  # kernels may have to be compiled
         while keeper.frame is None or not server.started:
             assert time.monotonic() < end and thread.is_alive(), "it never ticked"
             time.sleep(0.02)
