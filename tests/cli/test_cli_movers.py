@@ -10,18 +10,12 @@ from sameas.cli.app import app
 from sameas.io import read_table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "sky"))
-from moving import night
+from moving import night_table
 
 
 @pytest.fixture
 def table(tmp_path):
-    from astropy.table import Table
-
-    seen, _ = night(21)
-    path = tmp_path / "night.csv"
-    columns = {"ra": seen.ra_deg, "dec": seen.dec_deg, "mjd": seen.mjd_utc, "mag": seen.magnitude}
-    Table(columns).write(path)
-    return path
+    return night_table(tmp_path / "night.csv")
 
 
 def run(*arguments):

@@ -9,18 +9,12 @@ from sameas.errors import InputError
 from sameas.front.movers import MoverOptions, night_movers, read_night, series_movers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "sky"))
-from moving import night
+from moving import night_table
 
 
 @pytest.fixture
 def table(tmp_path):
-    from astropy.table import Table
-
-    seen, _ = night(21)
-    path = tmp_path / "night.csv"
-    columns = {"ra": seen.ra_deg, "dec": seen.dec_deg, "mjd": seen.mjd_utc, "mag": seen.magnitude}
-    Table(columns).write(path)
-    return str(path)
+    return str(night_table(tmp_path / "night.csv"))
 
 
 def test_a_night_is_searched_without_a_terminal(table):

@@ -48,3 +48,12 @@ def night(
         magnitude_error=np.full(len(bright), 0.1), frame=frame[order],
     )  # fmt: skip
     return detections, truth[order].astype(int)
+
+
+def night_table(path):
+    """The path of a new table of a night's detections."""
+    from astropy.table import Table
+
+    seen, _ = night(21)
+    Table({"ra": seen.ra_deg, "dec": seen.dec_deg, "mjd": seen.mjd_utc, "mag": seen.magnitude}).write(path)
+    return path

@@ -16,9 +16,9 @@ import numpy as np
 import sameas
 from sameas.arrays import BoolArray
 from sameas.errors import InputError
-from sameas.front.options import fields_of
 from sameas.front.provenance import program
-from sameas.io import checksum, read_table, write_table
+from sameas.front.request import read_catalogue, stem_of
+from sameas.io import checksum, write_table
 from sameas.io.ades import REPORTS, Observer, observations
 from sameas.io.atomic import filling
 from sameas.report.movers import (
@@ -33,7 +33,6 @@ from sameas.report.movers import (
 )
 from sameas.report.prose import DOUBT
 from sameas.representation import counted
-from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.movers.detections import DetectionColumns, Detections, detections_of
 from sameas.sky.movers.known import KnownObjects, name_movers, near_earth_scores
 from sameas.sky.movers.orbits import Elements
@@ -45,6 +44,7 @@ if TYPE_CHECKING:
     from sameas.front.series import FieldSeries, Identified
     from sameas.sky.movers.below_limit import BelowLimit
     from sameas.sky.movers.stack import Stack
+    from sameas.sky.series import Series
 
 Progress = Callable[[str], object]
 Say = Callable[[Iterable[str]], object]
@@ -135,19 +135,10 @@ def read_night(
     read = []
     for path in every:
         progress(f"reading {path}")
-        read.append(_catalogue(path, columns or {}))
+        read.append(read_catalogue(path, stem_of(path), columns or {}, 0))
     seen, lines = detections_of(read[: len(paths)], wanted)
     say([*lines, *searched_lines(seen), ""])
     return Night(every, seen, tuple(detections_of([one], wanted)[0] for one in read[len(paths) :]))
-
-
-def _catalogue(path: str, columns: Mapping[str, Any]) -> Catalogue:
-    """The catalogue of a table of detections."""
-    hdu = columns.get("hdu")
-    hdu = int(hdu) if hdu is not None and hdu.isdigit() else hdu
-    table = read_table(path, format=columns.get("format"), hdu=hdu)
-    name = Path(path).name.removesuffix(".gz").rsplit(".", 1)[0]
-    return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(columns, 0)))
 
 
 @dataclass(frozen=True)
@@ -174,11 +165,18 @@ class NightMovers:
 
     def write_reports(self, paths: Sequence[Path]) -> None:
         """Write the reports of an observer, in the order of :data:`sameas.io.ades.REPORTS`."""
-        observer = self.options.observer
-        assert observer is not None
-        rows = observations(self.found, self.known, np.flatnonzero(self.options.in_report(self.found)))
-        for path, write in zip(paths, REPORTS.values(), strict=True):
-            write(rows, observer, path, software=f"sameas {sameas.__version__}")
+        _write_reports(self.found, self.known, self.options, paths)
+
+
+def _write_reports(
+    found: Movers, known: KnownObjects | None, options: MoverOptions, paths: Iterable[Path],
+    series: Series | None = None,
+) -> None:  # fmt: skip
+    """Write the reports of the options' observer, one path for each of :data:`sameas.io.ades.REPORTS`."""
+    assert options.observer is not None
+    rows = observations(found, known, np.flatnonzero(options.in_report(found)), series)
+    for path, write in zip(paths, REPORTS.values(), strict=True):
+        write(rows, options.observer, path, software=f"sameas {sameas.__version__}")
 
 
 def night_movers(
@@ -258,18 +256,16 @@ class SeriesMovers:
         tables = {"movers": found.detection_table(), "tracklets": self.options.table(found, known)}
         if below is not None:
             tables["below-limit"] = below.table()
-        observer = self.options.observer
-        in_report = None if observer is None else self.options.in_report(found)
+        in_report = None if self.options.observer is None else self.options.in_report(found)
         written = []
         with filling(folder) as draft:
             for name in ("movers", "tracklets"):
                 written.append(f"{name}.fits")
                 write_table(tables[name], draft / written[-1], provenance=facts)
-            if observer is not None and in_report is not None:
-                rows = observations(found, known, np.flatnonzero(in_report), series)
-                for end, write in REPORTS.items():
-                    written.append(f"report.{end}")
-                    write(rows, observer, draft / written[-1], software=f"sameas {sameas.__version__}")
+            if in_report is not None:
+                reports = [f"report.{end}" for end in REPORTS]
+                _write_reports(found, known, self.options, [draft / name for name in reports], series)
+                written += reports
             if below is not None:
                 written.append("below-limit.fits")
                 write_table(tables["below-limit"], draft / written[-1], provenance=facts)

@@ -54,7 +54,7 @@ class Request(Generic[Options]):
         "second" for tables in memory."""
         if self.given_names:
             return self.given_names
-        stems = self._named(lambda path: Path(path).name.removesuffix(".gz").rsplit(".", 1)[0])
+        stems = self._named(stem_of)
         for names in (stems, self._named(lambda path: Path(path).name), self._named(str)):
             if len(set(names)) == len(names):
                 return names
@@ -76,16 +76,14 @@ class Request(Generic[Options]):
         InputError : not a table; refused by :meth:`~sameas.sky.catalogue.Catalogue.of`; column options for a source
             that is a ``Catalogue`` already.
         """
-        from sameas.sky.catalogue import Catalogue, CatalogueOptions
+        from sameas.sky.catalogue import Catalogue
 
         source, name = self.sources[side - 1], self.names[side - 1]
         if isinstance(source, Catalogue):
             self._refuse_options(side, name)
             return source
-        hdu, format = of_side(self.columns, "hdu", side), of_side(self.columns, "format", side)
         try:
-            table = table_of(source, name, format=format, hdu=int(hdu) if str(hdu).isdigit() else hdu)
-            return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(self.columns, side)))
+            return read_catalogue(source, name, self.columns, side)
         except InputError as error:
             raise self.named(error, side) from error
 
@@ -208,6 +206,25 @@ def _column_of(held: Mapping[str, Any]) -> Column | Related:
         return Related(held["first"], held["second"], tuple(held["names"]))
     odds = None if held["odds"] is None else OddsTable(held["odds"]["rows"])
     return Column(held["source"], held["values"], odds, held["name"])
+
+
+def stem_of(path: str) -> str:
+    """The name of a file without its ending, also that of a compressed one."""
+    return Path(path).name.removesuffix(".gz").rsplit(".", 1)[0]
+
+
+def read_catalogue(source: Any, name: str, columns: Mapping[str, Any], side: int) -> Catalogue:
+    """A catalogue from what holds its positions, with the options of a side; side 0 has those of all sides only.
+
+    Raises
+    ------
+    InputError : as :func:`~sameas.front.tables.table_of` and :meth:`~sameas.sky.catalogue.Catalogue.of`.
+    """
+    from sameas.sky.catalogue import Catalogue, CatalogueOptions
+
+    hdu, format = of_side(columns, "hdu", side), of_side(columns, "format", side)
+    table = table_of(source, name, format=format, hdu=int(hdu) if str(hdu).isdigit() else hdu)
+    return Catalogue.of(table, name, options=CatalogueOptions(**fields_of(columns, side)))
 
 
 def _is_catalogue(source: Any) -> bool:
