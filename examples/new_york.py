@@ -66,9 +66,9 @@ def sensors(folder: Path) -> None:
     for described in read_descriptions(DATA / "new-york.toml"):
         if described.site is None:
             continue
-        heard = Sensor(described, BIASES[described.name], Tracker())(motion, span, rng)
-        _write_radar(folder / f"{described.name}.csv", heard.reports)
-        truth += [(described.name, line, int(k)) for line, k in enumerate(heard.truth, start=2)]
+        simulated = Sensor(described, BIASES[described.name], Tracker())(motion, span, rng)
+        _write_radar(folder / f"{described.name}.csv", simulated.reports)
+        truth += [(described.name, line, int(k)) for line, k in enumerate(simulated.truth, start=2)]
     shutil.copyfile(DATA / "new-york.toml", folder / "sensors.toml")
     _write(folder / "truth.csv", ("source", "line", "vessel"), truth)
     counts = {name: sum(row[0] == name for row in truth) for name in ("ais", *BIASES)}
@@ -84,14 +84,15 @@ def _write_ais(path: Path, real: Reports, motion: TrueMotion) -> list[tuple[int,
     for k, mmsi in enumerate(cells["mmsi"]):
         if mmsi == SILENT:
             continue
-        said = ferry if mmsi == FORGER and real.time_s[k] >= FORGED_FROM_S else k
+        identity = ferry if mmsi == FORGER and real.time_s[k] >= FORGED_FROM_S else k
         code = str(cells["type"][k] or "").split(".")[0]
         kind = TYPES.get(code) or TYPES.get(code[:1], "")
         length = cells["length_m"][k]
         rows.append((
-            _iso(real.time_s[k]), cells["mmsi"][said], f"{cells['lat_deg'][k]:.5f}", f"{cells['lon_deg'][k]:.5f}",
+            _iso(real.time_s[k]), cells["mmsi"][identity], f"{cells['lat_deg'][k]:.5f}", f"{cells['lon_deg'][k]:.5f}",
             f"{cells['speed_m_per_s'][k] * 3600 / 1852:.1f}", f"{cells['course_deg'][k]:.1f}",
-            cells["name"][said] or "", cells["callsign"][said] or "", kind, "" if np.isnan(length) else f"{length:g}",
+            cells["name"][identity] or "", cells["callsign"][identity] or "", kind,
+            "" if np.isnan(length) else f"{length:g}",
         ))  # fmt: skip
         kept.append((len(rows) + 1, int(truth[k])))
     _write(path, AIS_COLUMNS, rows)
@@ -122,22 +123,24 @@ def judge(folder: Path) -> None:
     """Compare the picture with the truth, and print it."""
     table = read_table(folder / "identities.parquet")
     records = {name: np.ma.asarray(table[name]) for name in ("time_s", "source", "line", "object")}
-    told = truth_of(folder / "truth.csv")
+    vessels = true_vessels(folder / "truth.csv")
     alarms = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["alarms"]
-    print("\n".join(judged(records, told, alarms)))
+    print("\n".join(comparison(records, vessels, alarms)))
 
 
-def truth_of(path: Path) -> dict[tuple[str, int], int]:
+def true_vessels(path: Path) -> dict[tuple[str, int], int]:
     """The vessel of every report, by source and line; −1 for false echoes."""
     with path.open(encoding="utf-8") as file:
         return {(row["source"], int(row["line"])): int(row["vessel"]) for row in csv.DictReader(file)}
 
 
-def judged(records: dict[str, np.ma.MaskedArray], told: dict[tuple[str, int], int], alarms: Sequence[str]) -> list[str]:
-    """Lines to print."""
+def comparison(
+    records: dict[str, np.ma.MaskedArray], vessels: dict[tuple[str, int], int], alarms: Sequence[str]
+) -> list[str]:
+    """Accuracy of the pairs and tracks, and the alarms, as lines to print."""
     pairs = zip(records["source"].astype(str), records["line"].astype(int), strict=True)
-    truth = np.array([told[source, line] for source, line in pairs])
-    score, held = pair_score(Identities.of(records, truth)), siap(Identities.of(records, truth))
+    truth = np.array([vessels[source, line] for source, line in pairs])
+    score, tracking = pair_score(Identities.of(records, truth)), siap(Identities.of(records, truth))
     names = TrueMotion.of(log()).names
     silent, close = names.index(SILENT), [names.index(name) for name in CLOSE]
     own = truth == silent
@@ -146,11 +149,11 @@ def judged(records: dict[str, np.ma.MaskedArray], told: dict[tuple[str, int], in
     passing = pair_score(Identities.of({k: v[near] for k, v in records.items()}, truth[near]))
     forged = sum(FERRY in alarm for alarm in alarms)
     return [
-        "The picture off Manhattan against its truth (real motion, modelled radars)",
+        "The picture off Manhattan compared with the truth (real motion, modelled radars)",
         f"  pairs of records      precision {score.pairs.precision:.2%}, recall {score.pairs.recall:.2%}, "
         f"F1 {score.pairs.f1:.3f}, over {len(score.right)} instants",
-        f"  vessels followed      completeness {held.completeness:.2%}, objects a vessel {held.ambiguity:.3f}, "
-        f"changes of number {held.switches}",
+        f"  vessels followed      completeness {tracking.completeness:.2%}, objects per vessel "
+        f"{tracking.ambiguity:.3f}, changes of number {tracking.switches}",
         f"  passing closely       F1 of the two ferries {passing.pairs.f1:.3f}",
         f"  without AIS           {own.sum()} radar records of the silent tug, {np.mean(~with_ais):.2%} kept from AIS",
         f"  one identity twice    {forged} alarms name the ferry's MMSI",

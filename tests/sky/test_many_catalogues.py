@@ -396,7 +396,7 @@ def test_hipparcos_gaia_and_tycho_are_identified_jointly() -> None:
     assert np.mean((rows[bright] >= 0).all(axis=1)) > 0.96
     own = (rows[:, 1] >= 0) & (np.append(found.catalogues[1].ids, 0)[rows[:, 1]] < 0)
     assert own.any() and (rows[own, 0] >= 0).all()
-    assert "come back to themselves" in "\n".join(example.judged(found))
+    assert "are matched with themselves" in "\n".join(example.comparison(found))
 
 
 def _example(name: str):
