@@ -148,6 +148,27 @@ print(numba.njit(lambda words: words.upper())("us"))
     assert (first[1:], second[1:]) == (["True", "US"], ["False", "US"])
 
 
+@pytest.mark.slow
+def test_a_kernel_is_read_ahead_only_if_it_is_in_the_cache(tmp_path):
+    program = """
+import numpy as np
+from sameas.kernels.summary import greatest_pair, per_record
+
+greatest_pair.read_cached()
+per_record.read_cached()
+print(*(kernel._dispatcher is not None and len(kernel.compiled.signatures) for kernel in (greatest_pair, per_record)))
+greatest_pair.compiled(np.array([1, 0, 1, 1], np.int32), 3, np.array([0.25, 0.5, 0.75, 0.75]))
+print(sum(greatest_pair.compiled.stats.cache_misses.values()))
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-c", program]
+    printed = [
+        subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+        for _ in range(2)
+    ]
+    assert printed == [["False", "False", "1"], ["1", "False", "0"]]
+
+
 #: What numba defines in ``numba.np.arraymath``, which imports ``scipy.linalg``: a kernel that calls one of these names
 #: it in the cache, and takes a tenth of a second longer to be read.
 COSTLY = {"max", "min", "argmax", "argmin", "flatnonzero", "nonzero", "sum", "prod", "cumsum", "any", "all", "median"}

@@ -9,8 +9,10 @@ from astropy.table import Table
 from fields import field, save
 
 from sameas.estimate.quantity import Quantity
+from sameas.front.request import Request
 from sameas.io import read_provenance, read_table
 from sameas.simulate import blended_field
+from sameas.sky.many import ManyOptions
 
 
 def pairs(path):
@@ -205,3 +207,27 @@ def test_formats_and_version(sameas):
     assert "parquet     .parquet .pq .parq\n" in listed
     assert "ipac        .tbl .ipac .tbl.gz .ipac.gz  (read only)" in listed
     assert sameas("--version").stdout == "sameas 0.1.0\n"
+
+
+def test_large_tables_are_read_two_at_a_time_with_the_same_result(tmp_path, sameas, field_files, refusal, monkeypatch):
+    first, second = field_files
+    plain = sameas("match", first, second, "-o", tmp_path / "out.csv").stdout
+    table = (tmp_path / "out.csv").read_text()
+    refused = refusal("match", tmp_path / "none.fits", tmp_path / "nor.fits", "-o", tmp_path / "out.csv")
+    monkeypatch.setattr("sameas.cli.outputs.TWO_AT_ONCE_BYTES", 0)
+    monkeypatch.setattr("sameas.cli.match.READ_AHEAD_BYTES", 0)
+    again = sameas("match", first, second, "-o", tmp_path / "out.csv").stdout
+    assert [line for line in again.splitlines() if "Time:" not in line] == [
+        line for line in plain.splitlines() if "Time:" not in line
+    ]
+    assert (tmp_path / "out.csv").read_text() == table
+    assert refusal("match", tmp_path / "none.fits", tmp_path / "nor.fits", "-o", tmp_path / "out.csv") == refused
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_catalogues_read_two_at_a_time_are_described_in_order(field_files, count):
+    request = Request((*field_files, field_files[0])[:count], ManyOptions())
+    described = []
+    both = request.catalogues(lambda side, catalogue: described.append((side, len(catalogue))), two_at_once=True)
+    assert [len(catalogue) for catalogue in both] == [120, 100, 120][:count]
+    assert described == list(enumerate([120, 100, 120][:count], 1))

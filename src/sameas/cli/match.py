@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
 
+#: Size of both files from which cached kernels are read while the tables are: so many records need compiled kernels.
+READ_AHEAD_BYTES = 32_000_000
+
 _PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}
 
 
@@ -282,8 +285,12 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     began = time.perf_counter()
     printer = Printer(quiet)
     with Pace(quiet) as pace:
-        catalogues = _read_both(request, printer, pace)
         share_compilation(quiet)
+        if request.n_bytes >= READ_AHEAD_BYTES:
+            from sameas.cli import warmup
+
+            warmup.read_ahead()
+        catalogues = _read_both(request, printer, pace)
         match = identified(request, catalogues, progress=pace, join=joining.join, nway_columns=joining.nway_columns)
         assert match.sky is not None
         pace("joining the tables")

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from astropy.table import Table
 
 
+#: Size of all files from which catalogues are read two at a time.
+TWO_AT_ONCE_BYTES = 4_000_000
+
+
 def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Catalogue]:
     """All catalogues of a request; the description of each is printed once it has been read."""
 
@@ -34,7 +38,7 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
             pace(f"reading {request.paths[side]}")
 
     pace(f"reading {request.paths[0]}")
-    return request.catalogues(printed)
+    return request.catalogues(printed, two_at_once=request.n_bytes >= TWO_AT_ONCE_BYTES)
 
 
 def _in_own_terms(request: Request[Any], side: int, text: str) -> str:

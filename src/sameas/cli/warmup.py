@@ -1,8 +1,9 @@
-"""The first compilation on a machine, shared between two processes.
+"""Kernels before they are called: the first compilation on a machine in two processes, cached kernels in a thread.
 
 Kernels are compiled at their first call with many items and cached for later runs. The kernels of the search take about
 as long to compile as those of the error scales and of the posterior. While the command compiles the former, a second
-process compiles the latter, which the command then finds in the cache.
+process compiles the latter, which the command then finds in the cache. A match of large tables needs compiled kernels
+in any case: it reads those in the cache while a reader waits for its file.
 """
 
 from __future__ import annotations
@@ -47,6 +48,21 @@ def _claimed(mark: Path) -> bool:
     except OSError:
         return False
     return True
+
+
+def read_ahead() -> None:
+    """Read the cached kernels of a match in a thread; do not wait."""
+    threading.Thread(target=_read_cached, daemon=True).start()
+
+
+def _read_cached() -> None:
+    from sameas.kernels import assign, components, coverage, messages, mixture, order, posterior, sphere, summary
+
+    # In the order of their first calls.
+    for module in (coverage, order, sphere, components, assign, posterior, messages, mixture, summary):
+        for kernel in list(vars(module).values()):
+            if isinstance(kernel, compiled.Kernel):
+                kernel.read_cached()
 
 
 def compile_sums() -> None:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -14,6 +15,7 @@ from sameas.evidence import Column, Errors, OddsTable, Related
 from sameas.front.options import COLUMN_OPTIONS, FILE_OPTIONS, SIDE_OPTIONS, fields_of, of_side, renamed
 from sameas.front.tables import kind_of, table_of
 from sameas.io import checksum
+from sameas.kernels import threads
 from sameas.representation import in_short
 
 if TYPE_CHECKING:
@@ -87,17 +89,25 @@ class Request(Generic[Options]):
         except InputError as error:
             raise self.named(error, side) from error
 
-    def catalogues(self, read: Callable[[int, Catalogue], None] = lambda side, catalogue: None) -> list[Catalogue]:
-        """All catalogues. read : called with the number of each catalogue and the catalogue once it has been read.
+    def catalogues(
+        self, read: Callable[[int, Catalogue], None] = lambda side, catalogue: None, *, two_at_once: bool = False
+    ) -> list[Catalogue]:
+        """All catalogues.
+
+        Parameters
+        ----------
+        read : called with the number of each catalogue and the catalogue once it has been read, in order.
+        two_at_once : read in two threads. Readers change the warnings filters of the process, so this is for processes
+            that show no warnings.
 
         Raises
         ------
         InputError : as :meth:`catalogue`, with the errors of all catalogues in one message.
         """
         catalogues, refused = [], []
-        for side in range(1, len(self.sources) + 1):
+        for side, catalogue in enumerate(self._readers(two_at_once), 1):
             try:
-                catalogues.append(self.catalogue(side))
+                catalogues.append(catalogue())
             except InputError as error:
                 refused.append(error)
                 continue
@@ -106,6 +116,16 @@ class Request(Generic[Options]):
         if refused:
             raise InputError.together(refused)
         return catalogues
+
+    def _readers(self, two_at_once: bool) -> Iterator[Callable[[], Catalogue]]:
+        """For each catalogue a function that returns it; with ``two_at_once`` every second one is begun before."""
+        sides = range(1, len(self.sources) + 1)
+        for side in sides[::2] if two_at_once else ():
+            ahead = [threads.started(partial(self.catalogue, following)) for following in sides[side : side + 1]]
+            yield partial(self.catalogue, side)
+            yield from ahead
+        for side in () if two_at_once else sides:
+            yield partial(self.catalogue, side)
 
     def _refuse_options(self, side: int, name: str) -> None:
         stated = [one.parameter for one in SIDE_OPTIONS if self.columns.get(f"{one.parameter}{side}") is not None]
@@ -134,6 +154,11 @@ class Request(Generic[Options]):
     def in_own_terms(self, words: Callable[[str], str], side: int, text: str) -> str:
         """:meth:`words`, then reworded by ``words``."""
         return words(self.words(text, side))
+
+    @property
+    def n_bytes(self) -> int:
+        """Size of the files together."""
+        return sum(os.path.getsize(path) for path in self.paths if os.path.isfile(path))
 
     @property
     def twice(self) -> str:

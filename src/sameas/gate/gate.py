@@ -271,14 +271,18 @@ def _gathered(
     for (chunk,), start in zip(ranges, starts, strict=False):
         count = len(chunk[0])
         if start != used:
-            for column in whole:
-                column[used : used + count] = column[start : start + count]
+            threads.each([partial(_move, column, start, used, count) for column in whole], count)
         used += count
     del ranges, chunk
     for column in whole:
         # Nothing refers to the columns any more: unused memory is released.
         column.resize((used, *column.shape[1:]), refcheck=False)
     return whole
+
+
+def _move(column: NDArray[Any], start: int, to: int, count: int) -> None:
+    """Move ``count`` elements of a column from ``start`` to ``to``."""
+    column[to : to + count] = column[start : start + count]
 
 
 def _room(d: int, capacity: int) -> Columns:

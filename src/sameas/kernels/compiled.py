@@ -34,7 +34,7 @@ MAX_INTERPRETED_IF_LOADED = 2_000
 #: CPU seconds of interpreting after which everything is compiled: with the kernel in the cache, and without (there the
 #: first compilation on this machine has to pay).
 INTERPRETING_LIMIT_S, INTERPRETING_LIMIT_UNCACHED_S = 2.0, 15.0
-#: Newest numba whose cache is known to have what :func:`_read_cache_first` calls; the oldest is the required one.
+#: Newest numba whose cache is known to have what is called here; the oldest is the required one.
 NEWEST_KNOWN_NUMBA = (0, 68)
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 _PART: dict[str, Any] = {**_OPTIONS, "no_cpython_wrapper": True}
@@ -110,6 +110,13 @@ class Kernel:
                     _announce_compilation(dispatcher)
                 self._dispatcher = dispatcher
         return self._dispatcher
+
+    def read_cached(self) -> None:
+        """Read everything that the cache has of this kernel; compiles nothing."""
+        if self._is_cached and _knows_cache():
+            dispatcher = self.compiled
+            for signature, *_ in dispatcher._cache._cache_file._load_index():
+                dispatcher.compile(signature)
 
     def interpreted(self, *arguments: Any) -> Any:
         """The result in Python."""
@@ -241,15 +248,20 @@ def _dispatcher(function: FunctionType) -> Any:
     return _dispatchers[function]
 
 
+def _knows_cache() -> bool:
+    """Whether the cache of this version of numba is known."""
+    import numba
+
+    return hasattr(numba, "version_info") and bool(numba.version_info.full[:2] <= NEWEST_KNOWN_NUMBA)
+
+
 def _read_cache_first(dispatcher: Any) -> None:
     """Make the dispatcher read the cache before numba loads its compiler, which takes longer than reading every kernel
     of a match; a kernel that is not in the cache is compiled as usual.
 
     A kernel from the cache needs only numba's memory manager; one that hashes would need more, and none of ours does.
     """
-    import numba
-
-    if not hasattr(numba, "version_info") or numba.version_info.full[:2] > NEWEST_KNOWN_NUMBA:
+    if not _knows_cache():
         return
     from numba.core.runtime.nrt import rtsys
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
 from typing import TypeVar
 
@@ -41,6 +42,20 @@ def both(one: Callable[[], T], other: Callable[[], U], size: int) -> tuple[T, U]
     """:func:`each` for two functions of different result types."""
     results: list[T | U] = each([one, other], size)
     return results[0], results[1]
+
+
+def started(work: Callable[[], T]) -> Callable[[], T]:
+    """Start ``work`` in a thread that does not keep the process alive; the returned function waits for its result."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=run, daemon=True).start()
+    return future.result
 
 
 def even(n: int, least: int = 4096) -> list[int]:
