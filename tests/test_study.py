@@ -14,8 +14,8 @@ from benchmarks.study.contenders import (
     Constant,
     Enumerated,
     Identified,
-    Known,
-    Nothing,
+    KnownFormation,
+    NoPrior,
     Uniform,
     Verdict,
     line_up,
@@ -58,7 +58,7 @@ def test_batches_of_scenes_equal_single_scenes(name):
     formation = FORMATIONS[name]
     scenes = drawn(formation)
     rules = [Identified("close", Close()), Identified("uniform", Uniform()),
-             Identified("constant", Constant(), Nothing(), experiments.OPEN_GATE)]  # fmt: skip
+             Identified("constant", Constant(), NoPrior(), experiments.OPEN_GATE)]  # fmt: skip
     for contender in rules:
         verdict = contender(scenes, formation)
         claimed, certain = [], {}
@@ -158,9 +158,9 @@ def test_a_tally_agrees_with_the_scores_of_single_scenes():
     assert figures["gospa"].error == pytest.approx(np.std(distance, ddof=1) / math.sqrt(30))
     i, j, p = verdict.candidates
     true = np.intersect1d(*scenes.truth, return_indices=True)[1:]
-    judged = score_probabilities(p, is_true_pair((i, j), true))
-    assert figures["brier"].value == pytest.approx(judged.brier)
-    assert figures["ece"].value == pytest.approx(judged.expected_calibration_error)
+    expected = score_probabilities(p, is_true_pair((i, j), true))
+    assert figures["brier"].value == pytest.approx(expected.brier)
+    assert figures["ece"].value == pytest.approx(expected.expected_calibration_error)
     assert figures["missed pairs"].value == pytest.approx(1 - is_true_pair((verdict.i, verdict.j), true).mean()
                                                           * len(verdict.i) / len(true[0]))  # fmt: skip
 
@@ -214,7 +214,7 @@ def test_the_rule_with_the_known_formation_is_best():
     scenes = drawn(formation, 1500)
     shares = {
         c.name: count(scenes, c(scenes, formation)).figures()["right"].value
-        for c in (*line_up(formation)[:7], Identified("known", Known()))
+        for c in (*line_up(formation)[:7], Identified("known", KnownFormation()))
     }
     assert max(shares, key=shares.get) == "known"
     assert shares["close objects"] > shares["independent Bayes"] + 0.08
@@ -264,8 +264,8 @@ def test_without_stone_soup_its_column_is_omitted_with_a_note(monkeypatch):
     assert not any("Stone Soup" in c.name for point in experiments.spacing() for c in point.contenders)
     with pytest.raises(InputError, match=r"Stone Soup is missing: pip install 'sameas\[stonesoup\]'"):
         stonesoup.StoneSoup()(drawn(FIVE, 2), FIVE)
-    said = command.summary(studied(2, ["priors"]))
-    assert any("Stone Soup is missing" in line for line in said)
+    lines = command.summary(studied(2, ["priors"]))
+    assert any("Stone Soup is missing" in line for line in lines)
 
 
 # ---- priors, many sources, Mori ----
@@ -323,12 +323,12 @@ def test_moris_constants_agree_with_the_paper_and_hold_for_sparse_fields():
 # ---- what is written ----
 
 
-def test_a_claim_holds_within_the_errors_of_both():
+def test_a_claim_agrees_within_the_errors_of_both():
     def claim(value, error):
         return Claim("paper", "x", 0.79, 0.83, "records", Ratio(value, error))
 
-    assert claim(0.80, 0.001).holds and claim(0.776, 0.001).holds and claim(0.75, 0.021).holds
-    assert not claim(0.75, 0.01).holds
+    assert claim(0.80, 0.001).agrees and claim(0.776, 0.001).agrees and claim(0.75, 0.021).agrees
+    assert not claim(0.75, 0.01).agrees
     assert claim(0.75, 0.01).verdict == "0.040 below" and claim(0.85, 0.001).verdict == "0.020 above"
 
 
@@ -357,7 +357,7 @@ def test_the_command_writes_tables_figures_and_the_page(small, tmp_path, capsys)
     pytest.importorskip("matplotlib")
     main(["--scenes", "6", "-o", str(tmp_path / "out")])
     printed = capsys.readouterr().out
-    assert "What was claimed" in printed and "6 scenes a point" in printed
+    assert "What was claimed" in printed and "6 scenes per point" in printed
     page = (tmp_path / "out/study.md").read_text()
     assert page.startswith("# What the papers claim and what we measure")
     figures = sorted(path.name for path in (tmp_path / "out/figures").iterdir())
@@ -367,7 +367,7 @@ def test_the_command_writes_tables_figures_and_the_page(small, tmp_path, capsys)
     import pyarrow.parquet as pq
 
     rules = pq.read_table(tmp_path / "out/tables/rules.parquet")
-    assert {"rule", "right", "right s.e.", "gospa", "ece", "ms a scene"} <= set(rules.column_names)
+    assert {"rule", "right", "right s.e.", "gospa", "ece", "ms per scene"} <= set(rules.column_names)
     shares = rules["right"].drop_null().to_numpy()
     assert len(shares) > 100 and shares.min() >= 0 and shares.max() <= 1
     assert (tmp_path / "out/tables/several.md").read_text().startswith("| scene | sources |")

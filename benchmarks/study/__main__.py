@@ -16,16 +16,16 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """The command line: everything on all cores; ``docs/study.md`` where every experiment ran at full length."""
+    """Run the command line; a full run writes ``docs/study.md``."""
     parser = argparse.ArgumentParser(prog="scripts/bench study", description=__doc__)
-    parser.add_argument("--scenes", type=int, default=None, help=f"scenes a point (default {SCENES})")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK} scenes a point, and no page")
+    parser.add_argument("--scenes", type=int, default=None, help=f"scenes per point (default {SCENES})")
+    parser.add_argument("--quick", action="store_true", help=f"{QUICK} scenes per point, and no page")
     parser.add_argument("--only", action="append", default=[], help=f"one experiment, and no page: {', '.join(NAMES)}")
-    parser.add_argument("-o", "--output", type=Path, default=OUTPUT / "study", help="gets tables and figures")
-    parser.add_argument("--page", type=Path, default=None, help="another place for the page")
+    parser.add_argument("-o", "--output", type=Path, default=OUTPUT / "study", help="folder for tables and figures")
+    parser.add_argument("--page", type=Path, default=None, help="another path for the page")
     options = parser.parse_args(arguments)
     if options.scenes is not None and options.quick:
-        parser.error("say --quick or --scenes, not both")
+        parser.error("give --quick or --scenes, not both")
     whole = not (options.quick or options.only)
     page = options.page or (DOCS / "study.md" if whole and options.output == OUTPUT / "study" else None)
     try:

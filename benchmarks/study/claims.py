@@ -1,9 +1,9 @@
-"""Claims: what was said of the rules, beside what we measure.
+"""Claims: published figures of the rules compared with our measurements.
 
-The second paper says that close objects decides rightly with a probability above 0.75 … 0.80 from d = 1.6 … 1.9 on. Its
-other figures come from our own earlier reconstruction of it (METHOD 8), of which the ways of counting are not known in
-every detail. A claim names its source, the range that its words allow, and how ours is counted. It holds where our
-figure lies in the range, give or take the tolerance that was asked of the study or two standard errors of ours.
+The second paper states that close objects decides correctly with a probability above 0.75 … 0.80 from d = 1.6 … 1.9 on.
+The other figures are from our own earlier reconstruction of it (METHOD 8), whose ways of counting are not known in
+every detail. A claim has a source, the range that its words allow, and the way in which the measurement is counted. It
+agrees if the measurement is in the range, within the tolerance of the study or two standard errors of the measurement.
 """
 
 from __future__ import annotations
@@ -15,59 +15,59 @@ from dataclasses import dataclass
 from benchmarks.study.study import Study
 from benchmarks.study.tally import Ratio
 
-#: The tolerance asked of the study, set before it was run.
+#: Tolerance of the study, set before it was run.
 TOLERANCE = 0.015
 PAPER, RECONSTRUCTION = "paper", "earlier reconstruction"
 
 
 @dataclass(frozen=True)
 class Claim:
-    """``source`` says that ``what`` lies in ``low`` … ``high``; ``counted`` is how ``ours`` is counted."""
+    """``source`` states that ``what`` is between ``low`` and ``high``; ``counted``: how ``measured`` is counted."""
 
     source: str
     what: str
     low: float
     high: float
     counted: str
-    ours: Ratio
+    measured: Ratio
 
     @property
-    def miss(self) -> float:
-        """How far ours lies outside the range, above or below it (negative); 0 inside."""
-        return max(self.ours.value - self.high, 0.0) + min(self.ours.value - self.low, 0.0)
+    def excess(self) -> float:
+        """Distance of the measurement from the range, negative below it; 0 inside."""
+        return max(self.measured.value - self.high, 0.0) + min(self.measured.value - self.low, 0.0)
 
     @property
-    def said(self) -> str:
-        """The range in words."""
+    def claimed(self) -> str:
+        """The range as text."""
         if self.high == 1.0:
             return f"above {self.low:.2f}"
         return f"{self.low:.2f}" if self.low == self.high else f"{self.low:.2f} … {self.high:.2f}"
 
     @property
-    def holds(self) -> bool:
-        """Whether ours lies in the range, to the tolerance or to two standard errors of ours."""
-        error = 0.0 if math.isnan(self.ours.error) else self.ours.error
-        return abs(self.miss) <= max(TOLERANCE, 2.0 * error)
+    def agrees(self) -> bool:
+        """Whether the measurement is in the range, within the tolerance or two of its standard errors."""
+        error = 0.0 if math.isnan(self.measured.error) else self.measured.error
+        return abs(self.excess) <= max(TOLERANCE, 2.0 * error)
 
     @property
     def verdict(self) -> str:
-        """In words."""
-        if self.holds:
+        """Yes, or the distance from the range."""
+        if self.agrees:
             return "yes"
-        return f"{abs(self.miss):.3f} {'above' if self.miss > 0 else 'below'}"
+        return f"{abs(self.excess):.3f} {'above' if self.excess > 0 else 'below'}"
 
 
-WHOLE, RECORDS, OPEN = "pairs wholly right", "records right", "records right, both sources having some"
+WHOLE, RECORDS, OPEN = "pairs wholly right", "records right", "records right in scenes where both sources have some"
 #: (d, q) of pairs and lines.
 PAIRS = ((1.6, 0.2), (1.9, 0.2), (1.6, 0.4), (1.9, 0.4))
 LINES = ((1.6, 0.05), (1.9, 0.05), (1.6, 0.1), (1.9, 0.1))
-#: Two targets at q = 0.5, d = 3: what the earlier reconstruction saw.
+#: Two targets at q = 0.5, d = 3: figures of the earlier reconstruction.
 LAST_POINT = "2 targets, d 3, q 0.5"
 LAST = (("close objects", 0.91), ("uniform", 0.70), ("k = min", 0.83))
 
 
 def claims(study: Study) -> Iterator[Claim]:
-    """The claims that the study looked at, the paper's first."""
+    """The claims that the study has measured, the paper's first."""
     yield from _of_paper(study)
     for d, q in PAIRS:
         yield from _claim(study, RECONSTRUCTION, 2, d, q, WHOLE, 0.79, 0.83)
@@ -75,16 +75,16 @@ def claims(study: Study) -> Iterator[Claim]:
         yield from _claim(study, RECONSTRUCTION, 5, d, q, RECORDS, *((0.70, 0.76) if d < 1.8 else (0.79, 0.84)))
     for rule, value in LAST:
         for counted in (OPEN, RECORDS, WHOLE):
-            ours = _figure(study, LAST_POINT, f"{rule}, no gate", counted)
-            if ours:
+            measured = _figure(study, LAST_POINT, f"{rule}, no gate", counted)
+            if measured:
                 what = f"two targets, d = 3, q = 0.5: {rule}"
-                yield Claim(RECONSTRUCTION, what, value, value, f"{counted}, no gate", ours)
+                yield Claim(RECONSTRUCTION, what, value, value, f"{counted}, no gate", measured)
     for several, counts in study.several:
         if several.oracle:
             scene = "three sources, five targets, q = 0.1, 4σ apart on average"
             for way, value in (("joint", 0.30), ("sequential", 0.26)):
-                ours = counts.mean(f"{way} whole")
-                yield Claim(RECONSTRUCTION, f"{scene}: {way}", value, value, "scenes wholly right", ours)
+                measured = counts.mean(f"{way} whole")
+                yield Claim(RECONSTRUCTION, f"{scene}: {way}", value, value, "scenes wholly right", measured)
 
 
 def _of_paper(study: Study) -> Iterator[Claim]:
@@ -96,11 +96,11 @@ def _of_paper(study: Study) -> Iterator[Claim]:
 def _claim(
     study: Study, source: str, targets: int, d: float, q: float, counted: str, low: float, high: float
 ) -> Iterator[Claim]:
-    """What is said of close objects at one spacing and q, if it was looked at."""
-    ours = _figure(study, f"{targets} targets, d {d:g}, q {q:g}", "close objects", counted)
-    if ours:
+    """The claim about close objects at one spacing and q, if it was measured."""
+    measured = _figure(study, f"{targets} targets, d {d:g}, q {q:g}", "close objects", counted)
+    if measured:
         name = {2: "two targets", 5: "line of five"}[targets]
-        yield Claim(source, f"{name}, d = {d:g}, q = {q:g}: close objects", low, high, counted, ours)
+        yield Claim(source, f"{name}, d = {d:g}, q = {q:g}: close objects", low, high, counted, measured)
 
 
 def _figure(study: Study, point: str, rule: str, counted: str) -> Ratio | None:

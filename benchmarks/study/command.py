@@ -18,72 +18,72 @@ from sameas.io import replacing
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-#: Scenes a point of a run that is published, and of a quick one.
+#: Scenes per point of a run that is published, and of a quick one.
 SCENES, QUICK = 4000, 200
 
 
 def study(scenes: int, folder: Path, only: Sequence[str] = (), page: Path | None = None) -> Study:
-    """Run the study and write what it found; a summary on the terminal.
+    """Run the study, write its results and print a summary.
 
     Parameters
     ----------
-    scenes : at every point.
-    folder : gets ``tables/`` (Parquet and Markdown), ``figures/`` (SVG), and ``study.md`` where all experiments ran.
-    only : experiments to run; all if none are named.
-    page : another place for ``study.md``, with its figures in ``figures/`` beside it.
+    scenes : number of scenes per point.
+    folder : for ``tables/`` (Parquet and Markdown), ``figures/`` (SVG), and ``study.md`` if all experiments are run.
+    only : experiments to run; default all.
+    page : another path for ``study.md``, with its figures in ``figures/`` next to it.
     """
     if page is not None and only:
         raise InputError("the page needs every experiment; leave out --only, or --page")
-    figures = _figures_or_words()
-    with _Bar() as told:
-        found = studied(scenes, only, told)
-    place = page or folder / "study.md"
-    rows = tables.all_tables(found)
+    no_figures = _why_no_figures()
+    with _Bar() as progress:
+        result = studied(scenes, only, progress)
+    path = page or folder / "study.md"
+    rows = tables.all_tables(result)
     for name, table in rows.items():
         (folder / "tables").mkdir(parents=True, exist_ok=True)
         tables.write(table, folder / "tables", name)
     if not only:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(place) as draft:
-            draft.write_text(page_of(found), encoding="utf-8")
-    drawn = _draw(found, place.parent / "figures") if figures is None else []
-    for line in [*summary(found), "", *_written(folder, rows, place if not only else None, drawn)]:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as draft:
+            draft.write_text(page_of(result), encoding="utf-8")
+    drawn = _draw(result, path.parent / "figures") if no_figures is None else []
+    for line in [*summary(result), "", *_written(folder, rows, path if not only else None, drawn)]:
         print(line)
-    if figures is not None:
-        print(figures)
-    return found
+    if no_figures is not None:
+        print(no_figures)
+    return result
 
 
 def summary(study: Study) -> list[str]:
-    """What the study found, for a terminal."""
+    """The results of the study as lines to print."""
     lines = []
     for claim in claims(study):
-        lines.append(f"  {claim.what}: {claim.said} ({claim.source})")
-        lines.append(f"      measured {tables.shown(claim.ours)}, within: {claim.verdict} ({claim.counted})")
+        lines.append(f"  {claim.what}: {claim.claimed} ({claim.source})")
+        lines.append(f"      measured {tables.shown(claim.measured)}, agrees: {claim.verdict} ({claim.counted})")
     if lines:
         lines.insert(0, "What was claimed")
     if study.priors is not None:
         p = study.priors
         share = 100.0 * p.differ.mean()
-        lines += ["", f"Linear prior: {share:.2f} % of {len(p)} groups are decided otherwise than with the exact one; "
+        lines += ["", f"Linear prior: {share:.2f} % of {len(p)} groups are decided differently from the exact one; "
                   f"the exact is less probable in {int((p.loss < -1e-9).sum())}"]  # fmt: skip
     for several, counts in study.several:
         matters = counts.mean("order matters").value
         joint, sequential = (tables.shown(counts.mean(f"{way} whole")) for way in ("joint", "sequential"))
         lines.append(
-            f"{several.name}: all at once {joint} wholly right, one after another {sequential}, "
+            f"{several.name}: joint {joint} wholly right, sequential {sequential}, "
             f"order matters in {100 * matters:.0f} %"
         )
     if study.crowd is not None:
         c = study.crowd
         lines.append(f"identify_many, 6 sources × 200 targets, {c.records} records: {c.seconds:.2f} s")
     if not study.stone_soup:
-        lines.append(f"{INSTALL}; its column is left out")
-    return [*lines, f"{study.scenes} scenes a point, {study.seconds:.0f} s"]
+        lines.append(f"{INSTALL}; its results are missing")
+    return [*lines, f"{study.scenes} scenes per point, {study.seconds:.0f} s"]
 
 
-def _figures_or_words() -> str | None:
-    """None where figures can be drawn, else why there are none; asked before minutes are spent."""
+def _why_no_figures() -> str | None:
+    """None if figures can be drawn, otherwise the reason; checked before the run, which takes minutes."""
     from importlib.util import find_spec
 
     return None if find_spec("matplotlib") else "no figures: matplotlib is missing; pip install 'sameas[plots]'"
@@ -108,7 +108,7 @@ def _written(folder: Path, rows: dict, page: Path | None, drawn: list[Path]) -> 
 
 
 class _Bar:
-    """A progress bar on the terminal's stderr; nothing where there is no terminal. Call it with what is done."""
+    """A progress bar on stderr if that is a terminal; called with experiment, pieces done and pieces in all."""
 
     def __init__(self) -> None:
         from rich.console import Console
@@ -136,7 +136,7 @@ class _Bar:
     ) -> None:
         self.bar.stop()
 
-    def __call__(self, what: str, done: int, of: int) -> None:
-        if what not in self.tasks:
-            self.tasks[what] = self.bar.add_task(what, total=of)
-        self.bar.update(self.tasks[what], completed=done)  # type: ignore[arg-type]
+    def __call__(self, experiment: str, done: int, total: int) -> None:
+        if experiment not in self.tasks:
+            self.tasks[experiment] = self.bar.add_task(experiment, total=total)
+        self.bar.update(self.tasks[experiment], completed=done)  # type: ignore[arg-type]

@@ -1,8 +1,8 @@
-"""Contenders: the decision rules that the study compares, each told what its user would know.
+"""Contenders: the decision rules that the study compares, each with the parameters that its user would know.
 
-A contender is called with scenes and the formation they were drawn from, and gives a :class:`Verdict`. All get the same
-candidates. What a rule is told of the formation is written in it: the papers' rule the spacing and q, the uniform rule
-the box of the records and q, the constant cost the density and q. ``factor`` tells it a wrong number on purpose.
+A contender is called with scenes and the formation they were drawn from, and returns a :class:`Verdict`. All get the
+same candidates. The parameters that a rule takes from the formation are in its class: the papers' rule the spacing and
+q, the uniform rule the box of the records and q, the constant cost the density and q. ``factor`` makes one wrong.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ INNER = 1.1
 
 @dataclass(frozen=True)
 class Verdict:
-    """Pairs that a contender takes for one object: rows ``i``, ``j`` (k,) of the two sources.
+    """Pairs that a contender decides to be one object: rows ``i``, ``j`` (k,) of the two sources.
 
-    candidates : rows of all candidates and their probabilities, ((m,), (m,), (m,)); None where none are stated.
+    candidates : rows of all candidates and their probabilities, ((m,), (m,), (m,)); None without probabilities.
     """
 
     i: IntArray
@@ -50,20 +50,20 @@ class Contender(Protocol):
 
     @property
     def name(self) -> str:
-        """As the tables call it."""
+        """Name in the tables."""
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
-        """What it decides."""
+        """The pairs it decides for."""
 
 
-# ---- what rules are told ----
+# ---- rules and priors with the parameters of a formation ----
 
 
 @dataclass(frozen=True)
 class Close:
     """The papers' rule: a = 1.1 σ, b = 2 · spacing · ``factor``; below a its limit b → a.
 
-    approximation : of the boxes, as ``CloseObjects`` takes it.
+    approximation : as of ``CloseObjects``.
     """
 
     factor: float = 1.0
@@ -95,8 +95,8 @@ class Constant:
 
 
 @dataclass(frozen=True)
-class Known:
-    """The universal rule told where the other targets stand from a target (METHOD 3.3); lattices only."""
+class KnownFormation:
+    """The universal rule, given the displacements between targets (METHOD 3.3); lattices only."""
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Rule:
         assert isinstance(formation, Lattice)
@@ -106,8 +106,8 @@ class Known:
 
 
 @dataclass(frozen=True)
-class Counted:
-    """Prior of the number of common targets from q, told q · ``factor`` at most 0.95."""
+class CountPrior:
+    """Prior of the number of common targets for q · ``factor``, at most 0.95."""
 
     factor: float = 1.0
     linear: bool = False
@@ -118,8 +118,8 @@ class Counted:
 
 
 @dataclass(frozen=True)
-class Nothing:
-    """No prior beside what the rule contains."""
+class NoPrior:
+    """No prior: the rule contains the prior odds."""
 
     def __call__(self, formation: Formation) -> Prior:
         return PerPair(0.0)
@@ -130,42 +130,42 @@ class Nothing:
 
 @dataclass(frozen=True)
 class Identified:
-    """What ``identify`` says under a rule and a prior, with probabilities.
+    """The result of ``identify`` with a rule and a prior, with probabilities.
 
-    decide : the pairs (m,) taken of it; the most probable one-to-one hypothesis unless told otherwise.
+    decide : the chosen pairs (m,) of the result; default the most probable one-to-one hypothesis.
     """
 
     name: str
     rule: Callable[[Scenes, Formation], Rule]
-    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
+    prior: Callable[[Formation], Prior] = field(default_factory=CountPrior)
     gate: Gate = PAPERS_GATE
     decide: Callable[[Identification], BoolArray] = attrgetter("chosen")
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
-        found = identify(*scenes.sources[:2], rule=self.rule(scenes, formation), prior=self.prior(formation),
-                         gate=self.gate)  # fmt: skip
-        return _verdict(found.pairs, self.decide(found), found.p_pair)
+        answer = identify(*scenes.sources[:2], rule=self.rule(scenes, formation), prior=self.prior(formation),
+                          gate=self.gate)  # fmt: skip
+        return _verdict(answer.pairs, self.decide(answer), answer.p_pair)
 
 
 @dataclass(frozen=True)
 class Enumerated:
-    """The most probable hypothesis by looking at all of them: the oracle, for small scenes."""
+    """The most probable hypothesis by enumeration, for small scenes."""
 
     name: str
     rule: Callable[[Scenes, Formation], Rule]
-    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
+    prior: Callable[[Formation], Prior] = field(default_factory=CountPrior)
     gate: Gate = PAPERS_GATE
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
         pairs = self.gate(*scenes.sources[:2])
         grouped = groups(pairs)
-        believed = self.prior(formation)(grouped.sizes_1, grouped.sizes_2)
-        return _verdict(pairs, enumerated(grouped, self.rule(scenes, formation)(pairs).log_ratio, believed))
+        log_prior = self.prior(formation)(grouped.sizes_1, grouped.sizes_2)
+        return _verdict(pairs, enumerated(grouped, self.rule(scenes, formation)(pairs).log_ratio, log_prior))
 
 
 @dataclass(frozen=True)
-class Measured:
-    """A way that looks at the distances of the pairs and at nothing else; ``choose`` gives those it takes, (m,)."""
+class ByDistance:
+    """A method that uses only the distances of the pairs; ``choose`` returns the mask (m,) of the chosen ones."""
 
     name: str
     choose: Callable[[Pairs], BoolArray]
@@ -177,13 +177,13 @@ class Measured:
 
 
 def most_pairs_of_groups(pairs: Pairs) -> BoolArray:
-    """(m,) k = min(N₁, N₂) pairs of least Σ ΔᵀΣ⁻¹Δ in every group [T3]."""
+    """(m,) mask of the k = min(N₁, N₂) pairs with the least Σ ΔᵀΣ⁻¹Δ in every group [T3]."""
     return most_pairs(pairs, groups(pairs))
 
 
 @dataclass(frozen=True)
 class Independent:
-    """Each record of source 1 for itself to the most probable candidate or nobody (METHOD 3.5), by the constant C."""
+    """The most probable candidate, or none, for each record of source 1 by itself (METHOD 3.5), with the constant C."""
 
     name: str = "independent Bayes"
     gate: Gate = PAPERS_GATE
@@ -193,9 +193,9 @@ class Independent:
         return _verdict(pairs, classified(pairs, Constant()(scenes, formation)(pairs).log_ratio))
 
 
-def _most_right(found: Identification) -> BoolArray:
-    """The decision with most records expected to be right."""
-    return most_right(found).chosen
+def _most_right(answer: Identification) -> BoolArray:
+    """The decision with the largest expected number of right records."""
+    return most_right(answer).chosen
 
 
 def _verdict(pairs: Pairs, chosen: BoolArray, p: FloatArray | None = None) -> Verdict:
@@ -204,18 +204,18 @@ def _verdict(pairs: Pairs, chosen: BoolArray, p: FloatArray | None = None) -> Ve
 
 
 def line_up(formation: Formation) -> tuple[Contender, ...]:
-    """The contenders of the main comparison that a formation allows, ours first."""
-    chosen: list[Contender] = [
+    """The contenders of the main comparison that a formation allows; the first is the reference."""
+    contenders: list[Contender] = [
         Identified("close objects", Close()),
-        Identified("close objects, linear prior", Close(), Counted(linear=True)),
+        Identified("close objects, linear prior", Close(), CountPrior(linear=True)),
         Identified("close objects, most right", Close(), decide=_most_right),
         Identified("uniform", Uniform()),
-        Identified("constant C", Constant(), Nothing()),
+        Identified("constant C", Constant(), NoPrior()),
         Independent(),
-        Measured("k = min", most_pairs_of_groups),
-        Measured("mutual nearest", mutual_nearest),
-        Measured("nearest", nearest),
+        ByDistance("k = min", most_pairs_of_groups),
+        ByDistance("mutual nearest", mutual_nearest),
+        ByDistance("nearest", nearest),
     ]
     if isinstance(formation, Lattice) and formation.targets > 1:
-        chosen.append(Identified("universal, formation known", Known()))
-    return tuple(chosen)
+        contenders.append(Identified("universal, formation known", KnownFormation()))
+    return tuple(contenders)

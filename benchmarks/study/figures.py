@@ -1,7 +1,7 @@
-"""Figures of the study, each as a paper could print it; every function returns a matplotlib ``Figure``.
+"""Figures of the study, ready for print; every function returns a matplotlib ``Figure``.
 
-Bars and bands are one standard error. Lines are named where they run, in colours that every kind of colour vision tells
-apart. They need matplotlib (``pip install sameas[plots]``).
+Bars are one standard error. The colours can be distinguished with any colour vision. The figures need matplotlib
+(``pip install sameas[plots]``).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ if TYPE_CHECKING:
 
 # More of Okabe and Ito's colours.
 ORANGE, PURPLE, SKY, YELLOW = "#E69F00", "#CC79A7", "#56B4E9", "#B8A500"
-#: Spacings that have room for their number on a logarithmic axis.
-NAMED = (0.5, 1.0, 1.6, 2.5, 4.0, 6.0)
-#: The rules that the main figure shows, and how.
+#: Spacings that are labelled on the logarithmic axis.
+LABELLED = (0.5, 1.0, 1.6, 2.5, 4.0, 6.0)
+#: Rules of the main figure: colour, line style, width, marker.
 LINES = {
     "close objects": (FIRST, "-", 2.6, "o"),
     "uniform": (SECOND, "-", 1.5, "s"),
@@ -41,7 +41,7 @@ LINES = {
 
 
 def all_figures(study: Study) -> dict[str, Figure]:
-    """Every figure that the study has the numbers for, by the name of its file."""
+    """The figures whose experiments were run, by the name of the file."""
     makers: dict[str, tuple[bool, Callable[[Study], Figure]]] = {
         "study-five": (bool(study.experiment("spacing")), five),
         "study-two": (bool(study.experiment("spacing")), two),
@@ -50,49 +50,49 @@ def all_figures(study: Study) -> dict[str, Figure]:
         "study-order": (bool(study.several), order),
         "study-mori": (bool(study.mori), mori),
     }
-    return {name: make(study) for name, (there, make) in makers.items() if there}
+    return {name: make(study) for name, (was_run, make) in makers.items() if was_run}
 
 
-# ---- right against the spacing ----
+# ---- share right against the spacing ----
 
 
 def five(study: Study) -> Figure:
-    """Share of records decided rightly in a line of five, against the spacing, for each rule and q."""
-    title = "A line of five targets: how often a record is decided rightly"
+    """Share of records right in a line of five, against the spacing, for each rule and q."""
+    title = "Line of five targets: share of records right"
     return _spacing(study, 5, FIVE_Q, ("right", "lead"), "share of records right", title)
 
 
 def two(study: Study) -> Figure:
-    """Share of pairs of targets decided wholly rightly, against the spacing, for each rule and q."""
-    title = "Two targets: how often everything is decided rightly"
+    """Share of scenes of two targets wholly right, against the spacing, for each rule and q."""
+    title = "Two targets: share of scenes wholly right"
     return _spacing(study, 2, TWO_Q, ("whole", "whole lead"), "share of scenes wholly right", title)
 
 
 def _spacing(
     study: Study, targets: int, several_q: Sequence[float], names: tuple[str, str], y: str, title: str
 ) -> Figure:
-    """Above the figure itself, below what each rule has more or less than close objects on the same scenes."""
+    """Top row: the share; bottom row: its difference to close objects on the same scenes."""
     from matplotlib.lines import Line2D
 
-    told = (
-        f"3σ gate; {study.scenes} scenes a point, Stone Soup on a quarter of them. Below: each rule less close "
-        "objects, on the same scenes. Bars: one standard error."
+    subtitle = (
+        f"3σ gate; {study.scenes} scenes per point, Stone Soup on a quarter of them. Below: difference to close "
+        "objects on the same scenes. Bars: one standard error."
     )
-    figure = sheet(title, told, 12.0, 7.2)
+    figure = sheet(title, subtitle, 12.0, 7.2)
     panels = figure.subplots(2, len(several_q), sharey="row", sharex=True, squeeze=False, height_ratios=(1.2, 1.0))
     drawn: dict[str, Line2D] = {}
     for column, q in enumerate(several_q):
         for rule, (colour, dash, width, mark) in LINES.items():
-            found = [(d, study.tally("spacing", f"{targets} targets, d {d:g}, q {q:g}", rule)) for d in SPACINGS]
-            seen = [(d, tally.figures()) for d, tally in found if tally is not None]
-            if not seen:
+            tallies = [(d, study.tally("spacing", f"{targets} targets, d {d:g}, q {q:g}", rule)) for d in SPACINGS]
+            points = [(d, tally.figures()) for d, tally in tallies if tally is not None]
+            if not points:
                 continue
             for axes, name in zip(panels[:, column], names, strict=True):
-                _bars(axes, [d for d, _ in seen], [f[name] for _, f in seen], colour, mark, dash, width)
+                _bars(axes, [d for d, _ in points], [f[name] for _, f in points], colour, mark, dash, width)
             drawn[rule] = Line2D([], [], color=colour, ls=dash, lw=width, marker=mark, ms=5, label=rule)
         for axes, words in zip(panels[:, column], (y, "difference to close objects"), strict=True):
             axes.set_xscale("log")
-            axes.set_xticks(SPACINGS, [f"{d:g}" if d in NAMED else "" for d in SPACINGS])
+            axes.set_xticks(SPACINGS, [f"{d:g}" if d in LABELLED else "" for d in SPACINGS])
             axes.minorticks_off()
             axes.grid(axis="y", color="#E6E6E6", lw=0.8)
             tidy(axes, "" if axes is panels[0, column] else "spacing d [σ]", words if not column else "")
@@ -112,30 +112,32 @@ def _bars(
     axes.errorbar(x, y, error, color=colour, ls=dash, lw=width, marker=mark, ms=4.5, elinewidth=1.0, zorder=3)
 
 
-# ---- wrong numbers ----
+# ---- wrong parameters ----
 
 
-#: Axis, title and colour of the panels of wrong numbers.
-TOLD = {
-    "C": ("told C / √(ρ q₁ q₂)", "constant C: a wrong C", FOUND),
-    "b": ("told b / (2 d σ)", "close objects: a wrong b", FIRST),
-    "q": ("told q / true q", "close objects: a wrong q", FIRST),
+#: Axis label, title and colour of each panel.
+PARAMETERS = {
+    "C": ("C / √(ρ q₁ q₂)", "constant C: wrong C", FOUND),
+    "b": ("b / (2 d σ)", "close objects: wrong b", FIRST),
+    "q": ("q / true q", "close objects: wrong q", FIRST),
 }
 
 
 def wrong(study: Study) -> Figure:
-    """Share of records decided rightly when a rule is told a wrong C, b or q."""
-    told = (
-        "Line of five, d = 3, q = 0.4. Solid: no gate; dotted: 3σ gate, which hides mistakes. "
-        "A line has no density; ρ = d⁻² is taken."
+    """Share of records right with a wrong C, b or q."""
+    subtitle = (
+        "Line of five, d = 3, q = 0.4. Solid: no gate; dotted: 3σ gate, which hides errors. "
+        "A line has no density; ρ = d⁻² is assumed."
     )
-    figure = sheet("What a wrong number costs", told, 11.5, 4.8)
+    figure = sheet("Wrong parameters", subtitle, 11.5, 4.8)
     panels = figure.subplots(1, 3, sharey=True)
-    for axes, (what, (x, title, colour)) in zip(panels, TOLD.items(), strict=True):
-        outcome = next(o for o in study.experiment("wrong") if o.point.name == what)
+    for axes, (parameter, (x, title, colour)) in zip(panels, PARAMETERS.items(), strict=True):
+        outcome = next(o for o in study.experiment("wrong") if o.point.name == parameter)
         for suffix, gate in GATES.items():
             names = [
-                n for n in outcome.names if n.startswith(f"{what} ×") and n.endswith("gate") == bool(gate is OPEN_GATE)
+                n
+                for n in outcome.names
+                if n.startswith(f"{parameter} ×") and n.endswith("gate") == bool(gate is OPEN_GATE)
             ]
             factors = [float(n.removesuffix(suffix).split("×")[1]) for n in names]
             shares = [outcome.of(n).figures()["right"] for n in names]
@@ -147,19 +149,17 @@ def wrong(study: Study) -> Figure:
         axes.set_xticks(factors, [f"{f:g}" for f in factors], rotation=45)
         axes.minorticks_off()
         axes.grid(axis="y", color="#E6E6E6", lw=0.8)
-        if what == "b":
-            _level(
-                axes, outcome.of("b estimated, no gate").figures()["right"].value, "b estimated, scene by scene", SECOND
-            )
-        elif what == "C":
-            _level(axes, outcome.of(RIGHT).figures()["right"].value, "close objects, all right", FIRST)
-        tidy(axes, x, "share of records decided rightly" if what == "C" else "", title)
+        if parameter == "b":
+            _level(axes, outcome.of("b estimated, no gate").figures()["right"].value, "b estimated per scene", SECOND)
+        elif parameter == "C":
+            _level(axes, outcome.of(RIGHT).figures()["right"].value, "close objects, true parameters", FIRST)
+        tidy(axes, x, "share of records right" if parameter == "C" else "", title)
     panels[0].set_ylim(0.3, 1.0)
     return figure
 
 
 def _level(axes: Axes, y: float, words: str, colour: str) -> None:
-    """A level across the panel, named above it."""
+    """A horizontal line across the panel, with a label above it."""
     axes.axhline(y, color=colour, lw=1.1, ls="--", zorder=1)
     axes.annotate(words, (0.98, y), (0, 5), xycoords=("axes fraction", "data"), textcoords="offset points", ha="right",
                   fontsize=9, color=colour)  # fmt: skip
@@ -167,15 +167,15 @@ def _level(axes: Axes, y: float, words: str, colour: str) -> None:
 
 # ---- calibration ----
 
-#: Where the model is nearly true, and where it is not.
+#: Formations in which the models of the rules are nearly true, and in which they are not.
 CALIBRATED = ("line of 5, d 1.9", "grid 5 × 5", "Poisson, density 0.1")
 
 
 def calibration(study: Study) -> Figure:
-    """Stated probability of a candidate against how often it was true."""
+    """Stated probability of candidates against the share that is true."""
     figure = sheet(
-        "As sure as it should be? Stated probabilities of candidates beside what was true",
-        "Each mark: candidates of one tenth of the scale; areas grow with their number. On the diagonal all is well.",
+        "Calibration: stated probability of candidates against the share that is true",
+        "Each mark: the candidates of one tenth of the scale, with an area proportional to their number.",
         11.5, 5.1,
     )  # fmt: skip
     rules = ("close objects", "uniform", "constant C")
@@ -188,11 +188,11 @@ def calibration(study: Study) -> Figure:
             if tally is None:
                 continue
             number, stated, true = tally.bins.sum(axis=0)
-            full = number > 20
+            enough = number > 20
             colour = LINES[rule][0]
-            x, y = stated[full] / number[full], true[full] / number[full]
+            x, y = stated[enough] / number[enough], true[enough] / number[enough]
             axes.plot(x, y, color=colour, lw=1.3, zorder=2)
-            axes.scatter(x, y, 8 + 160 * number[full] / number.sum(), color=colour, zorder=3)
+            axes.scatter(x, y, 8 + 160 * number[enough] / number.sum(), color=colour, zorder=3)
             lines.append((rule, colour, tally.figures()["ece"]))
         for k, (rule, colour, error) in enumerate(lines):
             axes.text(0.98, 0.18 - 0.06 * k, f"{rule}: error {error.value:.3f}", transform=axes.transAxes, color=colour,
@@ -209,27 +209,27 @@ def calibration(study: Study) -> Figure:
 
 
 def order(study: Study) -> Figure:
-    """Joint and sequential answers: how often wholly right, and how often the order of the sources matters."""
+    """Joint and sequential results: share of scenes wholly right, and share in which the order of sources matters."""
     figure = sheet(
-        "Many sources: all at once, or one after another",
-        "Five targets scattered over a square, q = 0.1; spacing: edge of a target's share of it, in σ of a record.",
+        "Many sources: joint and sequential",
+        "Five targets scattered over a square, q = 0.1; spacing: edge of the mean area per target, in σ of a record.",
         11.5, 4.6,
     )  # fmt: skip
     left, middle, right = figure.subplots(1, 3)
     scattered = [(s.formation, c) for s, c in study.several if isinstance(s.formation, Scatter)]
-    three = [(_apart(f), c) for f, c in scattered if len(f.q) == 3]
-    x = [apart for apart, _ in three]
+    three = [(_spacing_records(f), c) for f, c in scattered if len(f.q) == 3]
+    x = [spacing for spacing, _ in three]
     for way, colour, mark in (("joint", FIRST, "o"), ("sequential", SECOND, "s")):
         _bars(left, x, [c.mean(f"{way} whole") for _, c in three], colour, mark, "-", 2.0)
-    for k, (words, colour) in enumerate((("all at once", FIRST), ("one after another", SECOND))):
+    for k, (words, colour) in enumerate((("joint", FIRST), ("sequential", SECOND))):
         left.text(0.97, 0.15 - 0.07 * k, words, transform=left.transAxes, ha="right", color=colour, fontsize=9.5)
     tidy(left, "spacing [σ of a record]", "share of scenes wholly right", "three sources")
     _bars(middle, x, [c.mean("order matters") for _, c in three], SECOND, "s", "-", 2.0)
     middle.axhline(0.0, color=FIRST, lw=2.0)
-    middle.text(0.97, 0.03, "all at once: never", transform=middle.transAxes, ha="right", color=FIRST, fontsize=9.5)
-    middle.text(0.97, 0.55, "one after another", transform=middle.transAxes, ha="right", color=SECOND, fontsize=9.5)
+    middle.text(0.97, 0.03, "joint: never", transform=middle.transAxes, ha="right", color=FIRST, fontsize=9.5)
+    middle.text(0.97, 0.55, "sequential", transform=middle.transAxes, ha="right", color=SECOND, fontsize=9.5)
     tidy(middle, "spacing [σ of a record]", "share of scenes where order matters", "three sources, all six orders")
-    eight = sorted(((len(f.q), c) for f, c in scattered if _apart(f) == 8), key=lambda entry: entry[0])
+    eight = sorted(((len(f.q), c) for f, c in scattered if _spacing_records(f) == 8), key=lambda entry: entry[0])
     numbers = [n for n, _ in eight]
     for way, colour, mark in (("joint", FIRST, "o"), ("sequential", SECOND, "s")):
         _bars(right, numbers, [c.mean(f"{way} whole") for _, c in eight], colour, mark, "-", 2.0)
@@ -241,7 +241,7 @@ def order(study: Study) -> Figure:
     return figure
 
 
-def _apart(formation: Formation) -> int:
+def _spacing_records(formation: Formation) -> int:
     """The spacing in σ of a record."""
     return round(formation.spacing / formation.sigma[0])
 
@@ -252,8 +252,8 @@ def _apart(formation: Formation) -> int:
 def mori(study: Study) -> Figure:
     """The share of objects that get their own record, by formula and by simulation."""
     figure = sheet(
-        "How dense may objects be? Mori's formula beside simulation",
-        "One-to-one assignment, both sources see every object; marks: simulation, one standard error.",
+        "Mori's formula compared with simulation",
+        "One-to-one assignment, both sources see every object; marks: simulation, with one standard error.",
         7.6, 5.0,
     )  # fmt: skip
     axes = figure.subplots()
@@ -261,9 +261,9 @@ def mori(study: Study) -> Figure:
     density = np.linspace(0.0, top, 200)
     for m, colour, mark in ((1, FIRST, "o"), (2, SECOND, "s"), (3, FOUND, "D")):
         axes.plot(density, np.exp(-formulas.constant(m) * density), color=colour, lw=1.8)
-        here = [p for p in study.mori if p.features == m]
-        _bars(axes, [p.density for p in here], [p.simulated for p in here], colour, mark, "", 1.0)
-        last = here[-1].simulated.value
+        points = [p for p in study.mori if p.features == m]
+        _bars(axes, [p.density for p in points], [p.simulated for p in points], colour, mark, "", 1.0)
+        last = points[-1].simulated.value
         words = ("one feature", "two features", "three features")[m - 1]
         axes.annotate(f"{words}\n$C_{m}$ = {formulas.constant(m):.3f}", (top, last), (9, 0), textcoords="offset points",
                       va="center", fontsize=9.5, color=colour)  # fmt: skip
@@ -276,7 +276,7 @@ def mori(study: Study) -> Figure:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Writes a figure as SVG, the same bytes for the same numbers; whole or not at all."""
+    """Write a figure as SVG, atomically, with the same bytes for the same numbers."""
     import matplotlib
 
     with matplotlib.rc_context({"svg.hashsalt": "sameas"}), replacing(path) as draft:

@@ -1,10 +1,10 @@
-"""Mori's formula beside simulation: how dense objects may be for one-to-one assignment to be right.
+"""Mori's formula compared with simulation: the share of objects that one-to-one assignment gives their own record.
 
 For objects of density β that both sources always see, assignment of least Σ ΔᵀΣ⁻¹Δ gives an object its own record
 with a probability of about exp(−C_m β √|S|), S the covariance of the residual, m the number of features, and
 C_m = 2^(m−1) π^((m−1)/2) Γ((m+1)/2) / Γ(m/2+1): 2/√π, π and 9.45 for one, two and three features (Mori, Chang, Chong
 and Dunn, "Prediction of track purity and track accuracy in dense target environments", IEEE Trans. Automatic Control
-40, 953–959, 1995, equations 2 and 3). It counts exchanges of two records alone: to first order in β it is exact.
+40, 953–959, 1995, equations 2 and 3). It counts exchanges of two records only, and is exact to first order in β.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Priors: the exact prior of the number of common objects beside the papers' straight line, group by group.
+"""Priors: the exact prior of the number of common objects compared with the papers' straight line, group by group.
 
-Groups come from scenes of random formations; for each the most probable hypothesis under either prior is found, and
-both are judged by the exact one (METHOD 4.2).
+Groups are those of scenes of random formations. The most probable hypothesis of each group under either prior is found,
+and both are evaluated under the exact prior (METHOD 4.2).
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from sameas.prior import CommonObjects, LogPrior
 from sameas.result import Identification
 
 #: Scenes of one random formation.
-ALIKE = 10
+SCENES = 10
 
 
 @dataclass(frozen=True)
 class Priors:
-    """What the two priors make of the same groups (g,).
+    """Decisions under the two priors on the same groups (g,).
 
-    differ : whether the decisions are not the same. loss : ln of how much less probable, under the exact prior, the
-    linear one's decision is. right_exact, right_linear : share of all records that are decided rightly.
+    differ : whether the decisions differ. loss : ln of the ratio of their probabilities under the exact prior, exact
+    over linear decision. right_exact, right_linear : share of all records that are right.
     """
 
     differ: np.ndarray
@@ -42,7 +42,7 @@ class Priors:
 
 
 def compared(groups: int) -> Priors:
-    """The two priors on so many groups of at least two candidates."""
+    """The two priors compared on ``groups`` groups of at least two candidates."""
     rng = generator("priors", 0)
     differ: list[np.ndarray] = []
     loss: list[FloatArray] = []
@@ -50,18 +50,18 @@ def compared(groups: int) -> Priors:
     while sum(len(part) for part in differ) < groups:
         q = (float(rng.uniform(0.02, 0.6)), float(rng.uniform(0.02, 0.6)))
         formation = Lattice((int(rng.integers(2, 8)), 1), float(rng.uniform(0.5, 4.0)), q)
-        scenes = formation(rng, ALIKE)
+        scenes = formation(rng, SCENES)
         rule = Close()(scenes, formation)
         exact, linear = (
             identify(*scenes.sources, rule=rule, prior=CommonObjects(q[0], q[1], linear=line), gate=PAPERS_GATE)
             for line in (False, True)
         )
-        kept = exact.groups.pair_counts >= 2
+        ambiguous = exact.groups.pair_counts >= 2
         changed = exact.best.chosen != linear.best.chosen
-        differ.append((np.bincount(exact.groups.group, changed, len(exact.groups)) > 0)[kept])
+        differ.append((np.bincount(exact.groups.group, changed, len(exact.groups)) > 0)[ambiguous])
         weight = exact.evidence.log_ratio[exact.groups.order]
         totals = [log_posterior(exact.groups, weight, a.best.chosen, exact.best.prior) for a in (exact, linear)]
-        loss.append((totals[0] - totals[1])[kept])
+        loss.append((totals[0] - totals[1])[ambiguous])
         right += [_right(scenes, answer) for answer in (exact, linear)]
         records += int(scenes.sizes.sum())
     return Priors(np.concatenate(differ)[:groups], np.concatenate(loss)[:groups], *(right / records))
@@ -75,7 +75,7 @@ def log_posterior(groups: Groups, log_ratio: FloatArray, chosen: np.ndarray, pri
 
 
 def _right(scenes: Scenes, answer: Identification) -> float:
-    """Number of records decided rightly."""
+    """Number of records that are right."""
     pairs = answer.pairs
     verdict = Verdict(pairs.i[answer.chosen].astype(np.int64), pairs.j[answer.chosen].astype(np.int64))
     return float(rightly(scenes, verdict).sum())

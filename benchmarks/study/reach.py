@@ -1,4 +1,4 @@
-"""Reach: close objects with b estimated from each scene's own records, as a user without knowledge of it would."""
+"""Reach: close objects with b estimated from each scene's own records, as by a user who does not know it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.study.contenders import INNER, PAPERS_GATE, Counted, Gate, Verdict
+from benchmarks.study.contenders import INNER, PAPERS_GATE, CountPrior, Gate, Verdict
 from benchmarks.study.scenes import Formation, Scenes
 from sameas._identify import identify
 from sameas.evidence import CloseObjects
@@ -19,24 +19,24 @@ from sameas.prior import Prior
 class EstimatedReach:
     """``CloseObjects`` with the boxes of :func:`sameas.evidence.close.estimate_reach`, scene by scene.
 
-    Where no source has two records, nothing can be measured: b is then the least that the estimate ever states.
+    If no source has two records, b cannot be measured; the smallest value that the estimate can have is used.
     """
 
     name: str = "b estimated"
-    prior: Callable[[Formation], Prior] = field(default_factory=Counted)
+    prior: Callable[[Formation], Prior] = field(default_factory=CountPrior)
     gate: Gate = PAPERS_GATE
 
     def __call__(self, scenes: Scenes, formation: Formation) -> Verdict:
         prior = self.prior(formation)
-        found: list[list[np.ndarray]] = [[], [], [], [], []]
+        columns: list[list[np.ndarray]] = [[], [], [], [], []]
         for scene in np.flatnonzero(scenes.open):
             rows, (first, second) = scenes.one(int(scene))
-            known = max(len(first), len(second)) >= 2
-            b = tuple(estimate_reach(first, second).b) if known else MIN_SIGMAS
+            measurable = max(len(first), len(second)) >= 2
+            b = tuple(estimate_reach(first, second).b) if measurable else MIN_SIGMAS
             answer = identify(first, second, rule=CloseObjects(INNER, b), prior=prior, gate=self.gate)
             i, j = rows[0][answer.pairs.i], rows[1][answer.pairs.j]
             parts = i[answer.chosen], j[answer.chosen], i, j, answer.p_pair
-            for kept, part in zip(found, parts, strict=True):
-                kept.append(part)
-        one, two, all_1, all_2 = (np.concatenate(part or [np.empty(0)]).astype(np.int64) for part in found[:4])
-        return Verdict(one, two, (all_1, all_2, np.concatenate(found[4] or [np.empty(0)])))
+            for column, part in zip(columns, parts, strict=True):
+                column.append(part)
+        one, two, all_1, all_2 = (np.concatenate(part or [np.empty(0)]).astype(np.int64) for part in columns[:4])
+        return Verdict(one, two, (all_1, all_2, np.concatenate(columns[4] or [np.empty(0)])))

@@ -1,9 +1,9 @@
 """Scenes of the study: many at once, in one feature space, with known truth.
 
-A formation says how targets stand and how sources see them; calling it draws scenes. They stand so far apart that no
-gate joins two of them: groups never cross scenes, so identifying all of them at once gives the answers of identifying
-each alone (a test sees to it), without paying for a call per scene. The unit is σ, the standard deviation of a
-residual's feature between the first two sources.
+A formation describes the positions of targets and the errors and misses of the sources; calling it draws scenes. Scenes
+are so far apart that no gate joins two of them: groups never cross scenes, so one call for all of them gives the same
+answers as one call per scene (tested), in less time. The unit is σ, the standard deviation of one feature of a residual
+between the first two sources.
 
 - :class:`Lattice`: the papers' targets in a line or on a grid (METHOD 8).
 - :class:`Scatter`: a Poisson field in a box, the assumption of METHOD 4.3.
@@ -32,14 +32,14 @@ UNEQUAL = (math.sqrt(0.9), math.sqrt(0.1))
 
 @dataclass(frozen=True)
 class Scenes:
-    """``count`` scenes: the sources' records, whose they are, and where the targets stand.
+    """``count`` scenes: the records of the sources, the target of each record, and the positions of the targets.
 
     Attributes
     ----------
     sources : the records of every source, all scenes together.
     stride : distance from one scene to the next along the first feature.
     scene, truth : per source (n,) the scene of each record, and the number of its target.
-    targets : (k, d) where the targets stand. target_scene : (k,) the scene of each.
+    targets : (k, d) positions of the targets. target_scene : (k,) the scene of each.
     """
 
     count: int
@@ -60,11 +60,11 @@ class Scenes:
 
     @property
     def open(self) -> np.ndarray:
-        """(count,) whether there is anything to decide: at least two sources have a record."""
+        """(count,) whether at least two sources have a record, so that there is something to decide."""
         return np.count_nonzero(self.sizes, axis=0) >= 2
 
     def one(self, scene: int) -> tuple[tuple[IntArray, ...], tuple[Records, ...]]:
-        """One scene alone, back at the origin: per source the rows that are its records, and these."""
+        """One scene alone, moved to the origin: per source the rows of its records, and the records."""
         rows = tuple(np.flatnonzero(k == scene) for k in self.scene)
         offset = np.zeros(self.targets.shape[1])
         offset[0] = scene * self.stride
@@ -86,7 +86,7 @@ class Scenes:
 
 
 class Formation(Protocol):
-    """What scenes look like: the parameters that a point of the study varies."""
+    """The parameters of scenes, which a point of the study varies."""
 
     @property
     def q(self) -> tuple[float, ...]:
@@ -147,22 +147,22 @@ class Lattice:
 
     @property
     def density(self) -> float:
-        """Targets of the lattice over its cells, a cell reaching half a spacing around each."""
+        """Targets per unit volume, one per lattice cell."""
         return self.spacing**-self.d
 
     @property
     def offsets(self) -> tuple[FloatArray, FloatArray]:
-        """(k, d) displacements from a target to another, and how often each occurs (k,), shares of 1."""
+        """(k, d) displacements from a target to another, and their frequencies (k,), with sum 1."""
         steps = _steps(self.shape)
-        apart = (steps[:, None] - steps[None]).reshape(-1, self.d)
-        places, counts = np.unique(apart[np.any(apart != 0, axis=1)], axis=0, return_counts=True)
-        return places * float(self.spacing), counts / counts.sum()
+        offset = (steps[:, None] - steps[None]).reshape(-1, self.d)
+        offsets, counts = np.unique(offset[np.any(offset != 0, axis=1)], axis=0, return_counts=True)
+        return offsets * float(self.spacing), counts / counts.sum()
 
     def __call__(self, rng: np.random.Generator, count: int) -> Scenes:
         steps = _steps(self.shape)
         places = np.tile(steps * float(self.spacing), (count, 1))
         scene = np.repeat(np.arange(count), len(steps))
-        return _seen(rng, places, scene, count, self.q, self.sigma, self.spacing * max(self.shape))
+        return _observed(rng, places, scene, count, self.q, self.sigma, self.spacing * max(self.shape))
 
 
 @dataclass(frozen=True)
@@ -190,7 +190,7 @@ class Scatter:
 
     @property
     def spacing(self) -> float:
-        """Edge of the volume that a target has to itself, in σ."""
+        """Edge of the mean volume per target, in σ."""
         return self.density ** (-1.0 / self.d)
 
     @property
@@ -206,7 +206,7 @@ class Scatter:
     def __call__(self, rng: np.random.Generator, count: int) -> Scenes:
         numbers = rng.poisson(self.mean, count) if self.numbers == "Poisson" else np.full(count, self.mean)
         places = rng.uniform(0.0, self.side, (int(numbers.sum()), self.d))
-        return _seen(rng, places, np.repeat(np.arange(count), numbers), count, self.q, self.sigma, self.side)
+        return _observed(rng, places, np.repeat(np.arange(count), numbers), count, self.q, self.sigma, self.side)
 
 
 def _steps(shape: tuple[int, ...]) -> IntArray:
@@ -214,7 +214,7 @@ def _steps(shape: tuple[int, ...]) -> IntArray:
     return np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, len(shape))
 
 
-def _seen(
+def _observed(
     rng: np.random.Generator,
     places: FloatArray,
     scene: IntArray,
@@ -223,7 +223,7 @@ def _seen(
     sigma: tuple[float, ...],
     extent: float,
 ) -> Scenes:
-    """The scenes with targets at ``places`` (k, d) of each ``scene`` (k,), seen by every source."""
+    """Scenes with targets at ``places`` (k, d) of ``scene`` (k,), each observed by every source."""
     stride = FAR * math.ceil(1.0 + extent / FAR)
     targets = places.copy()
     targets[:, 0] += scene * stride

@@ -1,7 +1,7 @@
-"""Several sources: the joint answer beside the papers' way, source after source, in every order (METHOD 7).
+"""Several sources: the joint result compared with the papers' method, source after source in every order (METHOD 7).
 
-Every rule knows the density of the targets and q. ``enumerated`` is the oracle for three sources: every hypothesis of
-the first two, and for each the best of the third.
+Every rule is given the density of the targets and q. ``enumerated`` is the reference for three sources: it compares
+every hypothesis of the first two, each with the best assignment of the third.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from sameas.many.objects import Objects
 from sameas.many.rules import PoissonObjects
 from sameas.records import Records
 
-#: Scenes that are identified in one call; orders of the sources that are tried where there are many.
+#: Scenes that are identified in one call; maximum number of orders of the sources that are tried.
 TOGETHER, ORDERS = 50, 6
-#: Every so many blocks the joint answer is repeated in all these orders, and every partition looked at.
+#: One block in four repeats the joint result in these orders, and enumerates every partition.
 ONCE_IN = 4
 COLUMNS = ("joint whole", "sequential whole", "order matters", "joint order", "gap", "joint gospa",
            "sequential gospa", "oracle whole", "oracle differs")  # fmt: skip
@@ -33,7 +33,7 @@ COLUMNS = ("joint whole", "sequential whole", "order matters", "joint order", "g
 
 @dataclass(frozen=True)
 class Several:
-    """A formation of several sources. oracle : whether every partition is looked at too (three sources only)."""
+    """A formation of several sources. oracle : whether every partition is enumerated too (three sources only)."""
 
     name: str
     formation: Formation
@@ -43,7 +43,7 @@ class Several:
 
 @dataclass(frozen=True)
 class Counts:
-    """Per scene (n, c) what happened, and the seconds of the joint and of one sequential answer."""
+    """Per scene (n, c) the values of COLUMNS, and the seconds of the joint and of one sequential result."""
 
     per_scene: FloatArray
     joint_s: float
@@ -54,7 +54,7 @@ class Counts:
                       self.sequential_s + other.sequential_s)  # fmt: skip
 
     def mean(self, column: str) -> Ratio:
-        """Mean over the scenes and its standard error; NaN where it was not looked at."""
+        """Mean over the scenes and its standard error; NaN if it was not computed."""
         values = self.per_scene[:, COLUMNS.index(column)]
         values = values[np.isfinite(values)]
         if len(values) < 2:
@@ -63,7 +63,7 @@ class Counts:
 
 
 def counts(several: Several, block: int) -> Counts:
-    """What became of one block of :data:`TOGETHER` scenes."""
+    """The counts of one block of :data:`TOGETHER` scenes."""
     formation = several.formation
     scenes = formation(generator(several.name, block), TOGETHER)
     orders = _orders(len(scenes.sources))
@@ -102,11 +102,11 @@ class _Answer:
 
 
 def _orders(n: int) -> list[tuple[int, ...]]:
-    """All orders of three sources or fewer; of more the given, the reverse and some between."""
-    every = list(itertools.islice(itertools.permutations(range(n)), 5040))
-    if len(every) <= ORDERS:
-        return every
-    return [every[k] for k in np.linspace(0, len(every) - 1, ORDERS).astype(int)]
+    """All orders of three sources or fewer; of more sources the given order, its reverse and some between."""
+    orders = list(itertools.islice(itertools.permutations(range(n)), 5040))
+    if len(orders) <= ORDERS:
+        return orders
+    return [orders[k] for k in np.linspace(0, len(orders) - 1, ORDERS).astype(int)]
 
 
 def _in_order(identify, scenes: Scenes, formation: Formation, order: Sequence[int]) -> _Answer:
@@ -121,8 +121,8 @@ def _targets(scenes: Scenes, members: IntArray) -> tuple[IntArray, IntArray]:
     """(n, S) the target of every member, −1 for none, and (n,) the largest of each object."""
     targets = np.full(members.shape, -1)
     for s, truth in enumerate(scenes.truth):
-        here = members[:, s] >= 0
-        targets[here, s] = truth[members[here, s]]
+        present = members[:, s] >= 0
+        targets[present, s] = truth[members[present, s]]
     return targets, targets.max(axis=1, initial=-1)
 
 
@@ -149,14 +149,14 @@ def differs(scenes: Scenes, members: IntArray, other: IntArray) -> np.ndarray:
 
 
 def _labels(scenes: Scenes, members: IntArray) -> list[IntArray]:
-    """Per source (n,) a number of each record's object that its records alone decide."""
+    """Per source (n,) a label of each record's object: the smallest number of its records."""
     start = np.cumsum([0, *map(len, scenes.sources)])
     numbers = np.where(members >= 0, members + start[:-1], start[-1])
     least = numbers.min(axis=1, initial=start[-1])
     labels = [np.full(len(source), -1) for source in scenes.sources]
     for s, label in enumerate(labels):
-        here = members[:, s] >= 0
-        label[members[here, s]] = least[here]
+        present = members[:, s] >= 0
+        label[members[present, s]] = least[present]
     return labels
 
 
@@ -170,7 +170,7 @@ def _gospa(scenes: Scenes, answer: _Answer) -> FloatArray:
 
 
 def _gaps(scenes: Scenes, objects: Objects) -> np.ndarray:
-    """(count,) whether the answer of a scene is not proved to be the most probable."""
+    """(count,) whether the result of a scene is not proved optimal."""
     open_groups = np.flatnonzero(objects.groups.gap > 0)
     unproved = np.zeros(len(scenes), bool)
     records = objects.members.filled(-1)
@@ -178,21 +178,21 @@ def _gaps(scenes: Scenes, objects: Objects) -> np.ndarray:
     return unproved
 
 
-# ---- the oracle ----
+# ---- enumeration ----
 
 
 def enumerated(scenes: Scenes, formation: Formation) -> IntArray:
-    """(n, 3) the most probable partition of every scene, by looking at every hypothesis of the first two sources."""
-    found = []
+    """(n, 3) the most probable partition of every scene, from every hypothesis of the first two sources."""
+    partition = []
     for scene in range(len(scenes)):
         rows, records = scenes.one(scene)
         for members in _best_of_three(records, formation):
-            found.append([rows[s][k] if k >= 0 else -1 for s, k in enumerate(members)])
-    return np.array(found, np.int64).reshape(-1, 3)
+            partition.append([rows[s][k] if k >= 0 else -1 for s, k in enumerate(members)])
+    return np.array(partition, np.int64).reshape(-1, 3)
 
 
 def _best_of_three(records: tuple[Records, ...], formation: Formation) -> list[tuple[int, int, int]]:
-    """Members of the best partition; a set of k records weighs ln J − (k − 1) ln(ρ ∏ q) against records alone."""
+    """Members of the best partition; a set of k records has the log ratio ln J − (k − 1) ln(ρ ∏ q) to k objects."""
     from scipy.optimize import linear_sum_assignment
 
     n1, n2, n3 = map(len, records)

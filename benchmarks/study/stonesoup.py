@@ -1,7 +1,7 @@
 """Stone Soup's one-to-one associator on the same scenes (Stone Soup, Dstl, MIT licence; ``sameas[stonesoup]``).
 
-Every record is a track of one state, all at one time. Stone Soup's Mahalanobis measure takes the covariance of its
-first argument alone, here source 1; its threshold is told the circle of 3σ that the residuals' covariance would give.
+Every record is a track of one state, all at one time. Stone Soup's Mahalanobis measure uses the covariance of its first
+argument only, here source 1; the threshold is chosen so that it is the circle of 3σ of the residuals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tables of the study: Markdown for reading, Parquet for going on; a figure stands beside its standard error."""
+"""Tables of the study, as Markdown for readers and Parquet for programs; every figure with its standard error."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Row = dict[str, Any]
 
 
 def all_tables(study: Study) -> dict[str, list[Row]]:
-    """Every table that the study gives, by name; none that is empty."""
+    """The tables of the study by name, without empty ones."""
     tables = {
         "claims": _claims(study), "rules": _rules(study), "several": _several(study), "mori": _mori(study),
         "priors": _priors(study),
@@ -39,7 +39,7 @@ def write(rows: Sequence[Row], folder: Path, name: str) -> None:
 
 
 def markdown(rows: Sequence[Row], columns: Iterable[str] = ()) -> str:
-    """Rows as a table of these columns, of all if none are named; numbers to the right."""
+    """Rows as a table of these columns, default all; numbers are right-aligned."""
     names = list(columns) or list(rows[0])
     right = {n for n in names if any(isinstance(r.get(n), Ratio | float | int) for r in rows)}
     lines = [
@@ -50,7 +50,7 @@ def markdown(rows: Sequence[Row], columns: Iterable[str] = ()) -> str:
 
 
 def shown(cell: Any) -> str:
-    """A figure to the digits that its error leaves; nothing where there is none."""
+    """A cell as text: a figure with its standard error, a dash for NaN, empty for None."""
     if cell is None:
         return ""
     if isinstance(cell, Ratio):
@@ -76,10 +76,10 @@ def _claims(study: Study) -> list[Row]:
         {
             "source": c.source,
             "claim": c.what,
-            "said": c.said,
-            "measured": c.ours,
+            "claimed": c.claimed,
+            "measured": c.measured,
             "counted as": c.counted,
-            "within": c.verdict,
+            "agrees": c.verdict,
         }
         for c in claims(study)
     ]
@@ -95,11 +95,11 @@ def _rules(study: Study) -> list[Row]:
             "features": formation.d, "spacing": float(formation.spacing), "q1": formation.q[0], "q2": formation.q[1],
             "sigma1": formation.sigma[0], "sigma2": formation.sigma[1],
         }  # fmt: skip
-        for place, (name, tally) in enumerate(zip(outcome.names, outcome.tallies, strict=True)):
-            if point.share < 1.0 and not place:
-                continue  # Here only to be compared with; its row on all scenes stands above.
+        for rank, (name, tally) in enumerate(zip(outcome.names, outcome.tallies, strict=True)):
+            if point.share < 1.0 and rank == 0:
+                continue  # Only the reference; its row on all scenes is already there.
             time_ms = 1e3 * tally.seconds / tally.scenes
-            rows.append(about | {"rule": name, "scenes": tally.scenes, **tally.figures(), "ms a scene": time_ms})
+            rows.append(about | {"rule": name, "scenes": tally.scenes, **tally.figures(), "ms per scene": time_ms})
     return rows
 
 
@@ -109,7 +109,10 @@ def _several(study: Study) -> list[Row]:
         row: Row = {"scene": several.name, "sources": len(several.formation.q), "scenes": len(counts.per_scene)}
         row |= {name: counts.mean(name) for name in COLUMNS}
         n = len(counts.per_scene)
-        row |= {"joint ms a scene": 1e3 * counts.joint_s / n, "sequential ms a scene": 1e3 * counts.sequential_s / n}
+        row |= {
+            "joint ms per scene": 1e3 * counts.joint_s / n,
+            "sequential ms per scene": 1e3 * counts.sequential_s / n,
+        }
         rows.append(row)
     return rows
 
@@ -126,14 +129,14 @@ def _priors(study: Study) -> list[Row]:
     p = study.priors
     if p is None:
         return []
-    lost = float(p.loss[p.differ].mean()) if p.differ.any() else 0.0
+    mean_loss = float(p.loss[p.differ].mean()) if p.differ.any() else 0.0
     return [
         {
             "groups": len(p),
             "decided differently": int(p.differ.sum()),
             "exact less probable": int((p.loss < -1e-9).sum()),
-            "largest loss of the line, ln": float(p.loss.max()),
-            "mean where they differ, ln": lost,
+            "largest loss of the linear prior, ln": float(p.loss.max()),
+            "mean loss where they differ, ln": mean_loss,
             "records right, exact": p.right_exact,
             "records right, linear": p.right_linear,
         }

@@ -1,11 +1,10 @@
-"""The tally: what is counted of a contender's verdicts, added up over scenes, with standard errors.
+"""The tally: counts of a contender's decisions, summed over scenes, with standard errors.
 
 Everything is counted per scene. Figures are ratios of sums over scenes, and their standard errors are those of ratio
 estimates (Cochran, Sampling Techniques, 1977, 6.4): scenes are independent, records of one scene are not.
 
-A record is *right* when the records that were taken for the same object as it are exactly its true partner, or when it
-was left alone and truly has none. A scene is *wholly right* when all of its records are. A scene is *open* when both
-sources have records: in others every rule is right.
+A record is *right* if its only partner is its true one, or if it has no partner and truly has none. A scene is *wholly
+right* if all of its records are. A scene is *open* if both sources have records; in other scenes every rule is right.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class Tally:
         return int(self.total[AT["scenes"]])
 
     def ratio(self, above: str, below: str) -> Ratio:
-        """Σ above / Σ below over all scenes; NaN where there is nothing below."""
+        """Σ above / Σ below over all scenes; NaN if the denominator is 0."""
         a, b = AT[above], AT[below]
         if not self.total[b] > 0.0:
             return Ratio(math.nan, math.nan)
@@ -67,7 +66,7 @@ class Tally:
 
     @property
     def calibration_error(self) -> Ratio:
-        """Mean |stated − observed| of the candidates over bins of p; its error by leaving out block after block."""
+        """Mean |stated − observed| of the candidates over bins of p; its error by the jackknife over blocks."""
         blocks = len(self.bins)
         whole = self.bins.sum(axis=0)
         value = _calibration_error(whole)
@@ -76,7 +75,7 @@ class Tally:
         return Ratio(value, error if math.isfinite(value) else math.nan)
 
     def figures(self) -> dict[str, Ratio]:
-        """Everything that the tables show, by name; leads are over the first contender of the point."""
+        """The figures of the tables by name; leads are differences to the first contender of the point."""
         return {
             "right": self.ratio("right", "records"),
             "right of open": self.ratio("open right", "open records"),
@@ -99,8 +98,8 @@ def _calibration_error(bins: FloatArray) -> float:
 def count(scenes: Scenes, verdict: Verdict, seconds: float = 0.0, reference: FloatArray | None = None) -> Tally:
     """The tally of a verdict on scenes of two sources.
 
-    reference : (count,) records that another contender decided rightly; what this one has more is its lead, whose error
-    is smaller than that of either, as both decided the same scenes.
+    reference : (count,) records that another contender has right; the difference to it is the lead, whose error is
+    smaller than that of either, because both decided the same scenes.
     """
     per_scene = np.zeros((len(scenes), len(COLUMNS)))
     per_scene[:, AT["scenes"]] = 1.0
@@ -122,26 +121,26 @@ def count(scenes: Scenes, verdict: Verdict, seconds: float = 0.0, reference: Flo
     bins = np.zeros((1, 3, BINS))
     if verdict.candidates is not None:
         i, j, p = verdict.candidates
-        happened = scenes.truth[0][i] == scenes.truth[1][j]
+        is_true = scenes.truth[0][i] == scenes.truth[1][j]
         of_pair = scenes.scene[0][i]
         values["candidates"] = np.bincount(of_pair, minlength=len(scenes))
-        values["brier"] = np.bincount(of_pair, (p - happened) ** 2, len(scenes))
+        values["brier"] = np.bincount(of_pair, (p - is_true) ** 2, len(scenes))
         number = np.minimum((p * BINS).astype(np.int64), BINS - 1)
-        bins[0] = [np.bincount(number, weights, BINS) for weights in (None, p, happened)]
+        bins[0] = [np.bincount(number, weights, BINS) for weights in (None, p, is_true)]
     for name, column in values.items():
         per_scene[:, AT[name]] = column
     return Tally(per_scene.sum(axis=0), per_scene.T @ per_scene, bins, seconds)
 
 
 def rightly(scenes: Scenes, verdict: Verdict) -> FloatArray:
-    """(count,) number of records that were decided rightly."""
+    """(count,) number of records that are right."""
     total = np.zeros(len(scenes))
     hit = scenes.truth[0][verdict.i] == scenes.truth[1][verdict.j]
     for side, rows in ((0, verdict.i), (1, verdict.j)):
         n = len(scenes.truth[side])
-        named, well = np.bincount(rows, minlength=n), np.bincount(rows, hit, n)
+        partners, true_partners = np.bincount(rows, minlength=n), np.bincount(rows, hit, n)
         has_partner = np.isin(scenes.truth[side], scenes.truth[1 - side])
-        right = np.where(has_partner, (named == 1) & (well == 1), named == 0)
+        right = np.where(has_partner, (partners == 1) & (true_partners == 1), partners == 0)
         total += np.bincount(scenes.scene[side], right, len(scenes))
     return total
 
@@ -158,10 +157,10 @@ def _picture(scenes: Scenes, verdict: Verdict) -> tuple[FloatArray, np.ndarray]:
 
 
 def distances(scenes: Scenes, picture: tuple[FloatArray, np.ndarray]) -> FloatArray:
-    """(count,) GOSPA of order 2 between every scene's picture and its targets, those that nobody saw among them."""
+    """(count,) GOSPA of order 2 between every scene's picture and all its targets, including missed ones."""
     places, scene = picture
     at, _, distance = nearest_match(places, scenes.targets, cutoff=CUTOFF)
     n = len(scenes)
     matched = np.bincount(scene[at], minlength=n)
-    left = np.bincount(scene, minlength=n) + np.bincount(scenes.target_scene, minlength=n) - 2.0 * matched
-    return np.sqrt(np.bincount(scene[at], distance**2, n) + 0.5 * CUTOFF**2 * left)
+    unmatched = np.bincount(scene, minlength=n) + np.bincount(scenes.target_scene, minlength=n) - 2.0 * matched
+    return np.sqrt(np.bincount(scene[at], distance**2, n) + 0.5 * CUTOFF**2 * unmatched)

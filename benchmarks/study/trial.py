@@ -1,4 +1,4 @@
-"""Trials: contenders on the scenes of a point of the study, block by block, over all cores.
+"""Trials: every contender decides the scenes of a point of the study, in blocks, over all cores.
 
 Scenes come in blocks of :data:`BLOCK`; every block has its own generator, seeded by the study's seed, the point and the
 block. A run of more scenes repeats those of a shorter one, and the answer does not depend on the number of processes.
@@ -32,10 +32,10 @@ SEED = 20261121
 
 @dataclass(frozen=True)
 class Point:
-    """One point of the study: a formation, and who decides.
+    """One point of the study: a formation, and the contenders that decide its scenes.
 
-    experiment : what the point belongs to. name : its scenes depend on it, or on ``scenes_of`` where that is given, so
-    that points can share scenes. share : the part of the scenes that is enough for contenders that take long.
+    experiment : it belongs to. name : seeds the scenes, unless ``scenes_of`` is given, by which points share scenes.
+    share : of the scenes that are used, below 1 for slow contenders.
     """
 
     experiment: str
@@ -48,7 +48,7 @@ class Point:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a point: per contender its tally, in the order of the point."""
+    """The result of a point: the tally of every contender, in the order of the point."""
 
     point: Point
     tallies: tuple[Tally, ...]
@@ -74,31 +74,31 @@ def tallies(point: Point, blocks: Sequence[int]) -> tuple[Tally, ...]:
     for block in blocks:
         scenes = point.formation(generator(point.scenes_of or point.name, block), BLOCK)
         reference = None
-        for contender, kept in zip(point.contenders, sums, strict=True):
+        for contender, parts in zip(point.contenders, sums, strict=True):
             start = time.perf_counter()
             verdict = contender(scenes, point.formation)
-            kept.append(count(scenes, verdict, time.perf_counter() - start, reference))
+            parts.append(count(scenes, verdict, time.perf_counter() - start, reference))
             reference = rightly(scenes, verdict) if reference is None else reference
-    return tuple(reduce(add, kept) for kept in sums)
+    return tuple(reduce(add, parts) for parts in sums)
 
 
-def run(points: Iterable[Point], scenes: int, told: Callable[[int, int, str], None] | None = None) -> list[Outcome]:
-    """The outcomes of the points with so many scenes each, rounded up to whole blocks.
+def run(points: Iterable[Point], scenes: int, progress: Callable[[int, int, str], None] | None = None) -> list[Outcome]:
+    """The outcomes of the points with ``scenes`` scenes each, rounded up to whole blocks.
 
-    told : called with pieces done, pieces in all and the name of the experiment.
+    progress : called with pieces done, pieces in all and the name of the experiment.
     """
     listed = list(points)
     pieces = [(number, part) for number, point in enumerate(listed) for part in _parts(point, scenes)]
-    kept: dict[int, list[tuple[int, tuple[Tally, ...]]]] = {number: [] for number in range(len(listed))}
+    results: dict[int, list[tuple[int, tuple[Tally, ...]]]] = {number: [] for number in range(len(listed))}
     work = [(tallies, (listed[number], part)) for number, part in pieces]
-    for done, (at, result) in enumerate(everywhere(work), start=1):
+    for done, (at, result) in enumerate(in_parallel(work), start=1):
         number, part = pieces[at]
-        kept[number].append((part[0], result))
-        if told is not None:
-            told(done, len(pieces), listed[number].experiment)
+        results[number].append((part[0], result))
+        if progress is not None:
+            progress(done, len(pieces), listed[number].experiment)
     outcomes = []
     for number, point in enumerate(listed):
-        parts = [result for _, result in sorted(kept[number], key=lambda entry: entry[0])]
+        parts = [result for _, result in sorted(results[number], key=lambda entry: entry[0])]
         outcomes.append(Outcome(point, tuple(reduce(add, column) for column in zip(*parts, strict=True))))
     return outcomes
 
@@ -109,21 +109,21 @@ def _parts(point: Point, scenes: int) -> list[range]:
     return [range(k, min(k + step, blocks)) for k in range(0, blocks, step)]
 
 
-def everywhere(work: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> Iterator[tuple[int, Any]]:
-    """(place in ``work``, result) as results come, from as many processes as there are processors."""
+def in_parallel(work: Sequence[tuple[Callable[..., Any], tuple[Any, ...]]]) -> Iterator[tuple[int, Any]]:
+    """(index in ``work``, result) in the order of completion, from one process per processor."""
     workers = min(threads.count(), len(work))
     if workers <= 1:
         for at, (function, arguments) in enumerate(work):
             yield at, function(*arguments)
         return
     # New processes, not forks: threads of compiled loops do not survive a fork.
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_alone) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_single_threaded) as pool:
         futures = {pool.submit(function, *arguments): at for at, (function, arguments) in enumerate(work)}
         for future in as_completed(futures):
             yield futures[future], future.result()
 
 
-def _alone() -> None:
-    """A process of many computes with one thread."""
+def _single_threaded() -> None:
+    """Limit this process to one thread."""
     for name in ("SAMEAS_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
         os.environ[name] = "1"
