@@ -253,7 +253,7 @@ def mori(study: Study) -> Figure:
     """The share of objects that get their own record, by formula and by simulation."""
     figure = sheet(
         "Mori's formula compared with simulation",
-        "One-to-one assignment, both sources see every object; marks: simulation, with one standard error.",
+        "One-to-one assignment, both sources see every object; marks: simulation, one standard error.",
         7.6, 5.0,
     )  # fmt: skip
     axes = figure.subplots()

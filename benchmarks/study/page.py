@@ -67,7 +67,7 @@ def _flowed(text: str) -> str:
 def _filled(item: str) -> str:
     indent = "  " if item.startswith("- ") else ""
     # A figure stays on one line with its error, and no line begins with a character that starts a Markdown list.
-    joined = re.sub(r" (±|…|=|\+|-) ", lambda match: f"\0{match[1]}\0", item).replace(" %", "\0%")
+    joined = re.sub(r" (±|…|=|×|→|\+|-) ", lambda match: f"\0{match[1]}\0", item).replace(" %", "\0%")
     lines = textwrap.wrap(joined, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
     return "\n".join(lines).replace("\0", " ")
 
@@ -131,8 +131,8 @@ The sources do not state how these figures were counted. We tried several ways, 
 expected figures:
 
 - Two targets at q = 0.2 … 0.4: the table gives the share of scenes in which both targets are right. The share of
-  records is {min(shares):.2f} … {max(shares):.2f}. For the line of five it is the share of records, as the
-  paper states.
+  records is {min(shares):.2f} … {max(shares):.2f}. For the line of five it is the share of records, as was
+  stated.
 - Two targets at q = 0.5, d = 3: one source often sees nothing, and a scene with nothing to decide is right under every
   rule. The table gives three ways of counting. We also tried means over scenes, source 1 alone, scenes in which it has
   records, both gates, and other margins of the box of p_M. None reproduces all three figures to {TOLERANCE}; the order
@@ -162,7 +162,7 @@ def _spacing(study: Study) -> str:
 ![Share of scenes wholly right with two targets, against the spacing](figures/study-two.svg)
 
 - Close objects is better than the older rules where sources miss many targets and targets are not too close. Two
-  targets, d = 3, q = 0.6, difference of the share wholly right to close objects:
+  targets, d = 3, q = 0.6, share wholly right minus that of close objects:
   uniform {lead(crowded, "uniform")}, constant C {lead(crowded, "constant C")}, k = min {lead(crowded, "k = min")}.
   At q = 0.02 the differences are {lead(sparse, "uniform")}, {lead(sparse, "constant C")}, {lead(sparse, "k = min")}.
 - In a line of five, uniform, constant C and close objects differ little from d = 1.6 on: most of the gain
@@ -262,8 +262,8 @@ def _several(study: Study, tables: dict[str, list[Row]]) -> str:
         order = max(c.mean("joint order").value for _, c in study.several)
         text += f"""
 - Three sources at spacing 4: in a quarter of the scenes, every hypothesis of the first two sources was enumerated, each
-  with the best third. In {_share(differs)} of these scenes one is more probable than the joint result. Another order of
-  the sources changes the joint result in {_share(order)} of the scenes, checked in a quarter of them."""
+  with the best third. Of these scenes, {_share(differs)} have one that is more probable than the joint result. Another
+  order of the sources changes the joint result in {_share(order)} of the scenes, checked in a quarter of them."""
     if crowd is not None:
         text += f"""
 - `identify_many`, six sources × 200 targets: {crowd.records} records, {crowd.largest_group} in the largest group,
