@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks import motion
 from benchmarks.tables import Table, report
 from sameas.evidence.rule import Rule
-from sameas.picture.memory import Past
+from sameas.picture.memory import TrackMemory
 from sameas.picture.picture import picture_states
 from sameas.picture.watch import Watch, all_evidence
 from sameas.simulate.sensors import TrueMotion
@@ -156,9 +156,9 @@ def _named(
     return np.array([str(name) for name in names], object)
 
 
-def alone(now: Instant, past: Past) -> Rule:
+def alone(now: Instant, memory: TrackMemory) -> Rule:
     """The evidence of the instant."""
-    return all_evidence(now, past, memory=False)  # type: ignore[return-value]
+    return all_evidence(now, memory, previous_scans=False)  # type: ignore[return-value]
 
 
 WAYS = {"memory": Watch, "instants alone": lambda: Watch(evidence=alone, bound=1.0)}

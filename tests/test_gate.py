@@ -29,7 +29,7 @@ def crowd(n, source="a", seed=1):
 
 
 def test_more_pairs_than_fit_in_memory_are_refused_before_they_are_stored():
-    gate = ChiSquare(tuning=Tuning(each_with_each=0, bytes_of_pair=1 << 50))
+    gate = ChiSquare(tuning=Tuning(brute_force_records=0, bytes_of_pair=1 << 50))
     with pytest.raises(InputError, match=r"a, b: more than 0\.0 million pairs lie within the gate.*smaller gate"):
         gate(crowd(60), crowd(70, "b", 2))
     # Records with far larger errors are searched by a separate path.
@@ -40,7 +40,7 @@ def test_more_pairs_than_fit_in_memory_are_refused_before_they_are_stored():
 
 def zone_search(first, second, gate):
     """The candidates found by the zone search, which small inputs would not use."""
-    return replace(gate, tuning=Tuning(each_with_each=0, most_by_arrays=0))(first, second)
+    return replace(gate, tuning=Tuning(brute_force_records=0, max_pairs_by_arrays=0))(first, second)
 
 
 def brute_force(first, second, gate, definition):

@@ -398,7 +398,7 @@ kind = "marine radar"
 site = { lat_deg = 50.0, lon_deg = -1.0, height_m = 20.0 }
 file = { path = "plots.csv", start = "2024-05-01", columns = { range_m = "d" }, units = { d = "km" } }
 errors = { range_m = 25.0, bearing_deg = 0.5 }
-motion = { speed_m_per_s = 8.0, standing_share = 0.2, standing_m_per_s = 0.1 }
+motion = { speed_m_per_s = 8.0, stationary_share = 0.2, stationary_m_per_s = 0.1 }
 [sources.ais]
 kind = "ais"
 file = "log.nmea"

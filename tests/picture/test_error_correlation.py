@@ -6,7 +6,7 @@ from modelled_scenes import describe, straight, told
 
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
-from sameas.picture import Past, Watch
+from sameas.picture import TrackMemory, Watch
 from sameas.picture.error_factors import CORRELATIONS
 from sameas.picture.scan import Scan
 from sameas.tracks.scene import Scene
@@ -18,10 +18,10 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
     times = np.arange(looks) * every_s
     x, v = straight(rng.uniform(-9e3, 9e3, (40, 2)), 4.0 * rng.standard_normal((40, 2)), times)
     scene = Scene.of([told(rng, describe("one", kind), times, x, v, tau_s, [str(k) for k in range(40)])])
-    past = Past(correlation_s=given or {})
+    memory = TrackMemory(correlation_s=given or {})
     for time_s in times:
-        past = past.advance(Scan.of(scene.at(time_s)))
-    return float(past.tracks.error_correlation.correlation(np.zeros(1, np.int64), np.array([every_s]))[0])
+        memory = memory.advance(Scan.of(scene.at(time_s)))
+    return float(memory.tracks.error_correlation.correlation(np.zeros(1, np.int64), np.array([every_s]))[0])
 
 
 @pytest.mark.slow
@@ -42,7 +42,7 @@ def test_before_any_scan_the_default_of_the_kind_is_used():
     rng = np.random.default_rng(2)
     x, v = straight([[0.0, 0.0]], [[4.0, 0.0]], np.zeros(1))
     scene = Scene.of([told(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
-    lasting = Past().advance(Scan.of(scene.at(0.0))).tracks.error_correlation
+    lasting = TrackMemory().advance(Scan.of(scene.at(0.0))).tracks.error_correlation
     ais, radar = (
         lasting.correlation(np.array([lasting.names.index(n)]), np.array([10.0]))[0] for n in ("ais", "air radar")
     )
@@ -63,7 +63,7 @@ def test_correlations_are_learned_from_certain_pairs(share):
     watch = Watch()
     for time_s in times:
         watch = watch.advance(Scene.of(sources).at(time_s)).watch
-    found = watch.past.tracks.error_correlation.lasting(np.arange(2))
+    found = watch.memory.tracks.error_correlation.lasting(np.arange(2))
     assert np.abs(found - share).max() < 0.15
 
 

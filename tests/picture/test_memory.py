@@ -9,8 +9,8 @@ from modelled_scenes import beside, describe, straight, told, two_meet
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.many.identify import identify_many
-from sameas.picture import Past
-from sameas.picture.memory import Memory
+from sameas.picture import TrackMemory
+from sameas.picture.memory import PreviousScans
 from sameas.picture.picture import picture_states
 from sameas.picture.scan import Scan
 from sameas.picture.track_pairs import TrackPairs
@@ -34,17 +34,17 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
     one, two = describe("one", "tracks", 30.0), describe("two", "ais")
     sources = [told(rng, one, times, x, v, tau_s[0], names), told(rng, two, times[::3], (x + apart[:, None])[:, ::3],
                v[:, ::3], tau_s[1], names)]  # fmt: skip
-    scene, past = Scene.of(sources), Past(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
+    scene, memory = Scene.of(sources), TrackMemory(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
     # Pairs far apart are also compared until the end.
-    tuning = Tuning(parted_chi_sq=np.inf)
+    tuning = Tuning(distant_chi_sq=np.inf)
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
-        past = past.advance(scan)
+        memory = memory.advance(scan)
         if time_s == 0.0:
-            past = replace(past, track_pairs=_all_pairs(scan, past.tracks.track_of_record))
+            memory = replace(memory, track_pairs=_all_pairs(scan, memory.tracks.track_of_record))
             # Tracks are numbered in the order of the scan.
             order = scan.track[:n].astype(int)
-    return same[order], past.rule().log_ratio, past.track_pairs.log_now + 2.0 * np.log(box_m)
+    return same[order], memory.rule().log_ratio, memory.track_pairs.log_now + 2.0 * np.log(box_m)
 
 
 def _all_pairs(scan, number):
@@ -80,30 +80,32 @@ def test_memory_is_calibrated_for_any_correlation_time(tau_s):
 @pytest.mark.slow
 def test_memory_is_bounded_by_the_reliability_of_track_ids():
     scene, times = two_meet(0, 200.0)
-    past, tuning = Past(reassigned=0.01), Tuning(parted_chi_sq=np.inf)
+    memory, tuning = TrackMemory(reassigned=0.01), Tuning(distant_chi_sq=np.inf)
     for time_s in times:
         now = scene.at(time_s)
-        past = past.advance(Scan.of(now, tuning))
-        found = identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region)
-        past = past.with_pairs(found.pooled)
-        assert np.abs(past.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
+        memory = memory.advance(Scan.of(now, tuning))
+        found = identify_many(now.sources, rule=now.rule() + memory.rule(), region=now.region)
+        memory = memory.with_pairs(found.pooled)
+        assert np.abs(memory.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
     # Who met and went on is another's: less so than who stays together by as much as a look's name is worth.
-    said = np.asarray(past.rule().log_ratio)
+    said = np.asarray(memory.rule().log_ratio)
     assert said.max() > 0.5 and said.max() - said.min() > 0.9 * np.log(0.99 / 0.01)
 
 
 def test_repeated_reports_are_no_evidence():
     scene, _ = two_meet(1, 200.0)
-    past = Past()
+    memory = TrackMemory()
     for time_s in (0.0, 10.0, 20.0):
         now = scene.at(time_s)
-        past = past.advance(Scan.of(now))
-        past = past.with_pairs(identify_many(now.sources, rule=now.rule() + past.rule(), region=now.region).pooled)
-    said = np.asarray(past.rule().log_ratio) + past.track_pairs.log_now
+        memory = memory.advance(Scan.of(now))
+        memory = memory.with_pairs(
+            identify_many(now.sources, rule=now.rule() + memory.rule(), region=now.region).pooled
+        )
+    said = np.asarray(memory.rule().log_ratio) + memory.track_pairs.log_now
     for time_s in (21.0, 24.0, 29.0):
-        past = past.advance(Scan.of(scene.at(time_s)))
+        memory = memory.advance(Scan.of(scene.at(time_s)))
         # The sum of present and past evidence is unchanged; the reports have only aged.
-        np.testing.assert_allclose(np.asarray(past.rule().log_ratio) + past.track_pairs.log_now, said, atol=1e-9)
+        np.testing.assert_allclose(np.asarray(memory.rule().log_ratio) + memory.track_pairs.log_now, said, atol=1e-9)
 
 
 def test_a_track_that_jumps_starts_a_new_memory():
@@ -114,14 +116,14 @@ def test_a_track_that_jumps_starts_a_new_memory():
     jumped[:, 4:] += 5000.0
     radar, ais = describe("radar", "tracks"), describe("ais", "ais")
     scene = Scene.of([told(rng, radar, times, jumped, v, 60.0, ["7"]), told(rng, ais, times, x, v, 600.0, ["a"])])
-    past = Past()
+    memory = TrackMemory()
     for time_s in times:
         now = scene.at(time_s)
-        past = past.advance(Scan.of(now))
+        memory = memory.advance(Scan.of(now))
         if time_s == 40.0:
-            assert not len(past.track_pairs)
-        past = past.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
-        assert len(past.track_pairs) == (time_s < 40.0)
+            assert not len(memory.track_pairs)
+        memory = memory.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
+        assert len(memory.track_pairs) == (time_s < 40.0)
 
 
 def test_records_without_ids_have_no_memory():
@@ -129,18 +131,21 @@ def test_records_without_ids_have_no_memory():
     times = np.arange(0.0, 31.0, 10.0)
     x, v = straight([[0.0, 0.0], [500.0, 0.0]], [[3.0, 0.0]] * 2, times)
     radar, ais = describe("radar", "marine radar"), describe("ais", "ais")
-    scene, past = Scene.of([told(rng, radar, times, x, v, 0.0), told(rng, ais, times, x, v, 600.0, ["a", "b"])]), Past()
+    scene, memory = (
+        Scene.of([told(rng, radar, times, x, v, 0.0), told(rng, ais, times, x, v, 600.0, ["a", "b"])]),
+        TrackMemory(),
+    )
     for time_s in times:
         now = scene.at(time_s)
-        past = past.advance(Scan.of(now))
-        past = past.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
-    assert not len(past.track_pairs) and past.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
+        memory = memory.advance(Scan.of(now))
+        memory = memory.with_pairs(identify_many(now.sources, rule=now.rule(), region=now.region).pooled)
+    assert not len(memory.track_pairs) and memory.tracks.track_of_record.tolist() == [-1, -1, 0, 1]
 
 
 def test_memory_is_symmetric_in_a_pair():
     one = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="one")
     two = Records.of([[5.0, 0.0], [8.0, 0.0]], sigma=5.0, source="two")
-    memory = Memory({"one": [3, 4], "two": [7, -1]}, first=[3, 4], second=[7, 7], log_ratio=[5.5, -2.0])
+    memory = PreviousScans({"one": [3, 4], "two": [7, -1]}, first=[3, 4], second=[7, 7], log_ratio=[5.5, -2.0])
     pairs, turned = Radius(5.0)(one, two), Radius(5.0)(two, one)
     said = {(int(i), int(j)): v for i, j, v in zip(pairs.i, pairs.j, memory(pairs).log_ratio, strict=True)}
     again = {(int(j), int(i)): v for i, j, v in zip(turned.i, turned.j, memory(turned).log_ratio, strict=True)}
@@ -150,14 +155,14 @@ def test_memory_is_symmetric_in_a_pair():
 
 def test_invalid_memory_settings_are_refused():
     with pytest.raises(InputError, match="first < second"):
-        Memory({}, [2], [1], [0.5])
+        PreviousScans({}, [2], [1], [0.5])
     with pytest.raises(InputError, match="once, in ascending order"):
-        Memory({}, [1, 1], [2, 2], [0.5, 0.5])
+        PreviousScans({}, [1, 1], [2, 2], [0.5, 0.5])
     with pytest.raises(InputError, match="reassigned is 0"):
-        Past(reassigned=0.0)
+        TrackMemory(reassigned=0.0)
     scene, _ = two_meet(1, 200.0)
     with pytest.raises(InputError, match="instants in the order of time"):
-        Past().advance(Scan.of(scene.at(20.0))).advance(Scan.of(scene.at(10.0)))
+        TrackMemory().advance(Scan.of(scene.at(20.0))).advance(Scan.of(scene.at(10.0)))
 
 
 def two_tracks(seed, same, looks=6, every_s=10.0, sigma=(20.0, 8.0)):
@@ -209,21 +214,21 @@ def test_the_evidence_of_a_pair_is_the_joint_density_of_all_its_reports(seed, ta
         sources.append((described, Reports.of(name, "table", columns | {"track_id": ["7"] * len(times)})))
     # Half of the error is correlated, with τ = tau_s; convoys are certain and swaps impossible.
     tuning = Tuning(lasting_shares=(0.5,), correlation_s=(tau_s,), convoy_log_odds=1e9)
-    scene, past = Scene.of(sources), Past(reassigned=1e-300)
+    scene, memory = Scene.of(sources), TrackMemory(reassigned=1e-300)
     for time_s in times:
         scan = Scan.of(scene.at(time_s), tuning)
-        past = past.advance(scan)
+        memory = memory.advance(scan)
         if time_s == 0.0:
-            state, covariance, lasting = scan.state[:, :2], scan.covariance[:, :2, :2], past.tracks.lasting
+            state, covariance, lasting = scan.state[:, :2], scan.covariance[:, :2, :2], memory.tracks.lasting
             fresh = TrackPairs.of(
-                past.tracks.track_of_record[:1], past.tracks.track_of_record[1:], (state[:1] - state[1:]),
+                memory.tracks.track_of_record[:1], memory.tracks.track_of_record[1:], (state[:1] - state[1:]),
                 (covariance[:1], covariance[1:]), (lasting[:1], lasting[1:]), time_s,
             )  # fmt: skip
-            past = replace(past, track_pairs=replace(fresh, log_convoy=np.array([1e9])))
+            memory = replace(memory, track_pairs=replace(fresh, log_convoy=np.array([1e9])))
     rho = np.exp(-10.0 / tau_s) if tau_s else 0.0
     # Any distance within an area of (1e5 m)²; the density of a pair is per m².
     due = brute_force(x, sigma, rho, True) - brute_force(x, sigma, rho, False) - np.log(2.0 * np.pi * 1e10)
-    pairs = past.track_pairs
+    pairs = memory.track_pairs
     assert pairs.log_ratio[0] + pairs.log_reported[0] == pytest.approx(due, abs=1e-3)
 
 
@@ -241,7 +246,7 @@ def test_pairs_that_separated_long_ago_are_forgotten():
         for time_s in times:
             state = watch.advance(scene.at(time_s))
             watch = state.watch
-        counts.append(len(watch.past.track_pairs) + len(watch.past.track_pairs.distant))
+        counts.append(len(watch.memory.track_pairs) + len(watch.memory.track_pairs.distant))
         shown = np.append(state.scan.track, "")[state.members]
         assert sorted(shown.tolist()) == [[k, k] for k in names[: len(shown)]]
     # The two tracks of each ship, and all pairs that have met.
@@ -257,14 +262,14 @@ def test_memory_of_separated_tracks_counts_when_they_meet_again():
     v = np.gradient(x, 10.0, axis=1)
     scene = Scene.of([told(rng, describe(name, "tracks"), times, x, v, 20.0, ["0", "1"]) for name in "ab"])
     pairs, together = [], []
-    for tuning in (Tuning(), Tuning(parted_chi_sq=np.inf)):
+    for tuning in (Tuning(), Tuning(distant_chi_sq=np.inf)):
         watch = Watch(tuning=tuning)
         for time_s in times:
             state = watch.advance(scene.at(time_s))
             watch = state.watch
             shown = np.append(state.scan.track, "")[state.members]
             together.append(float(state.probability[(shown == "0").all(axis=1)].sum()))
-            pairs.append(len(watch.past.track_pairs))
+            pairs.append(len(watch.memory.track_pairs))
     (some, every), (ours, theirs) = np.reshape(pairs, (2, -1)), np.reshape(together, (2, -1))
     assert some[35] == 2 < every[35] == 4 == some[50] and theirs.min() > 0.9
     np.testing.assert_allclose(ours, theirs, atol=0.01)
@@ -331,7 +336,7 @@ def test_trackers_without_swaps_are_not_suspected_of_them():
             names = np.append(state.scan.track, "")[state.members]
             if state.now.instant_s >= 300.0:
                 right += ((names == names[:, :1]).all(axis=1) * state.probability).tolist()
-        rates.append(watch.past.swaps.rate(np.arange(2), state.scan.tuning))
+        rates.append(watch.memory.swaps.rate(np.arange(2), state.scan.tuning))
     # By one ln r for all rates, that of the mean one, they came out as 0.004 to 0.012, once as 0.3.
     assert np.max(rates) < 0.003
     assert np.mean(right) > 0.85
@@ -344,7 +349,7 @@ def test_swaps_of_ships_abreast_are_found_over_many_reports():
         (scene, times), watch = abreast(seed, swaps=0.1), Watch()
         for time_s in times:
             watch = watch.advance(scene.at(time_s)).watch
-        rates.append(watch.past.swaps.rate(np.arange(2), DEFAULT_TUNING))
+        rates.append(watch.memory.swaps.rate(np.arange(2), DEFAULT_TUNING))
     west, east = np.array(rates).T
     assert np.median(west) > 0.02
     assert np.median(east) < 0.5 * np.median(west)

@@ -11,7 +11,7 @@ from sameas.picture import Picture, Stages, Watch, instants, picture_states
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Feed, Scene
 
-ALONE = Watch(evidence=lambda now, past: now.rule() + now.identity(), bound=1.0)
+ALONE = Watch(evidence=lambda now, memory: now.rule() + now.identity(), bound=1.0)
 
 
 def memberships(picture):

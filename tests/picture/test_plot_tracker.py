@@ -270,7 +270,7 @@ def test_unsupported_sources_are_refused_with_a_clear_message():
     named = Feed.of(sensor("tracker", 2.0, 0.5), Reports.of("tracker", "table", said))
     with pytest.raises(InputError, match="tracker names its objects"):
         tracker.advance(Scene((named,)).at(1.0, features=POSITION_AND_VELOCITY))
-    refused: list[dict[str, Any]] = [{"correlation_s": -1.0}, {"least_q": 0.5}, {"lifetime_s": np.inf}]
+    refused: list[dict[str, Any]] = [{"correlation_s": -1.0}, {"min_q": 0.5}, {"lifetime_s": np.inf}]
     for wrong in refused:
         with pytest.raises(InputError, match=f"PlotTracker: .*{next(iter(wrong)).split('_')[0]}"):
             PlotTracker(**wrong)

@@ -51,13 +51,13 @@ def test_round_trips_at_the_antimeridian_and_the_poles():
 def test_the_rotation_is_the_derivative_of_the_plane():
     plane, step = LocalPlane(60.0, 20.0), 1e-4
     lat, lon = np.array([61.0, 58.5]), np.array([23.0, 16.0])
-    turn = plane.turn(lat, lon)
+    jacobian = plane.jacobian(lat, lon)
     here = plane.of_geodetic(lat, lon)
     for axis, (dlat, dlon) in enumerate([(0.0, step), (step, 0.0)]):
         there = plane.of_geodetic(lat + dlat, lon + dlon)
         e, n, _ = pymap3d.geodetic2enu(lat + dlat, lon + dlon, 0, lat, lon, 0)
         metres = (e, n)[axis]
-        np.testing.assert_allclose((there - here) / metres[:, None], turn[:, :, axis], atol=2e-5)
+        np.testing.assert_allclose((there - here) / metres[:, None], jacobian[:, :, axis], atol=2e-5)
 
 
 def test_range_and_bearing_give_the_position_of_an_aircraft():
@@ -86,8 +86,8 @@ def test_the_covariance_on_the_ground_agrees_with_a_sample(distance, height):
 
     def ground(r, b, h):
         found = polar_to_geodetic(range_m=r, bearing_deg=b, height_m=h, **about, **errors)
-        turn = plane.turn(found.lat_deg, found.lon_deg)
-        return plane.of_geodetic(found.lat_deg, found.lon_deg), propagated(turn, found.covariance)
+        jacobian = plane.jacobian(found.lat_deg, found.lon_deg)
+        return plane.of_geodetic(found.lat_deg, found.lon_deg), propagated(jacobian, found.covariance)
 
     n = 20_000
     draws = (rng.standard_normal(n) * s for s in sigma.values())

@@ -11,7 +11,7 @@ from sameas.tracks.feed import Feed, stationary
 from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description, Motion
 
-VESSELS = Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=0.3)
+VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.3)
 
 
 def told(velocity, sigma_m_per_s=0.3, sigma_m=5.0):
@@ -79,9 +79,9 @@ def test_missing_velocities_and_always_moving_kinds_are_unchanged():
     np.testing.assert_array_equal(stands, [0.0, 0.0])
     made = told(np.zeros((2, 2)))
     assert stationary(made, Description("adsb", "ads-b").motion) == (made, None)
-    assert stationary(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=0.0)) == (made, None)
-    with pytest.raises(InputError, match="give the share of objects that stand, below 1"):
-        stationary(made, Motion(0.01, 8.0, standing_m_per_s=0.1, standing_share=1.0))
+    assert stationary(made, Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.0)) == (made, None)
+    with pytest.raises(InputError, match="give the share of stationary objects, below 1"):
+        stationary(made, Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=1.0))
 
 
 def test_an_anchored_vessel_is_not_extrapolated_and_a_moving_one_is():

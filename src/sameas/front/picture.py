@@ -119,7 +119,7 @@ class Method:
 
     def evidence(self) -> EvidenceOf:
         """The evidence that is used at an instant."""
-        return partial(all_evidence, identity=self.identity, memory=self.memory)
+        return partial(all_evidence, identity=self.identity, previous_scans=self.memory)
 
     def watch(self, scene: Scene) -> Watch | PlotPicture:
         """The state that is carried from instant to instant; without memory, instants are independent."""

@@ -100,7 +100,7 @@ class _Allowed:
 def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tuning, allowed: _Allowed) -> Columns:
     if not len(first) or not len(second):
         return _room(first.d, 0)
-    if len(first) + len(second) <= tuning.each_with_each and isinstance(first.space, Plane):
+    if len(first) + len(second) <= tuning.brute_force_records and isinstance(first.space, Plane):
         columns = _each_with_each(first, second, limit, box, first.space)
         if columns is not None:
             return columns
@@ -181,7 +181,7 @@ def _few_on_sphere(one: Layout, two: Layout, geometry: Geometry) -> Columns | No
         return None
     low = np.searchsorted(latitude, guard_1[:, 1] - reach)
     size = np.searchsorted(latitude, guard_1[:, 1] + reach, side="right") - low
-    if size.sum() > geometry.tuning.most_by_arrays:
+    if size.sum() > geometry.tuning.max_pairs_by_arrays:
         return None
     k, at = ranges(low, size)
     q = order[at]

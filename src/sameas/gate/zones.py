@@ -31,13 +31,13 @@ class Tuning:
 
     Attributes
     ----------
-    each_with_each : up to this many records of both sources together on a plane, all pairs are tested.
-    most_by_arrays : up to this many pairs in the same strip of latitude are tested by array operations if the kernel
-        is interpreted.
+    brute_force_records : up to this many records of both sources together on a plane, all pairs are tested.
+    max_pairs_by_arrays : up to this many pairs in the same strip of latitude are tested by array operations if the
+        kernel is interpreted.
     one_zone : up to this many records get one zone: more zones cost as much as testing all.
     square : a zone is as high as a square with this many records: one look-up costs as much as some tests.
     few_tests : a class of errors is separate if that saves at least this many tests per record.
-    squares, most_squares : squares along each axis of the grid that measures the area with records; refined, up to the
+    squares, max_squares : squares along each axis of the grid that measures the area with records; refined, up to the
         latter, if most are empty and the others crowded.
     sample : length of the samples of successive records whose candidates are counted to estimate the memory.
     few_rows : fewer rows than this are scanned without a compiled loop.
@@ -45,13 +45,13 @@ class Tuning:
         are refused; if that is unknown, more than ``memory`` bytes.
     """
 
-    each_with_each: int = 512
-    most_by_arrays: int = 1_000_000
+    brute_force_records: int = 512
+    max_pairs_by_arrays: int = 1_000_000
     one_zone: int = 512
     square: float = 8.0
     few_tests: float = 4.0
     squares: int = 32
-    most_squares: int = 2048
+    max_squares: int = 2048
     sample: int = 128
     few_rows: int = 10_000
     bytes_of_pair: int = 300
@@ -211,7 +211,7 @@ class Extent:
             for source in sources:
                 tally(source.features, geometry.x, geometry.y, *low, *(1.0 / size), counts)
             held = int(np.count_nonzero(counts))
-            if 4 * held > squares**2 or total < 64 * held or squares >= geometry.tuning.most_squares:
+            if 4 * held > squares**2 or total < 64 * held or squares >= geometry.tuning.max_squares:
                 break
             squares *= 8  # fields far apart are much smaller than the squares
         shrink = np.ones(squares)

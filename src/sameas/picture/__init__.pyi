@@ -1,8 +1,8 @@
 """The public names of the picture."""
 
 from .live import LivePicture as LivePicture
-from .memory import Memory as Memory
-from .memory import Past as Past
+from .memory import PreviousScans as PreviousScans
+from .memory import TrackMemory as TrackMemory
 from .object_ids import Stages as Stages
 from .picture import Picture as Picture
 from .picture import instants as instants

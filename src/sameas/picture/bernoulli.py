@@ -195,7 +195,7 @@ class BernoulliTable(ObjectTable):
         covariance: FloatArray,
         existence: FloatArray,
         hits: FloatArray,
-        least: float = DEFAULT_TUNING.least_probability,
+        least: float = DEFAULT_TUNING.min_probability,
     ) -> BernoulliTable:
         """New objects."""
         separate_log_odds = np.zeros((len(number), len(number)))
@@ -226,7 +226,7 @@ class BernoulliTable(ObjectTable):
         q = (scans * usual_q + self.misses) / (scans + self.misses + self.hits)
         return np.asarray(np.clip(q, least, 1.0 - least))
 
-    def after(self, sighting: Sighting, least: float = DEFAULT_TUNING.least_probability) -> BernoulliTable:
+    def after(self, sighting: Sighting, least: float = DEFAULT_TUNING.min_probability) -> BernoulliTable:
         """The objects with existence, hits and misses after completed scans; their states do not change."""
         p_detected, r = sighting.p_detected, self.existence
         p_missed = r * np.prod(sighting.q**sighting.scans, axis=1)
@@ -285,7 +285,7 @@ class BernoulliTable(ObjectTable):
         total = self.covariance[:, None] + self.covariance
         chi_sq, place = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
         log_n = log_density(delta[..., :2], total[..., :2, :2])
-        agree, differ = ChiSquare(tuning.same_state).limit(4), ChiSquare(tuning.different).limit(2)
+        agree, differ = ChiSquare(tuning.same_quantile).limit(4), ChiSquare(tuning.different_quantile).limit(2)
         return log_n - math.log(density_per_m2), chi_sq < agree, place > differ
 
     def _joined(self, i: int, j: int) -> BernoulliTable:

@@ -144,11 +144,11 @@ def faults_and_deceptions(
 def _companions(
     own: PictureTrack, others: Sequence[PictureTrack], tuning: Tuning
 ) -> Iterator[tuple[PictureTrack, int]]:
-    """The tracks that were one object with it for ``known_instants`` instants, and the index of the last of these."""
+    """The tracks that were one object with it for ``min_instants`` instants, and the index of the last of these."""
     for other in others:
         both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
         together = own.object[i] == other.object[j]
-        if together.sum() >= tuning.known_instants:
+        if together.sum() >= tuning.min_instants:
             yield other, int(both[together][-1])
 
 
@@ -180,7 +180,7 @@ def _dragged(
         and feed.reports.track is not None
     )
     sensors = sorted({feeds[other.source].description.name for other, _ in contradicting})
-    log_odds = math.log(tuning.dragged_odds) + log_undetected - (len(sensors) - 1) * math.log(tuning.swap)
+    log_odds = math.log(tuning.false_position_odds) + log_undetected - (len(sensors) - 1) * math.log(tuning.sensor_swap)
     name, first = feeds[own.source].description.name, float(instants[min(begins)])
     distance_m = max(distance for _, distance in contradicting)
     words = (
@@ -207,7 +207,7 @@ def _silent(
     reports = feeds[own.source].reports
     assert reports.track is not None
     times = np.unique(reports.time_s[reports.track.astype(str) == own.track])
-    if len(times) < tuning.known_reports:
+    if len(times) < tuning.min_reports:
         return
     pauses, end = np.diff(times), float(reports.time_s.max())
     longest = float(pauses.max())

@@ -31,7 +31,7 @@ from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
-from sameas.tracks.live_feed import Counts, GrowingFeed, unbiased_now
+from sameas.tracks.live_feed import Counts, LiveFeed, unbiased_now
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import POSITION, Scene
@@ -102,7 +102,7 @@ class LivePicture:
         )
         self.lag_s, self.features, self.tuning = lag_s, features, tuning
         self.window = window or Window()
-        self._feeds = {d.name: GrowingFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
+        self._feeds = {d.name: LiveFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
         self._heights: HeightModel | None = None
@@ -241,7 +241,7 @@ class LivePicture:
         while kept and now_s - float(kept[0]["time_s"][0]) > self.window.span_s:
             kept.popleft()
 
-    def _feed(self, live_feed: GrowingFeed, instant_s: float) -> Feed:
+    def _feed(self, live_feed: LiveFeed, instant_s: float) -> Feed:
         feed, biases = live_feed.feed(instant_s), self._biases.get(live_feed.description.name)
         if biases is None or biases.theta is None or biases.covariance is None:
             return feed

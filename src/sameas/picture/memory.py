@@ -1,12 +1,12 @@
 """Memory: the evidence of previous scans that two named tracks are one object.
 
 Two tracks that agreed for ten minutes are not separated because noise brings another track nearer for one antenna
-rotation. :class:`Past` is updated from instant to instant; :meth:`Past.rule` is a rule for
+rotation. :class:`TrackMemory` is updated from instant to instant; :meth:`TrackMemory.rule` is a rule for
 :func:`sameas.many.identify_many`, to be added to those of the instant:
 
-    past = past.advance(scan)
-    found = identify_many(now.sources, rule=now.rule() + now.identity() + past.rule(), region=now.region)
-    past = past.with_pairs(found.pooled)
+    memory = memory.advance(scan)
+    found = identify_many(now.sources, rule=now.rule() + now.identity() + memory.rule(), region=now.region)
+    memory = memory.with_pairs(found.pooled)
 
 Its log-likelihood ratio is that of all reports (:mod:`sameas.picture.track_pairs`) minus that of the two positions of
 the instant, so the sum counts each report once. It is bounded by −2b and b = ln((1−ε)/ε), with ε the probability that a
@@ -216,8 +216,8 @@ REASSIGNED = 1e-4
 
 @in_short
 @dataclass(frozen=True)
-class Memory(Rule):
-    """The evidence of previous scans on pairs of named tracks; made by :meth:`Past.rule`.
+class PreviousScans(Rule):
+    """The evidence of previous scans on pairs of named tracks; made by :meth:`TrackMemory.rule`.
 
     Parameters
     ----------
@@ -229,8 +229,8 @@ class Memory(Rule):
     >>> from sameas import Radius, Records
     >>> radar = Records.of([[0.0, 0.0], [9.0, 0.0]], sigma=5.0, source="radar")
     >>> ais = Records.of([[5.0, 0.0]], sigma=5.0, source="ais")
-    >>> past = Memory({"radar": [3, 4], "ais": [7]}, first=[3], second=[7], log_ratio=[5.5])
-    >>> past(Radius(5.0)(radar, ais)).log_ratio.tolist()
+    >>> previous = PreviousScans({"radar": [3, 4], "ais": [7]}, first=[3], second=[7], log_ratio=[5.5])
+    >>> previous(Radius(5.0)(radar, ais)).log_ratio.tolist()
     [5.5, 0.0]
     """
 
@@ -242,9 +242,9 @@ class Memory(Rule):
     def __post_init__(self) -> None:
         first, second, log_ratio = np.asarray(self.first), np.asarray(self.second), np.asarray(self.log_ratio)
         if not len(first) == len(second) == len(log_ratio) or np.any(first >= second):
-            raise InputError("Memory: give first, second and log_ratio of every couple of tracks, first < second")
+            raise InputError("PreviousScans: give first, second and log_ratio of every pair of tracks, first < second")
         if np.any(np.diff(keys(first, second)) <= 0):
-            raise InputError("Memory: give every couple of tracks once, in ascending order")
+            raise InputError("PreviousScans: give every pair of tracks once, in ascending order")
 
     def __call__(self, pairs: Pairs) -> Evidence:
         one, two = (
@@ -258,7 +258,7 @@ class Memory(Rule):
 
 @in_short
 @dataclass(frozen=True)
-class Past:
+class TrackMemory:
     """The memory of named tracks and of the pairs of them that passed the gate.
 
     Parameters
@@ -284,7 +284,7 @@ class Past:
         """The estimated factors on the errors that sources state."""
         return self.tracks.error_factors
 
-    def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> Past:
+    def advance(self, scan: Scan, track_of_record: IntArray | None = None) -> TrackMemory:
         """The memory after the scan of a later instant.
 
         track_of_record : (n,) ``tracks.numbers_on(scan)``, where already known.
@@ -312,7 +312,7 @@ class Past:
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
 
-    def rule(self) -> Memory:
+    def rule(self) -> PreviousScans:
         """The rule of previous scans for the records of the instant."""
         scan, track_pairs, numbers = self.tracks.scan, self.track_pairs, {}
         for s, description in enumerate(() if scan is None else scan.now.descriptions):
@@ -320,7 +320,7 @@ class Past:
             records = slice(scan.start[s], scan.start[s + 1])
             numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, -1)
             numbers[description.name][scan.table[records]] = self.tracks.track_of_record[records]
-        return Memory(numbers, track_pairs.first, track_pairs.second, self._log_ratio())
+        return PreviousScans(numbers, track_pairs.first, track_pairs.second, self._log_ratio())
 
     def _log_ratio(self) -> FloatArray:
         """(k,) ln r of the pairs, without the positions of the instant."""
@@ -335,7 +335,7 @@ class Past:
         log_ratio += np.where(alone, track_pairs.log_offset, 0.0)
         return rivals.bounded(log_ratio, agrees, self.reassigned)
 
-    def with_real(self, track: IntArray) -> Past:
+    def with_real(self, track: IntArray) -> TrackMemory:
         """The memory after other sources confirm tracks (any shape, −1 for none) as real."""
         return replace(self, existence=self.existence.with_real(track[track >= 0]))
 
@@ -351,7 +351,7 @@ class Past:
             scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio(), per_m2, swap_rate
         )
 
-    def with_pairs(self, pooled: PooledRecords) -> Past:
+    def with_pairs(self, pooled: PooledRecords) -> TrackMemory:
         """The memory with the pairs that passed the gate for the first time; they have no history yet."""
         scan = self.tracks.scan
         if scan is None:
@@ -376,7 +376,7 @@ class Past:
         )
         return replace(self, track_pairs=self.track_pairs.with_(new_pairs))
 
-    def with_sure(self, members: IntArray, probability: FloatArray) -> Past:
+    def with_sure(self, members: IntArray, probability: FloatArray) -> TrackMemory:
         """The memory with error factors and correlations updated by the pairs that are surely one object.
 
         members, probability : (n, S) records of the scan, −1 for none, and (n,) of the objects of the instant.

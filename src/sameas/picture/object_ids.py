@@ -183,7 +183,7 @@ class TrackHistory(ColumnTable):
         earlier = TrackHistory(
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
-        ).take(np.flatnonzero(keep & (~in_scan | (fade * self.share >= tuning.least_share))))  # fmt: skip
+        ).take(np.flatnonzero(keep & (~in_scan | (fade * self.share >= tuning.min_share))))  # fmt: skip
         # A new track has the share 1 in its first object.
         has_history = np.isin(track, earlier.track)
         latest = TrackHistory(

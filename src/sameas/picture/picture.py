@@ -168,7 +168,7 @@ class Picture:
 
 def error_lines(watch: Watch | PlotPicture) -> list[str]:
     """Printable lines on the sources whose errors, as estimated by a picture, are not as stated."""
-    return watch.past.error_factors.lines() if isinstance(watch, Watch) else []
+    return watch.memory.error_factors.lines() if isinstance(watch, Watch) else []
 
 
 def _to_explain(state: PictureState[Carried], explained: dict[int, tuple[str, str, float]]) -> list[int]:

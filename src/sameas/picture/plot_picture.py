@@ -144,7 +144,7 @@ class Confirmation:
         numbers = after.number.tolist()
         share = {number: self.share.get(number, unseen_share) for number in numbers}
         plots = {number: self.plots.get(number, 0) + new_plots[number] for number in numbers}
-        least = tuning.least_probability
+        least = tuning.min_probability
         odds = logit(np.clip(after.existence, least, 1.0 - least)) + np.log([share[number] for number in numbers])
         enough_plots = (after.prior_of < 0) | (
             np.array([plots[number] for number in numbers], np.int64) >= tuning.confirming_plots

@@ -54,7 +54,7 @@ class PlotTracker:
     correlation_s : τ, correlation time of the errors of scans; 10 s (chosen).
     lifetime_s : mean time that undetected objects exist. sighting_scans : weight, in scans, of the described miss
         probability relative to the object's own hits and misses. sighting_s : time constant of the latter.
-    least_q : miss probabilities are clipped to least_q … 1 − least_q, since misses of one object are correlated.
+    min_q : miss probabilities are clipped to min_q … 1 − min_q, since misses of one object are correlated.
     tuning : other chosen numbers.
     """
 
@@ -62,7 +62,7 @@ class PlotTracker:
     lifetime_s: float = 60.0
     sighting_scans: float = 6.0
     sighting_s: float = 10.0
-    least_q: float = 0.1
+    min_q: float = 0.1
     tuning: Tuning = DEFAULT_TUNING
 
     def __post_init__(self) -> None:
@@ -73,8 +73,8 @@ class PlotTracker:
             raise InputError(
                 f"PlotTracker: correlation_s is {self.correlation_s}; give seconds, 0 if scans err independently"
             )
-        if not 0.0 < self.least_q < 0.5:
-            raise InputError(f"PlotTracker: least_q is {self.least_q}; give a probability between 0 and 0.5")
+        if not 0.0 < self.min_q < 0.5:
+            raise InputError(f"PlotTracker: min_q is {self.min_q}; give a probability between 0 and 0.5")
 
     def advance(self, now: Instant, before: TrackedPlots | None = None) -> TrackedPlots:
         """The objects at an instant: those of ``before``, detected again or not, and new ones.
@@ -89,7 +89,7 @@ class PlotTracker:
         prior_objects = BernoulliTable.none(len(now.feeds)) if before is None else self._carried(before, now)
         places = np.concatenate([prior_objects.state[:, :2], *(_places(source) for source in now.sources)])
         usual_q = np.column_stack([self._usual_q(feed, prior_objects.state[:, :2], now) for feed in now.feeds])
-        q = prior_objects.expected_q(usual_q, self.sighting_scans, self.least_q)
+        q = prior_objects.expected_q(usual_q, self.sighting_scans, self.min_q)
         q_of, false = {}, {}
         for feed, source in zip(now.feeds, now.sources, strict=True):
             q_of[feed.description.name] = self._q_of(feed, source, places, now)
@@ -104,7 +104,7 @@ class PlotTracker:
         retired = before.retired_members(now)
         p_detected, (new, new_q) = before.p_detected(retired), before.new_objects(retired)
         objects = before.fused(retired, self.correlation_s).after(
-            Sighting(p_detected, before.scans_over(now), before.rule.known_q), self.tuning.least_probability
+            Sighting(p_detected, before.scans_over(now), before.rule.known_q), self.tuning.min_probability
         )
         split = np.array([d.resolution.split or self.tuning.split for d in now.descriptions])
         objects = objects.with_(new).with_separate_odds(
@@ -112,13 +112,13 @@ class PlotTracker:
         )
         density = objects_per_m2(now)
         objects = objects.merged(density, self.tuning)
-        objects = objects.take((objects.existence > self.tuning.forgotten) & ~aged(objects.covariance, density))
+        objects = objects.take((objects.existence > self.tuning.min_existence) & ~aged(objects.covariance, density))
         walk = max(walk_of(description) for description in now.descriptions)
         return objects.predicted(dt, walk).aged(dt, self.lifetime_s, self.sighting_s)
 
     def _usual_q(self, feed: Feed, places: FloatArray, now: Instant) -> FloatArray:
         """(n,) the described miss probability at these places."""
-        return np.clip(feed.q_at(places, now.instant_s), self.least_q, 1.0 - self.least_q)
+        return np.clip(feed.q_at(places, now.instant_s), self.min_q, 1.0 - self.min_q)
 
     def _q_of(self, feed: Feed, source: Source, places: FloatArray, now: Instant) -> FloatArray:
         """(rows, S) the probability that each source misses an object at the place of each record of a source.
@@ -135,7 +135,7 @@ class PlotTracker:
         columns = []
         for other in now.feeds:
             q = self._usual_q(other, places, now) if len(places) else np.empty(0)
-            mean = np.clip(other.mean_q(places, now.instant_s), self.least_q, 1.0 - self.least_q)
+            mean = np.clip(other.mean_q(places, now.instant_s), self.min_q, 1.0 - self.min_q)
             columns.append(np.where(points_nowhere, mean, weight @ q))
         return np.column_stack(columns)
 
@@ -238,7 +238,7 @@ class TrackedPlots:
         count : (S,) the weight of a record that is certainly of its object, per source.
         """
         pairs = zip(self.now.sources, self.p_own, count, strict=True)
-        sources = [_weighted(source, p_own * share, self.tuning.least_probability) for source, p_own, share in pairs]
+        sources = [_weighted(source, p_own * share, self.tuning.min_probability) for source, p_own, share in pairs]
         return joint_density(
             [self.prior_objects.records, *sources], np.column_stack([self.prior_of[which], sets]), region
         )
@@ -327,7 +327,7 @@ class TrackedPlots:
         tables = [self.rule.q[name] for name in self.rule.sources]
         own_q = [[tables[s][sets[n, s]] for s in np.flatnonzero((sets[n] >= 0) & placed)] for n in at]
         q = np.array([np.mean(each, axis=0) for each in own_q])
-        least = self.tuning.least_probability
+        least = self.tuning.min_probability
         return BernoulliTable.born(self.number[at], joint.state, joint.covariance, self.existence[at], hits, least), q
 
 

@@ -88,8 +88,8 @@ class MissCount:
     """The share of objects without a record of the source, of those that others detect within its coverage (``due``).
 
     An object counts at each instant; a named track has a record until its timeout. error : standard error of the share,
-    from its scatter between stretches of the picture; None for a single stretch. described : the miss probability per
-    scan of the description; None without one.
+    from its scatter between blocks of successive instants; None for a single block. described : the miss probability
+    per scan of the description; None without one.
     """
 
     source: str
@@ -271,30 +271,30 @@ def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally], tuning: Tuning) -> 
     due, missed = (np.array([getattr(tally, name) for tally in tallies]) for name in ("due", "missed"))
     for s, feed in enumerate(feeds):
         whole = float(due[:, s].sum())
-        if whole >= tuning.fewest_due:
+        if whole >= tuning.min_expected:
             q = feed.description.misses.q
             described = None if q is None else float(np.mean(q))
             share = float(missed[:, s].sum() / whole)
             yield MissCount(
-                feed.description.name, whole, share, share_error(due[:, s], missed[:, s], tuning.stretches), described
+                feed.description.name, whole, share, share_error(due[:, s], missed[:, s], tuning.blocks), described
             )
 
 
-def share_error(due: FloatArray, missed: FloatArray, stretches: int = DEFAULT_TUNING.stretches) -> float | None:
-    """Standard error of the share Σ missed / Σ due of instants (n,), from the scatter between up to ``stretches``
-    stretches; None for a single one.
+def share_error(due: FloatArray, missed: FloatArray, blocks: int = DEFAULT_TUNING.blocks) -> float | None:
+    """Standard error of the share Σ missed / Σ due of instants (n,), from the scatter between up to ``blocks``
+    blocks; None for a single one.
 
-    It is at least that of independent scans: few stretches may agree by chance.
+    It is at least that of independent scans: few blocks may agree by chance.
     """
-    parts = np.array_split(np.arange(len(due)), min(stretches, len(due)))
+    parts = np.array_split(np.arange(len(due)), min(blocks, len(due)))
     if len(parts) < 2:
         return None
     of_due, of_missed = (np.array([values[part].sum() for part in parts]) for values in (due, missed))
     total_due, total_missed = float(of_due.sum()), float(of_missed.sum())
     excess = of_missed - of_due * (total_missed / total_due)
-    of_stretches = math.sqrt(len(parts) / (len(parts) - 1) * float((excess**2).sum())) / total_due
+    between_blocks = math.sqrt(len(parts) / (len(parts) - 1) * float((excess**2).sum())) / total_due
     share = (total_missed + 0.5) / (total_due + 1.0)
-    return max(of_stretches, math.sqrt(share * (1.0 - share) / (total_due + 1.0)))
+    return max(between_blocks, math.sqrt(share * (1.0 - share) / (total_due + 1.0)))
 
 
 def _alarms(feeds: Sequence[Feed], tallies: Sequence[Tally]) -> list[Alarmed]:

@@ -191,8 +191,8 @@ class TrackPairs(ColumnTable):
         """
         a, b = step.find(self.first), step.find(self.second)
         disagree_s = step.instant_s - self.agreed_s
-        recent, distant = disagree_s <= tuning.pair_timeout_s, self.chi_sq > tuning.parted_chi_sq
-        distant &= disagree_s > tuning.parted_s
+        recent, distant = disagree_s <= tuning.pair_timeout_s, self.chi_sq > tuning.distant_chi_sq
+        distant &= disagree_s > tuning.distant_s
         rows = np.flatnonzero((a >= 0) & (b >= 0) & recent & ~distant)
         a, b = a[rows], b[rows]
         updated, log_two = self._updated(step, rows, a, b, tuning)
@@ -271,7 +271,7 @@ class TrackPairs(ColumnTable):
         )
         mix(self.errors, at, p_changed[at], without_history)
         self.log_convoy[at] *= 1.0 - p_changed[at]
-        restart = p_changed > tuning.offset_anew
+        restart = p_changed > tuning.offset_restart
         self.n_offsets[restart], self.offset[restart], self.log_offset[restart] = 0, 0.0, 0.0
         return replace(self, log_ratio=np.where(new_report, log_ratio, self.log_ratio))
 
@@ -301,18 +301,18 @@ class TrackPairs(ColumnTable):
         )
         out.offset_chi_sq[due] = mahalanobis_sq(out.offset[due], covariance)
         # χ² is clipped so that one false pair cannot dominate the sum over sure pairs.
-        counts = self.sure & (out.n_offsets >= tuning.known_offsets)
+        counts = self.sure & (out.n_offsets >= tuning.min_offsets)
         clipped = np.where(counts, np.minimum(out.offset_chi_sq, tuning.manoeuvre_chi_sq), 0.0)
         n_sources = len(correlation.names)
         sources = np.minimum(step.source[a], step.source[b]) * n_sources + np.maximum(step.source[a], step.source[b])
         n = np.bincount(sources, counts, n_sources**2)[sources[due]] - counts[due]
         total = np.bincount(sources, clipped, n_sources**2)[sources[due]] - clipped[due]
-        discount = np.minimum(1.0, tuning.most_offset_freedom / np.maximum(2.0 * n, 1.0))
+        discount = np.minimum(1.0, tuning.max_offset_freedom / np.maximum(2.0 * n, 1.0))
         nu = tuning.offset_freedom + discount * 2.0 * n
         kappa = (tuning.offset_freedom + discount * total) / nu
         chi_sq = out.offset_chi_sq[due]
         student = -np.log(kappa) - 0.5 * (nu + 2.0) * np.log1p(chi_sq / (nu * kappa))
-        known = (out.n_offsets[due] >= tuning.known_offsets) & (n > 0)
+        known = (out.n_offsets[due] >= tuning.min_offsets) & (n > 0)
         out.log_offset[due] = np.where(known, np.minimum(student + 0.5 * chi_sq, 0.0), 0.0)
         return out
 

@@ -8,7 +8,7 @@ from sameas.gate import ChiSquare
 from sameas.gate import Tuning as GateTuning
 
 #: The gate of an instant: for up to some thousands of records in the plane, one sweep is faster than zones.
-GATE = ChiSquare(tuning=GateTuning(each_with_each=4096))
+GATE = ChiSquare(tuning=GateTuning(brute_force_records=4096))
 
 
 @dataclass(frozen=True)
@@ -32,10 +32,10 @@ class Tuning:
     lasting_shares : grid of lasting shares of the variance of a source's errors; the prior is uniform.
     lasting_s : time between two comparisons of a sure pair, to estimate lasting shares. sure_pair : a pair is sure at
         or above this probability.
-    known_offsets : a mean offset of two tracks is used from this many differences ``lasting_s`` apart on.
+    min_offsets : a mean offset of two tracks is used from this many differences ``lasting_s`` apart on.
     offset_freedom : prior weight of the stated errors against the offsets of sure pairs, in degrees of freedom;
-        most_offset_freedom : maximum weight of the latter, since hulls differ. offset_anew : a mean offset restarts if
-        the ids were swapped or reassigned with at least this probability.
+        max_offset_freedom : maximum weight of the latter, since hulls differ. offset_restart : a mean offset restarts
+        if the ids were swapped or reassigned with at least this probability.
     error_factors : grid of factors on stated errors, about 1. errors_as_stated : prior probability that errors are as
         stated. error_factor_sigma : prior 1σ of ln f otherwise. factor_outliers : share of differences of sure pairs
         that are outliers, with factor_outlier times their errors.
@@ -48,7 +48,7 @@ class Tuning:
     id_timeout_s : a track id without reports keeps its number for this long.
     manoeuvre_every_s : mean time between two manoeuvres of an object.
     pair_timeout_s : two tracks are dropped as a pair when their positions have not agreed for this long.
-    parted_chi_sq, parted_s : two tracks are not compared while their χ² is above the first, once their positions have
+    distant_chi_sq, distant_s : two tracks are not compared while their χ² is above the first, once their positions have
         not agreed for the second; their history is kept for when they are near again.
     partner_odds : two tracks may be partners unless their positions make chance this many times more probable.
     search_s : time limit of the search for the best partition of one group, in seconds.
@@ -57,7 +57,7 @@ class Tuning:
     unique_id_odds : factor on the odds of a match whose tracks share a unique id.
     new_share : share of the objects of an instant that may be new.
     history_s : time constant of the shares of a track's history.
-    least_share : smaller shares of a track's history are dropped.
+    min_share : smaller shares of a track's history are dropped.
     own_share : an object that split off another is confirmed once its tracks were its own for this share of the time.
 
     false_scans, false_weight : prior mean duration of false tracks in scans, and its weight in tracks.
@@ -68,29 +68,29 @@ class Tuning:
     em_steps : EM iterations per instant; they continue from the previous instant.
 
     split : probability that a scan shows one object as two, if neither the description nor the kind has it.
-    forgotten : objects of plots without ids are dropped below this probability.
+    min_existence : objects of plots without ids are dropped below this probability.
     region_factor : factor on the region's covariance for the states of objects that are already tracked.
-    least_probability : probabilities of existence are clipped to this distance from 0 and 1, so that later scans can
+    min_probability : probabilities of existence are clipped to this distance from 0 and 1, so that later scans can
         change them.
     separate_log_odds : bound of the log-odds, by scans, that two objects are separate.
     merging_log_odds : two objects are merged at these log-odds.
-    different : two objects are separate, whatever the scans show, beyond the χ² limit with this share of equal ones
-        below it.
-    same_state : states of two objects agree within the χ² limit that includes this share of equal ones.
+    different_quantile : two objects are separate, whatever the scans show, beyond the χ² limit with this share of equal
+        ones below it.
+    same_quantile : states of two objects agree within the χ² limit that includes this share of equal ones.
     joint_scan_share : scans within this share of the shortest period are processed together.
     confirming_plots : a tracked object is confirmed only with at least this many plots.
 
-    known_instants : minimum number of instants at which two tracks were one object, to find deception.
-    known_reports : minimum number of reports of a track, to find its silence.
+    min_instants : minimum number of instants at which two tracks were one object, to find deception.
+    min_reports : minimum number of reports of a track, to find its silence.
     apart_sigmas, apart_instants : two tracks are apart beyond this many σ, at this many instants or more.
-    dragged_odds, swap : prior odds that reported positions are false, against a swap of the sensor's track to another
-        ship; and the probability of such a swap for each further sensor. empty_vote : maximum evidence of one sensor
-        without a detection at the reported position.
+    false_position_odds, sensor_swap : prior odds that reported positions are false, against a swap of the sensor's
+        track to another ship; and the probability of such a swap for each further sensor. empty_vote : maximum evidence
+        of one sensor without a detection at the reported position.
     silent_s, silent_odds : minimum duration of a silence, and its prior odds. sure_deception : probability at which
         either is an alarm.
 
-    fewest_due : the summary gives a miss rate from this many expected detections on.
-    stretches : number of stretches of the picture from whose scatter a miss rate's standard error is estimated.
+    min_expected : the summary gives a miss rate from this many expected detections on.
+    blocks : number of blocks of successive instants from whose scatter a miss rate's standard error is estimated.
     """
 
     unknown_velocity_share: float = 0.9
@@ -107,10 +107,10 @@ class Tuning:
     lasting_shares: tuple[float, ...] = (0.0, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97)
     lasting_s: float = 60.0
     sure_pair: float = 0.999
-    known_offsets: int = 3
+    min_offsets: int = 3
     offset_freedom: float = 4.0
-    most_offset_freedom: float = 30.0
-    offset_anew: float = 0.1
+    max_offset_freedom: float = 30.0
+    offset_restart: float = 0.1
     error_factors: tuple[float, ...] = tuple(2.0 ** (k / 4.0) for k in range(-8, 9))
     errors_as_stated: float = 0.5
     error_factor_sigma: float = 0.5
@@ -127,8 +127,8 @@ class Tuning:
     id_timeout_s: float = 3600.0
     manoeuvre_every_s: float = 600.0
     pair_timeout_s: float = 900.0
-    parted_chi_sq: float = 60.0
-    parted_s: float = 20.0
+    distant_chi_sq: float = 60.0
+    distant_s: float = 20.0
     partner_odds: float = 20.0
     search_s: float = 10.0
 
@@ -136,7 +136,7 @@ class Tuning:
     unique_id_odds: float = 1e7
     new_share: float = 0.05
     history_s: float = 300.0
-    least_share: float = 1e-3
+    min_share: float = 1e-3
     own_share: float = 0.8
 
     false_scans: float = 4.0
@@ -148,29 +148,29 @@ class Tuning:
     em_steps: int = 4
 
     split: float = 0.02
-    forgotten: float = 0.01
+    min_existence: float = 0.01
     region_factor: float = 1e4
-    least_probability: float = 1e-6
+    min_probability: float = 1e-6
     separate_log_odds: float = 5.0
     merging_log_odds: float = 3.0
-    different: float = 1.0 - 1e-6
-    same_state: float = 0.99
+    different_quantile: float = 1.0 - 1e-6
+    same_quantile: float = 0.99
     joint_scan_share: float = 0.2
     confirming_plots: int = 3
 
-    known_instants: int = 5
-    known_reports: int = 5
+    min_instants: int = 5
+    min_reports: int = 5
     apart_sigmas: float = 5.0
     apart_instants: int = 3
-    dragged_odds: float = 0.1
-    swap: float = 0.01
+    false_position_odds: float = 0.1
+    sensor_swap: float = 0.01
     empty_vote: float = 6.0
     silent_s: float = 60.0
     silent_odds: float = 0.01
     sure_deception: float = 0.95
 
-    fewest_due: int = 20
-    stretches: int = 12
+    min_expected: int = 20
+    blocks: int = 12
 
 
 DEFAULT_TUNING = Tuning()

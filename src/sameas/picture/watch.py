@@ -28,7 +28,7 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
-from sameas.picture.memory import Past
+from sameas.picture.memory import TrackMemory
 from sameas.picture.object_ids import Detections, ExistenceOdds, NamedObjects, Stages
 from sameas.picture.object_table import object_states
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
@@ -135,24 +135,24 @@ NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 
 
 #: Makes the rule of an instant from the instant and the memory.
-EvidenceOf = Callable[[Instant, Past], SetRule]
+EvidenceOf = Callable[[Instant, TrackMemory], SetRule]
 
 
 #: Functions that saved states refer to by name (:mod:`sameas.saved`).
 SAVED = ("all_evidence",)
 
 
-def all_evidence(now: Instant, past: Past, *, identity: bool = True, memory: bool = True) -> SetRule:
+def all_evidence(now: Instant, memory: TrackMemory, *, identity: bool = True, previous_scans: bool = True) -> SetRule:
     """The rule of positions, misses and clutter as described, of heights and identities, and of the memory of tracks.
 
-    identity, memory : False to exclude attributes of identity, and the memory.
+    identity, previous_scans : False to exclude attributes of identity, and the memory.
     """
     evidence: SetRule = now.rule()
     if any(heights is not None for heights in now.heights):
         evidence = evidence + now.height()
     if identity:
         evidence = evidence + now.identity()
-    return evidence + past.rule() if memory else evidence
+    return evidence + memory.rule() if previous_scans else evidence
 
 
 @in_short
@@ -162,9 +162,9 @@ class Watch:
 
     Parameters
     ----------
-    evidence : makes the rule of an instant. ``lambda now, past: now.rule() + past.rule()`` ignores identities,
-        ``lambda now, past: now.rule() + now.height() + now.identity()`` identifies each instant without memory.
-    past : the memory of tracks; give one to set the correlation times of their errors.
+    evidence : makes the rule of an instant. ``lambda now, memory: now.rule() + memory.rule()`` ignores identities,
+        ``lambda now, memory: now.rule() + now.height() + now.identity()`` identifies each instant without memory.
+    memory : the memory of tracks; give one to set the correlation times of their errors.
     bound : odds at which records change their object (:func:`with_hysteresis`); 1 for the most probable answer of
         each instant.
     stages : when objects are confirmed. gate : of ``identify_many``. tuning : other chosen numbers.
@@ -172,7 +172,7 @@ class Watch:
     """
 
     evidence: EvidenceOf = all_evidence
-    past: Past = field(default_factory=Past)
+    memory: TrackMemory = field(default_factory=TrackMemory)
     bound: float = BOUND
     stages: Stages = field(default_factory=Stages)
     gate: ChiSquare = GATE
@@ -192,40 +192,40 @@ class Watch:
         InputError : the instant is before the previous one; a source lacks what its evidence needs.
         """
         with_records = now.with_records()
-        scan = self.past.error_factors.applied(Scan.of(with_records, self.tuning))
-        track_of_record = self.past.tracks.numbers_on(scan)
-        scan = self.past.with_manoeuvres(scan, track_of_record, objects_per_m2(now))
-        with_records, past = scan.now, self.past.advance(scan, track_of_record)
-        identification = self._identify(with_records, past)
+        scan = self.memory.error_factors.applied(Scan.of(with_records, self.tuning))
+        track_of_record = self.memory.tracks.numbers_on(scan)
+        scan = self.memory.with_manoeuvres(scan, track_of_record, objects_per_m2(now))
+        with_records, memory = scan.now, self.memory.advance(scan, track_of_record)
+        identification = self._identify(with_records, memory)
         by_hysteresis = np.zeros(0, bool)
         if identification is not None:
             identification, by_hysteresis = with_hysteresis(
-                identification, self._previous_objects(identification.pooled, scan, past), math.log(self.bound)
+                identification, self._previous_objects(identification.pooled, scan, memory), math.log(self.bound)
             )
-            past = past.with_pairs(identification.pooled)
+            memory = memory.with_pairs(identification.pooled)
         objects_now = IdentifiedObjects(scan, identification, by_hysteresis)
         members = objects_now.members
         texts = {name: scan.texts(name) for name in TEXTS}
-        detections = self._detections(scan, members, identification, past, texts)
+        detections = self._detections(scan, members, identification, memory, texts)
         if identification is not None:
-            past = past.with_sure(members, identification.probability)
-        past = past.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
+            memory = memory.with_sure(members, identification.probability)
+        memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
         object_texts = self._texts(scan, members, texts, objects)
-        carried = replace(self, past=past, objects=objects, texts=object_texts)
+        carried = replace(self, memory=memory, objects=objects, texts=object_texts)
         return PictureState(now, scan, objects_now, detections.states, carried)
 
-    def _previous_objects(self, pooled: PooledRecords, scan: Scan, past: Past) -> IntArray:
+    def _previous_objects(self, pooled: PooledRecords, scan: Scan, memory: TrackMemory) -> IntArray:
         """(records,) the object of each pooled record's track at the previous instant, −1 without one."""
-        track = past.tracks.track_of_record
-        previous = np.where(places_in(self.past.tracks.number, track) >= 0, self.objects.history.last_of(track), 0)
+        track = memory.tracks.track_of_record
+        previous = np.where(places_in(self.memory.tracks.number, track) >= 0, self.objects.history.last_of(track), 0)
         out = np.full(len(pooled), -1)
         for s, (source_number, source) in enumerate(zip(pooled.given, pooled.sources, strict=True)):
             if source_number + 1 < len(scan.start):
                 out[pooled.start[s] : pooled.start[s + 1]] = previous[scan.find(source_number, records_of(source).rows)]
         return np.where(out > 0, out, -1)
 
-    def _identify(self, now: Instant, past: Past) -> Objects | None:
+    def _identify(self, now: Instant, memory: TrackMemory) -> Objects | None:
         """The objects of an instant; None where no source has a record."""
         if not now.sources:
             return None
@@ -234,26 +234,28 @@ class Watch:
             empty = Records.of(np.empty((0, now.features)), sigma=1.0, source="")
             rule = PoissonObjects(now.density, 0.5)
             return identify_many((*now.sources, empty), rule=rule, region=now.region)
-        return identify_many(now.sources, rule=self.evidence(now, past), gate=self.gate, region=now.region, tuning=LIVE)
+        return identify_many(
+            now.sources, rule=self.evidence(now, memory), gate=self.gate, region=now.region, tuning=LIVE
+        )
 
     def _detections(
         self,
         scan: Scan,
         members: IntArray,
         identification: Objects | None,
-        past: Past,
+        memory: TrackMemory,
         texts: Mapping[str, NDArray[Any]],
     ) -> Detections:
         """The objects of an instant with the properties that identify them over time."""
         states = object_states(scan, members, identification)
         is_member = members >= 0
-        track = np.append(past.tracks.track_of_record, -1)[members]
+        track = np.append(memory.tracks.track_of_record, -1)[members]
         has_unique_id = np.append(np.any([texts[name] != "" for name in UNIQUE_IDS], axis=0), False)[members]
         # Each record of a source without clutter is of a real object.
         clutter_free = np.array([feed.clutter(2) == 0.0 for feed in scan.now.feeds], dtype=bool)
         is_certain = (is_member & clutter_free).any(axis=1) | _certain_pairs(members, identification, self.stages)
-        is_new = np.append(scan.new_since(self.past.tracks.scan), False)
-        new_plot = np.append(is_new[:-1] & (past.tracks.track_of_record < 0), False)
+        is_new = np.append(scan.new_since(self.memory.tracks.scan), False)
+        new_plot = np.append(is_new[:-1] & (memory.tracks.track_of_record < 0), False)
         new_report, new_plot = (np.asarray(column[members].any(axis=1)) for column in (is_new, new_plot))
         walk = np.append(scan.walk_m2_per_s3, 0.0)[members].max(axis=1, initial=0.0)
         speed = np.append(scan.speed_m_per_s, 0.0)[members].max(axis=1, initial=0.0)
@@ -264,7 +266,7 @@ class Watch:
             new_report,
             new_plot,
             is_certain,
-            _existence_odds(track, past),
+            _existence_odds(track, memory),
             walk,
             speed,
         )
@@ -297,10 +299,10 @@ class Watch:
         return object_texts
 
 
-def _existence_odds(track: IntArray, past: Past) -> ExistenceOdds:
+def _existence_odds(track: IntArray, memory: TrackMemory) -> ExistenceOdds:
     """The existence of the most probable track of each object; track : (n, S) its tracks."""
     track = np.column_stack([track, np.full(len(track), -1)])
-    log_initial, log_gain = past.existence.log_odds(track)
+    log_initial, log_gain = memory.existence.log_odds(track)
     best = np.argmax(log_initial + log_gain, axis=1)[:, None]
     return ExistenceOdds(*(np.take_along_axis(column, best, 1)[:, 0] for column in (track, log_initial, log_gain)))  # type: ignore[arg-type]
 

@@ -31,52 +31,53 @@ class Tuning:
 
     Attributes
     ----------
-    beginnings, fewest_beginnings : maximum and minimum number of refined offsets. refined_records : fewer than
-        ``beginnings`` are refined if the second source has more than 16 × refined_records / beginnings records.
+    starts, min_starts : maximum and minimum number of refined offsets. refined_records : fewer than
+        ``starts`` are refined if the second source has more than 16 × refined_records / starts records.
     sure : minimum posterior probability of an established offset.
     small_overlap : an overlap below this share of both sources is reported.
 
-    most_pairs : maximum number of pairs whose votes are counted one by one; above, the counts are a correlation by FFT.
-    most_cells : maximum number of cells of a count.
+    max_pairs : maximum number of pairs whose votes are counted one by one; above, the counts are a correlation by FFT.
+    max_cells : maximum number of cells of a count.
     fine_sigmas : cells up to this many σ need no finer count. coarse_peaks : peaks of a coarse count that are refined.
     first_records, more_records : records that vote first, and the factor to the next number of them.
     decided_score, few_peaks : the votes of a sample decide at this score, with at most this many peaks near it.
     patch_records, patch_cell_sigmas : records of a patch in a grid search, and size of its cells in σ, wider than 1
         because the true votes at a node of the grid do not coincide exactly.
     node_peaks : peaks kept at each node of the grid on a patch.
-    step_sigmas, reach_widths, most_steps : a step of the grid moves the patch's edge by this many σ; the grid extends
+    step_sigmas, reach_widths, max_steps : a step of the grid moves the patch's edge by this many σ; the grid extends
         to this many prior widths in at most this many steps.
     peak_share, peak_cells : minimum share of the best score, and minimum distance in cells, of fine peaks.
     vote_sample : records that locate the votes within a coarse cell.
 
     gate_sigmas : pairs farther apart than this many σ are ignored.
     cell_sigmas, cells_per_record : size of the cells in which pairs are searched, and maximum number per record.
-    sweeps, roughly, closely : maximum number of sweeps of messages, and the relative change at convergence, in the
-        search and afterwards.
-    least_common, most_common_share : limits of the number of common objects: objects, and share of the smaller source.
+    sweeps, search_message_tolerance, message_tolerance : maximum number of sweeps of messages, and the relative change
+        at convergence, in the search and afterwards.
+    min_common, max_common_share : limits of the number of common objects: objects, and share of the smaller source.
 
-    widenings : factors on the errors, by iteration. kept : candidates that remain after each.
+    widenings : factors on the errors, by iteration. n_candidates : candidates that remain after each.
     from_patches, from_sample : first of the widenings with all records, after patches and after a sample.
-    settled : the refinement has converged if a step is below this share of a standard error.
+    step_tolerance : the refinement has converged if a step is below this share of a standard error.
     same_sigmas, same_errors : two solutions are the same if 9 of 10 records move by at most this many σ, or if they
         differ by at most this many standard errors.
-    most_behind : solutions with a log likelihood lower than the best by this are dropped.
-    repeating : the pattern repeats if another solution has this share of the best one's log likelihood.
+    max_log_deficit : solutions with a log likelihood lower than the best by this are dropped.
+    repeat_share : the pattern repeats if another solution has this share of the best one's log likelihood.
     sample : records of the second source in the search; the last refinement uses all of them.
     sample_ratio : records in the search per record whose votes decided.
     patch_growth : factor by which a patch grows from one refinement to the next.
-    weak : pairs of lower weight are ignored in the normal equations.
-    many : with fewer common objects, the likelihood is also evaluated at ``away`` standard deviations from its maximum.
+    min_weight : pairs of lower weight are ignored in the normal equations.
+    few_common : with fewer common objects, the likelihood is also evaluated at ``trial_sigmas`` standard deviations
+        from its maximum.
     """
 
-    beginnings: int = 64
-    fewest_beginnings: int = 6
+    starts: int = 64
+    min_starts: int = 6
     refined_records: int = 4000
     sure: float = 0.95
     small_overlap: float = 0.2
 
-    most_pairs: int = 2_000_000
-    most_cells: int = 1 << 19
+    max_pairs: int = 2_000_000
+    max_cells: int = 1 << 19
     fine_sigmas: float = 2.0
     coarse_peaks: int = 8
     first_records: int = 64
@@ -88,7 +89,7 @@ class Tuning:
     node_peaks: int = 5
     step_sigmas: float = 3.0
     reach_widths: float = 2.5
-    most_steps: int = 41
+    max_steps: int = 41
     peak_share: float = 0.3
     peak_cells: int = 2
     vote_sample: int = 20_000
@@ -97,26 +98,26 @@ class Tuning:
     cell_sigmas: float = 6.0
     cells_per_record: float = 4.0
     sweeps: int = 100
-    roughly: float = 1e-2
-    closely: float = 1e-5
-    least_common: float = 0.05
-    most_common_share: float = 0.98
+    search_message_tolerance: float = 1e-2
+    message_tolerance: float = 1e-5
+    min_common: float = 0.05
+    max_common_share: float = 0.98
 
     widenings: tuple[float, ...] = (2.0, 1.5, 1.2, 1.0, 1.0)
-    kept: tuple[int, ...] = (64, 64, 48, 32, 16)
+    n_candidates: tuple[int, ...] = (64, 64, 48, 32, 16)
     from_patches: int = 2
     from_sample: int = 3
-    settled: float = 0.01
+    step_tolerance: float = 0.01
     same_sigmas: float = 0.7
     same_errors: float = 2.0
-    most_behind: float = 8.0
-    repeating: float = 0.4
+    max_log_deficit: float = 8.0
+    repeat_share: float = 0.4
     sample: int = 4000
     sample_ratio: int = 16
     patch_growth: int = 8
-    weak: float = 1e-6
-    many: float = 200.0
-    away: tuple[float, ...] = (-3.0, -1.5, 1.5, 3.0)
+    min_weight: float = 1e-6
+    few_common: float = 200.0
+    trial_sigmas: tuple[float, ...] = (-3.0, -1.5, 1.5, 3.0)
 
     @property
     def decisive(self) -> float:
@@ -215,7 +216,7 @@ def _grid(first: Records, second: Records, model: Offset, rows: IntArray, tuning
         move = jacobian @ direction
         distortion = float(np.sqrt(np.sum((move - move.mean(axis=0)) ** 2, axis=1)).max(initial=0.0))
         reach = tuning.reach_widths * width
-        steps = min(math.ceil(reach * distortion / (tuning.step_sigmas * sigma)), tuning.most_steps // 2)
+        steps = min(math.ceil(reach * distortion / (tuning.step_sigmas * sigma)), tuning.max_steps // 2)
         axes.append(
             [direction * at for at in np.linspace(-reach, reach, 2 * steps + 1)] if steps else [0.0 * direction]
         )
@@ -271,7 +272,7 @@ def _shifts(
     for axis, (which, per) in enumerate(model.voted(d)):
         width = 0.0 if which is None else model.widths[which]
         limit[axis] = (3.5 * width / abs(per) if width < math.inf else math.inf) + 3.0 * sigma[axis]
-    if len(one) * len(two) <= tuning.most_pairs:
+    if len(one) * len(two) <= tuning.max_pairs:
         low = np.where(np.isfinite(periods), -0.5 * periods, one.min(axis=0) - two.max(axis=0)) - 3.0 * sigma
         high = np.where(np.isfinite(periods), 0.5 * periods, one.max(axis=0) - two.min(axis=0)) + 3.0 * sigma
         box = np.maximum(low, -limit), np.maximum(np.minimum(high, limit), np.maximum(low, -limit))
@@ -304,7 +305,7 @@ def _peaks(
     from sameas.kernels.offsets import tally
 
     low, high = box
-    most = min(max(64 * len(records[0]) * len(records[1]), 4096), tuning.most_cells)
+    most = min(max(64 * len(records[0]) * len(records[1]), 4096), tuning.max_cells)
     size = sigma * _coarser((high - low) / sigma, most)
     # One more cell at either end, which stays empty.
     cells, start = np.maximum(np.ceil((high - low) / size).astype(np.int64), 1) + 2, low - size
@@ -398,7 +399,7 @@ def _correlated_peaks(
 
     origin_1, origin_2, d = one.min(axis=0), two.min(axis=0), one.shape[1]
     span = np.maximum(np.maximum(one.max(axis=0) - origin_1, two.max(axis=0) - origin_2), sigma)
-    size = sigma * _coarser(span / sigma, tuning.most_cells / 2.0)
+    size = sigma * _coarser(span / sigma, tuning.max_cells / 2.0)
     cells = np.ceil(span / size).astype(int) + 1
     densities = [_density((one - origin_1) / size, cells), _density((two - origin_2) / size, cells)]
     votes = np.pad(fftconvolve(densities[0], densities[1][(slice(None, None, -1),) * d]).clip(0.0), 1)

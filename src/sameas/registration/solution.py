@@ -156,22 +156,23 @@ def _searched(scene: PlacedSources, sample: PlacedSources, prior: OffsetPrior, v
         # The offsets of a patch hold only approximately for all records.
         trials = _distinct(scene, Trials.initial(sample, np.concatenate([trials.theta for trials in ends])))
         steps, closing = len(scene.tuning.widenings), scene.tuning.widenings[scene.tuning.from_patches :]
-    trials = _anneal(sample, prior, Trials.initial(sample, trials.theta), scene.tuning.kept[-1], closing)
+    trials = _anneal(sample, prior, Trials.initial(sample, trials.theta), scene.tuning.n_candidates[-1], closing)
     return _distinct(scene, _promising(trials, scene.tuning)), steps + len(closing)
 
 
 def _promising(trials: Trials, tuning: Tuning) -> Trials:
     """The offsets that may be the true one, or show that the pattern repeats."""
-    return trials.chosen(trials.gain > min(trials.gain[0] - tuning.most_behind, tuning.repeating * trials.gain[0]))
+    best = trials.gain[0]
+    return trials.chosen(trials.gain > min(best - tuning.max_log_deficit, tuning.repeat_share * best))
 
 
 def _growing_patches(scene: PlacedSources, rows: IntArray) -> list[tuple[IntArray | None, int]]:
     """The patch and larger ones around it, or None for the sample of all records; and how many offsets each keeps."""
     n = len(scene.second)
     if len(rows) == n:
-        return [(None, scene.tuning.kept[-1])]
+        return [(None, scene.tuning.n_candidates[-1])]
     if not scene.model.turns():
-        return [(rows, scene.tuning.kept[-1])]
+        return [(rows, scene.tuning.n_candidates[-1])]
     features = scene.second.features
     distance = np.sum((features - features[rows].mean(axis=0)) ** 2, axis=1)
     order = np.argsort(distance, kind="stable")
@@ -190,7 +191,7 @@ def _anneal(scene: PlacedSources, prior: OffsetPrior, trials: Trials, keep: int,
         score, information = _normal_equations(scene, prior, trials.theta, weights)
         theta = trials.theta + np.linalg.solve(information, score[..., None])[..., 0]
         gain = weights.gain - 0.5 * np.sum(prior.precision * theta**2, axis=1)
-        best = np.argsort(-gain, kind="stable")[: max(scene.tuning.kept[number], keep)]
+        best = np.argsort(-gain, kind="stable")[: max(scene.tuning.n_candidates[number], keep)]
         trials = Trials(theta, weights.common, gain).chosen(best)
     return trials.chosen(range(min(keep, len(trials.gain))))
 
@@ -205,7 +206,7 @@ def _normal_equations(
     jacobian = scene.model.jacobian(scene.second.features, theta[:, None, :])
     jacobian = np.ascontiguousarray(np.broadcast_to(jacobian, (len(theta), len(scene.second), d, p)))
     score, information = score_and_information(
-        weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, scene.tuning.weak
+        weights.s, weights.j, weights.residual, weights.precision, weights.weight, jacobian, scene.tuning.min_weight
     )
     return score - prior.precision * theta, information + np.diag(prior.precision)
 
@@ -223,7 +224,7 @@ def _converged(
         at = at + step
         moved_by = math.sqrt(max(float(step[0] @ information[0] @ step[0]), 0.0))
         common_change = abs(float(weights.common[0] - common[0]))
-        converged = moved_by <= scene.tuning.settled and common_change <= 0.01 + 3e-3 * float(common[0])
+        converged = moved_by <= scene.tuning.step_tolerance and common_change <= 0.01 + 3e-3 * float(common[0])
         common = weights.common
         if converged or number >= max_steps:
             return Trials(at, common, weights.gain), information[0], number, converged
@@ -241,7 +242,7 @@ def _finished(
         score, _ = _normal_equations(scene, prior, one.theta, weights)
     root = np.linalg.cholesky(inverse(complete)) @ axes
     theta = one.theta[0] + root @ root.T @ score[0]
-    if weights.common[0] < scene.tuning.many:
+    if weights.common[0] < scene.tuning.few_common:
         root = _stretched(scene, prior, theta, weights.common[:1], root)
     covariance = root @ root.T
     log_prior = float(np.sum(prior.log_density - 0.5 * prior.precision * theta**2))
@@ -283,11 +284,11 @@ def _stretched(
     The likelihood of a few pairs is wider than its curvature at the maximum suggests: farther out other pairs gain
     weight, and the number of common objects changes. The moments are by the trapezoidal rule.
     """
-    away = np.array(scene.tuning.away)
+    away = np.array(scene.tuning.trial_sigmas)
     nodes = np.concatenate([theta[None, :], (theta + away[:, None, None] * root.T).reshape(-1, len(theta))])
     candidates = candidates_at(scene, nodes, 1.0).with_overlap_of(0)
-    common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), scene.tuning.roughly).common
-    log_density = weighed(scene, candidates, common_at, scene.tuning.closely).gain - 0.5 * np.sum(
+    common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), scene.tuning.search_message_tolerance).common
+    log_density = weighed(scene, candidates, common_at, scene.tuning.message_tolerance).gain - 0.5 * np.sum(
         prior.precision * nodes**2, axis=1
     )
     density = np.exp(np.minimum(log_density[1:] - log_density[0], 0.0)).reshape(len(away), -1)
@@ -463,8 +464,8 @@ def register(
 def _initial_offsets(first: Records, second: Records, model: Offset, tuning: Tuning) -> Votes:
     """The offsets with the most votes, and the offset 0."""
     on_grid = bool(model.turns())
-    few = min(tuning.beginnings, tuning.refined_records * 16 // len(second))
-    count = tuning.beginnings if on_grid else max(few, tuning.fewest_beginnings)
+    few = min(tuning.starts, tuning.refined_records * 16 // len(second))
+    count = tuning.starts if on_grid else max(few, tuning.min_starts)
     votes = vote(first, second, model, count, tuning)
     theta = np.concatenate([votes.theta, np.zeros((1, len(model.names)))])
     return Votes(theta, np.append(votes.score, 0.0), np.append(votes.patch, 0), votes.patches)
@@ -477,7 +478,7 @@ def _credible(rival: Solution, log_evidence: float, tuning: Tuning) -> bool:
     evidence do not hold, and its differences are not reliable.
     """
     decisive = tuning.decisive
-    return rival.log_evidence > min(log_evidence - decisive, max(tuning.repeating * log_evidence, decisive))
+    return rival.log_evidence > min(log_evidence - decisive, max(tuning.repeat_share * log_evidence, decisive))
 
 
 def _registered(scene: PlacedSources, solution: Solution) -> Records:

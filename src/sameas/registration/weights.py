@@ -140,7 +140,7 @@ def weigh(scene: PlacedSources, theta: FloatArray, common: FloatArray, widening:
         scene,
         candidates_at(scene, theta, widening),
         common,
-        scene.tuning.roughly if widening > 1.0 else scene.tuning.closely,
+        scene.tuning.search_message_tolerance if widening > 1.0 else scene.tuning.message_tolerance,
     )
 
 
@@ -149,8 +149,8 @@ def weighed(scene: PlacedSources, candidates: CandidatePairs, common: FloatArray
     from sameas.kernels.offsets import messages
 
     volume, expected = candidates.volume, candidates.expected
-    least = scene.tuning.least_common
-    in_both = np.clip(common, least, scene.tuning.most_common_share * np.maximum(expected.min(axis=1), 2 * least))
+    least = scene.tuning.min_common
+    in_both = np.clip(common, least, scene.tuning.max_common_share * np.maximum(expected.min(axis=1), 2 * least))
     rest = np.maximum(expected - in_both[:, None], 0.5)
     # Of a Poisson number n, the mean of 1 / (n + 1) is nearly 1 / its expectation.
     due = np.maximum(expected - in_both[:, None], 0.0) + 1.0

@@ -262,7 +262,7 @@ def _followed(description: Description, reports: Reports, plane: LocalPlane) -> 
     placed = PlacedReports(description, reports, plane).in_plane
     assert isinstance(placed, States)
     state = follow(placed, acceleration_m2_per_s3=walk_of(description)).states
-    back = np.asarray(np.linalg.inv(plane.turn(*plane.to_geodetic(state.state[:, :2]))), np.float64)
+    back = np.asarray(np.linalg.inv(plane.jacobian(*plane.to_geodetic(state.state[:, :2]))), np.float64)
     velocity = np.einsum("nvw,nw->nv", back, state.state[:, 2:])
     return velocity, propagated(back, state.covariance[:, 2:, 2:])[:, [0, 0, 1], [0, 1, 1]]
 

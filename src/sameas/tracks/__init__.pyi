@@ -3,7 +3,7 @@
 from .coordinates import LocalPlane as LocalPlane
 from .feed import Feed as Feed
 from .kinds import KINDS as KINDS
-from .live_feed import GrowingFeed as GrowingFeed
+from .live_feed import LiveFeed as LiveFeed
 from .registration import SourceBiases as SourceBiases
 from .reports import Reports as Reports
 from .scene import POSITION as POSITION

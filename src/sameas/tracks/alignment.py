@@ -342,8 +342,8 @@ def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Sta
     if reports.track is None:
         return reports, 0
     at, count = np.asarray(reports.rows), 0
-    seconds = -60.0 * np.arange(1.0, tuning.most_minutes + 1.0)
-    for _ in range(tuning.most_pauses):
+    seconds = -60.0 * np.arange(1.0, tuning.max_minutes + 1.0)
+    for _ in range(tuning.max_pauses):
         steps = Steps.of(reports, walk, tuning)
         found = jump_of(steps, at, seconds, tuning.pause_prior, tuning)
         if found is None or found[0] <= 0.0:
@@ -429,7 +429,7 @@ def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tu
     """
     nis = follow(reports, acceleration_m2_per_s3=acceleration_m2_per_s3, tuning=tuning).nis
     nis = nis[np.isfinite(nis)]
-    return len(nis) >= tuning.measured_fewest and float(np.median(nis)) > tuning.measured_ratio * MEDIAN
+    return len(nis) >= tuning.min_innovations and float(np.median(nis)) > tuning.innovation_ratio * MEDIAN
 
 
 def _by_turn(reports: States, usable: BoolArray) -> list[IntArray]:

@@ -175,7 +175,7 @@ def _starting_points(pool: Pool) -> FloatArray:
 def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
     """The best candidates, refined over all scans jointly, with errors decreasing to the stated ones."""
     common = pool.initial_common(len(theta))
-    for widening, keep in zip(pool.tuning.widenings, pool.tuning.kept, strict=True):
+    for widening, keep in zip(pool.tuning.widenings, pool.tuning.n_candidates, strict=True):
         weights = pool.weighed(theta, common, widening)
         score, information = pool.equations(theta, weights)
         gain = pool.gain(theta, weights)
@@ -188,12 +188,12 @@ def _annealed(pool: Pool, theta: FloatArray) -> FloatArray:
 def _converged(pool: Pool, theta: FloatArray) -> BiasFit:
     """One candidate refined to its maximum, with covariance and evidence."""
     at, common, converged = theta[None, :], pool.initial_common(1), False
-    for _ in range(pool.tuning.most_steps):
+    for _ in range(pool.tuning.max_steps):
         weights = pool.weighed(at, common, 1.0)
         score, information = pool.equations(at, weights)
         step = np.linalg.solve(information, score[..., None])[..., 0]
         at, common = at + step, [each.common for each in weights]
-        converged = float(np.einsum("sp,spq,sq->", step, information, step)) <= pool.tuning.settled**2
+        converged = float(np.einsum("sp,spq,sq->", step, information, step)) <= pool.tuning.step_tolerance**2
         if converged:
             break
     weights = pool.weighed(at, common, 1.0)
@@ -220,10 +220,10 @@ def _covariance(pool: Pool, theta: FloatArray, common: list[FloatArray], complet
     weights = pool.weighed(nodes, [np.repeat(n_common, 2 * p) for n_common in common], 1.0)
     score, _ = pool.equations(nodes, weights)
     observed = -(score[:p] - score[p:]) / (2.0 * step[:, None])
-    # Eigenvalues relative to the complete information, bounded from below by ``least_information``.
+    # Eigenvalues relative to the complete information, bounded from below by ``min_information``.
     scale = np.linalg.cholesky(inverse(complete))
     shares, axes = np.linalg.eigh(scale.T @ symmetric(observed) @ scale)
-    root = scale @ axes / np.sqrt(np.clip(shares, pool.tuning.least_information, None))
+    root = scale @ axes / np.sqrt(np.clip(shares, pool.tuning.min_information, None))
     return np.asarray(root @ root.T)
 
 

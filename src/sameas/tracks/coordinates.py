@@ -144,7 +144,7 @@ class LocalPlane:
         lat, lon, _ = pm.ecef2geodetic(*(above + height[:, None] * up).T)
         return np.atleast_1d(lat), np.atleast_1d(lon)
 
-    def turn(self, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike = 0.0) -> FloatArray:
+    def jacobian(self, lat_deg: ArrayLike, lon_deg: ArrayLike, height_m: ArrayLike = 0.0) -> FloatArray:
         """(n, 2, 2) Jacobians from metres east and north at places (n,) to the plane, for velocities and covariances.
 
         They rotate by the convergence of the meridians, and shorten lengths at large heights and distances.
@@ -251,7 +251,7 @@ def bearing_in_plane(
         np.atleast_1d(np.asarray(v, np.float64)) for v in (bearing_deg, sensor_lat_deg, sensor_lon_deg)
     )
     angle = np.radians(bearing)
-    direction = np.einsum("nvw,nw->nv", plane.turn(lat, lon), np.column_stack([np.sin(angle), np.cos(angle)]))
+    direction = np.einsum("nvw,nw->nv", plane.jacobian(lat, lon), np.column_stack([np.sin(angle), np.cos(angle)]))
     return np.asarray(np.degrees(np.arctan2(direction[:, 0], direction[:, 1])) % 360.0)
 
 

@@ -194,7 +194,9 @@ def doubts(
     shared = [_best(feed, partners, tuning) for feed, partners in zip(tolerant, others, strict=True)]
     guesses = [
         _best_guess(feed, partners, in_common, plane, tuning)
-        if partners and feed.description.name not in matched and (in_common is None or in_common.share < tuning.much)
+        if partners
+        and feed.description.name not in matched
+        and (in_common is None or in_common.share < tuning.guess_share)
         else None
         for feed, partners, in_common in zip(feeds, others, shared, strict=True)
     ]
@@ -207,7 +209,7 @@ def doubts(
     for feed, partners, in_common, fit in zip(feeds, others, shared, by_plots, strict=True):
         name = feed.description.name
         has_common = name in matched or (
-            in_common is not None and in_common.share > tuning.nothing and in_common.gain > 0.0
+            in_common is not None and in_common.share > tuning.unrelated_share and in_common.gain > 0.0
         )
         accused = all(other.description.name in sentences for other in partners)
         if not (has_common or name in sentences or name in named or accused):
@@ -356,7 +358,7 @@ def _best_guess(
     best: BestGuess | None = None
     for suspicion, changed, remedy, guessed in _guessed_feeds(feed, plane):
         shared = _best(guessed, others, tuning)
-        if shared is None or shared.share < max(tuning.much, 2.0 * unchanged.share):
+        if shared is None or shared.share < max(tuning.guess_share, 2.0 * unchanged.share):
             continue
         if shared.gain > (max(unchanged.gain, 0.0) + tuning.guess_gain if best is None else best.gain):
             either = f", unless it is {shared.other} that is wrong" if len(others) == 1 else ""

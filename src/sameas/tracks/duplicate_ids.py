@@ -31,13 +31,13 @@ def split_duplicate_ids(
     """
     if reports.track is None or not len(reports):
         return reports, ()
-    limit = tuning.fastest * speed_m_per_s
+    limit = tuning.max_speed_sigmas * speed_m_per_s
     usable = np.flatnonzero(reports.usable)
     names, number = np.unique(reports.track[usable].astype(str), return_inverse=True)
     order = np.lexsort([reports.time_s[usable], number])
     rows, owner = usable[order], number[order]
     radius = (
-        tuning.place_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+        tuning.position_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
         + 0.5 * doubtful_s * limit
     )
     jumps = _too_far(reports, rows[:-1], rows[1:], radius[:-1] + radius[1:], limit) & (owner[1:] == owner[:-1])

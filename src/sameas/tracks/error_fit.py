@@ -183,7 +183,7 @@ class _Prior:
             ]
             for name, row in zip(names, values, strict=True)
         ]
-        least = tuning.fit_least_m
+        least = tuning.fit_min_m
         median = np.array([[max(value or 0.0, least) for value in row] for row in values])
         median[1] = np.radians([[max(value or 0.0, 1e-3) for value in values[1]]])
         median[2] = np.where(given[2], median[2], tuning.hull_sigma_m)
@@ -204,7 +204,7 @@ class _Fit:
 def _fits(feeds: Sequence[Feed], prior: _Prior, tuning: Tuning, log_prior: float = 0.0) -> list[_Fit]:
     """The fits of feeds with the latencies that they have, one from each starting point."""
     pairs, out = _pairs(feeds, prior, tuning), []
-    for shift in tuning.fit_begins:
+    for shift in tuning.fit_starts:
         start = _Model(prior.median + shift * prior.sigma, np.full((len(feeds), len(feeds)), tuning.fit_real))
         model = _converged(pairs, start, prior, tuning)
         log_posterior = _log_likelihood(pairs, model) + prior.log_density(model.logs) + log_prior
@@ -233,7 +233,7 @@ def _converged(pairs: _Pairs, model: _Model, prior: _Prior, tuning: Tuning) -> _
         after = _Model(_updated_logs(pairs, p, model.logs, prior), _pair_shares(pairs, p, model.logs.shape[1]))
         change = float(np.abs(after.logs - model.logs).max())
         model = after
-        if change < tuning.fit_settled:
+        if change < tuning.fit_tolerance:
             break
     return model
 

@@ -160,8 +160,8 @@ def _frozen(feed: Feed) -> Iterator[Fault]:
         if n_repeats >= tuning.frozen_reports and frozen_s > 5.0 * float(np.median(update_s)):
             n_frozen += 1
             begins.append(float(time_s[rows[last]]))
-            votes += min(n_repeats * math.log(1.0 / tuning.repeats), tuning.track_vote)
-    log_odds = votes + (n_moving - n_frozen) * math.log(tuning.repeats) + math.log(tuning.fault_prior)
+            votes += min(n_repeats * math.log(1.0 / tuning.p_repeated), tuning.track_vote)
+    log_odds = votes + (n_moving - n_frozen) * math.log(tuning.p_repeated) + math.log(tuning.fault_prior)
     if n_frozen:
         name = feed.description.name
         words = (
@@ -183,7 +183,7 @@ def _floods(feed: Feed) -> Iterator[Fault]:
     usual = max(float(np.median(count)), 1.0)
     normal = count[count <= np.quantile(count, 0.9)]
     dispersion = max(float(np.var(normal)) / max(float(normal.mean()), 1.0), 1.0)
-    flooded = (count > tuning.flood_factor * usual) & (count > usual + tuning.flood_least)
+    flooded = (count > tuning.flood_factor * usual) & (count > usual + tuning.flood_min)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flooded.astype(np.int64), [0]])))
     for low, high in zip(edges[::2], edges[1::2], strict=True):
         reports, expected = float(count[low:high].sum()), usual * (high - low)

@@ -36,7 +36,7 @@ def stationary(reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING)
     move one at anchor by 150 m between two reports three minutes apart; it swings by 15 m. So a reported velocity v
     with covariance C comes from one of two kinds of objects:
 
-        stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.standing_m_per_s, w = motion.standing_share
+        stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.stationary_m_per_s, w = motion.stationary_share
         moving       v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
 
     The velocity of a stationary object is 0 ± s a priori, without a random walk. The returned state and covariance are
@@ -48,16 +48,16 @@ def stationary(reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING)
 
     >>> reports = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0,
     ...                     velocity=[[0.1, 0.0], [4.0, 0.0]], velocity_covariance=0.09 * np.eye(2))
-    >>> motion = Motion(speed_m_per_s=8.0, standing_m_per_s=0.1, standing_share=0.2)
+    >>> motion = Motion(speed_m_per_s=8.0, stationary_m_per_s=0.1, stationary_share=0.2)
     >>> now, p_stationary = stationary(reports, motion)
     >>> p_stationary.round(2).tolist(), now.state[:, 2].round(2).tolist()
     ([0.99, 0.0], [0.01, 4.0])
     """
-    slow, speed, share = motion.standing_m_per_s, motion.speed_m_per_s, motion.standing_share
+    slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, motion.stationary_share
     if not slow or not speed or not share:
         return reports, None
     if share >= 1.0:
-        raise InputError(f"motion.standing_share is {share}; give the share of objects that stand, below 1")
+        raise InputError(f"motion.stationary_share is {share}; give the share of stationary objects, below 1")
     p_stationary, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
     rows = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2))
     x, cov = state[rows], covariance[rows]
@@ -160,7 +160,7 @@ class Feed:
     measured : for filtered reports, the measured positions with the filtered velocities.
     rotation : of an antenna whose plots have their own time stamps; None if scans are exposures.
     p_stationary : (n,) probability that a report is of a stationary object; None if the motion has no such objects.
-    tuning : of tracks. heights : in a growing feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
+    tuning : of tracks. heights : in a live feed, the (n, 4) columns of ``heights.HeightColumns``, None if it has had
         no heights; in other feeds they are in ``raw_reports``.
     """
 

@@ -128,7 +128,7 @@ class HeightColumns:
 
 
 def _columns_of(feed: Feed, tuning: HeightTuning) -> HeightColumns | None:
-    """The heights of a feed's reports: of its raw reports, or as kept by a growing feed; None if it has none."""
+    """The heights of a feed's reports: of its raw reports, or as kept by a live feed; None if it has none."""
     if isinstance(feed.reports, Directions):
         return None
     if feed.heights is not None:

@@ -1,7 +1,7 @@
 """The feed of a live source: reports are added as they arrive, and old ones dropped.
 
 A :class:`~sameas.tracks.feed.Feed` has all reports of a source; a source that runs for months needs bounded memory.
-:class:`GrowingFeed` keeps, of each track, the reports of the last ``lag_s`` seconds and the one before them, filters
+:class:`LiveFeed` keeps, of each track, the reports of the last ``lag_s`` seconds and the one before them, filters
 only new reports, and gives the feed of any instant for a scene. A late report is inserted by its time and its track is
 filtered again from the report before it, so within the lag the order of arrival changes nothing. Reports later than
 that, or of a time before all that is kept of their track, are counted and ignored.
@@ -78,7 +78,7 @@ class Counts:
 
 
 @dataclass
-class GrowingFeed:
+class LiveFeed:
     """The feed of a source whose reports arrive one after another.
 
     Parameters
@@ -86,13 +86,13 @@ class GrowingFeed:
     description : of the source. plane : of the picture; None for the user's own metres.
     lag_s : reports late by at most this are treated as if on time.
     to_tracks : whether reports with ids are filtered to tracks; None to decide by their kind, and for reports with
-        velocities by their scatter, once there are ``measured_fewest`` of them
+        velocities by their scatter, once there are ``min_innovations`` of them
         (:func:`sameas.tracks.feed.need_filtering`).
 
     Example
     -------
     >>> columns = {"x_m": [0.0], "y_m": [0.0], "vx_m_per_s": [5.0], "vy_m_per_s": [0.0], "track_id": ["7"]}
-    >>> radar = GrowingFeed(Description("radar", "tracks"))
+    >>> radar = LiveFeed(Description("radar", "tracks"))
     >>> for t in (0.0, 4.0, 2.0):
     ...     columns["x_m"] = [5.0 * t]
     ...     radar.add(Reports.of("radar", "table", {"time_s": [t], "covariance_m2": [[9.0, 0.0, 9.0]], **columns}))
@@ -199,7 +199,7 @@ class GrowingFeed:
             scan_s = np.full(len(rows), -math.inf)
             scan_s[live], scan_times_s, rotation = scans.scan_s, np.unique(scans.scan_s), scans.rotation
         p_stationary = None
-        if isinstance(reports, States) and self.description.motion.standing_share:
+        if isinstance(reports, States) and self.description.motion.stationary_share:
             p_stationary = rows.p_stationary
         feed = Feed(
             self.description, reports, scan_times_s, scan_s, sensor_m, rows.attributes, None, (), None, rotation,
@@ -259,7 +259,7 @@ class GrowingFeed:
             self.to_tracks = need_filtering(placed)
             return
         rows, taken = self._rows, np.flatnonzero(self._rows.taken)
-        if len(taken) > self.tuning.measured_fewest + len(np.unique(rows.number[taken])):
+        if len(taken) > self.tuning.min_innovations + len(np.unique(rows.number[taken])):
             measured = States(rows.time_s, rows.measured, rows.measured_covariance, rows.number, np.arange(len(rows)))
             self.to_tracks = are_unfiltered(
                 measured.take(taken), acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning
@@ -352,10 +352,10 @@ class GrowingFeed:
     def _split_ids(self, new: _Rows, own: IntArray) -> bool:
         """Moves reports of one id that cannot be of one object to a track of their own, or excludes them (``taken``);
         gives whether any id was checked."""
-        rows, limit = self._rows, self.tuning.fastest * (self.description.motion.speed_m_per_s or math.inf)
+        rows, limit = self._rows, self.tuning.max_speed_sigmas * (self.description.motion.speed_m_per_s or math.inf)
         last = own[np.flatnonzero(np.diff(rows.number[own], append=-1))]
         order = np.lexsort([new.serial, new.time_s])
-        radius = self.tuning.place_sigmas * _sigma_m(new.measured_covariance)
+        radius = self.tuning.position_sigmas * _sigma_m(new.measured_covariance)
         suspects = self._far(new, last, radius, limit)
         if not (self._split or suspects.any()):
             return False
@@ -367,7 +367,7 @@ class GrowingFeed:
                 at = last[rows.number[last] == new.number[k]]
                 if not len(at):
                     continue
-                radius_m = self.tuning.place_sigmas * math.sqrt(
+                radius_m = self.tuning.position_sigmas * math.sqrt(
                     float(np.trace(rows.measured_covariance[at[0], :2, :2]))
                 )
                 self._split[name] = Branches.of(float(rows.time_s[at[0]]), rows.measured[at[0]], radius_m)
@@ -389,7 +389,7 @@ class GrowingFeed:
         number = np.concatenate([rows.number[last], new.number])
         time_s = np.concatenate([rows.time_s[last], new.time_s])
         place = np.concatenate([rows.measured[last, :2], new.measured[:, :2]])
-        reach = np.concatenate([self.tuning.place_sigmas * _sigma_m(rows.measured_covariance[last]), radius])
+        reach = np.concatenate([self.tuning.position_sigmas * _sigma_m(rows.measured_covariance[last]), radius])
         order = np.lexsort([time_s, number])
         a, b = order[:-1], order[1:]
         distance = np.hypot(*(place[b] - place[a]).T)

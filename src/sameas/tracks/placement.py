@@ -186,7 +186,7 @@ class PlacedReports:
             raise InputError(f"{name}: positions are latitudes and longitudes; give the plane of the picture")
         reports = self.reports
         lat, lon = np.asarray(reports.lat_deg), np.asarray(reports.lon_deg)
-        to_plane = self.plane.turn(lat, lon, 0.0 if reports.alt_m is None else np.nan_to_num(reports.alt_m))
+        to_plane = self.plane.jacobian(lat, lon, 0.0 if reports.alt_m is None else np.nan_to_num(reports.alt_m))
         position = _without_strays(self.plane.of_geodetic(lat, lon, self.description.name), self.tuning)
         stated = propagated(to_plane, self._stated_covariance())
         return _Positions(position, self._with_measured_errors(position, stated), to_plane)
@@ -203,7 +203,7 @@ class PlacedReports:
                 naming("give the origin of that plane, site = {{ lat_deg = …, lon_deg = … }}, in its {description}"),
             )
         lat, lon = LocalPlane(site.lat_deg, site.lon_deg).to_geodetic(xy)
-        to_plane = self.plane.turn(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
+        to_plane = self.plane.jacobian(np.full(n, site.lat_deg), np.full(n, site.lon_deg))
         position = self.plane.of_geodetic(lat, lon, self.description.name)
         return _Positions(position, self._with_measured_errors(position, propagated(to_plane, stated)), to_plane)
 
@@ -229,7 +229,7 @@ class PlacedReports:
             sensor_height_m=sensor_height_m, height_m=height, sigma_range_m=sigma_range,
             sigma_bearing_deg=sigma_bearing, sigma_height_m=sigma_height,
         )  # fmt: skip
-        to_plane = self.plane.turn(ground.lat_deg, ground.lon_deg, ground.height_m)
+        to_plane = self.plane.jacobian(ground.lat_deg, ground.lon_deg, ground.height_m)
         position = self.plane.of_geodetic(ground.lat_deg, ground.lon_deg, self.description.name)
         return _Positions(position, propagated(to_plane, ground.covariance + extent), to_plane)
 

@@ -135,8 +135,8 @@ def candidates(plots: Plots, feed: Feed, partners: Sequence[Feed], tuning: Tunin
             arm = state[:, :2] - plots.sensor
             range_m, azimuth, frame = _sight(arm)
             along, across = (np.einsum("nv,nvw,nw->n", frame[:, a], covariance[:, :2, :2], frame[:, a]) for a in (0, 1))
-            known = np.maximum(along, across) < tuning.path_m**2
-            known &= (range_m > tuning.beside_m) & (range_m <= (feed.description.coverage.range_m or np.inf))
+            known = np.maximum(along, across) < tuning.max_sigma_m**2
+            known &= (range_m > tuning.own_platform_m) & (range_m <= (feed.description.coverage.range_m or np.inf))
             if not known.any():
                 continue
             d_azimuth = (plots.azimuth_deg - azimuth + 180.0) % 360.0 - 180.0
@@ -221,14 +221,15 @@ def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
     frame = _sight(plots.place[rows] - plots.sensor[rows])[2]
     owner, other = flattened(tree.query_ball_point(plots.place[rows], 3.0 * width.max(axis=1), return_sorted=False))
     apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
-    kept = (apart_s >= tuning.gone_s) & (apart_s <= tuning.stays_s)
+    earliest_s, latest_s = tuning.background_from_s, tuning.background_to_s
+    kept = (apart_s >= earliest_s) & (apart_s <= latest_s)
     owner, other = owner[kept], other[kept]
     step = np.einsum("mav,mv->ma", frame[owner], plots.place[other] - plots.place[rows[owner]]) / width[owner]
     kernel = np.exp(-0.5 * np.sum(step**2, axis=1)) / (2.0 * np.pi * width[owner].prod(axis=1))
     at = plots.time_s[rows]
     window = sum(
         np.searchsorted(scans_s, at + high) - np.searchsorted(scans_s, at + low)
-        for low, high in ((-tuning.stays_s, -tuning.gone_s), (tuning.gone_s, tuning.stays_s))
+        for low, high in ((-latest_s, -earliest_s), (earliest_s, latest_s))
     )
     fixed = np.bincount(owner, kernel, len(rows)) / np.maximum(window, 1)
     return fixed + _by_range(plots, rows, len(scans_s), tuning)
@@ -291,7 +292,7 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     if not len(plots) or not partners:
         return None
     pairs = candidates(plots, feed, partners, tuning)
-    if not len(pairs.plot) or pairs.scans.sum() > tuning.many_tracks * (plots.scan.max() + 1):
+    if not len(pairs.plot) or pairs.scans.sum() > tuning.max_tracks * (plots.scan.max() + 1):
         return None
     search = search_azimuth(pairs, widths, tuning)
     # The evidence against no object in common is bounded per track; the comparison of azimuths is not.
@@ -381,7 +382,7 @@ def _refined(
     frame = pairs.frame
     jacobian = pairs.jacobian[:, :, fitted]
     rows = np.arange(len(pairs.plot))
-    for step in range(tuning.most_steps):
+    for step in range(tuning.max_steps):
         residual = pairs.residual - jacobian @ theta - np.einsum("mav,mv->ma", frame, hull[pairs.track])
         variance = scales**2 * pairs.variance
         log_ratio = (
@@ -406,7 +407,7 @@ def _refined(
         change = np.abs(solution[:p] - theta) * np.sqrt(np.diag(information)[:p])
         theta, hull = solution[:p], solution[p:].reshape(tracks, 2)
         # The variance of places on the hull is estimated from the detected tracks.
-        detected = np.repeat(total > tuning.seen, 2)
+        detected = np.repeat(total > tuning.min_plots, 2)
         square = float(np.sum((hull.ravel() ** 2 + np.diag(posterior_covariance)[p:])[detected]))
         lasting_m2 = (square + tuning.hull_prior * pairs.lasting_m2) / (detected.sum() + tuning.hull_prior)
         chi_sq = np.einsum("m,ma->a", weight, residual**2 / pairs.variance)
@@ -414,7 +415,7 @@ def _refined(
             np.sqrt((chi_sq + tuning.scale_prior * scale**2) / (weight.sum() + tuning.scale_prior)),
             *tuning.scale_limits,
         )  # fmt: skip
-        converged = bool(step > 3 and np.all(change < tuning.settled))
+        converged = bool(step > 3 and np.all(change < tuning.step_tolerance))
         if converged:
             break
     sure = weight > 0.5
@@ -423,7 +424,7 @@ def _refined(
     covariance = inverse((information - prior) / inflation + prior)[:p, :p]
     return BiasFit(
         np.array([FITTED[k] for k in fitted], np.int64), theta, covariance, covariance, float(weight.sum()),
-        int(plots.scan.max()) + 1, float(np.sum(total > tuning.seen)), 0.0, (), converged, tuning,
+        int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning,
     )  # fmt: skip
 
 

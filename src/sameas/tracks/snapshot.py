@@ -274,7 +274,7 @@ def common_instants(one: Feed, other: Feed, most: int | None = None) -> FloatArr
     if not len(scan_times):
         return scan_times
     per_instant = _typical_count(one) + _typical_count(other)
-    count = int(np.clip(tuning.common_records / max(per_instant, 1.0), min(tuning.fewest_instants, most), most))
+    count = int(np.clip(tuning.common_records / max(per_instant, 1.0), min(tuning.min_instants, most), most))
     chosen = np.linspace(tuning.skipped_share * (len(scan_times) - 1), len(scan_times) - 1, min(count, len(scan_times)))
     return np.asarray(scan_times[np.unique(np.round(chosen).astype(np.int64))])
 

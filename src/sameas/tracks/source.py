@@ -182,8 +182,8 @@ class Motion:
 
     acceleration_m2_per_s3: float | None = None
     speed_m_per_s: float | None = None
-    standing_m_per_s: float | None = None
-    standing_share: float | None = None
+    stationary_m_per_s: float | None = None
+    stationary_share: float | None = None
 
 
 @dataclass(frozen=True)

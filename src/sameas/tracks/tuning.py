@@ -23,10 +23,10 @@ class Tuning:
         velocities.
     timeout_quantile : the track timeout is this quantile of the gaps within tracks.
     at_rest : an object moves if the χ² of its velocity against 0 exceeds this quantile for objects at rest.
-    fastest : maximum speed, in units of the typical speed of the source's objects (1σ per axis).
+    max_speed_sigmas : maximum speed, in units of the typical speed of the source's objects (1σ per axis).
     alternations : an id belongs to two objects if its reports change between their places at least this often; a single
         change is a repeated position or a reused id.
-    place_sigmas : tolerance of positions, σ.
+    position_sigmas : tolerance of positions, σ.
 
     rotation_search : the rotation period is searched within this share of the described one, by at most
         ``rotation_plots`` plots, with ``rotation_steps`` steps per resolvable frequency.
@@ -39,64 +39,65 @@ class Tuning:
         follow the previous one in less than half the usual time.
     pointing_sigmas : a direction points at places within this many σ.
 
-    measured_ratio, measured_fewest : reports are independent measurements if the median of their squared innovations is
-        at least this share of that of independent errors; minimum number of innovations.
+    innovation_ratio, min_innovations : reports are independent measurements if the median of their squared
+        innovations is at least this share of that of independent errors; minimum number of innovations.
     new_track_probability : a report beyond the χ² limit that correct reports exceed with this probability restarts its
         track.
 
     common_instants, common_records : maximum number of instants at which two sources are compared, and maximum number
-        of records at all of them; more records reduce the instants, down to ``fewest_instants``.
+        of records at all of them; more records reduce the instants, down to ``min_instants``.
     skipped_share : share of the common time skipped at its start, when some objects have not reported yet.
     searched_instants, search_offsets, search_steps : instants of the bias search, offsets per instant, and iterations.
-    widenings, kept : factor on the errors, and number of candidates kept, for each iteration.
-    settled, most_steps : the bias fit ends at steps below this share of a standard error, or after this many steps.
+    widenings, n_candidates : factor on the errors, and number of candidates kept, for each iteration.
+    step_tolerance, max_steps : the bias fit ends at steps below this share of a standard error, or after this many.
     same_sigmas : two solutions are one if no record moves between them by more than this many σ.
-    least_information : minimum eigenvalue of the observed information relative to the complete one.
+    min_information : minimum eigenvalue of the observed information relative to the complete one.
     moved_sigmas : instants are independent if records have moved by at least this many σ between them.
     registration : of the offset search at each instant; its ``decisive`` evidence establishes biases.
 
     azimuth_reach, azimuth_step_deg : the azimuth of bare plots is searched within this many prior widths, in steps.
     azimuth_peaks : maximum number of peaks of the search.
-    gate_sigmas : gate of plots and tracks in range, σ. path_m : maximum 1σ of the position of a compared track.
-    beside_m : tracks nearer to the sensor than this are excluded, as the sensor's own platform.
-    gone_s, stays_s : plots at the same place, between these times before and after a plot, are background: a moving
-        object has left the place by then. echo_m : added to the width within which they are counted.
+    gate_sigmas : gate of plots and tracks in range, σ. max_sigma_m : maximum 1σ of the position of a compared track.
+    own_platform_m : tracks nearer to the sensor than this are excluded, as the sensor's own platform.
+    background_from_s, background_to_s : plots at the same place, between these times before and after a plot, are
+        background: a moving object has left the place by then. echo_m : added to the width within which they are
+        counted.
     ring_share : the density of plots at a range is that of this share of the plots to either side of it in range.
     plot_rates : mean numbers of plots of a track per scan, averaged over. plot_scales : trial factors on the errors of
         plots. scale_limits, scale_prior : bounds of the fitted factors, and weight of the trial factor, in plots.
     companion : probability that another object accompanies a track; it limits the evidence of one track to
         −ln companion.
-    many_tracks : with more tracks than this per scan, instants are compared instead.
+    max_tracks : with more tracks than this per scan, instants are compared instead.
     hull_prior : weight of the described extents when they are estimated, in axes of tracks.
-    rate_prior : weight of the median of plot_rates, in scans. seen : minimum number of plots of a detected track.
+    rate_prior : weight of the median of plot_rates, in scans. min_plots : minimum number of plots of a detected track.
 
     fit_box_m, fit_box_sigmas : plots of two sources are compared if they differ by less than the first, or by this many
         assumed σ. fit_scans : maximum number of compared scans of two sources.
     fit_correlation_s : scans within this time count as one, since their errors are correlated. fit_pairs : minimum
         number of independent pairs for which errors are estimated.
     fit_sigmas : 1σ of the logarithms of the assumed errors: of ranges, of bearings, of the echo's place on the hull.
-    hull_sigma_m : median of the latter, that of a hull of 20 m in any direction. fit_least_m : minimum of any median.
+    hull_sigma_m : median of the latter, that of a hull of 20 m in any direction. fit_min_m : minimum of any median.
     shared_hull : share of the variance of the echo's place that is common to all sources at one place.
     fit_latencies : trial latencies, in 1σ of their prior.
-    fit_real, fit_begins : initial share of real pairs, and starting points of EM, in 1σ of the prior from its medians.
-    fit_steps, fit_settled : maximum number of EM iterations, and the change of a logarithm at which they end.
+    fit_real, fit_starts : initial share of real pairs, and starting points of EM, in 1σ of the prior from its medians.
+    fit_steps, fit_tolerance : maximum number of EM iterations, and the change of a logarithm at which they end.
 
     fault_prior, sure_fault : prior probability of a fault of one kind, and the probability at which it is an alarm.
     fault_reports : minimum number of reports of a tested source. clock_jumps : maximum number of jumps of a clock.
     clock_speed_m_per_s, clock_gap_s, stamp_s : minimum speed of the tracks used, maximum time between their reports,
         and 1σ of a correct time stamp. clock_search_s : trial jumps: from, to, step. clock_outlier, clock_vote : share
         of outliers among the steps of tracks, and maximum evidence of one step.
-    most_minutes, most_pauses, pause_prior : of a clock counted from the seconds in messages: maximum number of whole
+    max_minutes, max_pauses, pause_prior : of a clock counted from the seconds in messages: maximum number of whole
         minutes lost in one pause, maximum number of corrected pauses, and probability that there is another one.
     ended_s, ended_share : a source has ended if it is silent for this time and this share of the whole time.
-    frozen_reports, repeats : minimum number of repeated positions of a frozen track, and probability that a moving
+    frozen_reports, p_repeated : minimum number of repeated positions of a frozen track, and probability that a moving
         track repeats a position. track_vote : maximum evidence of one track.
-    flood_s, flood_factor, flood_least : width of the intervals in which reports are counted, and a flood's minimum
+    flood_s, flood_factor, flood_min : width of the intervals in which reports are counted, and a flood's minimum
         ratio to, and excess over, the usual count.
 
     doubt_instants, doubt_steps : compared instants, and iterations of the number of common objects.
-    nothing, much : a source whose share of records with a partner is not above the first has nothing in common with
-        another; a guess must reach the second.
+    unrelated_share, guess_share : a source whose share of records with a partner is not above the first has nothing in
+        common with another; a guess must reach the second.
     guess_gain : minimum gain of the log likelihood per instant by a guess, among some thirty guesses.
     near_extents, near_m : a guess of positions must bring a source to within this many extents of another, or metres.
     """
@@ -108,9 +109,9 @@ class Tuning:
     unknown_velocity_share: float = 0.9
     timeout_quantile: float = 0.999
     at_rest: float = 1.0 - 1e-6
-    fastest: float = 5.0
+    max_speed_sigmas: float = 5.0
     alternations: int = 4
-    place_sigmas: float = 6.0
+    position_sigmas: float = 6.0
 
     rotation_search: float = 0.3
     rotation_plots: int = 3000
@@ -124,23 +125,23 @@ class Tuning:
     hurried_share: float = 0.1
     pointing_sigmas: float = 3.0
 
-    measured_ratio: float = 1.0 / 3.0
-    measured_fewest: int = 30
+    innovation_ratio: float = 1.0 / 3.0
+    min_innovations: int = 30
     new_track_probability: float = 1e-9
 
     common_instants: int = 16
     common_records: int = 4000
-    fewest_instants: int = 4
+    min_instants: int = 4
     skipped_share: float = 0.05
     searched_instants: int = 3
     search_offsets: int = 32
     search_steps: int = 20
     widenings: tuple[float, ...] = (2.0, 1.5, 1.2, 1.0, 1.0)
-    kept: tuple[int, ...] = (12, 8, 6, 4, 3)
-    settled: float = 0.01
-    most_steps: int = 40
+    n_candidates: tuple[int, ...] = (12, 8, 6, 4, 3)
+    step_tolerance: float = 0.01
+    max_steps: int = 40
     same_sigmas: float = 0.7
-    least_information: float = 0.02
+    min_information: float = 0.02
     moved_sigmas: float = 3.0
     registration: RegistrationTuning = REGISTRATION
 
@@ -148,10 +149,10 @@ class Tuning:
     azimuth_step_deg: float = 0.1
     azimuth_peaks: int = 8
     gate_sigmas: float = 3.5
-    path_m: float = 100.0
-    beside_m: float = 50.0
-    gone_s: float = 40.0
-    stays_s: float = 240.0
+    max_sigma_m: float = 100.0
+    own_platform_m: float = 50.0
+    background_from_s: float = 40.0
+    background_to_s: float = 240.0
     echo_m: float = 15.0
     ring_share: float = 0.03
     plot_rates: tuple[float, ...] = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)
@@ -159,10 +160,10 @@ class Tuning:
     scale_limits: tuple[float, float] = (0.4, 4.0)
     scale_prior: float = 10.0
     companion: float = 3e-4
-    many_tracks: float = 12.0
+    max_tracks: float = 12.0
     hull_prior: float = 4.0
     rate_prior: float = 10.0
-    seen: float = 3.0
+    min_plots: float = 3.0
 
     fit_box_m: float = 40.0
     fit_box_sigmas: float = 2.5
@@ -171,13 +172,13 @@ class Tuning:
     fit_pairs: float = 5.0
     fit_sigmas: tuple[float, float, float] = (0.7, 0.35, 0.7)
     hull_sigma_m: float = 4.0
-    fit_least_m: float = 1e-3
+    fit_min_m: float = 1e-3
     shared_hull: float = 0.5
     fit_latencies: tuple[float, ...] = (0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
     fit_real: float = 0.3
-    fit_begins: tuple[float, ...] = (0.0, -2.0)
+    fit_starts: tuple[float, ...] = (0.0, -2.0)
     fit_steps: int = 200
-    fit_settled: float = 1e-3
+    fit_tolerance: float = 1e-3
 
     fault_prior: float = 1e-3
     sure_fault: float = 0.95
@@ -189,22 +190,22 @@ class Tuning:
     clock_search_s: tuple[float, float, float] = (6.0, 181.0, 2.0)
     clock_outlier: float = 0.05
     clock_vote: float = 8.0
-    most_minutes: int = 10
-    most_pauses: int = 100
+    max_minutes: int = 10
+    max_pauses: int = 100
     pause_prior: float = 0.3
     ended_s: float = 60.0
     ended_share: float = 0.1
     frozen_reports: int = 3
-    repeats: float = 0.02
+    p_repeated: float = 0.02
     flood_s: float = 10.0
     flood_factor: float = 5.0
-    flood_least: float = 50.0
+    flood_min: float = 50.0
     track_vote: float = 8.0
 
     doubt_instants: int = 5
     doubt_steps: int = 8
-    nothing: float = 0.1
-    much: float = 0.5
+    unrelated_share: float = 0.1
+    guess_share: float = 0.5
     guess_gain: float = 8.0
     near_extents: float = 3.0
     near_m: float = 50e3
