@@ -24,13 +24,13 @@ Pairs = tuple[np.ndarray, np.ndarray]
 
 
 def nearest(scene: Any) -> Pairs:
-    """The nearest of the second source to each of the first, where it is within 3σ of the pair."""
+    """Pairs of each record of the first source with its nearest neighbour in the second, within 3σ."""
     index, inside = _nearest(scene.first, scene.second)
     return np.flatnonzero(inside), index[inside]
 
 
 def mutual(scene: Any) -> Pairs:
-    """Pairs that are each other's nearest, within 3σ."""
+    """Mutual nearest neighbours within 3σ."""
     index, inside = _nearest(scene.first, scene.second)
     back, _ = _nearest(scene.second, scene.first)
     rows = np.flatnonzero(inside & (back[index] == np.arange(len(index))))
@@ -51,7 +51,7 @@ def _mean_variance(records: Any) -> np.ndarray:
 
 
 def contenders(scene: Any, densities: Any, folder: Path) -> Iterator[tuple[str, Pairs, float | None]]:
-    """(name, claimed pairs, how many it expects to be wrong) of everyone."""
+    """Name, claimed pairs and expected number of wrong pairs of each method."""
     yield "nearest within 3σ", nearest(scene), None
     yield "mutual nearest within 3σ", mutual(scene), None
     if shutil.which("stilts"):
@@ -59,8 +59,8 @@ def contenders(scene: Any, densities: Any, folder: Path) -> Iterator[tuple[str, 
         yield "STILTS find=best, 3σ", peers.stilts_pairs(arrays), None
     rule = densities.rule()
     narrow = identify(scene.first, scene.second, rule=rule, gate=Radius(GATE_SIGMAS))
-    yield "sameas, densities known, 3σ", *_ours(narrow)
-    yield "sameas, densities known, default gate", *_ours(identify(scene.first, scene.second, rule=rule))
+    yield "sameas, densities given, 3σ", *_ours(narrow)
+    yield "sameas, densities given, default gate", *_ours(identify(scene.first, scene.second, rule=rule))
     yield "sameas, everything estimated", *_ours(match(scene.first, scene.second)[0])
 
 
@@ -69,8 +69,8 @@ def _ours(answer: Identification) -> tuple[Pairs, float]:
     return (found.rows_1, found.rows_2), answer.expected_wrong
 
 
-def judged(rows: int, lam: float, elliptical: bool, folder: Path) -> list[list[object]]:
-    """One field, everyone."""
+def field_rows(rows: int, lam: float, elliptical: bool, folder: Path) -> list[list[object]]:
+    """The rows of the table for one field, one per method."""
     scene, densities = workload.crowded(31, rows, lam, elliptical)
     true = scene.true_pairs()
     lines: list[list[object]] = []
@@ -86,22 +86,24 @@ def judged(rows: int, lam: float, elliptical: bool, folder: Path) -> list[list[o
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """A table for every λ."""
     notes = (
-        "found: share of all true pairs, also of those outside the gate. Nearest may claim one record twice.",
+        "found: share of all true pairs, including those outside the gate; nearest may claim one record twice",
         *(() if shutil.which("stilts") else ("STILTS: missing (apt-get install stilts)",)),
     )
     for lam in options.lambdas:
         lines: list[list[object]] = []
         for elliptical in (False, True):
             with tempfile.TemporaryDirectory(prefix="sameas-bench-") as folder:
-                lines += judged(options.rows, lam, elliptical, Path(folder) / "scene")
+                lines += field_rows(options.rows, lam, elliptical, Path(folder) / "scene")
         yield Table(f"Accuracy, λ {lam:g}, {options.rows} rows", COLUMNS, lines, notes)
 
 
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench accuracy", description=__doc__)
-    parser.add_argument("--rows", type=int, default=50_000, help="rows of either source (default 50000)")
-    parser.add_argument("--lambdas", type=float, nargs="+", default=[0.05, 0.5, 2.0], help="chance candidates")
+    parser.add_argument("--rows", type=int, default=50_000, help="rows of each source (default 50000)")
+    parser.add_argument(
+        "--lambdas", type=float, nargs="+", default=[0.05, 0.5, 2.0], help="chance candidates of a record within 3σ"
+    )
     report("accuracy", tables(parser.parse_args()))
 
 

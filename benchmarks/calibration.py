@@ -25,7 +25,7 @@ LIMIT = 0.01
 
 @dataclass(frozen=True)
 class Statements:
-    """Stated probabilities and what happened: of candidates, of claimed pairs, of records without a partner."""
+    """Stated probabilities and truth: of candidates, of claimed pairs, of records without a partner."""
 
     pairs: tuple[np.ndarray, np.ndarray]
     claimed: tuple[np.ndarray, np.ndarray]
@@ -33,33 +33,33 @@ class Statements:
 
     @classmethod
     def of(cls, answer: Identification, true: tuple[np.ndarray, np.ndarray]) -> Statements:
-        """What an answer states, against the truth."""
-        happened = is_true_pair((answer.rows_1, answer.rows_2), true)
+        """The probabilities of a result, with the truth."""
+        is_true = is_true_pair((answer.rows_1, answer.rows_2), true)
         chosen = answer.chosen
-        p_none, lonely = [], []
+        p_none, is_none = [], []
         for answers, rows in ((answer.answers_1, true[0]), (answer.answers_2, true[1])):
             p_none.append(answers.p_none.compressed())
             alone = np.ones(len(answers.usable), bool)
             alone[rows] = False
-            lonely.append(alone[answers.usable])
+            is_none.append(alone[answers.usable])
         p = answer.p_pair
-        return cls((p, happened), (p[chosen], happened[chosen]), (np.concatenate(p_none), np.concatenate(lonely)))
+        return cls((p, is_true), (p[chosen], is_true[chosen]), (np.concatenate(p_none), np.concatenate(is_none)))
 
     @classmethod
     def joined(cls, parts: list[Statements]) -> Statements:
-        """Many scenes together."""
+        """The statements of several scenes."""
 
         def both(name: str) -> tuple[np.ndarray, np.ndarray]:
-            p, happened = (np.concatenate([getattr(s, name)[k] for s in parts]) for k in (0, 1))
-            return p, happened
+            p, is_true = (np.concatenate([getattr(s, name)[k] for s in parts]) for k in (0, 1))
+            return p, is_true
 
         return cls(both("pairs"), both("claimed"), both("alone"))
 
     def line(self) -> list[object]:
         """The numbers of one row of the table."""
-        p, happened = self.pairs
-        serious = p > 0.01
-        kinds = (self.pairs, (p[serious], happened[serious]), self.claimed, self.alone)
+        p, is_true = self.pairs
+        above = p > 0.01
+        kinds = (self.pairs, (p[above], is_true[above]), self.claimed, self.alone)
         errors = [score_probabilities(*events).expected_calibration_error for events in kinds]
         chance = max(by_chance(*events) for events in kinds)
         wrong = int((~self.claimed[1]).sum())
@@ -67,9 +67,9 @@ class Statements:
         return [len(p), *errors, chance, brier, float(np.sum(1 - self.claimed[0])), wrong]
 
 
-def by_chance(p: np.ndarray, happened: np.ndarray) -> float:
-    """The calibration error to be expected of true statements: so few events do not show less."""
-    r = reliability(p, happened)
+def by_chance(p: np.ndarray, is_true: np.ndarray) -> float:
+    """The expected calibration error of calibrated probabilities with this number of events."""
+    r = reliability(p, is_true)
     return float(np.sqrt(2 / np.pi) * np.sum(r.count * r.standard_error) / r.count.sum())
 
 
@@ -80,8 +80,7 @@ def catalogues(rows: int, lam: float, elliptical: bool) -> Iterator[tuple[str, S
     """A crowded field, with the true densities and with everything estimated."""
     scene, densities = workload.crowded(41, rows, lam, elliptical)
     true = scene.true_pairs()
-    known = identify(scene.first, scene.second, rule=densities.rule())
-    yield "true", Statements.of(known, true)
+    yield "true", Statements.of(identify(scene.first, scene.second, rule=densities.rule()), true)
     yield "estimated", Statements.of(match(scene.first, scene.second)[0], true)
 
 
@@ -91,10 +90,11 @@ Q1, Q2, BOX, MOST = 0.1, 0.25, 12.0, 10
 
 
 def pictures(scenes: int, priors: dict[str, Any]) -> dict[str, Statements]:
-    """Small scenes drawn as ``CommonObjects`` assumes: any number of targets as likely as any other, one group.
+    """Small scenes drawn as ``CommonObjects`` assumes: every number of targets is equally probable, one group.
 
-    The density is uniform, so that the number of targets is; scenes with more than ten records of a source are left
-    out, which what is seen decides and the posterior therefore does not mind. The box has no edges and no gate.
+    The density is uniform, so that the number of targets is. Scenes with more than ten records of a source are
+    excluded; this selection depends on the records only, so the posterior stays calibrated. The box has no edges and
+    no gate.
     """
     rng = np.random.default_rng(43)
     parts: dict[str, list[Statements]] = {name: [] for name in priors}
@@ -118,7 +118,7 @@ def pictures(scenes: int, priors: dict[str, Any]) -> dict[str, Statements]:
 
 
 def tables(options: argparse.Namespace, curves: dict[str, Statements]) -> Iterator[Table]:
-    """The summary, then the reliability of every scene; ``curves`` collects them for the figure."""
+    """The summary, then the reliability of every kind of scene; ``curves`` collects the statements for the figure."""
     lines: list[list[object]] = []
     for lam in options.lambdas:
         for elliptical in (False, True):
@@ -145,7 +145,7 @@ def tables(options: argparse.Namespace, curves: dict[str, Statements]) -> Iterat
 
 
 def reliability_table(name: str, statements: Statements) -> Table:
-    """Stated against observed, bin by bin, of all candidates."""
+    """Stated and observed probability of all candidates by bin."""
     r = reliability(*statements.pairs)
     columns = ("stated", "observed", "candidates", "deviation in σ")
     lines = [
@@ -156,7 +156,7 @@ def reliability_table(name: str, statements: Statements) -> Table:
 
 
 def figure(curves: dict[str, Statements]) -> str:
-    """The reliability curves as a picture; what became of it in words."""
+    """Draw the reliability curves; returns a message."""
     try:
         import matplotlib
 
@@ -171,7 +171,7 @@ def figure(curves: dict[str, Statements]) -> str:
             continue
         r = reliability(*statements.pairs)
         axes.errorbar(r.stated, r.observed, r.standard_error, fmt="o-", markersize=3, linewidth=0.8, label=name)
-    axes.set(xlabel="stated probability", ylabel="observed frequency", title="Where the model is the true one")
+    axes.set(xlabel="stated probability", ylabel="observed frequency", title="With the true model")
     axes.legend(fontsize=7)
     drawing.tight_layout()
     drawing.savefig(OUTPUT / "calibration.png", dpi=150)
@@ -181,7 +181,7 @@ def figure(curves: dict[str, Statements]) -> str:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench calibration", description=__doc__)
-    parser.add_argument("--rows", type=int, default=20_000, help="rows of either source (default 20000)")
+    parser.add_argument("--rows", type=int, default=20_000, help="rows of each source (default 20000)")
     parser.add_argument("--scenes", type=int, default=3000, help="number of small pictures (default 3000)")
     parser.add_argument("--lambdas", type=float, nargs="+", default=list(workload.LAMBDAS))
     parser.add_argument("--figure", action="store_true", help="draw the curves too")

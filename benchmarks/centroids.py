@@ -1,8 +1,8 @@
-"""Errors of centroids on simulated frames by `sameas`, sep and photutils, and whether our stated errors are right.
+"""Errors of centroids on simulated frames by `sameas`, sep and photutils, and a test of the stated errors.
 
-Single stars, so that only the centroid is tested. Printed are the robust scatter per axis in pixels for faint, middling
-and bright stars, the time from pixels, and for `sameas` the scatter of (centroid − truth) over the stated error, 1 if
-the stated errors are right. sep states errors for its barycentres only.
+Single stars, so that only the centroid is tested. The table has the robust scatter per axis in pixels for faint,
+medium and bright stars, the time from pixels, and the scatter of (centroid − truth) over the stated error, 1 if the
+stated errors are right. sep states errors for its barycentres only.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from sameas.simulate.frames import Camera, Gaussian, Moffat, Profile, SimulatedF
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.measurements import Detection
 
-Found = tuple[np.ndarray, np.ndarray | None]
+#: Positions (n, 2) in pixels, and their errors (n, 2) if stated.
+Centroids = tuple[np.ndarray, np.ndarray | None]
 BINS = ((5, 15), (15, 100), (100, 1e6))
 COLUMNS = ("frame", "by", "found %", "S/N 5–15, px", "15–100, px", "above 100, px", "scatter / stated error", "time, s")
 
@@ -34,70 +35,70 @@ def frames(size: int) -> list[tuple[str, SimulatedFrame]]:
         ("Moffat 3 px, trailed 12 px", Moffat(3.0), Trail(12.0, 30.0)),
     ]
     rng = np.random.default_rng(11)
-    made = []
+    simulated = []
     for name, psf, trail in cases:
         x, y = (axis.ravel() for axis in np.meshgrid(np.arange(24, size - 24, 48.0), np.arange(24, size - 24, 48.0)))
         x, y = x + rng.uniform(-3, 3, x.size), y + rng.uniform(-3, 3, x.size)
         flux = 10 ** rng.uniform(2.6, 5.2, x.size)
         camera = Camera(shape=(size, size), saturation_e=1e9)
-        made.append((name, frame_of(rng, x_px=x, y_px=y, flux_e=flux, camera=camera, psf=psf, trail=trail)))
-    return made
+        simulated.append((name, frame_of(rng, x_px=x, y_px=y, flux_e=flux, camera=camera, psf=psf, trail=trail)))
+    return simulated
 
 
-def ours(seen: SimulatedFrame) -> Found:
-    """Windowed centroids with their covariance."""
-    found = detect(seen.frame, Detection(defects=False))
-    return np.column_stack([found.x_px, found.y_px]), found.sigma_px()
+def sameas_windowed(simulated: SimulatedFrame) -> Centroids:
+    """sameas: windowed centroids with their errors."""
+    measured = detect(simulated.frame, Detection(defects=False))
+    return np.column_stack([measured.x_px, measured.y_px]), measured.sigma_px()
 
 
-def sep_windowed(seen: SimulatedFrame) -> Found:
+def sep_windowed(simulated: SimulatedFrame) -> Centroids:
     """sep: extraction, then winpos with the window of each object's half-light radius, as SExtractor does."""
     import sep
 
-    sky = sep.Background(seen.frame.image)
-    light = seen.frame.image - sky.back()
+    sky = sep.Background(simulated.frame.image)
+    light = simulated.frame.image - sky.back()
     rows = sep.extract(light, 1.5, err=sky.globalrms)
     radius, _ = sep.flux_radius(light, rows["x"], rows["y"], 6.0 * rows["a"], 0.5, subpix=5)
     x, y, _ = sep.winpos(light, rows["x"], rows["y"], 2.0 / 2.35 * radius)
     return np.column_stack([x, y]), None
 
 
-def sep_barycentre(seen: SimulatedFrame) -> Found:
+def sep_barycentre(simulated: SimulatedFrame) -> Centroids:
     """sep: the barycentre of the pixels above the threshold, with the errors it states."""
     import sep
 
-    sky = sep.Background(seen.frame.image)
-    gain = seen.frame.facts.gain_e_per_adu
-    rows = sep.extract(seen.frame.image - sky.back(), 1.5, err=sky.globalrms, gain=gain)
+    sky = sep.Background(simulated.frame.image)
+    gain = simulated.frame.facts.gain_e_per_adu
+    rows = sep.extract(simulated.frame.image - sky.back(), 1.5, err=sky.globalrms, gain=gain)
     return np.column_stack([rows["x"], rows["y"]]), np.sqrt(np.column_stack([rows["errx2"], rows["erry2"]]))
 
 
-def photutils_windowed(seen: SimulatedFrame) -> Found:
+def photutils_windowed(simulated: SimulatedFrame) -> Centroids:
     """photutils: segmentation of the smoothed frame and the catalogue's windowed centroids."""
     from astropy.convolution import convolve
     from photutils.background import Background2D
     from photutils.segmentation import SourceCatalog, detect_sources, make_2dgaussian_kernel
 
-    sky = Background2D(seen.frame.image, 64)
-    light = seen.frame.image - sky.background
+    sky = Background2D(simulated.frame.image, 64)
+    light = simulated.frame.image - sky.background
     smooth = convolve(light, make_2dgaussian_kernel(3.0, size=5))
     segments = detect_sources(smooth, 1.0 * sky.background_rms, 5)
     return np.asarray(SourceCatalog(light, segments, convolved_data=smooth).centroid_win), None
 
 
-def photutils_stars(seen: SimulatedFrame) -> Found:
+def photutils_stars(simulated: SimulatedFrame) -> Centroids:
     """photutils: DAOStarFinder, given the true width."""
     from photutils.background import Background2D
     from photutils.detection import DAOStarFinder
 
-    sky = Background2D(seen.frame.image, 64)
-    rows = DAOStarFinder(3.0 * sky.background_rms_median, 3.0)(seen.frame.image - sky.background)
+    sky = Background2D(simulated.frame.image, 64)
+    rows = DAOStarFinder(3.0 * sky.background_rms_median, 3.0)(simulated.frame.image - sky.background)
     x, y = ("x_centroid", "y_centroid") if "x_centroid" in rows.colnames else ("xcentroid", "ycentroid")
     return np.column_stack([rows[x], rows[y]]), None
 
 
-WAYS: dict[str, Callable[[SimulatedFrame], Found]] = {
-    "sameas": ours,
+METHODS: dict[str, Callable[[SimulatedFrame], Centroids]] = {
+    "sameas": sameas_windowed,
     "sep winpos": sep_windowed,
     "sep barycentre": sep_barycentre,
     "photutils centroid_win": photutils_windowed,
@@ -105,31 +106,31 @@ WAYS: dict[str, Callable[[SimulatedFrame], Found]] = {
 }
 
 
-def judged(name: str, seen: SimulatedFrame, way: str) -> list[object]:
+def row(name: str, simulated: SimulatedFrame, method: str) -> list[object]:
     """One row of the table."""
     from scipy.spatial import cKDTree
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            WAYS[way](seen)
+            METHODS[method](simulated)
             start = time.perf_counter()
-            xy, sigma = WAYS[way](seen)
-            taken = time.perf_counter() - start
+            xy, sigma = METHODS[method](simulated)
+            seconds = time.perf_counter() - start
     except ImportError as error:
-        return [name, way, f"not installed: {error.name}", None, None, None, None, None]
-    truth = np.column_stack([seen.truth.x_px, seen.truth.y_px])
+        return [name, method, f"not installed: {error.name}", None, None, None, None, None]
+    truth = np.column_stack([simulated.truth.x_px, simulated.truth.y_px])
     finite = np.isfinite(xy).all(axis=1)
     xy, sigma = xy[finite], None if sigma is None else sigma[finite]
-    apart, row = cKDTree(xy).query(truth, distance_upper_bound=3.0)
-    hit = np.isfinite(apart)
-    error = xy[row[hit]] - truth[hit]
-    # The scale of faint and bright is that of our matched filter for all of them.
+    distance, nearest = cKDTree(xy).query(truth, distance_upper_bound=3.0)
+    hit = np.isfinite(distance)
+    error = xy[nearest[hit]] - truth[hit]
+    # S/N of a matched filter, the same for all methods.
     camera_noise = np.sqrt(136.0 * 4 * np.pi * (3.0 / 2.355) ** 2)
-    snr = seen.truth.flux_e[hit] / np.sqrt(camera_noise**2 + seen.truth.flux_e[hit])
+    snr = simulated.truth.flux_e[hit] / np.sqrt(camera_noise**2 + simulated.truth.flux_e[hit])
     scatter = [_robust(error[(snr >= low) & (snr < high)]) for low, high in BINS]
-    chi = None if sigma is None else _robust(error / sigma[row[hit]])
-    return [name, way, 100 * float(hit.mean()), *scatter, chi, taken]
+    chi = None if sigma is None else _robust(error / sigma[nearest[hit]])
+    return [name, method, 100 * float(hit.mean()), *scatter, chi, seconds]
 
 
 def _robust(values: np.ndarray) -> float | None:
@@ -137,11 +138,11 @@ def _robust(values: np.ndarray) -> float | None:
 
 
 def main() -> None:
-    """Prints the table and keeps it."""
+    """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--size", type=int, default=2048, help="rows and columns of the frames")
     options = parser.parse_args()
-    rows = [judged(name, seen, way) for name, seen in frames(options.size) for way in WAYS]
+    rows = [row(name, simulated, method) for name, simulated in frames(options.size) for method in METHODS]
     report("centroids", [Table("Centroids of single stars", COLUMNS, rows)])
 
 

@@ -1,6 +1,6 @@
-"""The paper's generalized Gaussian against the exact close-objects rule, and what a correlation does to the latter.
+"""The paper's generalized Gaussian compared with the exact close-objects rule, and the effect of a correlation on it.
 
-``python -m benchmarks.close_objects`` prints both tables.
+``python -m benchmarks.close_objects`` prints both tables, and the time of each form.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _heading(first: str, what: str) -> list[str]:
 
 
 def approximation_table() -> list[str]:
-    """Error of ln λ for residuals along one feature, a = 1.1 σ and b = 2 d σ; a dash where it means nothing."""
+    """Error of ln λ for residuals along one feature, a = 1.1 σ and b = 2 d σ; a dash where it is undefined."""
     delta = np.stack([PLACES, np.zeros(len(PLACES))], axis=1)
     lines = _heading("b", "Δ =")
     for d in SPACINGS:

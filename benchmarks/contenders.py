@@ -1,7 +1,7 @@
 """Other methods to identify the records of an instant, for comparison in ``picture``.
 
-All match source after source with the objects found before; an object has the position of its first record. They get
-our states, brought to one time. What remains unmatched starts an object.
+Each method matches source after source with the existing objects; an object has the position of its first record. The
+methods get the states of `sameas`, moved to one time. Unmatched records start objects.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def _source_by_source(pairing: Pairing) -> Callable[[Instant], list[np.ndarray]]
             sensor = feed.sensor_at(now.instant_s)
             range_m = np.hypot(*(new.features - (0.0 if sensor is None else sensor)).T)
             if len(positions) and len(new):
-                known = Records.of(positions, covariance=covariances, source="objects")
-                i, j = pairing(known, new, range_m)
+                objects = Records.of(positions, covariance=covariances, source="objects")
+                i, j = pairing(objects, new, range_m)
                 number[j] = i
             unmatched = np.flatnonzero(number < 0)
             number[unmatched] = len(positions) + np.arange(len(unmatched))
@@ -59,37 +59,37 @@ def _source_by_source(pairing: Pairing) -> Callable[[Instant], list[np.ndarray]]
     return method
 
 
-def nearest_one(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def nearest_one(objects: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every new record to the object nearest in Mahalanobis distance, within 3σ."""
-    pairs = THREE_SIGMA(known, new)
+    pairs = THREE_SIGMA(objects, new)
     chosen = nearest(pairs, source=2)
     return pairs.i[chosen], pairs.j[chosen]
 
 
-def most(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def most(objects: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The largest number of pairs within 3σ, with the least sum of squares."""
-    pairs = THREE_SIGMA(known, new)
+    pairs = THREE_SIGMA(objects, new)
     chosen = most_pairs(pairs, groups(pairs))
     return pairs.i[chosen], pairs.j[chosen]
 
 
-def compass(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compass(objects: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every new record to the nearest object within 1852 m, record by record, as COMPASS does without identities."""
-    return _within(known, new, np.full(len(new), COMPASS_M))
+    return _within(objects, new, np.full(len(new), COMPASS_M))
 
 
-def radar_pi(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def radar_pi(objects: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Every new record to the nearest object within 50 m and 4 % of the range, as OpenCPN's radar_pi."""
-    return _within(known, new, 50.0 + 0.04 * range_m)
+    return _within(objects, new, 50.0 + 0.04 * range_m)
 
 
-def _within(known: Records, new: Records, reach_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    distance, at = cKDTree(known.features).query(new.features)
+def _within(objects: Records, new: Records, reach_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    distance, at = cKDTree(objects.features).query(new.features)
     near = np.flatnonzero(distance <= reach_m)
     return at[near], near
 
 
-def stone_soup(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def stone_soup(objects: Records, new: Records, range_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Stone Soup's OneToOneTrackAssociator, every state a track of one time, threshold three sigma.
 
     Its Mahalanobis measure uses the covariance of the first side only: new records are first, each with the median
@@ -104,15 +104,15 @@ def stone_soup(known: Records, new: Records, range_m: np.ndarray) -> tuple[np.nd
     when = datetime(2026, 1, 1)
     measure = MeanMeasure(StateSequenceMeasure(Mahalanobis()))
     associator = OneToOneTrackAssociator(measure=measure, association_threshold=3.0)
-    other = np.median(known.full_covariance(), axis=0)
+    other = np.median(objects.full_covariance(), axis=0)
     sides = [
         [Track([GaussianState(x[:, None], p, when)]) for x, p in zip(records.features, covariances, strict=True)]
-        for records, covariances in ((new, new.full_covariance() + other), (known, known.full_covariance()))
+        for records, covariances in ((new, new.full_covariance() + other), (objects, objects.full_covariance()))
     ]
     place = {id(track): (side, k) for side, tracks in enumerate(sides) for k, track in enumerate(tracks)}
     rows = []
     for association in associator.associate_tracks(set(sides[0]), set(sides[1])).associations:
         (_, j), (_, i) = sorted(place[id(track)] for track in association.objects)
         rows.append((i, j))
-    found = np.array(rows, np.int64).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+    pairs = np.array(rows, np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]

@@ -23,10 +23,11 @@ from sameas.kernels import compiled
 from sameas.registration import Shift, register
 from sameas.simulate.exposures import Sky, exposure
 
-ASKED = 5.0
-#: Calls of one line are begun for no longer than this.
-LONGEST_S = 8.0
-#: Registration is tried at this density of targets, per σ², with these shifts, σ.
+#: Target: largest ratio of the times.
+MAX_RATIO = 5.0
+#: Time after which no further call of a line starts.
+MAX_S = 8.0
+#: Density of targets per σ², and shifts in σ, of the scenes of registration.
 DENSITY, SHIFTS_SIGMAS = 0.01, (0.0, 4.0, 30.0)
 
 Brightness = tuple[Magnitudes, Magnitudes]
@@ -34,7 +35,7 @@ Brightness = tuple[Magnitudes, Magnitudes]
 
 @dataclass(frozen=True)
 class Task:
-    """Two sources, the rule with the parameters that made them, and magnitudes in two bands where they have any."""
+    """Two sources, the rule with the true parameters, and magnitudes in two bands if they have any."""
 
     name: str
     first: Records
@@ -44,12 +45,13 @@ class Task:
 
 
 def tasks(options: argparse.Namespace) -> Iterator[Task]:
-    """What the cost is measured on."""
+    """The scenes on which the cost is measured."""
     skies = [(f"crowded frame of {side:g}°", Sky(), side) for side in options.sides]
     skies += [(f"sparse frame of {side:g}°", Sky(stars_per_deg2=5000.0), side) for side in (0.4, 1.0)]
     for name, sky, side in skies:
-        made = exposure(np.random.default_rng(83), sky, side_deg=side)
-        yield Task(name, made.scene.first, made.scene.second, true_rule(made), made.brightness)
+        simulated = exposure(np.random.default_rng(83), sky, side_deg=side)
+        scene = simulated.scene
+        yield Task(name, scene.first, scene.second, true_rule(simulated), simulated.brightness)
     scene, densities = workload.frame(13)
     yield Task("frame, wide range of errors", scene.first, scene.second, densities.rule())
     for lam in options.lambdas:
@@ -58,24 +60,25 @@ def tasks(options: argparse.Namespace) -> Iterator[Task]:
 
 
 def seconds(runs: Sequence[Callable[[], Any]], times: int) -> list[float]:
-    """CPU of this thread that the cheapest of some calls of each takes, after one to warm up.
+    """CPU seconds of this thread of the cheapest call of each function, after one call to warm up.
 
-    They take turns, so that all meet the same machine; slow ones get fewer turns.
+    The functions are called in turns, so that the load of the machine is the same for all; slow ones are called less
+    often.
     """
     for run in runs:
         run()
-    taken: list[list[float]] = [[] for _ in runs]
-    end = time.monotonic() + LONGEST_S
-    while len(taken[0]) < 3 or (len(taken[0]) < times and time.monotonic() < end):
-        for run, these in zip(runs, taken, strict=True):
+    spent: list[list[float]] = [[] for _ in runs]
+    end = time.monotonic() + MAX_S
+    while len(spent[0]) < 3 or (len(spent[0]) < times and time.monotonic() < end):
+        for run, own in zip(runs, spent, strict=True):
             begin = time.thread_time()
             run()
-            these.append(time.thread_time() - begin)
-    return [min(these) for these in taken]
+            own.append(time.thread_time() - begin)
+    return [min(own) for own in spent]
 
 
 def rule_of(task: Task, estimate: Estimate) -> Rule:
-    """The rule of a task, with what magnitudes and the sizes of the errors say as it was learned."""
+    """The rule of a task, with the estimated evidence of magnitudes and of the sizes of the errors."""
     shares = np.full(len(task.first), estimate.share_1), np.full(len(task.second), estimate.share_2)
     brightness = estimate.photometry.rule(shares) if estimate.photometry is not None else None
     rule = task.rule if brightness is None else task.rule + replace(brightness, comparisons=None)
@@ -101,12 +104,12 @@ def measured(task: Task, times: int) -> Iterator[list[object]]:
             lambda: identify(task.first, task.second, rule=task.rule),
             lambda b=brightness: match(task.first, task.second, brightness=b),
         )
-        given, plain, all_of_it = seconds(runs, times)
-        (asked_all,) = seconds([lambda b=brightness: every_quantity(task, b)], 1)  # type: ignore[misc]
-        ratio = all_of_it / given
+        given, plain, estimated = seconds(runs, times)
+        (with_errors,) = seconds([lambda b=brightness: every_quantity(task, b)], 1)  # type: ignore[misc]
+        ratio = estimated / given
         yield [
-            task.name, len(task.first), len(task.second), kind, 1e3 * plain, 1e3 * given, 1e3 * all_of_it,
-            estimate.iterations, ratio, all_of_it / plain, "yes" if ratio <= ASKED else "no", 1e3 * asked_all,
+            task.name, len(task.first), len(task.second), kind, 1e3 * plain, 1e3 * given, 1e3 * estimated,
+            estimate.iterations, ratio, estimated / plain, "yes" if ratio <= MAX_RATIO else "no", 1e3 * with_errors,
         ]  # fmt: skip
 
 
@@ -115,7 +118,7 @@ def estimation(options: argparse.Namespace) -> Table:
     lines = [line for task in tasks(options) for line in measured(task, options.times)]
     columns = (
         "scene", "rows 1", "rows 2", "evidence", "positions given, ms", "all given, ms", "all estimated, ms",
-        "iterations", "ratio", "× positions given", f"at most {ASKED:g}", "and every standard error, ms",
+        "iterations", "ratio", "× positions given", f"at most {MAX_RATIO:g}", "and every standard error, ms",
     )  # fmt: skip
     notes = (
         "ratio: all estimated over one identification with the same evidence, its parameters given",
@@ -126,24 +129,24 @@ def estimation(options: argparse.Namespace) -> Table:
 
 
 def registration(options: argparse.Namespace) -> Table:
-    """The search for a shift, against the same identification at every shift that there could be."""
+    """Cost of the search for a shift, relative to one match without an offset."""
     lines = []
     for n in options.targets:
-        made = drawn(7, 0.1, DENSITY, n)
+        scene = drawn(7, 0.1, DENSITY, n)
         for shift in SHIFTS_SIGMAS:
-            moved = put(made.second, made.second.features - [shift, 0.0])
+            moved = put(scene.second, scene.second.features - [shift, 0.0])
             runs = (
-                lambda m=made: _matched(m.first, m.second),
-                lambda m=made, s=moved: register(m.first, s, Shift()),
+                lambda m=scene: _matched(m.first, m.second),
+                lambda m=scene, s=moved: register(m.first, s, Shift()),
             )
-            once, found = seconds(runs, options.times)
-            span = np.ptp(made.first.features, axis=0) + np.ptp(moved.features, axis=0)
-            within = "yes" if found / once <= ASKED else "no"
-            lines.append([n, shift, 1e3 * once, 1e3 * found, found / once, within, float(np.prod(span))])
+            once, search = seconds(runs, options.times)
+            span = np.ptp(scene.first.features, axis=0) + np.ptp(moved.features, axis=0)
+            within = "yes" if search / once <= MAX_RATIO else "no"
+            lines.append([n, shift, 1e3 * once, 1e3 * search, search / once, within, float(np.prod(span))])
     columns = (
-        "targets", "shift σ", "match without offset, ms", "register, ms", "ratio", f"at most {ASKED:g}", "shifts, σ²",
+        "targets", "shift σ", "match without offset, ms", "register, ms", "ratio", f"at most {MAX_RATIO:g}", "shifts",
     )  # fmt: skip
-    notes = ("'shifts' are those, 1σ apart, that bring any two records together: the search looks at them all",)
+    notes = ("shifts: number of shifts, 1σ apart, that bring any two records together; the search covers all of them",)
     return Table("Cost of registration", columns, lines, notes)
 
 
@@ -154,11 +157,11 @@ def _matched(first: Records, second: Records) -> Identification:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench cost", description=__doc__)
-    parser.add_argument("--sides", type=float, nargs="+", default=[0.1, 0.2, 0.6], help="of crowded frames, degrees")
-    parser.add_argument("--rows", type=int, default=20_000, help="of the catalogues (default 20000)")
+    parser.add_argument("--sides", type=float, nargs="+", default=[0.1, 0.2, 0.6], help="sides of frames, degrees")
+    parser.add_argument("--rows", type=int, default=20_000, help="rows of the catalogues (default 20000)")
     parser.add_argument("--lambdas", type=float, nargs="+", default=[0.05, 0.5, 2.0])
-    parser.add_argument("--targets", type=int, nargs="+", default=[40, 400, 4000], help="of registration")
-    parser.add_argument("--times", type=int, default=60, help="runs of each at most; the cheapest counts (default 60)")
+    parser.add_argument("--targets", type=int, nargs="+", default=[40, 400, 4000], help="targets, for registration")
+    parser.add_argument("--times", type=int, default=60, help="most runs of each; the cheapest counts (default 60)")
     options = parser.parse_args()
     # Loops on other threads would not be counted.
     os.environ["SAMEAS_THREADS"] = "1"

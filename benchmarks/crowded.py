@@ -28,7 +28,7 @@ SHIFT_PX, KEPT = 0.3, 0.7
 
 
 def truth(first: Measurements, second: Measurements) -> np.ndarray:
-    """(n₁,) the row of the second list that is the same star, −1 for none: each other's nearest within half a width."""
+    """(n₁,) row of the same star in the second list, −1 for none: mutual nearest within half a width."""
     one, two = (np.column_stack([m.x_px, m.y_px]) for m in (first, second))
     off, near = cKDTree(two).query(one)
     back = cKDTree(one).query(two)[1]
@@ -36,20 +36,20 @@ def truth(first: Measurements, second: Measurements) -> np.ndarray:
 
 
 def compared(words: str, first: Measurements, second: Measurements, same: np.ndarray) -> list[str]:
-    """Lines to print of one identification; ``same`` is its truth."""
+    """Lines to print about one match; ``same`` is its truth."""
     began = time.perf_counter()
     result, estimate = match(first.records(), second.records())
     seconds = time.perf_counter() - began
-    found = result.matches
-    right = same[found.rows_1] == found.rows_2
-    twice = len(found) - len(np.unique(found.rows_2))
+    matches = result.matches
+    right = same[matches.rows_1] == matches.rows_2
+    twice = len(matches) - len(np.unique(matches.rows_2))
     p = result.p_pair
     true = same[result.rows_1] == result.rows_2
     bins = np.clip((p * 10).astype(int), 0, 9)
     error = sum(abs(p[bins == k].mean() - true[bins == k].mean()) * np.sum(bins == k) for k in np.unique(bins)) / len(p)
     return [
         words,
-        f"  identified      {len(found)} of {len(first)} and {len(second)}, claimed twice {twice}, {seconds:.2f} s",
+        f"  identified      {len(matches)} of {len(first)} and {len(second)}, claimed twice {twice}, {seconds:.2f} s",
         f"  wrong           {np.sum(~right)} ({np.mean(~right):.2%}), expected {result.expected_wrong:.1f}; "
         f"true pairs found {np.sum(right) / max(np.sum(same >= 0), 1):.2%}",
         f"  calibration     error of probabilities {error:.4f}, typical error {estimate.typical_scale:.2f} × quoted",
@@ -66,11 +66,11 @@ def main(path: Path) -> None:
     thin = second[kept]
     same = truth(first, thin)
     moved = replace(thin, x_px=thin.x_px + SHIFT_PX)
-    print("\n".join(compared(f"Displaced by {SHIFT_PX} px, {1 - KEPT:.0%} left out", first, moved, same)))
+    print("\n".join(compared(f"Displaced by {SHIFT_PX} px, {1 - KEPT:.0%} omitted", first, moved, same)))
 
 
 if __name__ == "__main__":
     given = Path(sys.argv[1]) if len(sys.argv) > 1 else FRAME
     if not given.is_file():
-        sys.exit(f"{given} is not here; apt install python-drizzle-testdata, or give the frame")
+        sys.exit(f"{given} does not exist; apt install python-drizzle-testdata, or give the frame")
     main(given)

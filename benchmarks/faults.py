@@ -489,15 +489,15 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
         (folder / name).mkdir()
         return folder / name / "out"
 
-    made = [Work(f"match {e}", ("match", a, b), ("match", b, a), output(f"m{e[1:]}").with_suffix(e)) for e in endings]
+    jobs = [Work(f"match {e}", ("match", a, b), ("match", b, a), output(f"m{e[1:]}").with_suffix(e)) for e in endings]
     for e in endings:
         many = output(f"n{e[1:]}").with_suffix(e)
-        made.append(Work(f"many {e}", ("many", a, b, c), ("many", c, b, a), many))
+        jobs.append(Work(f"many {e}", ("many", a, b, c), ("many", c, b, a), many))
     arguments = ("frame", image, "--catalog", stars, "--no-picture", "--again")
-    made.append(Work("frame", arguments, (*arguments, "--threshold", "6"), output("frame")))
+    jobs.append(Work("frame", arguments, (*arguments, "--threshold", "6"), output("frame")))
     for ending in (".csv", ".fits"):
         arguments = ("movers", str(night(folder)), "--sigma", "0.2", "--least")
-        made.append(
+        jobs.append(
             Work(f"movers {ending}", (*arguments, "3"), (*arguments, "2"), output(f"v{ending[1:]}").with_suffix(ending))
         )
     many = str(nights(folder, Path(image)))
@@ -507,17 +507,17 @@ def works(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Work]:
         starts = n == "2"
         arguments = ("frame", many, *options, n, "--no-picture")
         earlier, series = (*arguments, "--threshold", "6"), output(f"series{n}")
-        made.append(Work(f"series of frames{name}", arguments, earlier, series, True, starts_others=starts))
+        jobs.append(Work(f"series of frames{name}", arguments, earlier, series, True, starts_others=starts))
         earlier, arguments = ("movers", *frames[:2], *options, n), ("movers", *frames, *options, n)
         folder_of_movers = output(f"moved{n}")
-        made.append(Work(f"movers on frames{name}", arguments, earlier, folder_of_movers, True, starts_others=starts))
+        jobs.append(Work(f"movers on frames{name}", arguments, earlier, folder_of_movers, True, starts_others=starts))
         arguments = ("match", *parts, "--sigma", "0.1", "--workers", n)
-        made.append(Hats(f"match, partitions{name}", arguments, arguments, output(f"hats{n}"), starts_others=starts))
+        jobs.append(Hats(f"match, partitions{name}", arguments, arguments, output(f"hats{n}"), starts_others=starts))
     arguments = ("watch", *sensors(folder), "--no-map", "--pace", "60", "--every", "1s")
-    made.append(Watch("watch", arguments, arguments, output("watch")))
+    jobs.append(Watch("watch", arguments, arguments, output("watch")))
     arguments = ("picture", *sensors(folder), "--no-image", "--every")
-    made.append(Work("picture", (*arguments, "20s"), (*arguments, "30s"), output("picture")))
-    return made
+    jobs.append(Work("picture", (*arguments, "20s"), (*arguments, "30s"), output("picture")))
+    return jobs
 
 
 def signalled(
@@ -553,7 +553,7 @@ def signalled(
         answer_s = time.monotonic() - sent
         count.slowest_s = max(count.slowest_s, answer_s)
         drafts = work.drafts()
-        count.faults += [f"{work.name}, {number.name}: a process stayed: {line}" for line in runner.orphans()]
+        count.faults += [f"{work.name}, {number.name}: a process still runs: {line}" for line in runner.orphans()]
         now = work.files()
         count.runs += 1
         verdict = work.verdict(now, old, new, number)
@@ -569,14 +569,14 @@ def signalled(
         if answer_s > 1.5:
             count.faults.append(f"{work.name}, {number.name}: answered after {answer_s:.1f} s")
         if number != signal.SIGKILL and (drafts or work.drafts()):
-            count.faults.append(f"{work.name}, {number.name}: a draft stayed")
+            count.faults.append(f"{work.name}, {number.name}: a draft remains")
             for draft in work.drafts():
                 _remove(draft)
     code, stderr = work.undisturbed(runner)
     if code or (work.files() != new):
         count.faults.append(f"{work.name}, {number.name}: the next run does not complete it: {code}: {stderr[-200:]}")
     if work.drafts():
-        count.faults.append(f"{work.name}, {number.name}: a draft stayed after the next run")
+        count.faults.append(f"{work.name}, {number.name}: a draft remains after the next run")
     return count
 
 
@@ -590,13 +590,13 @@ def _ended(process: int) -> bool:
 
 def _members(session: int) -> list[int]:
     """The processes of a session that have not ended."""
-    found = []
-    for place in Path("/proc").glob("[0-9]*"):
+    members = []
+    for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
-            state, _, _, number = (place / "stat").read_text().rpartition(")")[2].split()[:4]
+            state, _, _, number = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
             if int(number) == session and state != "Z":
-                found.append(int(place.name))
-    return found
+                members.append(int(folder.name))
+    return members
 
 
 def _cpu_seconds(processes: Sequence[int]) -> float:
@@ -749,10 +749,10 @@ def main() -> None:
     given = parser.parse_args()
     rng = random.Random(given.seed)
     os.environ["SOURCE_DATE_EPOCH"] = "1700000000"  # so that runs at different times write the same bytes
-    made = [] if given.only == "loads" else output_tables(given.only, given.moments, not given.signals_only, rng)
-    made += tables(given.load, rng) if given.only in ("", "loads") else ()
-    report("faults", made)
-    sys.exit(any(table.notes for table in made))
+    reports = [] if given.only == "loads" else output_tables(given.only, given.moments, not given.signals_only, rng)
+    reports += tables(given.load, rng) if given.only in ("", "loads") else ()
+    report("faults", reports)
+    sys.exit(any(table.notes for table in reports))
 
 
 def output_tables(only: str, moments: int, disks: bool, rng: random.Random) -> list[Table]:
@@ -770,15 +770,15 @@ def output_tables(only: str, moments: int, disks: bool, rng: random.Random) -> l
                 counts.setdefault(work.kind, Count()).include(result)
             runner.close()
     titles = {kind: kind if len(its) == 1 else f"{kind}, {len(its)} formats" for kind, its in suffixes.items()}
-    made = []
+    reports = []
     for title, counts in (("Outputs after a signal", hits), ("Outputs that cannot be written", refusals)):
         sums = Count()
         for count in counts.values():
             sums.include(replace(count, faults=list(count.faults)))
         rows = [*(count.row(titles[kind]) for kind, count in counts.items()), sums.row("all")]
         columns = ("command", "runs", "old output", "new output", "files of both", "slowest answer, s", "faults")
-        made.append(Table(title, columns, rows, sums.faults))
-    return made if disks else made[:1]
+        reports.append(Table(title, columns, rows, sums.faults))
+    return reports if disks else reports[:1]
 
 
 if __name__ == "__main__":

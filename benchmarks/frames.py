@@ -27,7 +27,7 @@ Pairs = tuple[np.ndarray, np.ndarray]
 Change = Callable[[np.random.Generator, SimulatedScene], SimulatedScene]
 HOME = Path(__file__).parent.parent
 TRUE, ESTIMATED, ONE_BAND, TWO_BANDS = (
-    "sameas, true parameters", "sameas, positions alone", "sameas, with one band", "sameas, with two bands",
+    "sameas, true parameters", "sameas, positions only", "sameas, with one band", "sameas, with two bands",
 )  # fmt: skip
 
 
@@ -37,7 +37,7 @@ class Tally:
 
     frames: list[tuple[int, int, int, int]] = field(default_factory=list)
     stated: list[np.ndarray] = field(default_factory=list)
-    happened: list[np.ndarray] = field(default_factory=list)
+    is_true: list[np.ndarray] = field(default_factory=list)
     expected: float = 0.0
 
     def add(self, claimed: Pairs, scene: SimulatedScene) -> None:
@@ -51,7 +51,7 @@ class Tally:
         """The same for an answer with probabilities."""
         self.add((answer.matches.rows_1, answer.matches.rows_2), scene)
         self.stated.append(answer.p_pair)
-        self.happened.append(is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs()))
+        self.is_true.append(is_true_pair((answer.rows_1, answer.rows_2), scene.true_pairs()))
         self.expected += answer.expected_wrong
 
     def line(self) -> list[object]:
@@ -65,7 +65,7 @@ class Tally:
         cells.append(int(total[3]))
         if not self.stated:
             return [*cells, None, None, None]
-        score = score_probabilities(np.concatenate(self.stated), np.concatenate(self.happened))
+        score = score_probabilities(np.concatenate(self.stated), np.concatenate(self.is_true))
         return [*cells, self.expected, score.expected_calibration_error, score.brier]
 
 
@@ -108,14 +108,14 @@ def contest(options: argparse.Namespace) -> Table:
             converged &= estimate is None or estimate.converged
     lines = [[name, *tally.line()] for name, tally in tallies.items()]
     wrong = {name: sum(f[1] for f in tally.frames) for name, tally in tallies.items()}
-    known, alone, two = wrong[TRUE], wrong[ESTIMATED], wrong[TWO_BANDS]
+    with_truth, positions, two = wrong[TRUE], wrong[ESTIMATED], wrong[TWO_BANDS]
     columns = (
         "by", "claimed", "wrong", "±", "frame records decided wrongly", "±", "claimed twice", "expected wrong", "ECE",
         "Brier",
     )  # fmt: skip
     notes = (
-        f"all estimated: {alone / known - 1:+.1%} wrong pairs relative to the true parameters (target: within 5 %)",
-        f"with magnitudes {two / alone:.1%} of the wrong pairs without (target: at most 60 %)",
+        f"all estimated: {positions / with_truth - 1:+.1%} wrong pairs against true parameters (target: within 5 %)",
+        f"with magnitudes {two / positions:.1%} of the wrong pairs without (target: at most 60 %)",
         f"all estimates converged: {converged}; ± from frame to frame; NWAY is given area and completeness",
         *(f"{name}: missing" for name in sorted(missing)),
     )
@@ -124,7 +124,7 @@ def contest(options: argparse.Namespace) -> Table:
 
 
 def ours(made: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]]:
-    """Our answers and estimates."""
+    """Results and estimates of `sameas`."""
     first, second = made.scene.first, made.scene.second
     yield TRUE, identify(first, second, rule=true_rule(made)), None
     yield ESTIMATED, *match(first, second)
@@ -136,8 +136,8 @@ def others(made: Exposure, options: argparse.Namespace, missing: set[str]) -> It
     """The pairs of the other methods."""
     yield "nearest within 3σ", accuracy.nearest(made.scene)
     yield "mutual nearest within 3σ", accuracy.mutual(made.scene)
-    known = true_rule(made)
-    densities = workload.Densities(*(float(x) for x in (known.common, known.only_1, known.only_2)))  # type: ignore[arg-type]
+    rule = true_rule(made)
+    densities = workload.Densities(*(float(x) for x in (rule.common, rule.only_1, rule.only_2)))  # type: ignore[arg-type]
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
         arrays = workload.Arrays.load(workload.save(Path(name) / "scene", made.scene, densities))
         if peers.PEERS["stilts"].version(sys.executable):
@@ -160,10 +160,10 @@ def nway(
     return None if found is None else (found[0], found[1])
 
 
-# ---- errors that are not what is said of them ----
+# ---- errors that are not as quoted ----
 
 
-def spoiled(options: argparse.Namespace) -> Table:
+def misquoted_errors(options: argparse.Namespace) -> Table:
     """Errors quoted 1.7 times too small; 2 % of the records displaced by 10 σ."""
     changes: dict[str, Change | None] = {
         "as quoted": None,
@@ -187,7 +187,7 @@ def spoiled(options: argparse.Namespace) -> Table:
 
 
 def real(options: argparse.Namespace) -> Iterator[Table]:
-    """NGC 188 and Hipparcos × Gaia: completeness by magnitude, zero points, and how much each term decides."""
+    """NGC 188 and Hipparcos × Gaia: completeness by magnitude, zero points, and sizes of the terms of the evidence."""
     for title, found in real_matches():
         e = found.estimate
         lines = [[name, q.value, q.standard_error, q.unit] for name, q in e.quantities.items()]
@@ -207,7 +207,7 @@ def real(options: argparse.Namespace) -> Iterator[Table]:
 
 
 def real_matches() -> Iterator[tuple[str, Any]]:
-    """What is there of the real data."""
+    """Title and match of the real data that are installed."""
     from benchmarks import real as ngc188
 
     reason = ngc188.missing()
@@ -245,7 +245,7 @@ def alone(section: Callable[[argparse.Namespace], Table]) -> Callable[[argparse.
 
 
 SECTIONS: dict[str, Callable[[argparse.Namespace], Iterator[Table]]] = {
-    "contest": alone(contest), "spoiled": alone(spoiled), "recovered": recovered, "real": real,
+    "contest": alone(contest), "spoiled": alone(misquoted_errors), "recovered": recovered, "real": real,
 }  # fmt: skip
 
 
@@ -263,7 +263,7 @@ def main() -> None:
     parser.add_argument(
         "--trials", type=int, default=200, help="frames of each kind for the standard errors (default 200)"
     )
-    parser.add_argument("--trial-side", type=float, default=0.12, help="side of the crowded, degrees (default 0.12)")
+    parser.add_argument("--trial-side", type=float, default=0.12, help="side of crowded ones, degrees (default 0.12)")
     parser.add_argument("--peer-python", action="append", default=[], help="NAME=PYTHON, where a peer is installed")
     parser.add_argument("--only", nargs="+", default=[*SECTIONS], choices=[*SECTIONS])
     options = parser.parse_args()

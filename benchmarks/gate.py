@@ -23,14 +23,14 @@ from sameas.simulate.scenes import grid, line, poisson_field
 WIDEST = 10.0
 COLUMNS = ("gate", "candidates", "largest |Δp|", "99.9 % |Δp|", "mean |Δp|", "% local", "time, ms")
 NOTES = (
-    f"Δp against the gate of {WIDEST:g}σ; % local: candidates in groups that had to be approximated, whose Δp is not "
-    "the gate's alone",
+    f"Δp against the gate of {WIDEST:g}σ; % local: candidates in approximated groups, whose Δp is only partly due to "
+    "the gate",
 )
 
 
 @dataclass(frozen=True)
 class Case:
-    """Scenes, and what is believed of them. rules : one per scene."""
+    """Scenes with their rules, one per scene, and a prior."""
 
     name: str
     scenes: list[Any]
@@ -78,7 +78,7 @@ def _both(name: str, scenes: list[Any], rule: Any, q1: float, q2: float) -> Iter
 
 
 def gated(case: Case, gate: Any) -> tuple[list[Identification], float]:
-    """The answers behind a gate, and how long they took; the median of three rounds."""
+    """The results with a gate, and their time in seconds, the median of three runs."""
     seconds = []
     for _ in range(3):
         begin = time.perf_counter()
@@ -91,7 +91,7 @@ def gated(case: Case, gate: Any) -> tuple[list[Identification], float]:
 
 
 def differences(answer: Identification, wide: Identification) -> np.ndarray:
-    """|p − p(widest gate)| of every candidate of the widest gate; what a gate cuts off has p = 0."""
+    """|p − p(widest gate)| of every candidate of the widest gate; a pair outside the gate has p = 0."""
     n2 = wide.second.n_table
     keys, reference = (a.rows_1 * n2 + a.rows_2 for a in (answer, wide))
     order = np.argsort(reference)
@@ -100,18 +100,18 @@ def differences(answer: Identification, wide: Identification) -> np.ndarray:
     return np.abs(p - wide.p_pair)
 
 
-def judged(case: Case, gates: list[float]) -> Table:
-    """One table: every gate."""
+def case_table(case: Case, gates: list[float]) -> Table:
+    """One row per gate."""
     wide, _ = gated(case, Radius(WIDEST))
     limit = math.sqrt(ChiSquare().limit(case.scenes[0].first.d))
     lines: list[list[object]] = []
     for sigmas in [*gates, WIDEST]:
         answers, seconds = gated(case, Radius(sigmas))
-        moved = np.concatenate([differences(a, w) for a, w in zip(answers, wide, strict=True)])
+        change = np.concatenate([differences(a, w) for a, w in zip(answers, wide, strict=True)])
         candidates = sum(len(a.pairs) for a in answers)
         local = sum(int(a.groups.pair_counts[a.posterior.method == APPROXIMATE].sum()) for a in answers)
         name = f"{sigmas:g}σ" + (" (default)" if abs(sigmas - limit) < 0.05 else "")
-        numbers = (moved.max(initial=0.0), float(np.quantile(moved, 0.999)), moved.mean())
+        numbers = (change.max(initial=0.0), float(np.quantile(change, 0.999)), change.mean())
         lines.append([name, candidates, *map(float, numbers), 100 * local / max(candidates, 1), 1e3 * seconds])
     return Table(f"Gate: {case.name}", COLUMNS, lines, NOTES)
 
@@ -119,9 +119,9 @@ def judged(case: Case, gates: list[float]) -> Table:
 def tables(options: argparse.Namespace) -> Iterator[Table]:
     """A table for every case."""
     for lam in options.lambdas:
-        yield judged(catalogue(options.rows, lam), options.gates)
+        yield case_table(catalogue(options.rows, lam), options.gates)
     for case in formations(options.scenes):
-        yield judged(case, options.gates)
+        yield case_table(case, options.gates)
 
 
 def main() -> None:
