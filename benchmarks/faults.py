@@ -476,7 +476,7 @@ def partitioned(folder: Path) -> tuple[str, str]:
     ra, dec = rng.uniform(40.0, 40.6, 3000), rng.uniform(10.0, 10.6, 3000)
     for name in ("one", "two"):
         moved = dec + rng.normal(0.0, 0.1 / 3600.0, 3000)
-        write_hats(Stars({"id": np.arange(3000), "ra": ra, "dec": moved}), folder / name, most_rows=400)
+        write_hats(Stars({"id": np.arange(3000), "ra": ra, "dec": moved}), folder / name, max_rows=400)
     return str(folder / "one"), str(folder / "two")
 
 

@@ -409,7 +409,7 @@ def columns(options: argparse.Namespace) -> Iterator[Table]:
             found = answer.matches
             ours.setdefault(name, ClaimScore()).add((found.rows_1, found.rows_2), found.p_match, made)
             if estimate.columns is not None:
-                without = [one.name for one in estimate.columns.findings if not one.tells]
+                without = [one.name for one in estimate.columns.findings if not one.used]
                 uninformative.setdefault(name, []).append(",".join(without) or "none")
         pairs = _counterparts_of_nway(made, options)
         if pairs is not None:

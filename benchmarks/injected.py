@@ -22,7 +22,7 @@ from sameas.simulate.frames import frame_of as simulated
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame
 from sameas.sky.movers.below_limit import search_below_limit
-from sameas.sky.movers.search import left_over, search
+from sameas.sky.movers.search import search, unexplained_detections
 from sameas.sky.movers.stack import chip_map, confirmed, stack, with_trails
 from sameas.sky.series import Exposure, Series, tie
 
@@ -246,7 +246,7 @@ def searched(
 ) -> tuple[list[np.ndarray], np.ndarray, list[np.ndarray], np.ndarray]:
     """Tracklets from a probability of 0.02 on, confirmed in the pixels where there are any, and (k,) p; and the same of
     what no frame shows by itself, to a rate. The places of those are on all frames."""
-    found, series = search(series, least_probability=0.02)
+    found, series = search(series, min_probability=0.02)
     if frames:
         found, _ = confirmed(found, stack(found, series, frames), 0.02)
     rows = [found.detections.rows[members[members >= 0]] for members in found.members]
@@ -255,7 +255,7 @@ def searched(
         # What is not believed does not take its light away.
         sure = found.only(found.p_tracklet >= 0.5)
         below = search_below_limit(
-            sure, series, [partial(_itself, frame) for frame in frames], fastest, least_probability=0.02
+            sure, series, [partial(_itself, frame) for frame in frames], fastest, min_probability=0.02
         )
         chip = [chip_map(series, n)(below.place[:, n]) for n in range(len(frames))]
         more = [np.array([[n, *chip[n][k]] for n in range(len(frames))]) for k in range(len(below))]
@@ -265,7 +265,7 @@ def searched(
 
 def by_heliolinx(python: Path, series: Series) -> list[np.ndarray]:
     """The tracklets that heliolinx makes of what is left over."""
-    seen = left_over(series)
+    seen = unexplained_detections(series)
     span = float(np.ptp(seen.mjd_utc))
     given = {
         "mjd": seen.frame_mjd[seen.frame].tolist(), "ra": seen.ra_deg.tolist(), "dec": seen.dec_deg.tolist(),

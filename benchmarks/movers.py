@@ -236,7 +236,7 @@ def tied_and_searched(frames: int, measurements: int) -> Callable[[], dict[str, 
         series = tie(exposures)
         between = time.process_time()
         found, left = search(series)
-        return {"n": len(series.frame), "left": int(left.left.sum()), "found": len(found), "tie": between - cpu,
+        return {"n": len(series.frame), "left": int(left.unexplained.sum()), "found": len(found), "tie": between - cpu,
                 "search": time.process_time() - between, "wall": time.perf_counter() - began}  # fmt: skip
 
     work.warm = False  # type: ignore[attr-defined]
@@ -320,7 +320,7 @@ def main() -> None:
                 offsets.append((f"2021-{number} {one.name}", off_arcsec(one, elements)))
             find_movers(one.detections, model=model)  # compiled and cached
             began = time.perf_counter()
-            found = find_movers(one.detections, model=model, least_probability=arguments.probability)
+            found = find_movers(one.detections, model=model, min_probability=arguments.probability)
             seconds = time.perf_counter() - began
             if elements is not None:
                 named.append((f"2021-{number} {one.name}", *named_right(one, found, elements)))

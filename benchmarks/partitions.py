@@ -113,7 +113,7 @@ def stored(folder: Path, both: list[Any], most: int) -> tuple[str, tuple[Path, P
     """Write both as catalogues, the second with larger partitions: numbers of partitions, paths."""
     for name in ("a", "b", "out"):
         shutil.rmtree(folder / name, ignore_errors=True)
-    one, two = (write_hats(table, folder / name, most_rows=rows)
+    one, two = (write_hats(table, folder / name, max_rows=rows)
                 for table, name, rows in zip(both, "ab", (most, 3 * most), strict=True))  # fmt: skip
     return f"{len(one)} and {len(two)}", (folder / "a", folder / "b")
 
@@ -131,7 +131,7 @@ def in_fields(folder: Path, rows: int, lam: float, most: int) -> tuple[str, tupl
         both = tables(rows // fields, lam, field=number)
         n += sum(map(len, both))
         for table, path, found, rows_at_most in zip(both, paths, cells, (most, coarser), strict=True):
-            found += write_hats(table, path, most_rows=rows_at_most)
+            found += write_hats(table, path, max_rows=rows_at_most)
     for path, found in zip(paths, cells, strict=True):
         finish_catalogue(path, found, properties(path / "hats.properties"), {})
     return " and ".join(str(len(found)) for found in cells), paths, n

@@ -117,7 +117,7 @@ def test_the_fit_of_a_category_column_is_the_ratio_of_counts():
 def test_an_uninformative_column_is_reported_and_changes_nothing(by_position):
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[Column(2, MADE.noise, name="noise")])
     (said,) = estimate.columns.findings
-    assert not said.tells and said.name == "noise"
+    assert not said.used and said.name == "noise"
     assert estimate.changed_by_columns == 0
     assert abs(counts(answer)[1] - counts(by_position[0])[1]) <= 2
 
@@ -129,14 +129,14 @@ def test_redundant_columns_are_not_counted_twice(found):
     both, once = estimate.columns.log_ratio[1], found[1].columns.log_ratio[1]
     likely = MADE.scene.true_pairs()[1]
     assert np.median(np.abs(both - once)[likely]) < 0.15
-    assert [one.tells for one in estimate.columns.findings].count(True) == 1
+    assert [one.used for one in estimate.columns.findings].count(True) == 1
 
 
 @pytest.mark.slow
 def test_every_informative_column_improves_the_result(found):
     more = [Column(2, MADE.colour, name="colour"), Column(2, MADE.kind, name="kind")]
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[MAG, *more])
-    assert all(one.tells for one in estimate.columns.findings)
+    assert all(one.used for one in estimate.columns.findings)
     (more, fewer, expected, spread), (less, many, _, _) = counts(answer), counts(found[0])
     assert more >= less and fewer < many
     assert abs(fewer - expected) < 2.0 * spread
@@ -146,12 +146,12 @@ def test_every_informative_column_improves_the_result(found):
 def test_related_columns_are_evidence_of_pairs(found):
     related = Related(MADE.flux, MADE.magnitude, ("flux", "MAG"))
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[related])
-    said = {(one.name, one.other): one.tells for one in estimate.columns.findings}
+    said = {(one.name, one.other): one.used for one in estimate.columns.findings}
     assert said == {("flux", ""): False, ("MAG", ""): True, ("flux", "MAG"): True}
     assert counts(answer)[0] >= counts(found[0])[0]
     unrelated = Related(np.random.default_rng(1).permutation(MADE.flux), MADE.magnitude, ("flux", "MAG"))
     _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[unrelated])
-    assert [one.tells for one in estimate.columns.findings if one.other] == [False]
+    assert [one.used for one in estimate.columns.findings if one.other] == [False]
 
 
 @pytest.mark.slow

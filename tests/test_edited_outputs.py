@@ -125,7 +125,7 @@ def test_a_damaged_list_of_partitions_is_refused(name, content, words, tmp_path)
     from sameas.partitions.layout import HatsCatalogue
     from sameas.partitions.output import write_hats
 
-    write_hats(stars(0.0), tmp_path / "cat", most_rows=10)
+    write_hats(stars(0.0), tmp_path / "cat", max_rows=10)
     assert HatsCatalogue.open(tmp_path / "cat").partition_rows.sum() == 20
     (tmp_path / "cat" / name).write_bytes(content)
     with pytest.raises(InputError, match=words):

@@ -70,7 +70,7 @@ def axes(ra, dec):
 
 def stored(folder, tables, most):
     for name, table, rows in zip("ab", tables, most, strict=True):
-        write_hats(table, folder / name, most_rows=rows)
+        write_hats(table, folder / name, max_rows=rows)
     return folder / "a", folder / "b"
 
 
@@ -645,7 +645,7 @@ def test_blocks_of_rows_together_are_the_whole_partition(tmp_path, written):
     from pyarrow import parquet
 
     table, _ = sky((10.0, 20.0), 500, 0.4, 9)
-    write_hats(table, tmp_path / "a", most_rows=5_000)
+    write_hats(table, tmp_path / "a", max_rows=5_000)
     catalogue = HatsCatalogue.open(tmp_path / "a")
     (cell,) = catalogue.cells
     rows, file = parquet.read_table(catalogue.file(cell)), catalogue.file(cell)

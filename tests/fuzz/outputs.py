@@ -382,7 +382,7 @@ def parted() -> dict[str, bytes]:
     rng = np.random.default_rng(9)
     stars = Table({"id": np.arange(60), "ra": rng.uniform(40.0, 41.0, 60), "dec": rng.uniform(10.0, 11.0, 60)})
     with _folder() as folder:
-        write_hats(stars, folder / "cat", most_rows=30)
+        write_hats(stars, folder / "cat", max_rows=30)
         return {str(path.relative_to(folder / "cat")): path.read_bytes()
                 for path in sorted((folder / "cat").rglob("*")) if path.is_file()}  # fmt: skip
 

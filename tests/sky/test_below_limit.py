@@ -121,7 +121,7 @@ def test_linked_movers_are_not_found_again():
 @pytest.mark.slow
 def test_noise_and_stars_alone_give_no_probable_candidate():
     tied, frames, _ = series(5)
-    _, _, below = searched(tied, frames, least_probability=0.0)
+    _, _, below = searched(tied, frames, min_probability=0.0)
     p = below.movers.p_tracklet
     assert (p > 0.5).sum() == 0 and p.sum() < 1.0
     many, u, s = below.tail

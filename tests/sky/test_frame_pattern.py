@@ -70,7 +70,7 @@ def test_the_index_finds_the_pattern_and_the_pointing_at_the_pole_too(flip: bool
     vectors = from_plane(plane, centre)
     index = PatternIndex.of(vectors, np.arange(6), k=4, shortest_rad=0.0, longest_rad=1.0)
     seen = patterns(px, 4)
-    i, j, flipped = index.alike(seen, 0.002, (0.8 * scale, 1.2 * scale))
+    i, j, flipped = index.similar(seen, 0.002, (0.8 * scale, 1.2 * scale))
     right = np.all(seen.members[i] == index.patterns.members[j], axis=1) & (flipped == flip)
     assert right.sum() == len(seen) == 15
     at, cd = similarities(
@@ -78,7 +78,7 @@ def test_the_index_finds_the_pattern_and_the_pointing_at_the_pole_too(flip: bool
     )
     assert np.abs(to_plane(at, centre)).max() < 1e-7
     assert np.allclose(np.linalg.det(cd), hand * scale**2, rtol=1e-3)
-    assert not len(index.alike(seen, 0.002, (2 * scale, 3 * scale))[0])
+    assert not len(index.similar(seen, 0.002, (2 * scale, 3 * scale))[0])
 
 
 def test_the_brightest_stars_of_every_cell_cover_the_sky() -> None:

@@ -42,7 +42,7 @@ def test_probabilities_are_calibrated():
     p, right = [], []
     for seed in range(30, 44):
         detections, truth = night(seed, times_min=(0, 30, 75), false=150, p_detect=0.7)
-        found = find_movers(detections, least_probability=0.0)
+        found = find_movers(detections, min_probability=0.0)
         p.append(found.p_exact)
         right.append(named(found, truth)[1])
     p, right = np.concatenate(p), np.concatenate(right)
@@ -61,7 +61,7 @@ def test_the_order_of_the_rows_changes_nothing():
 
 
 def test_a_detection_belongs_to_one_tracklet_at_most():
-    found = find_movers(night(3, false=300)[0], least_probability=0.0)
+    found = find_movers(night(3, false=300)[0], min_probability=0.0)
     rows = found.members[found.members >= 0]
     assert len(rows) == len(np.unique(rows)) and len(found) > 5
 
@@ -261,7 +261,7 @@ def test_doubtful_rows_are_set_aside_with_the_reason():
 def test_a_stationary_source_is_no_mover(trouble):
     """Stars with errors larger than quoted on offset exposures; movers are still found."""
     detections, truth = night(21, movers=10, false=20, stars=150, p_detect=1.0, **trouble)
-    found = find_movers(detections, least_probability=0.9)
+    found = find_movers(detections, min_probability=0.9)
     pure, _ = named(found, truth)
     assert pure.all() and len(found) >= 9
     assert not truth[found.stationary.rows].max() >= 0 and 100 <= found.stationary.places <= 150
@@ -338,7 +338,7 @@ def test_a_mover_hardly_faster_than_its_errors_is_no_star():
         detections, truth = night(
             22, movers=5, stars=100, p_detect=1.0, rate=np.full((5, 2), rate), times_min=(0, 25, 50, 70)
         )
-        pure, _ = named(find_movers(detections, least=3, least_probability=0.9), truth)
+        pure, _ = named(find_movers(detections, least=3, min_probability=0.9), truth)
         assert pure.all() and len(pure) == movers
 
 
@@ -394,5 +394,5 @@ def test_drifting_warm_pixels_are_no_movers():
     rate = np.concatenate([np.array([[-0.5, 0.21]]) + np.linspace(-0.2, 0.2, 5)[:, None], np.full((50, 2), 0.3)])
     detections, truth = night(50, movers=55, rate=rate, p_detect=1.0)
     found = find_movers(detections, least=3)
-    assert found.alike >= 48
+    assert found.same_rate >= 48
     assert sorted(truth[found.members[:, 0]].tolist()) == [0, 1, 2, 3, 4]

@@ -345,7 +345,7 @@ def test_probabilities_of_injected_movers_are_calibrated():
         speed, angle = 10 ** rng.uniform(-1.0, 0.5, n) / SCALE, rng.uniform(0.0, 2 * np.pi, n)
         rates = np.column_stack([speed * np.cos(angle), speed * np.sin(angle)])
         exposures, truth = with_movers(100 + field, rates, 10 ** rng.uniform(2.35, 3.5, n))
-        found, series = search(tie(exposures), least_probability=0.0)
+        found, series = search(tie(exposures), min_probability=0.0)
         whose = np.concatenate(truth)
         known = set()
         for members, sure in zip(found.members, found.p_tracklet, strict=True):
@@ -436,4 +436,4 @@ def test_without_unidentified_detections_there_are_no_movers():
     assert len(found) == 0 and len(found.table()) == 0 and len(found.detection_table()) == 0
     made = [replace(one, p_star=np.ones(len(one))) for one in frames(26)]
     found, series = search(tie(made))
-    assert not series.left.any() and len(found.table()) == len(found.detection_table()) == 0
+    assert not series.unexplained.any() and len(found.table()) == len(found.detection_table()) == 0

@@ -75,7 +75,7 @@ def test_cut_outs_have_north_up_and_east_to_the_left():
 
 def test_light_on_frames_without_detection_confirms_a_mover():
     tied, frames, _ = series(3, seen=(0, 2, 5))
-    found, tied = search(tied, least_probability=0.0)
+    found, tied = search(tied, min_probability=0.0)
     told = stack(found, tied, frames)
     assert found.size[0] == 3 and told.detected[0].sum() == 3
     assert told.log_ratio[0] > 6.0 and told.p[0] >= found.p_tracklet[0]
@@ -85,7 +85,7 @@ def test_frames_without_light_refute_a_tracklet():
     # Three noise detections in a line: no light on the other frames.
     tied, frames, _ = series(4, seen=(0, 2, 5))
     _, empty, _ = series(4, 0.0, seen=(0, 2, 5))
-    found, tied = search(tied, least_probability=0.0)
+    found, tied = search(tied, min_probability=0.0)
     frames = [one if k in (0, 2, 5) else blank for k, (one, blank) in enumerate(zip(frames, empty, strict=True))]
     told = stack(found, tied, frames)
     assert told.log_ratio[0] < -1.0 and told.p[0] <= found.p_tracklet[0]
@@ -106,7 +106,7 @@ def test_a_bright_mover_of_one_and_a_half_pixels_in_total_is_no_blend():
 
 def test_frames_with_a_star_on_the_track_are_neutral():
     tied, frames, _ = series(5, seen=(0, 1, 2, 4, 5), hidden_frame=3)
-    found, tied = search(tied, least_probability=0.0)
+    found, tied = search(tied, min_probability=0.0)
     told = stack(found, tied, frames)
     assert told.hidden[0, 3] and not told.hidden[0, [0, 5]].any() and told.detected[0, [0, 1, 2, 4, 5]].all()
     # The search's penalty for an exposure without detection is removed.
@@ -115,7 +115,7 @@ def test_frames_with_a_star_on_the_track_are_neutral():
 
 def test_a_mover_that_leaves_the_frame_is_measured_while_inside():
     tied, frames, track = series(6, count=8, rate=(1.0, 0.0), seen=(0, 1, 2, 3, 4), start=220.3)
-    found, tied = search(tied, least_probability=0.0)
+    found, tied = search(tied, min_probability=0.0)
     told = stack(found, tied, frames)
     inside = track[:, 0] < SIDE - 12
     assert np.isfinite(told.flux[0])[inside].all() and np.isnan(told.flux[0])[track[:, 0] > SIDE - 8].all()

@@ -100,14 +100,14 @@ DEFAULT_COLUMNS = ColumnsTuning()
 class ColumnFinding:
     """The evidence of one column: ``gain`` in ln likelihood for records that it was not fitted to.
 
-    source : 1 or 2; 0 for two related columns, the second of which is ``other``. tells : whether it is used. span : the
+    source : 1 or 2; 0 for two related columns, the second of which is ``other``. used : whether it is used. span : the
     1 % and 99 % quantiles of ln r by this column alone.
     """
 
     source: int
     name: str
     gain: float
-    tells: bool
+    used: bool
     span: tuple[float, float] = (0.0, 0.0)
     other: str = ""
 
@@ -267,12 +267,12 @@ class ColumnEvidence:
         for a, b in self.relations:
             association, finding = _fit_association(a, b, pairs, p_counted, self.folds[0], self.tuning)
             findings += [finding] if last else []
-            if association is not None and (finding.tells or not last):
+            if association is not None and (finding.used or not last):
                 associations.append(association)
         relations = self.relations
         if last:
-            kept = [finding.tells for finding in findings if finding.other]
-            relations = tuple(pair for pair, tells in zip(self.relations, kept, strict=True) if tells)
+            kept = [finding.used for finding in findings if finding.other]
+            relations = tuple(pair for pair, used in zip(self.relations, kept, strict=True) if used)
         return replace(
             self,
             fits=(fits[0], fits[1]),
@@ -671,7 +671,7 @@ def _fit_association(
     values = association(pairs)[known]
     # As for single columns, with cross-fitted tables and by the odds without the relation.
     gain = float((p * values).sum())
-    return association, replace(without, gain=gain, tells=gain > tuning.min_gain)
+    return association, replace(without, gain=gain, used=gain > tuning.min_gain)
 
 
 def _log_association(counts: FloatArray, pseudo_count: float) -> FloatArray:

@@ -188,9 +188,7 @@ def night_movers(
 ) -> NightMovers:
     """The movers of a night of detections, named where elements are given. progress, say : as :func:`read_night`."""
     progress("searching")
-    found = find_movers(
-        night.detections, others=night.others, least=options.least, least_probability=options.probability
-    )
+    found = find_movers(night.detections, others=night.others, least=options.least, min_probability=options.probability)
     say([*left_out_lines(found), *model_lines(found), "", *mover_lines(found), ""])
     known = None
     if options.elements is not None:
@@ -331,7 +329,7 @@ def series_movers(
         )
     members = fields[0].members
     tied = with_trails(fields[0].series, (one.frame() for one in members))
-    found, series = search(tied, least=options.least, least_probability=min(options.probability, FAINT))
+    found, series = search(tied, least=options.least, min_probability=min(options.probability, FAINT))
     field = replace(fields[0], series=series)
     pixels = stack(found, series, (one.frame() for one in members))
     found, pixels = confirmed(found, pixels, options.probability)
@@ -355,7 +353,7 @@ def _below(
 
     say(["", *plan_lines(Plan.of(field.series, fastest))])
     frames = [one.frame for one in field.members]
-    below = search_below_limit(found, field.series, frames, fastest, least_probability=options.probability)
+    below = search_below_limit(found, field.series, frames, fastest, min_probability=options.probability)
     say(below_lines(below))
     names, elements = None, options.elements
     if elements is not None and known is not None:

@@ -157,18 +157,18 @@ def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, fol
 
 def write_hats(
     table: Table, folder: Path, *, ra: str = "ra", dec: str = "dec", cells: Iterable[Cell] | None = None,
-    most_rows: int = 1_000_000,
+    max_rows: int = 1_000_000,
 ) -> list[Cell]:  # fmt: skip
     """Write a table as a HATS catalogue; returns its partitions.
 
-    ra, dec : columns of positions, degrees. cells : the partitions; by default of at most ``most_rows`` rows each.
+    ra, dec : columns of positions, degrees. cells : the partitions; by default of at most ``max_rows`` rows each.
     """
     position = np.column_stack([np.asarray(table[ra], np.float64), np.asarray(table[dec], np.float64)])
     place = healpix.cells_of(position, healpix.FINEST)
     order = np.argsort(place, kind="stable")
     table, place = table[order], place[order]
     if cells is None:
-        cells = [one for k in range(12) for one in _split(Cell(0, k), place, most_rows)]
+        cells = [one for k in range(12) for one in _split(Cell(0, k), place, max_rows)]
     full = []
     for cell in cells:
         begin, end = np.searchsorted(place, cell.stretch[0])
@@ -179,10 +179,10 @@ def write_hats(
     return full
 
 
-def _split(cell: Cell, place: IntArray, most_rows: int) -> list[Cell]:
-    """The cell, or the largest cells within it, with at most ``most_rows`` of the ascending cells ``place``; those
+def _split(cell: Cell, place: IntArray, max_rows: int) -> list[Cell]:
+    """The cell, or the largest cells within it, with at most ``max_rows`` of the ascending cells ``place``; those
     without rows omitted."""
     begin, end = np.searchsorted(place, cell.stretch[0])
-    if end - begin <= most_rows or cell.order == 20:
+    if end - begin <= max_rows or cell.order == 20:
         return [cell] if begin < end else []
-    return [one for part in cell.inner for one in _split(part, place, most_rows)]
+    return [one for part in cell.inner for one in _split(part, place, max_rows)]

@@ -112,7 +112,7 @@ class Side:
     def rows(self, table: pa.Table) -> Rows:
         """The rows of a table with their records, moved to the epoch."""
         cells = numbers_of(table, CELL)
-        catalogue = self.understood.alike(table_of(table.drop_columns([CELL])))
+        catalogue = self.understood.with_rows(table_of(table.drop_columns([CELL])))
         choice = self.understood.choice
         by_position = (choice.ra.name, choice.dec.name) == self.stored.position and choice.frame == "icrs"
         return Rows(catalogue, cells, self.records(catalogue), self.cell_order, by_position)

@@ -146,7 +146,7 @@ def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
     lines = []
     for one in columns.findings:
         what = f"{one.name} of {names[one.source - 1]}" if one.source else f"{one.name} of {names[0]} with {one.other}"
-        if not one.tells:
+        if not one.used:
             words = "is not informative, and is not used"
         elif one.other:
             words = f"are related in pairs: they raise ln likelihood by {one.gain:.1f}"

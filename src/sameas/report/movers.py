@@ -70,10 +70,10 @@ def left_out_lines(found: Movers) -> list[str]:
             f"{DOUBT}{count(found.fixed)} detections move by one step from exposure to exposure, and by another to the "
             "next: they are fixed on the chip, and left out"
         )
-    if found.alike:
+    if found.same_rate:
         lines.append(
-            f"{DOUBT}{count(found.alike)} tracklets of one rate are left out: defects of the chip that the telescope "
-            "moves over the sky look so; give the frames themselves (--catalog), whose pixels tell"
+            f"{DOUBT}{count(found.same_rate)} tracklets of one rate are left out: defects of the chip that the "
+            "telescope moves over the sky look so; give the frames themselves (--catalog), whose pixels tell"
         )
     return lines
 
@@ -168,7 +168,7 @@ def series_lines(series: Series) -> list[str]:
         f"Series: {counted(len(series.exposures), 'frame')} over {minutes:.1f} minutes, {count(n)} measurements",
         f"  in the star catalogue {count(int(series.star.sum()))}, stationary {count(int(series.stationary.sum()))},"
         f" fixed on the chip {count(int(series.fixed.sum()))}, on bad pixels {count(int(series.unreliable.sum()))}; "
-        f"candidates {count(int(series.left.sum()))}",
+        f"candidates {count(int(series.unexplained.sum()))}",
         f"  registered by {count(int(series.ties.min()))} to {count(int(series.ties.max()))} sources a frame",
     ]
     return [*lines, *(f"{DOUBT}{note}" for note in series.notes)]

@@ -253,7 +253,7 @@ class Catalogue:
             magnitude_error=_brightness(rows, choice.magnitude_error, name),
         )
 
-    def alike(self, table: Any) -> Catalogue:
+    def with_rows(self, table: Any) -> Catalogue:
         """Other rows of the same source with the same columns and options, without doubts; may be empty."""
         rows = column_values.as_table(table, self.name)
         magnitude = _brightness(rows, self.choice.magnitude, self.name)

@@ -216,7 +216,7 @@ def _in_strips(one: Catalogue, two: Catalogue, tuning: CommonErrorTuning) -> tup
     def part(catalogue: Catalogue, low: FloatArray, high: FloatArray) -> Catalogue:
         edges = np.column_stack([np.nextafter(low, -np.inf), high]).ravel()
         within = np.searchsorted(edges, catalogue.astrometry.dec_deg) % 2 == 1
-        return catalogue.alike(catalogue.table[np.flatnonzero(within)])
+        return catalogue.with_rows(catalogue.table[np.flatnonzero(within)])
 
     wide = (low - margin, high + margin)
     return (part(one, low, high), part(two, *wide)) if smaller is one else (part(one, *wide), part(two, low, high))

@@ -203,7 +203,7 @@ class Series:
         return float(np.median([e.scale_arcsec_per_px for e in self.exposures]))
 
     @property
-    def left(self) -> BoolArray:
+    def unexplained(self) -> BoolArray:
         """(n,) mask of the measurements without another explanation: candidates for movers."""
         return ~(self.star | self.stationary | self.fixed | self.unreliable)
 

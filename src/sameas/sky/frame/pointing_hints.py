@@ -7,7 +7,7 @@ Candidates come from patterns of three or four points, described independently o
 points A, B farthest apart are mapped to 0 and 1 of the complex plane; the positions of the others are the pattern's
 *code* (Lang et al. 2010, AJ 139, 1782, section 2.1; there the others lie within the circle on A, B, here anywhere
 closer to A and B than these to each other, so that every set of points has exactly one code). A mirrored pattern has
-the conjugate code. :class:`PatternIndex` contains the patterns of a catalogue, :meth:`PatternIndex.alike` finds those
+the conjugate code. :class:`PatternIndex` contains the patterns of a catalogue, :meth:`PatternIndex.similar` finds those
 similar to the frame's.
 """
 
@@ -155,7 +155,7 @@ class PatternIndex:
 
         return cKDTree(self.vectors)
 
-    def alike(
+    def similar(
         self, measured: Patterns, tolerance: float, scale_rad: tuple[float, float]
     ) -> tuple[IntArray, IntArray, BoolArray]:
         """Pairs of similar patterns: rows of ``measured`` (pixels), rows of the index, mirrored or not.
@@ -454,7 +454,7 @@ def _alike(
     measured = patterns(problem.px[:n], k, 0.1 * min(problem.shape))
     hits, centres, matrices = [], [], []
     for level in levels:
-        i, j, flipped = level.alike(measured, tuning.code_tolerance * math.sqrt(k - 2) / math.sqrt(2.0), scale)
+        i, j, flipped = level.similar(measured, tuning.code_tolerance * math.sqrt(k - 2) / math.sqrt(2.0), scale)
         for start in range(0, len(i), tuning.batch):
             part = slice(start, start + tuning.batch)
             count, centre, cd = _match_counts(problem, level, measured, i[part], j[part], flipped[part], n)

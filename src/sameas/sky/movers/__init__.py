@@ -5,7 +5,7 @@ The data flow; each module returns one frozen value:
 - :mod:`~sameas.sky.movers.detections`: columns → ``Detections``, checked, exposures numbered by time;
 - :mod:`~sameas.sky.movers.stationary`: ``Detections`` → ``Stationary``: the stationary sources, with the offsets of the
   exposures and the error scale; and the detections fixed on a dithered chip;
-- :mod:`~sameas.sky.movers.model`: the rest → ``Surroundings`` (densities, which exposures saw which position), and
+- :mod:`~sameas.sky.movers.model`: the rest → ``Surroundings`` (densities, which exposures cover which position), and
   ``MotionModel``, the model of rates (:mod:`~sameas.sky.movers.rates`), brightness and misses;
 - :mod:`~sameas.sky.movers.links`: → ``Links``, which detection may be the next one of the same mover, one to one; its
   iterated assignment estimates the model (``learn``);

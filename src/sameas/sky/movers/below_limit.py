@@ -219,7 +219,7 @@ def search_below_limit(
     frames: Sequence[Callable[[], Frame]],
     fastest: float,
     *,
-    least_probability: float = 0.5,
+    min_probability: float = 0.5,
     tuning: BelowLimitTuning = TUNING,
 ) -> BelowLimit:
     """Movers that are visible in the stacked frames but on no single one.
@@ -251,7 +251,7 @@ def search_below_limit(
     chance_peaks = _Peaks.concatenated(chance)
     tail = _tail(chance_peaks.t, tuning)
     speed = np.hypot(*chance_peaks.rate[np.argsort(-chance_peaks.t)[: tuning.chance]].T)
-    return _answer(found, series, plan, peaks, tail, _Speeds.of(speed, plan), least_probability)
+    return _answer(found, series, plan, peaks, tail, _Speeds.of(speed, plan), min_probability)
 
 
 def _to_sky(series: Series, n: int) -> ChipMap:

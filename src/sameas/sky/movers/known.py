@@ -77,13 +77,13 @@ class KnownObjects:
 
 
 def name_movers(
-    found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None, least_probability: float = 0.5
+    found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None, min_probability: float = 0.5
 ) -> KnownObjects:
     """The known objects among the tracklets.
 
     found : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,
     longitude (degrees, east positive) and height (metres) of the observer; None for the centre of the Earth, an error
-    of up to 8″ for the main belt. least_probability : minimum probability of a match.
+    of up to 8″ for the main belt. min_probability : minimum probability of a match.
 
     Example
     -------
@@ -104,7 +104,7 @@ def name_movers(
     for rows in fields:
         in_field = found.only(rows)
         match = _of_field(
-            in_field, unit[in_field.members[in_field.members >= 0]], elements, state, middle, site, least_probability
+            in_field, unit[in_field.members[in_field.members >= 0]], elements, state, middle, site, min_probability
         )
         is_near[match.near] = True
         owner[rows], p[rows], magnitude[rows] = match.owner, match.p, match.magnitude
@@ -159,7 +159,7 @@ class _FieldMatch:
 
 def _of_field(
     found: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
-    site: tuple[float, float, float] | None, least_probability: float,
+    site: tuple[float, float, float] | None, min_probability: float,
 ) -> _FieldMatch:  # fmt: skip
     """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
     k, detections = len(found), found.detections
@@ -199,7 +199,7 @@ def _of_field(
     answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(_ODDS)))
     matches = answer.matches
     for row, known, probability in zip(matches.rows_1, matches.rows_2, matches.p_match, strict=True):
-        if probability < least_probability:
+        if probability < min_probability:
             continue
         owner[row], p[row] = known, probability
         rows = found.members[row][found.members[row] >= 0]

@@ -41,7 +41,7 @@ class Links:
     """Links of detections i to later ones j, (m,) each.
 
     minutes : between them. offset : (m, 2) arcsec on the ecliptic axes at i. log_ratio : ln λ. log_brightness : its
-    part from magnitudes and the trail of j. misses : exposures between that saw the position. far : links too
+    part from magnitudes and the trail of j. misses : exposures between that covered the position. far : links too
     improbable alone, tried because a detection of a third exposure supports them.
     """
 
@@ -122,13 +122,15 @@ def _pairs(around: Surroundings, reach: Reach, tuning: Tuning) -> IntArray:
 def _frames_apart(around: Surroundings, misses: int) -> int:
     """Maximum difference in exposure number between linked detections: small if all exposures show one field.
 
-    The 99th percentile over positions of the span with at most ``misses`` exposures that saw the position in between.
+    The 99th percentile over positions of the span with at most ``misses`` exposures in between that covered it.
     """
     before = around.coverage.before
     sampled = before[:: max(1, len(before) // 500)]
     spans = [
-        np.searchsorted(saw, saw[1:][np.diff(saw) > 0] + misses, side="right") - np.flatnonzero(np.diff(saw)) - 1
-        for saw in sampled
+        np.searchsorted(covered, covered[1:][np.diff(covered) > 0] + misses, side="right")
+        - np.flatnonzero(np.diff(covered))
+        - 1
+        for covered in sampled
     ]
     return int(np.percentile(np.concatenate(spans), 99.0)) + 1
 

@@ -123,25 +123,25 @@ class MotionModel:
                     sigma[a, b] = tuning.variability_mag
         return replace(self, bands=bands, colour=colour, colour_sigma=sigma)
 
-    def log_pattern(self, shown: IntArray, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+    def log_pattern(self, n_detected: IntArray, n_covered: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(k,) ln of the probability of a mover's pattern of detections and misses (beta-binomial).
 
-        shown : (k,) number of exposures with a detection. saw : (k,) number of exposures that covered its position. The
-        detection probability varies between movers (Beta distribution): one missed often is likely missed again.
+        n_detected : (k,) number of exposures with a detection. n_covered : (k,) of exposures that covered its position.
+        The detection probability varies between movers (Beta distribution): one missed often is likely missed again.
         """
         a, b = tuning.beta_counts * self.p_detect, tuning.beta_counts * (1.0 - self.p_detect)
-        return np.asarray(betaln(shown + a, np.maximum(saw - shown, 0) + b) - betaln(a, b))
+        return np.asarray(betaln(n_detected + a, np.maximum(n_covered - n_detected, 0) + b) - betaln(a, b))
 
-    def tracked(self, saw: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(k,) share of movers with enough detections for training, given ``saw`` exposures of their position."""
-        none, one, two = (np.exp(self.log_pattern(np.full_like(saw, k), saw, tuning)) for k in (0, 1, 2))
-        few = np.where(fewest_shown(saw) > 2, 0.5 * saw * (saw - 1) * two, 0.0)
-        return np.asarray(1.0 - none - saw * one - few)
+    def tracked(self, n_covered: IntArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
+        """(k,) share of movers with enough detections for training, among those covered by ``n_covered`` exposures."""
+        none, one, two = (np.exp(self.log_pattern(np.full_like(n_covered, k), n_covered, tuning)) for k in (0, 1, 2))
+        few = np.where(min_detected(n_covered) > 2, 0.5 * n_covered * (n_covered - 1) * two, 0.0)
+        return np.asarray(1.0 - none - n_covered * one - few)
 
 
-def fewest_shown(saw: IntArray) -> IntArray:
-    """(k,) minimum detections of a track used for training: three, or two if no more exposures saw its position."""
-    return np.clip(saw, 2, 3)
+def min_detected(n_covered: IntArray) -> IntArray:
+    """(k,) minimum detections of a track used for training: three, or two if no more exposures covered its position."""
+    return np.clip(n_covered, 2, 3)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Surroundings:
     log_crowding : (n,) ln of the excess of this density over the wider surroundings, 0 if not significant.
     reference : (n,) rate in longitude of a circular orbit there, arcsec/min.
     log_brightness : (n,) ln of the density per magnitude at its magnitude in its band, NaN where not measured.
-    coverage : which exposures saw which cell of the sky. cell : (n,) the cell of each detection.
+    coverage : which exposures cover which cell of the sky. cell : (n,) the cell of each detection.
     trail : (n, 2) rate by the trail, arcsec/min on these axes, of either sign; NaN without one.
     """
 
@@ -184,7 +184,7 @@ class Surroundings:
         )  # fmt: skip
 
     def misses(self, i: IntArray, j: IntArray) -> IntArray:
-        """(m,) number of exposures between those of i and j that saw the position of i."""
+        """(m,) number of exposures between those of i and j that covered the position of i."""
         frame, before = self.detections.frame, self.coverage.before
         return np.maximum(before[self.cell[i], frame[j]] - before[self.cell[i], frame[i] + 1], 0)
 
@@ -240,13 +240,13 @@ def _brightness(detections: Detections) -> FloatArray:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Which exposures saw which cell of the sky.
+    """Which exposures cover which cell of the sky.
 
-    An exposure saw a cell if it has a detection there or in one of the eight neighbouring cells. The cell size is
+    An exposure covers a cell if it has a detection there or in one of the eight neighbouring cells. The cell size is
     chosen so that 3 × 3 cells contain five detections of a typical exposure.
 
     side_deg : of a cell. key : (c,) ascending, of the cells with a detection. before : (c, frames+1) cumulative number
-    of exposures that saw the cell, before each exposure.
+    of exposures that covered the cell, before each exposure.
     """
 
     side_deg: float
@@ -259,21 +259,21 @@ class Coverage:
         side = math.sqrt(5.0 / 9.0 / float(np.median(density))) / 3600.0
         row, longitude = _rows(axes.unit, side)
         key = np.unique(_keys(row, longitude, side))
-        saw = np.zeros((len(key), len(detections.frame_names) + 1), np.int64)
+        covered = np.zeros((len(key), len(detections.frame_names) + 1), np.int64)
         for drow in (-1, 0, 1):
             # The number of cells depends on the row.
             for dcolumn in (-1, 0, 1):
                 at = places_in(key, _keys(row + drow, longitude, side, dcolumn))
-                saw[at[at >= 0], detections.frame[at >= 0] + 1] = 1
-        return cls(side, key, np.cumsum(saw, axis=1))
+                covered[at[at >= 0], detections.frame[at >= 0] + 1] = 1
+        return cls(side, key, np.cumsum(covered, axis=1))
 
     def cell(self, unit: FloatArray) -> IntArray:
         """(n,) the cell of each direction (n, 3), −1 for cells without any detection."""
         key = _keys(*_rows(unit, self.side_deg), self.side_deg)
         return places_in(self.key, key)
 
-    def saw(self, unit: FloatArray, frame: IntArray) -> BoolArray:
-        """(n,) whether an exposure saw each direction (n, 3)."""
+    def covers(self, unit: FloatArray, frame: IntArray) -> BoolArray:
+        """(n,) whether an exposure covers each direction (n, 3)."""
         cell = self.cell(unit)
         return np.asarray((cell >= 0) & (self.before[cell, frame + 1] > self.before[cell, frame]))
 

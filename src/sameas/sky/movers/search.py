@@ -16,7 +16,7 @@ from sameas.errors import InputError, naming
 from sameas.representation import in_short
 from sameas.sky.movers.detections import Detections, TrailRates
 from sameas.sky.movers.links import PRIOR_SHARE, candidate_links, learn, rates_between, with_far_links
-from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, fewest_shown
+from sameas.sky.movers.model import DEFAULT_TUNING, MotionModel, Surroundings, Tuning, min_detected
 from sameas.sky.movers.rates import EclipticAxes, RateDensity
 from sameas.sky.movers.stationary import Stationary, fixed_on_chip, stationary_sources
 from sameas.sky.movers.tracks import Competition, Tracks, compete, groups_of, grow
@@ -45,13 +45,13 @@ class Movers:
     expected_chance : upper bound on the expected number of chance tracklets of at least this weight (n e^−ln w: chance
         gives odds of e^x for e^−x as many tracklets as movers).
     gap : upper bound on ln of the probability ratio of another selection of tracklets to this one.
-    saw : (k,) number of checked exposures that saw its position. log_missed : the part of ``log_weight`` of those
-        without a detection.
+    n_covered : (k,) number of checked exposures that covered its position. log_missed : the part of ``log_weight`` of
+        those without a detection.
     near_earth : (k,) digest2 scores for near-Earth objects, 0 … 100, if requested.
     prefix : of their names, :data:`DETECTED` or :data:`ADDED`.
     stationary : excluded stationary sources; None if they were found by other means.
-    fixed : number of detections excluded as fixed on the chip. alike : number of tracklets excluded because many have
-        the same rate, as chip defects have under a steady drift.
+    fixed : number of detections excluded as fixed on the chip. same_rate : number of tracklets excluded because many
+        have the same rate, as chip defects have under a steady drift.
     """
 
     detections: Detections
@@ -64,13 +64,13 @@ class Movers:
     expected_chance: FloatArray
     gap: float
     state: FloatArray = field(repr=False)
-    saw: IntArray
+    n_covered: IntArray
     log_missed: FloatArray
     near_earth: FloatArray | None = None
     prefix: str = DETECTED
     stationary: Stationary | None = field(default=None, repr=False)
     fixed: int = field(default=0, repr=False)
-    alike: int = field(default=0, repr=False)
+    same_rate: int = field(default=0, repr=False)
 
     def __len__(self) -> int:
         return len(self.members)
@@ -119,7 +119,7 @@ class Movers:
 
     def only(self, keep: BoolArray | IntArray) -> Movers:
         """Some of the tracklets."""
-        names = ("members", "p_tracklet", "p_exact", "p_member", "log_weight", "expected_chance", "state", "saw",
+        names = ("members", "p_tracklet", "p_exact", "p_member", "log_weight", "expected_chance", "state", "n_covered",
                  "log_missed")  # fmt: skip
         near_earth = None if self.near_earth is None else self.near_earth[keep]
         return replace(self, **{name: getattr(self, name)[keep] for name in names}, near_earth=near_earth)
@@ -199,7 +199,7 @@ def find_movers(
     model: MotionModel | None = None,
     others: Sequence[Detections] = (),
     least: int = 2,
-    least_probability: float = 0.5,
+    min_probability: float = 0.5,
     tuning: Tuning = DEFAULT_TUNING,
 ) -> Movers:
     """Tracklets of movers among detections of several exposures, with probabilities of each and of its detections.
@@ -210,7 +210,7 @@ def find_movers(
         excluded (``Movers.stationary``).
     model : of rates, brightness and misses, from :func:`learn_motion`; None estimates it from these detections.
     others : detections of other nights from which to estimate the model instead; ignored if a ``model`` is given.
-    least : minimum number of detections of a tracklet. least_probability : minimum ``p_tracklet``.
+    least : minimum number of detections of a tracklet. min_probability : minimum ``p_tracklet``.
     tuning : parameters of the search.
 
     Returns
@@ -227,8 +227,8 @@ def find_movers(
     """
     if least < 2:
         raise InputError(f"least={least}: a tracklet has two detections or more", naming("give {least:N}"))
-    if not 0.0 <= least_probability <= 1.0:
-        raise InputError(f"least_probability={least_probability}: give a probability, 0 to 1")
+    if not 0.0 <= min_probability <= 1.0:
+        raise InputError(f"min_probability={min_probability}: give a probability, 0 to 1")
     stationary, fixed, at, rest = _excluded(detections, tuning)
     if len(np.unique(rest.frame)) < 2:
         return replace(_no_movers(detections), stationary=stationary, fixed=fixed)
@@ -238,9 +238,9 @@ def find_movers(
             model = learn_motion(*others, tuning=tuning)
         else:
             model, influence = _learned(around, MotionModel(), COUNTS, tuning)
-    found = _found(around, model, influence, tuning, least, least_probability, stationary)
-    alike = _same_rate(found)
-    found = replace(found.only(~alike), alike=int(alike.sum()))
+    found = _found(around, model, influence, tuning, least, min_probability, stationary)
+    same_rate = _same_rate(found)
+    found = replace(found.only(~same_rate), same_rate=int(same_rate.sum()))
     members = np.where(found.members >= 0, at[found.members], -1)
     return replace(found, detections=detections, members=members, stationary=stationary, fixed=fixed)
 
@@ -274,8 +274,8 @@ def _same_rate(found: Movers) -> BoolArray:
         tree = cKDTree(rate)
         near, far = (tree.query_ball_point(rate, sigmas * error, return_length=True) for sigmas in (3.0, 12.0))
         common = (near >= _ALIKE) & (near > _EXCESS * (far - near) / 15.0)
-        for alike in tree.query_ball_point(rate[common], 3.0 * error[common]):
-            same_rate[sharp[alike]] = True
+        for near in tree.query_ball_point(rate[common], 3.0 * error[common]):
+            same_rate[sharp[near]] = True
     return same_rate
 
 
@@ -285,7 +285,7 @@ def _found(
     influence: Influence | None,
     tuning: Tuning,
     least: int,
-    least_probability: float,
+    min_probability: float,
     stationary: Stationary | None = None,
 ) -> Movers:
     """The tracklets of detections without stationary ones.
@@ -299,7 +299,7 @@ def _found(
     p_stationary = np.zeros(len(competition.tracks))
     if stationary is not None:
         p_stationary = stationary.probability(around, competition.members, tuning)
-    return _movers(detections, model, competition, least, least_probability, p_stationary)
+    return _movers(detections, model, competition, least, min_probability, p_stationary)
 
 
 def learn_motion(*nights: Detections, counts: float = COUNTS, tuning: Tuning = DEFAULT_TUNING) -> MotionModel:
@@ -381,12 +381,12 @@ def _learned_from_tracks(
     """
     n = len(around.detections)
     competition = _competition(around, model, None, tuning)
-    # Chip defects make pairs of any rate: where three exposures saw the position, pairs are not used.
-    used = (competition.p_track > 0.01) & (competition.tracks.size >= fewest_shown(competition.tracks.saw))
+    # Chip defects make pairs of any rate: where three exposures covered the position, pairs are not used.
+    used = (competition.p_track > 0.01) & (competition.tracks.size >= min_detected(competition.tracks.n_covered))
     p, tracks, members = competition.p_track[used], competition.tracks.only(used), competition.members[used]
     groups, of_track, of_detection = groups_of(members, n)
     # Corrected for movers with too few detections for such a track; the share refers to one exposure's detections.
-    movers = np.bincount(of_track, p / model.tracked(tracks.saw, tuning), groups)
+    movers = np.bincount(of_track, p / model.tracked(tracks.n_covered, tuning), groups)
     exposures = float(around.coverage.before[around.cell, -1].mean())
     share = (movers.sum() + counts * PRIOR_SHARE) / (n / exposures + counts)
     share_of_others = (movers.sum() - movers + counts * PRIOR_SHARE) / (n / exposures + counts)
@@ -398,22 +398,24 @@ def _learned_from_tracks(
         model,
         rates=all_moments.densities().group(0),
         log_begin=math.log(share),
-        p_detect=min(max(_detection_probability(p, tracks.size, tracks.saw, model.p_detect), 0.3), 0.97),
+        p_detect=min(max(_detection_probability(p, tracks.size, tracks.n_covered, model.p_detect), 0.3), 0.97),
     )
     return learned, Influence(of_detection, (all_moments - moments).densities(), np.log(share_of_others))
 
 
-def _detection_probability(weight: FloatArray, shown: IntArray, saw: IntArray, p: float) -> float:
-    """The detection probability from tracks (k,) with ``shown`` detections in ``saw`` exposures, by EM.
+def _detection_probability(weight: FloatArray, n_detected: IntArray, n_covered: IntArray, p: float) -> float:
+    """The detection probability from tracks (k,) with ``n_detected`` detections in ``n_covered`` exposures, by EM.
 
     Movers with too few detections make no usable track: the binomials are truncated.
     """
-    few = fewest_shown(saw) > 2
+    few = min_detected(n_covered) > 2
     for _ in range(30):
-        none, one = (1.0 - p) ** saw, saw * p * (1.0 - p) ** (saw - 1)
-        two = np.where(few, 0.5 * saw * (saw - 1) * p**2 * (1.0 - p) ** np.maximum(saw - 2, 0), 0.0)
+        none, one = (1.0 - p) ** n_covered, n_covered * p * (1.0 - p) ** (n_covered - 1)
+        two = np.where(few, 0.5 * n_covered * (n_covered - 1) * p**2 * (1.0 - p) ** np.maximum(n_covered - 2, 0), 0.0)
         p_usable = np.maximum(1.0 - none - one - two, 1e-6)
-        p = (float(weight @ (shown + (one + 2.0 * two) / p_usable)) + 2.0) / (float(weight @ (saw / p_usable)) + 3.0)
+        p = (float(weight @ (n_detected + (one + 2.0 * two) / p_usable)) + 2.0) / (
+            float(weight @ (n_covered / p_usable)) + 3.0
+        )
     return p
 
 
@@ -433,7 +435,7 @@ def _movers(
     return Movers(
         detections, model, found.members[keep][:, :width], p_tracklet[keep], (p_moving * found.p_track)[keep],
         p_member[keep][:, :width], weight, chance, found.gap, found.tracks.state[keep],
-        found.tracks.saw[keep], found.tracks.log_missed[keep],
+        found.tracks.n_covered[keep], found.tracks.log_missed[keep],
     )  # fmt: skip
 
 
@@ -491,9 +493,9 @@ SERIES_TUNING = SearchTuning()
 MOTION_TUNING = Tuning(min_log_ratio=-14.0)
 
 
-def left_over(series: Series) -> Detections:
+def unexplained_detections(series: Series) -> Detections:
     """The detections of a series that are not explained otherwise; ``rows`` are rows of the series."""
-    at = np.flatnonzero(series.left)
+    at = np.flatnonzero(series.unexplained)
     ra, dec = series.sky(series.place[at])
     mjd = np.array([e.mjd_utc for e in series.exposures])[series.frame[at]]
     error = np.concatenate([1.0857 * e.flux_err / np.maximum(e.flux, 1e-9) for e in series.exposures])[at]
@@ -525,22 +527,22 @@ def search(
     series: Series,
     *,
     least: int = 3,
-    least_probability: float = 0.5,
+    min_probability: float = 0.5,
     tuning: SearchTuning = SERIES_TUNING,
     motion: Tuning = MOTION_TUNING,
 ) -> tuple[Movers, Series]:
     """The movers of a series of frames, and the series with newly found stationary and fixed detections marked.
 
-    least : minimum number of frames. least_probability : minimum ``p_tracklet``.
+    least : minimum number of frames. min_probability : minimum ``p_tracklet``.
 
     Tracklets that move less than two pixels in total are faint or blended stars; those that move less than two pixels
     plus twice their error on the chip, while the sky moves over it, are warm pixels. They are marked and the rest is
     searched again, so that they do not influence the rates.
     """
     for _ in range(tuning.iterations):
-        if len(np.unique(series.frame[series.left])) < 2:
+        if len(np.unique(series.frame[series.unexplained])) < 2:
             return _no_movers(_no_detections(series)), series
-        around = Surroundings.of(left_over(series), motion)
+        around = Surroundings.of(unexplained_detections(series), motion)
         found = _found(around, *_learned(around, MotionModel(), tuning.counts, motion), motion, 2, 0.0)
         slow, stuck = _stationary_and_fixed(found, series, tuning)
         if not (slow | stuck).any():
@@ -551,7 +553,7 @@ def search(
             mask[found.detections.rows[members[members >= 0]]] = True
         series = replace(series, stationary=stationary, fixed=fixed)
     slow, stuck = _stationary_and_fixed(found, series, tuning)
-    wanted = (found.size >= least) & (found.p_tracklet >= least_probability) & ~slow & ~stuck
+    wanted = (found.size >= least) & (found.p_tracklet >= min_probability) & ~slow & ~stuck
     return found.only(wanted), series
 
 

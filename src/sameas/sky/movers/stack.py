@@ -340,11 +340,11 @@ def _stacked(
     return out, snr
 
 
-def confirmed(found: Movers, stacked: Stack, least_probability: float) -> tuple[Movers, Stack]:
+def confirmed(found: Movers, stacked: Stack, min_probability: float) -> tuple[Movers, Stack]:
     """The tracklets with the probabilities after forced photometry, those below the minimum excluded."""
     p = np.concatenate([stacked.p, found.p_tracklet[len(stacked) :]])
     found = replace(found, p_tracklet=p)
-    keep = p >= least_probability
+    keep = p >= min_probability
     measured = keep[: len(stacked)]
     names = ("place", "chip", "flux", "error", "hidden", "detected", "log_ratio", "p", "along", "stacked", "snr")
     parts = {name: getattr(stacked, name)[measured] for name in names}

@@ -10,7 +10,7 @@ Stationary sources also give the offsets between the exposures and the scale of 
 Defects fixed on the chip of a dithered telescope, such as warm pixels, are found by :func:`fixed_on_chip`: between two
 exposures they all move by one vector on the sky, a different one for each step; movers do not. For each step the vector
 common to most pairs of detections is searched. A steady drift cannot be distinguished from a common motion here (see
-``Movers.alike``); with frames, pixels can (:mod:`sameas.sky.series`).
+``Movers.same_rate``); with frames, pixels can (:mod:`sameas.sky.series`).
 """
 
 from __future__ import annotations

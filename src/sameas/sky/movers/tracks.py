@@ -7,8 +7,8 @@ detection adds
 
     ln N(x; predicted) − ln β + ln g/n + ln P(detected again, after the misses)
 
-to the log weight, the last by the beta-binomial pattern of detections among the exposures that saw the position
-(``MotionModel.log_pattern``). Exposures before the first and after the last detection that saw the position count
+to the log weight, the last by the beta-binomial pattern of detections among the exposures that covered the position
+(``MotionModel.log_pattern``). Exposures before the first and after the last detection that covered the position count
 likewise.
 """
 
@@ -36,8 +36,8 @@ class Tracks:
 
     first, last : detections. parent : the track without its last detection, −1 for tracks of two detections. size :
     number of detections. log_weight : ln w against the detections being unrelated. gain : the part of the last
-    detection. saw : number of exposures that saw its position, from its first detection on. log_missed : the part of
-    ln w of those without a detection. state : (k, 6) position, rate and acceleration at the time of the first
+    detection. n_covered : number of exposures that covered its position, from its first detection on. log_missed : the
+    part of ln w of those without a detection. state : (k, 6) position, rate and acceleration at the time of the first
     detection, in arcsec and minutes on its ecliptic axes.
     """
 
@@ -47,7 +47,7 @@ class Tracks:
     size: IntArray
     log_weight: FloatArray
     gain: FloatArray
-    saw: IntArray
+    n_covered: IntArray
     log_missed: FloatArray
     state: FloatArray
 
@@ -150,13 +150,13 @@ def _no_tracks() -> _Extendable:
 
 
 def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionModel, tuning: Tuning) -> Tracks:
-    """The tracks with the misses in the exposures before and after them that saw their extrapolated positions."""
+    """The tracks with the misses in the exposures before and after them that covered their extrapolated positions."""
     detections, when = around.detections, around.detections.frame_mjd * 1440.0
     frames, first_minutes = len(when), detections.mjd_utc * 1440.0
     # Misses only lower the weight, and dominated tracks do not compete.
     selected = np.flatnonzero((tracks.log_weight > tuning.min_ended) & ~_dominated(tracks, tuning))
     steps = np.arange(1, tuning.outer_exposures + 1)
-    saw = tracks.saw.copy()
+    n_covered = tracks.n_covered.copy()
     for part in np.split(selected, range(CHUNK, len(selected), CHUNK)):
         frame = np.concatenate(
             [
@@ -170,11 +170,11 @@ def _with_outer_exposures(around: Surroundings, tracks: Tracks, model: MotionMod
         t = (when[number] - first_minutes[tracks.first[row]])[:, None]
         state = tracks.state[row]
         position = state[:, :2] + t * state[:, 2:4] + 0.5 * t * t * state[:, 4:]
-        np.add.at(saw, row, around.coverage.saw(around.axes.directions(tracks.first[row], position), number))
-    old_pattern = model.log_pattern(tracks.size, tracks.saw, tuning)
-    pattern = model.log_pattern(tracks.size, saw, tuning)
+        np.add.at(n_covered, row, around.coverage.covers(around.axes.directions(tracks.first[row], position), number))
+    old_pattern = model.log_pattern(tracks.size, tracks.n_covered, tuning)
+    pattern = model.log_pattern(tracks.size, n_covered, tuning)
     missed = pattern - model.log_pattern(tracks.size, tracks.size, tuning)
-    return replace(tracks, log_weight=tracks.log_weight + pattern - old_pattern, saw=saw, log_missed=missed)
+    return replace(tracks, log_weight=tracks.log_weight + pattern - old_pattern, n_covered=n_covered, log_missed=missed)
 
 
 def _dominated(tracks: Tracks, tuning: Tuning) -> BoolArray:
@@ -209,14 +209,16 @@ def _new_tracks(around: Surroundings, links: Links, model: MotionModel, tuning: 
     covariance[:, [4, 5], [4, 5]] = (bend**2)[:, None]
     state, covariance = _updated(state, covariance, links.minutes, links.offset, around.covariance[links.j])
     # The prior of a link (a detection has a next one) is replaced by that of a track (a detection begins a mover).
-    two, saw = np.full(m, 2), 2 + links.misses
-    pattern = model.log_pattern(two, saw, tuning)
+    two, n_covered = np.full(m, 2), 2 + links.misses
+    pattern = model.log_pattern(two, n_covered, tuning)
     weight = (
         links.log_ratio - model.log_odds - links.misses * math.log(1.0 - model.p_detect)
         + model.log_begin - around.log_crowding[links.i] + pattern
     )  # fmt: skip
     missed = pattern - model.log_pattern(two, two, tuning)
-    return _Extendable(Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, saw, missed, state), covariance)
+    return _Extendable(
+        Tracks(links.i, links.j, np.full(m, -1), two, weight, weight, n_covered, missed, state), covariance
+    )
 
 
 def _extended(
@@ -233,9 +235,9 @@ def _extended(
         math.log1p(-tuning.outlier) + log_normal(residual, covariance),
         math.log(tuning.outlier) + log_normal(residual, outlier_covariance),
     )
-    size, saw = parents.size + 1, parents.saw + links.misses + 1
-    pattern = model.log_pattern(size, saw, tuning)
-    log_again = pattern - model.log_pattern(parents.size, parents.saw, tuning)
+    size, n_covered = parents.size + 1, parents.n_covered + links.misses + 1
+    pattern = model.log_pattern(size, n_covered, tuning)
+    log_again = pattern - model.log_pattern(parents.size, parents.n_covered, tuning)
     gain = log_again + log_fit - around.log_density[links.j] + links.log_brightness
     missed = pattern - model.log_pattern(size, size, tuning)
     # Few of the tracks are in line with the link.
@@ -243,8 +245,8 @@ def _extended(
     parents, state_covariance = parents.only(kept), tracks.covariance[kept]
     state, state_covariance = _updated(parents.state, state_covariance, minutes[kept], offset[kept], noise[kept])
     extended = Tracks(
-        parents.first, links.j[kept], parent[kept], size[kept], parents.log_weight + gain[kept], gain[kept], saw[kept],
-        missed[kept], state,
+        parents.first, links.j[kept], parent[kept], size[kept], parents.log_weight + gain[kept], gain[kept],
+        n_covered[kept], missed[kept], state,
     )  # fmt: skip
     return _Extendable(extended, state_covariance)
 
