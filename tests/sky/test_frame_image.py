@@ -1,13 +1,15 @@
 """Frames of many observatories are read; unusable ones are refused in one clear line."""
 
 import gzip
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
 from sameas.errors import InputError
-from sameas.sky.frame.image import Frame, read
+from sameas.sky.frame.image import Frame, _decoder_can_crash, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Flag
 
@@ -149,8 +151,58 @@ def test_a_damaged_compressed_image_is_refused_without_a_crash(tmp_path):
         read(path)
 
 
+def cut_short(kind, path):
+    """A compressed image whose tile is shorter than its decoder believes: it reads on until its memory ends."""
+    image = fits.CompImageHDU(np.zeros((4000, 4000), np.int16), compression_type=kind, tile_shape=(4000, 4000))
+    saved(path, fits.PrimaryHDU(), image)
+    content = bytearray(path.read_bytes())
+    with fits.open(path, disable_image_compression=True) as hdus:
+        descriptor = hdus[1].fileinfo()["datLoc"]
+    tile = descriptor + 8
+    if kind == "PLIO_1":
+        content[tile + 6 : tile + 12] = np.array([0, 32767, 32767], ">i2").tobytes()  # length of the list
+        content[tile + 14 :] = bytes(len(content) - tile - 14)
+    else:
+        content[descriptor : descriptor + 4] = (6).to_bytes(4, "big")
+        content[tile : tile + 6] = bytes([0, 0, 0x10, 0, 0, 0])
+        card = content.index(b"ZVAL1   =")
+        content[card : card + 80] = f"ZVAL1   = {1 << 30:>20}".encode().ljust(80)
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["PLIO_1", "RICE_1"])
+def test_a_decoder_that_reads_beyond_its_memory_ends_only_its_own_process(tmp_path, kind):
+    program = """
+import sys
+from sameas.errors import InputError
+from sameas.sky.frame.image import read
+
+try:
+    read(sys.argv[1])
+except InputError as error:
+    print(error)
+"""
+    path = cut_short(kind, tmp_path / "cut.fits.fz")
+    run = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True)
+    assert run.returncode == 0 and "cut.fits.fz: its compressed image is damaged" in run.stdout, run
+
+
+@pytest.mark.parametrize(
+    ("cards", "can_crash"),
+    [({}, False), ({"ZVAL1": 1 << 20}, True), ({"ZVAL2": 8}, True), ({"ZTILE2": 2000}, True),
+     ({"ZCMPTYPE": "PLIO_1"}, True), ({"ZCMPTYPE": "GZIP_1"}, False)],
+)  # fmt: skip
+def test_usual_rice_images_are_decoded_in_the_process_itself(cards, can_crash):
+    usual = {
+        "ZCMPTYPE": "RICE_1", "ZNAXIS": 2, "ZNAXIS1": 4000, "ZNAXIS2": 4000, "ZTILE1": 4000, "ZTILE2": 1,
+        "ZNAME1": "BLOCKSIZE", "ZVAL1": 32, "ZNAME2": "BYTEPIX", "ZVAL2": 2,
+    }  # fmt: skip
+    assert _decoder_can_crash(fits.Header(usual | cards)) is can_crash
+
+
 def test_a_decoder_that_hangs_is_stopped(tmp_path, monkeypatch):
-    import subprocess
 
     path = saved(
         tmp_path / "h.fits.fz",

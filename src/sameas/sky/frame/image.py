@@ -204,9 +204,13 @@ def _load(path: Path, hdu: int | str | None) -> tuple[dict[str, Any], Header, tu
     return planes, header, notes
 
 
-#: The decoder of HCOMPRESS, C code in astropy, writes out of bounds on damaged data (found by fuzzing astropy 7.2): it
-#: runs in a separate process, so that a crash is only an unreadable file.
-_DECODER = "HCOMPRESS_1"
+#: astropy's decoders in C. On damaged data that of HCOMPRESS writes out of bounds, and those of PLIO and Rice read out
+#: of bounds (found by fuzzing astropy 7.2 and 8.0).
+_RICE = ("RICE_1", "RICE_ONE")
+_DECODED_IN_C = ("HCOMPRESS_1", "PLIO_1", *_RICE)
+#: Settings with which the decoder of Rice reads at most a block beyond the data, and the size of a tile in bytes up to
+#: which this stays in memory of the process.
+_RICE_BLOCKS, _RICE_PIXEL_BYTES, _RICE_TILE_BYTES = (16, 32), (1, 2, 4), 1 << 16
 #: Timeout of the decoder, seconds: an image takes one or two, damaged memory can make it hang.
 _DECODED_S = 120
 _DECODE = """
@@ -223,12 +227,13 @@ with fits.open(sys.argv[1], memmap=False) as hdus:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
-    """The extensions of a FITS file; HCOMPRESS images are decoded in a separate process."""
+    """The extensions of a FITS file. Where a damaged image could end the process, another process decodes it."""
     from astropy.io import fits
 
     checked = checked_fits(path)
     with checked.open("rb") if isinstance(checked, Path) else checked as file, fits.open(file, memmap=False) as hdus:
-        if not any(getattr(each, "compression_type", None) == _DECODER for each in hdus):
+        in_c = any(getattr(each, "compression_type", None) in _DECODED_IN_C for each in hdus)
+        if not (in_c and _can_crash(file)):
             yield hdus
             return
     with tempfile.TemporaryDirectory(prefix="sameas-") as folder:
@@ -245,6 +250,32 @@ def _opened(path: Path) -> Iterator[Any]:
             raise InputError(f"{path.name}: its compressed image is damaged ({words[0]}); copy it again")
         with fits.open(decoded, memmap=False) as hdus:
             yield hdus
+
+
+def _can_crash(file: Any) -> bool:
+    """Whether the decoder of any compressed image could end the process if the image is damaged."""
+    from astropy.io import fits
+
+    file.seek(0)
+    tables = fits.open(file, memmap=False, disable_image_compression=True)
+    try:
+        return any(_decoder_can_crash(each.header) for each in tables)
+    finally:
+        tables.close(closed=False)
+
+
+def _decoder_can_crash(header: Header) -> bool:
+    """Whether the decoder could end the process on damaged data, by the header of the table with the tiles."""
+    kind = header.get("ZCMPTYPE")
+    if kind not in _RICE:
+        return kind in _DECODED_IN_C
+    settings = {header.get(f"ZNAME{k}"): header.get(f"ZVAL{k}") for k in (1, 2)}
+    block, pixel = settings.get("BLOCKSIZE", 32), settings.get("BYTEPIX", 4)
+    if block not in _RICE_BLOCKS or pixel not in _RICE_PIXEL_BYTES:
+        return True
+    axes = range(1, header.get("ZNAXIS", 0) + 1)
+    tile = [header.get(f"ZTILE{k}", header.get("ZNAXIS1", 1) if k == 1 else 1) for k in axes]
+    return bool(math.prod(tile) * pixel > _RICE_TILE_BYTES)
 
 
 def _chosen(hdus: Any, hdu: int | str | None, path: Path) -> tuple[int, tuple[str, ...]]:
