@@ -17,7 +17,7 @@ Each group is solved by one of these methods, which is part of the result:
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -80,6 +80,9 @@ class Tuning:
 
 
 DEFAULT_TUNING = Tuning()
+
+#: Pairs that a thread lays out anew at a time, which takes 100 bytes each.
+PAIRS_AT_ONCE = 200_000
 
 
 @in_short
@@ -203,7 +206,9 @@ def _sum_probable(
         share[some[solved]] = part[solved]
         return some[~solved]
 
-    entangled = np.concatenate(threads.over(fill, groups.bounds(len(threads.even(len(groups.order))) - 1)))
+    m = len(groups.order)
+    parts = max(len(threads.even(m)) - 1, m // PAIRS_AT_ONCE)
+    entangled = np.concatenate(threads.over(fill, groups.bounds(parts)))
     if len(entangled):
         method[groups.group[entangled]] = APPROXIMATE
     return entangled
@@ -447,18 +452,27 @@ class _Thinned:
         sorted by record 2."""
         ends = pairs[[0, -1]] if len(pairs) else np.zeros(2, np.int64)
         first, last = np.searchsorted(groups.start, ends, side="right") - (1, 0)
-        of_all = np.repeat(np.arange(first, last, dtype=np.int32), groups.pair_counts[first:last])
+        of_all = np.repeat(np.arange(last - first, dtype=np.int32), groups.pair_counts[first:last])
         group = of_all[pairs - groups.start[first]]
-        starts = groups.start_1.astype(np.int32), groups.start_2.astype(np.int32)
+        # Records are counted from those of the first of these groups, so that a few groups need little memory.
+        begins = groups.start_1[first], groups.start_2[first]
+        starts = [
+            (start[first : last + 1] - begin).astype(np.int32)
+            for start, begin in zip((groups.start_1, groups.start_2), begins, strict=True)
+        ]
         places = starts[0][group] + groups.local_1[pairs], starts[1][group] + groups.local_2[pairs]
-        duals = (best.dual_1, best.dual_2)
+        duals = tuple(
+            dual[begin : begin + start[-1]]
+            for dual, begin, start in zip((best.dual_1, best.dual_2), begins, starts, strict=True)
+        )
         if swapped:
-            places, duals = places[::-1], duals[::-1]
+            places, duals, begins = places[::-1], duals[::-1], begins[::-1]
         thin = laid_out(*places, *places, len(duals[0]), len(duals[1]))
         linear = LogPrior(np.zeros(len(thin)), np.zeros(len(thin) + 1, np.int64), np.empty(0))
         chosen, weight = best.chosen[pairs][thin.order], weight[thin.order]
         state = (chosen, weight, duals[0][thin.rows_1], duals[1][thin.rows_2], np.zeros(len(thin)), linear)
-        return cls(thin, Hypothesis(*state))
+        rows_1, rows_2 = thin.rows_1 + np.int32(begins[0]), thin.rows_2 + np.int32(begins[1])
+        return cls(replace(thin, rows_1=rows_1, rows_2=rows_2), Hypothesis(*state))
 
     def exact(self) -> tuple[FloatArray, BoolArray]:
         """Probability of every pair, and whether its part could be summed exactly."""

@@ -22,11 +22,14 @@ def count() -> int:
 
 
 def over(work: Callable[[int, int], T], bounds: Sequence[int]) -> list[T]:
-    """``work(bounds[t], bounds[t + 1])`` for every t, in parallel; results in the order of the ranges."""
+    """``work(bounds[t], bounds[t + 1])`` for every t, in parallel; results in the order of the ranges.
+
+    There may be more ranges than threads, each of which then takes the next one.
+    """
     ranges = [(int(a), int(b)) for a, b in pairwise(bounds) if b > a]
     if len(ranges) <= 1:
         return [work(a, b) for a, b in ranges]
-    with ThreadPoolExecutor(len(ranges)) as pool:
+    with ThreadPoolExecutor(min(len(ranges), count())) as pool:
         return list(pool.map(lambda r: work(*r), ranges))
 
 
