@@ -11,6 +11,7 @@ from sameas.errors import InputError
 from sameas.picture import LivePicture, PlotPicture, picture_states
 from sameas.tracks import Clutter, Description, LocalPlane, MissRate, Motion, Scene, SensorErrors, Site, Timing
 from sameas.tracks.reports import Reports
+from sameas.tracks.tuning import DEFAULT_TUNING
 
 INSTANTS = np.arange(5.0, 300.0, 5.0)
 
@@ -250,3 +251,23 @@ def test_refusals_name_the_error():
     assert LivePicture([Description("r", "marine radar", site=Site(lat_deg=50.0, lon_deg=1.0))]).plane == LocalPlane(
         50.0, 1.0
     )
+
+
+@pytest.mark.parametrize("late_s", [3.0, -5.0])
+def test_a_delay_of_the_stamps_is_removed_live_and_estimated_again_in_every_window(late_s):
+    from tests.tracks.test_delays import aircraft
+
+    made = [(d, reports.in_time_order()) for d, reports in aircraft(1, late_s)]
+    arrivals = batches(made)
+    picture = LivePicture([d for d, _ in made], lag_s=5.0)
+    list(live_states(made, np.arange(3.0, 100.0), [a for a in arrivals if a[0] < 100.0], picture))
+    picture.register()
+    radar = picture.biases["radar"]
+    assert abs(radar.parameters["time_s"].value - late_s) < 3.5 * radar.parameters["time_s"].standard_error
+    assert any("which its description does not mention" in note for note in radar.notes)
+    after = list(live_states(made, np.arange(100.0, 280.0), [a for a in arrivals if a[0] >= 100.0], picture))
+    # No track is missing for a moment, and those of an aircraft are one object again.
+    assert np.mean([len(state.scan) for state in after]) > 15.8
+    assert np.mean((after[-1].members >= 0).sum(axis=1) > 1) > 0.8
+    assert [d.bias.time_s for d, _ in picture.recent()] == [None, DEFAULT_TUNING.delay_s]
+    assert picture.descriptions[1].bias.time_s is None

@@ -27,12 +27,13 @@ from sameas.picture.picture import Columns, error_lines, gathered
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.watch import Watch
+from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
 from sameas.tracks.live_feed import Counts, LiveFeed, unbiased_now
-from sameas.tracks.registration import SourceBiases
+from sameas.tracks.registration import SourceBiases, with_delay_prior
 from sameas.tracks.reports import Reports, joined
 from sameas.tracks.scene import POSITION, Scene
 from sameas.tracks.source import Description
@@ -208,10 +209,18 @@ class LivePicture:
         return found.biases
 
     def recent(self) -> list[tuple[Description, Reports]]:
-        """The sources that have reports in the last minutes, with these reports."""
-        return [
-            (self._feeds[name].description, joined(list(recent))) for name, recent in self._recent.items() if recent
-        ]
+        """The sources that have reports in the last minutes, with these reports.
+
+        The delay of a source's stamps, once established, is estimated again in every window, also where the reports of
+        one window would not establish it.
+        """
+        return [(self._described(name), joined(list(recent))) for name, recent in self._recent.items() if recent]
+
+    def _described(self, source: str) -> Description:
+        description, biases = self._feeds[source].description, self._biases.get(source)
+        if biases is None or "time_s" not in biases.parameters or description.bias.time_s is not None:
+            return description
+        return with_delay_prior(description, self.tuning.delay_s)
 
     def faults(self) -> tuple[Fault, ...]:
         """The deceptions and faults of sources in the last minutes, each with its evidence and probability.
@@ -242,9 +251,11 @@ class LivePicture:
             kept.popleft()
 
     def _feed(self, live_feed: LiveFeed, instant_s: float) -> Feed:
-        feed, biases = live_feed.feed(instant_s), self._biases.get(live_feed.description.name)
+        biases = self._biases.get(live_feed.description.name)
         if biases is None or biases.theta is None or biases.covariance is None:
-            return feed
+            return live_feed.feed(instant_s)
+        # Reports with early stamps become current later, so older ones are needed until then.
+        feed = live_feed.feed(instant_s - max(0.0, -float(biases.theta[TIME])))
         return unbiased_now(feed, biases.theta, biases.covariance)
 
     def _start(self) -> Watch | PlotPicture:

@@ -39,6 +39,7 @@ class BiasFit:
     pairs : expected number of pairs, over all instants. instants : their number. tracks : number of objects in pairs.
     log_evidence : log-odds of these biases against no object in common.
     rivals : other solutions, with their log evidence. converged : whether the refinement converged. tuning : of tracks.
+    speed_m_per_s : median speed of the compared objects, 0 if unknown.
     """
 
     biases: IntArray
@@ -52,6 +53,7 @@ class BiasFit:
     rivals: tuple[tuple[FloatArray, float], ...]
     converged: bool
     tuning: Tuning = DEFAULT_TUNING
+    speed_m_per_s: float = 0.0
 
     @property
     def near_rivals(self) -> tuple[tuple[FloatArray, float], ...]:
@@ -209,6 +211,7 @@ def _converged(pool: Pool, theta: FloatArray) -> BiasFit:
         pool.biases, at[0], covariance, projection @ covariance @ projection.T,
         float(sum(e.common[0] for e in weights)),
         instants, tracks, likelihood + prior + min(float(occam), 0.0), (), converged, pool.tuning,
+        float(np.median([scan.speed_m_per_s for scan in pool.scans])),
     )  # fmt: skip
 
 

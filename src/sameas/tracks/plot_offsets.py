@@ -422,9 +422,11 @@ def _refined(
     inflation = _variance_inflation(plots.time_s[pairs.plot[sure]], (residual[:, 1] / np.sqrt(variance[:, 1]))[sure])
     prior = np.diag(np.concatenate([precision, np.full(axes, 1.0 / lasting_m2)]))
     covariance = inverse((information - prior) / inflation + prior)[:p, :p]
+    speed = np.hypot(*pairs.jacobian[sure, :, FITTED.index(TIME)].T)
     return BiasFit(
         np.array([FITTED[k] for k in fitted], np.int64), theta, covariance, covariance, float(weight.sum()),
         int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning,
+        float(np.median(speed)) if sure.any() else 0.0,
     )  # fmt: skip
 
 

@@ -3,6 +3,10 @@
 :func:`registered` registers a scene. Sources without a bias in their descriptions (AIS and ADS-B, which report
 satellite positions) are the reference. If all sources may be biased, the two with most reports are registered against
 each other first; their priors are the gauge.
+
+A delay of the time stamps that a description does not mention is usually unknown, not zero. Each source is therefore
+also fitted with an unknown delay (of prior width ``delay_s``), which is kept if the data establish it: if the odds
+against no delay (:func:`delay_evidence`) are decisive. ``bias.time_s = 0`` in the description excludes it.
 """
 
 from __future__ import annotations
@@ -18,10 +22,11 @@ from sameas.registration import Parameter
 from sameas.representation import in_short
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import BIASES, TIME, corrected
-from sameas.tracks.feed import Feed
+from sameas.tracks.feed import CORRELATED_KINDS, Feed
 from sameas.tracks.placement import Directions
 from sameas.tracks.plot_offsets import PlotFits, shows_bare_plots, shows_tracks
 from sameas.tracks.snapshot import CommonScan, ComparedSource, bias_widths, common_scans
+from sameas.tracks.source import Description
 
 _UNITS = ("m", "deg", "", "s", "m", "m")
 _TEXTS = {
@@ -45,7 +50,7 @@ class SourceBiases:
     log_evidence : log-odds of these biases against no object in common.
     established : whether these biases are decisively more probable than others and than no object in common. If not,
         the records are not corrected.
-    notes : doubts, printable sentences.
+    notes : doubts, printable sentences; also a delay that the description does not mention.
     theta, covariance : (6,) and (6, 6) the biases that are subtracted, in the order of ``BIASES``, and their
         covariance; None without a correction.
     """
@@ -94,8 +99,10 @@ def registered(
     """
     fixed, free, directions = _parts(feeds, references)
     fits = fits or PlotFits()
-    done: dict[int, RegisteredFeed] = {k: (feeds[k], SourceBiases(feeds[k].description.name)) for k in fixed}
-    anchors = [feeds[k] for k in fixed]
+    done: dict[int, RegisteredFeed] = {}
+    for k in fixed:
+        done[k] = _reference(feeds[k], [done[j][0] for j in done])
+    anchors = [done[k][0] for k in fixed]
     if not fixed and len(free) > 1:
         done |= dict(zip(free[:2], _mutual(feeds[free[0]], feeds[free[1]]), strict=True))
     for k in free:
@@ -113,7 +120,8 @@ def registered(
 
 
 def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[list[int], list[int], list[int]]:
-    """Numbers of the references, of the other sources of positions, most reports first, and of directions."""
+    """Numbers of the references, satellite clocks first, of the other sources of positions, most reports first, and of
+    directions."""
     names = [feed.description.name for feed in feeds]
     placed = [k for k, feed in enumerate(feeds) if not isinstance(feed.reports, Directions)]
     for name in references or ():
@@ -124,6 +132,7 @@ def _parts(feeds: Sequence[Feed], references: Sequence[str] | None) -> tuple[lis
         fixed = [k for k in placed if not bias_widths(feeds[k]).any()]
     else:
         fixed = [k for k in placed if names[k] in references]
+    fixed.sort(key=lambda k: (feeds[k].description.kind not in CORRELATED_KINDS, -len(feeds[k].reports)))
     free = sorted((k for k in placed if k not in fixed), key=lambda k: -len(feeds[k].reports))
     return fixed, free, [k for k in range(len(feeds)) if k not in placed]
 
@@ -138,6 +147,14 @@ def _best_partner(feed: Feed, done: Sequence[RegisteredFeed]) -> list[Feed]:
     return [positions[int(np.argmax(counts))]] if positions else []
 
 
+def _reference(feed: Feed, others: Sequence[Feed]) -> RegisteredFeed:
+    """A source whose positions are a reference, with the delay relative to other references, if one is established."""
+    fit = _delay_fit(feed, others, PlotFits()) if others else None
+    if fit is None:
+        return feed, SourceBiases(feed.description.name)
+    return _corrected(feed, 0, fit, tuple(other.description.name for other in others))
+
+
 def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> RegisteredFeed:
     """One source registered against others, which stay unchanged."""
     name = feed.description.name
@@ -145,32 +162,84 @@ def _against(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> Registered
         return feed, SourceBiases(name, notes=(f"{name}: its description allows no bias to fit",))
     if not partners:
         return feed, SourceBiases(name, notes=(f"{name}: there is no other source of positions to compare it with",))
+    fit = _delay_fit(feed, partners, fits) or _fit(feed, partners, fits)
+    if fit is not None:
+        return _corrected(feed, 0, fit, tuple(other.description.name for other in partners))
+    if not _common_scans(feed, partners):
+        return feed, SourceBiases(name, established=False, notes=(_no_common_time(name, partners),))
+    return feed, SourceBiases(name, notes=(_not_observable(name, partners),))
+
+
+def _fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None:
+    """The biases of one source relative to others; None if they have no time in common or no bias is observable."""
     named = [other for other in partners if shows_tracks(other)]
     by_plots = fits(feed, named) if named and shows_bare_plots(feed) else None
     if by_plots is not None:
-        return _corrected(feed, 0, by_plots, tuple(other.description.name for other in named))
-    scans = [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
-    if not scans:
-        return feed, SourceBiases(name, established=False, notes=(_no_common_time(name, partners),))
-    if not _observable(scans):
-        return feed, SourceBiases(name, notes=(_not_observable(name, partners),))
-    fit = fit_biases(scans, feed.tuning)
-    return _corrected(feed, 0, fit, tuple(other.description.name for other in partners))
+        return by_plots
+    scans = _common_scans(feed, partners)
+    return fit_biases(scans, feed.tuning) if _observable(scans) else None
+
+
+def _common_scans(feed: Feed, partners: Sequence[Feed]) -> list[CommonScan]:
+    return [scan for other in partners for scan in common_scans(ComparedSource(other, None), ComparedSource(feed, 0))]
+
+
+def with_delay_prior(description: Description, delay_s: float) -> Description:
+    """The description with a prior 1σ of a delay in addition to its latency, so that the delay is always estimated."""
+    return replace(description, bias=replace(description.bias, time_s=delay_s))
+
+
+def _with_unknown_delay(feed: Feed) -> Feed | None:
+    """The feed with a prior for a delay of its stamps; None for directions, and if its description has one, or 0."""
+    if feed.description.bias.time_s is not None or isinstance(feed.reports, Directions):
+        return None
+    return replace(feed, description=with_delay_prior(feed.description, feed.tuning.delay_s))
+
+
+def _delay_fit(feed: Feed, partners: Sequence[Feed], fits: PlotFits) -> BiasFit | None:
+    """The biases of one source with a delay that its description does not mention; None if none is established."""
+    delayed = _with_unknown_delay(feed)
+    fit = None if delayed is None else _fit(delayed, partners, fits)
+    return fit if fit is not None and _delay_established(fit, [feed, *partners]) else None
+
+
+def _delay_established(fit: BiasFit, feeds: Sequence[Feed]) -> bool:
+    decisive = fit.tuning.registration.decisive
+    return fit.established and delay_evidence(fit, feeds) > decisive
+
+
+def delay_evidence(fit: BiasFit, feeds: Sequence[Feed]) -> float:
+    """Log-odds of the fitted delay, of prior width ``delay_s``, against none: the Savage-Dickey density ratio.
+
+    An antenna is rarely amidships. An offset along the course that all ships share looks like a delay at a given
+    speed; it adds to the standard error here, as ``hull_along`` of the described extents.
+
+    Source: Dickey 1971, Annals of Mathematical Statistics 42, 204.
+    """
+    at = np.flatnonzero(fit.biases % len(BIASES) == TIME)
+    if len(at) != 1:
+        return -np.inf
+    delay, variance = float(fit.theta[at[0]]), float(fit.covariance[at[0], at[0]])
+    if fit.speed_m_per_s > 0.0:
+        extent_sq = max((feed.description.errors.extent_m or 0.0) ** 2 for feed in feeds)
+        variance += extent_sq * (fit.tuning.hull_along / fit.speed_m_per_s) ** 2
+    return 0.5 * delay**2 / variance + 0.5 * float(np.log(variance)) - float(np.log(fit.tuning.delay_s))
 
 
 def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     """Two sources that may both be biased, registered against each other."""
     names = one.description.name, other.description.name
     scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
-    if not scans:
+    fit = _mutual_delay_fit(one, other)
+    if fit is None and not scans:
         notes = _no_common_time(names[0], [other]), _no_common_time(names[1], [one])
         biases = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
         return (one, biases[0]), (other, biases[1])
-    if not _observable(scans):
+    if fit is None and not _observable(scans):
         notes = _not_observable(names[0], [other]), _not_observable(names[1], [one])
         biases = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
         return (one, biases[0]), (other, biases[1])
-    fit = fit_biases(scans, one.tuning)
+    fit = fit or fit_biases(scans, one.tuning)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is assumed "
         "to be as small as their descriptions allow"
@@ -179,6 +248,25 @@ def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     if fit.established:
         first = first[0], replace(first[1], notes=(gauge, *first[1].notes))
     return first, second
+
+
+def _mutual_delay_fit(one: Feed, other: Feed) -> BiasFit | None:
+    """The biases of both with an unmentioned delay of the second, or else of the first; None if not established.
+
+    Only the difference of two delays is observable: a source whose description has a delay takes all of it.
+    """
+    if (one.description.bias.time_s or 0.0) > 0.0 or (other.description.bias.time_s or 0.0) > 0.0:
+        return None
+    late_other, late_one = _with_unknown_delay(other), _with_unknown_delay(one)
+    if late_other is not None:
+        late_one = None
+    if late_other is None and late_one is None:
+        return None
+    scans = common_scans(ComparedSource(late_one or one, 0), ComparedSource(late_other or other, 6))
+    if not _observable(scans):
+        return None
+    fit = fit_biases(scans, one.tuning)
+    return fit if _delay_established(fit, [one, other]) else None
 
 
 def _observable(scans: Sequence[CommonScan]) -> bool:
@@ -235,6 +323,12 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
             f"{name}: may have no object in common with {others}: its biases are not significant "
             f"(log evidence {fit.log_evidence:.1f})"
         )
+    if TIME in which and not bias_widths(feed)[TIME]:
+        delay_s = float(fit.theta[own[which == TIME][0]])
+        notes.append(
+            f"{name}: its stamps are {abs(delay_s):.2g} s {'late' if delay_s > 0.0 else 'early'} against those of "
+            f"{others}, which its description does not mention; if they are exact, give bias time_s = 0"
+        )
     if fit.near_rivals:
         theta, evidence = fit.near_rivals[0]
         values = ", ".join(f"{BIASES[k]} {value:.4g}" for k, value in zip(which, theta[own], strict=True))
@@ -254,7 +348,7 @@ def _notes(feed: Feed, which: IntArray, own: IntArray, fit: BiasFit, against: tu
         notes.append(f"{name}: latency was not fitted: neither it nor {others} has velocities")
     if not fit.converged:
         notes.append(f"{name}: its biases had not converged")
-    far = np.abs(fit.theta[own]) > 3.0 * bias_widths(feed)[which]
+    far = np.abs(fit.theta[own]) > 3.0 * np.where(bias_widths(feed) > 0.0, bias_widths(feed), np.inf)[which]
     wide = [BIASES[k] for k in which[far]]
     if wide:
         notes.append(f"{name}: {' and '.join(wide)} came out more than three times as large as its description allows")

@@ -190,7 +190,8 @@ class Motion:
 class BiasPrior:
     """Prior 1σ of unknown biases, 0 or None for no bias. ``Scene.registered`` estimates them.
 
-    range_m, azimuth_deg, range_gain : of a sensor with a site. time_s : latency in addition to timing.latency_s.
+    range_m, azimuth_deg, range_gain : of a sensor with a site. time_s : latency in addition to timing.latency_s; None
+    if it is unknown: a delay is then removed where the data establish it; 0 for an exact clock.
     shift_m : of the whole source, per axis (east and north).
     """
 

@@ -53,6 +53,8 @@ class Tuning:
     same_sigmas : two solutions are one if no record moves between them by more than this many σ.
     min_information : minimum eigenvalue of the observed information relative to the complete one.
     moved_sigmas : instants are independent if records have moved by at least this many σ between them.
+    delay_s : prior 1σ of a delay of the time stamps that a description does not mention (chosen).
+    hull_along : 1σ of the mean of the antennas' places along the course, as a share of the described extents (chosen).
     registration : of the offset search at each instant; its ``decisive`` evidence establishes biases.
 
     azimuth_reach, azimuth_step_deg : the azimuth of bare plots is searched within this many prior widths, in steps.
@@ -143,6 +145,8 @@ class Tuning:
     same_sigmas: float = 0.7
     min_information: float = 0.02
     moved_sigmas: float = 3.0
+    delay_s: float = 5.0
+    hull_along: float = 0.25
     registration: RegistrationTuning = REGISTRATION
 
     azimuth_reach: float = 20.0
