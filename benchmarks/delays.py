@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.hard import AIRCRAFT, AIS, RADAR, Kind, Sees, made
+from benchmarks.hard import AIRCRAFT, AIS, RADAR, Fleet, Kind, Sees, made
 from benchmarks.tables import Table, report
-from benchmarks.traffic import ADS_B, AIR_RADAR, FAR, NEAR, fairway, in_lock, stack
+from benchmarks.traffic import ADS_B, AIR_RADAR, FAR, NEAR, Paths, fairway, in_lock, stack
+
+
+def _of(paths: Callable[[np.random.Generator], Paths]) -> Callable[[Fleet, np.random.Generator], Fleet]:
+    """Objects on given paths instead of a fleet."""
+    return lambda _, rng: paths(rng)  # type: ignore[return-value]
+
 
 #: What is late in each kind: the last source, or the first.
 LAST, FIRST = -1, 0
@@ -27,12 +33,12 @@ KINDS = (
     (Kind("ships, AIS, trackers of 8 m", NEAR), LAST),
     (Kind("ships, trackers of 25 m, no AIS", FAR[1:]), LAST),
     (Kind("ships, errors stated half as large", tuple(replace(one, stated=0.5) for one in FAR)), LAST),
-    (Kind("ferries across a fairway, trackers of 25 m", FAR, arranged=lambda _, rng: fairway(rng)), LAST),
-    (Kind("ships in a lock, trackers of 8 m", NEAR, arranged=lambda _, rng: in_lock(rng)), LAST),
+    (Kind("ferries across a fairway, trackers of 25 m", FAR, arranged=_of(fairway)), LAST),
+    (Kind("ships in a lock, trackers of 8 m", NEAR, arranged=_of(in_lock)), LAST),
     (Kind("ships, AIS, plots of a radar", (AIS, RADAR), n=10, width_m=3000.0), LAST),
     (Kind("ships, AIS, plots 3° off and clutter", (AIS, replace(RADAR, azimuth_deg=3.0, false=10.0)), n=10,
           width_m=3000.0), LAST),
-    (Kind("aircraft in a stack, radar", (ADS_B, AIR_RADAR), width_m=10e3, arranged=lambda _, rng: stack(rng)), LAST),
+    (Kind("aircraft in a stack, radar", (ADS_B, AIR_RADAR), width_m=10e3, arranged=_of(stack)), LAST),
     (Kind("aircraft, radar", (WIDE, replace(AIR_RADAR, heights=0.0)), width_m=8e3, speed=(80.0, 140.0)), LAST),
     (Kind("aircraft, multilateration", (WIDE, replace(WIDE, name="mlat", kind="mlat", sigma_m=150.0, share=1.0)),
           width_m=30e3, speed=(80.0, 140.0)), LAST),
