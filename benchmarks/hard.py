@@ -50,21 +50,21 @@ class Fleet:
 
     @classmethod
     def of(cls, rng: np.random.Generator, n: int, width_m: float, speed: tuple[float, float], height: float) -> Fleet:
-        """So many in a square; heights evenly between 0 and ``height``."""
+        """``n`` objects in a square; heights uniform between 0 and ``height``."""
         turn = np.radians(rng.uniform(0.15, 0.4, n)) * rng.choice([-1.0, 1.0], n)
         radius = rng.uniform(*speed, n) / np.abs(turn)
         phase = rng.uniform(0.0, 2.0 * np.pi, n)
         centre = rng.uniform(0.0, width_m, (n, 2))
         return cls(centre, radius, phase, turn, rng.uniform(0.0, height, n))
 
-    def in_convoy(self, apart_m: float) -> Fleet:
-        """The same, in pairs abreast."""
+    def in_convoy(self, spacing_m: float) -> Fleet:
+        """The fleet in pairs abreast."""
         lead = np.arange(len(self.turn)) // 2 * 2
-        aside = apart_m * (np.arange(len(self.turn)) % 2)
+        aside = spacing_m * (np.arange(len(self.turn)) % 2)
         return Fleet(self.centre[lead], self.radius[lead] + aside, self.phase[lead], self.turn[lead], self.height[lead])
 
     def crossing(self, rng: np.random.Generator) -> Fleet:
-        """The same; every second object passes the one before it within 20 m in mid-run, at an angle."""
+        """The fleet; every second object passes the previous one within some 20 m in mid-run, at an angle."""
         lead = np.arange(len(self.turn)) // 2 * 2
         follows = np.flatnonzero(np.arange(len(self.turn)) % 2)
         when = rng.uniform(0.4, 0.8, len(self.turn)) * SPAN_S
@@ -79,13 +79,13 @@ SHIPS, AIRCRAFT = Motion(0.01, 8.0), Motion(4.0, 150.0)
 
 
 @dataclass(frozen=True)
-class Sees:
-    """One source. ``stated``: its description's errors over the true ones. late_s, azimuth_deg : not stated.
+class Sensor:
+    """One source. ``stated`` : errors of its description over the true ones. late_s, azimuth_deg : not described.
 
-    speaks : who says its name, drawn with ``share``. west, east : part of the width that it covers. swaps : probability
-    per scan that two objects within 60 m exchange ids. twice : share of the objects that it shows under two ids.
-    heights : share of the records with one. false : plots or tracks of nothing in a scan; tracks last
-    20 scans. range_share : of the range, that a radar's error grows by; not stated. gap_s : mean duration of
+    share : of the objects that it reports, drawn at random, or ``which`` of n objects. west, east : part of the width
+    that it covers. swaps : probability per scan that two objects within 60 m exchange ids. twice : share of the objects
+    that it shows under two ids. heights : share of the records with one. false : false plots or tracks per scan; tracks
+    last 20 scans. range_share : growth of a radar's error with range; not described. gap_s : mean duration of
     an object's gaps without reports, and of the times between them; 0 for none.
     """
 
@@ -115,97 +115,97 @@ class Sees:
     speed_error: float = 0.5
 
 
-AIS = Sees("ais", "ais", sigma_m=8.0, period_s=6.0, misses=0.2, stated_misses=0.2, share=0.75)
-RADAR = Sees("radar", "marine radar", sigma_m=15.0, polar=True)
+AIS = Sensor("ais", "ais", sigma_m=8.0, period_s=6.0, misses=0.2, stated_misses=0.2, share=0.75)
+RADAR = Sensor("radar", "marine radar", sigma_m=15.0, polar=True)
 
 
 def reported(
-    fleet: Fleet, sees: Sees, width_m: float, span_s: float, rng: np.random.Generator
+    fleet: Fleet, sensor: Sensor, width_m: float, span_s: float, rng: np.random.Generator
 ) -> tuple[Description, Reports, np.ndarray]:
     """The description, the reports and the object of each, −1 for false ones."""
     n, rows = len(fleet.turn), []
-    speaks = np.flatnonzero(rng.random(n) < sees.share) if sees.which is None else sees.which(n)
-    twins = {k for k in speaks.tolist() if rng.random() < sees.twice}
+    reporting = np.flatnonzero(rng.random(n) < sensor.share) if sensor.which is None else sensor.which(n)
+    doubled = {k for k in reporting.tolist() if rng.random() < sensor.twice}
     first_s = rng.uniform(0.0, 1.0)
-    own_phase = rng.uniform(0.0, sees.period_s, n) if sees.kind in ("ais", "ads-b") else np.full(n, first_s)
-    for k in speaks.tolist():
-        for copy in range(1 + (k in twins)):
-            times = np.arange(own_phase[k], span_s, sees.period_s)
-            times = times[rng.random(len(times)) >= sees.misses]
+    own_phase = rng.uniform(0.0, sensor.period_s, n) if sensor.kind in ("ais", "ads-b") else np.full(n, first_s)
+    for k in reporting.tolist():
+        for copy in range(1 + (k in doubled)):
+            times = np.arange(own_phase[k], span_s, sensor.period_s)
+            times = times[rng.random(len(times)) >= sensor.misses]
             place, speed = fleet.at(np.full(len(times), k), times)
-            here = (place[:, 0] >= sees.west * width_m) & (place[:, 0] <= sees.east * width_m)
-            here &= times <= sees.until_s
-            if sees.gap_s:
-                changes = np.cumsum(rng.exponential(sees.gap_s, 2 + int(8.0 * span_s / sees.gap_s)))
-                here &= np.searchsorted(changes, times) % 2 == 0
-            m = int(here.sum())
-            side = rng.normal(0.0, 12.0, 2) if k in twins else 0.0
-            rows.append((times[here], place[here] + side, speed[here], np.full(m, k), np.full(m, k + 1000 * copy)))
-    looks = np.arange(first_s, span_s, sees.period_s)
-    lasting = 1.0 if sees.polar else 20.0
-    for number in range(rng.poisson(sees.false * len(looks) / lasting)):
-        times = looks[rng.integers(len(looks)) :][: rng.geometric(1.0 / lasting)]
+            shown = (place[:, 0] >= sensor.west * width_m) & (place[:, 0] <= sensor.east * width_m)
+            shown &= times <= sensor.until_s
+            if sensor.gap_s:
+                changes = np.cumsum(rng.exponential(sensor.gap_s, 2 + int(8.0 * span_s / sensor.gap_s)))
+                shown &= np.searchsorted(changes, times) % 2 == 0
+            m = int(shown.sum())
+            side = rng.normal(0.0, 12.0, 2) if k in doubled else 0.0
+            rows.append((times[shown], place[shown] + side, speed[shown], np.full(m, k), np.full(m, k + 1000 * copy)))
+    scans_s = np.arange(first_s, span_s, sensor.period_s)
+    mean_scans = 1.0 if sensor.polar else 20.0
+    for number in range(rng.poisson(sensor.false * len(scans_s) / mean_scans)):
+        times = scans_s[rng.integers(len(scans_s)) :][: rng.geometric(1.0 / mean_scans)]
         start = rng.uniform(0.0, width_m, 2)
         rows.append((times, np.tile(start, (len(times), 1)), np.zeros((len(times), 2)), np.full(len(times), -1),
                      np.full(len(times), 5000 + number)))  # fmt: skip
     time_s, place, speed, owner, track = (np.concatenate(column) for column in zip(*rows, strict=True))
     order = np.argsort(time_s, kind="stable")
     time_s, place, speed, owner, track = (x[order] for x in (time_s, place, speed, owner, track))
-    track = _swapped(fleet, time_s, owner, track, sees.swaps, rng)
-    columns: dict[str, np.ndarray] = {"time_s": time_s + sees.late_s}
-    errors = SensorErrors(position_m=sees.stated * sees.sigma_m, speed_m_per_s=sees.speed_error, course_deg=5.0,
+    track = _swapped(fleet, time_s, owner, track, sensor.swaps, rng)
+    columns: dict[str, np.ndarray] = {"time_s": time_s + sensor.late_s}
+    errors = SensorErrors(position_m=sensor.stated * sensor.sigma_m, speed_m_per_s=sensor.speed_error, course_deg=5.0,
                           extent_m=0.0)  # fmt: skip
     site = None
-    if sees.polar:
+    if sensor.polar:
         site = Site(east_m=0.5 * width_m, north_m=-0.3 * width_m)
         arm = place - (site.east_m, site.north_m)
-        away = np.hypot(*arm.T)
-        turn_deg = 0.5
-        sigma_m = sees.sigma_m + sees.range_share * away
-        columns["range_m"] = np.maximum(away + sigma_m * rng.normal(size=len(away)), 1.0)
+        range_m = np.hypot(*arm.T)
+        sigma_deg = 0.5
+        sigma_m = sensor.sigma_m + sensor.range_share * range_m
+        columns["range_m"] = np.maximum(range_m + sigma_m * rng.normal(size=len(range_m)), 1.0)
         columns["bearing_deg"] = (
-            np.degrees(np.arctan2(*arm.T)) + sees.azimuth_deg + turn_deg * rng.normal(size=len(away))
+            np.degrees(np.arctan2(*arm.T)) + sensor.azimuth_deg + sigma_deg * rng.normal(size=len(range_m))
         ) % 360.0
-        errors = SensorErrors(range_m=sees.stated * sees.sigma_m, range_share=0.0, bearing_deg=sees.stated * turn_deg,
-                              extent_m=1.0)  # fmt: skip
+        errors = SensorErrors(range_m=sensor.stated * sensor.sigma_m, range_share=0.0,
+                              bearing_deg=sensor.stated * sigma_deg, extent_m=1.0)  # fmt: skip
     else:
-        x = place + sees.sigma_m * rng.normal(size=place.shape)
-        v = speed + sees.speed_error * rng.normal(size=speed.shape)
+        x = place + sensor.sigma_m * rng.normal(size=place.shape)
+        v = speed + sensor.speed_error * rng.normal(size=speed.shape)
         columns |= {"x_m": x[:, 0], "y_m": x[:, 1], "vx_m_per_s": v[:, 0], "vy_m_per_s": v[:, 1]}
         names = np.array([f"{k:04d}" for k in track], object)
-        if sees.kind == "ais":
+        if sensor.kind == "ais":
             columns["mmsi"] = np.array([f"23500{name}" for name in names], object)
-        elif sees.kind == "ads-b":
+        elif sensor.kind == "ads-b":
             columns["icao"] = np.array([f"a0{name}" for name in names], object)
         else:
             columns["track_id"] = names
-    if sees.heights:
+    if sensor.heights:
         height = fleet.height[np.maximum(owner, 0)] + 20.0 * rng.normal(size=len(owner))
-        columns["pressure_alt_m"] = np.where(rng.random(len(owner)) < sees.heights, height, np.nan)
+        columns["pressure_alt_m"] = np.where(rng.random(len(owner)) < sensor.heights, height, np.nan)
         errors = replace(errors, height_m=20.0)
     described = Description(
-        sees.name, sees.kind, site=site, errors=errors, misses=MissRate(sees.stated_misses), motion=sees.motion,
-        clutter=Clutter(sees.stated_false_per_km2),
-        timing=Timing(sees.period_s, 0.0, None if sees.kind in ("ais", "ads-b", "marine radar") else 0.0),
+        sensor.name, sensor.kind, site=site, errors=errors, misses=MissRate(sensor.stated_misses), motion=sensor.motion,
+        clutter=Clutter(sensor.stated_false_per_km2),
+        timing=Timing(sensor.period_s, 0.0, None if sensor.kind in ("ais", "ads-b", "marine radar") else 0.0),
     )  # fmt: skip
-    return described, Reports.of(sees.name, "ais" if sees.kind == "ais" else "table", columns), owner
+    return described, Reports.of(sensor.name, "ais" if sensor.kind == "ais" else "table", columns), owner
 
 
 def _swapped(
     fleet: Fleet, time_s: np.ndarray, owner: np.ndarray, track: np.ndarray, swaps: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Track numbers; those of two objects near each other are exchanged now and then, for good."""
+    """Track numbers; those of two near objects are exchanged permanently with probability ``swaps`` per scan."""
     if not swaps:
         return track
-    out, held = track.copy(), {int(k): int(k) for k in np.unique(track)}
+    out, number = track.copy(), {int(k): int(k) for k in np.unique(track)}
     for scan in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s) > 0.0) + 1):
         place, _ = fleet.at(np.maximum(owner[scan], 0), time_s[scan])
-        apart = np.hypot(*(place[:, None] - place).transpose(2, 0, 1))
-        for i, j in np.argwhere(np.triu(apart < 60.0, 1)):
+        distance = np.hypot(*(place[:, None] - place).transpose(2, 0, 1))
+        for i, j in np.argwhere(np.triu(distance < 60.0, 1)):
             if rng.random() < swaps:
                 one, two = int(track[scan[i]]), int(track[scan[j]])
-                held[one], held[two] = held[two], held[one]
-        out[scan] = [held[int(k)] for k in track[scan]]
+                number[one], number[two] = number[two], number[one]
+        out[scan] = [number[int(k)] for k in track[scan]]
     return out
 
 
@@ -214,7 +214,7 @@ class Kind:
     """One kind of scene."""
 
     words: str
-    sources: tuple[Sees, ...]
+    sources: tuple[Sensor, ...]
     n: int = 14
     width_m: float = 1000.0
     speed: tuple[float, float] = (1.0, 3.0)
@@ -222,13 +222,13 @@ class Kind:
     arranged: Callable[[Fleet, np.random.Generator], Fleet] = field(default=lambda fleet, rng: fleet)
 
 
-def _trackers(**trouble: object) -> tuple[Sees, ...]:
+def _trackers(**trouble: object) -> tuple[Sensor, ...]:
     """AIS and two trackers, the second with a trouble."""
-    return AIS, Sees("west"), replace(Sees("east"), **trouble)  # type: ignore[arg-type]
+    return AIS, Sensor("west"), replace(Sensor("east"), **trouble)  # type: ignore[arg-type]
 
 
-def _all(**trouble: object) -> tuple[Sees, ...]:
-    return tuple(replace(one, **trouble) for one in (AIS, Sees("west"), Sees("east")))  # type: ignore[arg-type]
+def _all(**trouble: object) -> tuple[Sensor, ...]:
+    return tuple(replace(one, **trouble) for one in (AIS, Sensor("west"), Sensor("east")))  # type: ignore[arg-type]
 
 
 KINDS = (
@@ -241,41 +241,42 @@ KINDS = (
     Kind("crossing", _trackers(), arranged=lambda fleet, rng: fleet.crossing(rng)),
     Kind("convoys 80 m apart", _trackers(), arranged=lambda fleet, rng: fleet.in_convoy(80.0)),
     Kind("convoys 40 m apart", _trackers(), arranged=lambda fleet, rng: fleet.in_convoy(40.0)),
-    Kind("2 % swaps", _all()[:1] + tuple(replace(Sees(name), swaps=0.02) for name in ("west", "east"))),
+    Kind("2 % swaps", _all()[:1] + tuple(replace(Sensor(name), swaps=0.02) for name in ("west", "east"))),
     Kind("ends early", _trackers(until_s=250.0)),
     Kind("a third shown twice by one source", _trackers(twice=0.33)),
     Kind("false tracks, none stated", _trackers(false=3.0)),
     Kind("misses 0.4, stated 0.1", _trackers(misses=0.4)),
-    Kind("halves of the bay, overlapping", (AIS, Sees("west", east=0.6), Sees("east", west=0.4), Sees("all"))),
-    Kind("halves of the bay, no overlap", (AIS, Sees("west", east=0.5), Sees("east", west=0.5))),
+    Kind("halves of the bay, overlapping", (AIS, Sensor("west", east=0.6), Sensor("east", west=0.4), Sensor("all"))),
+    Kind("halves of the bay, no overlap", (AIS, Sensor("west", east=0.5), Sensor("east", west=0.5))),
     Kind("two trackers that share half the ships", (
-        Sees("west", which=lambda n: np.arange(0, 2 * n // 3)), Sees("east", which=lambda n: np.arange(n // 3, n)))),
+        Sensor("west", which=lambda n: np.arange(0, 2 * n // 3)),
+        Sensor("east", which=lambda n: np.arange(n // 3, n)))),
     Kind("aircraft, heights in half the records", (
-        Sees("ads-b", "ads-b", sigma_m=40.0, period_s=2.0, heights=0.9, share=0.75, motion=AIRCRAFT, speed_error=1.5),
-        Sees("radar", sigma_m=150.0, period_s=6.0, heights=0.5, motion=AIRCRAFT, speed_error=5.0)),
+        Sensor("ads-b", "ads-b", sigma_m=40.0, period_s=2.0, heights=0.9, share=0.75, motion=AIRCRAFT, speed_error=1.5),
+        Sensor("radar", sigma_m=150.0, period_s=6.0, heights=0.5, motion=AIRCRAFT, speed_error=5.0)),
         width_m=8000.0, speed=(80.0, 140.0), height=9000.0),
-    Kind("3 silent ships 75 m beside AIS-only ones", (
+    Kind("3 silent ships 75 m from AIS-only ones", (
         replace(AIS, which=lambda n: np.r_[np.arange(0, 6, 2), np.arange(6, n)]),
-        Sees("west", which=lambda n: np.r_[np.arange(1, 6, 2), np.arange(6, n)])),
+        Sensor("west", which=lambda n: np.r_[np.arange(1, 6, 2), np.arange(6, n)])),
         n=20, width_m=3000.0, arranged=lambda fleet, rng: fleet.in_convoy(75.0)),
 )  # fmt: skip
 
 
-def made(kind: Kind, seed: int) -> tuple[Fleet, Scene, list[np.ndarray]]:
+def simulated(kind: Kind, seed: int) -> tuple[Fleet, Scene, list[np.ndarray]]:
     """The fleet, the scene of its sources and the object of each report."""
     rng = np.random.default_rng(seed)
     fleet = kind.arranged(Fleet.of(rng, kind.n, kind.width_m, kind.speed, kind.height), rng)
-    parts = [reported(fleet, sees, kind.width_m, SPAN_S, rng) for sees in kind.sources]
+    parts = [reported(fleet, sensor, kind.width_m, SPAN_S, rng) for sensor in kind.sources]
     return fleet, Scene.of([(d, r) for d, r, _ in parts]), [owner for _, _, owner in parts]
 
 
 @dataclass
-class Judged:
-    """(n,) of every object judged: p, right, and which objects and tracks it is of; counts of pairs."""
+class Score:
+    """Of every scored object: p, whether it is right, and its members; and counts of pairs."""
 
     p: list[float] = field(default_factory=list)
     right: list[bool] = field(default_factory=list)
-    words: list[str] = field(default_factory=list)
+    members: list[str] = field(default_factory=list)
     wrong: int = 0
     missed: int = 0
     pairs: int = 0
@@ -283,17 +284,17 @@ class Judged:
     near_missed: int = 0
 
     def add(self, state: PictureState, truth: list[np.ndarray], names: list[str]) -> None:  # type: ignore[type-arg]
-        """The objects of an instant."""
+        """Add the objects of an instant."""
         scan = state.scan
         of = [names.index(d.name) for d in scan.now.descriptions]
         true = np.array([truth[of[s]][row] for s, row in zip(scan.source, scan.row, strict=True)], np.int64)
         shows = {k: set(scan.source[true == k].tolist()) for k in set(true.tolist()) if k >= 0}
         twice = {k for k, sources in shows.items() if np.sum(true == k) > len(sources)}
-        found = set()
+        pairs = set()
         for n, members in enumerate(state.members):
             own = members[members >= 0]
             ship = int(true[own[0]])
-            found |= {(int(i), int(j)) for i, j in combinations(sorted(own.tolist()), 2)}
+            pairs |= {(int(i), int(j)) for i, j in combinations(sorted(own.tolist()), 2)}
             if len(own) < 2 and state.p_runner_up[n] <= 0.0:
                 continue
             right = bool((true[own] == ship).all()) if ship >= 0 else len(own) == 1
@@ -301,34 +302,34 @@ class Judged:
                 right = len(own) == len(shows[ship]) or (ship in twice and len(own) == 1)
             self.p.append(float(state.probability[n]))
             self.right.append(right)
-            self.words.append(f"{' '.join(f'{names[of[scan.source[k]]]}:{true[k]}' for k in own)}")
-        wrong, missed, total = _pairs(found, true, scan.source, shows)
+            self.members.append(f"{' '.join(f'{names[of[scan.source[k]]]}:{true[k]}' for k in own)}")
+        wrong, missed, total = _pairs(pairs, true, scan.source, shows)
         self.wrong, self.missed, self.pairs = self.wrong + wrong, self.missed + missed, self.pairs + total
         wrong, missed, _ = _pairs(_nearest(scan), true, scan.source, shows)
         self.near_wrong, self.near_missed = self.near_wrong + wrong, self.near_missed + missed
 
 
 def _pairs(
-    found: set[tuple[int, int]], true: np.ndarray, source: np.ndarray, shows: dict[int, set[int]]
+    pairs: set[tuple[int, int]], true: np.ndarray, source: np.ndarray, shows: dict[int, set[int]]
 ) -> tuple[int, int, int]:
-    """Wrong ones, missed ones (of a ship and two sources that show it), and how many there are."""
-    good = {(int(true[i]), *sorted((int(source[i]), int(source[j])))) for i, j in found
+    """Numbers of wrong pairs, of missed ones, and of true pairs (of a ship and two sources that show it)."""
+    good = {(int(true[i]), *sorted((int(source[i]), int(source[j])))) for i, j in pairs
             if true[i] == true[j] and true[i] >= 0}  # fmt: skip
-    due = {(ship, s, t) for ship, sources in shows.items() for s, t in combinations(sorted(sources), 2)}
-    wrong = sum(true[i] != true[j] or true[i] < 0 for i, j in found)
-    return wrong, len(due - good), len(due)
+    true_pairs = {(ship, s, t) for ship, sources in shows.items() for s, t in combinations(sorted(sources), 2)}
+    wrong = sum(true[i] != true[j] or true[i] < 0 for i, j in pairs)
+    return wrong, len(true_pairs - good), len(true_pairs)
 
 
 def _nearest(scan) -> set[tuple[int, int]]:  # type: ignore[no-untyped-def]
-    """Pairs that are each other's nearest within the gate."""
+    """Mutual nearest neighbours within the gate."""
     out = set()
     for s, t in combinations(range(len(scan.start) - 1), 2):
         i, j = np.arange(scan.start[s], scan.start[s + 1]), np.arange(scan.start[t], scan.start[t + 1])
         if not len(i) or not len(j):
             continue
-        apart = scan.state[i][:, None, :2] - scan.state[j][None, :, :2]
+        residual = scan.state[i][:, None, :2] - scan.state[j][None, :, :2]
         total = scan.covariance[i][:, None, :2, :2] + scan.covariance[j][None, :, :2, :2]
-        chi_sq = np.einsum("ijv,ijv->ij", apart, np.linalg.solve(total, apart[..., None])[..., 0])
+        chi_sq = np.einsum("ijv,ijv->ij", residual, np.linalg.solve(total, residual[..., None])[..., 0])
         for a in range(len(i)):
             b = int(np.argmin(chi_sq[a]))
             if chi_sq[a, b] < GATE and int(np.argmin(chi_sq[:, b])) == a:
@@ -336,16 +337,16 @@ def _nearest(scan) -> set[tuple[int, int]]:  # type: ignore[no-untyped-def]
     return out
 
 
-def judged(kind: Kind, seed: int) -> Judged:
-    """A scene, judged at all instants."""
-    _, scene, truth = made(kind, seed)
+def scored(kind: Kind, seed: int) -> Score:
+    """The score of a scene over all instants."""
+    _, scene, truth = simulated(kind, seed)
     names = [feed.description.name for feed in scene.feeds]
     scene, _ = scene.registered()
-    out = Judged()
+    score = Score()
     for state in picture_states(scene, np.arange(EVERY_S, SPAN_S, EVERY_S), watch_of(scene)):
         if state.now.instant_s >= WARM_S:
-            out.add(state, truth, names)  # type: ignore[arg-type]
-    return out
+            score.add(state, truth, names)  # type: ignore[arg-type]
+    return score
 
 
 COLUMNS = (
@@ -358,14 +359,14 @@ COLUMNS = (
 def line(kind: Kind, seeds: range) -> list[object]:
     """One row."""
     began = time.process_time()
-    parts = [judged(kind, seed) for seed in seeds]
+    parts = [scored(kind, seed) for seed in seeds]
     p, right = (np.concatenate([getattr(one, name) for one in parts]) for name in ("p", "right"))
     cells, worst = [], 0.0
     for a, b in pairwise(BINS):
-        here = (p >= a) & (p < b)
-        n = int(here.sum())
-        cells.append(f"{p[here].mean():.3f}→{right[here].mean():.3f} ({n})" if n else "")
-        if n >= 100 and abs(gap := float(p[here].mean() - right[here].mean())) > abs(worst):
+        inside = (p >= a) & (p < b)
+        n = int(inside.sum())
+        cells.append(f"{p[inside].mean():.3f}→{right[inside].mean():.3f} ({n})" if n else "")
+        if n >= 100 and abs(gap := float(p[inside].mean() - right[inside].mean())) > abs(worst):
             worst = gap
     sure = p > SURE
     sums = [sum(getattr(one, name) for one in parts)
@@ -386,7 +387,7 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="scripts/bench hard", description=__doc__)
     parser.add_argument("--seeds", type=int, default=8, help="scenes of each kind (default 8)")
-    parser.add_argument("--only", default="", help="kinds whose name has this")
+    parser.add_argument("--only", default="", help="kinds whose name contains this")
     options = parser.parse_args()
     report("hard", [Table("Hard scenes: stated → right (number)", COLUMNS, list(rows(options.only, options.seeds)))])
 

@@ -32,20 +32,20 @@ from sameas.tracks.source import Description, MissRate, Motion, SensorErrors, Ti
 SPAN_S, WARM_S = 1200.0, 240.0
 #: Ships nearer than this may be swapped by a tracker.
 SWAPPED_M = 60.0
-#: Spacings of the nearest other ship by which answers are told apart, metres.
+#: Bins of the distance to the nearest other ship, metres.
 SPACING_M = (0.0, 60.0, 200.0, np.inf)
 #: Bins of the stated probability.
 BINS = (0.0, 0.5, 0.8, 0.95, 0.99, 0.999, 1.0 + 1e-9)
 
 
 @dataclass(frozen=True)
-class Lasting:
-    """Errors of a tracker: 1σ per axis in metres, the share of the variance that is the track's for good, the share
-    that is forgotten after ``tau_s``, and the probability per scan that two near ships are swapped."""
+class Errors:
+    """Errors of a tracker: 1σ per axis in metres, the share of the variance that is constant per track, the share with
+    correlation time ``tau_s``, and the probability per scan that two near ships are swapped."""
 
     sigma_m: float
-    for_good: float = 0.0
-    for_a_while: float = 0.0
+    constant: float = 0.0
+    correlated: float = 0.0
     tau_s: float = 30.0
     swaps: float = 0.0
 
@@ -57,9 +57,9 @@ class Lasting:
             rho = np.exp(-dt / self.tau_s)
             state = rho * state + np.sqrt(1.0 - rho**2) * rng.standard_normal(2)
             error[k] = state
-        new = rng.standard_normal((len(times_s), 2)) * np.sqrt(1.0 - self.for_good - self.for_a_while)
-        kept = np.sqrt(self.for_good) * rng.standard_normal(2)
-        return self.sigma_m * (kept + np.sqrt(self.for_a_while) * error + new)
+        new = rng.standard_normal((len(times_s), 2)) * np.sqrt(1.0 - self.constant - self.correlated)
+        constant = np.sqrt(self.constant) * rng.standard_normal(2)
+        return self.sigma_m * (constant + np.sqrt(self.correlated) * error + new)
 
 
 @dataclass(frozen=True)
@@ -67,24 +67,27 @@ class Kind:
     """One scene: errors of each tracker, and those of AIS."""
 
     words: str
-    trackers: tuple[Lasting, ...]
-    ais: Lasting = Lasting(8.0, 0.5, 0.4, 300.0)
+    trackers: tuple[Errors, ...]
+    ais: Errors = Errors(8.0, 0.5, 0.4, 300.0)
 
 
 KINDS = (
-    Kind("all errors new", (Lasting(25.0), Lasting(25.0)), Lasting(8.0)),
-    Kind("errors last 20 s", (Lasting(25.0, 0.0, 0.8, 20.0), Lasting(25.0, 0.0, 0.8, 20.0))),
-    Kind("a half lasts for good", (Lasting(25.0, 0.5, 0.3, 20.0), Lasting(25.0, 0.5, 0.3, 20.0))),
-    Kind("nearly all lasts for good", (Lasting(25.0, 0.9), Lasting(25.0, 0.9))),
-    Kind("new, 2 % swaps", (Lasting(25.0, swaps=0.02), Lasting(25.0, swaps=0.02))),
-    Kind("half for good, 2 % swaps", (Lasting(25.0, 0.5, 0.3, swaps=0.02), Lasting(25.0, 0.5, 0.3, swaps=0.02))),
-    Kind("half for good, 0.2 % swaps", (Lasting(25.0, 0.5, 0.3, swaps=0.002), Lasting(25.0, 0.5, 0.3, swaps=0.002))),
+    Kind("all errors new", (Errors(25.0), Errors(25.0)), Errors(8.0)),
+    Kind("errors correlated over 20 s", (Errors(25.0, 0.0, 0.8, 20.0), Errors(25.0, 0.0, 0.8, 20.0))),
+    Kind("half of the variance constant", (Errors(25.0, 0.5, 0.3, 20.0), Errors(25.0, 0.5, 0.3, 20.0))),
+    Kind("nearly all constant", (Errors(25.0, 0.9), Errors(25.0, 0.9))),
+    Kind("new, 2 % swaps", (Errors(25.0, swaps=0.02), Errors(25.0, swaps=0.02))),
+    Kind("half constant, 2 % swaps", (Errors(25.0, 0.5, 0.3, swaps=0.02), Errors(25.0, 0.5, 0.3, swaps=0.02))),
+    Kind(
+        "half constant, 0.2 % swaps",
+        (Errors(25.0, 0.5, 0.3, swaps=0.002), Errors(25.0, 0.5, 0.3, swaps=0.002)),
+    ),
 )
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A scene, the true object of every report of every source, and where the ships are."""
+    """A scene, the true object of every report of every source, and the true motion of the ships."""
 
     scene: Scene
     truth: tuple[np.ndarray, ...]
@@ -96,13 +99,13 @@ class Trial:
         start = float(log.time_s.min())
         sources, truth = [], []
         objects = true.objects_of(log)
-        heard = [(k, log.time_s[objects == k]) for k in range(len(true))]
-        made = [_tracks(true, heard, kind.ais, "ais", rng)]
+        ais_times = [(k, log.time_s[objects == k]) for k in range(len(true))]
+        simulated = [_tracks(true, ais_times, kind.ais, "ais", rng)]
         for number, errors in enumerate(kind.trackers):
-            looks = np.arange(start, start + SPAN_S, 3.0) + 0.7 * number
-            seen = [(k, looks[rng.random(len(looks)) >= misses]) for k in range(len(true))]
-            made.append(_tracks(true, seen, errors, f"tracker {number + 1}", rng))
-        for reports, owner, errors in made:
+            scans_s = np.arange(start, start + SPAN_S, 3.0) + 0.7 * number
+            scan_times = [(k, scans_s[rng.random(len(scans_s)) >= misses]) for k in range(len(true))]
+            simulated.append(_tracks(true, scan_times, errors, f"tracker {number + 1}", rng))
+        for reports, owner, errors in simulated:
             described = Description(
                 reports.source, "ais" if reports.source == "ais" else "tracks",
                 misses=MissRate(misses), motion=Motion(0.01, 8.0),
@@ -115,11 +118,11 @@ class Trial:
 
 
 def _tracks(
-    true: TrueMotion, seen: list[tuple[int, np.ndarray]], errors: Lasting, name: str, rng: np.random.Generator
-) -> tuple[Reports, np.ndarray, Lasting]:
-    """Reports of tracks, the ship of each, and their errors."""
+    true: TrueMotion, times_of: list[tuple[int, np.ndarray]], errors: Errors, name: str, rng: np.random.Generator
+) -> tuple[Reports, np.ndarray, Errors]:
+    """Reports of tracks at the times of each ship, the ship of each report, and the errors."""
     rows: list[list[np.ndarray]] = []
-    for k, times in seen:
+    for k, times in times_of:
         path = true.paths[k]
         place, after = path.at(times)[:, :2], path.at(times + 1.0)[:, :2]
         known = np.isfinite(place).all(axis=1) & np.isfinite(after).all(axis=1)
@@ -127,8 +130,8 @@ def _tracks(
         if len(times) < 2:
             continue
         velocity = after - place + 0.5 * rng.standard_normal(place.shape)
-        here = place + errors.of_track(times, rng)
-        rows.append([times, here[:, 0], here[:, 1], *velocity.T, np.full(len(times), k)])
+        measured = place + errors.of_track(times, rng)
+        rows.append([times, measured[:, 0], measured[:, 1], *velocity.T, np.full(len(times), k)])
     time_s, x, y, vx, vy, owner = (np.concatenate(column) for column in zip(*rows, strict=True))
     order = np.argsort(time_s, kind="stable")
     time_s, x, y, vx, vy, owner = (column[order] for column in (time_s, x, y, vx, vy, owner.astype(np.int64)))
@@ -142,17 +145,17 @@ def _tracks(
 def _named(
     true: TrueMotion, time_s: np.ndarray, owner: np.ndarray, swaps: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """(n,) track ids: those of the ships, until two near ones are swapped."""
+    """(n,) track ids: the numbers of the ships, exchanged when two near ones are swapped."""
     names = owner.copy()
     if swaps > 0.0:
-        held = np.arange(len(true))
+        number = np.arange(len(true))
         for scan in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s) > 0.0) + 1):
             at = true.at(float(time_s[scan[0]]))[owner[scan], :2]
-            apart = np.hypot(*(at[:, None] - at).transpose(2, 0, 1))
-            for i, j in np.argwhere(np.triu(apart < SWAPPED_M, 1)):
+            distance = np.hypot(*(at[:, None] - at).transpose(2, 0, 1))
+            for i, j in np.argwhere(np.triu(distance < SWAPPED_M, 1)):
                 if rng.random() < swaps:
-                    held[[owner[scan[i]], owner[scan[j]]]] = held[[owner[scan[j]], owner[scan[i]]]]
-            names[scan] = held[owner[scan]]
+                    number[[owner[scan[i]], owner[scan[j]]]] = number[[owner[scan[j]], owner[scan[i]]]]
+            names[scan] = number[owner[scan]]
     return np.array([str(name) for name in names], object)
 
 
@@ -161,13 +164,13 @@ def alone(now: Instant, memory: TrackMemory) -> Rule:
     return all_evidence(now, memory, previous_scans=False)  # type: ignore[return-value]
 
 
-WAYS = {"memory": Watch, "instants alone": lambda: Watch(evidence=alone, bound=1.0)}
+METHODS = {"memory": Watch, "instants alone": lambda: Watch(evidence=alone, bound=1.0)}
 
 
 @dataclass(frozen=True)
-class Judged:
-    """(n,) of every object judged: stated probability, whether it is right, metres to the next ship; and χ²/2 of
-    the fused positions, and squared errors of the fused positions and of the best member, of those that are right."""
+class Score:
+    """(n,) of every scored object: stated probability, whether it is right, metres to the next ship; and, of those that
+    are right, χ²/2 of the fused position, and squared errors of the fused position and of the best member."""
 
     p: np.ndarray
     right: np.ndarray
@@ -177,7 +180,7 @@ class Judged:
     best_m: np.ndarray
 
     @classmethod
-    def of(cls, trial: Trial, instants_s: np.ndarray, watch: Watch) -> Judged:
+    def of(cls, trial: Trial, instants_s: np.ndarray, watch: Watch) -> Score:
         rows: list[tuple[float, ...]] = []
         for state in picture_states(trial.scene, instants_s, watch):
             scan = state.scan
@@ -185,9 +188,9 @@ class Judged:
             of = [names.index(d.name) for d in scan.now.descriptions]
             true = np.array([trial.truth[of[s]][row] for s, row in zip(scan.source, scan.row, strict=True)])
             places = trial.true.at(state.now.instant_s)[:, :2]
-            apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
-            np.fill_diagonal(apart, np.inf)
-            spacing = np.nanmin(np.where(np.isnan(apart), np.inf, apart), axis=1)
+            distance = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+            np.fill_diagonal(distance, np.inf)
+            spacing = np.nanmin(np.where(np.isnan(distance), np.inf, distance), axis=1)
             shows = Counter(true.tolist())
             sigma = np.trace(scan.covariance[:, :2, :2], axis1=1, axis2=2)
             for n, members in enumerate(state.members):
@@ -210,13 +213,13 @@ class Judged:
         return cls(p, right, spacing_m, nees, fused, best)
 
     def rows(self, label: list[object]) -> list[list[object]]:
-        """By spacing: how many, mean stated, share right, the worst bin of 500 or more, and all bins."""
+        """By spacing: number, mean stated probability, share right, the worst bin of 500 or more, and all bins."""
         out: list[list[object]] = []
         for low, high in [*pairwise(SPACING_M), (0.0, np.inf)]:
-            here = (self.spacing_m >= low) & (self.spacing_m < high) if (low, high) != (0.0, np.inf) else self.p >= 0
+            near = (self.spacing_m >= low) & (self.spacing_m < high) if (low, high) != (0.0, np.inf) else self.p >= 0
             bins, worst = [], 0.0
             for a, b in pairwise(BINS):
-                some = here & (self.p >= a) & (self.p < b)
+                some = near & (self.p >= a) & (self.p < b)
                 if not some.any():
                     bins.append("")
                     continue
@@ -226,15 +229,15 @@ class Judged:
                     worst = p - right
             words = "all" if (low, high) == (0.0, np.inf) else f"{low:g} to {high:g}"
             loss = -np.mean(
-                np.log(np.clip(np.where(self.right[here] > 0, self.p[here], 1.0 - self.p[here]), 1e-9, 1.0))
+                np.log(np.clip(np.where(self.right[near] > 0, self.p[near], 1.0 - self.p[near]), 1e-9, 1.0))
             )
-            out.append([*label, words, int(here.sum()), float(self.p[here].mean()), float(self.right[here].mean()),
+            out.append([*label, words, int(near.sum()), float(self.p[near].mean()), float(self.right[near].mean()),
                         float(loss), worst, *bins])  # fmt: skip
         return out
 
 
 def scene_motion() -> tuple[TrueMotion, Reports] | None:
-    """Where the vessels of the Solent are, and when their AIS is heard; None where the recording is not there."""
+    """The motion of the vessels of the Solent, and the times of their AIS reports; None without the recording."""
     log = motion.solent()
     if log is None:
         return None
@@ -247,11 +250,11 @@ def scene_motion() -> tuple[TrueMotion, Reports] | None:
 
 def table(every_s: float, seeds: int, only: str) -> Iterator[Table]:
     """The table of all kinds."""
-    made = scene_motion()
-    if made is None:
-        print("the Solent's AIS is not there")
+    recorded = scene_motion()
+    if recorded is None:
+        print("the recording of the Solent's AIS is missing")
         return
-    true, log = made
+    true, log = recorded
     rows: list[list[object]] = []
     start = float(log.time_s.min())
     instants = np.arange(start + WARM_S, start + SPAN_S, every_s)
@@ -259,10 +262,10 @@ def table(every_s: float, seeds: int, only: str) -> Iterator[Table]:
     for kind in KINDS:
         if only not in kind.words:
             continue
-        for way, watch in WAYS.items():
+        for way, watch in METHODS.items():
             began = time.process_time()
-            parts = [Judged.of(Trial.of(true, log, kind, seed), instants, watch()) for seed in range(seeds)]
-            one = Judged(*(np.concatenate([getattr(p, n) for p in parts]) for n in Judged.__annotations__))
+            parts = [Score.of(Trial.of(true, log, kind, seed), instants, watch()) for seed in range(seeds)]
+            one = Score(*(np.concatenate([getattr(p, n) for p in parts]) for n in Score.__annotations__))
             rows += one.rows([kind.words, way])
             states.append([kind.words, way, float(np.nanmean(one.nees)), float(np.sqrt(np.nanmean(one.fused_m))),
                            float(np.sqrt(np.nanmean(one.best_m))), time.process_time() - began])  # fmt: skip
@@ -278,7 +281,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/bench memory", description=__doc__)
     parser.add_argument("--every", type=float, default=15.0, help="seconds between instants (default 15)")
     parser.add_argument("--seeds", type=int, default=2, help="scenes of each kind (default 2)")
-    parser.add_argument("--only", default="", help="kinds whose name has this")
+    parser.add_argument("--only", default="", help="kinds whose name contains this")
     options = parser.parse_args()
     report("memory", table(options.every, options.seeds, options.only))
 

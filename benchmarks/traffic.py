@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.hard import AIRCRAFT, AIS, COLUMNS, RADAR, SPAN_S, Kind, Sees, line
+from benchmarks.hard import AIRCRAFT, AIS, COLUMNS, RADAR, SPAN_S, Kind, Sensor, line
 from benchmarks.tables import Table, report
 
-#: Times at which the places of :class:`Paths` are given.
+#: Times of the positions of :class:`Paths`.
 TIME_S = np.arange(-5.0, SPAN_S + 6.0)
 
 
 @dataclass(frozen=True)
 class Paths:
-    """Objects (n,) that are at places (n, times, 2) at :data:`TIME_S`; heights in metres."""
+    """Objects with positions (n, times, 2) at :data:`TIME_S` and heights (n,) in metres."""
 
     place: np.ndarray
     height: np.ndarray
@@ -84,7 +84,7 @@ def with_pilots(rng: np.random.Generator) -> Paths:
 
 
 def towed(rng: np.random.Generator) -> Paths:
-    """Three tows: a tug, what it tows 120 m behind, and a tug 30 m on either side of that."""
+    """Three tows: a tug, its tow 120 m behind, and a tug 30 m on either side of the tow."""
     ships = []
     for _ in range(3):
         speed = rng.uniform(1.5, 3.0)
@@ -125,19 +125,21 @@ def _of(paths: Callable[[np.random.Generator], Paths]) -> Callable[..., Paths]:
     return lambda _, rng: paths(rng)
 
 
-NEAR = replace(AIS, sigma_m=4.0), Sees("west", sigma_m=8.0), Sees("east", sigma_m=8.0)
-FAR = AIS, Sees("west"), Sees("east")
-ADS_B = Sees("ads-b", "ads-b", sigma_m=40.0, period_s=2.0, heights=0.95, motion=AIRCRAFT, speed_error=1.5)
-AIR_RADAR = Sees("radar", sigma_m=150.0, period_s=6.0, heights=0.6, motion=AIRCRAFT, speed_error=5.0)
+NEAR = replace(AIS, sigma_m=4.0), Sensor("west", sigma_m=8.0), Sensor("east", sigma_m=8.0)
+FAR = AIS, Sensor("west"), Sensor("east")
+ADS_B = Sensor("ads-b", "ads-b", sigma_m=40.0, period_s=2.0, heights=0.95, motion=AIRCRAFT, speed_error=1.5)
+AIR_RADAR = Sensor("radar", sigma_m=150.0, period_s=6.0, heights=0.6, motion=AIRCRAFT, speed_error=5.0)
 TOWS = np.array([1, 5, 9])
 SILENT_TOWS = replace(AIS, which=lambda n: np.setdiff1d(np.arange(n), TOWS))
 
 
-def _kind(words: str, sources: tuple[Sees, ...], paths: Callable[[np.random.Generator], Paths], **more: float) -> Kind:
+def _kind(
+    words: str, sources: tuple[Sensor, ...], paths: Callable[[np.random.Generator], Paths], **more: float
+) -> Kind:
     return Kind(words, sources, arranged=_of(paths), **more)  # type: ignore[arg-type]
 
 
-def _swapping(sources: tuple[Sees, ...]) -> tuple[Sees, ...]:
+def _swapping(sources: tuple[Sensor, ...]) -> tuple[Sensor, ...]:
     return tuple(one if one.kind == "ais" else replace(one, swaps=0.02) for one in sources)
 
 
@@ -152,7 +154,7 @@ KINDS = (
     _kind("tugs and tows without AIS, 25 m", (SILENT_TOWS, *FAR[1:]), towed),
     _kind("ferries across a fairway", FAR, fairway),
     _kind("ferries, 2 % swaps", _swapping(FAR), fairway),
-    _kind("ferries, one tracker 2 s late", (AIS, Sees("west"), Sees("east", late_s=2.0)), fairway),
+    _kind("ferries, one tracker 2 s late", (AIS, Sensor("west"), Sensor("east", late_s=2.0)), fairway),
     _kind("ferries, AIS 2 s late", (replace(AIS, late_s=2.0), *FAR[1:]), fairway),
     _kind("ferries, radar with 2 % of range, clutter", (AIS, replace(RADAR, range_share=0.02, false=6.0)), fairway),
     _kind("ferries, AIS and trackers with gaps", tuple(replace(one, gap_s=45.0) for one in FAR), fairway),
@@ -169,7 +171,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="scripts/bench traffic", description=__doc__)
     parser.add_argument("--seeds", type=int, default=6, help="scenes of each kind (default 6)")
     parser.add_argument("--first", type=int, default=0, help="number of the first scene (default 0)")
-    parser.add_argument("--only", default="", help="kinds whose name has this")
+    parser.add_argument("--only", default="", help="kinds whose name contains this")
     options = parser.parse_args()
     rows = [
         line(kind, range(begin, begin + options.seeds))
