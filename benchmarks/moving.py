@@ -117,7 +117,7 @@ def tables(nights: int) -> Iterator[Table]:
     """One row per kind: found movers, false candidates, stated probabilities."""
     rows: list[tuple[Any, ...]] = []
     for number, kind in enumerate(KINDS):
-        found = there = 0
+        n_found = n_shown = 0
         stated, real = [], []
         for seed in range(nights):
             detections, who = night(kind, np.random.default_rng([seed, number]))
@@ -127,22 +127,23 @@ def tables(nights: int) -> Iterator[Table]:
             counts = [np.bincount(one[one >= 0], minlength=1) for one in own]
             right = np.array([c.max() >= 2 for c in counts], bool)
             shown = np.bincount(who[who >= 0], minlength=kind.movers) >= least
-            got = {int(c.argmax()) for c, ok in zip(counts, right, strict=True) if ok}
-            there += int(shown.sum())
-            found += sum(bool(shown[k]) for k in got)
+            found = {int(c.argmax()) for c, ok in zip(counts, right, strict=True) if ok}
+            n_shown += int(shown.sum())
+            n_found += sum(bool(shown[k]) for k in found)
             stated.append(movers.p_tracklet)
             real.append(right)
         p, right = np.concatenate(stated), np.concatenate(real)
         bins = []
         for low, high in itertools.pairwise(BOUNDS):
-            here = (p >= low) & (p < high)
-            bins.append(f"{int(right[here].sum())}/{int(here.sum())} ({p[here].sum():.1f})" if here.any() else "–")
-        rows.append((kind.name, f"{found}/{there}", int((~right).sum()), f"{(1.0 - p).sum():.1f}", *bins))
+            inside = (p >= low) & (p < high)
+            real_of_all = f"{int(right[inside].sum())}/{int(inside.sum())} ({p[inside].sum():.1f})"
+            bins.append(real_of_all if inside.any() else "–")
+        rows.append((kind.name, f"{n_found}/{n_shown}", int((~right).sum()), f"{(1.0 - p).sum():.1f}", *bins))
     heads = [f"p {low:g}…{min(high, 1.0):g}" for low, high in itertools.pairwise(BOUNDS)]
     notes = (
-        f"{nights} nights of each kind; found: of movers that three exposures show (two where there are two), with p "
-        "of 0.5 and more",
-        "false: candidates no two detections of which are one mover's; expected: number of false ones by the stated p",
+        f"{nights} nights of each kind; found: of movers that at least three exposures show (two of two), with p of "
+        "at least 0.5",
+        "false: candidates without two detections of one mover; expected: number of false ones by the stated p",
         "by p: real / all candidates (expected real)",
     )
     yield Table("Movers of nights with one trouble each", ("night", "found", "false", "expected", *heads), rows, notes)

@@ -30,9 +30,9 @@ NO_PARTNER = -1
 
 
 def missing() -> str | None:
-    """Why this cannot be run, None where it can."""
+    """Why this cannot be run; None if it can."""
     absent = [path for path in (GAIA, TWOMASS) if not path.exists()]
-    return f"{absent[0]} is not there; the set is not part of the project" if absent else None
+    return f"{absent[0]} does not exist; the set is not part of the project" if absent else None
 
 
 @cache
@@ -52,10 +52,7 @@ def identified() -> tuple[Any, Any, Any]:
 
 @dataclass(frozen=True)
 class Field:
-    """What everyone says of each Gaia star: row of 2MASS or −1, all at the epoch of 2MASS.
-
-    offsets are taken between the moved positions.
-    """
+    """The partners of each Gaia star by each program: row of 2MASS or −1, all at the epoch of 2MASS."""
 
     found: Any
     first: Any
@@ -63,16 +60,16 @@ class Field:
     stilts: np.ndarray | None
 
     def ours(self) -> np.ndarray:
-        """Our partner."""
+        """The partner by `sameas`."""
         return np.asarray(self.found.result.answers_1.partner.filled(NO_PARTNER))
 
     def nearest(self) -> tuple[np.ndarray, np.ndarray]:
-        """The nearest source and how far it is; −1 beyond the radius."""
+        """The nearest source, −1 beyond the radius, and its separation."""
         near = self.found.nearest(moved=True)
         return np.where(near.separation_arcsec <= RADIUS_ARCSEC, near.rows, NO_PARTNER), near.separation_arcsec
 
     def nearest_star(self, j: int) -> tuple[int, float]:
-        """The Gaia star nearest to a 2MASS source, and how far it is."""
+        """The Gaia star nearest to a 2MASS source, and its separation."""
         b = self.second.features[self.second.at_row(j)]
         offset = sphere_offset(*self.first.features.T, *b)
         separation = np.hypot(offset[:, 0], offset[:, 1])
@@ -80,13 +77,13 @@ class Field:
         return int(self.first.rows[at]), float(separation[at])
 
     def separation(self, i: int, j: int) -> float:
-        """Between a Gaia star and a 2MASS source, arcsec; rows of the tables."""
+        """Separation of a Gaia star and a 2MASS source, given as rows of the tables, in arcsec."""
         a = self.first.features[self.first.at_row(i)]
         b = self.second.features[self.second.at_row(j)]
         return float(np.hypot(*sphere_offset(*a, *b)))
 
     def probability(self, i: int, j: int) -> float | None:
-        """Our probability of the pair, None if it is not a candidate."""
+        """The probability of the pair by `sameas`, None if it is not a candidate."""
         r = self.found.result
         at = np.flatnonzero((r.rows_1 == i) & (r.rows_2 == j))
         return float(r.p_pair[at[0]]) if len(at) else None
@@ -117,7 +114,7 @@ def stilts_partners(first: Any, second: Any) -> np.ndarray | None:
 
 
 def summary(field: Field) -> Table:
-    """Pairs, double claims, agreement with ours."""
+    """Pairs, double claims, agreement with `sameas`."""
     ours, (near, _) = field.ours(), field.nearest()
     partners = {"sameas": ours, f"nearest within {RADIUS_ARCSEC:g}″": near}
     if field.stilts is not None:
@@ -135,22 +132,22 @@ def summary(field: Field) -> Table:
     notes = (
         f"{field.found.moved}; gate {e.gate_sigmas:.3g} quoted σ ({GAIA_ARCSEC:g}″, {TWOMASS_ARCSEC:g}″)",
         f"typical error {e.typical_scale:.2f} times the quoted; {len(e.errors.scales)} scales; "
-        f"{field.found.result.expected_wrong:.1f} of our pairs expected to be wrong",
+        f"{field.found.result.expected_wrong:.1f} pairs of sameas expected to be wrong",
     )
     columns = (
         "by",
         "pairs",
         "claimed twice",
-        "same as ours",
+        "same as sameas",
         "other partner",
-        "pair, ours none",
-        "none, ours a pair",
+        "pair, sameas none",
+        "none, sameas a pair",
     )
     return Table("NGC 188, Gaia × 2MASS: pairs", columns, lines, notes)
 
 
 def claims(field: Field) -> Table:
-    """2MASS sources that are nearest to two Gaia stars, and the star that we matched with each."""
+    """2MASS sources that are nearest to two Gaia stars, and the star that `sameas` matches with each."""
     near, distance = field.nearest()
     ours = field.ours()
     sources, count = np.unique(near[near >= 0], return_counts=True)
@@ -168,14 +165,14 @@ def claims(field: Field) -> Table:
             str(field.second.ids[source]), len(stars), ", ".join(f"{distance[i]:.3f}" for i in stars),
             ", ".join("cut" if x is None else f"{x:.3f}" for x in p), words, others,
         ])  # fmt: skip
-    columns = ("2MASS", "claims", "separations, ″", "our p of each", "goes to", "claimants given another")
+    columns = ("2MASS", "claims", "separations, ″", "p of each", "matched with", "claimants with another")
     unresolved = int(np.sum(np.unique(ours[ours >= 0], return_counts=True)[1] > 1))
-    note = f"{len(lines)} double claims within {RADIUS_ARCSEC:g}″; {unresolved} left in our answer"
+    note = f"{len(lines)} double claims within {RADIUS_ARCSEC:g}″; {unresolved} remain in the match"
     return Table("NGC 188: double claims", columns, lines, (note,))
 
 
 def differences(field: Field, name: str, theirs: np.ndarray) -> Table:
-    """Every Gaia star of which another says something else."""
+    """Every Gaia star with another partner by another program."""
     ours = field.ours()
     lines = []
     for i in np.flatnonzero(theirs != ours).tolist():
@@ -187,47 +184,47 @@ def differences(field: Field, name: str, theirs: np.ndarray) -> Table:
             ]  # fmt: skip
         p_none = float(field.found.result.answers_1.p_none[i])
         lines.append([*cells, p_none, explanation(field, i, theirs, ours)])
-    columns = ("Gaia", name, "sep ″", "our p", "sameas", "sep ″", "our p", "p none", "why")
+    columns = ("Gaia", name, "sep ″", "p", "sameas", "sep ″", "p", "p none", "why")
     kinds, count = np.unique([str(line[-1]).split(":")[0] for line in lines], return_counts=True)
     notes = [f"{n} × {kind}" for kind, n in sorted(zip(kinds, count, strict=True), key=lambda x: -x[1])]
     return Table(f"NGC 188: where {name} differs ({len(lines)})", columns, lines, notes)
 
 
 def explanation(field: Field, i: int, their_partners: np.ndarray, our_partners: np.ndarray) -> str:
-    """Why we do not say of star i what another says."""
+    """Why `sameas` does not match star i as another program does."""
     theirs, ours = int(their_partners[i]), int(our_partners[i])
     if theirs < 0:
-        return _found_by_us_alone(field, i, ours, their_partners)
+        return _only_in_sameas(field, i, ours, their_partners)
     if field.probability(i, theirs) is None:
-        return "not a candidate: beyond our gate" + _motion(field, i)
+        return "not a candidate: beyond the gate" + _motion(field, i)
     holder = np.flatnonzero(our_partners == theirs)
     if len(holder) and holder[0] != i:
         h = int(holder[0])
         words = f"{field.separation(h, theirs):.3f}″ away, p {field.probability(h, theirs):.3f}"
-        return f"their source goes to a likelier star: Gaia {field.first.ids[h]}, {words}"
+        return f"their source has a more probable star: Gaia {field.first.ids[h]}, {words}"
     if ours >= 0:
-        return "the best hypothesis of the group pairs it otherwise"
-    return "more probably alone: too many σ" + _motion(field, i)
+        return "another pair in the best hypothesis of the group"
+    return "no partner is more probable: too many σ" + _motion(field, i)
 
 
-def _found_by_us_alone(field: Field, i: int, ours: int, their_partners: np.ndarray) -> str:
-    """Why another leaves star i alone that we pair with a source."""
+def _only_in_sameas(field: Field, i: int, ours: int, their_partners: np.ndarray) -> str:
+    """Why another program has no partner for star i, which `sameas` matches with a source."""
     if field.separation(i, ours) > RADIUS_ARCSEC:
-        return f"they find none: ours is beyond {RADIUS_ARCSEC:g}″" + _motion(field, i)
+        return f"no partner there: ours is beyond {RADIUS_ARCSEC:g}″" + _motion(field, i)
     holder = np.flatnonzero(their_partners == ours)
     if len(holder):
-        return f"they find none: our source goes to a nearer star, Gaia {field.first.ids[int(holder[0])]}"
+        return f"no partner there: our source has a nearer star, Gaia {field.first.ids[int(holder[0])]}"
     star, distance = field.nearest_star(ours)
     if star != i:
         return (
-            f"they find none: Gaia {field.first.ids[star]} is nearer to our source ({distance:.3f}″) and has another; "
-            "no second choice is made"
+            f"no partner there: Gaia {field.first.ids[star]} is nearer to our source ({distance:.3f}″) and has "
+            "another; no second choice is made"
         )
-    return "they find none: its nearest source goes to a nearer star, and no second choice is made"
+    return "no partner there: its nearest source has a nearer star, and no second choice is made"
 
 
 def _motion(field: Field, i: int) -> str:
-    """A star whose motion is not known has wider errors."""
+    """A remark for a star without a known motion, which has larger errors."""
     sigma = float(np.sqrt(field.first.covariance[field.first.at_row(i), 0]))
     return f"; its motion is not known, σ {sigma:.2f}″" if sigma > 0.02 else ""
 

@@ -18,15 +18,15 @@ from sameas.space import displaced
 
 Change = Callable[[np.random.Generator, Exposure], Exposure]
 SPARSE = Sky(stars_per_deg2=5_000.0)
-#: Its catalogue's stars are where it says, next to the other errors, until they are displaced.
+#: A catalogue with negligible position errors, before its stars are displaced.
 EXACT = replace(SPARSE, catalogue_sigma_arcsec=(1e-3, 1e-3), gap_yr=0.0)
 #: Errors that are not as quoted: of both sources; of the frame, and a floor under the catalogue's, arcsec.
 BOTH, FRAME, FLOOR_ARCSEC = 1.7, 1.4, 0.1
-#: An error for all of the catalogue, arcsec. Share of either source's records that lie 10 of their errors off.
+#: One error for the whole catalogue, arcsec. Share of each source's records that are displaced by 10σ.
 ALIKE_ARCSEC, DISPLACED = 0.1, 0.02
 #: Share of the frame's magnitudes that are those of another star.
 UNRELATED = 0.05
-#: Standard errors that cover 95 %. A floor consistent with 0 lies exactly this far from 0.
+#: Standard errors that cover 95 %. A floor consistent with 0 is exactly at this distance from 0.
 WITHIN = 1.96 + 1e-9
 #: Targeted range of the share of trials within them.
 LEAST, MOST = 0.90, 0.98
@@ -53,15 +53,15 @@ class Kind:
         made = self.change(rng, exposure(rng, self.sky, side_deg=self.side_deg or side_deg))
         _, estimate = match(made.scene.first, made.scene.second, brightness=made.brightness if self.banded else None)
         truth = truths(made) | true_colour_terms(estimate, made) | dict(self.known)
-        for name, quantity in found(estimate):
+        for name, quantity in quantities(estimate):
             if np.isfinite(truth.get(name, np.nan)):
                 yield name, (quantity.value - truth[name]) / quantity.standard_error
         if self.banded:
             yield from curve_deviations(estimate, made)
 
 
-def too_small(rng: np.random.Generator, made: Exposure) -> Exposure:
-    """All errors quoted too small."""
+def quoted_too_small(rng: np.random.Generator, made: Exposure) -> Exposure:
+    """All errors are quoted too small."""
     return replace(made, scene=misquoted(made.scene, BOTH))
 
 
@@ -83,7 +83,7 @@ def alike(rng: np.random.Generator, made: Exposure) -> Exposure:
 
 
 def far_off(rng: np.random.Generator, made: Exposure) -> Exposure:
-    """Some records of either source far from where they should be."""
+    """Some records of each source are displaced."""
     return replace(made, scene=with_outliers(rng, made.scene, DISPLACED))
 
 
@@ -99,15 +99,15 @@ def confused(rng: np.random.Generator, made: Exposure) -> Exposure:
 #: True values if the errors differ from the quoted ones by more than one factor; quantities without one are NaN.
 UNEVEN = {"error_scale": np.nan, "factor_1": FRAME, "floor": FLOOR_ARCSEC, "both": np.nan, "floor_instead": np.nan}
 KINDS = (
-    Kind("crowded, positions alone"),
-    Kind("sparse, positions alone", SPARSE, 0.6),
+    Kind("crowded, positions only"),
+    Kind("sparse, positions only", SPARSE, 0.6),
     Kind("crowded, two bands", banded=True),
     Kind(
         f"crowded, two bands, {UNRELATED:.0%} of the magnitudes unrelated", banded=True, change=confused,
         known={"brightness_unrelated": UNRELATED},
     ),
     Kind(
-        f"crowded, errors quoted {BOTH:g} times too small", change=too_small,
+        f"crowded, errors quoted {BOTH:g} times too small", change=quoted_too_small,
         known={"error_scale": BOTH, "factor_1": BOTH, "factor_2": BOTH, "both": BOTH, "floor_instead": np.nan},
     ),
     Kind(
@@ -196,7 +196,7 @@ def true_colour_terms(estimate: Estimate, made: Exposure) -> dict[str, float]:
     """Slopes of the frame's magnitude, free of errors and scatter, on the measured colours of the true pairs.
 
     Not the frame's colour term, which is the slope on true colours: see :class:`sameas.evidence.Relation`. By weighted
-    least squares beside a curve of the first band, with the knots that were found.
+    least squares, with a curve in the first band at the estimated knots.
     """
     relation = None if estimate.photometry is None else estimate.photometry.first_relation
     if relation is None:
@@ -207,14 +207,14 @@ def true_colour_terms(estimate: Estimate, made: Exposure) -> dict[str, float]:
     seen, sigma = np.asarray(catalogue.values)[j], np.asarray(catalogue.sigma)[j]
     curve = [np.interp(seen[:, 0], relation.knots, hat) for hat in np.eye(len(relation.knots))]
     basis = np.column_stack([*curve, seen[:, 1:] - seen[:, :1]])
-    # The relation is − colour_term (I − V); an error of V and I moves what is expected by so much.
+    # The relation is − colour_term (I − V); this is the effect of errors of V and I on the expected magnitude.
     moved = (1.0 + sky.colour_term) ** 2 * sigma[:, 0] ** 2 + sky.colour_term**2 * sigma[:, 1] ** 2
     root = 1.0 / np.sqrt(sky.scatter**2 + np.asarray(made.brightness[0].sigma)[i, 0] ** 2 + moved)
     slopes = np.linalg.lstsq(root[:, None] * basis, root * (frame - seen[:, 0]))[0][len(relation.knots) :]
     return {f"colour_{name}": float(slope) for name, slope in zip(catalogue.names[1:], slopes, strict=True)}
 
 
-def found(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
+def quantities(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
     """All estimated quantities."""
     yield from estimate.quantities.items()
     model = estimate.error_model

@@ -37,13 +37,13 @@ from sameas.tracks.scene import Scene
 from sameas.tracks.snapshot import ComparedSource, common_scans
 from sameas.tracks.source import Description
 
-#: Of the peers: plots within it are a vessel's.
+#: Radius of the peers: plots within it belong to a vessel.
 RADIUS_M = 60.0
 
 
 @dataclass(frozen=True)
 class Kind:
-    """One line: vessels under way that both see (from, to), moored ones, AIS that the radar never sees, minutes."""
+    """One line: vessels under way that both see (from, to), moored ones, AIS that the radar does not see, minutes."""
 
     words: str
     common: tuple[int, int]
@@ -67,10 +67,10 @@ def drawn(kind: Kind, seed: int) -> tuple[BoatRadarScene, float]:
     azimuth = float(rng.uniform(0.5, 8.0) * rng.choice([-1, 1]))
     bias = Bias(range_m=float(rng.normal(0.0, 25.0)), azimuth_deg=azimuth, time_s=float(rng.uniform(0.0, 1.5)))
     common = int(rng.integers(kind.common[0], kind.common[1] + 1))
-    made = boat_radar(
+    scene = boat_radar(
         rng, bias=bias, common=common, moored=kind.moored, unseen=kind.unseen, silent=kind.silent, minutes=kind.minutes
     )
-    return made, azimuth
+    return scene, azimuth
 
 
 #: Azimuth, its standard error, and whether it is established.
@@ -78,7 +78,7 @@ Answer = tuple[float, float, bool]
 
 
 def answer_of(fit: BiasFit | None) -> Answer:
-    """Of a fit."""
+    """The answer of a fit."""
     if fit is None:
         return np.nan, np.nan, False
     at = int(np.flatnonzero(fit.biases == AZIMUTH)[0])
@@ -86,18 +86,18 @@ def answer_of(fit: BiasFit | None) -> Answer:
 
 
 def by_all_plots(radar: Feed, ais: Feed) -> Answer:
-    """Ours."""
+    """`sameas`: all plots of all rotations."""
     return answer_of(fit_plots(radar, [ais]))
 
 
 def by_instants(radar: Feed, ais: Feed) -> Answer:
-    """The fit of 16 instants, as it was before."""
+    """The fit of 16 instants, which `sameas` used before."""
     scans = common_scans(ComparedSource(ais, None), ComparedSource(radar, 0))
     return answer_of(fit_biases(scans, radar.tuning) if scans else None)
 
 
 def by_radius(radar: Feed, ais: Feed) -> Answer:
-    """The azimuth at which most plots lie within a radius of a vessel; it cannot say how sure it is."""
+    """The azimuth at which most plots lie within a radius of a vessel; without an error."""
     near = candidates(Plots.of(radar), radar, [ais], radar.tuning)
     grid = np.arange(-20.0, 20.05, 0.25)
     across = near.residual[:, 1, None] - near.jacobian[:, 1, 1, None] * grid
@@ -106,61 +106,61 @@ def by_radius(radar: Feed, ais: Feed) -> Answer:
 
 
 def by_nearest(radar: Feed, ais: Feed) -> Answer:
-    """The median turn of every plot to the nearest vessel, repeated until it settles."""
+    """The median rotation of every plot to the nearest vessel, 30 iterations."""
     near = candidates(Plots.of(radar), radar, [ais], radar.tuning)
     azimuth = 0.0
     for _ in range(30):
         across = near.residual[:, 1] - near.jacobian[:, 1, 1] * azimuth
-        away = np.hypot(near.residual[:, 0], across)
-        order = np.lexsort([away, near.plot])
+        distance = np.hypot(near.residual[:, 0], across)
+        order = np.lexsort([distance, near.plot])
         first = order[np.unique(near.plot[order], return_index=True)[1]]
-        first = first[away[first] < 500.0]
+        first = first[distance[first] < 500.0]
         if not len(first):
             break
         azimuth += float(np.median(across[first] / near.jacobian[first, 1, 1]))
     return azimuth, np.nan, True
 
 
-WAYS = {"all plots": by_all_plots, "16 instants": by_instants, "fixed radius": by_radius, "nearest": by_nearest}
+METHODS = {"all plots": by_all_plots, "16 instants": by_instants, "fixed radius": by_radius, "nearest": by_nearest}
 
 
 def offsets(scenes: int) -> Table:
     """Offsets of a small radar in clutter."""
     lines = []
     for number, kind in enumerate(KINDS):
-        answers: dict[str, list[Answer]] = {way: [] for way in WAYS}
-        seconds = dict.fromkeys(WAYS, 0.0)
+        answers: dict[str, list[Answer]] = {way: [] for way in METHODS}
+        seconds = dict.fromkeys(METHODS, 0.0)
         truth = []
         for seed in range(scenes):
-            made, azimuth = drawn(kind, 1000 * (number + 1) + seed)
+            simulated, azimuth = drawn(kind, 1000 * (number + 1) + seed)
             truth.append(azimuth)
-            radar, ais = Scene.of(made.sources).feeds
-            for way, ask in WAYS.items():
+            radar, ais = Scene.of(simulated.sources).feeds
+            for way, method in METHODS.items():
                 begin = time.process_time()
-                answers[way].append(ask(radar, ais))
+                answers[way].append(method(radar, ais))
                 seconds[way] += time.process_time() - begin
         for way, given in answers.items():
             value, error, sure = (np.array(column) for column in zip(*given, strict=True))
-            away = np.abs(value - np.array(truth))
-            near = (away < np.maximum(0.5, 3.0 * np.nan_to_num(error))) & (away < 1.0)
+            deviation = np.abs(value - np.array(truth))
+            near = (deviation < np.maximum(0.5, 3.0 * np.nan_to_num(error))) & (deviation < 1.0)
             right = near & sure.astype(bool) & (kind.common[1] > 0)
             wrong = sure.astype(bool) & ~right
-            spread = float(np.sqrt(np.mean(away[right] ** 2))) if right.any() else np.nan
-            z = away[right] / error[right]
+            spread = float(np.sqrt(np.mean(deviation[right] ** 2))) if right.any() else np.nan
+            z = deviation[right] / error[right]
             lines.append(
                 [kind.words, way, 100.0 * right.mean(), 100.0 * wrong.mean(), spread,
                  float(np.sqrt(np.mean(z**2))) if right.any() else np.nan, seconds[way] / scenes]
             )  # fmt: skip
-    columns = ("scene", "way", "right and established %", "false %", "rms error °", "rms error / s.e.", "CPU s")
+    columns = ("scene", "method", "right and established %", "false %", "rms error °", "rms error / s.e.", "CPU s")
     return Table(
-        f"Azimuth offsets of 0.5 to 8° of a small radar in clutter, {scenes} modelled scenes a line", columns, lines,
-        ("fixed radius and nearest say no error and no doubt: every answer counts as established",),
+        f"Azimuth offsets of 0.5 to 8° of a small radar in clutter, {scenes} modelled scenes per line", columns, lines,
+        ("fixed radius and nearest state no error and no doubt: every answer counts as established",),
     )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Injected:
-    """A fault that is put into AIS. kind : of the alarm that is due. change : AIS with it."""
+    """A fault inserted into AIS. kind : of the expected alarm. change : returns AIS with the fault."""
 
     words: str
     kind: str
@@ -210,17 +210,17 @@ INJECTED = (
 
 
 def alarms(scenes: int) -> Table:
-    """Faults that are put into AIS, and alarms on what is sound."""
+    """Alarms for faults inserted into AIS, and false alarms on sound data."""
     sets: dict[str, Callable[[int], tuple[tuple[Description, Reports], tuple[Description, Reports]] | None]] = {
         "boat's radar, 8 vessels": lambda seed: drawn(Kind("", (8, 8), 1, 1, 1, 10.0), 5000 + seed)[0].sources,
         "Solent's AIS, 10 min": _of_the_solent,
     }
     lines = []
-    for words, made in sets.items():
+    for words, sources_of in sets.items():
         for injected in INJECTED:
             found = false = tried = 0
             for seed in range(scenes):
-                sources = made(seed)
+                sources = sources_of(seed)
                 if sources is None:
                     continue
                 radar, (described, ais) = sources
@@ -235,11 +235,11 @@ def alarms(scenes: int) -> Table:
             len(source_faults(scene_of(name, describe_all(models_from_others(name, SCENARIOS), name)).feeds))
             for name in SCENARIOS
         )
-        notes.append(f"autoferry, {len(SCENARIOS)} recordings as they are: {count} alarms")
+        notes.append(f"autoferry, {len(SCENARIOS)} unchanged recordings: {count} alarms")
     return Table("Alarms", ("sources", "fault", "scenes", "found", "false"), lines, tuple(notes))
 
 
-#: What is done to the AIS of one ship from a moment on, and the alarm that is due; "" where it is left as it is.
+#: Change of the AIS of one ship from a moment on, and the expected alarm; "" without a change.
 DECEPTIONS = (("nothing", ""), ("drags away at 4 m/s", "dragged"), ("leaps by 800 m", "dragged"), ("silent", "silent"))
 
 
@@ -255,7 +255,7 @@ def deceived(reports: Reports, ship: str, words: str, from_s: float) -> Reports:
 
 
 def deceptions(scenes: int) -> Table | None:
-    """One ship of real AIS that deceives two modelled radars, in pictures of twelve minutes; judged on all alarms."""
+    """One ship of real AIS that deceives two modelled radars, in pictures of twelve minutes; all alarms count."""
     world = solent()
     if world is None:
         return None
@@ -266,39 +266,42 @@ def deceptions(scenes: int) -> Table | None:
         from_s = begin + 60.0 * (seed % 10)
         log = motion.between(world.log, from_s, from_s + span_s)
         radars = [replace(world.sensor(number, 20.0, 0.1), bias=Bias()) for number in range(2)]
-        heard = [(radar.description, radar(world.true, (from_s, from_s + span_s), rng)) for radar in radars]
-        ship, when = _seen_by_all(world, log, [output for _, output in heard], rng), from_s + rng.uniform(300.0, 420.0)
-        for words, due in DECEPTIONS:
+        simulated = [(radar.description, radar(world.true, (from_s, from_s + span_s), rng)) for radar in radars]
+        ship, when = (
+            _seen_by_all(world, log, [output for _, output in simulated], rng),
+            from_s + rng.uniform(300.0, 420.0),
+        )
+        for words, expected in DECEPTIONS:
             sources = [
                 (world.described, deceived(log, ship, words, when)),
-                *((d, output.reports) for d, output in heard),
+                *((d, output.reports) for d, output in simulated),
             ]
             scene = Scene.of(sources, world.true.plane)
             found = Picture.of(scene, np.arange(from_s + 30.0, from_s + span_s, 10.0)).summary.faults
-            right = [fault.kind == due and fault.track == ship for fault in found]
+            right = [fault.kind == expected and fault.track == ship for fault in found]
             counts[words][0] += 1
             counts[words][1] += any(right)
             counts[words][2] += len(right) - sum(right)
-    lines = [[words, tried, right if due else None, tried - right if due else None, false]
-             for (words, due), (tried, right, false) in zip(DECEPTIONS, counts.values(), strict=True)]  # fmt: skip
+    lines = [[words, tried, right if expected else None, tried - right if expected else None, false]
+             for (words, expected), (tried, right, false) in zip(DECEPTIONS, counts.values(), strict=True)]  # fmt: skip
     return Table(
         "Deception: real motion, modelled sensors", ("one ship's AIS", "scenes", "found", "missed", "false alarms"),
         lines, ("Solent: all ships in 12 minutes of AIS, two modelled radars; false: any other alarm",),
     )  # fmt: skip
 
 
-def _seen_by_all(world: World, log: Reports, heard: Sequence[SensorOutput], rng: np.random.Generator) -> str:
-    """A ship that speaks and that all radars see throughout."""
+def _seen_by_all(world: World, log: Reports, outputs: Sequence[SensorOutput], rng: np.random.Generator) -> str:
+    """A ship with AIS that all radars see throughout."""
     own = world.true.objects_of(log)
-    often = [np.bincount(output.truth[output.truth >= 0], minlength=own.max() + 1) for output in heard]
+    often = [np.bincount(output.truth[output.truth >= 0], minlength=own.max() + 1) for output in outputs]
     seen = np.min([count >= 0.6 * count.max() for count in often], axis=0)
     assert log.object_ids is not None
-    speaks = {k for k in np.unique(own[own >= 0]).tolist() if (own == k).sum() >= 60 and seen[k]}
-    return str(rng.choice(sorted({str(name) for name, k in zip(log.object_ids, own, strict=True) if k in speaks})))
+    reporting = {k for k in np.unique(own[own >= 0]).tolist() if (own == k).sum() >= 60 and seen[k]}
+    return str(rng.choice(sorted({str(name) for name, k in zip(log.object_ids, own, strict=True) if k in reporting})))
 
 
 def _of_the_solent(seed: int) -> tuple[tuple[Description, Reports], tuple[Description, Reports]] | None:
-    """Ten minutes of real AIS, and a radar about the Solent that shows nothing but clutter."""
+    """Ten minutes of real AIS, and a radar in the Solent that shows only clutter."""
     log = motion.solent()
     if log is None:
         return None

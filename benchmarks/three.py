@@ -36,7 +36,7 @@ def understood(index: Path, north_of_deg: float) -> list[Catalogue]:
 
 
 def members(found: ManyMatch) -> np.ndarray:
-    """(n, S) rows of the catalogues by name, −1 for none, in an order of their own."""
+    """(n, S) rows of the catalogues in the order of ``NAMES``, −1 for none."""
     order = [
         [c.name for c in found.catalogues].index(name) for name in NAMES if name in {c.name for c in found.catalogues}
     ]
@@ -44,9 +44,9 @@ def members(found: ManyMatch) -> np.ndarray:
 
 
 def picture(found: ManyMatch) -> tuple[Catalogue, np.ndarray]:
-    """What two catalogues say together, as one catalogue, and the rows that its rows are made of (n, 2).
+    """The fused catalogue of two catalogues, and the rows (n, 2) of both that its rows come from.
 
-    An object of both has the fused place and motion at the common epoch; a lone record stays as it was.
+    An object of both has the fused position and motion at the common epoch; other records are unchanged.
     """
     rows = np.ma.filled(found.objects.members, -1)
     both = np.flatnonzero((rows >= 0).all(axis=1))
@@ -60,9 +60,9 @@ def picture(found: ManyMatch) -> tuple[Catalogue, np.ndarray]:
     for name, column in zip(_COLUMNS, [*values, np.full(len(both), found.epoch_jyr)], strict=True):
         columns[name][both] = column
     for k, catalogue in enumerate(found.catalogues):
-        here = np.flatnonzero((rows[:, k] >= 0) & (rows[:, 1 - k] < 0))
-        for name, column in zip(_COLUMNS, _own(catalogue, rows[here, k]), strict=True):
-            columns[name][here] = column
+        single = np.flatnonzero((rows[:, k] >= 0) & (rows[:, 1 - k] < 0))
+        for name, column in zip(_COLUMNS, _astrometry(catalogue, rows[single, k]), strict=True):
+            columns[name][single] = column
     table = SkyTable({name: MaskedColumn(column, mask=np.isnan(column)) for name, column in columns.items()})
     options = CatalogueOptions(sigma_unit="mas", missing_pm_mas_per_yr=UNKNOWN_MOTION_MAS_PER_YR)
     return Catalogue.of(table, "picture", options=options), rows
@@ -74,8 +74,8 @@ _COLUMNS = (
 )  # fmt: skip
 
 
-def _own(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
-    """What a catalogue says of its own rows, in the order of the columns of a picture; NaN where it knows no motion."""
+def _astrometry(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
+    """The astrometry of rows of a catalogue, in the order of ``_COLUMNS``; NaN for unknown motions."""
     from sameas.sky.many.population import moving_rows
 
     a = catalogue.astrometry[rows]
@@ -90,7 +90,7 @@ def _own(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
 
 
 def one_after_another(catalogues: dict[str, Catalogue], last: str) -> np.ndarray:
-    """(n, 3) objects where two catalogues are identified first, and the last with what they say together."""
+    """(n, 3) objects if two catalogues are matched first, and the last one with their fused catalogue."""
     first = [name for name in NAMES if name != last]
     joined, rows = picture(match_many([catalogues[name] for name in first]))
     found = match_many([joined, catalogues[last]])
@@ -103,7 +103,7 @@ def one_after_another(catalogues: dict[str, Catalogue], last: str) -> np.ndarray
 
 
 def two_at_a_time(found: ManyMatch) -> np.ndarray:
-    """(n, 3) the triples whose three pairs, each of two catalogues identified alone, are one triangle."""
+    """(n, 3) triples whose three pairs, from matches of two catalogues each, are consistent."""
     import three_catalogues as example
 
     to_gaia, to_tycho = (example.partners(found, "hipparcos", name) for name in NAMES[1:])
@@ -113,12 +113,12 @@ def two_at_a_time(found: ManyMatch) -> np.ndarray:
 
 
 def objects_of(rows: np.ndarray) -> set[tuple[int, ...]]:
-    """The objects of two records and more."""
+    """The objects with at least two records."""
     return set(map(tuple, rows[(rows >= 0).sum(axis=1) > 1].tolist()))
 
 
 def tabled(index: Path, north_of_deg: float) -> list[Table]:
-    """What each way finds, and how much of it differs."""
+    """Number of objects of each method, and of those that differ from the joint match."""
     catalogues = dict(zip(NAMES, understood(index, north_of_deg), strict=True))
     began = time.process_time()
     together = match_many(list(catalogues.values()))
@@ -128,24 +128,24 @@ def tabled(index: Path, north_of_deg: float) -> list[Table]:
         found[f"{' and '.join(n for n in NAMES if n != last)}, then {last}"] = one_after_another(catalogues, last)
     ours = objects_of(found["all together"])
     rows = []
-    for words, objects in found.items():
+    for method, objects in found.items():
         shown = objects >= 0
         counts = [int((shown.sum(axis=1) == k).sum()) for k in (3, 2)]
         theirs = objects_of(objects)
-        rows.append([words, *counts, len(theirs - ours), len(ours - theirs)])
+        rows.append([method, *counts, len(theirs - ours), len(ours - theirs)])
     closed = two_at_a_time(together)
     triples = {one for one in ours if min(one) >= 0}
     theirs = objects_of(closed)
-    rows.append(["two at a time, triangles that close", len(closed), None, len(theirs - ours), len(triples - theirs)])
-    orders = [objects_of(objects) for words, objects in found.items() if words != "all together"]
-    apart = max(len(one ^ two) for one, two in combinations(orders, 2))
+    rows.append(["two at a time, closed triangles", len(closed), None, len(theirs - ours), len(triples - theirs)])
+    orders = [objects_of(objects) for method, objects in found.items() if method != "all together"]
+    largest = max(len(one ^ two) for one, two in combinations(orders, 2))
     notes = [
         f"Records: {', '.join(f'{len(c)} of {name}' for name, c in catalogues.items())}; all together took "
-        f"{seconds:.0f} s of processor time, {together.iterations} rounds.",
-        f"Two orders of one after another differ by up to {apart} objects of several records.",
+        f"{seconds:.0f} s of CPU, {together.iterations} iterations.",
+        f"Two orders of one after another differ by up to {largest} objects of several records.",
         f"All together expects {np.sum(1.0 - together.objects.probability[together.objects.n_members > 1]):.0f} wrong.",
     ]
-    columns = ["way", "in three", "in two", "only there", "only all together"]
+    columns = ["method", "in three", "in two", "only there", "only all together"]
     where = "whole sky" if north_of_deg <= -90 else f"north of {north_of_deg:+g}°"
     return [Table(f"Hipparcos, Gaia, Tycho-2, {where}", columns, rows, notes)]
 
@@ -159,7 +159,7 @@ def main(arguments: Any = None) -> None:
     parser.add_argument("--north-of", type=float, default=-90.0, metavar="DEG", help="a part of the sky")
     options = parser.parse_args(arguments)
     if not options.index.exists():
-        sys.exit(f"{options.index} is not there: apt-get install astrometry-data-tycho2-07-littleendian")
+        sys.exit(f"{options.index} does not exist: apt-get install astrometry-data-tycho2-07-littleendian")
     report("three", tabled(options.index, options.north_of))
 
 
