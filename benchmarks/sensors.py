@@ -267,10 +267,8 @@ def deceptions(scenes: int) -> Table | None:
         log = motion.between(world.log, from_s, from_s + span_s)
         radars = [replace(world.sensor(number, 20.0, 0.1), bias=Bias()) for number in range(2)]
         simulated = [(radar.description, radar(world.true, (from_s, from_s + span_s), rng)) for radar in radars]
-        ship, when = (
-            _seen_by_all(world, log, [output for _, output in simulated], rng),
-            from_s + rng.uniform(300.0, 420.0),
-        )
+        ship = _seen_by_all(world, log, [output for _, output in simulated], rng)
+        when = from_s + rng.uniform(300.0, 420.0)
         for words, expected in DECEPTIONS:
             sources = [
                 (world.described, deceived(log, ship, words, when)),
