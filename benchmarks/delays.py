@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.hard import AIRCRAFT, AIS, RADAR, Fleet, Kind, Sees, made
+from benchmarks.hard import AIRCRAFT, AIS, RADAR, Fleet, Kind, Sensor, simulated
 from benchmarks.tables import Table, report
 from benchmarks.traffic import ADS_B, AIR_RADAR, FAR, NEAR, Paths, fairway, in_lock, stack
 
@@ -26,7 +26,7 @@ def _of(paths: Callable[[np.random.Generator], Paths]) -> Callable[[Fleet, np.ra
 
 #: What is late in each kind: the last source, or the first.
 LAST, FIRST = -1, 0
-WIDE = Sees("ads-b", "ads-b", sigma_m=40.0, period_s=2.0, share=0.75, motion=AIRCRAFT, speed_error=1.5)
+WIDE = Sensor("ads-b", "ads-b", sigma_m=40.0, period_s=2.0, share=0.75, motion=AIRCRAFT, speed_error=1.5)
 KINDS = (
     (Kind("ships, AIS, trackers of 25 m", FAR), LAST),
     (Kind("ships, trackers of 25 m, AIS late", FAR), FIRST),
@@ -54,7 +54,7 @@ def with_delay(kind: Kind, late: int, late_s: float) -> Kind:
 
 def estimated(kind: Kind, late: int, late_s: float, seed: int) -> list[tuple[float, float, float]]:
     """True delay, estimate and standard error (NaN where none is removed) of every source against the first."""
-    _, scene, _ = made(with_delay(kind, late, late_s), seed)
+    _, scene, _ = simulated(with_delay(kind, late, late_s), seed)
     _, found = scene.registered()
     values = [one.parameters.get("time_s") if one.established else None for one in found]
     first = 0.0 if values[0] is None else values[0].value
