@@ -314,7 +314,7 @@ def long(n):
     return total
 
 long(10)
-outcome.end_cleanly_when_asked()
+outcome.end_cleanly_on_sigterm()
 with outcome.answering(False), replacing(sys.argv[1]) as draft:
     draft.write_text("half")
     print("begun", flush=True)
@@ -379,7 +379,7 @@ import os, signal, sys, time
 from pathlib import Path
 from sameas.cli import outcome
 from sameas.io.atomic import replacing
-outcome.end_cleanly_when_asked(worker=True)
+outcome.end_cleanly_on_sigterm(worker=True)
 unlink = Path.unlink
 def asked_again(path):
     os.kill(os.getpid(), signal.SIGTERM)
@@ -410,12 +410,12 @@ def _answer(path):
 def test_a_signal_during_object_deletion_prints_no_traceback():
     program = """
 import os, signal, time
-from sameas.cli.outcome import end_cleanly_when_asked
+from sameas.cli.outcome import end_cleanly_on_sigterm
 class Deleted:
     def __del__(self):
         os.kill(os.getpid(), signal.SIGTERM)
         time.sleep(0.01)
-end_cleanly_when_asked()
+end_cleanly_on_sigterm()
 Deleted()
 time.sleep(30)
 """
@@ -451,7 +451,7 @@ def test_a_process_stopped_before_its_command_begins_reports_it(kind, code, monk
         raise getattr(outcome, kind, KeyboardInterrupt)
 
     monkeypatch.setattr(outcome, "end_now", end_now)
-    monkeypatch.setattr(outcome, "end_cleanly_when_asked", lambda: None)
+    monkeypatch.setattr(outcome, "end_cleanly_on_sigterm", lambda: None)
     monkeypatch.setattr("sameas.cli.app.app", small)
     monkeypatch.setattr("sys.argv", ["sameas"])
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}

@@ -34,7 +34,7 @@ def test_kernels_compiled_beforehand_are_used(tmp_path):
 def test_compilation_is_announced_and_shared(quiet, said, monkeypatch, capsys, tmp_path):
     begun = []
     monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce])
-    monkeypatch.setattr("sameas.cli.warmup.beside", begun.append)
+    monkeypatch.setattr("sameas.cli.warmup.start_second_process", begun.append)
     terminal.share_compilation(quiet)
     for begin in compiled.on_first_compilation:
         begin(tmp_path)
@@ -44,13 +44,13 @@ def test_compilation_is_announced_and_shared(quiet, said, monkeypatch, capsys, t
 def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):
     begun = []
     monkeypatch.setattr(threading.Thread, "start", lambda thread: begun.append(thread))
-    warmup.beside(tmp_path)
-    warmup.beside(tmp_path)
+    warmup.start_second_process(tmp_path)
+    warmup.start_second_process(tmp_path)
     assert len(begun) == 1
     os.utime(tmp_path / "compiling", (0, 0))
-    warmup.beside(tmp_path)
+    warmup.start_second_process(tmp_path)
     assert len(begun) == 2
     (tmp_path / "compiling").unlink()
     (tmp_path / "posterior.exact-480.py311.nbi").touch()
-    warmup.beside(tmp_path)
+    warmup.start_second_process(tmp_path)
     assert len(begun) == 2

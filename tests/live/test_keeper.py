@@ -104,8 +104,10 @@ def test_deltas_add_up_to_the_frame(keeper):
     for k in range(1, 20):
         frame = keeper.tick(START_S + 2.0 * k)
         delta = keeper.deltas[-1]
-        objects = {n: r for n, r in objects.items() if n not in delta.gone} | {row[0]: row for row in delta.objects}
-        records = {n: r for n, r in records.items() if n not in delta.lost}
+        objects = {n: r for n, r in objects.items() if n not in delta.removed_objects} | {
+            row[0]: row for row in delta.objects
+        }
+        records = {n: r for n, r in records.items() if n not in delta.removed_records}
         records |= {f"{row[1]}:{row[2]}": row for row in delta.records}
         assert objects == frame.object_rows and records == frame.record_rows
     assert Delta.between(frame, frame).objects == [] and Delta.between(None, frame).objects

@@ -14,9 +14,9 @@ def main() -> None:
         # Imports and compilations create many permanent objects; the default thresholds cost a tenth of a short run.
         gc.set_threshold(100_000, 50, 100)
         from sameas.cli.app import app
-        from sameas.cli.outcome import end_cleanly_when_asked
+        from sameas.cli.outcome import end_cleanly_on_sigterm
 
-        end_cleanly_when_asked()
+        end_cleanly_on_sigterm()
         _open_closed_streams()
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]  # terminals without σ
@@ -37,8 +37,8 @@ def main() -> None:
         try:
             for number in (signal.SIGINT, signal.SIGTERM):  # from here on a signal simply ends the process
                 signal.signal(number, signal.SIG_DFL)
-        except KeyboardInterrupt as asked:
-            end_now(exit_code(asked), stopped())
+        except KeyboardInterrupt as interrupt:
+            end_now(exit_code(interrupt), stopped())
         early = unanswered(error)
         if early is not None:
             end_now(exit_code(early), stopped())

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.cli.options import frame_option, in_options
-from sameas.cli.outcome import end_cleanly_when_asked, fault, interruption
+from sameas.cli.outcome import end_cleanly_on_sigterm, fault, interruption
 from sameas.cli.terminal import Printer, notice
 from sameas.errors import InputError
 from sameas.front.framing import CLOSE, FrameRequest, fulfil
@@ -231,7 +231,7 @@ def _begin(stages: Any) -> None:
     global _stages
     _stages = stages
     end_with_parent()
-    end_cleanly_when_asked(worker=True)
+    end_cleanly_on_sigterm(worker=True)
     warnings.simplefilter("ignore")
 
 
@@ -257,9 +257,9 @@ def _one(request: FrameRequest, again: bool, progress: Callable[[str], None]) ->
     except MemoryError:
         return Outcome(request, None, f"{request.path}: not enough memory for this frame")
     except Exception as error:
-        asked = interruption(error)
-        if asked is not None:
-            raise asked from error
+        interrupt = interruption(error)
+        if interrupt is not None:
+            raise interrupt from error
         return Outcome(request, None, f"{request.path}: {fault(error)}", seconds=time.perf_counter() - began)
 
 

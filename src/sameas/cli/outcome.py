@@ -40,7 +40,7 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM was received; draft files are removed on the way out, as after Ctrl-C."""
 
 
-def end_cleanly_when_asked(worker: bool = False) -> None:
+def end_cleanly_on_sigterm(worker: bool = False) -> None:
     """Let the first SIGTERM raise ``Terminated`` in the main thread; a second one ends the process at once.
 
     Compiled loops do not check for signals: if the main thread has not ended the process ``PATIENCE_S`` after SIGINT or
@@ -156,9 +156,9 @@ def answering(debug: bool, option: Callable[[Argument], str] = option_of) -> Ite
     except MemoryError:
         _end("not enough memory for these catalogues; nothing was written", INPUT_ERROR, debug)
     except Exception as error:
-        asked = interruption(error)
-        if asked is not None:
-            _end(stopped(), exit_code(asked), debug)
+        interrupt = interruption(error)
+        if interrupt is not None:
+            _end(stopped(), exit_code(interrupt), debug)
         _end(f"{fault(error)} with what --debug shows", INPUT_ERROR, debug)
 
 

@@ -129,9 +129,9 @@ def share_compilation(quiet: bool) -> None:
     """If kernels have to be compiled, compile some of them in a second process; announce it unless quiet."""
     from sameas.kernels import compiled
 
-    def beside(cache: Path) -> None:
+    def in_second_process(cache: Path) -> None:
         from sameas.cli import warmup
 
-        warmup.beside(cache)
+        warmup.start_second_process(cache)
 
-    compiled.on_first_compilation[:] = [beside] if quiet else [compiled.announce, beside]
+    compiled.on_first_compilation[:] = [in_second_process] if quiet else [compiled.announce, in_second_process]

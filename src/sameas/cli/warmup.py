@@ -26,7 +26,7 @@ from sameas.prior import PerPair
 LONGEST_S = 120.0
 
 
-def beside(cache: Path) -> None:
+def start_second_process(cache: Path) -> None:
     """Start the compilation of error scales and posterior in a second process, unless one is running; do not wait.
 
     cache : folder of the compiled kernels.

@@ -174,7 +174,7 @@ def find_blends(
             f"blends: fluxes of shape {np.shape(flux)}; give one above 0 for each of {len(second)} records"
         )
     coverage = Coverage.of(first, second) if coverage is None else coverage
-    n1, n2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
+    n1, n2 = (max(int(np.count_nonzero(covered)), 1) for covered in coverage.covered)
     density = coverage.covered_densities[0][0]
     all_candidates = candidates_of(first, second, resolution, errors, flux, tuning)
     merging = Merging.of(all_candidates.couples, all_candidates.blended, len(second), tuning.max_mergers)

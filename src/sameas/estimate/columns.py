@@ -250,11 +250,13 @@ class ColumnEvidence:
         assert self.folds is not None
         fits: list[_Fit | None] = []
         findings: list[ColumnFinding] = []
-        for source, (side, p, at, seen, fold, previous) in enumerate(
+        for source, (side, p, at, is_covered, fold, previous) in enumerate(
             zip(self.sides, partner, offset, covered, self.folds, self.fits, strict=True), start=1
         ):
             columns = _to_fit(side)
-            regression = _ShareRegression.of(p, at, seen, fold, previous, columns, self.tuning) if columns else None
+            regression = (
+                _ShareRegression.of(p, at, is_covered, fold, previous, columns, self.tuning) if columns else None
+            )
             if regression is None:
                 fits.append(None)
                 continue
@@ -503,12 +505,12 @@ class _ShareRegression:
 
     @classmethod
     def of(
-        cls, partner: FloatArray, offset: FloatArray, seen: BoolArray, fold: IntArray, previous: _Fit | None,
+        cls, partner: FloatArray, offset: FloatArray, covered: BoolArray, fold: IntArray, previous: _Fit | None,
         columns: Sequence[CodedColumn], tuning: ColumnsTuning,
     ) -> _ShareRegression | None:  # fmt: skip
         """The regression; None with too few partners."""
-        likely = np.flatnonzero(seen & (partner >= tuning.min_p))
-        alone = np.flatnonzero(seen & (partner < tuning.min_p))
+        likely = np.flatnonzero(covered & (partner >= tuning.min_p))
+        alone = np.flatnonzero(covered & (partner < tuning.min_p))
         partners = float(partner[likely].sum())
         if partners < tuning.min_partners:
             return None

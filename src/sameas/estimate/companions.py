@@ -228,10 +228,14 @@ def _sources(setting: Setting, unit: FloatArray) -> tuple[_Source, _Source]:
             _with_equal_errors(records, unit),
             (records.variances / unit**2).mean(axis=1),
             density * scale,
-            seen & counted,
+            covered & counted,
         )
-        for records, density, seen, counted in zip(
-            (setting.pairs.first, setting.pairs.second), setting.densities, setting.seen, setting.counted, strict=True
+        for records, density, covered, counted in zip(
+            (setting.pairs.first, setting.pairs.second),
+            setting.densities,
+            setting.covered,
+            setting.counted,
+            strict=True,
         )
     )
     return one, two

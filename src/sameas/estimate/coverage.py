@@ -110,10 +110,10 @@ class Points:
 
     def in_discs(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
         """Rows of all points inside discs around these centres, and some more around them."""
-        from sameas.kernels.coverage import beside
+        from sameas.kernels.coverage import rows_in_reach
 
         rows = np.empty(len(self.points), np.int32)
-        found = beside(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
+        found = rows_in_reach(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
         return rows[:found].astype(np.int64)
 
 

@@ -191,8 +191,8 @@ class Estimates:
     @property
     def covered(self) -> tuple[BoolArray, BoolArray]:
         """(n₁,), (n₂,) records that are counted and lie where the other source observes."""
-        (seen_1, seen_2), (counted_1, counted_2) = self.setting.seen, self.counted
-        return seen_1 & counted_1, seen_2 & counted_2
+        (covered_1, covered_2), (counted_1, counted_2) = self.setting.covered, self.counted
+        return covered_1 & counted_1, covered_2 & counted_2
 
     def shares(self) -> Both:
         """(n₁,), (n₂,) share of the source's records that have a partner, at each record's position."""
@@ -232,7 +232,9 @@ class Estimates:
 
     def expected_common(self) -> float:
         """Number of common objects expected from the shares."""
-        return min(float((share * seen).sum()) for share, seen in zip(self.shares(), self.setting.seen, strict=True))
+        return min(
+            float((share * covered).sum()) for share, covered in zip(self.shares(), self.setting.covered, strict=True)
+        )
 
     def expectation(self) -> tuple[Estimates, FloatArray, FloatArray]:
         """The E-step.
@@ -261,7 +263,7 @@ class Estimates:
 
     def expected_counts(self) -> tuple[float, tuple[int, int]]:
         """Expected number of common objects, and the numbers of covered records of both sources."""
-        one, two = (max(int(np.count_nonzero(seen)), 1) for seen in self.setting.seen)
+        one, two = (max(int(np.count_nonzero(covered)), 1) for covered in self.setting.covered)
         return self.expected_common(), (one, two)
 
     def converged(self, previous: Estimates) -> bool:
@@ -422,7 +424,7 @@ def _local_shares(setting: Setting, partner: Both, counted: tuple[BoolArray, Boo
     """(n₁,), (n₂,) local shares of records with a partner, from the counted records that are covered."""
     # The coarsest level gives the mean of all; the finest has too few records a cell.
     levels = setting.levels[1:-1] or setting.levels
-    weights = [(seen & used).astype(np.float64) for seen, used in zip(setting.seen, counted, strict=True)]
+    weights = [(covered & used).astype(np.float64) for covered, used in zip(setting.covered, counted, strict=True)]
     works = [partial(local_share, levels, k + 1, partner[k] * weights[k], weights[k], elsewhere=False) for k in (0, 1)]
     (at_1, _), (_, at_2) = threads.each(works, len(weights[0]))
     return at_1, at_2

@@ -143,30 +143,30 @@ class Average:
         pairs: Pairs,
         others: FloatArray,
         expected: float,
-        seen: tuple[int, int],
+        n_records: tuple[int, int],
         *,
         exact: bool = False,
         companion_log_odds: FloatArray | None = None,
     ) -> tuple[Average, Averaged]:
         """The updated weights, and the averaged probabilities of the pairs; ``others`` (m,) is all other evidence.
 
-        expected : number of common objects assumed in ``others``. seen : N₁, N₂, records that may be common.
+        expected : number of common objects assumed in ``others``. n_records : N₁, N₂, records that may be common.
         exact : whether groups are summed exactly; else by message passing.
         companion_log_odds : (m,) ln of the odds, before one-to-one, that a pair is two companions.
         """
         solver: Solver = posterior if exact else by_messages
         p_pairs, log_weight, n_common = [], [], []
-        assumed = _count_terms(expected, seen)
+        assumed = _count_terms(expected, n_records)
         for log_prior, log_density, number in zip(self.average.log_prior, self.log_density, self.n_common, strict=True):
-            own = _count_terms(number, seen)
+            own = _count_terms(number, n_records)
             solution = Solution.of(pairs, others + log_density + (own.odds - assumed.odds), solver, companion_log_odds)
             p_pairs.append(solution.p_pair)
             log_weight.append(log_prior + solution.log_evidence + own.log_records)
             # With a uniform prior of the share in common.
-            n_common.append((float(solution.p_pair.sum()) + 0.5) / (min(seen) + 1.0) * min(seen))
+            n_common.append((float(solution.p_pair.sum()) + 0.5) / (min(n_records) + 1.0) * min(n_records))
         weight = np.exp(np.array(log_weight) - max(log_weight))
         weight /= weight.sum()
-        odds = others + np.array([_count_terms(n, seen).odds - assumed.odds for n in self.n_common])[:, None]
+        odds = others + np.array([_count_terms(n, n_records).odds - assumed.odds for n in self.n_common])[:, None]
         averaged = Averaged.of(pairs, np.array(p_pairs), odds + self.log_density, weight)
         return replace(self, weight=weight, n_common=np.array(n_common)), averaged
 
@@ -179,10 +179,10 @@ class _CountTerms:
     log_records: float
 
 
-def _count_terms(number: float, seen: tuple[int, int]) -> _CountTerms:
-    number = min(max(number, 1e-3), min(seen) * (1.0 - 1e-6))
-    alone = [math.log1p(-number / n) for n in seen]
-    records = number + sum(n * log for n, log in zip(seen, alone, strict=True))
+def _count_terms(number: float, n_records: tuple[int, int]) -> _CountTerms:
+    number = min(max(number, 1e-3), min(n_records) * (1.0 - 1e-6))
+    alone = [math.log1p(-number / n) for n in n_records]
+    records = number + sum(n * log for n, log in zip(n_records, alone, strict=True))
     return _CountTerms(math.log(number) - sum(alone), records)
 
 
@@ -269,13 +269,13 @@ def identify_averaged(
     pairs: Pairs,
     rule: Rule,
     expected: float,
-    seen: tuple[int, int],
+    n_records: tuple[int, int],
     companion_log_odds: FloatArray | None = None,
 ) -> Identification:
     """The identification of these candidates with averaged probabilities.
 
     The averaged odds replace the term of the positions in the evidence of ``rule``, or that of companions if errors are
-    known (``average`` None). expected, seen, companion_log_odds : as in :meth:`Average.posterior`.
+    known (``average`` None). expected, n_records, companion_log_odds : as in :meth:`Average.posterior`.
     """
     evidence = rule(pairs)
     if average is None:
@@ -283,7 +283,9 @@ def identify_averaged(
         averaged = Averaged.one(pairs, Solution.of(pairs, log_ratio, posterior, companion_log_odds).p_pair, log_ratio)
     else:
         replaced, rest = "position", without_positions(evidence)
-        _, averaged = average.posterior(pairs, rest, expected, seen, exact=True, companion_log_odds=companion_log_odds)
+        _, averaged = average.posterior(
+            pairs, rest, expected, n_records, exact=True, companion_log_odds=companion_log_odds
+        )
     terms = {**evidence.terms, replaced: averaged.log_ratio - rest}
     grouped = groups(pairs)
     best = assign(grouped, averaged.log_ratio, PerPair()(grouped.sizes_1, grouped.sizes_2))

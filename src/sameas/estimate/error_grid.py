@@ -152,7 +152,7 @@ def _scan(
     # One term of the likelihood for each record of the poorer source.
     n1, n2 = len(rows[0]), len(rows[1])
     poorer, at = (0, pairs.i) if n1 <= n2 else (1, pairs.j)
-    seen = coverage.covered[poorer][rows[poorer]]
+    covered = coverage.covered[poorer][rows[poorer]]
     other = 1 - poorer
     if density is None:
         density_there = coverage.covered_densities[other][poorer][rows[poorer]]
@@ -163,8 +163,8 @@ def _scan(
     total = float(np.count_nonzero(coverage.covered[poorer]))
     gain = contrast = math.nan
     while True:
-        sums = residuals.sums(lattice, at, len(seen))
-        log_likelihood = np.array([_log_likelihood(each[seen], tuning) for each in sums])
+        sums = residuals.sums(lattice, at, len(covered))
+        log_likelihood = np.array([_log_likelihood(each[covered], tuning) for each in sums])
         if not lattice.n_halvings:
             gain = float(log_likelihood.max() - log_likelihood[lattice.as_quoted].max())
             contrast = float(log_likelihood.max())

@@ -67,14 +67,14 @@ class Scale:
     def of(cls, volume: FloatArray, magnitude: FloatArray | None, number: int) -> Scale:
         """From records with errors of these volumes (n,), and magnitudes (n,), NaN where missing."""
         every, parts = max(1, len(volume) // SCALE_RECORDS), np.arange(1, number)
-        some, seen = volume[::every], None if magnitude is None else magnitude[::every]
-        measured = np.empty(0) if seen is None else seen[np.isfinite(seen)]
+        some, some_magnitude = volume[::every], None if magnitude is None else magnitude[::every]
+        measured = np.empty(0) if some_magnitude is None else some_magnitude[np.isfinite(some_magnitude)]
         ranges = max(1, len(measured) // (RECORDS_PER_GRADE * number))
         edges = np.quantile(measured, np.linspace(0.0, 1.0, ranges + 1)[1:-1]) if ranges > 1 else np.empty(0)
         apart = len(measured) > 0 and len(some) - len(measured) >= MIN_UNMEASURED
         scale = cls(number, edges, np.empty(0), apart)
-        within = scale._range(seen, len(some))
-        line = np.sort(some) if seen is None else some[np.lexsort((some, within))]
+        within = scale._range(some_magnitude, len(some))
+        line = np.sort(some) if some_magnitude is None else some[np.lexsort((some, within))]
         count = np.bincount(within, minlength=ranges + 1)
         at = Ragged.of_sizes(count).start[:-1, None] + count[:, None] * parts // number
         # The limits of a range without records are never used.

@@ -264,11 +264,13 @@ def match(
         if not len(records):
             raise InputError(f"{records.source} has no usable records; nothing can be identified")
     progress("densities")
-    seen, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
+    photometry, coverage = _photometry(first, second, brightness), Coverage.of(first, second)
     columns = ColumnEvidence.of(first, second, evidence)
     if _expected_work(coverage, density) > tuning.max_interpreted:
         prefer_compiled()
-    search = _GateSearch(coverage, seen, precision, density, gate, sampling, progress, tuning=tuning, columns=columns)
+    search = _GateSearch(
+        coverage, photometry, precision, density, gate, sampling, progress, tuning=tuning, columns=columns
+    )
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
     if scan is not None and scan.contrast > tuning.min_gain and scan.common < tuning.grid.max_averaged:
         return search.match_averaged(scan, max_iterations)
@@ -320,12 +322,12 @@ def match_sample(
     coverage : of the sample, with its counted records. columns : of its records, as evidence. Other arguments as of
     :func:`match`. The errors of maximum likelihood are used, however few the pairs are.
     """
-    seen = _photometry(coverage.first, coverage.second, brightness)
+    photometry = _photometry(coverage.first, coverage.second, brightness)
     all_records = Sampling(enough=2**62)
     # Trends would apply to the records of the sample only; companions need all records.
     tuning = replace(tuning, fits_trends=False, em=replace(tuning.em, companions=None))
     search = _GateSearch(
-        coverage, seen, precision, density, gate, all_records, progress, tuning=tuning, columns=columns
+        coverage, photometry, precision, density, gate, all_records, progress, tuning=tuning, columns=columns
     )
     scan = scan_errors(coverage, density, tuning.grid) if errors is None and gate is None else None
     search, result, remarks = _fit(search, scan, errors, max_iterations)
@@ -560,19 +562,21 @@ class _GateSearch:
                 pairs = pairs.of(first, second)
             whole = Setting.whole(pairs, self.coverage) if whole is None else replace(whole, pairs=pairs)
             part = whole.sample(self.sampling)
-            seen = self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
+            photometry = (
+                self.photometry if part is whole or self.photometry is None else self.photometry.part(*part.rows)
+            )
             columns = self.columns if part is whole or self.columns is None else self.columns.part(*part.rows)
             if estimates is None:
                 # Close candidates in excess of chance are common objects.
                 inner, by_chance = _inner_counts(near, limit)
                 excess = (inner - by_chance) / min(len(first), len(second))
                 estimates = Estimates.initial(
-                    part, errors, seen, self.density, excess, self.precision, self.tuning.em, columns
+                    part, errors, photometry, self.density, excess, self.precision, self.tuning.em, columns
                 )
                 initial_errors = errors or self.gate_errors.with_mixture(self.seed_errors or self.gate_errors)
                 estimates = replace(estimates, errors=initial_errors)
             else:
-                estimates = estimates.for_setting(part, seen, columns)
+                estimates = estimates.for_setting(part, photometry, columns)
             result = self._run_gate(estimates, whole, limit, max_iterations - iterations)
             result = replace(result, iterations=iterations + result.iterations)
             estimates, p_counted, iterations = result.estimates, result.p_counted, result.iterations
@@ -654,11 +658,11 @@ def _agrees_with_sample(common: float, expected: float, sampled: float, tuning: 
 def _to_estimate(answer: Identification, coverage: Coverage, result: _GateResult, remarks: list[str]) -> Estimate:
     """The estimates as of the last identification."""
     estimates, common = result.estimates, float(answer.p_pair.sum())
-    seen_1, seen_2 = (max(int(np.count_nonzero(seen)), 1) for seen in coverage.covered)
+    n_1, n_2 = (max(int(np.count_nonzero(covered)), 1) for covered in coverage.covered)
     photometry = estimates.photometry if estimates.photometry is not None and estimates.photometry.is_fitted else None
     precision = None if estimates.grades is None else estimates.grades.rule
     estimate = Estimate(
-        common, min(1.0, common / seen_1), min(1.0, common / seen_2), estimates.errors, result.gate_sigmas, coverage,
+        common, min(1.0, common / n_1), min(1.0, common / n_2), estimates.errors, result.gate_sigmas, coverage,
         result.iterations, result.converged, result.learned_from, tuple(remarks) + _notes(result, common), photometry,
         precision, answer,
         estimates.fits_errors and common >= result.tuning.em.min_pairs, columns=estimates.columns,

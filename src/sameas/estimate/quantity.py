@@ -91,8 +91,8 @@ class _Share:
     def of(cls, answer: Identification, coverage: Coverage, source: int, learned_from: int) -> _Share:
         records, at = (answer.first, answer.pairs.i) if source == 1 else (answer.second, answer.pairs.j)
         partner = np.clip(np.bincount(at, answer.p_pair, len(records)), 0.0, 1.0)
-        seen = coverage.covered[source - 1]
-        partner = partner[seen]
+        covered = coverage.covered[source - 1]
+        partner = partner[covered]
         unsure = float((partner * (1.0 - partner)).sum())
         return cls(len(partner), float(partner.sum()), unsure, len(records) / max(learned_from, 1) - 1.0)
 

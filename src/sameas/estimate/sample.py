@@ -47,7 +47,7 @@ class Setting:
     pairs : the candidates.
     rows : (n₁,), (n₂,) indices of their records among all records.
     levels : their cells, coarse to fine.
-    seen : (n₁,), (n₂,) whether the other source observes there.
+    covered : (n₁,), (n₂,) whether the other source observes there.
     counted : (n₁,), (n₂,) whether a record counts; others only compete.
     densities : (n₁,), (n₂,) local densities of the source's other covered records.
     """
@@ -55,7 +55,7 @@ class Setting:
     pairs: Pairs
     rows: tuple[IntArray, IntArray]
     levels: tuple[GridLevel, ...]
-    seen: tuple[BoolArray, BoolArray]
+    covered: tuple[BoolArray, BoolArray]
     counted: tuple[BoolArray, BoolArray]
     densities: tuple[FloatArray, FloatArray]
 
@@ -94,7 +94,7 @@ class Setting:
         pairs, (of_1, of_2) = _part(self.pairs, kept, rows_1, rows_2), self.densities
         return Setting(
             pairs, (rows_1, rows_2), tuple(level.part(rows_1, rows_2) for level in self.levels),
-            (self.seen[0][rows_1], self.seen[1][rows_2]), (counted[0][rows_1], counted[1][rows_2]),
+            (self.covered[0][rows_1], self.covered[1][rows_2]), (counted[0][rows_1], counted[1][rows_2]),
             (of_1[rows_1], of_2[rows_2]),
         )  # fmt: skip
 

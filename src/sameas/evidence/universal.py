@@ -375,7 +375,7 @@ class _PairsOfRecords:
             return Expected(log_value - log_density(self.x1 - self.x2, self.s1 + self.s2), error)
         fused = Gaussian(self.x1, self.s1).updated(Gaussian(self.x2, self.s2))
         root, d = np.linalg.cholesky(fused.covariance), self.x1.shape[1]
-        return self._expected(lambda rows, z: _values(p, _around(fused.mean, root, rows, z)), d, "position")
+        return self._expected(lambda rows, z: _values(p, _transformed(fused.mean, root, rows, z)), d, "position")
 
     def different(self) -> Expected:
         """The density of both records if they are two different objects."""
@@ -413,7 +413,7 @@ class _PairsOfRecords:
         root = np.linalg.cholesky(total)
 
         def integrand(rows: IntArray, z: FloatArray) -> FloatArray:
-            m = _around(-delta, root, rows, z)
+            m = _transformed(-delta, root, rows, z)
             density = _values(q, m)
             if isinstance(p, Flat):
                 return density * p.density
@@ -430,7 +430,7 @@ class _PairsOfRecords:
         assert callable(p) and callable(q)
 
         def integrand(rows: IntArray, z: FloatArray) -> FloatArray:
-            m1, m2 = _around(self.x1, root_1, rows, z[:, :d]), _around(self.x2, root_2, rows, z[:, d:])
+            m1, m2 = _transformed(self.x1, root_1, rows, z[:, :d]), _transformed(self.x2, root_2, rows, z[:, d:])
             if isinstance(q, GaussianMixture | Displacement):
                 return _values(p, m1) * _values(q, m2 - m1)
             flat = np.asarray(q(m1.reshape(-1, d), m2.reshape(-1, d)), np.float64)
@@ -457,7 +457,7 @@ def _scatter(share: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.sum((n * share - 1.0) ** 2, axis=1) / (n * (n - 1))))
 
 
-def _around(mean: FloatArray, root: NDArray[np.floating], rows: IntArray, z: FloatArray) -> FloatArray:
+def _transformed(mean: FloatArray, root: NDArray[np.floating], rows: IntArray, z: FloatArray) -> FloatArray:
     """(r, n, d) the standard normal points z (n, d) transformed to the means and covariances of some pairs."""
     return np.asarray(mean[rows, None] + np.einsum("rvw,nw->rnv", root[rows], z))
 

@@ -96,15 +96,15 @@ def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
 
 def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], overwrite: bool) -> None:
     """Writes a CSV file and its provenance file; without provenance an existing provenance file is removed."""
-    beside = sidecar(path)
+    notes_path = sidecar(path)
     if not provenance or not (path.is_file() or not path.exists()):
         with replacing(path, overwrite=overwrite) as draft:
             write(table, draft, {})
         with suppress(FileNotFoundError):
             # An earlier run's provenance does not describe this file.
-            beside.unlink()
+            notes_path.unlink()
         return
-    with together() as arm, replacing(beside) as notes, replacing(path, overwrite=overwrite) as draft:
+    with together() as arm, replacing(notes_path) as notes, replacing(path, overwrite=overwrite) as draft:
         notes.write_text(json_text(provenance), encoding="utf-8")
         write(table, draft, {})
         arm()
@@ -112,8 +112,8 @@ def write_with_sidecar(table: Table, path: Path, provenance: Mapping[str, Any], 
 
 def provenance(path: Path) -> dict[str, Any]:
     """The content of the provenance file; empty if there is none."""
-    beside = sidecar(path)
-    return dict(json.loads(beside.read_text(encoding="utf-8"))) if beside.exists() else {}
+    notes_path = sidecar(path)
+    return dict(json.loads(notes_path.read_text(encoding="utf-8"))) if notes_path.exists() else {}
 
 
 def sidecar(path: Path) -> Path:

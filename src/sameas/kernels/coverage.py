@@ -368,7 +368,7 @@ def isolated(
 
 
 @small
-def beside(
+def rows_in_reach(
     points: FloatArray,
     buckets: Buckets,
     centres: FloatArray,

@@ -273,13 +273,13 @@ def fit(
     core: int,
     pseudo: FloatArray,
     shares: FloatArray,
-    standing_out: float,
+    min_gain: float,
     search: tuple[float | int, ...],
 ) -> tuple[FloatArray, float, float]:
     """The shares (k,) of maximum likelihood of a mixture of normals in d features, of ascending ``scales`` (k,).
 
     The components from ``core`` on are the tail, which is removed if it does not improve the log likelihood by more
-    than ``standing_out``. Returns the shares, the improvement by the tail, and the log likelihood.
+    than ``min_gain``. Returns the shares, the improvement by the tail, and the log likelihood.
 
     start, count, odds, squares : as returned by ``cells``. The likelihood of n pairs of odds o is (1 + o f)^n, whose
     logarithm is concave in the shares, so the maximum is unique. pseudo, shares : as in ``max_likelihood_shares``;
@@ -301,7 +301,7 @@ def fit(
     narrow, kept = density[:, :core].copy(), pseudo[:core].copy()
     alone = max_likelihood_shares(start, count, odds, narrow, kept, best[:core] / typical, *search)
     without = log_likelihood(start, count, odds, narrow, kept, alone)
-    if log_reached - without > standing_out:
+    if log_reached - without > min_gain:
         return best, log_reached - without, log_reached
     best[:core] = alone
     best[core:] = 0.0

@@ -114,7 +114,7 @@ def score_nested(
     shift: int,
     partly: float,
     volume: float,
-    asked: float,
+    used_share: float,
     smooths: FloatArray,
     own: FloatArray,
     score: FloatArray,
@@ -123,7 +123,7 @@ def score_nested(
     records, by the other records in their cells ``shift`` bits coarser; to ``score[:, m]`` the squares of the cells'
     counts.
 
-    volume : of a finest cell. asked : share of the finest cells that are used, selected by their cell numbers alone.
+    volume : of a finest cell. used_share : of the finest cells, selected by their cell numbers alone.
     own : (u, 2) densities by coarser cells.
     """
     begin, m = 0, len(smooths)
@@ -136,7 +136,7 @@ def score_nested(
         for k in range(begin, end):
             # Multiples of the golden ratio spread consecutive numbers evenly over 0 … 1.
             multiple = (cells[k] & 0xFFFFFFFF) * 0.6180339887498949
-            if multiple - math.floor(multiple) >= asked:
+            if multiple - math.floor(multiple) >= used_share:
                 continue
             for s in range(2):
                 if numbers[k, s]:

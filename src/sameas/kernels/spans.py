@@ -98,7 +98,7 @@ def across(
 
 
 @part
-def around(
+def reach_of_record(
     one: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, k: int
 ) -> tuple[bool | float | int, ...]:
     """Reach of record k: first and last zone, half width of the window, opening, whether it crosses the period end."""
@@ -147,7 +147,7 @@ def near(
             k += 1
             continue
         x, y, a, b = one.guard[k, 0], one.guard[k, 1], one.guard[k, 2], one.guard[k, 3]
-        bottom, top, window, opening, crosses = around(one, grid, reach, folds, k)
+        bottom, top, window, opening, crosses = reach_of_record(one, grid, reach, folds, k)
         for zone in range(bottom + done, top + 1):
             ring = zone % len(grid.scale) if grid.wraps else zone
             p, q = inside(grid, two.guard, ring, x, window)

@@ -191,12 +191,12 @@ class Wire:
                     writer.close()
 
     async def _http(self) -> None:
-        def asked() -> bytes:
+        def fetched() -> bytes:
             with urllib.request.urlopen(self.url, timeout=5.0) as answer:
                 return bytes(answer.read(32 << 20))
 
         while True:
-            data = await asyncio.to_thread(asked)
+            data = await asyncio.to_thread(fetched)
             if not self.state.connected:
                 self._set_connected()
             self._received(data.replace(b"\n", b" "), True)

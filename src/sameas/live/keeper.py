@@ -64,9 +64,9 @@ class Delta:
     tick: int
     time_s: float
     objects: list[tuple[Any, ...]] = field(default_factory=list)
-    gone: list[int] = field(default_factory=list)
+    removed_objects: list[int] = field(default_factory=list)
     records: list[tuple[Any, ...]] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
+    removed_records: list[str] = field(default_factory=list)
 
     @classmethod
     def between(cls, previous: Frame | None, frame: Frame) -> Delta:

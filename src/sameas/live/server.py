@@ -219,8 +219,8 @@ async def _events(keeper: Keeper, clients: Clients, since: int | None) -> AsyncI
 def _event(kind: str, keeper: Keeper, frame: Frame, delta: Delta) -> str:
     own = frame.own_ship
     content = {
-        "tick": delta.tick, "t": delta.time_s, "whole": kind == "whole", "objects": delta.objects, "gone": delta.gone,
-        "records": delta.records, "lost": delta.lost,
+        "tick": delta.tick, "t": delta.time_s, "whole": kind == "whole", "objects": delta.objects,
+        "gone": delta.removed_objects, "records": delta.records, "lost": delta.removed_records,
     }  # fmt: skip
     if delta.tick == frame.tick:
         content |= {

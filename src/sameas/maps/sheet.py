@@ -205,7 +205,7 @@ class MapSheet:
     def extent(self) -> tuple[float, float, float, float]:
         """West, south, east and north of all objects and records, in metres."""
         places = [np.column_stack([c["x_m"], c["y_m"]]) for c in (self.objects, self.records)]
-        return _around(np.concatenate([*places, self._sites()]))
+        return _bounds(np.concatenate([*places, self._sites()]))
 
     def home(self) -> tuple[float, float, float, float]:
         """West, south, east and north of the first view: sites and confirmed objects; the extent if there are none."""
@@ -213,7 +213,7 @@ class MapSheet:
         if not confirmed.any():
             return self.extent()
         places = np.column_stack([self.objects["x_m"][confirmed], self.objects["y_m"][confirmed]])
-        return _around(np.concatenate([places, self._sites()]))
+        return _bounds(np.concatenate([places, self._sites()]))
 
     def _sites(self) -> FloatArray:
         sites = [(s.x_m, s.y_m) for s in self.sensors if s.x_m is not None and s.y_m is not None]
@@ -242,7 +242,7 @@ def seen_by_several(objects: Columns) -> BoolArray:
     return np.asarray((objects["n_sources"] > 1) & ~improbable, np.bool_)
 
 
-def _around(places: FloatArray) -> tuple[float, float, float, float]:
+def _bounds(places: FloatArray) -> tuple[float, float, float, float]:
     """West, south, east and north of positions, at least 100 m wide and high."""
     finite = places[np.isfinite(places).all(axis=1)]
     if not len(finite):

@@ -90,7 +90,7 @@ def ring(cells: IntArray, order: int, fine: int) -> IntArray:
     return around[~np.isin(around >> (2 * (fine - order)), cells)]
 
 
-def around(cells: IntArray, order: int) -> IntArray:
+def neighbours(cells: IntArray, order: int) -> IntArray:
     """The cells of the same order that touch a set of cells from outside."""
     near = np.asarray(_nested().neighbours(np.asarray(cells, np.uint64), order, num_threads=1)).astype(np.int64)
     near = _distinct(near[near >= 0])

@@ -327,7 +327,7 @@ class Work:
         """
         steps, n_records = self.tuning.steps, len(wanted[0]) + len(wanted[1])
         while True:
-            near = competing.around(wanted, steps)
+            near = competing.extended(wanted, steps)
             if sum(map(np.count_nonzero, near)) > self.tuning.max_share * n_records:
                 near = np.ones_like(near[0]), np.ones_like(near[1])
             of_1, of_2 = near[0][pairs.i], near[1][pairs.j]
@@ -410,7 +410,7 @@ class Competing:
         """(n₁,), (n₂,) the records in these groups."""
         return groups[self.group_1], groups[self.group_2]
 
-    def around(self, own: Both, steps: int) -> Both:
+    def extended(self, own: Both, steps: int) -> Both:
         """(n₁,), (n₂,) some records and their groups, extended ``steps`` times by all candidates and their groups."""
         one, two = (some | more for some, more in zip(own, self.in_groups(self.groups_of(*own)), strict=True))
         for _ in range(steps):
@@ -473,7 +473,7 @@ class Halo:
         stretch, ring = coarse.stretch, healpix.ring(coarse.cells, coarse.order, thin)
         for _ in range(rings - 1):
             stretch = healpix.joined(np.concatenate([stretch, healpix.stretches(ring, thin)]))
-            ring = healpix.around(ring, thin)
+            ring = healpix.neighbours(ring, thin)
             ring = ring[~healpix.within(stretch, ring << 2 * (healpix.FINEST - thin))]
         stretch = healpix.joined(np.concatenate([stretch, healpix.stretches(ring, thin)]))
         finest = min(order + finer, healpix.FINEST)

@@ -57,10 +57,10 @@ def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in mas?"
     if median < _LEAST_SIGMA_ARCSEC:
         return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
-    lost = len(sigma) - len(known)
-    if lost:
-        lack, are = ("lacks", "is") if lost == 1 else ("lack", "are")
-        text = f"{lost} of {len(sigma)} rows {lack} a position or a positive error and {are} set aside"
+    n_unusable = len(sigma) - len(known)
+    if n_unusable:
+        lack, are = ("lacks", "is") if n_unusable == 1 else ("lack", "are")
+        text = f"{n_unusable} of {len(sigma)} rows {lack} a position or a positive error and {are} set aside"
         placed = np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)
         if np.count_nonzero(placed) == len(known):
             return text
@@ -108,10 +108,12 @@ def _epoch_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     odd = known[(known < 1850) | (known > 2100)]
     if len(odd):
         return f"the epoch {odd[0]:g} ({choice.epoch.reason}) lies outside 1850 to 2100"
-    lost = len(epochs) - len(known)
-    if lost and len(known):
-        have, are = ("has", "is") if lost == 1 else ("have", "are")
-        return f"{lost} of {len(epochs)} rows {have} no epoch ({choice.epoch.reason}) and {are} set aside when moved"
+    n_undated = len(epochs) - len(known)
+    if n_undated and len(known):
+        have, are = ("has", "is") if n_undated == 1 else ("have", "are")
+        return (
+            f"{n_undated} of {len(epochs)} rows {have} no epoch ({choice.epoch.reason}) and {are} set aside when moved"
+        )
     return ""
 
 

@@ -77,8 +77,8 @@ def _texts(table: Table, name: str) -> list[str]:
     column = table[name]
     empty = np.ma.getmaskarray(column) if hasattr(column, "mask") else np.zeros(len(column), bool)
     return [
-        "" if gone or cell is None else cell.decode() if isinstance(cell, bytes) else str(cell)
-        for cell, gone in zip(np.ma.getdata(column).tolist(), np.broadcast_to(empty, len(column)), strict=True)
+        "" if is_empty or cell is None else cell.decode() if isinstance(cell, bytes) else str(cell)
+        for cell, is_empty in zip(np.ma.getdata(column).tolist(), np.broadcast_to(empty, len(column)), strict=True)
     ]
 
 
