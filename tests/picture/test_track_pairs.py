@@ -17,6 +17,7 @@ from sameas.kernels.track_pairs import (
 )
 from sameas.picture.error_factors import MIN_M2, error_update
 from sameas.picture.named_tracks import prior_covariance
+from sameas.picture.track_pairs import Rivals
 
 WAYS = ("interpreted", "compiled")
 
@@ -159,3 +160,15 @@ def test_the_best_other_of_a_set_is_the_first_of_the_highest(rng, way):
     for k in range(30):
         others = [at for at in range(30) if label[at] == label[k] and at != k]
         assert best[k] == (max(others, key=lambda at: (values[at], -at)) if others else -1)
+
+
+def test_pairs_of_one_track_are_rivals_whichever_track_began_first():
+    # Tracks 0 and 3 of source 0, tracks 1 and 2 of source 1: track 3 began last, so it is the second of its pairs.
+    source = np.array([0, 1, 1, 0])
+    first, second = np.array([0, 0, 1, 2]), np.array([1, 2, 3, 3])
+    rivals = Rivals.of(first, second, source[first], source[second])
+    values = np.arange(4.0)
+    # Pairs (0, 1), (0, 2), (1, 3), (2, 3): the rivals of each share one of its tracks.
+    assert rivals.best_other(values, 0).tolist() == [1, 0, 3, 2]
+    assert rivals.best_other(values, 1).tolist() == [2, 3, 0, 1]
+    assert rivals.max_other(values).tolist() == [2.0, 3.0, 3.0, 2.0]

@@ -201,15 +201,17 @@ class TrackPairs(ColumnTable):
         )
         updated = replace(updated, distant=self.distant.advance(step, newly_distant, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
+        by_source = _by_source((a, b), (step.source[a], step.source[b]))
         log_weight = self.log_ratio[rows] + self.log_reported[rows]
-        best, log_report, p_swap = _swap_hypotheses(log_weight, log_two, step, (a, b), rivals, tuning)
+        best, log_report, p_swap = _swap_hypotheses(log_weight, log_two, step, by_source, rivals, tuning)
         log_rival = np.append(self.log_ratio[rows], 0.0)[best]
-        rate = np.column_stack([swaps.rate(step.source[track], tuning) for track in (b, a)])
+        exchanged = step.source[by_source[1]], step.source[by_source[0]]
+        rate = np.column_stack([swaps.rate(source, tuning) for source in exchanged])
         gain = updated.log_ratio - self.log_ratio[rows]
         by_rate = self.log_by_rate[rows], self.log_reported[rows]
         log_by_rate, swaps = swaps.updated(
-            by_rate, gain, updated.log_now, (best, log_report, p_swap), rivals,
-            (step.source[b], step.source[a]), (reassigned, math.log(per_m2)), tuning,
+            by_rate, gain, updated.log_now, (best, log_report, p_swap), rivals, exchanged,
+            (reassigned, math.log(per_m2)), tuning,
         )  # fmt: skip
         updated = replace(updated, log_by_rate=log_by_rate)
         # The factor allows for several swaps between two instants, and for swaps among more than two tracks.
@@ -341,6 +343,7 @@ def _swap_hypotheses(
     rival (−1 without one), ln p of the pair's new reports apart from the position if their ids were swapped, and the
     probability of a swap for h = 1.
 
+    tracks : (k,), (k,) of both sources, as of :func:`_by_source`.
     log_weight : (k,) ln r with the positions of the last reports. log_two : (k,) ln p of the new reports given two
     objects.
 
@@ -374,11 +377,18 @@ def _without_history(
     return out
 
 
+def _by_source(pair: tuple[IntArray, IntArray], source: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
+    """(k,), (k,) both values of each pair, that of the source with the lower number first."""
+    in_order = source[0] <= source[1]
+    return np.where(in_order, *pair), np.where(in_order, *pair[::-1])
+
+
 @dataclass(frozen=True)
 class Rivals:
     """Sets of mutually exclusive pairs: one track with each of the tracks of one other source.
 
-    sides : (k,), (k,) numbers of the two sets of each pair: with the same first track, and with the same second.
+    sides : (k,), (k,) numbers of the two sets of each pair: with the same track of the one source, and with the same of
+    the other, in the order of :func:`_by_source`.
     """
 
     sides: tuple[IntArray, IntArray]
@@ -387,6 +397,8 @@ class Rivals:
     def of(cls, first: IntArray, second: IntArray, one: IntArray, other: IntArray) -> Rivals:
         """first, second : (k,) numbers of the tracks, from 0 without large gaps. one, other : (k,) their sources."""
         sources = 1 + max(int(one.max(initial=0)), int(other.max(initial=0)))
+        # A track that began later may be the second of one pair and the first of another.
+        (first, second), (one, other) = (_by_source(pair, (one, other)) for pair in ((first, second), (one, other)))
         return cls((first * sources + other, second * sources + one))
 
     def best_other(self, values: FloatArray, side: int) -> IntArray:
