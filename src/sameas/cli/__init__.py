@@ -79,9 +79,9 @@ def _use_one_arena() -> None:
     import ctypes
     from contextlib import suppress
 
-    most_arenas = -8  # M_ARENA_MAX of glibc's malloc.h
+    max_arenas = -8  # M_ARENA_MAX of glibc's malloc.h
     with suppress(AttributeError, OSError, TypeError):  # another C library
-        ctypes.CDLL(None).mallopt(most_arenas, 1)
+        ctypes.CDLL(None).mallopt(max_arenas, 1)
 
 
 def _end_at_once(code: int) -> None:

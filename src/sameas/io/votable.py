@@ -179,11 +179,11 @@ class _Declarations:
 
     astropy allocates as many rows as ``nrows`` declares, of cells as wide as ``arraysize`` declares.
 
-    most : limit on the bytes of a table. columns : of all tables. rows, row_bytes : of the last table.
+    max_bytes : limit on the bytes of a table. columns : of all tables. rows, row_bytes : of the last table.
     """
 
     path: Path
-    most: int
+    max_bytes: int
     columns: int = 0
     rows: int = 0
     row_bytes: int = 0
@@ -205,8 +205,8 @@ class _Declarations:
                 raise InputError(f"{self.path}: {unit}, with a power that no unit has; correct it")
         elif kind == "TR":
             self.rows += 1
-        if max(self.rows, 1) * self.row_bytes > self.most:
-            cells = f"its table takes more than {self.most >> 20} MB"
+        if max(self.rows, 1) * self.row_bytes > self.max_bytes:
+            cells = f"its table takes more than {self.max_bytes >> 20} MB"
             raise InputError(
                 f"{self.path}: {cells}, by its nrows and arraysize; correct them, or save it in another way"
             )

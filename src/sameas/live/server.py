@@ -81,9 +81,9 @@ class Access:
 
 @dataclass
 class Clients:
-    """Number of event streams: now, and at most."""
+    """Number of event streams: now, and their limit."""
 
-    most: int = 100
+    limit: int = 100
     now: int = 0
     dropped: int = field(default=0)
 
@@ -136,7 +136,7 @@ def application(keeper: Keeper, access: Access | None = None) -> Starlette:
         return Response(text, media_type="text/html", headers=_HEADERS)
 
     async def events(request: Request, role: str) -> Response:
-        if clients.now >= clients.most:
+        if clients.now >= clients.limit:
             return answer({"error": "too many connections"}, 503, **{"Retry-After": "10"})
         since = request.headers.get("last-event-id", "")
         stream = _events(keeper, clients, int(since) if since.isdecimal() else None)

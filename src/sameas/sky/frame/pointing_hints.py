@@ -212,7 +212,7 @@ class SearchTuning:
     code_tolerance : maximum distance of two codes of similar patterns: 1.5 % of the longest side per coordinate.
     sides_all_sky, sides_few, sides_many : (least, largest) longest side of a pattern over the side of the field: in the
         index of the whole sky, and around an aim with few or many stars per field.
-    many : number of stars per field above which it has many: no longest patterns, no triangles of faint stars.
+    many_stars : number of stars per field above which it has many: no longest patterns, no triangles of faint stars.
     stars_per_field : bright stars per field in the index of the whole sky.
     measured : numbers of brightest measurements tried with the index, in this order.
     aim_lists : tried around an aim, in this order: points per pattern, bright stars per field, brightest measurements.
@@ -226,7 +226,7 @@ class SearchTuning:
     sides_all_sky: tuple[float, float] = (0.2, 0.6)
     sides_few: tuple[float, float] = (0.15, 1.3)
     sides_many: tuple[float, float] = (0.2, 0.7)
-    many: int = 20
+    many_stars: int = 20
     stars_per_field: int = 14
     measured: tuple[int, ...] = (12, 20, 30)
     aim_lists: tuple[tuple[int, int, int], ...] = ((4, 16, 16), (4, 16, 30), (3, 16, 25), (4, 32, 32), (3, 32, 36))
@@ -428,7 +428,7 @@ def _about_aim(
             f"the catalogue has {len(cone)} stars within {math.degrees(reach):.2g}° of the aim; give one that covers it"
         )
     side = math.sqrt(problem.shape[0] * problem.shape[1] * scale[0] * scale[1])
-    many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > tuning.many
+    many = len(cone) * side**2 / (4 * math.pi * math.sin(reach / 2) ** 2) > tuning.many_stars
     done: set[tuple[int, int, int]] = set()
     for k, per_field, n in tuning.aim_lists:
         if many and k == 3 and per_field > tuning.aim_lists[0][1]:

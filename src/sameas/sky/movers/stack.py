@@ -50,7 +50,7 @@ class StackTuning:
     controls : number of positions around the track, per frame, that give the noise. far_widths : their maximum
         distance, FWHM.
     hidden_widths : a star closer than this (FWHM) hides the mover. absent : probability ε that it is not visible.
-    variable : relative 1σ of its flux. most : maximum number of tracklets, the first ones.
+    variable : relative 1σ of its flux. max_tracklets : maximum number of tracklets, the first ones.
     """
 
     half_px: int = 24
@@ -60,7 +60,7 @@ class StackTuning:
     hidden_widths: float = 1.2
     absent: float = 0.1
     variable: float = 0.3
-    most: int = 200
+    max_tracklets: int = 200
 
 
 TUNING = StackTuning()
@@ -112,7 +112,7 @@ def stack(
     found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
     place : (k, f, 2) arcsec, positions of movers below the limit of single frames; None for tracklets of detections.
     """
-    k, f = min(len(found), tuning.most), len(series.exposures)
+    k, f = min(len(found), tuning.max_tracklets), len(series.exposures)
     scale = series.scale_arcsec_per_px
     blind = place is not None
     place = (predicted(found, series) if place is None else place)[:k]
@@ -369,7 +369,7 @@ class TrailTuning:
     min_sigmas : minimum significance of the length.
     hidden_widths : radius of excluded pixels around other sources, FWHM; larger for bright ones.
     gap : a trail ends where the light falls below this share of the maximum near the middle.
-    most : maximum number of fits per frame, the most significant candidates first.
+    max_fits : maximum number of fits per frame, the most significant candidates first.
     """
 
     min_widths: float = 0.8
@@ -379,7 +379,7 @@ class TrailTuning:
     min_sigmas: float = 5.0
     hidden_widths: float = 1.2
     gap: float = 0.3
-    most: int = 100
+    max_fits: int = 100
 
 
 TRAIL_TUNING = TrailTuning()
@@ -578,7 +578,7 @@ class _Pixels:
         chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * self.tuning.gain]
         best = direction[best_angle]
         ends = [np.stack([at[k] - a[k] * self.width * best[k], at[k] + b[k] * self.width * best[k]]) for k in chosen]
-        return list(zip(map(int, chosen), ends, strict=True))[: self.tuning.most]
+        return list(zip(map(int, chosen), ends, strict=True))[: self.tuning.max_fits]
 
     def fitted(self, at: FloatArray, ends: FloatArray) -> _Trail | None:
         """The trail fitted from initial ends (2, 2); None if a star fits as well, or the fit fails."""
