@@ -155,8 +155,8 @@ def test_a_prior_by_count_takes_the_best_of_all_sizes(n1, n2, q):
     prior = CommonObjects(q, 0.5 * q)
     pairs, grouped = laid_out(n1, n2, ratios)
     weight = np.array([ratios[edge] for edge in zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)])
-    believed = prior(grouped.sizes_1, grouped.sizes_2)
-    best = assign(grouped, weight, believed)
+    log_prior = prior(grouped.sizes_1, grouped.sizes_2)
+    best = assign(grouped, weight, log_prior)
     chosen = chosen_edges(pairs, grouped, best)
     scores = [
         naive.common_objects_log_prior(k, n1, n2, q, 0.5 * q) + best_of_size(matrix, k) for k in range(min(n1, n2) + 1)

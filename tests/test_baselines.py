@@ -118,15 +118,15 @@ def test_enumeration_agrees_with_assignment(prior, draw):
     n1, n2, ratios = many_blocks(rng, DRAWS[draw], blocks=8, most=3)
     pairs, grouped = laid_out(n1, n2, ratios)
     weight = np.array([ratios[edge] for edge in zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)])
-    believed = prior(grouped.sizes_1, grouped.sizes_2)
-    chosen = enumerated(grouped, weight, believed)
+    log_prior = prior(grouped.sizes_1, grouped.sizes_2)
+    chosen = enumerated(grouped, weight, log_prior)
     assert one_to_one(pairs, chosen)
-    best = assign(grouped, weight, believed)
+    best = assign(grouped, weight, log_prior)
 
     def score(taken):
         k = np.bincount(grouped.group, taken[grouped.order], len(grouped)).astype(int)
-        slope = believed.slope
-        prior_part = (slope * k).sum() if slope is not None else believed.table[believed.start[:-1] + k].sum()
+        slope = log_prior.slope
+        prior_part = (slope * k).sum() if slope is not None else log_prior.table[log_prior.start[:-1] + k].sum()
         return weight[taken].sum() + prior_part
 
     other = np.empty(len(weight), bool)

@@ -126,12 +126,12 @@ def test_blend_probabilities_are_calibrated(told):
     for seed in range(3):
         made = blended_field(np.random.default_rng([12, seed]), objects=1_500)
         flux = made.flux if told else None
-        said = find_blends(made.first, made.second, made.resolution_arcsec, errors=Errors(), flux=flux)
-        answer = np.column_stack([said.partner.filled(-1), said.other.filled(-1)])
+        blends = find_blends(made.first, made.second, made.resolution_arcsec, errors=Errors(), flux=flux)
+        answer = np.column_stack([blends.partner.filled(-1), blends.other.filled(-1)])
         ok = (np.sort(answer, axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
-        p.append(said.p_match)
+        p.append(blends.p_match)
         right.append(ok)
-        p_two.append(said.p_blend)
+        p_two.append(blends.p_blend)
         two.append((made.parts >= 0).all(axis=1))
         found_two += int((ok & two[-1]).sum())
         real += int(two[-1].sum())
@@ -148,8 +148,8 @@ def test_a_match_says_which_of_its_records_are_blends():
     table = found.blends(made.resolution_arcsec, flux=made.flux)
     assert table["row_1"].tolist() == list(range(len(made.first))) and not np.ma.is_masked(table["p_blend"])
     two = ~np.ma.getmaskarray(table["row_2b"])
-    said = np.sort(np.column_stack([table["row_2"][two], table["row_2b"][two]]), axis=1)
-    assert len(said) > 10 and (said == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
+    claimed = np.sort(np.column_stack([table["row_2"][two], table["row_2b"][two]]), axis=1)
+    assert len(claimed) > 10 and (claimed == np.sort(made.parts[two], axis=1)).all(axis=1).mean() > 0.6
     with pytest.raises(InputError, match="one for each of 300 rows"):
         found.blends(6.0, flux=[1.0])
 

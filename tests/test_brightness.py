@@ -145,8 +145,8 @@ def test_missing_magnitudes_are_neutral_and_the_others_still_help():
 
 
 def test_swapping_the_sources_swaps_the_answer(frame, found):
-    back, told = match(frame.scene.second, frame.scene.first, brightness=frame.brightness[::-1])
-    assert told.common == pytest.approx(found[1].common, rel=2e-3)
+    back, estimate = match(frame.scene.second, frame.scene.first, brightness=frame.brightness[::-1])
+    assert estimate.common == pytest.approx(found[1].common, rel=2e-3)
     forth = dict(zip(found[0].matches.rows_1.tolist(), found[0].matches.rows_2.tolist(), strict=True))
     turned = dict(zip(back.matches.rows_2.tolist(), back.matches.rows_1.tolist(), strict=True))
     assert sum(forth[i] == j for i, j in turned.items() if i in forth) > 0.998 * len(forth)

@@ -146,8 +146,8 @@ def test_every_informative_column_improves_the_result(found):
 def test_related_columns_are_evidence_of_pairs(found):
     related = Related(MADE.flux, MADE.magnitude, ("flux", "MAG"))
     answer, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[related])
-    said = {(one.name, one.other): one.used for one in estimate.columns.findings}
-    assert said == {("flux", ""): False, ("MAG", ""): True, ("flux", "MAG"): True}
+    used = {(one.name, one.other): one.used for one in estimate.columns.findings}
+    assert used == {("flux", ""): False, ("MAG", ""): True, ("flux", "MAG"): True}
     assert counts(answer)[0] >= counts(found[0])[0]
     unrelated = Related(np.random.default_rng(1).permutation(MADE.flux), MADE.magnitude, ("flux", "MAG"))
     _, estimate = match(MADE.scene.first, MADE.scene.second, evidence=[unrelated])
@@ -232,15 +232,17 @@ def test_the_command_accepts_columns_and_priors_and_explains_them(tmp_path, monk
     (tmp_path / "prior.txt").write_text("10 22 0.4 0.1\n22 30 0.05 0.1\n")
     run = CliRunner().invoke
 
-    def said(*options):
+    def report_with(*options):
         result = run(app, ["match", "x.fits", "o.fits", "-o", "out.fits", *options])
         assert result.exit_code == 0, result.output
         return " ".join(result.output.split())
 
-    learned = said("--column2", "mag_i", "--column2", "kind")
+    learned = report_with("--column2", "mag_i", "--column2", "kind")
     assert "MAG_I of o: ln odds of a partner" in learned and "kind of o" in learned
-    assert "MAG_I of o: ln odds of a partner" in said("--magnitude2", "MAG_I")
-    outputs = [(said("--column2", f"MAG_I={name}"), Table.read("out.fits"))[1] for name in ("prior.csv", "prior.txt")]
+    assert "MAG_I of o: ln odds of a partner" in report_with("--magnitude2", "MAG_I")
+    outputs = [
+        (report_with("--column2", f"MAG_I={name}"), Table.read("out.fits"))[1] for name in ("prior.csv", "prior.txt")
+    ]
     one, other = (np.ma.filled(table["p_match"], -1.0) for table in outputs)
     np.testing.assert_allclose(one, other)
     explained = run(app, ["explain", "out.fits", "3", "--row", "--again"])

@@ -154,9 +154,9 @@ def test_couples_as_close_as_the_errors_are_ambiguous() -> None:
     one, two = (Records.of(x, sigma=0.1, space=field.space, source=name) for x, name in ((first, "a"), (second, "b")))
     pairs = ChiSquare()(one, two)
     whole = Setting.whole(pairs, Coverage.of(one, two))
-    said = Companions.of(known, whole)
+    companions = Companions.of(known, whole)
     swap = np.zeros(len(pairs))
-    swap[said.index] = said.log_swap
+    swap[companions.index] = companions.log_swap
     n = len(one)
     by = {(int(i), int(j)): e for e, (i, j) in enumerate(zip(pairs.i, pairs.j, strict=True))}
     a, b, x, y = (by[i, j] for i, j in ((n - 2, n - 2), (n - 1, n - 1), (n - 2, n - 1), (n - 1, n - 2)))

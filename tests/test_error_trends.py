@@ -60,8 +60,8 @@ def test_errors_that_grow_with_magnitude_are_found(faint: tuple[Field, Found]) -
 
 def test_estimated_trends_find_as_many_pairs_as_the_true_errors(faint: tuple[Field, Found]) -> None:
     (scene, magnitudes, errors), (answer, _) = faint
-    told = replace(scene, second=replace(scene.second, covariance=errors[:, None] ** 2)), magnitudes, errors
-    (found, wrong), (most, least) = right(answer, scene), right(by_magnitudes(told)[0], scene)
+    true_errors = replace(scene, second=replace(scene.second, covariance=errors[:, None] ** 2)), magnitudes, errors
+    (found, wrong), (most, least) = right(answer, scene), right(by_magnitudes(true_errors)[0], scene)
     assert found >= most - 8 and wrong <= least + 8
     assert found > right(by_magnitudes(faint[0], Errors((1.9,), (1.0,)))[0], scene)[0] + 8
     p = answer.p_pair[answer.chosen]

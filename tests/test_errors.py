@@ -20,9 +20,9 @@ HOSTILE = {
 
 @pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
 def test_messages_contain_no_terminal_control_characters(text):
-    told = str(InputError(f"cat: the name {text} is not known", f"rename {text}"))
-    assert told.isprintable() and told.isascii()
-    assert told.startswith("cat: the name ") and "; rename " in told
+    message = str(InputError(f"cat: the name {text} is not known", f"rename {text}"))
+    assert message.isprintable() and message.isascii()
+    assert message.startswith("cat: the name ") and "; rename " in message
 
 
 def test_letters_symbols_and_spaces_are_kept():
@@ -59,8 +59,8 @@ def test_file_names_are_not_truncated():
 
 def test_the_length_of_a_message_is_bounded():
     columns = ", ".join(f"column_{k}" for k in range(5000))
-    told = str(InputError(f"cat: no column ra among {columns}", naming("give {ra:NAME}")))
-    assert len(told) < LONGEST_MESSAGE + 40 and told.endswith(" …; give ra=NAME")
+    message = str(InputError(f"cat: no column ra among {columns}", naming("give {ra:NAME}")))
+    assert len(message) < LONGEST_MESSAGE + 40 and message.endswith(" …; give ra=NAME")
 
 
 def test_arguments_of_a_remedy_stay_arguments():

@@ -67,11 +67,11 @@ def test_the_demo_is_right_where_nearest_neighbour_is_wrong(
     monkeypatch.setattr(demo, "gaia_table", lambda: north[1])
     demo.main("tables", tmp_path / "output")
     demo.main("results", tmp_path / "output")
-    said = capsys.readouterr().out
-    share = re.search(r"identified +[\d ]+\((\d+\.\d+)%\)", said)
+    printed = capsys.readouterr().out
+    share = re.search(r"identified +[\d ]+\((\d+\.\d+)%\)", printed)
     assert share is not None and float(share[1]) > 99.5
-    assert re.search(r"sources claimed twice +0\n", said)
-    wrong = re.search(r"takes another source than the star's own +(\d+) +(\d+)\n", said)
+    assert re.search(r"sources claimed twice +0\n", printed)
+    wrong = re.search(r"takes another source than the star's own +(\d+) +(\d+)\n", printed)
     assert wrong is not None and int(wrong[1]) > 10 and int(wrong[1]) - int(wrong[2]) <= 1
     for name in ("residuals", "normalised", "ambiguous", "certainty"):
         assert (tmp_path / "output" / f"{name}.png").stat().st_size > 20_000
@@ -142,13 +142,13 @@ def test_the_asteroid_of_the_night_is_found_named_and_reported(
     options = "--scale 1.0,1.4 --elements demo -j 1"
     files = {"--catalog": "stars.fits", "--report": "observer.toml", "-o": "movers"}
     named = [word for option, name in files.items() for word in (option, str(tmp_path / name))]
-    told = CliRunner().invoke(app, ["movers", str(tmp_path / "frames"), *options.split(), *named])
-    assert told.exit_code == 0, told.output
-    assert re.search(r"is 2713 Luxembourg \(1938 EA\), p (1\.0000|0\.99)", told.stdout)
+    result = CliRunner().invoke(app, ["movers", str(tmp_path / "frames"), *options.split(), *named])
+    assert result.exit_code == 0, result.output
+    assert re.search(r"is 2713 Luxembourg \(1938 EA\), p (1\.0000|0\.99)", result.stdout)
     capsys.readouterr()
     night.judge(tmp_path)
-    said = capsys.readouterr().out
-    assert "5 of its 5 detections are (2713)'s; 5 frames show it" in said and "5 lines of 80 columns" in said
-    off = re.search(r"off by +(0\.\d+)″", said)
+    printed = capsys.readouterr().out
+    assert "5 of its 5 detections are (2713)'s; 5 frames show it" in printed and "5 lines of 80 columns" in printed
+    off = re.search(r"off by +(0\.\d+)″", printed)
     assert off is not None and float(off[1]) < 0.1
     assert (tmp_path / "movers" / "movers.png").stat().st_size > 20_000

@@ -45,8 +45,8 @@ def test_costs_are_those_of_enumeration(name):
         answer = identify(first, second, rule=CloseObjects(0.05, 0.5), prior=prior, gate=Box(3.0))
         for source, rows, records in ((1, answer.rows_1, first), (2, answer.rows_2, second)):
             for row in sorted(set(rows.tolist())):
-                told = answer.explain(records.ids[row], source=source)
-                every = enumerated(answer, told.group, log_prior)
+                explanation = answer.explain(records.ids[row], source=source)
+                every = enumerated(answer, explanation.group, log_prior)
                 best = every[0][0]
                 own = np.flatnonzero(rows == row)
                 others = (answer.rows_2, answer.rows_1)[source - 1]
@@ -55,18 +55,18 @@ def test_costs_are_those_of_enumeration(name):
                     ids[others[e]]: best - max(score for score, pairs in every if e in pairs) for e in own.tolist()
                 }
                 expected[None] = best - max(score for score, pairs in every if not pairs & set(own.tolist()))
-                costs = {c.id: c.cost for c in told.competitors}
+                costs = {c.id: c.cost for c in explanation.competitors}
                 assert costs.keys() == expected.keys()
                 for key, cost in expected.items():
                     assert costs[key] == pytest.approx(cost, abs=1e-7)
-                assert sum(c.chosen for c in told.competitors) == 1
-                assert next(c for c in told.competitors if c.chosen).cost == pytest.approx(0.0, abs=1e-9)
-                assert sum(c.probability for c in told.competitors) == pytest.approx(1.0, abs=1e-9)
-                assert told.next_best_cost == pytest.approx(best - every[1][0], abs=1e-7)
+                assert sum(c.chosen for c in explanation.competitors) == 1
+                assert next(c for c in explanation.competitors if c.chosen).cost == pytest.approx(0.0, abs=1e-9)
+                assert sum(c.probability for c in explanation.competitors) == pytest.approx(1.0, abs=1e-9)
+                assert explanation.next_best_cost == pytest.approx(best - every[1][0], abs=1e-7)
                 checked += 1
                 # The listed differences turn the best hypothesis into the second best, by ids.
                 first_ids = {(first.ids[answer.rows_1[e]], second.ids[answer.rows_2[e]]) for e in every[0][1]}
-                changed = first_ids - set(told.next_best[1]) | set(told.next_best[0])
+                changed = first_ids - set(explanation.next_best[1]) | set(explanation.next_best[0])
                 seconds = [
                     {(first.ids[answer.rows_1[e]], second.ids[answer.rows_2[e]]) for e in pairs}
                     for score, pairs in every[1:] if score > every[1][0] - 1e-7
@@ -139,6 +139,6 @@ def test_a_group_of_hundreds_of_pairs_is_explained_without_its_second_best_hypot
     first = Records.of(np.arange(n) * 1.0, sigma=0.2, source="radar")
     second = Records.of(np.arange(n) * 1.0 + 0.3, sigma=0.2, source="ais")
     answer = identify(first, second, rule=Field(1e-2), gate=Box(3.0))
-    told = answer.explain(150)
-    assert told.records == (n, n) and told.next_best_cost is None
-    assert "next best" not in str(told) and len(told.competitors) == 3
+    explanation = answer.explain(150)
+    assert explanation.records == (n, n) and explanation.next_best_cost is None
+    assert "next best" not in str(explanation) and len(explanation.competitors) == 3

@@ -68,8 +68,8 @@ def test_large_errors_lower_the_odds_of_a_match_in_a_shallower_source(found):
     assert estimate.decisive["precision"] > 0.1 and "precision" in answer.evidence.terms
     volume = answer.second.covariance[:, 0] * answer.second.covariance[:, -1]
     faint = volume[answer.pairs.j] > np.quantile(volume, 0.9)
-    said = answer.evidence.terms["precision"]
-    assert np.median(said[faint]) < -0.5 < np.median(said[answer.chosen])
+    precision = answer.evidence.terms["precision"]
+    assert np.median(precision[faint]) < -0.5 < np.median(precision[answer.chosen])
 
 
 @pytest.mark.slow

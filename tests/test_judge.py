@@ -217,7 +217,7 @@ def test_close_objects_are_calibrated_if_the_other_object_is_a_neighbour(prior, 
     place = np.stack([np.arange(n) * 100.0, np.zeros(n)], axis=1)
     first = Records.of(place + rng.normal(0, 0.4, (n, 2)), sigma=0.4)
     second = Records.of(place + np.where(common[:, None], 0.0, neighbour) + rng.normal(0, 0.3, (n, 2)), sigma=0.3)
-    believed = PerPair(math.log(odds)) if prior == "per pair" else CommonObjects(q1, q2)
-    answer = identify(first, second, rule=CloseObjects(a, b), prior=believed, gate=Radius(30.0))
+    stated_prior = PerPair(math.log(odds)) if prior == "per pair" else CommonObjects(q1, q2)
+    answer = identify(first, second, rule=CloseObjects(a, b), prior=stated_prior, gate=Radius(30.0))
     assert len(answer.pairs) == n
     assert_calibrated([answer.p_pair], [common[answer.rows_1]])

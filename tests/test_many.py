@@ -174,16 +174,16 @@ def test_every_record_has_its_partners():
     got = identify_many(sources, rule=PoissonObjects(0.1, q), gate=WIDE)
     _, _, p = enumerated(sources, poisson_weight(sources, 0.1, q, (0.0,) * 3))
     for s, source in enumerate(sources):
-        told = got.of(s)
+        answers = got.of(s)
         for row in range(len(source)):
-            assert told.p_alone[row] == pytest.approx(p[frozenset({(s, row)})], abs=1e-9)
+            assert answers.p_alone[row] == pytest.approx(p[frozenset({(s, row)})], abs=1e-9)
             for t, other in enumerate(sources):
                 if t == s:
-                    assert told.partner[row, t] is np.ma.masked
+                    assert answers.partner[row, t] is np.ma.masked
                     continue
                 with_each = [sum(v for k, v in p.items() if {(s, row), (t, j)} <= k) for j in range(len(other))]
-                assert told.partner[row, t] == np.argmax(with_each)
-                assert told.p_partner[row, t] == pytest.approx(max(with_each), abs=1e-9)
+                assert answers.partner[row, t] == np.argmax(with_each)
+                assert answers.p_partner[row, t] == pytest.approx(max(with_each), abs=1e-9)
     for members, second, p_second in zip(sets_of(got), got.runner_up, got.p_runner_up, strict=True):
         other = max(v for k, v in p.items() if k & members and k not in set(sets_of(got)))
         assert p_second == pytest.approx(other, abs=1e-9)

@@ -46,7 +46,7 @@ class Told(Rule):
         return Evidence({"told": np.array(said, dtype=np.float64)})
 
 
-def told(rng, sources, share):
+def random_rule(rng, sources, share):
     """Random evidence from −5 to 5 for a share of all pairs."""
     records = [(s.source, row) for s in sources for row in range(len(s))]
     pairs = itertools.combinations(records, 2)
@@ -89,7 +89,7 @@ def test_rules_next_to_positions_agree_with_all_partitions(counts, share):
     rng = np.random.default_rng([*counts, int(10 * share)])
     for _ in range(3):
         sources = small_scene(rng, counts)
-        rules = [told(rng, sources, share), told(rng, sources, share)]
+        rules = [random_rule(rng, sources, share), random_rule(rng, sources, share)]
         q, false = rng.uniform(0.1, 0.5, len(counts)), rng.uniform(0, 0.1, len(counts))
         of_positions = test_many.poisson_weight(sources, 0.1, q, false)
         got = identify_many(sources, rule=PoissonObjects(0.1, q, false) + rules[0] + rules[1], gate=WIDE)
@@ -103,7 +103,7 @@ def test_rules_are_added_to_pairwise_ones_under_a_count_prior():
     rng = np.random.default_rng(2)
     for counts in ((2, 2, 2), (3, 2, 1)):
         sources = small_scene(rng, counts)
-        rule, q = told(rng, sources, 0.7), rng.uniform(0.1, 0.5, 3)
+        rule, q = random_rule(rng, sources, 0.7), rng.uniform(0.1, 0.5, 3)
         of_positions = test_many.counted_weight(sources, 1.0, 4.0, q)
         got = identify_many(sources, rule=CloseObjects(1.0, 4.0) + rule, prior=MissedObjects(q), gate=WIDE)
         _, best, p = enumerated(sources, lambda x: of_positions(x) + sum(set_evidence(sources, [rule], m) for m in x))  # noqa: B023
@@ -118,7 +118,7 @@ def test_no_set_that_outweighs_its_single_records_is_omitted(believed):
     rng = np.random.default_rng(4)
     for _ in range(6):
         sources = small_scene(rng, (3, 3, 2, 2), extent=5.0)
-        rule = believed + told(rng, sources, rng.choice([0.3, 1.0])) + told(rng, sources, 0.5)
+        rule = believed + random_rule(rng, sources, rng.choice([0.3, 1.0])) + random_rule(rng, sources, 0.5)
         together = pooled(sources, Radius(4.0))
         terms = terms_of(rule, PerPair(-1.0), together)
         everything = candidate_sets(together, terms)
@@ -373,8 +373,8 @@ def test_explanations_print_as_text():
     assert "Group 0: 4 records; probabilities are summed over all partitions." in text
     assert "callsign +" in text and "\n→ radar r1 = ais a1" in text
     assert "Against the runner-up, " in text.splitlines()[-2] + text.splitlines()[-1]
-    lonely = identify_many([radar, Records.of([[900.0, 0.0]], sigma=1.0)], rule=PoissonObjects(0.01, 0.2))
-    assert str(lonely.explain(0)).endswith("Nothing else is possible.")
+    single = identify_many([radar, Records.of([[900.0, 0.0]], sigma=1.0)], rule=PoissonObjects(0.01, 0.2))
+    assert str(single.explain(0)).endswith("Nothing else is possible.")
 
 
 def test_a_rival_set_that_takes_a_record_from_another_object_is_marked():

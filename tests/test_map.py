@@ -96,10 +96,10 @@ def test_graticule_lines_are_at_their_labels(lat: float, lon: float) -> None:
     assert min(sum(line.parallel for line in lines), sum(not line.parallel for line in lines)) >= 3
     for line in lines:
         degrees, minutes, letter = re.fullmatch(r"(\d+)°([\d.]+)′([NSEW])", line.words).groups()
-        said = (float(degrees) + float(minutes) / 60.0) * (-1.0 if letter in "SW" else 1.0)
+        angle_deg = (float(degrees) + float(minutes) / 60.0) * (-1.0 if letter in "SW" else 1.0)
         inside = line.points[np.abs(line.points).max(axis=1) < 500e3]
         own = plane.to_geodetic(inside)[0 if line.parallel else 1]
-        assert np.allclose((own - said + 180.0) % 360.0 - 180.0, 0.0, atol=1e-6), line.words
+        assert np.allclose((own - angle_deg + 180.0) % 360.0 - 180.0, 0.0, atol=1e-6), line.words
 
 
 # ---- sheets ----
@@ -136,8 +136,8 @@ def test_the_first_view_contains_confirmed_objects_and_sites() -> None:
     objects = {"time_s": [0.0] * 3, "object": [1, 2, 3], "stage": stage, "x_m": [0.0, 500.0, 9e5], "y_m": [0.0] * 3}
     sheet = MapSheet.of("map", objects, {}, sensors=[MapSensor("radar", x_m=-100.0, y_m=-300.0)])
     assert sheet.home() == (-100.0, -300.0, 500.0, 0.0) and sheet.extent()[2] == 9e5
-    told = json.loads(map_page(sheet).split('id="data">')[1].split("</script>")[0])
-    assert told["extent"] == [-100.0, -300.0, 500.0, 0.0] and told["box"][2] >= 9e5
+    content = json.loads(map_page(sheet).split('id="data">')[1].split("</script>")[0])
+    assert content["extent"] == [-100.0, -300.0, 500.0, 0.0] and content["box"][2] >= 9e5
 
 
 def test_an_empty_instant_is_shown_too() -> None:
@@ -330,17 +330,17 @@ def test_a_click_on_an_object_explains_it(shown: tuple[Browser, MapSheet]) -> No
     browser.click(*place_of(browser, 9))
     browser.until("mapPage.picked === 9")
     browser.until("document.getElementById('object').innerText.includes('Why')")
-    told = words(browser, "object")
+    details = words(browser, "object")
     row = int(np.flatnonzero((sheet.objects["object"] == 9) & (sheet.instant_of(sheet.objects) == 20))[0])
     speed = sheet.objects["speed_m_per_s"][row]
     lat, _ = SOLENT.to_geodetic([[sheet.objects["x_m"][row], sheet.objects["y_m"][row]]])
     # A table in the reasons keeps its columns: it is not wrapped.
     columns = "[...document.querySelectorAll('#object pre.columns')].map(e => e.textContent)"
     assert any("positions       " in block and "prior           " in block for block in browser.js(columns))
-    assert "VESSEL 09" in told and f"{speed / (1852 / 3600):.1f} kn" in told and f"({speed:.1f} m/s)" in told
-    assert f"{int(lat[0])}°{(lat[0] % 1) * 60:06.3f}′N" in told
-    assert "one object: probability 0.99" in told and "marine.csv line 200010" in told and "camera.csv" in told
-    assert sheet.texts[20, 9].splitlines()[1] in told
+    assert "VESSEL 09" in details and f"{speed / (1852 / 3600):.1f} kn" in details and f"({speed:.1f} m/s)" in details
+    assert f"{int(lat[0])}°{(lat[0] % 1) * 60:06.3f}′N" in details
+    assert "one object: probability 0.99" in details and "marine.csv line 200010" in details and "camera.csv" in details
+    assert sheet.texts[20, 9].splitlines()[1] in details
     assert browser.js("location.hash") == "#t=20&object=9"
     browser.js("mapPage.show(22)")
     browser.until("document.getElementById('object').innerText.includes('Why')")
@@ -354,9 +354,11 @@ def test_an_ambiguous_object_shows_its_alternatives(shown: tuple[Browser, MapShe
     browser, _ = shown
     browser.js("mapPage.show(20); mapPage.pick(1)")
     browser.until("document.getElementById('object').innerText.includes('Why')")
-    told = words(browser, "object")
+    details = words(browser, "object")
     assert (
-        "ambiguous" in told and "probability 0.71" in told and "with probability 0.28: with harbour radar 101" in told
+        "ambiguous" in details
+        and "probability 0.71" in details
+        and "with probability 0.28: with harbour radar 101" in details
     )
     assert "1 ambiguous" in words(browser, "counts")
 
@@ -480,9 +482,9 @@ def test_improbable_objects_do_not_count_as_seen_by_several(tmp_path: Path) -> N
     try:
         browser.js(f"mapPage.show(3); mapPage.pick({number})")
         browser.until("document.getElementById('object').innerText.includes('These records may be one object')")
-        told = words(browser, "object")
-        assert f"perhaps {sources} sources" in told and "probability < 0.0001" in told
-        assert f"\n{sources} sources" not in told and "These records are one object" not in told
+        details = words(browser, "object")
+        assert f"perhaps {sources} sources" in details and "probability < 0.0001" in details
+        assert f"\n{sources} sources" not in details and "These records are one object" not in details
         row = f"document.querySelector('#rows tr[data-number=\"{number}\"]')"
         assert browser.js(f"{row}.querySelector('.sources').textContent") == "?"
         # Numbers and sources are not cut off.
@@ -539,9 +541,9 @@ def test_the_chart_is_drawn_anywhere(plane: LocalPlane | None, tmp_path: Path) -
     sheet = charted(6, 6, plane=plane, names={1: "$x_1$ <b>"})
     figure = chart(sheet, sheet.instants_s[3])
     assert figure.get_suptitle().startswith(f"{sheet.title}: 6 objects")
-    told = [text.get_text() for text in figure.axes[0].texts]
-    assert "$x_1$ <b>" in told and "harbour radar" in told and "N" in told
-    assert any("Natural Earth" in text for text in told) == (plane is not None)
+    texts = [text.get_text() for text in figure.axes[0].texts]
+    assert "$x_1$ <b>" in texts and "harbour radar" in texts and "N" in texts
+    assert any("Natural Earth" in text for text in texts) == (plane is not None)
     labels = [text.get_text() for text in figure.legends[0].get_texts()]
     assert labels[0].startswith("harbour radar (") and any("ahead" in label for label in labels)
     save(figure, tmp_path / "map.png")

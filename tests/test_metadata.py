@@ -35,9 +35,9 @@ def test_the_citation_agrees_with_the_project_metadata():
 
 def test_every_version_of_python_that_is_tested_is_classified():
     tested = re.search(r"python: \[(.*)\]", text_of(".github/workflows/ci.yml"))[1]
-    said = [one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)]
-    assert said == re.findall(r"3\.\d+", tested)
-    assert PROJECT["requires-python"] == f">={said[0]}"
+    versions = [one.rpartition(" ")[2] for one in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", one)]
+    assert versions == re.findall(r"3\.\d+", tested)
+    assert PROJECT["requires-python"] == f">={versions[0]}"
 
 
 def test_links_of_the_long_description_are_absolute():

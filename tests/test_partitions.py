@@ -150,11 +150,11 @@ def test_the_result_is_that_of_one_machine_for_any_partitioning(tmp_path, place,
     tables = sky(PLACES[place], 4_000, 0.4, seed=5, holes=3)
     found, written = matched(tmp_path, stored(tmp_path, tables, most), piece_rows=piece_rows)
     partner, p_none = on_one_machine(found)
-    told = table_of(tmp_path / "out")
-    paired = {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)}
+    joined = table_of(tmp_path / "out")
+    paired = {i: j for i, j in zip(joined["id_1"], joined["id_2"], strict=True) if not np.isnan(j)}
     assert paired == partner and len(set(paired.values())) == len(paired) == written.pairs > 2_500
-    assert len(told["id_1"]) == len(tables[0]) and len(set(told["id_1"])) == len(tables[0])
-    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
+    assert len(joined["id_1"]) == len(tables[0]) and len(set(joined["id_1"])) == len(tables[0])
+    assert max(abs(p_none[i] - p) for i, p in zip(joined["id_1"], joined["p_none"], strict=True)) < 1e-6
     assert written.doubtful == 0
 
 
@@ -164,9 +164,9 @@ def test_in_a_crowd_pairs_are_equal_and_probabilities_nearly_equal(tmp_path):
     tables = sky((0.0, 0.0), 6_000, 2.0, seed=6)
     found, _ = matched(tmp_path, stored(tmp_path, tables, (1_500, 900)))
     partner, p_none = on_one_machine(found)
-    told = table_of(tmp_path / "out")
-    assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
-    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
+    joined = table_of(tmp_path / "out")
+    assert {i: j for i, j in zip(joined["id_1"], joined["id_2"], strict=True) if not np.isnan(j)} == partner
+    assert max(abs(p_none[i] - p) for i, p in zip(joined["id_1"], joined["p_none"], strict=True)) < 1e-6
 
 
 @pytest.mark.slow
@@ -183,8 +183,8 @@ def test_probabilities_of_percolating_groups_do_not_depend_on_the_halo_boundary(
     def error(part, result):
         own = part.own[0][result.rows_1] | part.own[1][result.rows_2]
         ids_1, ids_2 = ids_of(part.one, part.two, result)
-        said = zip(ids_1[own], ids_2[own], result.p_pair[own], strict=True)
-        return max((abs(p - truth[i, j]) for i, j, p in said), default=0.0)
+        stated = zip(ids_1[own], ids_2[own], result.p_pair[own], strict=True)
+        return max((abs(p - truth[i, j]) for i, j, p in stated), default=0.0)
 
     numbers, rows = np.unique(one.stored >> 2 * (29 - 13), return_counts=True)
     cell = Cell(13, int(numbers[rows.argmax()]))
@@ -250,12 +250,12 @@ def test_outer_joins_write_every_row_once(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=8)
     tables[0] = tables[0][tables[0]["dec"] > -0.02]  # the second extends beyond the first
     found, written = matched(tmp_path, stored(tmp_path, tables, (300, 500)), join="1or2")
-    told = table_of(tmp_path / "out")
+    joined = table_of(tmp_path / "out")
     for table, name in zip(tables, ("id_1", "id_2"), strict=True):
-        there = told[name][~np.isnan(told[name])]
+        there = joined[name][~np.isnan(joined[name])]
         assert sorted(there) == sorted(table["id"])
-    assert np.isfinite(told["_ra"]).all() and len(told["_ra"]) == written.rows
-    assert set(on_one_machine(found)[0].items()) <= set(zip(told["id_1"], told["id_2"], strict=True))
+    assert np.isfinite(joined["_ra"]).all() and len(joined["_ra"]) == written.rows
+    assert set(on_one_machine(found)[0].items()) <= set(zip(joined["id_1"], joined["id_2"], strict=True))
 
 
 @pytest.mark.slow
@@ -289,8 +289,8 @@ def test_stars_that_move_across_a_border_are_matched(tmp_path):
                    "pmdec_error": 0.01})  # fmt: skip
     second.add_row({**star, "id": -2, "ra": (359.999 + 14.4 / 3600.0) % 360.0, "epoch": 2016.0})
     found, _ = matched(tmp_path, stored(tmp_path, tables, (200, 200)))
-    told = table_of(tmp_path / "out")
-    assert told["id_2"][list(told["id_1"]).index(-1)] == -2
+    joined = table_of(tmp_path / "out")
+    assert joined["id_2"][list(joined["id_1"]).index(-1)] == -2
     assert len(found.estimated.work.sides[0].far) == 1
 
 
@@ -353,8 +353,8 @@ print("written", found.write({out!r}, workers=2, piece_rows=100).pairs, flush=Tr
 
 def workers_of(pid):
     """Worker processes of a client: the children of its fork server, or its own spawned children."""
-    told = subprocess.run(["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True).stdout
-    lines = [(int(line.split()[0]), int(line.split()[1]), line) for line in told.splitlines()]
+    processes = subprocess.run(["ps", "-ww", "-eo", "pid=,ppid=,args="], capture_output=True, text=True).stdout
+    lines = [(int(line.split()[0]), int(line.split()[1]), line) for line in processes.splitlines()]
     servers = [one for one, parent, line in lines if parent == pid and "forkserver" in line]
     return [one for one, parent, line in lines if parent in servers or (parent == pid and "spawn_main" in line)]
 
@@ -405,8 +405,8 @@ def test_no_folder_name_adds_a_property(tmp_path):
     name = "out\nhats_col_ra=x<script>"
     found, _ = matched(tmp_path, stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=12), (300, 300)), out="plain")
     found.write(tmp_path / name, workers=1)
-    told = (tmp_path / name / "collection.properties").read_text(encoding="utf-8")
-    assert "obs_collection=out\\u000ahats_col_ra=x<script>\n" in told
+    properties = (tmp_path / name / "collection.properties").read_text(encoding="utf-8")
+    assert "obs_collection=out\\u000ahats_col_ra=x<script>\n" in properties
     assert len(HatsCatalogue.open(tmp_path / name).cells) == len(HatsCatalogue.open(tmp_path / "plain").cells)
 
 
@@ -514,8 +514,8 @@ def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
 def test_options_that_need_the_whole_result_are_refused_over_partitions(tmp_path):
     a, b = stored(tmp_path, sky((0.0, 0.0), 100, 0.1, seed=16), (300, 300))
     for option in (("--certify",), ("--compare-nearest",), ("--pictures", "x"), ("--out-format", "csv")):
-        told = CliRunner().invoke(app, ["match", str(a), str(b), "-o", str(tmp_path / "out"), *option])
-        assert told.exit_code != 0 and f"{option[0]}: not over the partitions of HATS catalogues" in told.output
+        result = CliRunner().invoke(app, ["match", str(a), str(b), "-o", str(tmp_path / "out"), *option])
+        assert result.exit_code != 0 and f"{option[0]}: not over the partitions of HATS catalogues" in result.output
         assert not (tmp_path / "out").exists()
 
 
@@ -533,9 +533,9 @@ def test_column_evidence_is_learned_once_and_coded_equally_in_all_partitions(tmp
     paths = stored(tmp_path, tables, (400, 250))
     found, _ = matched(tmp_path, paths, evidence=evidence)
     partner, p_none = on_one_machine(found)
-    told = table_of(tmp_path / "out")
-    assert {i: j for i, j in zip(told["id_1"], told["id_2"], strict=True) if not np.isnan(j)} == partner
-    assert max(abs(p_none[i] - p) for i, p in zip(told["id_1"], told["p_none"], strict=True)) < 1e-6
+    joined = table_of(tmp_path / "out")
+    assert {i: j for i, j in zip(joined["id_1"], joined["id_2"], strict=True) if not np.isnan(j)} == partner
+    assert max(abs(p_none[i] - p) for i, p in zip(joined["id_1"], joined["p_none"], strict=True)) < 1e-6
     report = found.report()
     assert "class of b: ln odds of a partner" in report and "code of a: is not informative" in report
     # Records of the second source that look like common objects have partners.

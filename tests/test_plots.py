@@ -78,8 +78,8 @@ def test_a_result_without_matches_is_drawn(strangers: SkyMatch, tmp_path: Path, 
 
 
 def test_titles_state_the_result(stars: SkyMatch) -> None:
-    told = plots.residuals(stars).get_suptitle()
-    assert told.startswith("Proper motion reduces the residuals: median distance 1.")
+    title = plots.residuals(stars).get_suptitle()
+    assert title.startswith("Proper motion reduces the residuals: median distance 1.")
 
 
 def test_a_long_subtitle_wraps() -> None:

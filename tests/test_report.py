@@ -105,15 +105,15 @@ def test_counts_have_thousands_separators():
     assert count(117955) == "117 955"
 
 
-def judged(rng, quoted, outliers=0.0):
+def printed_report(rng, quoted, outliers=0.0):
     """Report of two catalogues whose errors are ``quoted`` times too small, with some outliers."""
     ra, dec = rng.uniform(20, 20.5, 3000), rng.uniform(-0.25, 0.25, 3000)
     far = (rng.uniform(size=3000) < outliers) / 3600.0
-    told = CatalogueOptions(sigma=0.1 / quoted)
+    given_errors = CatalogueOptions(sigma=0.1 / quoted)
     noise = rng.normal(0, 0.1 / 3600, (2, 2, 3000))
     places = np.array([[ra, dec + far], [ra, dec]]) + noise
     first, second = (
-        Catalogue.of(Table(list(place), names=("ra", "dec")), name, options=told)
+        Catalogue.of(Table(list(place), names=("ra", "dec")), name, options=given_errors)
         for place, name in zip(places, ("left", "right"), strict=True)
     )
     return report.report(match(first, second))
@@ -125,13 +125,13 @@ def judged(rng, quoted, outliers=0.0):
     [(1.0, "as quoted"), (1.7, r"quoted 1\.[67]\d+ ± 0\.0\d+ times too small"), (0.5, "quoted too large")],
 )
 def test_the_quoted_errors_are_assessed_in_plain_words(quoted, verdict):
-    text = judged(np.random.default_rng(6), quoted)
+    text = printed_report(np.random.default_rng(6), quoted)
     assert re.search(rf"errors +{verdict}", text) and "a tail" not in text
 
 
 @pytest.mark.slow
 def test_outliers_are_reported_as_a_tail_only():
-    text = " ".join(judged(np.random.default_rng(7), 1.0, outliers=0.02).split())
+    text = " ".join(printed_report(np.random.default_rng(7), 1.0, outliers=0.02).split())
     assert re.search(r"errors as quoted .* a tail: [12]\.\d+ ± 0\.\d+ % of the pairs have errors about [5-9]\.", text)
 
 

@@ -95,11 +95,11 @@ def test_the_row_order_does_not_change_a_sample():
 
 def test_after_an_unrepresentative_sample_em_runs_over_all_records():
     made = field(5, extent=75.0)
-    _, believed = match(made.first, made.second, sampling=FEW)
+    _, sampled = match(made.first, made.second, sampling=FEW)
     # No sample is accepted.
     _, found = match(made.first, made.second, sampling=FEW, tuning=MatchTuning(max_sample_error=-1e3))
-    assert max(believed.learned_from) < len(made.first)
-    assert found.learned_from == (len(made.first), len(made.second)) and found.iterations > believed.iterations
+    assert max(sampled.learned_from) < len(made.first)
+    assert found.learned_from == (len(made.first), len(made.second)) and found.iterations > sampled.iterations
     true = len(made.true_pairs()[0])
     assert found.common == pytest.approx(true, abs=4 * math.sqrt(true) * 0.3)
 

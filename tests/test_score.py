@@ -58,8 +58,8 @@ def test_ratios_of_zero_counts_are_nan():
 
 
 def test_candidates_that_share_records_are_marked_true_or_false():
-    asked = is_true_pair(([0, 0, 1, 7], [0, 1, 1, 3]), ([0, 2], [1, 3]))
-    assert asked.tolist() == [False, True, False, False]
+    is_true = is_true_pair(([0, 0, 1, 7], [0, 1, 1, 3]), ([0, 2], [1, 3]))
+    assert is_true.tolist() == [False, True, False, False]
 
 
 @pytest.mark.parametrize("width", ["equal", "adaptive"])

@@ -17,8 +17,8 @@ def found(seed, *, share, times, quoted=1.0):
     more = np.sqrt(times**2 - 1.0) * 0.5 * rng.standard_normal((len(far), 2)) * far[:, None]
     first = Records.of(scene.first.features + more, sigma=0.5 / quoted, source="first")
     second = Records.of(scene.second.features, sigma=0.05 / quoted, source="second")
-    answer, told = match(first, second)
-    return tail(answer, told.errors)
+    answer, estimate = match(first, second)
+    return tail(answer, estimate.errors)
 
 
 @pytest.mark.parametrize("quoted", [0.6, 1.0, 1.7])

@@ -542,5 +542,5 @@ def test_calibration_frames_found_in_a_folder_are_reported(tmp_path, capsys):
         fits.PrimaryHDU(np.zeros((4, 4), np.int16), header).writeto(tmp_path / f"{name}.fit")
     light, dark = (str(tmp_path / f"{name}.fit") for name in ("light", "dark"))
     assert expanded([str(tmp_path)]) == [light]
-    assert "1 calibration frame left out, the first dark.fit; --dark," in capsys.readouterr().err
+    assert "1 calibration frame not used, the first dark.fit; --dark," in capsys.readouterr().err
     assert expanded([str(tmp_path)], [dark]) == [light] and capsys.readouterr().err == ""

@@ -63,7 +63,7 @@ def test_the_printed_text_lists_interpretation_estimates_and_matches(tmp_path, s
         "First catalogue: first, 120 rows", "sigma [arcsec, unit of the column]", "common area",
         "  identified                       100           100", "100 identified among", "expected wrong",
         "Certificate: optimal: least reduced cost",
-        "probabilities         100 groups by closed form", "due if errors are true", "1.18",
+        "probabilities         100 groups by closed form", "expected from errors", "1.18",
         "  second, mag", "second: claimed more than once", f"Output: {out}, 120 rows", "peak memory",
     ):  # fmt: skip
         assert words in text

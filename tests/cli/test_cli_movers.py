@@ -96,7 +96,7 @@ def test_tracklets_of_a_table_are_named_and_reported(luxembourg, tmp_path):
     report = (tmp_path / "movers.psv").read_text()
     assert report.count("|2018-10-18T") == len(read_table(out)) and "2713" in report
     assert all((tmp_path / f"movers.{end}").exists() for end in ("xml", "txt"))
-    assert "it holds 2 tracklets" in told.output and each["in_report"].all()
+    assert "it contains 2 tracklets" in told.output and each["in_report"].all()
     again = run(luxembourg, *options, "-o", tmp_path / "movers.fits", "--no-overwrite")
     assert again.exit_code == 1 and "movers.psv: is there already" in again.output
     told = run(luxembourg, "--sigma", 0.15, "--elements", "demo", "-o", out)
@@ -119,10 +119,10 @@ def test_improbable_tracklets_are_omitted_from_a_report_and_counted(luxembourg, 
     unsure = [str(p) for p in each["tracklet"][each["p_tracklet"] < 0.9]]
     assert len(sure) == len(unsure) == 1 and sure[0] in report and unsure[0] not in report
     words = " ".join(told.output.split())
-    assert "it holds 1 tracklet; 1 is left out, less probable than 0.9" in words and unsure[0] in words
+    assert "it contains 1 tracklet; 1 is excluded, less probable than 0.9" in words and unsure[0] in words
     assert list(each["in_report"]) == [str(name) in sure for name in each["tracklet"]]
     told = run(tmp_path / "pair.csv", *options, "-o", tmp_path / "movers.csv", "--report-probability", 0)
-    assert "it holds 2 tracklets" in told.output and unsure[0] in (tmp_path / "movers.psv").read_text()
+    assert "it contains 2 tracklets" in told.output and unsure[0] in (tmp_path / "movers.psv").read_text()
     alone = run(luxembourg, "--sigma", 0.15, "-o", tmp_path / "m.csv", "--report-probability", 0.5)
     assert alone.exit_code == 2 and "there is no report" in " ".join(alone.output.split())
 

@@ -113,18 +113,18 @@ def test_files_give_objects_tables_a_map_and_a_summary(picture):
 @pytest.mark.slow
 def test_the_summary_is_written_as_numbers_too(picture, coast):
     _, out = picture("--every", "30s", *QUICK)
-    told = json.loads((out / "summary.json").read_text())
-    ais, radar = told["sources"]
+    summary = json.loads((out / "summary.json").read_text())
+    ais, radar = summary["sources"]
     assert (ais["kind_guessed"], radar["kind_guessed"]) == ("by its name", None) and ais["reports"] == 70
-    found = told["offsets"][1]
+    found = summary["offsets"][1]
     shift, turn = found["parameters"]["range_m"], found["parameters"]["azimuth_deg"]
     assert found["source"] == "radar" and found["against"] == ["ais"] and found["established"]
     assert abs(shift["value"] - 60.0) < 4.0 * shift["standard_error"] and abs(turn["value"] - 1.0) < 0.2
-    assert told["confirmed_objects_by_number_of_sources"] == [0, 1, 7] and told["unconfirmed_objects"] == 0
-    assert 7.5 < told["objects_per_instant"] <= 8.0 and told["expected_wrong_per_instant"] < 0.1
+    assert summary["confirmed_objects_by_number_of_sources"] == [0, 1, 7] and summary["unconfirmed_objects"] == 0
+    assert 7.5 < summary["objects_per_instant"] <= 8.0 and summary["expected_wrong_per_instant"] < 0.1
     assert {"source": "ais", "kind": "ais", "name": "misses.q", "value": 0.2,
-            "why": "small craft carry no transponder, and time slots collide"} in told["assumed"]  # fmt: skip
-    assert told["files"] == [str(coast / "ais.csv"), str(coast / "radar.csv")] and len(told["sha256"]) == 2
+            "why": "small craft carry no transponder, and time slots collide"} in summary["assumed"]  # fmt: skip
+    assert summary["files"] == [str(coast / "ais.csv"), str(coast / "radar.csv")] and len(summary["sha256"]) == 2
 
 
 @pytest.mark.slow
@@ -260,8 +260,8 @@ def test_an_unreadable_file_is_set_aside_and_reported(content, words, sameas, re
     out = tmp_path / "picture"
     result = sameas("picture", coast / "ais.csv", tmp_path / "told.csv", "-o", out, "--quiet", *QUICK, exit_code=1)
     assert result.stderr.startswith("sameas: doubt: set aside: ") and words in result.stderr
-    told = json.loads((out / "summary.json").read_text())
-    assert [source["name"] for source in told["sources"]] == ["ais"] and words in told["doubts"][0]
+    summary = json.loads((out / "summary.json").read_text())
+    assert [source["name"] for source in summary["sources"]] == ["ais"] and words in summary["doubts"][0]
     assert words in refused(tmp_path / "told.csv")  # where there is no other
 
 

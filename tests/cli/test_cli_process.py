@@ -39,8 +39,8 @@ def test_a_terminated_process_prints_one_line_and_leaves_no_draft(number, code, 
                                stderr=subprocess.PIPE, text=True, preexec_fn=_interruptible)  # fmt: skip
     _until(lambda: folder.exists() and list(folder.glob(".sameas-*")))  # it now waits for the sensor
     process.send_signal(number)
-    _, said = process.communicate(timeout=60)
-    assert (process.returncode, said) == (code, "sameas: stopped; nothing was written\n")
+    _, printed = process.communicate(timeout=60)
+    assert (process.returncode, printed) == (code, "sameas: stopped; nothing was written\n")
     assert [entry.name for entry in tmp_path.iterdir()] == ["never.csv"]
 
 
@@ -69,11 +69,11 @@ def test_a_file_name_that_is_too_long_is_no_internal_error(command, tmp_path, fi
     name, out = tmp_path / f"{'n' * 300}.fits", tmp_path / "out.fits"
     given = {"match": [name, field_files[0], "-o", out], "compare": [name, name],
              "picture": [name, name, "-o", out], "explain": [name, "1"]}[command]  # fmt: skip
-    said = sameas(command, *given, exit_code=1).stderr
-    assert "fault of sameas" not in said and ("too long" in said or "no such file" in said)
+    stderr = sameas(command, *given, exit_code=1).stderr
+    assert "fault of sameas" not in stderr and ("too long" in stderr or "no such file" in stderr)
     if command == "match":
-        said = sameas(command, *field_files, "-o", name, exit_code=1).stderr
-        assert "the name is too long for a file; give a shorter one" in said
+        stderr = sameas(command, *field_files, "-o", name, exit_code=1).stderr
+        assert "the name is too long for a file; give a shorter one" in stderr
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="such a folder cannot be removed there")
@@ -81,8 +81,8 @@ def test_a_folder_deleted_during_the_run_is_no_internal_error(tmp_path, field_fi
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    said = refusal("match", *field_files, "-o", "out.fits")
-    assert said == "the folder that this was started in no longer exists; change to another"
+    message = refusal("match", *field_files, "-o", "out.fits")
+    assert message == "the folder that this was started in no longer exists; change to another"
 
 
 @pytest.mark.slow
@@ -110,8 +110,8 @@ def test_a_signal_at_any_time_leaves_the_old_or_the_new_output(ending, tmp_path,
                                    stderr=subprocess.PIPE, text=True)  # fmt: skip
         time.sleep(moment)
         process.terminate()
-        _, said = process.communicate(timeout=60)
-        assert process.returncode in (0, 143, -signal.SIGTERM) and "Traceback" not in said
+        _, printed = process.communicate(timeout=60)
+        assert process.returncode in (0, 143, -signal.SIGTERM) and "Traceback" not in printed
         assert not list(tmp_path.glob(".*"))
         new = out.read_bytes()
         assert new == b"old" or new[:80] == whole[:80]
@@ -330,8 +330,8 @@ def test_a_compiled_loop_does_not_delay_termination(number, code, tmp_path):
     assert process.stdout.readline() == "begun\n"
     time.sleep(0.5)
     process.send_signal(number)
-    _, said = process.communicate(timeout=20)  # the loop itself takes minutes
-    assert (process.returncode, said) == (code, "sameas: stopped; nothing was written\n")
+    _, printed = process.communicate(timeout=20)  # the loop itself takes minutes
+    assert (process.returncode, printed) == (code, "sameas: stopped; nothing was written\n")
     assert not list(tmp_path.iterdir())
 
 
@@ -587,8 +587,8 @@ def test_two_simultaneous_first_compilations_do_not_interfere(tmp_path):
     command = [sys.executable, "-c", _FIRST]
     two = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
            for _ in range(2)]  # fmt: skip
-    said = [process.communicate(timeout=120) for process in two]
+    outputs = [process.communicate(timeout=120) for process in two]
     third = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=120)
-    assert [*(process.returncode for process in two), third.returncode] == [0, 0, 0], said
-    assert said[0][0] == said[1][0] == third.stdout != "" and list(tmp_path.rglob("*.nbi"))
+    assert [*(process.returncode for process in two), third.returncode] == [0, 0, 0], outputs
+    assert outputs[0][0] == outputs[1][0] == third.stdout != "" and list(tmp_path.rglob("*.nbi"))
     assert "compiling" not in third.stderr

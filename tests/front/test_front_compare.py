@@ -27,12 +27,12 @@ def test_only_actual_changes_are_listed(tables, tmp_path, ending: str) -> None:
     first, second, swapped = tables
     for name, other in (("before", second), ("after", swapped)):
         sameas.match({**first}, other, sigma=0.2, id="name").write(tmp_path / f"{name}.{ending}")
-    told = str(sameas.compare(tmp_path / f"before.{ending}", tmp_path / f"after.{ending}"))
-    assert "20 in both" in told and "8 objects of two records or more" in told
-    assert "4 of 20 are of another object" in told
+    text = str(sameas.compare(tmp_path / f"before.{ending}", tmp_path / f"after.{ending}"))
+    assert "20 in both" in text and "8 objects of two records or more" in text
+    assert "4 of 20 are of another object" in text
     for words in ("first a0", "second b0, probability", "second b1, probability"):
-        assert words in told
-    assert "a5" not in told
+        assert words in text
+    assert "a5" not in text
     same = str(sameas.compare(tmp_path / f"before.{ending}", tmp_path / f"before.{ending}"))
     assert "0 of 20 are of another object" in same and "10 objects" in same
 
@@ -42,9 +42,9 @@ def test_a_partner_missing_from_the_other_table_is_a_difference(tmp_path) -> Non
     for name, nearer in (("before", "b0"), ("after", "b2")):
         other = {"ra": [10.00001, 10.10001], "dec": [0.0, 0.0], "name": [nearer, "b1"]}
         sameas.match(first, other, sigma=0.2, id="name").write(tmp_path / f"{name}.fits", join="1and2")
-    told = str(sameas.compare(tmp_path / "before.fits", tmp_path / "after.fits"))
-    assert "1 only in before.fits" in told and "1 of 3 are of another object" in told
-    assert "first a0" in told and "second b0, probability" in told and "second b2, probability" in told
+    text = str(sameas.compare(tmp_path / "before.fits", tmp_path / "after.fits"))
+    assert "1 only in before.fits" in text and "1 of 3 are of another object" in text
+    assert "first a0" in text and "second b0, probability" in text and "second b2, probability" in text
 
 
 def test_extra_candidates_of_a_join_of_all_are_no_difference(tables, tmp_path) -> None:
@@ -54,8 +54,8 @@ def test_extra_candidates_of_a_join_of_all_are_no_difference(tables, tmp_path) -
     crowd = {"ra": ra, "dec": dec, "name": [f"b{k}" for k in range(20)]}
     for name, join in (("best", "1or2"), ("all", "pairs")):
         sameas.match(first, crowd, sigma=0.2, id="name").write(tmp_path / f"{name}.fits", join=join)
-    told = str(sameas.compare(tmp_path / "best.fits", tmp_path / "all.fits"))
-    assert " 0 of" in told.split("records moved")[1]
+    text = str(sameas.compare(tmp_path / "best.fits", tmp_path / "all.fits"))
+    assert " 0 of" in text.split("records moved")[1]
 
 
 @pytest.mark.slow
@@ -70,8 +70,8 @@ def test_an_excluded_sensor_is_no_difference_by_itself(tmp_path) -> None:
     for name, without in (("with", ()), ("without", "lidar")):
         found = sameas.match_picture(sources, sensors=sensors, every=20.0, without=without, registration=False)
         found.write(tmp_path / name, map=False, image=False)
-    told = str(sameas.compare(tmp_path / "with", tmp_path / "without"))
-    assert "6 in both; 3 only in with" in told and "0 of 6 are of another object" in told
+    text = str(sameas.compare(tmp_path / "with", tmp_path / "without"))
+    assert "6 in both; 3 only in with" in text and "0 of 6 are of another object" in text
 
 
 def test_the_command_compares_and_refuses_unrelated_outputs(tables, tmp_path) -> None:

@@ -31,14 +31,14 @@ def test_a_match_in_memory_is_explained_from_its_file(match, tmp_path, ending):
     path = tmp_path / f"out.{ending}"
     match.write(path)
     for row in range(60):
-        told, answers = str(sameas.explain(path, f"a{row}")), match.identification.answers_1
+        text, answers = str(sameas.explain(path, f"a{row}")), match.identification.answers_1
         partner = answers.partner[row]
         if partner is np.ma.masked:
-            assert told.startswith(f"first a{row} has no partner")
+            assert text.startswith(f"first a{row} has no partner")
         else:
-            assert told.startswith(f"first a{row} is second b{partner}, probability ")
+            assert text.startswith(f"first a{row} is second b{partner}, probability ")
         if answers.second[row] is not np.ma.masked:
-            assert f"b{answers.second[row]}" in told
+            assert f"b{answers.second[row]}" in text
     assert str(sameas.explain(path, row=5)) == str(sameas.explain(path, "a5"))
 
 
@@ -46,8 +46,8 @@ def test_a_match_in_memory_is_explained_from_its_file(match, tmp_path, ending):
 def test_a_record_of_the_second(match, tmp_path):
     path = tmp_path / "out.fits"
     match.write(path, "1or2")
-    told = str(sameas.explain(path, "b3", source=2))
-    assert told.startswith("second b3 ") and told == str(sameas.explain(path, "b3", source="second"))
+    text = str(sameas.explain(path, "b3", source=2))
+    assert text.startswith("second b3 ") and text == str(sameas.explain(path, "b3", source="second"))
     with pytest.raises(InputError, match="b3 is a record of second; give source=2"):
         sameas.explain(path, "b3")
     with pytest.raises(InputError, match="it has no source 3; give one of first, second"):
@@ -58,9 +58,9 @@ def test_every_candidate_is_listed_if_the_table_has_them(match, tmp_path):
     path = tmp_path / "pairs.fits"
     match.write(path, "pairs")
     row = int(np.argmax(match.identification.answers_1.candidates.filled(0)))
-    told = str(sameas.explain(path, f"a{row}"))
+    text = str(sameas.explain(path, f"a{row}"))
     names = {f"b{j}" for i, j in zip(match.identification.rows_1, match.identification.rows_2, strict=True) if i == row}
-    assert len(names) > 2 and all(name in told for name in names) and "no partner" in told
+    assert len(names) > 2 and all(name in text for name in names) and "no partner" in text
 
 
 @pytest.mark.slow
@@ -70,8 +70,8 @@ def test_records_without_ids_are_named_by_row(crowded, tmp_path):
     path = tmp_path / "out.fits"
     found.write(path)
     partner = found.identification.answers_1.partner
-    told = str(sameas.explain(path, 3))
-    assert ("has no partner" in told) == (partner[3] is np.ma.masked)
+    text = str(sameas.explain(path, 3))
+    assert ("has no partner" in text) == (partner[3] is np.ma.masked)
     with pytest.raises(InputError, match="it has no ids, and the output does not hold all its rows in their order"):
         sameas.explain(path, 3, source=2)
 
@@ -83,11 +83,11 @@ def test_several_catalogues(crowded, tmp_path):
     path = tmp_path / "objects.fits"
     found.write(path)
     for row in (0, 7, 50):
-        told = str(sameas.explain(path, f"a{row}"))
+        text = str(sameas.explain(path, f"a{row}"))
         number = int(found.objects.of("first").object[row])
         members = found.objects.members[number]
         for word, member in zip("abc", members, strict=True):
-            assert member is np.ma.masked or f"{word}{member}" in told
+            assert member is np.ma.masked or f"{word}{member}" in text
     assert str(sameas.explain(path, "b3", source=2)) == str(sameas.explain(path, row=3, source="second"))
     assert "offset_1" not in read_provenance(path)
 

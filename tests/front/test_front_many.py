@@ -97,10 +97,10 @@ def test_the_command_accepts_the_option_named_by_its_doubt(three, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     for k, one in enumerate(three, 1):
         Table(one).write(f"s{k}.fits")
-    said = ["many", "s1.fits", "s2.fits", "s3.fits", "--sigma1", "0.05", "--sigma2", "0.1", "--sigma3", "0.2"]
-    without = CliRunner().invoke(app, [*said, "-o", "without.fits"])
+    arguments = ["many", "s1.fits", "s2.fits", "s3.fits", "--sigma1", "0.05", "--sigma2", "0.1", "--sigma3", "0.2"]
+    without = CliRunner().invoke(app, [*arguments, "-o", "without.fits"])
     assert "--offset find" in " ".join(without.stdout.split())
-    with_it = CliRunner().invoke(app, [*said, "--offset", "find", "-o", "with.fits"])
+    with_it = CliRunner().invoke(app, [*arguments, "--offset", "find", "-o", "with.fits"])
     assert with_it.exit_code == 0 and "added to s3: -" in with_it.stdout
 
 

@@ -50,8 +50,8 @@ def test_the_command_and_python_write_equal_tables(stars, tmp_path, monkeypatch)
 
     monkeypatch.chdir(tmp_path)
     Table(stars.first).write("first.fits"), Table(stars.second).write("second.fits")
-    said = ["--sigma1", "0.05", "--sigma2", "0.06"]
-    printed = CliRunner().invoke(app, ["match", "first.fits", "second.fits", *said, "-o", "command.ecsv"]).stdout
+    arguments = ["--sigma1", "0.05", "--sigma2", "0.06"]
+    printed = CliRunner().invoke(app, ["match", "first.fits", "second.fits", *arguments, "-o", "command.ecsv"]).stdout
     found = sameas.match("first.fits", "second.fits", sigma1=0.05, sigma2=0.06)
     found.write("python.ecsv")
     as_said = printed.split("\nOutput:")[0].replace("--pm-sigma1 ", "pm_sigma1=")
@@ -118,9 +118,9 @@ def test_an_index_of_names_is_kept():
 
 def test_quantities_and_times_as_options(stars):
     first = {name: values for name, values in stars.first.items() if name != "ref_epoch"}
-    said = sameas.match(first, stars.second, sigma=50 * u.mas, epoch1=Time(2016.0, format="jyear"))
+    with_units = sameas.match(first, stars.second, sigma=50 * u.mas, epoch1=Time(2016.0, format="jyear"))
     plain = sameas.match(first, stars.second, sigma=0.05, epoch1=2016.0)
-    assert np.allclose(said.pairs["log_odds"], plain.pairs["log_odds"])
+    assert np.allclose(with_units.pairs["log_odds"], plain.pairs["log_odds"])
 
 
 def test_errors_by_names_of_columns(stars):

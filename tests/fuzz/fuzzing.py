@@ -193,9 +193,9 @@ def outcome(read: Any, path: Path) -> str:
     except InputError as error:
         if ignored:
             return f"prints {type(ignored[0].exc_value).__name__}: {str(ignored[0].exc_value)[:150]}"
-        said = str(error)
-        if not said.isprintable() or len(said) > 2100:
-            return f"says {said[:300]!r}"
+        message = str(error)
+        if not message.isprintable() or len(message) > 2100:
+            return f"says {message[:300]!r}"
         return "refused"
     except TooLong:
         return f"took more than {SECONDS:g} s"

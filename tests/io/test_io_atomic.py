@@ -164,8 +164,8 @@ def test_a_pipe_can_be_written():
         "from sameas.io import write_table; from astropy.table import Table;"
         "write_table(Table({'x': [1, 2]}), '/dev/stdout', provenance={}, format='csv')"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    assert said.stdout == b"x\n1\n2\n"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
+    assert result.stdout == b"x\n1\n2\n"
 
 
 def test_the_draft_of_a_killed_process_is_removed_by_the_next_output(tmp_path):

@@ -189,8 +189,8 @@ def test_a_votable_with_remote_rows_is_refused_and_nothing_is_loaded(
             read_table(path)
     else:
         name = "t.vot.gz" if packed else "t.vot"
-        said = refusal(tmp_path / name, gzip.compress(content) if packed else content)
-        assert "rows lie elsewhere" in said or (encoding == "utf-16" and "is UTF-16 text" in said)
+        message = refusal(tmp_path / name, gzip.compress(content) if packed else content)
+        assert "rows lie elsewhere" in message or (encoding == "utf-16" and "is UTF-16 text" in message)
     assert not loaded
 
 
@@ -205,16 +205,16 @@ def test_metadata_that_expand_without_limit_are_refused(tmp_path):
 
 def test_tables_with_too_many_columns_are_refused(tmp_path):
     names = [f"c{k}" for k in range(6000)]
-    said = "has 6000 columns; tables of up to 5000 are read"
+    message = "has 6000 columns; tables of up to 5000 are read"
     row = "1," * 5999 + "1\n"
-    assert said in refusal(tmp_path / "t.csv", (",".join(names) + "\n" + row).encode())
+    assert message in refusal(tmp_path / "t.csv", (",".join(names) + "\n" + row).encode())
     fields = "".join(f'<FIELD name="{name}" datatype="double"/>' for name in names)
-    assert said in refusal(tmp_path / "t.vot", f"<VOTABLE><TABLE>{fields}</TABLE></VOTABLE>".encode())
+    assert message in refusal(tmp_path / "t.vot", f"<VOTABLE><TABLE>{fields}</TABLE></VOTABLE>".encode())
     columns = "".join(f"# - {{name: {name}, datatype: float64}}\n" for name in names)
     text = f"# %ECSV 1.0\n# ---\n# datatype:\n{columns}# schema: astropy-2.0\n{','.join(names)}\n{row}"
-    assert said in refusal(tmp_path / "t.ecsv", text.encode())
+    assert message in refusal(tmp_path / "t.ecsv", text.encode())
     parquet.write_table(pa.table({name: [1.0] for name in names}), tmp_path / "t.parquet")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_table(tmp_path / "t.parquet")
 
 

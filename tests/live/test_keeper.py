@@ -52,9 +52,9 @@ def test_ships_are_matched_with_their_radar_targets_in_the_journal(keeper, tmp_p
     rows = base.execute("SELECT object, source, track FROM identities WHERE event = 'joined'").fetchall()
     assert base.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     base.close()
-    told = {(source, track): number for number, source, track in rows}
+    number_of = {(source, track): number for number, source, track in rows}
     for number, its in frame.members.items():
-        assert all(told[member] == number for member in its)
+        assert all(number_of[member] == number for member in its)
     [path] = (tmp_path / "state" / "archive").iterdir()
     archive = read_table(path)
     assert set(archive["object"]) == set(frame.objects["object"].tolist()) and len(set(archive["time_s"])) >= 5

@@ -116,13 +116,13 @@ def test_the_command_serves_a_replay_and_ends_on_a_signal(tmp_path):
                "--port", "0", "--pace", "5", "--every", "0.5s", "--for", "60s", "-o", "state"]  # fmt: skip
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
         address = re.search(r"http://\S+", run.stdout.readline())[0]
-        end, told = time.monotonic() + 30.0, {}
-        while not told.get("ok") or told["objects"] < 5:
+        end, health = time.monotonic() + 30.0, {}
+        while not health.get("ok") or health["objects"] < 5:
             assert time.monotonic() < end and run.poll() is None, run.stderr.read()
             time.sleep(0.2)
             try:
                 with urllib.request.urlopen(f"{address}health", timeout=5.0) as answer:
-                    told = json.loads(answer.read())
+                    health = json.loads(answer.read())
             except OSError:
                 continue
         run.send_signal(signal.SIGTERM)

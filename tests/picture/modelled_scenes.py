@@ -35,20 +35,20 @@ def wandering(rng, n, looks, every_s, tau_s, sigma_m):
     return error
 
 
-def told(rng, description, times_s, position, velocity, tau_s, names=None, extra=None, sigma_m=None):
-    """Reports of objects (n, k, 2) at times (k,) with the errors of a description; ``names`` (n,) of their tracks.
-    sigma_m : 1σ of the positions' errors where it is another than described."""
-    n, looks = position.shape[:2]
+def feed(rng, description, times_s, position, velocity, tau_s, names=None, extra=None, sigma_m=None):
+    """A description with reports of objects (n, k, 2) at times (k,), with its errors; ``names`` (n,) of their tracks.
+    sigma_m : 1σ of the position errors if it differs from the described one."""
+    n, scans = position.shape[:2]
     sigma = description.errors.position_m if sigma_m is None else sigma_m
     every = times_s[1] - times_s[0] if len(times_s) > 1 else 1.0
-    x = position + wandering(rng, n, looks, every, tau_s, sigma)
+    x = position + wandering(rng, n, scans, every, tau_s, sigma)
     v = velocity + description.errors.speed_m_per_s * rng.standard_normal(velocity.shape)
     columns = {"time_s": np.tile(times_s, n), "x_m": x[..., 0].ravel(), "y_m": x[..., 1].ravel()}
     columns |= {"vx_m_per_s": v[..., 0].ravel(), "vy_m_per_s": v[..., 1].ravel()}
     if names is not None:
-        columns["track_id"] = np.repeat(np.asarray(names, object), looks)
+        columns["track_id"] = np.repeat(np.asarray(names, object), scans)
     for name, values in (extra or {}).items():
-        columns[name] = np.repeat(np.asarray(values, object), looks)
+        columns[name] = np.repeat(np.asarray(values, object), scans)
     return description, Reports.of(description.name, "table", columns)
 
 
@@ -72,8 +72,8 @@ def two_meet(seed, gap_m, side_by_side=False, swap_s=None, tau_s=60.0):
         late = times >= swap_s
         x_radar[:, late], v_radar[:, late] = x[::-1, late], v[::-1, late]
     sources = [
-        told(rng, radar, times, x_radar, v_radar, tau_s, ["r0", "r1"]),
-        told(rng, ais, times[::3], x[:, ::3], v[:, ::3], 600.0, ["a0", "a1"], {"mmsi": ["235000000", "235000001"]}),
+        feed(rng, radar, times, x_radar, v_radar, tau_s, ["r0", "r1"]),
+        feed(rng, ais, times[::3], x[:, ::3], v[:, ::3], 600.0, ["a0", "a1"], {"mmsi": ["235000000", "235000001"]}),
     ]
     return Scene.of(sources), times
 
@@ -92,7 +92,7 @@ def beside(seed, gap_m, sigma_m=(30.0, 8.0), stated_m=(30.0, 8.0), radar_sees_it
     by_radar, by_ais = np.arange(1, n), np.delete(np.arange(n), 1)
     names, mmsi = [[f"{letter}{k}" for k in by] for letter, by in (("r", by_radar), ("a", by_ais))], by_ais + 235000000
     return Scene.of([
-        told(rng, radar, times, x[by_radar], v[by_radar], 20.0, names[0], sigma_m=sigma_m[0]),
-        told(rng, ais, times[::3], x[by_ais, ::3], v[by_ais, ::3], 300.0, names[1], {"mmsi": mmsi.astype(str)},
+        feed(rng, radar, times, x[by_radar], v[by_radar], 20.0, names[0], sigma_m=sigma_m[0]),
+        feed(rng, ais, times[::3], x[by_ais, ::3], v[by_ais, ::3], 300.0, names[1], {"mmsi": mmsi.astype(str)},
              sigma_m=sigma_m[1]),
     ])  # fmt: skip

@@ -4,7 +4,7 @@ import pickle
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told
+from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
 from sameas.picture.picture import Picture, instants
@@ -23,10 +23,10 @@ def sources(seed=1, drag_m_per_s=0.0, leap_m=0.0, silent_from_s=np.inf, radars=(
     rng = np.random.default_rng(seed)
     start = np.column_stack([1500.0 * np.arange(6), 2000.0 + 300.0 * rng.standard_normal(6)])
     x, v = straight(start, 4.0 * rng.standard_normal((6, 2)), TIMES)
-    made = [told(rng, describe(name, "tracks"), TIMES, x, v, 30.0, [f"{name}{k}" for k in range(6)]) for name in radars]
+    made = [feed(rng, describe(name, "tracks"), TIMES, x, v, 30.0, [f"{name}{k}" for k in range(6)]) for name in radars]
     false, late = x.copy(), np.maximum(TIMES - 150.0, 0.0)
     false[0, :, 1] += drag_m_per_s * late + leap_m * (late > 0.0)
-    ais, reports = told(rng, describe("ais", "ais"), TIMES, false, v, 300.0, MMSI, {"mmsi": MMSI})
+    ais, reports = feed(rng, describe("ais", "ais"), TIMES, false, v, 300.0, MMSI, {"mmsi": MMSI})
     kept = (reports.track_id != MMSI[0]) | (reports.time_s < silent_from_s)
     return [*made, (ais, reports.where(kept))]
 

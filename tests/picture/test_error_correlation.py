@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told
+from modelled_scenes import describe, feed, straight
 
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
@@ -17,7 +17,7 @@ def learned(tau_s, kind="tracks", seed=1, looks=25, every_s=10.0, given=None):
     rng = np.random.default_rng(seed)
     times = np.arange(looks) * every_s
     x, v = straight(rng.uniform(-9e3, 9e3, (40, 2)), 4.0 * rng.standard_normal((40, 2)), times)
-    scene = Scene.of([told(rng, describe("one", kind), times, x, v, tau_s, [str(k) for k in range(40)])])
+    scene = Scene.of([feed(rng, describe("one", kind), times, x, v, tau_s, [str(k) for k in range(40)])])
     memory = TrackMemory(correlation_s=given or {})
     for time_s in times:
         memory = memory.advance(Scan.of(scene.at(time_s)))
@@ -41,7 +41,7 @@ def test_a_given_correlation_is_not_estimated():
 def test_before_any_scan_the_default_of_the_kind_is_used():
     rng = np.random.default_rng(2)
     x, v = straight([[0.0, 0.0]], [[4.0, 0.0]], np.zeros(1))
-    scene = Scene.of([told(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
+    scene = Scene.of([feed(rng, describe(name, name), np.zeros(1), x, v, 0.0, ["7"]) for name in ("ais", "air radar")])
     lasting = TrackMemory().advance(Scan.of(scene.at(0.0))).tracks.error_correlation
     ais, radar = (
         lasting.correlation(np.array([lasting.names.index(n)]), np.array([10.0]))[0] for n in ("ais", "air radar")
@@ -58,7 +58,7 @@ def test_correlations_are_learned_from_certain_pairs(share):
     names, sources = [str(k) for k in range(60)], []
     for name in ("one", "two"):
         lasting = 20.0 * np.sqrt(share) * rng.standard_normal((60, 1, 2))
-        _, reports = told(rng, describe(name, "tracks", 20.0 * np.sqrt(1.0 - share)), times, x + lasting, v, 0.0, names)
+        _, reports = feed(rng, describe(name, "tracks", 20.0 * np.sqrt(1.0 - share)), times, x + lasting, v, 0.0, names)
         sources.append((describe(name, "tracks"), reports))
     watch = Watch()
     for time_s in times:

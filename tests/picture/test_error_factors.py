@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told
+from modelled_scenes import describe, feed, straight
 from scipy.stats import multivariate_normal
 
 from sameas.many.observations import records_of
@@ -74,7 +74,7 @@ def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs
     rng = np.random.default_rng(5)
     times = np.arange(0.0, 31.0, 10.0)
     x, v = straight([[0.0, 0.0], [900.0, 0.0]], [[4.0, 0.0], [0.0, 3.0]], times)
-    scene = Scene.of([told(rng, describe("radar", "tracks", 20.0), times, x, v, 0.0, ["1", "2"])])
+    scene = Scene.of([feed(rng, describe("radar", "tracks", 20.0), times, x, v, 0.0, ["1", "2"])])
     before = Scan.of(scene.at(35.0))
     after = ErrorFactors(("radar",), factor=np.array([2.0]), sigma=np.array([0.1])).applied(before)
     assert after.reported_covariance[:, :2, :2] == pytest.approx(4.0 * before.reported_covariance[:, :2, :2])
@@ -115,7 +115,7 @@ def crowd(seed, stated):
     x, v = straight(rng.uniform(0.0, 600.0, (8, 2)), 0.3 * rng.standard_normal((8, 2)), times)
     names = [str(k) for k in range(8)]
     sources = [
-        told(rng, describe(f"tracker {k}", "tracks", 20.0 * stated), times, x, v, 0.0, names, sigma_m=20.0)
+        feed(rng, describe(f"tracker {k}", "tracks", 20.0 * stated), times, x, v, 0.0, names, sigma_m=20.0)
         for k in range(3)
     ]
     return Scene.of(sources), times

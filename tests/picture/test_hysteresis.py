@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told
+from modelled_scenes import describe, feed, straight
 
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
@@ -72,10 +72,10 @@ def moored(seed, looks=60):
     x, v = straight([[0.0, 0.0], [18.0, 0.0]], np.zeros((2, 2)), times)
     mmsi = ["235000001", "235000002"]
     return Scene.of([
-        told(rng, describe("ais", "ais", 15.0, period_s=30.0), times[::3], x[:, ::3], v[:, ::3], 600.0, mmsi,
+        feed(rng, describe("ais", "ais", 15.0, period_s=30.0), times[::3], x[:, ::3], v[:, ::3], 600.0, mmsi,
              {"mmsi": mmsi}),
-        told(rng, describe("radar", "tracks", 15.0), times, x[:1], v[:1], 30.0, ["7"]),
-        told(rng, describe("coast", "tracks", 25.0), times, x[:1], v[:1], 30.0, ["3"]),
+        feed(rng, describe("radar", "tracks", 15.0), times, x[:1], v[:1], 30.0, ["7"]),
+        feed(rng, describe("coast", "tracks", 25.0), times, x[:1], v[:1], 30.0, ["3"]),
     ]), times  # fmt: skip
 
 

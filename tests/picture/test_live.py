@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.picture.modelled_scenes import describe, straight, told
+from tests.picture.modelled_scenes import describe, feed, straight
 
 from sameas.errors import InputError
 from sameas.picture import LivePicture, PlotPicture, picture_states
@@ -29,11 +29,11 @@ def sources(seed=1, ships=12, filtered=False, seen=0.9):
         times = np.arange(0.7, 300.0, every)
         x, v = straight(start, velocity, times)
         ids = {"mmsi": [f"23500{k:04d}" for k in range(ships)]} if kind == "ais" else None
-        description, reports = told(
+        description, reports = feed(
             rng, describe(name, kind, period_s=every), times, x, v, tau, [f"{name}{k}" for k in range(ships)], ids
         )
-        heard = np.sort(rng.permutation(len(reports))[: int(seen * len(reports))])
-        reports = reports.where(heard[np.argsort(reports.time_s[heard], kind="stable")])
+        received = np.sort(rng.permutation(len(reports))[: int(seen * len(reports))])
+        reports = reports.where(received[np.argsort(reports.time_s[received], kind="stable")])
         if filtered:
             columns = {n: c for n, c in reports.columns().items() if not n.startswith("v")}
             reports = Reports.of(name, reports.kind, columns)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, told
+from modelled_scenes import describe, feed
 
 from sameas.picture import Picture
 from sameas.tracks.scene import Scene
@@ -20,10 +20,10 @@ def departing(seed):
     # Other ships around, so that densities can be estimated.
     far = rng.uniform(-4e3, 4e3, (30, 1, 2)) + np.zeros((30, 18, 2))
     return Scene.of([
-        told(rng, describe("ais", "ais", 15.0, period_s=60.0), times[::6], x[:, ::6], v[:, ::6], 600.0, ["a"], mmsi),
-        told(rng, describe("radar", "tracks", 10.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 30.0,
+        feed(rng, describe("ais", "ais", 15.0, period_s=60.0), times[::6], x[:, ::6], v[:, ::6], 600.0, ["a"], mmsi),
+        feed(rng, describe("radar", "tracks", 10.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 30.0,
              [str(k) for k in range(31)]),
-        told(rng, describe("coast", "tracks", 60.0), times, x, v, 30.0, ["3"]),
+        feed(rng, describe("coast", "tracks", 60.0), times, x, v, 30.0, ["3"]),
     ]), times  # fmt: skip
 
 
@@ -52,11 +52,11 @@ def passed_by(seed):
     v[0] = np.where(times[:, None] > 62.0, [0.0, 6.0], [6.0, 0.0])
     far = rng.uniform(-4e3, 4e3, (20, 1, 2)) + np.zeros((20, 22, 2))
     mmsi = {"mmsi": ["235000000", "235000001"]}
-    ais, by_ais = told(rng, describe("ais", "ais", 10.0), times, x, v, 0.0, ["a", "b"], mmsi)
+    ais, by_ais = feed(rng, describe("ais", "ais", 10.0), times, x, v, 0.0, ["a", "b"], mmsi)
     heard = (by_ais.time_s <= 60.0) | (by_ais.time_s >= 190.0) | (np.asarray(by_ais.mmsi) == "235000001")
     return Scene.of([
         (ais, by_ais.where(heard)),
-        told(rng, describe("radar", "tracks", 15.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 0.0,
+        feed(rng, describe("radar", "tracks", 15.0), times, np.vstack([x, far]), np.vstack([v, 0.0 * far]), 0.0,
              [str(k) for k in range(22)]),
     ]), times  # fmt: skip
 

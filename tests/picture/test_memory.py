@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modelled_scenes import beside, describe, straight, told, two_meet
+from modelled_scenes import beside, describe, feed, straight, two_meet
 
 from sameas.errors import InputError
 from sameas.gate import Radius
@@ -32,7 +32,7 @@ def couples_apart(seed, tau_s, n=300, box_m=600.0, looks=30):
     apart = np.where(same[:, None], 0.0, rng.uniform(-box_m / 2, box_m / 2, (n, 2)))
     names = [str(k) for k in range(n)]
     one, two = describe("one", "tracks", 30.0), describe("two", "ais")
-    sources = [told(rng, one, times, x, v, tau_s[0], names), told(rng, two, times[::3], (x + apart[:, None])[:, ::3],
+    sources = [feed(rng, one, times, x, v, tau_s[0], names), feed(rng, two, times[::3], (x + apart[:, None])[:, ::3],
                v[:, ::3], tau_s[1], names)]  # fmt: skip
     scene, memory = Scene.of(sources), TrackMemory(correlation_s=dict(zip(("one", "two"), tau_s, strict=True)))
     # Pairs far apart are also compared until the end.
@@ -88,8 +88,8 @@ def test_memory_is_bounded_by_the_reliability_of_track_ids():
         memory = memory.with_pairs(found.pooled)
         assert np.abs(memory.rule().log_ratio).max(initial=0.0) <= np.log(0.99 / 0.01) + 1e-9
     # Who met and went on is another's: less so than who stays together by as much as a look's name is worth.
-    said = np.asarray(memory.rule().log_ratio)
-    assert said.max() > 0.5 and said.max() - said.min() > 0.9 * np.log(0.99 / 0.01)
+    log_ratio = np.asarray(memory.rule().log_ratio)
+    assert log_ratio.max() > 0.5 and log_ratio.max() - log_ratio.min() > 0.9 * np.log(0.99 / 0.01)
 
 
 def test_repeated_reports_are_no_evidence():
@@ -101,11 +101,13 @@ def test_repeated_reports_are_no_evidence():
         memory = memory.with_pairs(
             identify_many(now.sources, rule=now.rule() + memory.rule(), region=now.region).pooled
         )
-    said = np.asarray(memory.rule().log_ratio) + memory.track_pairs.log_now
+    log_ratio = np.asarray(memory.rule().log_ratio) + memory.track_pairs.log_now
     for time_s in (21.0, 24.0, 29.0):
         memory = memory.advance(Scan.of(scene.at(time_s)))
         # The sum of present and past evidence is unchanged; the reports have only aged.
-        np.testing.assert_allclose(np.asarray(memory.rule().log_ratio) + memory.track_pairs.log_now, said, atol=1e-9)
+        np.testing.assert_allclose(
+            np.asarray(memory.rule().log_ratio) + memory.track_pairs.log_now, log_ratio, atol=1e-9
+        )
 
 
 def test_a_track_that_jumps_starts_a_new_memory():
@@ -115,7 +117,7 @@ def test_a_track_that_jumps_starts_a_new_memory():
     jumped = x.copy()
     jumped[:, 4:] += 5000.0
     radar, ais = describe("radar", "tracks"), describe("ais", "ais")
-    scene = Scene.of([told(rng, radar, times, jumped, v, 60.0, ["7"]), told(rng, ais, times, x, v, 600.0, ["a"])])
+    scene = Scene.of([feed(rng, radar, times, jumped, v, 60.0, ["7"]), feed(rng, ais, times, x, v, 600.0, ["a"])])
     memory = TrackMemory()
     for time_s in times:
         now = scene.at(time_s)
@@ -132,7 +134,7 @@ def test_records_without_ids_have_no_memory():
     x, v = straight([[0.0, 0.0], [500.0, 0.0]], [[3.0, 0.0]] * 2, times)
     radar, ais = describe("radar", "marine radar"), describe("ais", "ais")
     scene, memory = (
-        Scene.of([told(rng, radar, times, x, v, 0.0), told(rng, ais, times, x, v, 600.0, ["a", "b"])]),
+        Scene.of([feed(rng, radar, times, x, v, 0.0), feed(rng, ais, times, x, v, 600.0, ["a", "b"])]),
         TrackMemory(),
     )
     for time_s in times:
@@ -147,9 +149,9 @@ def test_memory_is_symmetric_in_a_pair():
     two = Records.of([[5.0, 0.0], [8.0, 0.0]], sigma=5.0, source="two")
     memory = PreviousScans({"one": [3, 4], "two": [7, -1]}, first=[3, 4], second=[7, 7], log_ratio=[5.5, -2.0])
     pairs, turned = Radius(5.0)(one, two), Radius(5.0)(two, one)
-    said = {(int(i), int(j)): v for i, j, v in zip(pairs.i, pairs.j, memory(pairs).log_ratio, strict=True)}
+    by_pair = {(int(i), int(j)): v for i, j, v in zip(pairs.i, pairs.j, memory(pairs).log_ratio, strict=True)}
     again = {(int(j), int(i)): v for i, j, v in zip(turned.i, turned.j, memory(turned).log_ratio, strict=True)}
-    assert said == again == {(0, 0): 5.5, (1, 0): -2.0, (0, 1): 0.0, (1, 1): 0.0}
+    assert by_pair == again == {(0, 0): 5.5, (1, 0): -2.0, (0, 1): 0.0, (1, 1): 0.0}
     assert memory(pairs).informative.sum() == 2
 
 
@@ -239,7 +241,7 @@ def test_pairs_that_separated_long_ago_are_forgotten():
     start = np.column_stack([[0.0, 2000.0, 400.0, 2400.0], np.zeros(4)])
     x, v = straight(start, np.column_stack([[6.0, -6.0, 6.0, -6.0], np.zeros(4)]), times)
     names = [str(k) for k in range(4)]
-    scene = Scene.of([told(rng, describe(name, "tracks", period_s=20.0), times, x, v, 0.0, names) for name in "ab"])
+    scene = Scene.of([feed(rng, describe(name, "tracks", period_s=20.0), times, x, v, 0.0, names) for name in "ab"])
     counts = []
     for timeout_s in (150.0, 1e9):
         watch = Watch(tuning=Tuning(pair_timeout_s=timeout_s))
@@ -260,7 +262,7 @@ def test_memory_of_separated_tracks_counts_when_they_meet_again():
     way = 6.0 * np.minimum(times, 600.0 - times) - 600.0
     x = np.stack([np.column_stack([side * way, np.full(len(times), side * 40.0)]) for side in (1.0, -1.0)])
     v = np.gradient(x, 10.0, axis=1)
-    scene = Scene.of([told(rng, describe(name, "tracks"), times, x, v, 20.0, ["0", "1"]) for name in "ab"])
+    scene = Scene.of([feed(rng, describe(name, "tracks"), times, x, v, 20.0, ["0", "1"]) for name in "ab"])
     pairs, together = [], []
     for tuning in (Tuning(), Tuning(distant_chi_sq=np.inf)):
         watch = Watch(tuning=tuning)
@@ -318,9 +320,9 @@ def abreast(seed, gap_m=40.0, swaps=0.0):
     swapped = np.repeat(np.cumsum(rng.random((5, len(times))) < swaps, axis=1) % 2 if swaps else 0 * x[::2, :, 0], 2, 0)
     west = np.where(swapped[..., None] > 0, x[np.arange(10) ^ 1], x)
     sources = [
-        told(rng, describe("west", "tracks", 25.0), times, west, velocity, 0.0, names),
-        told(rng, describe("east", "tracks", 25.0), times, x, velocity, 0.0, names),
-        told(rng, describe("ais", "ais", 8.0), times, x, velocity, 0.0, names, mmsi),
+        feed(rng, describe("west", "tracks", 25.0), times, west, velocity, 0.0, names),
+        feed(rng, describe("east", "tracks", 25.0), times, x, velocity, 0.0, names),
+        feed(rng, describe("ais", "ais", 8.0), times, x, velocity, 0.0, names, mmsi),
     ]
     return Scene.of(sources), times
 

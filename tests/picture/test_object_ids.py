@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told, two_meet
+from modelled_scenes import describe, feed, straight, two_meet
 
 from sameas.errors import InputError
 from sameas.picture import Picture, Stages, Watch, instants, picture_states
@@ -126,8 +126,8 @@ def test_an_identified_object_that_returns_gets_its_old_number():
     others, still = straight(rng.uniform(-400, 400, (12, 2)), np.zeros((12, 2)), np.arange(0.0, 2100.0, 10.0))
     ais, radar = describe("ais", "ais"), describe("radar", "tracks")
     scene = Scene.of([
-        told(rng, ais, np.concatenate([early, late]), x, v, 600.0, ["a"], {"mmsi": ["235000001"]}),
-        told(rng, radar, np.arange(0.0, 2100.0, 10.0), others, still, 60.0, [str(k) for k in range(12)]),
+        feed(rng, ais, np.concatenate([early, late]), x, v, 600.0, ["a"], {"mmsi": ["235000001"]}),
+        feed(rng, radar, np.arange(0.0, 2100.0, 10.0), others, still, 60.0, [str(k) for k in range(12)]),
     ])  # fmt: skip
     o = Picture.of(scene, instants((0.0, 2090.0), 30.0)).objects
     mine = o["mmsi"] == "235000001"
@@ -140,7 +140,7 @@ def test_a_ship_that_brakes_unusually_hard_keeps_its_number():
     rng = np.random.default_rng(6)
     x, v = (np.array(part) for part in straight([[0.0, 0.0]], [[18.0, 0.0]], times))
     x[:, 5:], v[:, 5:] = x[:, 4:5] + [[[300.0, 0.0]]], 0.0
-    scene = Scene.of([told(rng, describe("ais", "ais", 10.0), times, x, v, 600.0, ["a"], {"mmsi": ["235000001"]})])
+    scene = Scene.of([feed(rng, describe("ais", "ais", 10.0), times, x, v, 600.0, ["a"], {"mmsi": ["235000001"]})])
     o = Picture.of(scene, times).objects
     assert set(o["object"].tolist()) == {1} and set(o["stage"].tolist()) == {"confirmed"}
 

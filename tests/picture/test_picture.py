@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from modelled_scenes import WALK, describe, straight, told, two_meet
+from modelled_scenes import WALK, describe, feed, straight, two_meet
 
 from sameas.errors import InputError
 from sameas.io.sensors import read_reports
@@ -33,9 +33,9 @@ def ships(seed=1, n=30, looks=8, names=True):
     track = [str(k) for k in range(n)]
     mmsi = [f"{235000000 + k}" for k in range(n)]
     return [
-        told(rng, describe("radar", "tracks"), times, x, v, 60.0, track if names else None),
-        told(rng, describe("ais", "ais", 15.0), times[::2], x[:, ::2], v[:, ::2], 600.0, mmsi, {"mmsi": mmsi}),
-        told(rng, describe("coast", "marine radar"), times, x[3:], v[3:], 60.0, track[3:] if names else None),
+        feed(rng, describe("radar", "tracks"), times, x, v, 60.0, track if names else None),
+        feed(rng, describe("ais", "ais", 15.0), times[::2], x[:, ::2], v[:, ::2], 600.0, mmsi, {"mmsi": mmsi}),
+        feed(rng, describe("coast", "marine radar"), times, x[3:], v[3:], 60.0, track[3:] if names else None),
     ], times
 
 
@@ -120,16 +120,16 @@ def test_one_source_or_none_makes_a_picture():
 def test_the_summary_states_position_errors():
     sources, times = ships(seed=8)
     picture = Picture.of(Scene.of(sources), [*times, times[-1] + 20.0, times[-1] + 60.0])
-    o, told = picture.objects, picture.summary.places
+    o, places = picture.objects, picture.summary.places
     confirmed = o["stage"] == "confirmed"
     both = np.ma.sqrt(0.5 * (o["var_x_m2"] + o["var_y_m2"]))[confirmed].compressed()
-    assert told.shown_m == np.median(both)
-    assert told.coasting == np.mean([np.sum(o["stage"][o["time_s"] == t] == "coasting") for t in picture.instants_s])
+    assert places.shown_m == np.median(both)
+    assert places.coasting == np.mean([np.sum(o["stage"][o["time_s"] == t] == "coasting") for t in picture.instants_s])
     line = next(line for line in picture.summary.lines() if line.startswith("places"))
-    assert line.startswith(f"places: known to {told.shown_m:.2g} m (1σ, the median object)")
-    assert ("coast without" in line) == (told.coasting > 0.0)
+    assert line.startswith(f"places: known to {places.shown_m:.2g} m (1σ, the median object)")
+    assert ("coast without" in line) == (places.coasting > 0.0)
     # Coasting objects have larger errors.
-    assert told.coasting_m is None or told.coasting_m > told.shown_m
+    assert places.coasting_m is None or places.coasting_m > places.shown_m
 
 
 def test_a_source_may_begin_late_and_fall_silent():
@@ -150,7 +150,7 @@ def test_bearings_are_used_and_are_no_position_alone():
     said = {"time_s": [0.0] * 3 + [10.0] * 3, "bearing_deg": [45.2, 120.0, 359.5] * 2}
     rng = np.random.default_rng(7)
     x, v = straight([[700.0, 700.0], [0.0, 1000.0]], [[0.0, 0.0]] * 2, np.array([0.0, 10.0]))
-    radar = told(rng, describe("radar", "tracks"), np.array([0.0, 10.0]), x, v, 60.0, ["1", "2"])
+    radar = feed(rng, describe("radar", "tracks"), np.array([0.0, 10.0]), x, v, 60.0, ["1", "2"])
     for features in (2, POSITION_AND_VELOCITY):
         picture = Picture.of(
             Scene.of([radar, (camera, Reports.of("camera", "table", said))]), [0.0, 10.0], features=features
@@ -211,7 +211,7 @@ def test_the_summary_lists_the_important_facts():
     kept = reports.where(np.isin(reports.track_id, [str(k) for k in range(3, 16)]))
     forged: dict[str, Any] = {"time_s": [0.0], "x_m": [9e3], "y_m": [9e3], "mmsi": ["235000001"], "track_id": ["x"]}
     elsewhere = describe("elsewhere", "tracks"), Reports.of("elsewhere", "table", forged)
-    never = told(rng, describe("never", "tracks"), np.array([900.0, 910.0]), *straight([[0.0, 0.0]], [[0.0, 0.0]],
+    never = feed(rng, describe("never", "tracks"), np.array([900.0, 910.0]), *straight([[0.0, 0.0]], [[0.0, 0.0]],
                  np.array([0.0, 10.0])), 0.0, ["1"])  # fmt: skip
     picture = Picture.of(Scene.of([*sources[:2], (description, kept), elsewhere, never]), times, biases=("radar: 2°",))
     summary, told_lines = picture.summary, "\n".join(picture.summary.lines())

@@ -125,9 +125,9 @@ def test_clutter_is_not_confirmed_and_undetected_objects_end():
     feeds = [plots(rng, description, [track], 90.0) for description in both]
     times = np.arange(1.0, 89.0, 1.0)
     found = followed(Scene(tuple(feeds)), times)
-    believed = np.array([np.count_nonzero(f.existence > 0.9) for f in found])
-    assert np.mean(believed[(times > 5.0) & (times < 29.0)] == 1) > 0.9
-    assert np.mean(believed[times > 45.0] == 0) > 0.9
+    n_existing = np.array([np.count_nonzero(f.existence > 0.9) for f in found])
+    assert np.mean(n_existing[(times > 5.0) & (times < 29.0)] == 1) > 0.9
+    assert np.mean(n_existing[times > 45.0] == 0) > 0.9
     assert there(found[int(np.searchsorted(times, 29.0))], track(29.0))[0] > 0
     assert there(found[-1], (60.0, 50.0), within_m=30.0)[0] == 0
 
@@ -188,9 +188,9 @@ def test_an_ambiguous_source_does_not_hinder_another():
     )  # fmt: skip
     seen = {"time_s": times.repeat(4), "bearing_deg": sight % 360.0}
     scene = Scene((lidar, Feed.of(camera, Reports.of("camera", "table", seen))))
-    asked = np.arange(5.0, 29.0, 0.5)
+    instants_s = np.arange(5.0, 29.0, 0.5)
     off, open_ = [], []
-    for t, f in zip(asked, followed(scene, asked), strict=True):
+    for t, f in zip(instants_s, followed(scene, instants_s), strict=True):
         k = int(np.linalg.norm(f.state[:, :2] - boat(t), axis=1).argmin())
         if f.prior_of[k] >= 0 and f.members[k, 0] >= 0:
             off.append(np.linalg.norm(f.prior_objects.state[f.prior_of[k], :2] - boat(t)))
@@ -228,13 +228,15 @@ def test_a_source_that_missed_an_object_is_expected_to_miss_it_again():
     )  # fmt: skip
     spot = (2.0 + 0.2 * rng.standard_normal(len(times))) % 360.0
     scene = Scene((lidar, Feed.of(camera, Reports.of("camera", "table", {"time_s": times, "bearing_deg": spot}))))
-    asked = np.arange(15.0, 27.0, 0.5)
-    found = followed(scene, asked, PlotTracker())
-    number = there(found[-1], boat(asked[-1]))[0]
+    instants_s = np.arange(15.0, 27.0, 0.5)
+    found = followed(scene, instants_s, PlotTracker())
+    number = there(found[-1], boat(instants_s[-1]))[0]
     own = found[-1].rule.known_q[found[-1].prior_objects.number == number][0]
     assert own[0] < 0.25 and own[1] > 0.6
     later = np.arange(27.0, 37.0, 0.5)
-    remembering = [taken_in(f, boat(t)) for t, f in zip(later, followed(scene, [*asked, *later])[-20:], strict=True)]
+    remembering = [
+        taken_in(f, boat(t)) for t, f in zip(later, followed(scene, [*instants_s, *later])[-20:], strict=True)
+    ]
     alone = [taken_in(followed(scene, [t])[0], boat(t)) for t in later]
     assert sum(remembering) <= sum(alone) and sum(alone) > 5
 
@@ -340,10 +342,10 @@ def test_the_rule_is_refused_by_sequential_identification():
 def test_without_known_objects_the_rule_is_the_poisson_field():
     rng = np.random.default_rng(3)
     _, looks = three_sources(rng)
-    nobody = Records.of(np.empty((0, 2)), sigma=1.0, source=KNOWN)
+    no_records = Records.of(np.empty((0, 2)), sigma=1.0, source=KNOWN)
     q = {name: np.tile([0.2, 0.4], (2, 1)) for name in ("lidar", "radar")}
     rule = BernoulliObjects(1e-4, ("lidar", "radar"), q, {"lidar": 1e-5, "radar": 2e-5}, np.empty(0), np.empty((0, 2)))
-    ours = identify_many([nobody, *looks], rule=rule)
+    ours = identify_many([no_records, *looks], rule=rule)
     field = identify_many(looks, rule=PoissonObjects(1e-4, (0.2, 0.4), (1e-5, 2e-5)))
     np.testing.assert_array_equal(ours.members.filled(-1)[:, 1:], field.members.filled(-1))
     np.testing.assert_allclose(ours.probability, field.probability, rtol=1e-9)

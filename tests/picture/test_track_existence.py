@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told
+from modelled_scenes import describe, feed, straight
 
 from sameas.errors import InputError
 from sameas.picture import Picture, Stages, Watch
@@ -29,7 +29,7 @@ def radar_with_false_tracks(seed, real=12, false=160, looks=80, lasting=3.0):
         end = looks if k < real else min(begin + int(rng.geometric(1.0 / lasting)), looks)
         times = 10.0 * np.arange(begin, end)
         x, v = straight(rng.uniform(-15e3, 15e3, (1, 2)), 4.0 * rng.standard_normal((1, 2)) * (k < real), times)
-        parts.append(told(rng, RADAR, times, x, v, 0.0, [f"{'real' if k < real else 'false'} {k}"])[1])
+        parts.append(feed(rng, RADAR, times, x, v, 0.0, [f"{'real' if k < real else 'false'} {k}"])[1])
     return Scene.of([joined(parts)]), 10.0 * np.arange(looks)
 
 
@@ -76,7 +76,7 @@ def test_a_broken_track_keeps_its_object_number():
         rng = np.random.default_rng(seed)
         # They meet while undetected: only their velocities distinguish them.
         x, v = straight([[-800.0, 10.0], [800.0, -10.0]], [[4.0, 0.0], [-4.0, 0.0]], times)
-        parts = [told(rng, RADAR, times[part], x[:, part], v[:, part], 0.0, names)[1]
+        parts = [feed(rng, RADAR, times[part], x[:, part], v[:, part], 0.0, names)[1]
                  for part, names in ((before, ["a 1", "b 1"]), (after, ["a 2", "b 2"]))]  # fmt: skip
         picture = Picture.of(Scene.of([joined(parts)]), times)
         r, o = picture.records, picture.objects

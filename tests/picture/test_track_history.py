@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from modelled_scenes import describe, straight, told
+from modelled_scenes import describe, feed, straight
 
 from sameas.picture import Picture
 from sameas.picture.object_ids import TrackHistory
@@ -45,10 +45,10 @@ def ferry(seed, stops_s=200.0):
     still = times > stops_s
     x[:, still], v[:, still] = [9.0 * stops_s, 0.0], 0.0
     ais, radar = describe("ais", "ais", period_s=90.0), describe("radar", "tracks")
-    heard = np.isin(times, [0.0, 90.0, 180.0, 290.0])
+    reported = np.isin(times, [0.0, 90.0, 180.0, 290.0])
     return Scene.of([
-        told(rng, ais, times[heard], x[:, heard], v[:, heard], 600.0, ["a"], {"mmsi": ["235000001"]}),
-        told(rng, radar, times, x, v, 0.0, ["1"]),
+        feed(rng, ais, times[reported], x[:, reported], v[:, reported], 600.0, ["a"], {"mmsi": ["235000001"]}),
+        feed(rng, radar, times, x, v, 0.0, ["1"]),
     ]), times  # fmt: skip
 
 

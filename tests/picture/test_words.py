@@ -71,8 +71,8 @@ def test_a_more_probable_rival_is_reported():
     camera, radar = ("camera", "line 3"), ("radar", "5")
     rival = Rival((radar,), 0.51, 0.0, {}, (), chosen=False)
     chosen = Rival((camera, radar), 0.49, 3.0, {"position": 3.0}, (), chosen=True)
-    said = "By itself radar 5 is more probable; the answer is the most probable for all records together."
-    assert said in str(ObjectExplanation(2, 0, 3, True, (rival, chosen))).splitlines()
+    sentence = "By itself radar 5 is more probable; the answer is the most probable for all records together."
+    assert sentence in str(ObjectExplanation(2, 0, 3, True, (rival, chosen))).splitlines()
     assert "By itself" not in str(ObjectExplanation(2, 0, 3, True, (chosen, replace(rival, probability=0.48))))
 
 

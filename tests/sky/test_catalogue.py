@@ -209,8 +209,8 @@ def test_every_form_of_error_is_read() -> None:
     )
     np.testing.assert_allclose(sigma_arcsec(catalogue(table, sigma=300, sigma_unit="mas")), [0.3, 0.3, 0])
     np.testing.assert_allclose(sigma_arcsec(catalogue(table, sigma="e", sigma_unit="arcsec")), [0.3, 0.3, 0])
-    said = catalogue(table, sigma="e,n", sigma_unit="arcsec", correlation="rho")
-    np.testing.assert_allclose(sigma_arcsec(said), [0.3, 0.1, 0.2])
+    given = catalogue(table, sigma="e,n", sigma_unit="arcsec", correlation="rho")
+    np.testing.assert_allclose(sigma_arcsec(given), [0.3, 0.1, 0.2])
     turned = catalogue(table, ellipse="a,b,pa", sigma_unit="arcsec")
     np.testing.assert_allclose(sigma_arcsec(turned), [0.3, 0.1, 0], atol=1e-12)
     floored = catalogue(table, sigma="e,n", sigma_unit="arcsec", correlation="rho", sigma_floor_arcsec=0.4)
@@ -253,9 +253,9 @@ def test_rows_without_a_position_or_an_error_are_set_aside() -> None:
     for records in (source.records(), source.records(2010.0)):
         assert records.set_aside.counts() == {"no error": 1, "no position": 2}
         assert list(records.rows) == [3]
-    told = "3 of 4 rows lack a position or a positive error and are set aside"
+    doubt = "3 of 4 rows lack a position or a positive error and are set aside"
     remedy = "; fill_errors gives them the typical error of their magnitude"
-    assert f"{told}{remedy}" in source.doubts
+    assert f"{doubt}{remedy}" in source.doubts
     assert len(catalogue(table, sigma_floor_arcsec=0.1).records()) == 2
 
 
@@ -375,10 +375,10 @@ def test_the_weight_matrix_of_hip2_returns_the_quoted_errors() -> None:
     weights = np.column_stack([table[f"UW{k}"] for k in range(1, 16)])
     errors = np.column_stack([table[name] for name in HIP2[9:14]])
     matrices = conventions.correlations(weights, errors, np.asarray(table["F2"]), np.asarray(table["Ntr"]))
-    told = np.abs(matrices - np.eye(5)).max(axis=(1, 2)) > 0
+    correlated = np.abs(matrices - np.eye(5)).max(axis=(1, 2)) > 0
     five = np.asarray(table["Sn"]) == 5
-    assert told[five].mean() > 0.999
-    assert told[np.asarray(table["Sn"]) == 9].sum() == 0
+    assert correlated[five].mean() > 0.999
+    assert correlated[np.asarray(table["Sn"]) == 9].sum() == 0
     assert np.linalg.eigvalsh(matrices).min() > 0
     first = matrices[0]  # HIP 1: ρ(pm ra, pm dec) = 0.60 (0.75 / u) / 1.09, with u = 1.07 from F2 = 0.91
     assert first[3, 4] == pytest.approx(0.386, abs=0.01)
@@ -420,8 +420,8 @@ def test_hip2_is_read_unchanged() -> None:
 
 def test_real_gaia_dr2_and_2mass_of_ngc188_agree_after_propagation() -> None:
     table = real("ngc188_gaia_2mass", "gaia_results.fits")
-    told = catalogue(table).doubts
-    assert "its epoch is not stated: 2016.0 was assumed" in told[0] and "those of Gaia DR3" in told[1]
+    doubts = catalogue(table).doubts
+    assert "its epoch is not stated: 2016.0 was assumed" in doubts[0] and "those of Gaia DR3" in doubts[1]
     assert catalogue(table, epoch=2015.5).choice.error.kind == "survey"
     stars = catalogue(table, sigma=0.0002, epoch=2015.5, pm_sigma_mas_per_yr=0.1)
     other = catalogue(real("ngc188_gaia_2mass", "2MASS_results.ecsv"), sigma=0.08)
@@ -500,7 +500,7 @@ def test_an_error_of_another_unit_is_no_angle() -> None:
 def test_single_precision_positions_with_smaller_errors_raise_a_doubt(sigma: float | None, doubted: bool) -> None:
     place = {"ra": np.array([300.1, 301.2, np.nan], np.float32), "dec": np.array([5.1, 5.2, 5.3])}
     source = catalogue(place, **({} if sigma is None else {"sigma": sigma}))
-    told = "ra is in single precision: positions are rounded to 0.11 arcsec; store it in double precision"
-    assert (told in source.doubts) == doubted, source.doubts
+    message = "ra is in single precision: positions are rounded to 0.11 arcsec; store it in double precision"
+    assert (message in source.doubts) == doubted, source.doubts
     double = catalogue({name: values.astype(np.float64) for name, values in place.items()}, sigma=0.1)
     assert not any("precision" in doubt for doubt in double.doubts)

@@ -40,10 +40,10 @@ def test_disjoint_fields_raise_a_doubt_with_possible_misreadings(misread: Any, w
         names = ("two", "one") if swapped else ("one", "two")
         one, two = (Catalogue.of(table, name) for table, name in zip(tables, names, strict=True))
         found = match(one, two)
-        told = [line for line in map(str, found.doubts) if line.startswith("the fields lie apart: ")]
-        assert len(told) == 1 and not any("offset='find'" in str(line) for line in found.doubts)
+        doubts = [line for line in map(str, found.doubts) if line.startswith("the fields lie apart: ")]
+        assert len(doubts) == 1 and not any("offset='find'" in str(line) for line in found.doubts)
         wanted = words.partition(",")[0] if swapped else words
-        assert wanted in told[0] or (swapped and "do they show" in told[0])
+        assert wanted in doubts[0] or (swapped and "do they show" in doubts[0])
 
 
 def test_a_common_field_without_common_objects_is_not_reported_as_disjoint() -> None:

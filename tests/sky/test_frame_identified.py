@@ -257,8 +257,8 @@ def test_measurements_fainter_than_the_catalogue_are_reported(seen: Scene, found
     fainter &= seen.truth >= 0
     beyond = np.isin(np.arange(len(seen.truth)), few.beyond_catalogue)
     assert beyond[fainter].mean() > 0.9 and len(few.missing) < 0.05 * len(shallow)
-    told = next(line for line in frame_lines(summary(few)) if "not in the catalogue" in line)
-    assert f"{len(few.beyond_catalogue)} are fainter than it reaches" in told
+    unidentified = next(line for line in frame_lines(summary(few)) if "not in the catalogue" in line)
+    assert f"{len(few.beyond_catalogue)} of them fainter than its limit" in unidentified
 
 
 def test_stars_fainter_than_the_given_limit_are_not_used(seen: Scene) -> None:
@@ -275,17 +275,17 @@ def test_a_given_plate_order_is_kept(seen: Scene) -> None:
 
 
 def test_the_summary_is_plain_json(found: FrameIdentification) -> None:
-    told = json.loads(json.dumps(summary(found), allow_nan=False))
-    assert told["found"]["identified"] == len(found.pairs[0])
-    assert told["place"]["scale_arcsec_per_px"] == pytest.approx(1.0, abs=0.02)
-    model, scale = found.estimate.error_model, told["place"]["scale_arcsec_per_px"]
-    assert model is not None and told["error_note"] == model.note
+    content = json.loads(json.dumps(summary(found), allow_nan=False))
+    assert content["found"]["identified"] == len(found.pairs[0])
+    assert content["place"]["scale_arcsec_per_px"] == pytest.approx(1.0, abs=0.02)
+    model, scale = found.estimate.error_model, content["place"]["scale_arcsec_per_px"]
+    assert model is not None and content["error_note"] == model.note
     for term, name in ERROR_NAMES.items():
         quantity, unit = model.terms.get(term), scale if "floor" in term else 1.0
-        assert told["estimated"].get(name) == (
+        assert content["estimated"].get(name) == (
             None if quantity is None else pytest.approx([unit * quantity.value, unit * quantity.standard_error])
         )
-    assert told["brightness"]["completeness"]["words"].endswith(f"{found.completeness.limit:.2f}")
+    assert content["brightness"]["completeness"]["words"].endswith(f"{found.completeness.limit:.2f}")
 
 
 def test_a_catalogue_that_does_not_cover_the_field_is_refused(seen: Scene) -> None:
@@ -398,8 +398,8 @@ def test_a_plate_of_1951_is_identified_with_gaia() -> None:
     # The magnitude of a saturated star is inaccurate, but excludes stars a hundred times fainter.
     assert np.nanmin(found.excess_mag) > -4.0 and len(found.odd_brightness) <= 55
     table = listing(found)
-    told = table[np.isin(np.ma.filled(table["star"], 0), found.stars.ids[lost])]
-    assert len(told) == len(lost) and all(told["remark"])
+    missing = table[np.isin(np.ma.filled(table["star"], 0), found.stars.ids[lost])]
+    assert len(missing) == len(lost) and all(missing["remark"])
 
 
 @pytest.mark.skipif(not (DATA / "asteroid_2713").is_dir(), reason="the frames of asteroid 2713 are not here")

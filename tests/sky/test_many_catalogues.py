@@ -42,12 +42,12 @@ class Sky:
 
     def truth(self) -> set[tuple[int, ...]]:
         """Row of every star in each catalogue, −1 for none."""
-        everyone = np.unique(np.concatenate(self.stars))
+        all_stars = np.unique(np.concatenate(self.stars))
         columns = []
         for star in self.stars:
-            row = np.full(everyone.max() + 1, -1)
+            row = np.full(all_stars.max() + 1, -1)
             row[star] = np.arange(len(star))
-            columns.append(row[everyone])
+            columns.append(row[all_stars])
         return set(map(tuple, np.column_stack(columns).tolist()))
 
 
@@ -307,9 +307,9 @@ def test_the_joined_table_has_every_row_once(scene: Sky) -> None:
     assert set(three["n_catalogues"]) == {3}
     assert not any(np.ma.getmaskarray(three[name]).any() for name in ("ra_1", "ra_2", "ra_3", "pmra_object", "chi_sq"))
     assert str(three["ra_object_error"].unit) == "mas" and str(three["epoch_object"].unit) == "yr"
-    told = joined[~np.ma.getmaskarray(joined["runner_up"])]
-    assert len(told) and (told["p_runner_up"] >= 1e-3).all()
-    assert told["runner_up"][0].split()[0] in ("old", "new", "middle")
+    with_runner_up = joined[~np.ma.getmaskarray(joined["runner_up"])]
+    assert len(with_runner_up) and (with_runner_up["p_runner_up"] >= 1e-3).all()
+    assert with_runner_up["runner_up"][0].split()[0] in ("old", "new", "middle")
 
 
 def test_invalid_input_is_refused(scene: Sky) -> None:

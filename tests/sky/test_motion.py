@@ -100,9 +100,9 @@ def test_values_agree_with_stilts(stilts):
     theirs = dataclasses.replace(new, ra_deg=answer[:, 0], dec_deg=answer[:, 1])
     assert np.abs(offset_mas(new, theirs)).max() < 0.01
     assert np.allclose(values_of(new)[:, 2:5], answer[:, 2:5], rtol=1e-8, atol=1e-6)
-    told = np.isfinite(answer[:, 5]) & (old.parallax_mas != 0)
-    assert told.sum() > 180
-    assert np.allclose(new.radial_velocity_km_per_s[told], answer[told, 5], rtol=1e-7)
+    known = np.isfinite(answer[:, 5]) & (old.parallax_mas != 0)
+    assert known.sum() > 180
+    assert np.allclose(new.radial_velocity_km_per_s[known], answer[known, 5], rtol=1e-7)
 
 
 def test_errors_and_correlations_agree_with_stilts(stilts):
@@ -116,9 +116,9 @@ def test_errors_and_correlations_agree_with_stilts(stilts):
 def test_error_of_radial_velocity_agrees_with_stilts_under_its_approximation(stilts):
     """STILTS neglects the correlation of the new radial velocity with the new parallax."""
     old, new, years, answer = stilts
-    told = np.isfinite(answer[:, 11]) & (old.parallax_mas != 0)
-    assert told.sum() > 120
-    old, new, years, answer = old[told], new[told], years[told], answer[told]
+    known = np.isfinite(answer[:, 11]) & (old.parallax_mas != 0)
+    assert known.sum() > 120
+    old, new, years, answer = old[known], new[known], years[known], answer[known]
     parallax, velocity, covariance = new.parallax_mas, new.radial_velocity_km_per_s, new.covariance
     nearer = parallax / old.parallax_mas
     turn = np.arccos(np.clip(np.einsum("nx,nx->n", triad(old)[:, 2], triad(new)[:, 2]), -1, 1))

@@ -8,7 +8,7 @@ import pytest
 from moving import night
 
 from sameas import InputError
-from sameas.report.movers import left_out_lines
+from sameas.report.movers import excluded_lines
 from sameas.sky import Detections, MotionModel, find_movers, learn_motion
 from sameas.sky.movers.known import near_earth_scores
 from sameas.sky.movers.links import candidate_links, link_probabilities
@@ -322,7 +322,7 @@ def test_pixels_under_a_dithered_telescope_are_no_movers():
     found = find_movers(seen, least=3)
     pure, _ = named(found, truth)
     assert pure.all() and len(found) == 3 and 1590 < found.fixed < 1650
-    assert any("fixed on the chip" in line for line in left_out_lines(found))
+    assert any("fixed on the chip" in line for line in excluded_lines(found))
 
 
 def test_movers_of_one_rate_are_not_taken_for_fixed_pixels():

@@ -39,8 +39,8 @@ def test_a_wrong_epoch_raises_a_doubt_that_names_the_right_one(common, assumed, 
     gaia, old = _sky(common=common)
     tables, epochs = ((old, gaia), (assumed, 2016.0)) if swapped else ((gaia, old), (2016.0, assumed))
     doubts = _doubts(*tables, epochs)
-    told = [re.search(r"were (\d+\.?\d*) ± (\d+\.?\d*), not", doubt) for doubt in doubts]
-    found = [match for match in told if match]
+    stated = [re.search(r"were (\d+\.?\d*) ± (\d+\.?\d*), not", doubt) for doubt in doubts]
+    found = [match for match in stated if match]
     assert len(found) == 1, doubts
     year, error = map(float, found[0].groups())
     assert abs(year - 2000.0) < 4.0 * error < 8.0
@@ -57,8 +57,8 @@ def test_an_assumed_epoch_of_the_moving_catalogue_is_doubted():
     gaia["ra"] += off[:, 0] / 3600.0 / np.cos(np.radians(gaia["dec"]))
     gaia["dec"] += off[:, 1] / 3600.0
     doubts = _doubts(gaia, old, (None, 2000.0))
-    told = [re.search(r"epoch of one were (\d+\.?\d*) ± (\d+\.?\d*), not 2016.0", doubt) for doubt in doubts]
-    assert any(told), doubts
+    epochs = [re.search(r"epoch of one were (\d+\.?\d*) ± (\d+\.?\d*), not 2016.0", doubt) for doubt in doubts]
+    assert any(epochs), doubts
 
 
 def test_offsets_and_right_epochs_raise_no_doubt():

@@ -114,8 +114,8 @@ def catalogue(records, name):
 def test_offset_catalogues_raise_a_doubt_and_are_aligned(vector):
     made = scene(Cap(40.0, 60.0, 0.4), 1500)
     first, second = catalogue(made.first, "a"), catalogue(turned(made.second, (40.0, 60.0), vector), "b")
-    believed = match_catalogues(first, second)
-    assert any("offset='find'" in doubt for doubt in believed.doubts) and believed.rotation is None
+    unrotated = match_catalogues(first, second)
+    assert any("offset='find'" in doubt for doubt in unrotated.doubts) and unrotated.rotation is None
     found = match_catalogues(first, second, MatchOptions(offset="find"))
     assert found.rotation is not None and not any("offset=" in doubt for doubt in found.doubts)
     assert np.abs(found.rotation.vector[:2] - vector[:2]).max() < 0.1

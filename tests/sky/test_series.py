@@ -266,8 +266,8 @@ def test_the_asteroid_of_ten_real_frames_comes_first(tmp_path):
                  "--epoch", "2000", "-o", str(tmp_path)]  # fmt: skip
     for dark in darks:
         arguments += ["--dark", str(dark)]
-    told = CliRunner().invoke(app, arguments)
-    assert told.exit_code == 0, told.output
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
     tracklets = read_table(tmp_path / "tracklets.fits")
     first = tracklets[0]
     assert first["n_detections"] == 10 and first["p_tracklet"] > 0.999

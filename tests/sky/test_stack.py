@@ -53,14 +53,16 @@ def series(seed, flux_e=4000.0, *, seen=None, count=6, rate=(0.5, -0.1), hidden_
 def test_forced_photometry_along_the_motion_on_every_frame():
     tied, frames, track = series(1)
     found, tied = search(tied)
-    told = stack(found, tied, frames)
-    assert len(found) == 1 and told.detected.all()
-    np.testing.assert_allclose(told.chip[0], track, atol=0.3)
-    assert np.median(np.abs(told.flux[0] - 4000.0 / 1.5) / told.error[0]) < 2.0
-    np.testing.assert_allclose(told.flux[0], 4000.0 / 1.5, rtol=0.15)
-    middle = told.stacked[0].shape[0] // 2
-    top = np.unravel_index(np.argmax(told.stacked[0]), told.stacked[0].shape)
-    assert max(abs(np.array(top) - middle)) <= 1 and told.snr[0] > 0.6 * np.sqrt(6) * np.median(told.snr[0] / 6**0.5)
+    stacked = stack(found, tied, frames)
+    assert len(found) == 1 and stacked.detected.all()
+    np.testing.assert_allclose(stacked.chip[0], track, atol=0.3)
+    assert np.median(np.abs(stacked.flux[0] - 4000.0 / 1.5) / stacked.error[0]) < 2.0
+    np.testing.assert_allclose(stacked.flux[0], 4000.0 / 1.5, rtol=0.15)
+    middle = stacked.stacked[0].shape[0] // 2
+    top = np.unravel_index(np.argmax(stacked.stacked[0]), stacked.stacked[0].shape)
+    assert max(abs(np.array(top) - middle)) <= 1 and stacked.snr[0] > 0.6 * np.sqrt(6) * np.median(
+        stacked.snr[0] / 6**0.5
+    )
 
 
 def test_cut_outs_have_north_up_and_east_to_the_left():
@@ -76,9 +78,9 @@ def test_cut_outs_have_north_up_and_east_to_the_left():
 def test_light_on_frames_without_detection_confirms_a_mover():
     tied, frames, _ = series(3, seen=(0, 2, 5))
     found, tied = search(tied, min_probability=0.0)
-    told = stack(found, tied, frames)
-    assert found.size[0] == 3 and told.detected[0].sum() == 3
-    assert told.log_ratio[0] > 6.0 and told.p[0] >= found.p_tracklet[0]
+    stacked = stack(found, tied, frames)
+    assert found.size[0] == 3 and stacked.detected[0].sum() == 3
+    assert stacked.log_ratio[0] > 6.0 and stacked.p[0] >= found.p_tracklet[0]
 
 
 def test_frames_without_light_refute_a_tracklet():
@@ -87,12 +89,12 @@ def test_frames_without_light_refute_a_tracklet():
     _, empty, _ = series(4, 0.0, seen=(0, 2, 5))
     found, tied = search(tied, min_probability=0.0)
     frames = [one if k in (0, 2, 5) else blank for k, (one, blank) in enumerate(zip(frames, empty, strict=True))]
-    told = stack(found, tied, frames)
-    assert told.log_ratio[0] < -1.0 and told.p[0] <= found.p_tracklet[0]
+    stacked = stack(found, tied, frames)
+    assert stacked.log_ratio[0] < -1.0 and stacked.p[0] <= found.p_tracklet[0]
     doubtful = replace(found, p_tracklet=np.full(len(found), 0.6))
-    told = stack(doubtful, tied, frames)
-    kept, left = confirmed(doubtful, told, 0.5)
-    assert told.p[0] < 0.5 and len(kept) == len(left) == 0
+    stacked = stack(doubtful, tied, frames)
+    kept, left = confirmed(doubtful, stacked, 0.5)
+    assert stacked.p[0] < 0.5 and len(kept) == len(left) == 0
 
 
 def test_a_bright_mover_of_one_and_a_half_pixels_in_total_is_no_blend():
@@ -107,18 +109,18 @@ def test_a_bright_mover_of_one_and_a_half_pixels_in_total_is_no_blend():
 def test_frames_with_a_star_on_the_track_are_neutral():
     tied, frames, _ = series(5, seen=(0, 1, 2, 4, 5), hidden_frame=3)
     found, tied = search(tied, min_probability=0.0)
-    told = stack(found, tied, frames)
-    assert told.hidden[0, 3] and not told.hidden[0, [0, 5]].any() and told.detected[0, [0, 1, 2, 4, 5]].all()
+    stacked = stack(found, tied, frames)
+    assert stacked.hidden[0, 3] and not stacked.hidden[0, [0, 5]].any() and stacked.detected[0, [0, 1, 2, 4, 5]].all()
     # The search's penalty for an exposure without detection is removed.
-    assert abs(told.log_ratio[0] + found.log_missed[0]) < 1e-9
+    assert abs(stacked.log_ratio[0] + found.log_missed[0]) < 1e-9
 
 
 def test_a_mover_that_leaves_the_frame_is_measured_while_inside():
     tied, frames, track = series(6, count=8, rate=(1.0, 0.0), seen=(0, 1, 2, 3, 4), start=220.3)
     found, tied = search(tied, min_probability=0.0)
-    told = stack(found, tied, frames)
+    stacked = stack(found, tied, frames)
     inside = track[:, 0] < SIDE - 12
-    assert np.isfinite(told.flux[0])[inside].all() and np.isnan(told.flux[0])[track[:, 0] > SIDE - 8].all()
+    assert np.isfinite(stacked.flux[0])[inside].all() and np.isnan(stacked.flux[0])[track[:, 0] > SIDE - 8].all()
 
 
 @pytest.mark.slow
@@ -154,18 +156,18 @@ def test_the_picture_shows_a_row_of_dots_and_the_stack(tmp_path):
 
     tied, frames, _ = series(7, seen=(0, 2, 3, 5))
     found, tied = search(tied)
-    told = stack(found, tied, frames)
-    left, right = (figure := mover_picture(found, tied, told)).axes
+    stacked = stack(found, tied, frames)
+    left, right = (figure := mover_picture(found, tied, stacked)).axes
     words = [text.get_text() for text in figure.texts]
     assert words[0] == "sa00001" and "4 of 6 frames" in words[1] and "O−C" not in words[1]
     # A tick for each frame, and the scale; the times of the first and the last detection.
     assert len(left.lines) == 6 + 1 and len(left.texts) == 2 + 1
     shown = left.images[0].get_array()
-    assert shown.shape == told.fixed[0].shape[1:] and right.images[0].get_array().shape == told.stacked[0].shape
+    assert shown.shape == stacked.fixed[0].shape[1:] and right.images[0].get_array().shape == stacked.stacked[0].shape
     # The dots lie where the ticks say, and are bright there.
     for line in left.lines[:6]:
         assert 0 <= np.asarray(line.get_xdata()).mean() <= shown.shape[1]
-    middle = (np.array(told.stacked[0].shape) - 1) // 2
+    middle = (np.array(stacked.stacked[0].shape) - 1) // 2
     assert right.images[0].get_array()[tuple(middle)] > 0.6
 
 

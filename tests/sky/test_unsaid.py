@@ -164,8 +164,8 @@ def test_motions_without_errors_get_those_of_the_release() -> None:
     # The proper motion's error is all but that of the parallax, which the table does not have.
     np.testing.assert_allclose(found, due, rtol=0.02)
     assert np.sqrt(source.records(2026.0).covariance[2, 0]) > 0.09
-    said = catalogue(table, pm_sigma_mas_per_yr=7.0).records(2026.0)
-    np.testing.assert_allclose(1e3 * np.sqrt(said.covariance[0, 0]), np.hypot(0.4, 70.0), rtol=0.02)
+    records = catalogue(table, pm_sigma_mas_per_yr=7.0).records(2026.0)
+    np.testing.assert_allclose(1e3 * np.sqrt(records.covariance[0, 0]), np.hypot(0.4, 70.0), rtol=0.02)
 
 
 @pytest.mark.slow_after(1)
@@ -313,11 +313,11 @@ def test_duplicate_rows_are_reported() -> None:
     table["flux"] = MaskedColumn(rng.random(100), mask=np.arange(100) == 3)
     assert not any("twice" in doubt for doubt in catalogue(table, sigma=0.1).doubts)
     twice = table[[*range(100), 3, 4, 5]]
-    told = "3 of 103 rows are given twice (first: rows"
-    assert any(doubt.startswith(told) for doubt in catalogue(twice, sigma=0.1).doubts)
+    message = "3 of 103 rows are given twice (first: rows"
+    assert any(doubt.startswith(message) for doubt in catalogue(twice, sigma=0.1).doubts)
     twice["name"][100:] = ["a", "b", "c"]
-    told = "3 of 103 rows have exactly the position of another row"
-    assert any(doubt.startswith(told) for doubt in catalogue(twice, sigma=0.1).doubts)
+    message = "3 of 103 rows have exactly the position of another row"
+    assert any(doubt.startswith(message) for doubt in catalogue(twice, sigma=0.1).doubts)
 
 
 def test_a_frame_table_of_sameas_has_errors_and_epoch_and_measured_stars_only() -> None:

@@ -59,16 +59,24 @@ def test_every_real_report_agrees_with_its_bits(sample):
     for k, line in enumerate(sample.line):
         bits = bits_of(lines[line - 1].split(",")[5])
         layout = CLASS_B if sample.extra["message_type"][k] == 18 else CLASS_A
-        told = {name: field(bits, *place) for name, place in layout.items()}
+        decoded = {name: field(bits, *place) for name, place in layout.items()}
         assert sample.mmsi[k] == f"{int(bits[8:38], 2):09d}"
-        assert sample.lat_deg[k] == pytest.approx(told["lat"] / 600000, abs=1e-6)
-        assert sample.lon_deg[k] == pytest.approx(told["lon"] / 600000, abs=1e-6)
-        assert sample.speed_m_per_s[k] == pytest.approx(told["speed"] / 10 * 1852 / 3600)
-        assert np.isnan(sample.course_deg[k]) if told["course"] == 3600 else sample.course_deg[k] == told["course"] / 10
-        assert np.isnan(sample.heading_deg[k]) if told["heading"] == 511 else sample.heading_deg[k] == told["heading"]
-        assert sample.covariance_m2[k].tolist() == ([25.0, 0.0, 25.0] if told["accuracy"] else [225.0, 0.0, 225.0])
-        assert sample.extra["raim_flag"][k] == told["raim"]
-        assert sample.time_s[k] % 60 == told["second"]
+        assert sample.lat_deg[k] == pytest.approx(decoded["lat"] / 600000, abs=1e-6)
+        assert sample.lon_deg[k] == pytest.approx(decoded["lon"] / 600000, abs=1e-6)
+        assert sample.speed_m_per_s[k] == pytest.approx(decoded["speed"] / 10 * 1852 / 3600)
+        assert (
+            np.isnan(sample.course_deg[k])
+            if decoded["course"] == 3600
+            else sample.course_deg[k] == decoded["course"] / 10
+        )
+        assert (
+            np.isnan(sample.heading_deg[k])
+            if decoded["heading"] == 511
+            else sample.heading_deg[k] == decoded["heading"]
+        )
+        assert sample.covariance_m2[k].tolist() == ([25.0, 0.0, 25.0] if decoded["accuracy"] else [225.0, 0.0, 225.0])
+        assert sample.extra["raim_flag"][k] == decoded["raim"]
+        assert sample.time_s[k] % 60 == decoded["second"]
 
 
 def test_the_published_message_is_decoded_as_published(sample):

@@ -19,7 +19,7 @@ RENAMED = {"ISA": "SAL", "GS": "GSP", "BDSDATA": "MB"}
 NM, FL = 1852.0, 30.48
 
 
-def told(k):
+def recorded(k):
     return ORACLE["records"][k]["values"], bytes.fromhex(ORACLE["records"][k]["block"])
 
 
@@ -43,13 +43,13 @@ def test_item_boundaries_follow_the_specification(case):
             if isinstance(value, bytes):
                 assert value.hex() == expected[name]
             else:
-                subfields = {RENAMED.get(part, part): told for part, told in expected[name].items()}
-                assert {part: told.hex() for part, told in value.items()} == subfields
+                subfields = {RENAMED.get(part, part): content for part, content in expected[name].items()}
+                assert {part: content.hex() for part, content in value.items()} == subfields
     assert len(set().union(*case["records"])) >= 25
 
 
 def test_a_radar_plot_agrees_with_libasterix():
-    values, data = told(0)
+    values, data = recorded(0)
     [made] = read(data, "radar", DATE)
     assert (made.kind, made.position) == ("asterix 048", "polar")
     assert made.time_s[0] == DATE + values["140"]
@@ -66,7 +66,7 @@ def test_a_radar_plot_agrees_with_libasterix():
 
 
 def test_a_system_track_agrees_with_libasterix_and_its_covariance_is_a_signed_square():
-    values, data = told(1)
+    values, data = recorded(1)
     [made] = read(data, "system", DATE)
     assert (made.kind, made.position) == ("asterix 062", "geodetic") and made.time_s[0] == DATE + values["070"]
     assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((values["105.LAT"], values["105.LON"]), abs=1e-9)
@@ -87,7 +87,7 @@ def test_a_system_track_agrees_with_libasterix_and_its_covariance_is_a_signed_sq
 
 
 def test_an_ads_b_report_agrees_with_libasterix():
-    values, data = told(2)
+    values, data = recorded(2)
     [made] = read(data, "ground", DATE)
     assert made.kind == "asterix 021" and made.time_s[0] == DATE + values["071"]
     assert (made.lat_deg[0], made.lon_deg[0]) == pytest.approx((values["131.LAT"], values["131.LON"]), abs=1e-9)

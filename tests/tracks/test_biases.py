@@ -94,16 +94,16 @@ def test_correcting_the_azimuth_keeps_the_range_error():
 
 
 def test_a_known_calibration_is_subtracted_directly():
-    said = Reports.of("radar", "table", {"time_s": [0.0], "range_m": [1030.0], "bearing_deg": [91.0]})
+    reports = Reports.of("radar", "table", {"time_s": [0.0], "range_m": [1030.0], "bearing_deg": [91.0]})
     errors = SensorErrors(5.0, 0.0, 0.1)
     known = KnownBiases(range_m=30.0, azimuth_deg=1.0, north_m=7.0)
     there = Site(east_m=0.0, north_m=0.0)
-    feed = Feed.of(Description("radar", "marine radar", site=there, errors=errors, calibration=known), said)
+    feed = Feed.of(Description("radar", "marine radar", site=there, errors=errors, calibration=known), reports)
     assert isinstance(feed.reports, States)
     np.testing.assert_allclose(feed.reports.state[0, :2], [1000.0, -7.0], atol=0.3)
     with pytest.raises(InputError, match=r"radar: calibration of range or azimuth needs .* give site"):
-        said = Reports.of("radar", "table", {"time_s": [0.0], "x_m": [1030.0], "y_m": [0.0]})
-        Feed.of(Description("radar", "tracks", errors=SensorErrors(position_m=5.0), calibration=known), said)
+        reports = Reports.of("radar", "table", {"time_s": [0.0], "x_m": [1030.0], "y_m": [0.0]})
+        Feed.of(Description("radar", "tracks", errors=SensorErrors(position_m=5.0), calibration=known), reports)
 
 
 def test_directions_are_rotated_with_the_uncertainty_of_the_bias():

@@ -32,10 +32,10 @@ def on_earth(about, said):
 DEGREES = {name: on_earth(*source) for name, source in METRES.items()}
 
 
-def told(sources, changed, columns):
+def doubts_with(sources, changed, columns):
     """The doubts of a scene in which one source has other columns."""
-    about, said = sources[changed]
-    return Scene.of(list((sources | {changed: (about, replace(said, **columns))}).values())).doubts()
+    about, reports = sources[changed]
+    return Scene.of(list((sources | {changed: (about, replace(reports, **columns))}).values())).doubts()
 
 
 @pytest.mark.slow
@@ -64,7 +64,7 @@ PLAIN = METRES["ais"][1]
     ],
 )  # fmt: skip
 def test_systematic_errors_are_reported_with_the_remedy(sources, changed, columns, words):
-    (sentence,) = told(sources, changed, columns)
+    (sentence,) = doubts_with(sources, changed, columns)
     assert re.search(words, sentence), sentence
     if "while others do" not in sentence:
         assert "as given" in sentence and "unless it is" in sentence
@@ -81,22 +81,22 @@ def test_systematic_errors_are_reported_with_the_remedy(sources, changed, column
 )  # fmt: skip
 def test_sources_too_far_apart_for_one_plane_are_refused(columns, words):
     with pytest.raises(InputError, match=words):
-        told(DEGREES, "ais", columns)
+        doubts_with(DEGREES, "ais", columns)
 
 
 @pytest.mark.slow
 def test_a_site_with_a_wrong_sign_is_reported():
-    about, said = DEGREES["radar"]
+    about, reports = DEGREES["radar"]
     site = replace(about.site, lon_deg=-about.site.lon_deg)
-    (sentence,) = Scene.of([(replace(about, site=site), said), DEGREES["ais"]]).doubts()
+    (sentence,) = Scene.of([(replace(about, site=site), reports), DEGREES["ais"]]).doubts()
     assert sentence.startswith("radar 1: its site's longitude looks like it has the wrong sign")
 
 
 @pytest.mark.slow
 def test_the_wrong_one_of_three_sources_is_named():
     made = harbour(6, 30, biases=((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), until_s=100.0)
-    about, said = made.sources[1]
-    wrong = (about, replace(said, range_m=said.range_m / 1e3))
+    about, reports = made.sources[1]
+    wrong = (about, replace(reports, range_m=reports.range_m / 1e3))
     (sentence,) = Scene.of([made.sources[0], wrong, made.sources[2]]).doubts()
     assert sentence.startswith("radar 2: its ranges look like kilometres") and "unless" not in sentence
 
@@ -105,19 +105,19 @@ def test_the_wrong_one_of_three_sources_is_named():
 def test_a_source_without_common_objects_is_reported():
     rng = np.random.default_rng(7)
     n = len(PLAIN)
-    (sentence,) = told(METRES, "ais", {"x_m": rng.uniform(-12e3, 12e3, n), "y_m": rng.uniform(-9e3, 9e3, n)})
+    (sentence,) = doubts_with(METRES, "ais", {"x_m": rng.uniform(-12e3, 12e3, n), "y_m": rng.uniform(-9e3, 9e3, n)})
     assert "matches the others no better than by chance" in sentence and "leave it out" in sentence
     assert Scene.of([METRES["ais"]]).doubts() == ()
 
 
 def test_a_stray_report_is_set_aside_by_its_line_and_the_others_are_kept():
-    about, said = DEGREES["ais"]
+    about, reports = DEGREES["ais"]
     for lon in (54.83, -6.0):
-        astray = said.lon_deg.copy()
+        astray = reports.lon_deg.copy()
         astray[[3, 7]] = lon
-        scene = Scene.of([(about, replace(said, lon_deg=astray))])
+        scene = Scene.of([(about, replace(reports, lon_deg=astray))])
         (note,) = scene.notes
-        assert note == (f"ais: 2 of {len(said)} positions lie far outside the rest and were set aside (lines 4, 8)")
+        assert note == (f"ais: 2 of {len(reports)} positions lie far outside the rest and were set aside (lines 4, 8)")
         assert np.flatnonzero(~scene.feeds[0].reports.usable).tolist() == [3, 7]
         assert abs(scene.plane.lon_deg + 1.2) < 0.2 and scene.doubts() == ()
     assert Scene.of([DEGREES["ais"]]).notes == ()

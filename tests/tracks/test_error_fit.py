@@ -148,6 +148,6 @@ def test_a_picture_of_bare_plots_reports_its_estimates(tmp_path):
     assert "estimated lidar: range ± " in text and "estimated radar: range ± " in text
     assert "errors.range_m 15" not in text and "misses.q 0.3" in text
     made.write(tmp_path / "picture", format="csv", map=False, image=False)
-    told = json.loads((tmp_path / "picture" / "summary.json").read_text())
-    assert [line.split(":")[0] for line in told["estimated"]] == ["lidar", "radar"]
-    assert not {"errors.range_m", "clutter.per_km2"} & {line["name"] for line in told["assumed"]}
+    summary = json.loads((tmp_path / "picture" / "summary.json").read_text())
+    assert [line.split(":")[0] for line in summary["estimated"]] == ["lidar", "radar"]
+    assert not {"errors.range_m", "clutter.per_km2"} & {line["name"] for line in summary["assumed"]}

@@ -67,17 +67,17 @@ def test_cross_range_errors_grow_with_range_and_rotate_with_the_bearing():
     radar = Description(
         "radar", "marine radar", site=Site(54.0, 10.0), errors=SensorErrors(10.0, 0.0, 0.5, extent_m=0.0)
     )
-    said = {"time_s": [0.0, 0.0], "range_m": [10e3, 10e3], "bearing_deg": [0.0, 90.0]}
-    covariance = placed(radar, Reports.of("radar", "table", said), PLANE).covariance[:, :2, :2]
+    columns = {"time_s": [0.0, 0.0], "range_m": [10e3, 10e3], "bearing_deg": [0.0, 90.0]}
+    covariance = placed(radar, Reports.of("radar", "table", columns), PLANE).covariance[:, :2, :2]
     across = (10e3 * np.radians(0.5)) ** 2
     np.testing.assert_allclose(np.einsum("nvv->nv", covariance), [[across, 100], [100, across]], rtol=0.02)
 
 
 def test_velocities_and_their_errors_are_rotated_to_the_plane():
     ais = Description("ais", "ais", errors=SensorErrors(speed_m_per_s=0.5, course_deg=10.0))
-    said = {"time_s": [0.0, 0.0], "lat_deg": [54.0, 54.0], "lon_deg": [10.0, 14.0], "speed_m_per_s": [10.0, 10.0],
+    columns = {"time_s": [0.0, 0.0], "lat_deg": [54.0, 54.0], "lon_deg": [10.0, 14.0], "speed_m_per_s": [10.0, 10.0],
             "course_deg": [90.0, 90.0]}  # fmt: skip
-    there = placed(ais, Reports.of("ais", "ais", said), PLANE)
+    there = placed(ais, Reports.of("ais", "ais", columns), PLANE)
     np.testing.assert_allclose(there.state[0, 2:], [10.0, 0.0], atol=1e-9)
     np.testing.assert_allclose(np.diag(there.covariance[0])[2:], [0.25, np.radians(10.0) ** 2 * 100], rtol=1e-6)
     turned = np.degrees(np.arctan2(there.state[1, 3], there.state[1, 2]))
@@ -99,8 +99,8 @@ def test_latency_is_subtracted_from_time_stamps():
 
 def test_a_camera_on_a_moving_ship_gives_bearings_from_its_position_at_that_time():
     camera = Description("camera", "camera")
-    said = {"time_s": [0.0, 1.0], "bearing_deg": [10.0, 350.0], "station_x_m": [0.0, 5.0], "station_y_m": [0.0, 1.0]}
-    there = placed(camera, Reports.of("camera", "table", said))
+    columns = {"time_s": [0.0, 1.0], "bearing_deg": [10.0, 350.0], "station_x_m": [0.0, 5.0], "station_y_m": [0.0, 1.0]}
+    there = placed(camera, Reports.of("camera", "table", columns))
     assert isinstance(there, Directions)
     np.testing.assert_allclose(there.sensor_m, [[0, 0], [5, 1]])
     np.testing.assert_allclose(there.sigma_deg, 1.0)
@@ -119,26 +119,26 @@ def test_positions_without_errors_get_those_of_the_radar():
     plots["bearing_deg"] = [0.0, 60.0, 200.0] * 2
     measured = placed(radar, Reports.of("radar", "table", plots), PLANE)
     lat, lon = PLANE.to_geodetic(measured.state[:, :2])
-    said = Reports.of("radar", "table", {"time_s": np.zeros(6), "lat_deg": lat, "lon_deg": lon})
-    told = placed(radar, said, PLANE)
-    np.testing.assert_allclose(told.covariance[:, :2, :2], measured.covariance[:, :2, :2], rtol=0.02, atol=10.0)
-    assert PlacedReports(radar, said).errors_note == (
+    reports = Reports.of("radar", "table", {"time_s": np.zeros(6), "lat_deg": lat, "lon_deg": lon})
+    in_plane = placed(radar, reports, PLANE)
+    np.testing.assert_allclose(in_plane.covariance[:, :2, :2], measured.covariance[:, :2, :2], rtol=0.02, atol=10.0)
+    assert PlacedReports(radar, reports).errors_note == (
         "radar: 6 positions state no errors; assumed as good as a range ± 15 m ± 0.5 % and a bearing "
         "± 0.5°; errors.position_m overrides it",
     )
     # Without a sensor position: circular errors, as at a quarter of the range.
     bare = Description("radar", "marine radar")
     sigma = np.hypot(0.25 * 44_448.0 * np.radians(0.5), 15.0)
-    np.testing.assert_allclose(placed(bare, said, PLANE).covariance[:, 0, 0], sigma**2, rtol=0.02)
-    assert "a bearing ± 0.5° at 11.1 km, since its position is not known" in PlacedReports(bare, said).errors_note[0]
+    np.testing.assert_allclose(placed(bare, reports, PLANE).covariance[:, 0, 0], sigma**2, rtol=0.02)
+    assert "a bearing ± 0.5° at 11.1 km, since its position is not known" in PlacedReports(bare, reports).errors_note[0]
     # In metres of the user's own, and where errors are described or stated.
     flat = Description("radar", "marine radar", site=Site(east_m=0.0, north_m=0.0))
     here = {"time_s": [0.0], "x_m": [0.0], "y_m": [10e3]}
     spread = placed(flat, Reports.of("radar", "table", here)).covariance[0, :2, :2]
     np.testing.assert_allclose(np.sqrt(np.diag(spread)), [np.hypot(87.3, 15.0), np.hypot(52.2, 15.0)], rtol=0.01)
     known = Description("radar", "marine radar", site=SITE, errors=SensorErrors(position_m=7.0, extent_m=0.0))
-    assert PlacedReports(known, said).errors_note == ()
-    np.testing.assert_allclose(placed(known, said, PLANE).covariance[:, 0, 0], 49.0, rtol=1e-3)
+    assert PlacedReports(known, reports).errors_note == ()
+    np.testing.assert_allclose(placed(known, reports, PLANE).covariance[:, 0, 0], 49.0, rtol=1e-3)
 
 
 def test_heights_are_assumed_only_if_missing():

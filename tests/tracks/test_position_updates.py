@@ -10,7 +10,7 @@ from sameas.tracks.reports import Reports
 from sameas.tracks.source import Description
 
 
-def said(position, velocity, track, time_s=None, sigma=1.0):
+def states_of(position, velocity, track, time_s=None, sigma=1.0):
     n = len(position)
     return States.of(
         np.arange(n) if time_s is None else time_s, position, 100.0 * np.eye(2), speed_m_per_s=150.0, track=track,
@@ -22,24 +22,26 @@ def test_a_repeated_position_of_a_moving_object_is_set_aside():
     rng = np.random.default_rng(1)
     place, v = [[0.0, 0.0], [60.0, 0.0], [60.0, 0.0], [60.0, 0.0], [240.0, 0.0]], np.full((5, 2), [60.0, 0.0])
     order = rng.permutation(10)
-    both = said([*place, *np.add(place, 9e3)], np.vstack([v, v]), ["a"] * 5 + ["b"] * 5, np.tile(np.arange(5.0), 2))
+    both = states_of(
+        [*place, *np.add(place, 9e3)], np.vstack([v, v]), ["a"] * 5 + ["b"] * 5, np.tile(np.arange(5.0), 2)
+    )
     now, notes = position_updates(both.take(order))
     assert sorted(order[~now.usable]) == [2, 3, 7, 8]
     assert notes == ("4 reports repeat the positions of an earlier report though the object moves; set aside: no "
                      "position was measured",)  # fmt: skip
     # Returning to a position is no repetition.
-    assert position_updates(said([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
+    assert position_updates(states_of([[0.0, 0.0], [9.0, 0.0], [0.0, 0.0]], v[:3], ["a"] * 3))[0].usable.all()
 
 
 def test_an_object_that_may_be_stationary_may_repeat_its_position():
     place = np.zeros((4, 2))
     for velocity in (np.zeros((4, 2)), np.full((4, 2), 0.9), np.full((4, 2), np.nan)):
-        states, notes = position_updates(said(place, velocity, ["a"] * 4, sigma=0.3))
+        states, notes = position_updates(states_of(place, velocity, ["a"] * 4, sigma=0.3))
         assert states.usable.all()
         assert notes == ()
     moving = np.full((4, 2), 50.0)
-    assert position_updates(said(place, moving, list("abcd")))[0].usable.all()
-    assert position_updates(said(place, moving, None))[0].usable.all()
+    assert position_updates(states_of(place, moving, list("abcd")))[0].usable.all()
+    assert position_updates(states_of(place, moving, None))[0].usable.all()
 
 
 def test_a_feed_reports_rows_set_aside():

@@ -39,12 +39,12 @@ def radar(period_s, q=1e-9, **other):
 def plots_at_instants(told_period_s, stamp=lambda t: t):
     """For each instant the numbers of current plots and of objects, for a described rotation period."""
     motion = fleet()
-    heard = Sensor(radar(TURN_S))(motion, (0.0, 230.0), np.random.default_rng(2))
-    columns = {name: getattr(heard.reports, name) for name in ("range_m", "bearing_deg")}
-    reports = Reports.of("radar", "table", columns | {"time_s": stamp(heard.reports.time_s)})
+    output = Sensor(radar(TURN_S))(motion, (0.0, 230.0), np.random.default_rng(2))
+    columns = {name: getattr(output.reports, name) for name in ("range_m", "bearing_deg")}
+    reports = Reports.of("radar", "table", columns | {"time_s": stamp(output.reports.time_s)})
     scene = Scene.of([(radar(told_period_s), reports)], motion.plane)
     rows = [Snapshot.of(scene.feeds[0], t).rows for t in np.arange(20.0, 220.0, 1.7)]
-    return np.array([len(row) for row in rows]), np.array([len(np.unique(heard.truth[row])) for row in rows])
+    return np.array([len(row) for row in rows]), np.array([len(np.unique(output.truth[row])) for row in rows])
 
 
 @pytest.mark.slow_after(1)

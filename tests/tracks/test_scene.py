@@ -130,9 +130,9 @@ def test_a_camera_bearing_is_matched_to_its_boat():
         "camera", "camera", site=Site(east_m=0.0, north_m=0.0), clutter=Clutter(per_deg=0.005), misses=MissRate(0.2),
         coverage=SensorCoverage(range_m=2000.0), errors=SensorErrors(bearing_deg=0.5, extent_m=3.0), motion=WALK,
     )  # fmt: skip
-    said = {"time_s": [9.9, 9.9], "bearing_deg": [359.0, 45.3]}
+    columns = {"time_s": [9.9, 9.9], "bearing_deg": [359.0, 45.3]}
     boats = {"time_s": [10.0, 10.0], "range_m": [900.0, 1000.0], "bearing_deg": [45.0, 358.7]}
-    scene = Scene.of([(RADAR, Reports.of("radar", "table", boats)), (camera, Reports.of("camera", "table", said))])
+    scene = Scene.of([(RADAR, Reports.of("radar", "table", boats)), (camera, Reports.of("camera", "table", columns))])
     for features in (2, POSITION_AND_VELOCITY):
         now = scene.at(10.0, features=features)
         found = identify_many(now.sources, rule=now.rule(), region=now.region)
@@ -186,9 +186,9 @@ def test_identities_are_used_at_an_instant_and_alarms_raised():
 
 def test_every_assumed_number_is_listed_with_the_instant():
     scene, _, _ = traffic(seed=5)
-    told = [str(line) for line in scene.at(100.0).assumed]
-    assert any(line.startswith("radar: bias.azimuth_deg = 1, assumed") for line in told)
-    assert not any("misses.q" in line for line in told)
+    assumed = [str(line) for line in scene.at(100.0).assumed]
+    assert any(line.startswith("radar: bias.azimuth_deg = 1, assumed") for line in assumed)
+    assert not any("misses.q" in line for line in assumed)
 
 
 def test_invalid_scenes_are_refused():

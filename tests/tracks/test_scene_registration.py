@@ -125,10 +125,10 @@ def test_a_reference_can_be_chosen_and_a_known_bias_fixed():
 
 def test_the_shift_of_a_source_without_a_site_is_found():
     made = harbour(60, 30, until_s=200.0)
-    about, said = made.sources[1]
+    about, reports = made.sources[1]
     rng = np.random.default_rng(1)
-    moved = replace(said, x_m=said.x_m + 80.0 + 10 * rng.standard_normal(len(said)), y_m=said.y_m - 45.0, mmsi=None,
-                    track_id=said.mmsi)  # fmt: skip
+    moved = replace(reports, x_m=reports.x_m + 80.0 + 10 * rng.standard_normal(len(reports)), y_m=reports.y_m - 45.0,
+                    mmsi=None, track_id=reports.mmsi)  # fmt: skip
     other = Description("other", "tracks", motion=about.motion, errors=SensorErrors(position_m=15.0, speed_m_per_s=0.3))
     _, (_, found) = Scene.of([made.sources[1], (other, moved)]).registered()
     assert np.abs(normalised(found, {"east_m": 80.0, "north_m": -45.0})).max() < 3.5

@@ -88,10 +88,10 @@ def test_wrong_paths_and_formats_are_reported(tmp_path):
 
 def test_a_summary_lists_rows_read_damage_and_assumptions():
     [made] = read_reports(DATA / "ais_sample.nmea", ReadOptions(source="coast"))
-    said = made.summary()
-    assert said[0] == "coast: 11 reports (ais, geodetic positions)"
-    assert "1 line damaged: wrong checksum (line 19)" in said and "1 skipped: AIS message of type 4" in said
-    assert any("assumed 5 m per axis" in line for line in said)
+    summary = made.summary()
+    assert summary[0] == "coast: 11 reports (ais, geodetic positions)"
+    assert "1 line damaged: wrong checksum (line 19)" in summary and "1 skipped: AIS message of type 4" in summary
+    assert any("assumed 5 m per axis" in line for line in summary)
 
 
 def test_wrapping_counters_are_unwrapped_and_gaps_kept():

@@ -45,18 +45,18 @@ def test_toml_and_python_descriptions_agree(tmp_path):
 
 def test_every_assumed_number_is_listed_with_its_reason():
     radar = Description("harbour", "marine radar", errors=SensorErrors(bearing_deg=0.4), misses=MissRate(0.3))
-    told = {line.name: line for line in radar.assumed}
-    assert "errors.bearing_deg" not in told and "misses.q" not in told
-    assert set(told) | {"errors.bearing_deg", "misses.q"} == set(KINDS["marine radar"].defaults)
-    assert str(told["errors.range_m"]) == (
+    assumed = {line.name: line for line in radar.assumed}
+    assert "errors.bearing_deg" not in assumed and "misses.q" not in assumed
+    assert set(assumed) | {"errors.bearing_deg", "misses.q"} == set(KINDS["marine radar"].defaults)
+    assert str(assumed["errors.range_m"]) == (
         "harbour: errors.range_m = 15, assumed for marine radar: IMO MSC.192(79) allows 30 m, taken as 2σ"
     )
 
 
 def test_the_split_probability_is_given_or_assumed():
     assert Description("camera", "camera").resolution.split == 0.1
-    told = Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": 0.3}})
-    assert told.resolution.split == 0.3 and "resolution.split" not in {line.name for line in told.assumed}
+    described = Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": 0.3}})
+    assert described.resolution.split == 0.3 and "resolution.split" not in {line.name for line in described.assumed}
     for wrong in (0.0, 1.0):
         with pytest.raises(InputError, match=f"camera: resolution: split is {wrong}; give a probability"):
             Description.from_mapping("camera", {"kind": "camera", "resolution": {"split": wrong}})

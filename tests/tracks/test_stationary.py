@@ -14,7 +14,7 @@ from sameas.tracks.source import Description, Motion
 VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.3)
 
 
-def told(velocity, sigma_m_per_s=0.3, sigma_m=5.0):
+def reported_states(velocity, sigma_m_per_s=0.3, sigma_m=5.0):
     n = len(velocity)
     return States.of(
         np.zeros(n), np.zeros((n, 2)), sigma_m**2 * np.eye(2), speed_m_per_s=8.0, velocity=velocity,
@@ -25,7 +25,7 @@ def told(velocity, sigma_m_per_s=0.3, sigma_m=5.0):
 def test_the_probability_of_being_stationary_follows_bayes():
     rng = np.random.default_rng(1)
     velocity = rng.normal(0.0, 0.8, (30, 2))
-    _, stands = stationary(told(velocity), VESSELS)
+    _, stands = stationary(reported_states(velocity), VESSELS)
     near, far = (multivariate_normal.pdf(velocity, cov=(0.09 + s**2) * np.eye(2)) for s in (0.1, 8.0))
     np.testing.assert_allclose(stands, 0.3 * near / (0.3 * near + 0.7 * far), rtol=1e-9)
 
@@ -54,7 +54,7 @@ def test_states_of_simulated_vessels_are_consistent():
     there, _ = moved(np.column_stack([np.zeros((n, 2)), velocity]), np.zeros((n, 4, 4)), age_s, 0.0)
     walk = np.where(lies, 0.0, 0.01)
     there[:, :2] += np.sqrt(walk * age_s**3 / 3.0)[:, None] * rng.standard_normal((n, 2))
-    made = told(velocity + 0.3 * rng.standard_normal((n, 2)))
+    made = reported_states(velocity + 0.3 * rng.standard_normal((n, 2)))
     now, stands = stationary(made, VESSELS)
     error, spread = _off(now, there, age_s, 0.01 * (1.0 - stands))
     before, wide = _off(made, there, age_s, 0.01)
@@ -77,7 +77,7 @@ def test_missing_velocities_and_always_moving_kinds_are_unchanged():
     now, stands = stationary(bare, VESSELS)
     np.testing.assert_array_equal(now.covariance, bare.covariance)
     np.testing.assert_array_equal(stands, [0.0, 0.0])
-    made = told(np.zeros((2, 2)))
+    made = reported_states(np.zeros((2, 2)))
     assert stationary(made, Description("adsb", "ads-b").motion) == (made, None)
     assert stationary(made, Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.0)) == (made, None)
     with pytest.raises(InputError, match="give the share of stationary objects, below 1"):

@@ -62,14 +62,14 @@ def test_heights_distinguish_two_aircraft_over_one_place(other: str, shift_m: fl
 
 @pytest.mark.slow
 def test_without_heights_the_same_aircraft_are_confused() -> None:
-    wrong, told = 0, []
+    wrong, heights = 0, []
     for seed in range(6):
         rng = np.random.default_rng(seed)
         blind = Scene.of([crossing(rng, name, "pressure_alt_m", with_heights=False) for name in "ab"])
         picture = Picture.of(blind, np.arange(20.0, 200.0, 30.0))
         wrong += counts(picture)[1]
-        told.append("height_m" in picture.objects)
-    assert wrong >= 6 and not any(told)
+        heights.append("height_m" in picture.objects)
+    assert wrong >= 6 and not any(heights)
 
 
 def test_the_difference_of_height_kinds_is_fitted_by_a_line() -> None:

@@ -48,7 +48,7 @@ def frame(
         option("--aim", panel=_PLACE, metavar="RA,DEC", help="Middle of the frame, degrees or 04:10:09,+22:50:22."),
     ] = None,
     radius: Annotated[
-        float | None, option("--radius", panel=_PLACE, metavar="DEG", help="Error of the aim, at most.")
+        float | None, option("--radius", panel=_PLACE, metavar="DEG", help="Largest error of the aim.")
     ] = None,
     scale: Annotated[
         str | None, option("--scale", panel=_PLACE, metavar="LO,HI", help="Arcsec per pixel, smallest and largest.")
@@ -76,7 +76,7 @@ def frame(
         str | None, option("--hdu", panel=_IMAGE, metavar="HDU", help="Number or name of the extension.")
     ] = None,
     threshold: Annotated[
-        float, option("--threshold", panel=_IMAGE, metavar="SIGMAS", show_default=True, help="Faintest detection.")
+        float, option("--threshold", panel=_IMAGE, metavar="SIGMAS", show_default=True, help="Detection limit.")
     ] = 4.0,
     gain: Annotated[float | None, option("--gain", panel=_IMAGE, metavar="E/ADU", help="Electrons per unit.")] = None,
     read_noise: Annotated[float | None, option("--read-noise", panel=_IMAGE, metavar="E", help="Electrons.")] = None,
@@ -103,7 +103,7 @@ def frame(
         option("--brightest", panel=_FILES, metavar="N", min=0, help="Mark only the N brightest identified stars."),
     ] = None,
     format: Annotated[
-        str, option("--format", panel=_FILES, metavar="NAME", callback=known_format, help="Of the table of stars.")
+        str, option("--format", panel=_FILES, metavar="NAME", callback=known_format, help="Format of the star tables.")
     ] = "fits",
     wcs_copy: Annotated[
         bool, option("--wcs-copy", panel=_FILES, help="Write a copy of the frame with the solution.")

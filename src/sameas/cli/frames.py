@@ -123,7 +123,7 @@ def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
         if unused:
             left = counted(len(unused), "calibration frame")
             notice(
-                f"{path}: {left} left out, the first {unused[0]}; --dark, --flat and --bias FILE calibrate with them"
+                f"{path}: {left} not used, the first {unused[0]}; --dark, --flat and --bias FILE calibrate with them"
             )
     return found
 

@@ -73,7 +73,7 @@ def movers(
         str | None, option("--time", panel=_COLUMNS, metavar="NAME", help="Column: middle of the exposure, UTC.")
     ] = None,
     exposure: Annotated[
-        str | None, option("--exposure", panel=_COLUMNS, metavar="NAME|none", help="Column: which exposure.")
+        str | None, option("--exposure", panel=_COLUMNS, metavar="NAME|none", help="Column: exposure.")
     ] = None,
     band: Annotated[
         str | None, option("--band", panel=_COLUMNS, metavar="NAME|none", help="Column: band of the magnitude.")
@@ -81,7 +81,11 @@ def movers(
     catalog: Annotated[
         str | None,
         option(
-            "--catalog", "-c", panel=_FRAMES, metavar="NAME", help="Of stars, as of sameas frame: the files are frames."
+            "--catalog",
+            "-c",
+            panel=_FRAMES,
+            metavar="NAME",
+            help="Star catalogue, as of sameas frame: files are frames.",
         ),
     ] = None,
     aim: Annotated[
@@ -100,7 +104,7 @@ def movers(
     ] = None,
     elements: Annotated[
         Path | None,
-        option("--elements", metavar="FILE", help="Of known objects: MPCORB.DAT, JPL's JSON, or demo."),
+        option("--elements", metavar="FILE", help="Orbits of known objects: MPCORB.DAT, JPL's JSON, or demo."),
     ] = None,
     report: Annotated[
         Path | None,
@@ -117,12 +121,12 @@ def movers(
             metavar="P",
             min=0,
             max=1,
-            help="Of a tracklet in the report, at least; the tables have those of less. [0.9]",
+            help="Lowest probability of a tracklet in the report; the tables contain all. [0.9]",
         ),
     ] = None,
     site: Annotated[
         str | None,
-        option("--site", metavar="LAT,LON,M", help="Of the observer: degrees, east positive, metres. [header's]"),
+        option("--site", metavar="LAT,LON,M", help="Observer: degrees, east positive, metres. [header's]"),
     ] = None,
     below_limit: Annotated[
         float | None,

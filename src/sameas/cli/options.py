@@ -169,8 +169,8 @@ Overwrite = Annotated[
 ]
 DryRun = Annotated[
     bool,
-    option("--dry-run", show_default=True, help="Print how the catalogues were read; identify and write nothing."),
+    option("--dry-run", show_default=True, help="Print how the catalogues are read; match and write nothing."),
 ]
 Quiet = Annotated[bool, option("--quiet", "-q", show_default=True, help="Print only doubts and errors.")]
 Debug = Annotated[bool, option("--debug", show_default=True, help="Show the traceback of an error.")]
-Folder = Annotated[Path, option("-o", "--output", metavar="FOLDER", show_default=True, help="Where the outputs go.")]
+Folder = Annotated[Path, option("-o", "--output", metavar="FOLDER", show_default=True, help="Output folder.")]

@@ -52,7 +52,7 @@ def picture(
             "--sensors",
             "-s",
             metavar="TOML",
-            help="Description of the sensors (TOML): place, coverage, errors, misses, biases; and their files.",
+            help="Description of the sensors (TOML): position, coverage, errors, misses, biases; and their files.",
         ),
     ] = None,
     output: Folder = Path("picture"),
@@ -68,10 +68,12 @@ def picture(
     ] = None,
     without: Annotated[
         list[str] | None,
-        option("--without", panel=_METHOD, metavar="SOURCE", help="What if: leave this source out; may be repeated."),
+        option(
+            "--without", panel=_METHOD, metavar="SOURCE", help="Exclude this source, for comparison; may be repeated."
+        ),
     ] = None,
     no_registration: Annotated[
-        bool, option("--no-registration", panel=_METHOD, help="Take the sensors' offsets as zero, or as described.")
+        bool, option("--no-registration", panel=_METHOD, help="Assume sensor offsets of zero, or as described.")
     ] = False,
     no_identity: Annotated[
         bool, option("--no-identity", panel=_METHOD, help="Do not use MMSI, ICAO address, callsign … as evidence.")
@@ -81,7 +83,7 @@ def picture(
         option("--no-memory", panel=_METHOD, help="Identify every instant by itself, without the tracks' history."),
     ] = False,
     format: Annotated[
-        str, option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Of the tables.")
+        str, option("--format", panel=_FILES, metavar="parquet|csv", callback=one_of(TABLES), help="Table format.")
     ] = "parquet",
     coast: Annotated[
         Path | None,

@@ -23,8 +23,8 @@ from sameas.io.ades import REPORTS, Observer, observations
 from sameas.io.atomic import filling
 from sameas.report.movers import (
     below_lines,
+    excluded_lines,
     known_lines,
-    left_out_lines,
     model_lines,
     mover_lines,
     plan_lines,
@@ -189,7 +189,7 @@ def night_movers(
     """The movers of a night of detections, named where elements are given. progress, say : as :func:`read_night`."""
     progress("searching")
     found = find_movers(night.detections, others=night.others, least=options.least, min_probability=options.probability)
-    say([*left_out_lines(found), *model_lines(found), "", *mover_lines(found), ""])
+    say([*excluded_lines(found), *model_lines(found), "", *mover_lines(found), ""])
     known = None
     if options.elements is not None:
         progress("predicting known objects")

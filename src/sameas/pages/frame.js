@@ -3,7 +3,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const m = data.measured, s = data.stars, summary = data.summary;
 const [rows, columns] = data.shape;
-// Rows of measurements: identified, not in the catalogue, fainter than it reaches; and rows of missing stars.
+// Rows of measurements: identified, not in the catalogue, fainter than its limit; and rows of missing stars.
 const found = [], alone = [], lost = [], beyond = m.beyond, isBeyond = new Set(beyond);
 m.x.forEach((_, i) => { if (m.star[i] !== null) found.push(i); else if (!isBeyond.has(i)) alone.push(i); });
 s.missing.forEach((is, k) => { if (is) lost.push(k); });
@@ -324,7 +324,7 @@ function facts() {
   el("terms").replaceChildren(line(["term", "ξ east [″]", "σ", "η north [″]", "σ"], "th"), ...names.map((n, k) =>
     line([n, fix(plate.coefficients_arcsec[0][k], 4), fix(plate.coefficients_sigma_arcsec[0][k], 4), fix(plate.coefficients_arcsec[1][k], 4), fix(plate.coefficients_sigma_arcsec[1][k], 4)], "td")));
   table(el("counts"), [["measurements", grouped(f.measurements)], ["stars on the frame", grouped(f.stars_on_frame)], ["identified", grouped(f.identified)], ["expected wrong", fix(f.expected_wrong, 1)],
-    ["with probability below 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified) + (f.beyond_catalogue ? `, of which ${grouped(f.beyond_catalogue)} are fainter than it reaches` : "")], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["errors", errorWords()]]);
+    ["with probability below 0.9", grouped(f.ambiguous)], ["not in the catalogue", grouped(f.unidentified) + (f.beyond_catalogue ? `, ${grouped(f.beyond_catalogue)} of them fainter than its limit` : "")], ["missing", grouped(f.missing)], ["gate", fix(f.gate_sigmas, 1) + " quoted σ"], ["errors", errorWords()]]);
   el("notes").replaceChildren(...[...(summary.exposure ? summary.exposure.read : []), ...summary.notes].map(n => text("li", n, /^(doubt|assumed)/.test(n) ? "doubt" : "")));
   const many = el("many"); many.max = found.length; many.value = Math.min(data.brightest ?? found.length, found.length);
   const showCount = () => { el("n-many").textContent = grouped(+many.value); }; showCount(); many.addEventListener("input", () => { showCount(); draw(); });

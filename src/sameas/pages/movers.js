@@ -63,7 +63,7 @@ function record() {
     ["place", `${hms(m.rows[0].ra)} ${dms(m.rows[0].dec)}`], ["at", `${date(m.rows[0].mjd)} ${clock(m.rows[0].mjd)} UTC`], [data.scale.startsWith("instrumental") ? "magnitude, instrumental" : "magnitude", fix(m.magnitude, 2)], ["scatter about the motion", `${fix(m.scatter, 3)}″`],
     ["stacked signal to noise", ratio(m.snr)],
     ...(m.known ? [["is", `${m.known.name}, p ${probability(m.known.p)}`], ["observed − computed", `${fix(m.known.east, 2)}″ east, ${fix(m.known.north, 2)}″ north`], ["predicted V", fix(m.known.v, 1)]] : [["known", data.asked ? "none of the objects given" : "no elements were given"]]),
-    ...(m.report === true ? [["report", `included as ${m.name}`]] : m.report === false ? [["report", "left out: not probable enough"]] : [])]);
+    ...(m.report === true ? [["report", `included as ${m.name}`]] : m.report === false ? [["report", "excluded: not probable enough"]] : [])]);
   el("reasons").replaceChildren(...m.reasons.map(([words, doubtful]) => text("li", words, doubtful ? "doubt" : "")));
   const head = document.createElement("tr"); head.append(...["UTC", "right ascension", "declination", "magnitude", "p of it", "east ″", "north ″", "frame"].map((w, k) => text("th", w, k > 2 && k < 7 ? "number" : "")));
   el("rows").replaceChildren(head, ...m.rows.map(r => { const tr = document.createElement("tr"), n = w => text("td", w, "number");

@@ -122,7 +122,7 @@ def _legend(marked: int, identified: int, unidentified: int, beyond: int, missin
 
 def _beyond(number: int) -> str:
     """The number of measurements beyond the catalogue, which are not marked."""
-    return f" (and {count(number)} fainter than it reaches, not marked)" if number else ""
+    return f" (and {count(number)} fainter than its limit, not marked)" if number else ""
 
 
 def _compass(axes: Axes, found: FrameIdentification) -> None:
@@ -232,7 +232,7 @@ def _arrows(axes: Axes, found: FrameIdentification, left: FloatArray) -> None:
     axes.set_xlim(0, columns)
     axes.set_ylim(0, 1.06 * rows)
     far = int(np.count_nonzero(~drawn))
-    longer = f"; {counted(far, 'longer one')} left out" if far else ""
+    longer = f"; {counted(far, 'longer one')} not drawn" if far else ""
     words = f"residuals, {magnified:g} × magnified{longer}"
     tidy(axes, "x [px]", "y [px]", words)
 

@@ -180,7 +180,7 @@ def _errors_in_words(match: SkyMatch) -> str:
     scales, scale = e.errors.scales, e.quantities.get("error_scale")
     if scale is None and len(scales) == 1 and not e.errors.as_modelled:
         return "taken as quoted" if scales[0] == 1.0 else f"{scales[0]:g} times the quoted ones"
-    words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
+    words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else quoted_errors(scale)
     if e.tail is None:
         return words
     far = f"{_share(e.tail.share)} of the pairs have errors about {e.tail.factor:.1f} times the quoted ones"
@@ -210,11 +210,11 @@ def _evidence_errors(match: SkyMatch) -> str:
     return f"{both}, with a floor of {errors.typical_scale * float(np.max(errors.floor)):.3g} arcsec for both together"
 
 
-def judged(scale: Quantity) -> str:
+def quoted_errors(scale: Quantity) -> str:
     """Whether the quoted errors are right, from the median residual relative to its expectation."""
     off = scale.value - 1.0
     if abs(off) <= max(AS_QUOTED, SIGNIFICANT * scale.standard_error):
-        return f"as quoted (the median residual is {scale} times its due)"
+        return f"as quoted (median residual {scale} times the expected one)"
     if off > 0.0:
-        return f"quoted {scale} times too small (the median residual over its due)"
-    return f"quoted too large (the median residual is {scale} times its due)"
+        return f"quoted {scale} times too small (median residual over the expected one)"
+    return f"quoted too large (median residual {scale} times the expected one)"

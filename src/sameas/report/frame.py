@@ -7,7 +7,7 @@ from typing import Any
 
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
-from sameas.report.findings import error_model_in_words, judged
+from sameas.report.findings import error_model_in_words, quoted_errors
 from sameas.report.prose import DOUBT, entry
 from sameas.representation import count
 from sameas.sky.frame.identified import FEW
@@ -82,7 +82,7 @@ def totals(done: int, skipped: int, failed: int) -> str:
 
 def _unmatched(found: Mapping[str, Any]) -> str:
     beyond = found.get("beyond_catalogue", 0)
-    return count(found["unidentified"]) + (f", of which {count(beyond)} are fainter than it reaches" if beyond else "")
+    return count(found["unidentified"]) + (f", {count(beyond)} of them fainter than its limit" if beyond else "")
 
 
 def _scatter(summary: Mapping[str, Any]) -> str:
@@ -100,7 +100,7 @@ def _estimated(summary: Mapping[str, Any]) -> list[str]:
     if "only_on_frame_per_arcmin2" in known:
         alone = f"{known['only_on_frame_per_arcmin2']} of the frame and {known['only_in_catalogue_per_arcmin2']}"
         lines += entry("only in one catalogue", f"{alone} of the catalogue per square arcminute")
-    words = [judged(known["error_scale"])] if "error_scale" in known else []
+    words = [quoted_errors(known["error_scale"])] if "error_scale" in known else []
     if "error_tail_share" in known:
         share = known["error_tail_share"]
         percent = Quantity(100.0 * share.value, 100.0 * share.standard_error, "%")

@@ -21,7 +21,7 @@ def estimate_lines(match: ManyMatch, words: Callable[[str], str] = str) -> list[
         lines += entry("epoch", "not all epochs are known: no positions are moved")
     else:
         epochs = [f"{c.name} {in_years(c.epoch_jyr)}" for c in match.catalogues if c.epoch_jyr is not None]
-        lines += entry("epoch", f"places of the objects are of {in_years(match.epoch_jyr)} ({', '.join(epochs)})")
+        lines += entry("epoch", f"object positions are at {in_years(match.epoch_jyr)} ({', '.join(epochs)})")
     for name, rotation in match.rotations.items():
         lines += entry("offset", f"added to {name}: {rotation}")
     for (first, second), pair in match.two_by_two.items():

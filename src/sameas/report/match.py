@@ -21,7 +21,7 @@ from sameas.estimate.match import Estimate
 from sameas.gate.gate import quantile
 from sameas.kernels import threads
 from sameas.records import Records
-from sameas.report.findings import common_objects, findings, judged
+from sameas.report.findings import common_objects, findings, quoted_errors
 from sameas.report.prose import DOUBT, LABEL, entry, figures, percent
 from sameas.representation import count, counted
 from sameas.result import Answers, Identification
@@ -263,7 +263,7 @@ def _residuals(match: SkyMatch) -> list[str]:
         cells = f"{mean[0]:+9.4f}{rms[0]:10.4f}{mean[1]:+9.4f}{rms[1]:10.4f}"
         medians = f"{np.median(np.hypot(*offset.T)):12.4f}{np.nanmedian(distance):14.2f}"
         lines.append(f"  {label:{LABEL}}{cells}{medians}")
-    return [*lines, f"  {'due if errors are true':{LABEL}}{'':50}{expected:14.2f}"]
+    return [*lines, f"  {'expected from errors':{LABEL}}{'':50}{expected:14.2f}"]
 
 
 def _mahalanobis_before_motion(match: SkyMatch, offset: FloatArray) -> FloatArray:
@@ -324,7 +324,7 @@ def records_lines(found: Identification, estimate: Estimate) -> list[str]:
     one, two = found.first.source, found.second.source
     shares = [f"{percent(share)} of {name}" for share, name in ((estimate.share_1, one), (estimate.share_2, two))]
     scale = estimate.quantities.get("error_scale")
-    errors = f"typically {estimate.typical_scale:.2f} times the quoted ones" if scale is None else judged(scale)
+    errors = f"typically {estimate.typical_scale:.2f} times the quoted ones" if scale is None else quoted_errors(scale)
     wrong, pairs = found.expected_wrong, len(found.matches)
     ambiguous = int(np.count_nonzero(found.matches.p_match < AMBIGUOUS))
     return [

@@ -48,32 +48,32 @@ def searched_lines(seen: Detections) -> list[str]:
     return lines
 
 
-def left_out_lines(found: Movers) -> list[str]:
+def excluded_lines(found: Movers) -> list[str]:
     """What was excluded: stationary sources, detections fixed on the chip, and tracklets of one common rate."""
     lines, stationary = [], found.stationary
     if stationary is not None and stationary.places:
         rows, places = counted(int(stationary.rows.sum()), "detection"), counted(stationary.places, "place")
-        lines.append(f"Stationary: {rows} at {places}, left out")
+        lines.append(f"Stationary: {rows} at {places}, excluded")
         off = float(np.hypot(*stationary.offset_arcsec.T).max())
         if off > 0.5 * found.detections.typical_sigma_arcsec:
             lines.append(
-                f"{DOUBT}places of an exposure are off those of the others by up to {off:.2f}″; "
-                "the search is without that, places are written as given"
+                f"{DOUBT}positions of an exposure differ from those of the others by up to {off:.2f}″; "
+                "the search corrects this, the output has the positions as given"
             )
         if stationary.error_scale > WORTH_SAYING:
             lines.append(
                 f"{DOUBT}stationary sources scatter {stationary.error_scale:.2f} times as much as the errors allow; "
-                "errors were taken as so much larger"
+                "the search multiplies the errors by that"
             )
     if found.fixed:
         lines.append(
             f"{DOUBT}{count(found.fixed)} detections move by one step from exposure to exposure, and by another to the "
-            "next: they are fixed on the chip, and left out"
+            "next: they are fixed on the chip, and excluded"
         )
     if found.same_rate:
         lines.append(
-            f"{DOUBT}{count(found.same_rate)} tracklets of one rate are left out: defects of the chip that the "
-            "telescope moves over the sky look so; give the frames themselves (--catalog), whose pixels tell"
+            f"{DOUBT}{count(found.same_rate)} tracklets of one rate are excluded: chip defects under a drifting "
+            "telescope look like this; give the frames themselves (--catalog) to tell them from movers"
         )
     return lines
 
@@ -120,12 +120,12 @@ def report_lines(found: Movers, least: float) -> list[str]:
     """The number of tracklets in the report, and those excluded by their probability."""
     reported = found.p_tracklet >= least
     if reported.all():
-        return [f"  it holds {counted(len(found), 'tracklet')}"]
+        return [f"  it contains {counted(len(found), 'tracklet')}"]
     excluded = np.flatnonzero(~reported)
     shown = ", ".join(f"{found.names[k]} ({found.p_tracklet[k]:.2f})" for k in excluded[:5])
     are, them = ("is", "it") if len(excluded) == 1 else ("are", "them")
     return [
-        f"  it holds {counted(int(reported.sum()), 'tracklet')}; {count(len(excluded))} {are} left out, "
+        f"  it contains {counted(int(reported.sum()), 'tracklet')}; {count(len(excluded))} {are} excluded, "
         f"less probable than {least:g}: {shown}{' …' if len(excluded) > 5 else ''}",
         f"  look at {them}; --report-probability changes what is reported",
     ]
