@@ -39,6 +39,10 @@ class Unpacking:
         return max(self.least, self.ratio * size)
 
 
+#: Of a text with a table: catalogues shrink three to twentyfold, and rows take more time and memory than their bytes.
+TEXT_UNPACKING = Unpacking(least=1 << 25, ratio=30)
+
+
 def unpacked(path: str | os.PathLike[str], bounds: Unpacking | None = None) -> bytes:
     """All bytes of a gzipped file.
 

@@ -151,10 +151,16 @@ def test_vizier_rows_end_before_the_blank_lines_above_a_comment(tmp_path):
     assert read(tmp_path / "t.tsv", content) == 2
 
 
-@pytest.mark.parametrize(("ending", "row"), [(".dat.gz", b"1 2\n"), (".cat.gz", b"1 2\n"), (".tsv.gz", b"1\t2\n")])
-def test_compressed_text_that_expands_without_limit(ending, row, tmp_path):
-    head = {".dat.gz": b"ra dec\n", ".cat.gz": b"# 1 RA x\n# 2 DEC x\n", ".tsv.gz": b"ra\tdec\n \t \n-\t-\n"}[ending]
-    content = gzip.compress(head + row * 10_000_000, 1)
+@pytest.mark.parametrize(
+    ("ending", "head", "row"),
+    [(".dat.gz", b"ra dec\n", b"1 2\n"), (".cat.gz", b"# 1 RA x\n# 2 DEC x\n", b"1 2\n"),
+     (".tsv.gz", b"ra\tdec\n \t \n-\t-\n", b"1\t2\n"), (".csv.gz", b"ra,dec\n", b"1,2\n"),
+     (".ecsv.gz", b"# %ECSV 1.0\n# ---\n# datatype:\n# - {name: ra, datatype: int64}\nra\n", b"1  \n"),
+     (".vot.gz", b'<VOTABLE version="1.3"><RESOURCE><TABLE><FIELD name="a" datatype="int"/><DATA><TABLEDATA>\n',
+      b"<TR><TD>1</TD></TR>\n")],
+)  # fmt: skip
+def test_compressed_text_that_expands_without_limit(ending, head, row, tmp_path):
+    content = gzip.compress(head + row * (40_000_000 // len(row)), 1)
     assert "unpacks to more than 32 MB" in read(tmp_path / f"t{ending}", content)
 
 

@@ -231,10 +231,3 @@ def test_many_columns_of_numbers_beyond_63_bits_are_read_quickly(tmp_path, monke
     (tmp_path / "t.csv").write_text(",".join(names) + "\n" + ",".join(values) + "\n")
     table = read_table(tmp_path / "t.csv")
     assert table["c0"][0] == 2**63 + 2**11 + 1 and table["c1"][0] == 9.3e18 and len(calls) == 3
-
-
-@pytest.mark.slow
-def test_a_compressed_votable_is_expanded_up_to_a_limit(tmp_path):
-    assert "unpacks to more than 256 MB" in refusal(
-        tmp_path / "t.vot.gz", gzip.compress(b"<VOTABLE>" + bytes(300 << 20))
-    )

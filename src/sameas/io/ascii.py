@@ -11,7 +11,6 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.bounds import Unpacking
 from sameas.errors import InputError
 from sameas.io.csv import TableHead, content_of, distinct, is_number, table_of
 from sameas.io.format import TEXT_EXTENSIONS, Format
@@ -22,8 +21,6 @@ if TYPE_CHECKING:
 
 _WORD = re.compile(rb'"[^"]*"|[^\s"]+')
 _DELIMITERS = b",;\t|"
-#: Tables of text shrink three- to twentyfold (chosen: 32 MB of the shortest rows take five seconds).
-_UNPACKING = Unpacking(least=1 << 25, ratio=30)
 
 
 def is_separated_by_blanks(path: Path, first: bytes) -> bool:
@@ -51,7 +48,7 @@ FORMAT = Format(
 
 def read(path: Path, hdu: None) -> Table:
     """The table of a text file separated by blanks."""
-    text = rows_content_of(path)
+    text = content_of(path)
     names, row = _names(text, path)
     return rows_of(text, names, row, path)
 
@@ -59,19 +56,6 @@ def read(path: Path, hdu: None) -> Table:
 def provenance(path: Path) -> dict[str, Any]:
     """Empty: the format has no provenance."""
     return {}
-
-
-def rows_content_of(path: Path) -> pa.Buffer:
-    """The bytes of a text that is parsed row by row in Python, with a tighter limit on unpacking than CSV.
-
-    Raises
-    ------
-    InputError : it unpacks to more than ``_UNPACKING`` allows.
-    """
-    text, limit = content_of(path), _UNPACKING.of(path.stat().st_size)
-    if len(memoryview(text)) > limit:
-        raise InputError(f"{path}: unpacks to more than {limit >> 20} MB; unpack it yourself if that is right")
-    return text
 
 
 def words(line: bytes) -> list[bytes]:

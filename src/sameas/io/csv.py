@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sameas.bounds import check_columns, unpacked
+from sameas.bounds import TEXT_UNPACKING, check_columns, unpacked
 from sameas.errors import InputError
 from sameas.io.arrow import FEW_ROWS, array_of, column_of, numbers_in
 from sameas.io.atomic import replacing, together
@@ -180,7 +180,7 @@ def content_of(path: Path) -> pa.Buffer:
     if path.suffix.lower() != ".gz":
         with pa.memory_map(os.fsencode(path)) as file:  # a file name may have bytes that are not UTF-8
             return file.read_buffer()
-    return pa.py_buffer(unpacked(path))
+    return pa.py_buffer(unpacked(path, TEXT_UNPACKING))
 
 
 def _header(text: pa.Buffer, path: Path) -> TableHead:

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.io.ascii import rows_content_of
+from sameas.io.csv import content_of
 from sameas.io.format import Format
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def read(path: Path, hdu: None) -> Table:
     """The table of an IPAC file; its keywords are its metadata."""
     from astropy.io import ascii as text_tables
 
-    text = memoryview(rows_content_of(path)).tobytes().decode("utf-8", "replace")
+    text = memoryview(content_of(path)).tobytes().decode("utf-8", "replace")
     table = text_tables.read(text.splitlines(), format="ipac")
     keywords = table.meta.pop("keywords", {})
     table.meta = {key: value for key, value in table.meta.items() if value}

@@ -10,7 +10,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.io.ascii import rows_content_of
+from sameas.io.csv import content_of
 from sameas.io.format import Format
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def read(path: Path, hdu: None) -> Table:
     """The table of a CDS or machine-readable file."""
     from astropy.io import ascii as text_tables
 
-    text = memoryview(rows_content_of(path)).tobytes().decode("utf-8", "replace")
+    text = memoryview(content_of(path)).tobytes().decode("utf-8", "replace")
     if _BYTES.decode() not in text:
         # The layout of machine-readable tables: description, rule, rows.
         text = _description(path) + text

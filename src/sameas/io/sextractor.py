@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.io.ascii import rows_content_of, rows_of, words
+from sameas.io.ascii import rows_of, words
+from sameas.io.csv import content_of
 from sameas.io.format import Format, unit_of
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class _HeadLine:
 
 def read(path: Path, hdu: None) -> Table:
     """The table of an ASCII_HEAD catalogue."""
-    text = rows_content_of(path)
+    text = content_of(path)
     head_lines, width = _head(memoryview(text)[: 1 << 20].tobytes(), path)
     columns = _columns(head_lines, width, path)
     return _with_descriptions(rows_of(text, [column.name for column in columns], 0, path), columns)

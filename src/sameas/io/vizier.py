@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
-from sameas.io.ascii import rows_content_of
-from sameas.io.csv import TableHead, distinct, table_of
+from sameas.io.csv import TableHead, content_of, distinct, table_of
 from sameas.io.format import TEXT_EXTENSIONS, Format, unit_of
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def read(path: Path, hdu: None) -> Table:
     """The first table of a file that VizieR wrote."""
     import pyarrow as pa
 
-    text = memoryview(rows_content_of(path)).tobytes().replace(b"\r\n", b"\n")
+    text = memoryview(content_of(path)).tobytes().replace(b"\r\n", b"\n")
     head = _HEAD.search(text)
     if head is None:
         raise InputError(f"{path}: has no lines of names, units and dashes, as VizieR writes them")

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray
-from sameas.bounds import Unpacking, check_columns, unpacked
+from sameas.bounds import TEXT_UNPACKING, Unpacking, check_columns, unpacked
 from sameas.errors import InputError, printable
 from sameas.io.format import Format, ascii_of, from_text, has_huge_power, to_text, unicode_of
 
@@ -149,7 +149,7 @@ def _quiet() -> Iterator[None]:
 def _content(path: Path) -> bytes:
     if path.suffix.lower() != ".gz":
         return path.read_bytes()
-    return unpacked(path)
+    return unpacked(path, TEXT_UNPACKING)
 
 
 def parsed(content: bytes, path: Path, size: int | None = None) -> Any:
