@@ -592,3 +592,28 @@ def test_two_simultaneous_first_compilations_do_not_interfere(tmp_path):
     assert [*(process.returncode for process in two), third.returncode] == [0, 0, 0], outputs
     assert outputs[0][0] == outputs[1][0] == third.stdout != "" and list(tmp_path.rglob("*.nbi"))
     assert "compiling" not in third.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
+def test_a_worker_that_waits_for_work_is_terminated_without_a_traceback():
+    program = """
+import multiprocessing
+import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+
+from sameas.cli.outcome import TERMINATED, end_cleanly_on_sigterm
+
+if __name__ == "__main__":
+    context = multiprocessing.get_context("fork")
+    pool = ProcessPoolExecutor(1, mp_context=context, initializer=partial(end_cleanly_on_sigterm, worker=True))
+    pool.submit(int).result()
+    time.sleep(0.2)
+    (worker,) = multiprocessing.active_children()
+    worker.terminate()
+    worker.join()
+    print(worker.exitcode == TERMINATED)
+"""
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    assert (run.stdout, run.stderr) == ("True\n", "")

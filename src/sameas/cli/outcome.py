@@ -40,6 +40,10 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM was received; draft files are removed on the way out, as after Ctrl-C."""
 
 
+class WorkerTerminated(Terminated, SystemExit):
+    """SIGTERM in a worker process; one that waits for work ends without a traceback, because of ``SystemExit``."""
+
+
 def end_cleanly_on_sigterm(worker: bool = False) -> None:
     """Let the first SIGTERM raise ``Terminated`` in the main thread; a second one ends the process at once.
 
@@ -114,7 +118,9 @@ def _terminate(number: int, frame: Any) -> None:
 def _terminate_worker(number: int, frame: Any) -> None:
     # An interrupted parent sends a second SIGTERM; the watching thread ends the worker in any case.
     signal.signal(number, signal.SIG_IGN)
-    raise Terminated
+    ended = WorkerTerminated()
+    ended.code = TERMINATED
+    raise ended
 
 
 def exit_code(error: KeyboardInterrupt) -> int:
