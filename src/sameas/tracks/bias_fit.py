@@ -129,7 +129,7 @@ class Pool:
 
 
 def fit_biases(scans: Sequence[CommonScan], tuning: Tuning = DEFAULT_TUNING) -> BiasFit:
-    """The biases of maximum posterior probability of the sources of these scans; at least one scan."""
+    """The biases of maximum posterior probability of the sources of these scans, at least one of which shows a bias."""
     pool = Pool(tuple(scans), tuning)
     theta = _annealed(pool, _starting_points(pool))
     fits = [_converged(pool, candidate) for candidate in theta]
@@ -145,9 +145,9 @@ def fit_biases(scans: Sequence[CommonScan], tuning: Tuning = DEFAULT_TUNING) -> 
 
 
 def _by_size(pool: Pool) -> list[int]:
-    """The scans in descending order of the number of records of their smaller source."""
+    """The scans that show a bias, in descending order of the number of records of their smaller source."""
     sizes = [min(len(e.weighing.first), len(e.weighing.second)) for e in pool.scans]
-    return sorted(range(len(sizes)), key=lambda k: -sizes[k])
+    return sorted((k for k in range(len(sizes)) if len(pool.columns[k])), key=lambda k: -sizes[k])
 
 
 def _starting_points(pool: Pool) -> FloatArray:
