@@ -19,7 +19,7 @@ import numpy as np
 
 from sameas.assignment import Hypothesis
 from sameas.groups import Groups
-from sameas.kernels import compiled
+from sameas.kernels import compiled, threads
 from sameas.prior import PerPair
 
 #: A compilation mark older than this, in seconds, was left behind by a process that was stopped.
@@ -51,8 +51,8 @@ def _claimed(mark: Path) -> bool:
 
 
 def read_ahead() -> None:
-    """Read the cached kernels of a match in a thread; do not wait."""
-    threading.Thread(target=_read_cached, daemon=True).start()
+    """Read the cached kernels of a match in a thread; do not wait. An error is met again when a kernel is called."""
+    threads.started(_read_cached)
 
 
 def _read_cached() -> None:

@@ -229,17 +229,20 @@ def delay_evidence(fit: BiasFit, feeds: Sequence[Feed]) -> float:
 def _mutual(one: Feed, other: Feed) -> tuple[RegisteredFeed, RegisteredFeed]:
     """Two sources that may both be biased, registered against each other."""
     names = one.description.name, other.description.name
-    scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
     fit = _mutual_delay_fit(one, other)
-    if fit is None and not scans:
-        notes = _no_common_time(names[0], [other]), _no_common_time(names[1], [one])
-        biases = [SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)]
-        return (one, biases[0]), (other, biases[1])
-    if fit is None and not _observable(scans):
-        notes = _not_observable(names[0], [other]), _not_observable(names[1], [one])
-        biases = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
-        return (one, biases[0]), (other, biases[1])
-    fit = fit or fit_biases(scans, one.tuning)
+    if fit is None:
+        scans = common_scans(ComparedSource(one, 0), ComparedSource(other, 6))
+        if not scans:
+            notes = _no_common_time(names[0], [other]), _no_common_time(names[1], [one])
+            biases = [
+                SourceBiases(name, established=False, notes=(note,)) for name, note in zip(names, notes, strict=True)
+            ]
+            return (one, biases[0]), (other, biases[1])
+        if not _observable(scans):
+            notes = _not_observable(names[0], [other]), _not_observable(names[1], [one])
+            biases = [SourceBiases(name, notes=(note,)) for name, note in zip(names, notes, strict=True)]
+            return (one, biases[0]), (other, biases[1])
+        fit = fit_biases(scans, one.tuning)
     gauge = (
         f"{names[0]} and {names[1]} have no reference: a bias that displaces both alike cannot be seen, and is assumed "
         "to be as small as their descriptions allow"
@@ -257,9 +260,8 @@ def _mutual_delay_fit(one: Feed, other: Feed) -> BiasFit | None:
     """
     if (one.description.bias.time_s or 0.0) > 0.0 or (other.description.bias.time_s or 0.0) > 0.0:
         return None
-    late_other, late_one = _with_unknown_delay(other), _with_unknown_delay(one)
-    if late_other is not None:
-        late_one = None
+    late_other = _with_unknown_delay(other)
+    late_one = _with_unknown_delay(one) if late_other is None else None
     if late_other is None and late_one is None:
         return None
     scans = common_scans(ComparedSource(late_one or one, 0), ComparedSource(late_other or other, 6))
