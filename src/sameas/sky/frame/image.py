@@ -217,6 +217,14 @@ _DECODE = """
 import sys, warnings
 from astropy.io import fits
 warnings.simplefilter("ignore")
+with fits.open(sys.argv[1], memmap=False, disable_image_compression=True) as tables:
+    # The decoder of PLIO believes the length in a list, and may return pixels from beyond the tile.
+    lists = [each.data["COMPRESSED_DATA"] for each in tables if each.header.get("ZCMPTYPE") == "PLIO_1"]
+    for words in (words for tiles in lists for words in tiles):
+        begin, short, low, high = (int(word) for word in words[1:5]) if len(words) > 4 else (0, 0, 0, 0)
+        length = short if short > 0 else (high << 15) + low
+        if begin < 0 or length > len(words):
+            raise ValueError(f"a list of {length} words in a tile of {len(words)}")
 with fits.open(sys.argv[1], memmap=False) as hdus:
     plain = [fits.PrimaryHDU(hdus[0].data, hdus[0].header)]
     for each in hdus[1:]:
