@@ -169,6 +169,44 @@ print(sum(greatest_pair.compiled.stats.cache_misses.values()))
     assert printed == [["False", "False", "1"], ["1", "False", "0"]]
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="a process cannot send itself SIGINT")
+def test_ctrl_c_while_a_cached_kernel_is_loaded_raises_after_it(tmp_path):
+    """Within it, numba's callback would lose both the exception and the code, and numba would write to address zero."""
+    program = """
+import os, signal
+import numpy as np
+from numba.core.codegen import JITCPUCodegen
+from sameas.kernels.summary import greatest_pair
+
+library = JITCPUCodegen._library_class
+answer = library._object_getbuffer_hook.__func__
+
+def interrupted(cls, module):
+    while signals:
+        os.kill(os.getpid(), signals.pop())
+    return answer(cls, module)
+
+arguments = np.array([1, 0, 1, 1], np.int32), 3, np.array([0.25, 0.5, 0.75, 0.75])
+if greatest_pair._is_cached:
+    library._object_getbuffer_hook, signals = classmethod(interrupted), [signal.SIGINT]
+    try:
+        greatest_pair.compiled(*arguments)
+    except KeyboardInterrupt:
+        print("interrupted")
+print(*greatest_pair.compiled(*arguments))
+"""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    runs = [
+        subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True)
+        for _ in range(2)
+    ]
+    assert [(run.returncode, run.stdout.split()) for run in runs] == [
+        (0, ["1", "2", "-1"]),
+        (0, ["interrupted", "1", "2", "-1"]),
+    ], runs[1].stderr
+
+
 #: What numba defines in ``numba.np.arraymath``, which imports ``scipy.linalg``: a kernel that calls one of these names
 #: it in the cache, and takes a tenth of a second longer to be read.
 COSTLY = {"max", "min", "argmax", "argmin", "flatnonzero", "nonzero", "sum", "prod", "cumsum", "any", "all", "median"}

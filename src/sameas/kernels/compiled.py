@@ -16,10 +16,12 @@ Division by zero gives infinity or not-a-number, so that no loop has to test for
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 from types import FunctionType
@@ -269,17 +271,42 @@ def _read_cache_first(dispatcher: Any) -> None:
     load_with_compiler = cache.load_overload
 
     def load(signature: Any, context: Any) -> Any:
-        rtsys.initialize(context)
-        with cache._guard_against_spurious_io_errors():
+        with cache._guard_against_spurious_io_errors(), _signals_deferred():
+            rtsys.initialize(context)
             overload = cache._load_overload(signature, context)
         if overload is None:
             _import_compiler_without_scipy_linalg()
-            overload = load_with_compiler(signature, context)
+            with _signals_deferred():
+                overload = load_with_compiler(signature, context)
         return overload
 
     cache.load_overload = load
     # The hook would search for other packages' extensions of the compiler.
     dispatcher._compilation_chain_init_hook = lambda: None
+
+
+@contextmanager
+def _signals_deferred() -> Iterator[None]:
+    """Call the handlers of SIGINT and SIGTERM after the block, not in it.
+
+    LLVM asks numba for the code of a cached kernel through a callback, in which an exception (Ctrl-C) is lost together
+    with the code; numba would then write to address zero.
+    """
+    received: list[tuple[int, Any]] = []
+    handlers: dict[int, Callable[[int, Any], Any]] = {}
+    if threading.current_thread() is threading.main_thread():  # where Python calls all handlers
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handler = signal.getsignal(number)
+            if callable(handler):
+                handlers[number] = handler
+                signal.signal(number, lambda number, frame: received.append((number, frame)))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for number, frame in received:
+            handlers[number](number, frame)
 
 
 def _announce_compilation(dispatcher: Any) -> None:
