@@ -163,3 +163,45 @@ def test_the_nearest_record_of_every_row_is_given_at_its_row():
     assert near.rows[7] == -1 and np.isinf(near.separation_arcsec[7])
     usable = np.isfinite(dec)
     assert (order[near.rows[usable]] == np.flatnonzero(usable)).all() and (near.separation_arcsec[usable] < 1e-6).all()
+
+
+@pytest.mark.parametrize("join", JOINS)
+@pytest.mark.parametrize("ending", [".parquet", ".csv"])
+def test_a_table_is_written_in_pieces_as_it_is_written_whole(matched, join, ending, tmp_path, monkeypatch):
+    from sameas.io import read_table, write_table
+    from sameas.sky import joins
+
+    whole, pieces = (tmp_path / f"{name}{ending}" for name in ("whole", "pieces"))
+    write_table(joined(matched, join), whole, provenance={"n": 1})
+    monkeypatch.setattr(joins, "PIECE_ROWS", 3)
+    lazy = joins.JoinedTable(matched, join)
+    write_table(lazy, pieces, provenance={"n": 1})
+    expected, read = read_table(whole), read_table(pieces)
+    assert len(lazy) == len(expected) and lazy.colnames == expected.colnames
+    assert repr(read) == repr(expected) and read.meta == expected.meta
+    for name in expected.colnames:
+        assert read[name].dtype == expected[name].dtype and read[name].attrs_equal(expected[name])
+        assert np.all(np.ma.getmaskarray(read[name]) == np.ma.getmaskarray(expected[name]))
+    if ending == ".parquet":
+        from pyarrow import parquet
+
+        assert parquet.ParquetFile(pieces).schema_arrow.equals(parquet.ParquetFile(whole).schema_arrow, True)
+        in_pieces = join in ("1and2", "all1", "pairs")  # the others have at most three rows, or rows of the second only
+        assert (parquet.ParquetFile(pieces).num_row_groups > 1) == in_pieces
+
+
+def test_columns_of_objects_are_written_whole(tmp_path, monkeypatch):
+    """Their type in a file depends on all rows."""
+    from sameas.io import read_table, write_table
+    from sameas.sky import joins
+
+    monkeypatch.setattr(joins, "PIECE_ROWS", 2)
+    table = {
+        "ra": 10.0 + 0.1 * np.arange(5),
+        "dec": np.zeros(5),
+        "note": np.array([None, None, None, "a", "b"], object),
+    }
+    options = CatalogueOptions(sigma=0.1, epoch=2000.0)
+    found = match(Catalogue.of(table, "one", options=options), Catalogue.of(table, "two", options=options))
+    write_table(joins.JoinedTable(found), tmp_path / "out.parquet", provenance={})
+    assert list(read_table(tmp_path / "out.parquet")["note_1"][3:]) == ["a", "b"]

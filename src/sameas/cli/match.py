@@ -299,7 +299,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         with ThreadPoolExecutor(1) as side:
             report = side.submit(_report, match, joining)
             try:
-                table = match.table
+                table = match.joined_table()
                 pace(f"writing {outputs.path}")
                 facts = match.facts(outputs.command, in_options)
                 written = [outputs.write(table, facts, joining.join)]

@@ -23,6 +23,7 @@ from sameas.sky.catalogue import Catalogue
 if TYPE_CHECKING:
     from astropy.table import Table
 
+    from sameas.io.format import LazyTable
 
 #: Size of all files from which catalogues are read two at a time.
 TWO_AT_ONCE_BYTES = 4_000_000
@@ -69,10 +70,10 @@ class Outputs:
             with suppress(_Rehearsed), replacing(self.path, overwrite=self.overwrite):
                 raise _Rehearsed
 
-    def write(self, table: Table, facts: Mapping[str, Any], rows: str) -> str:
+    def write(self, table: Table | LazyTable, facts: Mapping[str, Any], rows: str) -> str:
         """Write the table; returns the line that reports it. rows : the join, for that line."""
         write_table(table, self.path, provenance=facts, format=self.format, overwrite=self.overwrite)
-        return f"Output: {self.path}, {counted(len(table), 'row')}, {len(table.columns)} columns ({rows})"
+        return f"Output: {self.path}, {counted(len(table), 'row')}, {len(table.colnames)} columns ({rows})"
 
 
 class _Rehearsed(Exception):

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from sameas.result import Explanation, Identification
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
+    from sameas.sky.joins import JoinedTable
 
 #: The plots of a match of catalogues; the first is the default.
 PLOTS = ("residuals", "normalised", "scatter", "certainty", "brightness", "ambiguous")
@@ -151,10 +152,14 @@ class Match:
         ------
         InputError : an unknown join.
         """
-        from sameas.sky.joins import RecordsMatch, joined
+        return self.joined_table(join, nway_columns=nway_columns).whole()
+
+    def joined_table(self, join: str | None = None, *, nway_columns: bool | None = None) -> JoinedTable:
+        """The table of :meth:`joined`, not computed yet; by default that of :attr:`table`."""
+        from sameas.sky.joins import JoinedTable, RecordsMatch
 
         found = RecordsMatch(self.identification, self.estimate.coverage) if self.sky is None else self.sky
-        return joined(found, join, nway_columns=nway_columns)
+        return JoinedTable(found, join or self.join, self.nway_columns if nway_columns is None else nway_columns)
 
     def report(self) -> str:
         """The report that the command prints."""
@@ -247,7 +252,8 @@ class Match:
 
         if self.request is not None:
             refuse_inputs(path, self.request.paths)
-        table = self.table if join is None else self.joined(join, nway_columns=self.nway_columns)
+        computed = self.__dict__.get("table") if join is None else None
+        table = self.joined_table(join) if computed is None else computed
         write_table(table, path, provenance=self.facts(self.call, join=join), format=format, overwrite=overwrite)
 
     def facts(self, command: str, words: Callable[[str], str] = str, join: str | None = None) -> dict[str, Any]:

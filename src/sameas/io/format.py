@@ -11,11 +11,11 @@ import importlib
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from sameas.errors import InputError
 
 if TYPE_CHECKING:
+    from astropy.table import Table
     from astropy.units import UnitBase
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
@@ -44,6 +45,8 @@ class Format:
     recognised : tests, from the path and the first bytes, whether a text file has this format; its extension may be
         any of ``TEXT_EXTENSIONS``. read_only : whether it is read but not written.
     several_tables : whether a file may hold several tables, so that ``hdu`` selects one.
+    in_pieces : whether a table can be written piece by piece; the module then has
+        ``write_pieces(tables, path, provenance)``, which takes tables with the same columns.
     sidecar : whether the provenance goes to a file of its own; the module then has
         ``write_with_sidecar(table, path, provenance, overwrite)``.
     """
@@ -55,6 +58,7 @@ class Format:
     markers: tuple[bytes, ...] = ()
     unmarked: bool = False
     several_tables: bool = False
+    in_pieces: bool = False
     sidecar: bool = False
     recognised: Callable[[Path, bytes], bool] | None = None
     read_only: bool = False
@@ -62,6 +66,23 @@ class Format:
     def module(self) -> ModuleType:
         """The module that reads and writes the format."""
         return importlib.import_module(f"sameas.io.{self.name}")
+
+
+class LazyTable(Protocol):
+    """A table that is computed when it is written, at once or in pieces with the same columns."""
+
+    @property
+    def colnames(self) -> list[str]:
+        """Names of the columns."""
+
+    def __len__(self) -> int:
+        """Number of rows."""
+
+    def whole(self) -> Table:
+        """The table."""
+
+    def pieces(self) -> Iterator[Table]:
+        """The table's rows, in order; at least one table."""
 
 
 # Provenance: how a file was made, as a flat mapping of plain values, and its encoding as text.

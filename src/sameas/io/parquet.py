@@ -8,7 +8,8 @@ from __future__ import annotations
 import json
 import warnings
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,9 +20,10 @@ from sameas.io.format import Format, unit_of
 from sameas.io.votable import parsed
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     from astropy.table import Column, Table
 
-FORMAT = Format("parquet", "Parquet", (".parquet", ".pq", ".parq"), signatures=(b"PAR1",))
+FORMAT = Format("parquet", "Parquet", (".parquet", ".pq", ".parq"), signatures=(b"PAR1",), in_pieces=True)
 
 _KEY = b"sameas"
 _ASTROPY = b"table_meta_yaml"
@@ -61,22 +63,35 @@ def read(path: Path, hdu: None) -> Table:
 
 def write(table: Table, path: Path, provenance: Mapping[str, Any]) -> None:
     """Writes a Parquet file (snappy: numbers of a catalogue hardly shrink, and it costs nothing)."""
+    write_pieces(iter([table]), path, provenance)
+
+
+def write_pieces(tables: Iterator[Table], path: Path, provenance: Mapping[str, Any]) -> None:
+    """Writes tables with the same columns as row groups of one file; one is encoded while the next is computed."""
     import pyarrow as pa
     from pyarrow import parquet
 
-    arrays = [array_of(table[name]) for name in table.colnames]
+    first = next(tables)
+    arrays = _arrays(first)
     fields = [
-        pa.field(name, array.type, metadata=column_metadata(table[name]))
-        for name, array in zip(table.colnames, arrays, strict=True)
+        pa.field(name, array.type, metadata=column_metadata(first[name]))
+        for name, array in zip(first.colnames, arrays, strict=True)
     ]
-    schema = pa.schema(fields, metadata=_file_metadata(table, provenance))
-    texts = [name for name, array in zip(table.colnames, arrays, strict=True) if pa.types.is_string(array.type)]
+    schema = pa.schema(fields, metadata=_file_metadata(first, provenance))
+    del first
     # A dictionary pays for names that come again; numbers of a catalogue do not.
-    options: dict[str, Any] = {
-        "compression": "snappy",
-        "use_dictionary": texts or False,
-    }
-    parquet.write_table(pa.Table.from_arrays(arrays, schema=schema), path, **options)
+    texts = [field.name for field in schema if pa.types.is_string(field.type)]
+    options: dict[str, Any] = {"compression": "snappy", "use_dictionary": texts or False}
+    with parquet.ParquetWriter(path, schema, **options) as writer, ThreadPoolExecutor(1) as encoder:
+        while arrays:
+            encoded = encoder.submit(writer.write_table, pa.Table.from_arrays(arrays, schema=schema))
+            arrays = _arrays(next(tables, None))
+            encoded.result()
+
+
+def _arrays(table: Table | None) -> list[pa.Array]:
+    """The columns as Arrow arrays; none without a table."""
+    return [] if table is None else [array_of(table[name]) for name in table.colnames]
 
 
 def provenance(path: Path) -> dict[str, Any]:

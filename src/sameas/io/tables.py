@@ -17,7 +17,7 @@ from sameas.errors import Argument, InputError, Message, first_line, printable, 
 from sameas.io import ascii as text
 from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
 from sameas.io.atomic import replacing
-from sameas.io.format import TEXT_EXTENSIONS, Format, plain
+from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, plain
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -165,7 +165,7 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
 
 
 def write_table(
-    table: Table,
+    table: Table | LazyTable,
     path: str | os.PathLike[str],
     *,
     provenance: Mapping[str, Any],
@@ -177,7 +177,8 @@ def write_table(
     Parameters
     ----------
     table : columns of numbers, booleans, text and arrays of them. Masked cells become the format's nulls.
-        Quantities are written as numbers with a unit, times as ISO text; other mixin columns are refused.
+        Quantities are written as numbers with a unit, times as ISO text; other mixin columns are refused. A table that
+        is computed in pieces is computed while it is written, in formats that allow it.
     path : determines the format by its extension.
     provenance : flat mapping to text, numbers, booleans or lists; :func:`read_provenance` reads it back.
         It is stored in the file: in the card SAMEAS (FITS), as INFO elements (VOTable), in the metadata
@@ -192,13 +193,19 @@ def write_table(
     path = Path(path)
     known = _format_for(path, format)
     facts = plain(provenance)
-    table = _with_plain_columns(table, path)
+    lazy = hasattr(table, "pieces")
+    whole = None if lazy and known.in_pieces else _with_plain_columns(table.whole() if lazy else table, path)
     try:
         if known.sidecar:
-            known.module().write_with_sidecar(table, path, facts, overwrite)
+            known.module().write_with_sidecar(whole, path, facts, overwrite)
             return
         with replacing(path, overwrite=overwrite) as draft:
-            known.module().write(table, draft, facts)
+            if whole is None:
+                known.module().write_pieces(
+                    (_with_plain_columns(piece, path) for piece in table.pieces()), draft, facts
+                )
+            else:
+                known.module().write(whole, draft, facts)
     except (InputError, MemoryError, ModuleNotFoundError) as error:
         raise _naming(error, path) from error.__cause__
     except Exception as error:

@@ -15,7 +15,7 @@ covered : whether the other catalogue covers the position.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Protocol
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 
 #: Row of a partner that does not exist; within this module only, tables carry masks.
 NO_PARTNER = -1
+#: Rows of a piece of :class:`JoinedTable`: 20 columns of numbers take 40 MB.
+PIECE_ROWS = 1 << 18
 
 _UNITS = {"sep_arcsec": "arcsec", "dx_arcsec": "arcsec", "dy_arcsec": "arcsec"}
 _WORDS = {
@@ -206,8 +208,8 @@ class JoinedRows:
         """The rows whose record is selected: in the first table, mask (n₁,), or without one in the second, (n₂,)."""
         return self.take(np.flatnonzero(self.either(own_1, own_2)))
 
-    def take(self, rows: IntArray) -> JoinedRows:
-        """The output rows at indices (k,), in this order."""
+    def take(self, rows: IntArray | slice) -> JoinedRows:
+        """The output rows at indices (k,), in this order, or those of a slice, without a copy."""
         return JoinedRows(self.one[rows], self.two[rows], self.pair[rows], self.answers)
 
     def either(self, of_1: NDArray[Any], of_2: NDArray[Any]) -> NDArray[Any]:
@@ -225,9 +227,14 @@ class JoinedRows:
         return self.pair < 0
 
     @cached_property
-    def in_order(self) -> bool:
-        """Whether these are the first rows of the first table, in its order."""
-        return bool(np.array_equal(self.one, np.arange(len(self.one))))
+    def of_first(self) -> IntArray | slice:
+        """The rows in the first table, as a slice if they are consecutive."""
+        return _as_slice(self.one)
+
+    @property
+    def of_second(self) -> IntArray | slice:
+        """The rows in the second table, as a slice if they are consecutive."""
+        return _as_slice(self.two)
 
     @cached_property
     def has_first(self) -> BoolArray:
@@ -257,15 +264,55 @@ def joined(
     rows = joined_rows(match, join) if rows is None else rows
     table = Table()
     names = joined_names(match.first.table, match.second.table)
-    for side, (source, at) in enumerate(((match.first.table, rows.one), (match.second.table, rows.two))):
+    for side, (source, at) in enumerate(((match.first.table, rows.of_first), (match.second.table, rows.of_second))):
         calls = [partial(_taken, column, at) for column in source.columns.values()]
-        for name, column in zip(names[side], threads.each(calls, len(at)), strict=True):
+        for name, column in zip(names[side], threads.each(calls, len(rows.one)), strict=True):
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
         added = MaskedColumn(values, unit=_UNITS.get(name), description=_words(name), meta=meta_of(name))
         table.add_column(added, name=unique, copy=False)
     return table
+
+
+@dataclass(frozen=True)
+class JoinedTable:
+    """A joined table that is computed piece by piece while it is written."""
+
+    match: Joinable
+    join: str = JOINS[0]
+    nway_columns: bool = False
+
+    @cached_property
+    def rows(self) -> JoinedRows:
+        """All rows of the table."""
+        return joined_rows(self.match, self.join)
+
+    @cached_property
+    def colnames(self) -> list[str]:
+        """Names of the columns."""
+        names: list[str] = self._of(self.rows.take(slice(0, 0))).colnames
+        return names
+
+    def __len__(self) -> int:
+        return len(self.rows.one)
+
+    def whole(self) -> Table:
+        """The table."""
+        return self._of(self.rows)
+
+    def pieces(self) -> Iterator[Table]:
+        """The table in pieces of :data:`PIECE_ROWS`, or whole where the types of columns depend on all rows."""
+        tables = self.match.first.table, self.match.second.table
+        typed = all(column.dtype.kind != "O" for table in tables for column in table.columns.values())
+        if not typed or not self.rows.has_first.all() or len(self) <= PIECE_ROWS:
+            yield self.whole()
+            return
+        for begin in range(0, len(self), PIECE_ROWS):
+            yield self._of(self.rows.take(slice(begin, begin + PIECE_ROWS)))
+
+    def _of(self, rows: JoinedRows) -> Table:
+        return joined(self.match, self.join, nway_columns=self.nway_columns, rows=rows)
 
 
 def joined_rows(match: Joinable, join: str) -> JoinedRows:
@@ -325,15 +372,17 @@ def joined_names(first: Table, second: Table) -> tuple[list[str], list[str]]:
     )
 
 
-def _whole(at: IntArray, n: int) -> bool:
-    """Whether these are all n rows in order."""
-    return len(at) == n and bool(np.array_equal(at, np.arange(n)))
+def _as_slice(rows: IntArray) -> IntArray | slice:
+    """Row numbers as a slice if they are consecutive, which saves copies."""
+    if not len(rows) or rows[0] < 0 or rows[-1] - rows[0] != len(rows) - 1 or np.any(np.diff(rows) != 1):
+        return rows
+    return slice(int(rows[0]), int(rows[-1]) + 1)
 
 
-def _taken(column: Any, at: IntArray) -> Any:
+def _taken(column: Any, at: IntArray | slice) -> Any:
     """The rows ``at`` of a column, masked where −1."""
-    if _whole(at, len(column)):
-        return column
+    if isinstance(at, slice):
+        return column if at == slice(0, len(column)) else column[at]
     absent = at < 0
     if not absent.any():
         return column[at]
@@ -365,7 +414,7 @@ class _JoinedColumns:
         result, n = self.match.result, len(self.rows.one)
         # Computed here, before the threads below need these cached values.
         _ = result.answers_1 if self.rows.has_first.all() else result.both_answers
-        _ = self.rows.absent, self.rows.in_order
+        _ = self.rows.absent, self.rows.of_first
         residual, distance, log_odds, p_pair = self._of_pairs()
         calls: dict[str, Callable[[], np.ma.MaskedArray]] = {
             "mahalanobis": lambda: self._of_pair(distance),
@@ -426,7 +475,7 @@ class _JoinedColumns:
         """Values of the row's record: ``of_side(1)`` of the first catalogue, or ``of_side(2)`` where it has none."""
         rows, has_first, one = self.rows, self.rows.has_first, of_side(1)
         if has_first.all():
-            return one if rows.in_order and len(rows.one) == len(one) else one[rows.one]
+            return one[rows.of_first]
         two = of_side(2)
         if one.dtype.kind in "OSU" or one.dtype != two.dtype:
             one, two = np.ma.asarray(one.astype(str)), np.ma.asarray(two.astype(str))
