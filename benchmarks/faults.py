@@ -566,7 +566,7 @@ def signalled(
             count.faults.append(f"{work.name}, {number.name}: exit code {code}: {stderr[-200:]}")
         if "terminate called" in stderr or (stderr.count("\n") > 1 and "KeyboardInterrupt" not in stderr):
             count.faults.append(f"{work.name}, {number.name}: stderr {stderr[-300:]!r}")
-        if answer_s > 1.5:
+        if answer_s > 1.5 and number != signal.SIGKILL:  # which no process can answer
             count.faults.append(f"{work.name}, {number.name}: answered after {answer_s:.1f} s")
         if number != signal.SIGKILL and (drafts or work.drafts()):
             count.faults.append(f"{work.name}, {number.name}: a draft remains")

@@ -207,6 +207,50 @@ print(*greatest_pair.compiled(*arguments))
     ], runs[1].stderr
 
 
+@pytest.mark.slow
+def test_a_kernel_that_calls_one_from_the_cache_can_be_compiled(tmp_path):
+    """The code of the called kernel for linking is not read with it, but when the caller is compiled."""
+    (tmp_path / "pair.py").write_text("""
+from sameas.kernels.compiled import kernel, part
+
+@part
+def doubled(x):
+    return 2.0 * x
+
+@kernel
+def inner(x):
+    total = 0.0
+    for value in x:
+        total += doubled(value)
+    return total
+
+@kernel
+def outer(x):
+    return inner(x) + 1.0
+""")
+    program = """
+import sys
+import numpy as np
+import pair
+
+x = np.arange(4.0)
+for name in sys.argv[1:]:
+    kernel = getattr(pair, name)
+    print(kernel.compiled(x), sum(kernel.compiled.stats.cache_misses.values()))
+"""
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}",
+    }
+    printed = [
+        subprocess.run(
+            [sys.executable, "-c", program, *names], env=environment, capture_output=True, text=True, check=True
+        ).stdout.split()
+        for names in (["inner"], ["inner", "outer"], ["outer", "inner"])
+    ]
+    assert printed == [["12.0", "1"], ["12.0", "0", "13.0", "1"], ["13.0", "0", "12.0", "0"]]
+
+
 #: What numba defines in ``numba.np.arraymath``, which imports ``scipy.linalg``: a kernel that calls one of these names
 #: it in the cache, and takes a tenth of a second longer to be read.
 COSTLY = {"max", "min", "argmax", "argmin", "flatnonzero", "nonzero", "sum", "prod", "cumsum", "any", "all", "median"}

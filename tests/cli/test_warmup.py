@@ -54,3 +54,27 @@ def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):
     (tmp_path / "posterior.exact-480.py311.nbi").touch()
     warmup.start_second_process(tmp_path)
     assert len(begun) == 2
+
+
+@pytest.mark.slow
+def test_kernels_that_are_read_ahead_are_called_by_a_match():
+    program = """
+import numpy as np
+import sameas
+from sameas.cli.warmup import KERNELS_OF_A_MATCH
+
+rng = np.random.default_rng(1)
+n = 30_000
+ra, dec, sigma = 10.0 + rng.uniform(0.0, 0.2, n), rng.uniform(-0.1, 0.1, n), rng.uniform(0.2, 0.8, n)
+near = {"ra": ra + sigma / 3600.0 * rng.standard_normal(n), "dec": dec, "sigma": sigma}
+found = sameas.match({"ra": ra, "dec": dec}, near, sigma1=0.1, sigma_unit2="arcsec")
+found.table, found.report()
+for module, names in KERNELS_OF_A_MATCH.items():
+    for name in names:
+        kernel = getattr(__import__(f"sameas.kernels.{module}", fromlist=[name]), name)
+        if not kernel._dispatcher or not kernel.compiled.signatures:
+            print(module, name)
+"""
+    environment = os.environ | {"SAMEAS_COMPILE": "1"}
+    run = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+    assert run.stdout == ""

@@ -9,6 +9,7 @@ in any case: it reads those in the cache while a reader waits for its file.
 from __future__ import annotations
 
 import gc
+import importlib
 import subprocess
 import sys
 import threading
@@ -22,6 +23,18 @@ from sameas.groups import Groups
 from sameas.kernels import compiled, threads
 from sameas.prior import PerPair
 
+#: Kernels that a match of two large tables calls, by module, in the order of their first calls.
+KERNELS_OF_A_MATCH = {
+    "coverage": ("sphere_cells", "renumber", "sizes", "look", "shared_part", "refine", "refine_share"),
+    "order": ("extent", "tally", "zones_of", "into_zones", "into_cells", "take_rows"),
+    "sphere": ("sweep_sphere",),
+    "components": ("label_pairs", "lay_out"),
+    "assign": ("assign_linear",),
+    "posterior": ("exact",),
+    "messages": ("bounds", "messages"),
+    "mixture": ("log_odds", "cells", "fit", "grade", "count_pairs", "count_alone"),
+    "summary": ("per_record", "greatest_pair", "by_row"),
+}
 #: A compilation mark older than this, in seconds, was left behind by a process that was stopped.
 LONGEST_S = 120.0
 
@@ -56,11 +69,10 @@ def read_ahead() -> None:
 
 
 def _read_cached() -> None:
-    from sameas.kernels import assign, components, coverage, messages, mixture, order, posterior, sphere, summary
-
-    # In the order of their first calls.
-    for module in (coverage, order, sphere, components, assign, posterior, messages, mixture, summary):
-        for kernel in list(vars(module).values()):
+    for module, names in KERNELS_OF_A_MATCH.items():
+        of_module = importlib.import_module(f"sameas.kernels.{module}")
+        for name in names:
+            kernel = getattr(of_module, name)
             if isinstance(kernel, compiled.Kernel):
                 kernel.read_cached()
 

@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -246,7 +246,7 @@ def _dispatcher(function: FunctionType) -> Any:
         options = _parts.get(function, _OPTIONS)
         _dispatchers[function] = njit(**options)(_with_globals(function, called) if called else function)
         if "cache" in options:
-            _read_cache_first(_dispatchers[function])
+            _read_cache_first(_dispatchers[function], is_part=function in _parts)
     return _dispatchers[function]
 
 
@@ -257,7 +257,7 @@ def _knows_cache() -> bool:
     return hasattr(numba, "version_info") and bool(numba.version_info.full[:2] <= NEWEST_KNOWN_NUMBA)
 
 
-def _read_cache_first(dispatcher: Any) -> None:
+def _read_cache_first(dispatcher: Any, is_part: bool) -> None:
     """Make the dispatcher read the cache before numba loads its compiler, which takes longer than reading every kernel
     of a match; a kernel that is not in the cache is compiled as usual.
 
@@ -270,10 +270,20 @@ def _read_cache_first(dispatcher: Any) -> None:
     cache = dispatcher._cache
     load_with_compiler = cache.load_overload
 
+    def rebuilt(context: Any, content: tuple[Any, ...]) -> Any:
+        if is_part or content[0][1] != "object":
+            return cache._impl.rebuild(context, content)
+        content, module_for_linking = _without_linking(context, content)
+        overload = cache._impl.rebuild(context, content)
+        overload.library._get_module_for_linking = module_for_linking
+        return overload
+
     def load(signature: Any, context: Any) -> Any:
+        overload = None
         with cache._guard_against_spurious_io_errors(), _signals_deferred():
             rtsys.initialize(context)
-            overload = cache._load_overload(signature, context)
+            content = cache._cache_file.load(cache._index_key(signature, context.codegen())) if cache._enabled else None
+            overload = None if content is None else rebuilt(context, content)
         if overload is None:
             _import_compiler_without_scipy_linalg()
             with _signals_deferred():
@@ -283,6 +293,28 @@ def _read_cache_first(dispatcher: Any) -> None:
     cache.load_overload = load
     # The hook would search for other packages' extensions of the compiler.
     dispatcher._compilation_chain_init_hook = lambda: None
+
+
+def _without_linking(context: Any, content: tuple[Any, ...]) -> tuple[Any, Any]:
+    """The content of a kernel's cache file without its code for linking it into others, and a function that reads this.
+
+    Reading it takes more than half of the time; it is needed when a kernel that calls this one is compiled.
+    """
+    from llvmlite import binding
+
+    (name, kind, (code, for_linking)), names, *others = content
+    engine = context.codegen()._engine
+    # numba would take these names from the code for linking.
+    engine._defined_symbols |= {names.llvm_func_name, names.llvm_cpython_wrapper_name}
+
+    @lru_cache(1)
+    def module_for_linking() -> Any:
+        module = binding.parse_bitcode(for_linking)
+        engine._load_defined_symbols(module)
+        return module
+
+    nothing = binding.parse_assembly("").as_bitcode()
+    return ((name, kind, (code, nothing)), names, *others), module_for_linking
 
 
 @contextmanager
