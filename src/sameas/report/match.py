@@ -160,18 +160,12 @@ def _rows(match: SkyMatch) -> list[str]:
     result = match.result
     reasons = sorted({reason for records in (result.first, result.second) for reason in records.set_aside.counts()})
     lines: list[tuple[str, list[str]]] = [("rows", [count(len(match.first)), count(len(match.second))])]
-    claims = threads.each(
-        [
-            partial(_claims, result.pairs.j, result.pairs.i, result.log_odds),
-            partial(_claims, result.pairs.i, result.pairs.j, result.log_odds),
-        ],
-        len(result.pairs),
-    )
     covered_1, covered_2 = match.estimate.coverage.covered
-    per_side = [
-        _row_counts(result.first, covered_1, result.pairs.i, result.chosen, claims[0], reasons),
-        _row_counts(result.second, covered_2, result.pairs.j, result.chosen, claims[1], reasons),
+    works = [
+        partial(_row_counts, result, result.first, covered_1, result.pairs.i, result.pairs.j, reasons),
+        partial(_row_counts, result, result.second, covered_2, result.pairs.j, result.pairs.i, reasons),
     ]
+    per_side = threads.each(works, len(result.pairs))
     lines += [(label, [side[label] for side in per_side]) for label in per_side[0]]
     wide = [max(len(name) + 3, 14) for name in (match.first.name, match.second.name)]
     head = f"{'Found':{2 + LABEL}}" + "".join(
@@ -184,20 +178,20 @@ def _rows(match: SkyMatch) -> list[str]:
 
 
 def _row_counts(
+    result: Identification,
     records: Records,
     covered: BoolArray,
     record: NDArray[np.int32],
-    chosen: BoolArray,
-    claims: int,
+    other: NDArray[np.int32],
     reasons: Sequence[str],
 ) -> dict[str, str]:
     """The numbers of rows of one catalogue, by outcome.
 
-    covered : (n,) records that the other catalogue covers. record, chosen : (m,) the record in each candidate pair, and
-    whether the pair is identified. claims : of ``_claims``. reasons : for excluded rows, of both catalogues.
+    covered : (n,) records that the other catalogue covers. record, other : (m,) the records of this and of the other
+    catalogue in each candidate pair. reasons : for excluded rows, of both catalogues.
     """
     unidentified = np.ones(len(records), np.bool_)
-    unidentified[record[chosen]] = False
+    unidentified[record[result.matches.pair]] = False
     not_covered = int(np.count_nonzero(~covered & unidentified))
     identified = len(records) - int(np.count_nonzero(unidentified))
     set_aside = records.set_aside.counts()
@@ -209,7 +203,7 @@ def _row_counts(
         "identified": count(identified),
         "  of those covered": percent(identified / max(len(records) - not_covered, 1)),
         "several candidates": count(np.count_nonzero(np.bincount(record) > 1)),
-        "claimed by several": count(claims),
+        "claimed by several": count(_claims(other, record, result.log_odds)),
     }
 
 
