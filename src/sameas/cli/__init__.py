@@ -76,12 +76,16 @@ def _use_one_arena() -> None:
     By default each thread has its own, and memory freed in one cannot be reused in another: 7 % of the peak of a
     million rows. Arrays are few and large, so threads hardly ever contend for the arena.
     """
+    set_malloc(-8, 1)  # M_ARENA_MAX of glibc's malloc.h
+
+
+def set_malloc(parameter: int, value: int) -> None:
+    """Set a parameter of glibc's malloc; does nothing with another C library."""
     import ctypes
     from contextlib import suppress
 
-    max_arenas = -8  # M_ARENA_MAX of glibc's malloc.h
-    with suppress(AttributeError, OSError, TypeError):  # another C library
-        ctypes.CDLL(None).mallopt(max_arenas, 1)
+    with suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).mallopt(parameter, value)
 
 
 def _end_at_once(code: int) -> None:
@@ -123,4 +127,4 @@ def _open_closed_streams() -> None:
             setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115 (it stays open)
 
 
-__all__ = ["main", "process"]
+__all__ = ["main", "process", "set_malloc"]
