@@ -190,18 +190,23 @@ def test_a_table_is_written_in_pieces_as_it_is_written_whole(matched, join, endi
         assert (parquet.ParquetFile(pieces).num_row_groups > 1) == in_pieces
 
 
-def test_columns_of_objects_are_written_whole(tmp_path, monkeypatch):
+@pytest.mark.parametrize("kind", ["objects", "times"])
+def test_columns_that_are_no_plain_arrays_are_written_whole(kind, tmp_path, monkeypatch):
     """Their type in a file depends on all rows."""
+    from astropy.time import Time
+
     from sameas.io import read_table, write_table
     from sameas.sky import joins
 
     monkeypatch.setattr(joins, "PIECE_ROWS", 2)
-    table = {
-        "ra": 10.0 + 0.1 * np.arange(5),
-        "dec": np.zeros(5),
-        "note": np.array([None, None, None, "a", "b"], object),
-    }
+    table = Table({"ra": 10.0 + 0.1 * np.arange(5), "dec": np.zeros(5)})
+    table["note"] = (
+        np.array([None, None, None, "a", "b"], object)
+        if kind == "objects"
+        else Time(2015.5 + np.arange(5), format="jyear")
+    )
     options = CatalogueOptions(sigma=0.1, epoch=2000.0)
-    found = match(Catalogue.of(table, "one", options=options), Catalogue.of(table, "two", options=options))
+    found = match(Catalogue.of(table, "one", options=options), Catalogue.of(table.copy(), "two", options=options))
     write_table(joins.JoinedTable(found), tmp_path / "out.parquet", provenance={})
-    assert list(read_table(tmp_path / "out.parquet")["note_1"][3:]) == ["a", "b"]
+    expected = ["a", "b"] if kind == "objects" else list(table["note"][3:].isot)
+    assert list(read_table(tmp_path / "out.parquet")["note_1"][3:]) == expected

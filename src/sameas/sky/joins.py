@@ -304,7 +304,11 @@ class JoinedTable:
     def pieces(self) -> Iterator[Table]:
         """The table in pieces of :data:`PIECE_ROWS`, or whole where the types of columns depend on all rows."""
         tables = self.match.first.table, self.match.second.table
-        typed = all(column.dtype.kind != "O" for table in tables for column in table.columns.values())
+        typed = all(
+            isinstance(column, Column) and column.dtype.kind != "O"
+            for table in tables
+            for column in table.columns.values()
+        )
         if not typed or not self.rows.has_first.all() or len(self) <= PIECE_ROWS:
             yield self.whole()
             return
