@@ -10,7 +10,7 @@ from fields import field, save
 
 from sameas.estimate.quantity import Quantity
 from sameas.front.request import Request
-from sameas.io import read_provenance, read_table
+from sameas.io import read_provenance, read_table, write_table
 from sameas.simulate import blended_field
 from sameas.sky.many import ManyOptions
 
@@ -209,19 +209,27 @@ def test_formats_and_version(sameas):
     assert sameas("--version").stdout == "sameas 0.1.0\n"
 
 
-def test_large_tables_are_read_two_at_a_time_with_the_same_result(tmp_path, sameas, field_files, refusal, monkeypatch):
-    first, second = field_files
-    plain = sameas("match", first, second, "-o", tmp_path / "out.csv").stdout
-    table = (tmp_path / "out.csv").read_text()
-    refused = refusal("match", tmp_path / "none.fits", tmp_path / "nor.fits", "-o", tmp_path / "out.csv")
+@pytest.mark.parametrize("ending", [".fits", ".parquet"])
+def test_large_tables_are_read_two_at_a_time_with_the_same_result(
+    ending, tmp_path, sameas, field_files, refusal, monkeypatch
+):
+    paths = [tmp_path / f"{name}{ending}" for name in ("first", "second", "none", "cut")]
+    for source, path in zip(field_files, paths, strict=False):
+        write_table(read_table(source), path, provenance={})
+    paths[3].write_bytes(paths[0].read_bytes()[:1000])
+
+    def outcome():
+        printed = sameas("match", *paths[:2], "-o", tmp_path / "out.csv").stdout
+        refused = [
+            refusal("match", *bad, "-o", tmp_path / "out.csv") for bad in ((paths[2], paths[3]), paths[2:][::-1])
+        ]
+        lines = [line for line in printed.splitlines() if "Time:" not in line]
+        return lines, (tmp_path / "out.csv").read_text(), refused
+
+    expected = outcome()
     monkeypatch.setattr("sameas.cli.outputs.TWO_AT_ONCE_BYTES", 0)
     monkeypatch.setattr("sameas.cli.match.READ_AHEAD_BYTES", 0)
-    again = sameas("match", first, second, "-o", tmp_path / "out.csv").stdout
-    assert [line for line in again.splitlines() if "Time:" not in line] == [
-        line for line in plain.splitlines() if "Time:" not in line
-    ]
-    assert (tmp_path / "out.csv").read_text() == table
-    assert refusal("match", tmp_path / "none.fits", tmp_path / "nor.fits", "-o", tmp_path / "out.csv") == refused
+    assert outcome() == expected
 
 
 @pytest.mark.parametrize("count", [2, 3])

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.crossmatch import MatchOptions, SkyMatch
 
-#: Size of both files from which cached kernels are read while the tables are: so many records need compiled kernels.
+#: Size of both files from which tables and cached kernels are read ahead: so many records need compiled kernels.
 READ_AHEAD_BYTES = 32_000_000
 
 _PANELS = {"": "Columns of both catalogues", "1": "First catalogue alone", "2": "Second catalogue alone"}
@@ -264,6 +264,14 @@ def column_evidence(of_first: list[str], of_second: list[str], related: list[str
 
 def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:
     """Match, print, write."""
+    large = request.n_bytes >= READ_AHEAD_BYTES
+    if large:
+        from sameas.io import parquet
+
+        # Decoded while the modules below are imported.
+        for path in map(Path, request.paths):
+            if path.name.lower().endswith(parquet.FORMAT.extensions):
+                parquet.read_ahead(path)
     from concurrent.futures import ThreadPoolExecutor
 
     from sameas.cli.terminal import Pace, Printer, share_compilation
@@ -286,7 +294,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     printer = Printer(quiet)
     with Pace(quiet) as pace:
         share_compilation(quiet)
-        if request.n_bytes >= READ_AHEAD_BYTES:
+        if large:
             from sameas.cli import warmup
 
             warmup.read_ahead()

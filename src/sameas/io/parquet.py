@@ -8,8 +8,9 @@ from __future__ import annotations
 import json
 import warnings
 from collections import OrderedDict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,7 @@ from sameas.errors import InputError
 from sameas.io.arrow import array_of, column_of
 from sameas.io.format import Format, unit_of
 from sameas.io.votable import parsed
+from sameas.kernels import threads
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -30,16 +32,32 @@ _ASTROPY = b"table_meta_yaml"
 _VOPARQUET = b"IVOA.VOTable-Parquet.content"
 
 
-def read(path: Path, hdu: None) -> Table:
-    """The table of a Parquet file."""
-    import pyarrow as pa
-    from astropy.table import Table
+#: Files that are decoded already, each with a function that waits for the content.
+_begun: dict[Path, Callable[[], pa.Table]] = {}
+
+
+def read_ahead(path: Path) -> None:
+    """Decode a file in a thread, for the next :func:`read` of it; errors are raised there."""
+    import pyarrow.parquet  # noqa: F401 (imported here, by one thread)
+
+    _begun[path] = threads.started(partial(_content, path))
+
+
+def _content(path: Path) -> pa.Table:
     from pyarrow import parquet
 
     with parquet.ParquetFile(path, memory_map=True, pre_buffer=False) as file:
         check_columns(len(file.schema_arrow), path)
         check_rows(file.metadata.num_rows, path)
-        content = file.read()
+        return file.read()
+
+
+def read(path: Path, hdu: None) -> Table:
+    """The table of a Parquet file."""
+    import pyarrow as pa
+    from astropy.table import Table
+
+    content = _begun.pop(path, partial(_content, path))()
     columns, left_out = [], []
     for name in content.column_names:
         if content.column_names.count(name) > 1:
