@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import naive
 from sameas import CloseObjects, CommonObjects, InputError, Radius, Records, identify
-from sameas.result import ALL_ALIKE, Loss, judged, least_loss, most_right
+from sameas.result import ALL_ALIKE, Loss, evaluate_choice, least_loss, most_right
 
 
 def small_answer(seed, n1=3, n2=3):
@@ -125,9 +125,12 @@ def test_the_three_decisions_differ_and_each_minimises_its_own_loss():
         if not len(answer.pairs):
             continue
         loss = Loss(3.0, 1.0)
-        best, right, cheap = judged(answer, answer.chosen, loss), most_right(answer), least_loss(answer, loss)
+        best, right, cheap = evaluate_choice(answer, answer.chosen, loss), most_right(answer), least_loss(answer, loss)
         assert right.expected_right >= max(best.expected_right, cheap.expected_right) - 1e-12
-        assert cheap.expected_loss <= min(best.expected_loss, judged(answer, right.chosen, loss).expected_loss) + 1e-12
+        assert (
+            cheap.expected_loss
+            <= min(best.expected_loss, evaluate_choice(answer, right.chosen, loss).expected_loss) + 1e-12
+        )
         differ += not np.array_equal(best.chosen, right.chosen)
     assert differ > 3
 
@@ -176,6 +179,6 @@ def test_only_one_to_one_decisions_are_accepted():
     first, second = Records.of([[0.0], [1.0]], sigma=1.0), Records.of([[0.4]], sigma=1.0)
     answer = identify(first, second, rule=CloseObjects(1.0, 5.0))
     with pytest.raises(InputError, match="a record of source 2 is chosen twice; give a one-to-one decision"):
-        judged(answer, np.ones(2, bool))
+        evaluate_choice(answer, np.ones(2, bool))
     with pytest.raises(InputError, match=r"chosen has shape \(3,\); give \(2,\)"):
-        judged(answer, np.ones(3, bool))
+        evaluate_choice(answer, np.ones(3, bool))

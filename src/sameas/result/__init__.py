@@ -13,12 +13,12 @@ from sameas.result.identification import (
     Identification,
     Loss,
     Matches,
-    judged,
+    evaluate_choice,
     least_loss,
     most_right,
 )
 
 __all__ = [
-    "ALL_ALIKE", "Answers", "Competitor", "Decision", "Explanation", "Identification", "Loss", "Matches", "judged",
-    "least_loss", "most_right",
+    "ALL_ALIKE", "Answers", "Competitor", "Decision", "Explanation", "Identification", "Loss", "Matches",
+    "evaluate_choice", "least_loss", "most_right",
 ]  # fmt: skip

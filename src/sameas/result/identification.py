@@ -352,17 +352,21 @@ def most_right(result: Identification) -> Decision:
     return _decision(result, 2.0 * result.p_pair - none_1[result.pairs.i] - none_2[result.pairs.j], ONE_EACH)
 
 
-def judged(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> Decision:
+def evaluate_choice(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> Decision:
     """Any one-to-one decision among ``result``'s candidates, with its expected loss and number of correct records.
 
-    ``judged(result, result.chosen)`` evaluates the most probable hypothesis.
+    ``evaluate_choice(result, result.chosen)`` evaluates the most probable hypothesis.
     """
     pairs = result.pairs
     if chosen.shape != (len(pairs),):
-        raise InputError(f"judged: chosen has shape {chosen.shape}; give ({len(pairs)},), one for each candidate")
+        raise InputError(
+            f"evaluate_choice: chosen has shape {chosen.shape}; give ({len(pairs)},), one for each candidate"
+        )
     for source, record in ((1, pairs.i), (2, pairs.j)):
         if len(np.unique(record[chosen])) != np.count_nonzero(chosen):
-            raise InputError(f"judged: a record of source {source} is chosen twice; give a one-to-one decision")
+            raise InputError(
+                f"evaluate_choice: a record of source {source} is chosen twice; give a one-to-one decision"
+            )
     assigned, alone = _losses(result, loss)
     without_1 = np.setdiff1d(pairs.i, pairs.i[chosen])
     without_2 = np.setdiff1d(pairs.j, pairs.j[chosen])
@@ -373,7 +377,7 @@ def judged(result: Identification, chosen: BoolArray, loss: Loss = ONE_EACH) -> 
 
 def _decision(result: Identification, gain: FloatArray, loss: Loss) -> Decision:
     """The one-to-one decision of greatest total gain; pairs without a gain are not chosen."""
-    return judged(result, _best(result.groups, gain), loss)
+    return evaluate_choice(result, _best(result.groups, gain), loss)
 
 
 def _best(groups: Groups, gain: FloatArray) -> BoolArray:

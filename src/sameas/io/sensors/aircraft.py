@@ -118,16 +118,16 @@ def identity_of(address: str) -> dict[str, str | None]:
 def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator[tuple[int, Mapping[str, Any]]]:
     """Line numbers and snapshots; a single snapshot may span all lines."""
     try:
-        whole = [(1, of_json("\n".join(lines)))]
+        numbered = [(1, of_json("\n".join(lines)))]
     except ValueError:
-        whole = []
+        numbered = []
         for number, line in enumerate(lines, start=1):
             if line.strip():
                 try:
-                    whole.append((number, of_json(line)))
+                    numbered.append((number, of_json(line)))
                 except ValueError:
                     damaged.append((number, "no JSON"))
-    for number, snapshot in whole:
+    for number, snapshot in numbered:
         if not isinstance(snapshot, dict) or not isinstance(snapshot.get("aircraft"), list):
             damaged.append((number, "no list of aircraft"))
         elif not isinstance(snapshot.get("now"), (int, float)):
@@ -184,8 +184,8 @@ def _row(number: int, now: float, aircraft: Any) -> dict[str, Any] | str:
 def _is_same(last: Mapping[str, Any] | None, row: Mapping[str, Any]) -> bool:
     if last is None:
         return False
-    same_place = last["lat_deg"] == row["lat_deg"] and last["lon_deg"] == row["lon_deg"]
-    return bool(same_place and abs(last["time_s"] - row["time_s"]) <= _SAME_POSITION_S)
+    same_position = last["lat_deg"] == row["lat_deg"] and last["lon_deg"] == row["lon_deg"]
+    return bool(same_position and abs(last["time_s"] - row["time_s"]) <= _SAME_POSITION_S)
 
 
 FORMAT = SensorFormat(

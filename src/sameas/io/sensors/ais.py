@@ -101,7 +101,7 @@ _LONG_RANGE_STEP_M = 0.1 * MILE_M
 #: Above this speed, in m/s, the course is used as heading where none is sent.
 _STEERING_M_PER_S = 1.0
 _SIDES = ("bow", "stern", "port", "starboard")
-_KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
+_SHIP_TYPES = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "dredging", 34: "diving",
           35: "military", 36: "sailing", 37: "pleasure", 40: "high speed craft", 50: "pilot",
           51: "search and rescue", 52: "tug", 53: "port tender", 54: "anti-pollution", 55: "law enforcement",
           58: "medical", 60: "passenger", 70: "cargo", 80: "tanker", 90: "other"}  # fmt: skip
@@ -109,10 +109,10 @@ _KINDS = {20: "wing in ground", 30: "fishing", 31: "towing", 32: "towing", 33: "
 
 @dataclass(frozen=True)
 class Message:
-    """One message decoded by pyais. line : of its last sentence. place : index of that sentence in the log."""
+    """One message decoded by pyais. line : of its last sentence. index : of that sentence in the log."""
 
     line: int
-    place: int
+    index: int
     own_ship: bool
     decoded: Any
 
@@ -172,20 +172,20 @@ def read(log: Log, source: str, start_s: float | None = None, state: ReceiverSta
             positions.append(message)
     if not positions:
         raise NoReports(
-            f"{source}: no AIS position in {len(messages)} messages; {_what_else(damaged, passed_over)}",
+            f"{source}: no AIS position in {len(messages)} messages; {_unused_lines(damaged, passed_over)}",
             damaged=Damaged.of(damaged), passed_over=passed_over,
         )  # fmt: skip
     time_s, clock = _times(log, messages, positions, source, start_s)
     columns = of_rows(_rows(positions, statics))
-    columns |= {"time_s": time_s, **_placed(columns, np.array([message.type for message in positions]))}
-    made = Reports.of(
+    columns |= {"time_s": time_s, **_hull_centres(columns, np.array([message.type for message in positions]))}
+    reports = Reports.of(
         source, "ais", columns, damaged=Damaged.of(damaged), passed_over=passed_over, notes=_notes(source, clock)
     )
-    return replace(made, counted_clock=clock == COUNTED)
+    return replace(reports, counted_clock=clock == COUNTED)
 
 
 def own_ship(sentence: Sentence) -> dict[str, float | None]:
-    """The latitude, longitude and heading of own ship in a VDO sentence, as far as it has them.
+    """The latitude, longitude and heading of own ship that a VDO sentence gives.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def own_ship(sentence: Sentence) -> dict[str, float | None]:
     if message.type not in _POSITIONS or _unusable(message):
         return {}
     fields: dict[str, float | None] = {"lat": float(decoded.lat), "lon": float(decoded.lon)}
-    heading = _below(getattr(decoded, "heading", None), 360)
+    heading = _available(getattr(decoded, "heading", None), 360)
     return fields if heading is None else fields | {"heading": heading}
 
 
@@ -211,7 +211,7 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], lis
     messages: list[Message] = []
     damaged = list(log.damaged)
     waiting: dict[tuple[str, ...], list[Sentence]] = {} if state is None else state.waiting
-    for place, sentence in enumerate(log.sentences):
+    for index, sentence in enumerate(log.sentences):
         if sentence.kind not in SENTENCES:
             continue
         parts = [sentence]
@@ -229,7 +229,7 @@ def _messages(log: Log, state: ReceiverState | None) -> tuple[list[Message], lis
             # pyais raises many kinds of errors; each is one damaged message.
             damaged += [(part.line, f"cannot be decoded ({type(error).__name__})") for part in parts]
             continue
-        messages.append(Message(sentence.line, place, sentence.kind == "VDO", decoded))
+        messages.append(Message(sentence.line, index, sentence.kind == "VDO", decoded))
     for parts in waiting.values() if state is None else ():
         damaged += [(part.line, "part of a message without the others") for part in parts]
     return messages, damaged
@@ -243,14 +243,14 @@ def _parts(
 ) -> list[Sentence]:
     """All parts of a message if this is the last one, else none; parts out of sequence become damaged."""
     total, number = key[1], sentence.field(2)
-    before = waiting.pop(key, [])
-    if number != str(len(before) + 1):
-        damaged += [(part.line, "part of a message without the others") for part in before]
-        before = []
-    if number != "1" and not before:
+    earlier = waiting.pop(key, [])
+    if number != str(len(earlier) + 1):
+        damaged += [(part.line, "part of a message without the others") for part in earlier]
+        earlier = []
+    if number != "1" and not earlier:
         damaged.append((sentence.line, "part of a message without the others"))
         return []
-    parts = [*before, sentence]
+    parts = [*earlier, sentence]
     if str(len(parts)) == total:
         return parts
     waiting[key] = parts
@@ -290,17 +290,17 @@ def _times(
     log: Log, messages: Sequence[Message], positions: Sequence[Message], source: str, start_s: float | None
 ) -> tuple[FloatArray, str]:
     """The time of each position, and the description of the clock."""
-    second = np.array([_below(getattr(message.decoded, "second", None), 60) for message in positions], float)
-    places = [message.place for message in positions]
+    second = np.array([_available(getattr(message.decoded, "second", None), 60) for message in positions], float)
+    indices = [message.index for message in positions]
     clock_s, clock = log.clock_s, log.clock
     if not clock and any(message.type in _CLOCKS for message in messages):
         clock_s = np.full(len(log.sentences), np.nan)
         for message in messages:
             if message.type in _CLOCKS:
-                clock_s[message.place] = _base_station(message.decoded)
+                clock_s[message.index] = _base_station(message.decoded)
         clock_s, clock = forward_filled(clock_s), "base stations' reports"
-    if np.isfinite(clock_s[places]).all():
-        return at_second(clock_s[places], second), clock
+    if np.isfinite(clock_s[indices]).all():
+        return at_second(clock_s[indices], second), clock
     if start_s is None:
         raise InputError(
             f"{source}: no time: the lines carry no time of receipt, and there is no ZDA, RMC or base station",
@@ -323,9 +323,9 @@ def _base_station(decoded: Any) -> float:
 def _rows(positions: Sequence[Message], statics: Mapping[str, list[Static]]) -> list[dict[str, Any]]:
     rows = []
     for message in positions:
-        decoded, kind = message.decoded, message.type
+        decoded = message.decoded
         # Knots in tenths; report 27 has whole knots and 63 for none, 9 whole knots and 1023.
-        speed = _below(decoded.speed, {27: 63.0, 9: 1023.0}.get(kind, 102.25))
+        speed = _available(decoded.speed, {27: 63.0, 9: 1023.0}.get(message.type, 102.25))
         second = getattr(decoded, "second", None)
         mmsi = f"{int(decoded.mmsi):09d}"
         rows.append(
@@ -335,11 +335,11 @@ def _rows(positions: Sequence[Message], statics: Mapping[str, list[Static]]) -> 
                 "track_id": mmsi,
                 "antenna_lat_deg": float(decoded.lat),
                 "antenna_lon_deg": float(decoded.lon),
-                "alt_m": _below(getattr(decoded, "alt", None), 4095),
+                "alt_m": _available(getattr(decoded, "alt", None), 4095),
                 "speed_m_per_s": None if speed is None else speed * KNOT_M_PER_S,
-                "course_deg": _below(decoded.course, 360.0),
-                "heading_deg": _below(getattr(decoded, "heading", None), 360),
-                "message_type": kind,
+                "course_deg": _available(decoded.course, 360.0),
+                "heading_deg": _available(getattr(decoded, "heading", None), 360),
+                "message_type": message.type,
                 "accuracy_flag": float(bool(decoded.accuracy)),
                 "raim_flag": float(bool(decoded.raim)),
                 "reckoned": float(second in (61, 62)),
@@ -349,7 +349,7 @@ def _rows(positions: Sequence[Message], statics: Mapping[str, list[Static]]) -> 
     return rows
 
 
-def _below(value: Any, limit: float) -> float | None:
+def _available(value: Any, limit: float) -> float | None:
     """The value as a number; None where it is missing or at the limit that means "not available"."""
     return None if value is None or not 0 <= float(value) < limit else float(value)
 
@@ -364,11 +364,11 @@ def _statics(messages: Sequence[Message], state: ReceiverState | None) -> dict[s
         if message.type not in _STATICS or message.own_ship or _unusable(message):
             continue
         mmsi = f"{int(message.decoded.mmsi):09d}"
-        before = by_ship.setdefault(mmsi, [])
-        fields = _static(message.decoded)
-        before.append(Static(message.line, {**(before[-1].values if before else {}), **fields}))
+        entries = by_ship.setdefault(mmsi, [])
+        fields = _static_fields(message.decoded)
+        entries.append(Static(message.line, {**(entries[-1].values if entries else {}), **fields}))
         if state is not None:
-            state.statics[mmsi] = before[-1].values
+            state.statics[mmsi] = entries[-1].values
     return by_ship
 
 
@@ -379,7 +379,7 @@ def _static_at(statics: Sequence[Static], line: int) -> Mapping[str, Any]:
     return statics[max(bisect_right(statics, line, key=lambda static: static.line) - 1, 0)].values
 
 
-def _static(decoded: Any) -> dict[str, Any]:
+def _static_fields(decoded: Any) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for column, entry in (("name", "shipname"), ("callsign", "callsign")):
         text = str(getattr(decoded, entry, None) or "").rstrip("@ ").strip()
@@ -389,7 +389,7 @@ def _static(decoded: Any) -> dict[str, Any]:
         values["imo"] = str(decoded.imo)
     code = int(getattr(decoded, "ship_type", None) or 0)
     if 20 <= code < 100:
-        values["type"] = _KINDS.get(code, _KINDS.get(10 * (code // 10), "other"))
+        values["type"] = _SHIP_TYPES.get(code, _SHIP_TYPES.get(10 * (code // 10), "other"))
     sides = {f"to_{side}_m": getattr(decoded, f"to_{side}", None) for side in _SIDES}
     # An auxiliary craft (98…) sends the MMSI of its mother ship in place of the hull.
     if None not in sides.values() and any(sides.values()) and not f"{int(decoded.mmsi):09d}".startswith("98"):
@@ -397,15 +397,15 @@ def _static(decoded: Any) -> dict[str, Any]:
     return values
 
 
-def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
+def _hull_centres(columns: Mapping[str, Any], message_type: np.ndarray) -> dict[str, Any]:
     """Positions of the centres of the hulls, and their covariances."""
-    n = len(kinds)
+    n = len(message_type)
     lat, lon = columns["antenna_lat_deg"], columns["antenna_lon_deg"]
     sigma = np.where(columns["accuracy_flag"] > 0.0, AIS_SIGMA_M[True], AIS_SIGMA_M[False])
     sigma = np.where(columns["reckoned"] > 0.0, AIS_RECKONED_SIGMA_M, sigma)
     covariance = round_covariance(sigma)
     # Rounding error, uniform within a step.
-    step = np.where(kinds == 27, _LONG_RANGE_STEP_M, 0.0)
+    step = np.where(message_type == 27, _LONG_RANGE_STEP_M, 0.0)
     covariance[:, 2] += step**2 / 12.0
     covariance[:, 0] += (step * np.cos(np.radians(lat))) ** 2 / 12.0
     sides = [np.asarray(columns.get(f"to_{side}_m", np.full(n, np.nan))) for side in _SIDES]
@@ -418,7 +418,7 @@ def _placed(columns: Mapping[str, Any], kinds: np.ndarray) -> dict[str, Any]:
             "length_m": hull.length_m, "width_m": hull.width_m}  # fmt: skip
 
 
-def _what_else(damaged: Sequence[tuple[int, str]], passed_over: Mapping[str, int]) -> str:
+def _unused_lines(damaged: Sequence[tuple[int, str]], passed_over: Mapping[str, int]) -> str:
     lines = Damaged.of(damaged).sentences() + [f"{count} skipped: {what}" for what, count in passed_over.items()]
     return "; ".join(lines) or "is it AIS?"
 

@@ -20,7 +20,7 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError, naming
 from sameas.io.sensors.ais import own_ship
 from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, forward_filled
-from sameas.io.sensors.nmea import Log, Sentence, dated, latitude, longitude, time_of_day
+from sameas.io.sensors.nmea import Log, Sentence, latitude, longitude, time_of_day, with_date
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: The sentences of targets.
@@ -32,12 +32,12 @@ _STATUS = {"L": "lost", "Q": "being acquired", "T": "tracked"}
 
 @dataclass
 class OwnShip:
-    """Own ship before these lines, and whether TTM sentences have occurred."""
+    """Own ship before these lines. has_ttm : whether TTM sentences have occurred."""
 
     heading: float = math.nan
     lat: float = math.nan
     lon: float = math.nan
-    ttm: bool = False
+    has_ttm: bool = False
 
 
 def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | None = None) -> Reports:
@@ -55,37 +55,39 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
     InputError : no target; no time.
     """
     ship = OwnShip() if ship is None else ship
-    ship.ttm |= any(s.kind == "TTM" for s in log.sentences)
-    kind = "TTM" if ship.ttm else "TLL"
+    ship.has_ttm |= any(s.kind == "TTM" for s in log.sentences)
+    kind = "TTM" if ship.has_ttm else "TLL"
     damaged = list(log.damaged)
     passed_over: Counter[str] = Counter()
     own = _own_ship(log, ship)
-    places, rows = [], []
-    for place, sentence in enumerate(log.sentences):
+    indices, rows = [], []
+    for index, sentence in enumerate(log.sentences):
         if sentence.kind != kind:
             if sentence.kind in SENTENCES:
                 passed_over["TLL of targets that TTM reports too"] += 1
             continue
         try:
-            row = _target(sentence, {name: values[place] for name, values in own.items()})
+            row = _target(sentence, {name: values[index] for name, values in own.items()})
         except ValueError as error:
             damaged.append((sentence.line, str(error)))
             continue
         if row is None:
             passed_over["target lost by the radar"] += 1
         else:
-            places.append(place)
+            indices.append(index)
             rows.append(row)
     if not rows:
-        lost = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
+        reasons = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
         raise NoReports(
-            f"{source}: no radar target that can be used: {lost}", damaged=Damaged.of(damaged), passed_over=passed_over
+            f"{source}: no radar target that can be used: {reasons}",
+            damaged=Damaged.of(damaged),
+            passed_over=passed_over,
         )
     columns = of_rows(rows)
     if kind == "TLL" and not np.isfinite(columns["station_lat_deg"]).all():
         # Positions do not need own ship; it is dropped unless known for all of them.
         del columns["station_lat_deg"], columns["station_lon_deg"]
-    columns["time_s"] = _times(log, columns.pop("day_s"), np.array(places), source, start_s)
+    columns["time_s"] = _times(log, columns.pop("day_s"), np.array(indices), source, start_s)
     return Reports.of(
         source,
         "arpa",
@@ -101,7 +103,7 @@ def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
     columns = {name: np.full(len(log.sentences), np.nan) for name in ("heading", "lat", "lon")}
     for name, values in columns.items():
         values[:1] = getattr(ship, name)
-    for place, sentence in enumerate(log.sentences):
+    for index, sentence in enumerate(log.sentences):
         reader = _OWN_SHIP.get(sentence.kind)
         if reader:
             try:
@@ -109,7 +111,7 @@ def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
             except (ValueError, IndexError):
                 continue
             for name, value in position.items():
-                columns[name][place] = np.nan if value is None else value
+                columns[name][index] = np.nan if value is None else value
     known = {name: _latest(values) for name, values in columns.items()}
     for name, values in known.items():
         setattr(ship, name, float(values[-1]) if len(values) else getattr(ship, name))
@@ -166,10 +168,10 @@ def _target(s: Sentence, own: Mapping[str, float]) -> dict[str, Any] | None:
     if not ttm:
         lat, lon = latitude(s.field(2), s.field(3)), longitude(s.field(4), s.field(5))
         return row | {"lat_deg": lat, "lon_deg": lon, **_station(own)}
-    return row | _measured(s, own) | _station(own)
+    return row | _range_and_bearing(s, own) | _station(own)
 
 
-def _measured(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
+def _range_and_bearing(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
     """Range, bearing, speed and course of a TTM."""
     unit = s.field(10) or "N"
     if unit not in _UNITS:
@@ -183,7 +185,7 @@ def _measured(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
     speed, course = s.number(5), s.number(6)
     return {
         "range_m": distance * metres,
-        "bearing_deg": _true(bearing, s.field(4), own["heading"]),
+        "bearing_deg": _from_north(bearing, s.field(4), own["heading"]),
         "speed_m_per_s": None if speed is None else speed * metres_per_s,
         "course_deg": _course(course, s.field(7), own["heading"]),
     }
@@ -202,10 +204,10 @@ def _course(angle: float | None, flag: str, heading: float) -> float | None:
     """The course from true north; None where it is missing, or relative while the heading is unknown."""
     if angle is None or (flag == "R" and not np.isfinite(heading)):
         return None
-    return _true(angle, flag, heading)
+    return _from_north(angle, flag, heading)
 
 
-def _true(angle: float, flag: str, heading: float) -> float:
+def _from_north(angle: float, flag: str, heading: float) -> float:
     """A direction from true north; ``flag`` says whether it is given from there (T) or from the bow (R)."""
     if flag in ("T", ""):
         return angle
@@ -216,16 +218,16 @@ def _true(angle: float, flag: str, heading: float) -> float:
     return angle + heading
 
 
-def _times(log: Log, day_s: FloatArray, places: np.ndarray, source: str, start_s: float | None) -> FloatArray:
+def _times(log: Log, day_s: FloatArray, indices: np.ndarray, source: str, start_s: float | None) -> FloatArray:
     """The time of each target."""
-    clock_s = log.clock_s[places]
-    own_time = dated(day_s, clock_s, start_s)
+    clock_s = log.clock_s[indices]
+    own_time = with_date(day_s, clock_s, start_s)
     times = np.where(np.isfinite(own_time), own_time, clock_s)
     if not np.isfinite(times).all():
-        some = "the sentences have the time of day, but no date" if np.isfinite(day_s).any() else "no line has a time"
+        reason = "the sentences have the time of day, but no date" if np.isfinite(day_s).any() else "no line has a time"
         if np.isfinite(day_s).all():
-            raise InputError(f"{source}: no time: {some}", naming("give {start}, the UTC date of the first line"))
-        raise InputError(f"{source}: no time: {some}, no ZDA and no RMC")
+            raise InputError(f"{source}: no time: {reason}", naming("give {start}, the UTC date of the first line"))
+        raise InputError(f"{source}: no time: {reason}, no ZDA and no RMC")
     return np.asarray(times)
 
 

@@ -20,7 +20,7 @@ FEET_PER_MINUTE_M_PER_S = FOOT_M / 60.0
 
 DAY_S = 86400.0
 #: Numbers above these are milliseconds, microseconds, nanoseconds since 1970: as seconds they lie beyond the year 5138.
-_FINER = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
+_FINER_UNITS = ((1e17, 1e9), (1e14, 1e6), (1e11, 1e3))
 
 
 def instant(text: str) -> float | None:
@@ -48,13 +48,13 @@ def instant(text: str) -> float | None:
 
 def seconds(number: float) -> float:
     """Seconds, from a number in seconds, milliseconds, microseconds or nanoseconds, by its size."""
-    for above, unit in _FINER:
+    for above, unit in _FINER_UNITS:
         if abs(number) > above:
             return number / unit
     return number
 
 
-def started(start: str | float | None, source: str) -> float | None:
+def start_seconds(start: str | float | None, source: str) -> float | None:
     """UTC in seconds of the first line of a file, from the user's option."""
     if start is None or isinstance(start, (int, float)):
         return start if start is None else float(start)
@@ -88,12 +88,12 @@ def unwrapped(values: ArrayLike, period_s: float, start_s: float | None = None) 
         return out
     finite = values[rows]
     steps = np.diff(finite)
-    turns = np.concatenate([[0.0], np.cumsum(-np.round(steps / period_s))])
+    wraps = np.concatenate([[0.0], np.cumsum(-np.round(steps / period_s))])
     begin = 0.0
     if start_s is not None:
         date_only = period_s == DAY_S and start_s % DAY_S == 0.0
         begin = start_s if date_only else period_s * np.round((start_s - finite[0]) / period_s)
-    out[rows] = begin + finite + period_s * turns
+    out[rows] = begin + finite + period_s * wraps
     return out
 
 

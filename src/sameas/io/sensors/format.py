@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.bounds import MAGIC, Unpacking, unpacked
 from sameas.errors import InputError
-from sameas.io.sensors.clock import started
+from sameas.io.sensors.clock import start_seconds
 from sameas.tracks.reports import Reports
 
 #: Number of bytes at the start of a file, and of lines in them, that are used to recognise its format.
@@ -70,7 +70,7 @@ class SensorFile:
         """
         path = Path(path)
         source = options.source or path.name
-        start_s = started(options.start, source)
+        start_s = start_seconds(options.start, source)
         return cls(path, content(path), source, options, start_s)
 
     @cached_property
@@ -196,12 +196,12 @@ def sigma_of_nacp(nacp: ArrayLike) -> FloatArray:
     >>> sigma_of_nacp([9, 8, 0]).round(1).tolist()
     [12.3, 37.8, nan]
     """
-    return _looked_up(_NACP_M, nacp) / RADIUS_95
+    return _lookup(_NACP_M, nacp) / RADIUS_95
 
 
 def sigma_of_nucp(nucp: ArrayLike) -> FloatArray:
     """(n,) metres per axis, of the uncertainty categories of version 0; NaN as for :func:`sigma_of_nacp`."""
-    return _looked_up(_NUCP_M, nucp) / RADIUS_95
+    return _lookup(_NUCP_M, nucp) / RADIUS_95
 
 
 def sigma_of_containment(radius_m: ArrayLike) -> FloatArray:
@@ -216,12 +216,12 @@ def sigma_of_containment(radius_m: ArrayLike) -> FloatArray:
 
 def sigma_of_nic(nic: ArrayLike) -> FloatArray:
     """(n,) metres per axis, of navigation integrity categories; see :func:`sigma_of_containment`."""
-    return sigma_of_containment(_looked_up(_NIC_M, nic))
+    return sigma_of_containment(_lookup(_NIC_M, nic))
 
 
 def sigma_of_nacv(nacv: ArrayLike) -> FloatArray:
     """(n,) metres per second per axis, of velocity accuracy categories; NaN as for :func:`sigma_of_nacp`."""
-    return _looked_up(_NACV_M_PER_S, nacv) / RADIUS_95
+    return _lookup(_NACV_M_PER_S, nacv) / RADIUS_95
 
 
 def round_covariance(sigma: ArrayLike) -> FloatArray:
@@ -230,7 +230,7 @@ def round_covariance(sigma: ArrayLike) -> FloatArray:
     return np.stack([variance, np.where(np.isnan(variance), np.nan, 0.0), variance], axis=-1)
 
 
-def _looked_up(table: tuple[float, ...], classes: ArrayLike) -> FloatArray:
+def _lookup(table: tuple[float, ...], classes: ArrayLike) -> FloatArray:
     values = np.append(np.asarray(table), np.nan)
     classes = np.asarray(classes, dtype=np.float64)
     known = np.isfinite(classes) & (classes >= 0) & (classes < len(table))

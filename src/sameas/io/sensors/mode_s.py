@@ -26,8 +26,8 @@ _LONGEST_LINE = 200
 _LINE = re.compile(r"(?:(?P<time>[^,;*@\s][^,;*@]*?)[,;\s]+)?[*@]?(?P<hex>[0-9A-Fa-f]{14,42});?")
 _COUNTER_HZ = 12e6
 _COUNTER_S = 2.0**48 / _COUNTER_HZ
-#: Fields older than this, in seconds, are not joined to a position: velocities, and what is sent seldom (chosen).
-_STALE_S, _SELDOM_S = 10.0, 120.0
+#: Fields older than this, in seconds, are not joined to a position: velocities, and fields sent rarely (chosen).
+_STALE_S, _RARE_STALE_S = 10.0, 120.0
 
 
 def read(lines: Sequence[str], source: str, start_s: float | None = None) -> Reports:
@@ -83,8 +83,8 @@ def _messages(lines: Sequence[str]) -> tuple[list[int], list[str], list[tuple[fl
             continue
         match = _LINE.fullmatch(text) if len(text) <= _LONGEST_LINE else None
         digits = match["hex"] if match else ""
-        counted = "@" in text and len(digits) in (26, 40)
-        message = digits[12:] if counted else digits
+        has_counter = "@" in text and len(digits) in (26, 40)
+        message = digits[12:] if has_counter else digits
         # Some programs keep the prefix of a Beast receiver: type, counter and signal level.
         message = message[18:] if len(message) in (32, 46) else message
         if len(message) not in (14, 28):
@@ -93,7 +93,7 @@ def _messages(lines: Sequence[str]) -> tuple[list[int], list[str], list[tuple[fl
         utc = instant(match["time"]) if match and match["time"] else None
         numbers.append(number)
         messages.append(message.lower())
-        times.append((np.nan if utc is None else utc, int(digits[:12], 16) / _COUNTER_HZ if counted else np.nan))
+        times.append((np.nan if utc is None else utc, int(digits[:12], 16) / _COUNTER_HZ if has_counter else np.nan))
     return numbers, messages, times, damaged
 
 
@@ -123,11 +123,11 @@ def _decoded(messages: Sequence[str], times: Sequence[float]) -> list[Mapping[st
     # One batch, since the halves of a position are combined within a batch. The decoder omits broken messages.
     decoded = [one for one in _decoder()(messages, times, batch=len(messages)) if one]
     by_message: list[Mapping[str, Any] | None] = []
-    place = 0
+    at = 0
     for message, when in zip(messages, times, strict=True):
-        matches = place < len(decoded) and decoded[place]["frame"] == message and decoded[place]["timestamp"] == when
-        by_message.append(decoded[place] if matches else None)
-        place += matches
+        matches = at < len(decoded) and decoded[at]["frame"] == message and decoded[at]["timestamp"] == when
+        by_message.append(decoded[at] if matches else None)
+        at += matches
     return by_message
 
 
@@ -148,8 +148,8 @@ def _fields(decoded: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _report(decoded: Mapping[str, Any], fields: Mapping[str, tuple[float, Any]], when: float) -> dict[str, Any]:
-    seldom = ("callsign", "mode_a", "version", "nac_p", "nac_v")
-    row = {n: v for n, (time_s, v) in fields.items() if when - time_s <= (_SELDOM_S if n in seldom else _STALE_S)}
+    rare = ("callsign", "mode_a", "version", "nac_p", "nac_v")
+    row = {n: v for n, (time_s, v) in fields.items() if when - time_s <= (_RARE_STALE_S if n in rare else _STALE_S)}
     height = _scaled(decoded.get("altitude"), FOOT_M)
     barometric = decoded.get("source") != "GNSS"
     difference = row.get("above_pressure_m")

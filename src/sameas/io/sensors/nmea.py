@@ -45,7 +45,7 @@ class Sentence:
 
         Raises
         ------
-        ValueError : it holds something else.
+        ValueError : the field is no finite number.
         """
         text = self.field(number)
         if not text:
@@ -93,23 +93,23 @@ def log_of(lines: Sequence[str], unended: bool = False, received_s: Sequence[flo
     return Log(tuple(sentences), clock_s, clock, tuple(damaged))
 
 
-def latitude(text: str, side: str) -> float:
+def latitude(text: str, hemisphere: str) -> float:
     """Degrees, of ddmm.mm and N or S.
 
     Raises
     ------
-    ValueError : something else is written there.
+    ValueError : another text.
     """
-    return _degrees(text, side, 2, "NS", 90.0)
+    return _degrees(text, hemisphere, 2, "NS", 90.0)
 
 
-def longitude(text: str, side: str) -> float:
+def longitude(text: str, hemisphere: str) -> float:
     """Degrees, of dddmm.mm and E or W; raises as :func:`latitude`."""
-    return _degrees(text, side, 3, "EW", 180.0)
+    return _degrees(text, hemisphere, 3, "EW", 180.0)
 
 
 def time_of_day(text: str) -> float:
-    """Seconds since midnight, of hhmmss.ss; NaN where empty. Raises ValueError where something else is written."""
+    """Seconds since midnight, of hhmmss.ss; NaN where empty. Raises ValueError for another text."""
     if not text:
         return np.nan
     if len(text) < 6:
@@ -120,14 +120,14 @@ def time_of_day(text: str) -> float:
     return 3600.0 * hours + 60.0 * minutes + rest
 
 
-def _degrees(text: str, side: str, digits: int, sides: str, limit: float) -> float:
-    if side not in tuple(sides):
-        raise ValueError(f"{side!r} is neither {sides[0]} nor {sides[1]}")
+def _degrees(text: str, hemisphere: str, digits: int, sides: str, limit: float) -> float:
+    if hemisphere not in tuple(sides):
+        raise ValueError(f"{hemisphere!r} is neither {sides[0]} nor {sides[1]}")
     minutes = float(text[digits:])
     value = int(text[:digits]) + minutes / 60.0
     if not (0.0 <= minutes < 60.0 and value <= limit):
         raise ValueError(f"position {text!r}")
-    return value if side == sides[0] else -value
+    return value if hemisphere == sides[0] else -value
 
 
 def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
@@ -146,7 +146,7 @@ def _sentence(number: int, raw: str, whole: bool) -> Sentence | str:
         return "wrong checksum"
     address, *values = body.split(",")
     kind = address[1:] if address.startswith("P") else address[2:]
-    time_s = _receipt(tags, line[: match.start()], line[match.end() :])
+    time_s = _receive_time(tags, line[: match.start()], line[match.end() :])
     return Sentence(number, text, kind, tuple(values), time_s)
 
 
@@ -158,7 +158,7 @@ def checksum(body: str) -> int:
     return total
 
 
-def _receipt(tags: str, before: str, after: str) -> float:
+def _receive_time(tags: str, before: str, after: str) -> float:
     """The receive time in the line; NaN where it has none."""
     tagged = _TAG_TIME.search(tags)
     if tagged:
@@ -176,10 +176,10 @@ def _clock(sentences: Sequence[Sentence]) -> tuple[FloatArray, str]:
     if np.isfinite(received).any():
         return forward_filled(received), "times of receipt written in the log"
     times = [(s, _date_time(s)) for s in sentences]
-    for kinds, words in (({"GHP"}, "$PGHP sentences"), ({"ZDA", "RMC"}, "own ship's ZDA and RMC sentences")):
+    for kinds, description in (({"GHP"}, "$PGHP sentences"), ({"ZDA", "RMC"}, "own ship's ZDA and RMC sentences")):
         clock_s = np.array([time_s if s.kind in kinds else np.nan for s, time_s in times])
         if np.isfinite(clock_s).any():
-            return forward_filled(clock_s), words
+            return forward_filled(clock_s), description
     return np.full(len(sentences), np.nan), ""
 
 
@@ -205,7 +205,7 @@ def _date(year: int, month: int, day: int) -> float:
     return datetime(year, month, day, tzinfo=UTC).timestamp()
 
 
-def dated(day_s: FloatArray, clock_s: FloatArray, start_s: float | None) -> FloatArray:
+def with_date(day_s: FloatArray, clock_s: FloatArray, start_s: float | None) -> FloatArray:
     """UTC (n,) of times of day: on the day nearest to the clock, else counted from the start."""
     if np.isfinite(clock_s).any():
         return np.asarray(day_s + DAY_S * np.round((clock_s - day_s) / DAY_S))

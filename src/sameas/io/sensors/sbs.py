@@ -1,4 +1,4 @@
-"""SBS: the lines that dump1090 and its kin serve on port 30003 (``MSG,3,…``), as BaseStation wrote them first.
+"""SBS: the lines of BaseStation (``MSG,3,…``), which dump1090 and similar programs serve on port 30003.
 
 Positions are in messages of type 2 and 3, velocities in 4 (2 on the ground), call signs in 1, squawks in 6: every
 position gets the latest fields of its aircraft. No message states accuracies. Times are local time of the receiver in
@@ -72,10 +72,10 @@ def read(lines: Sequence[str], source: str, unended: bool = False, latest_fields
             current = {name: value for name, (when, value) in latest.items() if abs(time_s - when) <= _STALE_S}
             rows.append({"line": number, "time_s": time_s, **identity_of(address), **current})
     if not rows:
-        about = Damaged.of(damaged)
+        unusable = Damaged.of(damaged)
         raise NoReports(
-            f"{source}: no position: {'; '.join(about.sentences()) or 'no MSG,2 or MSG,3'}",
-            damaged=about, passed_over=passed_over,
+            f"{source}: no position: {'; '.join(unusable.sentences()) or 'no MSG,2 or MSG,3'}",
+            damaged=unusable, passed_over=passed_over,
         )  # fmt: skip
     notes = (f"{source}: times are read as UTC; SBS lines state no time zone", f"{source}: SBS states no errors")
     return Reports.of(source, "adsb", of_rows(rows), damaged=Damaged.of(damaged), passed_over=passed_over, notes=notes)

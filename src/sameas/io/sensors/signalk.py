@@ -36,7 +36,7 @@ class Vessels:
     """State before these lines: latest fields with their times, by context; context and position of own ship."""
 
     fields: dict[str, dict[str, tuple[float, Any]]] = field(default_factory=dict)
-    own: str = "vessels.self"
+    own_context: str = "vessels.self"
     station: tuple[float, float] = (math.nan, math.nan)
 
 
@@ -45,7 +45,7 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
 
     Parameters
     ----------
-    lines : JSON objects. source : its name in messages; of both ``source:ais`` and ``source:arpa``.
+    lines : JSON objects. source : its name in messages; two sources are named ``source:ais`` and ``source:arpa``.
     vessels : for a stream, the state before these lines; updated.
 
     Raises
@@ -65,69 +65,70 @@ def read(lines: Sequence[str], source: str, vessels: Vessels | None = None) -> l
             damaged.append((number, "no delta"))
             continue
         try:
-            _take(delta, number, vessels, rows, passed_over)
+            _add_delta(delta, number, vessels, rows, passed_over)
         except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
             damaged.append((number, f"no delta: {error}"))
-    about, have = Damaged.of(damaged), [kind for kind in rows if rows[kind]]
-    if not have:
+    unusable, kinds = Damaged.of(damaged), [kind for kind in rows if rows[kind]]
+    if not kinds:
         raise NoReports(
-            f"{source}: no position of a vessel and no target: {'; '.join(about.sentences()) or 'no deltas'}",
-            damaged=about, passed_over=passed_over,
+            f"{source}: no position of a vessel and no target: {'; '.join(unusable.sentences()) or 'no deltas'}",
+            damaged=unusable, passed_over=passed_over,
         )  # fmt: skip
-    several = live or len(have) > 1
+    several = live or len(kinds) > 1
     return [
         Reports.of(
             f"{source}:{kind}" if several else source, kind, of_rows(rows[kind]),
-            damaged=about if kind == have[0] else Damaged(), passed_over=passed_over if kind == have[0] else {},
+            damaged=unusable if kind == kinds[0] else Damaged(), passed_over=passed_over if kind == kinds[0] else {},
         )
-        for kind in have
+        for kind in kinds
     ]  # fmt: skip
 
 
-def _take(
+def _add_delta(
     delta: Any, number: int, vessels: Vessels, rows: dict[str, list[dict[str, Any]]], passed_over: Counter[str]
 ) -> None:
+    """Adds the reports of a delta to ``rows``, and its fields to ``vessels``. Raises an error where it is no delta."""
     if "updates" not in delta:
-        vessels.own = plain_text(delta.get("self")) or vessels.own
+        vessels.own_context = plain_text(delta.get("self")) or vessels.own_context
         passed_over["hello or other message"] += 1
         return
-    context = plain_text(delta.get("context", vessels.own))
+    context = plain_text(delta.get("context", vessels.own_context))
     if context is None:
         raise ValueError("its context is no text")
-    own = context in ("vessels.self", vessels.own, f"vessels.{vessels.own}")
-    fields = vessels.fields.setdefault("self" if own else context, {})
+    is_own = context in ("vessels.self", vessels.own_context, f"vessels.{vessels.own_context}")
+    fields = vessels.fields.setdefault("self" if is_own else context, {})
     for update in delta["updates"]:
         time_s = instant(str(update.get("timestamp", "")))
         if time_s is None:
             raise ValueError("an update without a time")
-        placed = None
+        position_deg = None
         for one in update.get("values", ()):
             path, value = str(one["path"]), one["value"]
-            if found := _TARGET.search(path):
-                row = _target(value, found[1], found[2], vessels.station)
+            if match := _TARGET.search(path):
+                row = _target(value, match[1], match[2], vessels.station)
                 if row is not None:
                     rows["arpa"].append({"line": number, "time_s": time_s, **row})
             elif path == "navigation.position" and value is not None:
-                placed = (float(value["latitude"]), float(value["longitude"]))
+                position_deg = (float(value["latitude"]), float(value["longitude"]))
             elif path in _NUMBERS and value is not None:
                 column, scale = _NUMBERS[path]
                 fields[column] = (time_s, scale * float(value))
             elif path in ("", "name") and (name := value.get("name") if isinstance(value, Mapping) else value):
                 fields["name"] = (math.inf, plain_text(name))
-        if placed is None:
+        if position_deg is None:
             passed_over["update without a position"] += 1
-        elif not (abs(placed[0]) <= 90.0 and abs(placed[1]) <= 180.0):
+        elif not (abs(position_deg[0]) <= 90.0 and abs(position_deg[1]) <= 180.0):
             raise ValueError("position outside the earth")
-        elif own:
-            vessels.station = placed
+        elif is_own:
+            vessels.station = position_deg
         else:
-            known = _MMSI.search(context)
-            mmsi = known[1] if known else None
+            match_mmsi = _MMSI.search(context)
+            mmsi = match_mmsi[1] if match_mmsi else None
             last = {
                 name: value for name, (when, value) in fields.items() if not _STALE_S < abs(time_s - when) < math.inf
             }
             rows["ais"].append({
-                "line": number, "time_s": time_s, "lat_deg": placed[0], "lon_deg": placed[1], "mmsi": mmsi,
+                "line": number, "time_s": time_s, "lat_deg": position_deg[0], "lon_deg": position_deg[1], "mmsi": mmsi,
                 "track_id": mmsi or context, **last,
             })  # fmt: skip
 

@@ -173,12 +173,12 @@ def _options(name: str, table: Mapping[str, Any], toml: Path) -> SourceOptions:
         if not isinstance(value, _FILE[key]) or isinstance(value, bool):
             example = '{ range_m = "d" }' if key == "columns" else '{ d = "km" }' if key == "units" else "a text"
             raise InputError(f"{where}.{key} is {value!r}; give {example}")
-    options = ReadOptions(name, **{key: _plain(value) for key, value in file.items() if key != "path"})
+    options = ReadOptions(name, **{key: _as_text(value) for key, value in file.items() if key != "path"})
     path = toml.parent / file["path"] if "path" in file else None
     return SourceOptions(Description.from_mapping(name, description), options, path, "kind" in table)
 
 
-def _plain(value: Any) -> Any:
+def _as_text(value: Any) -> Any:
     """Dates and times of TOML as text."""
     return value.isoformat() if isinstance(value, date) else value
 
@@ -228,9 +228,9 @@ def read_sources(
         set_aside += unread.values()
     _check_all_used(sources, {name: one for name, one in described.items() if name not in unread})
     names = [source.description.name for source in sources]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InputError(f"two sources are called {twice}; name them, as in {twice}2=FILE")
+    duplicate = next((name for name in names if names.count(name) > 1), None)
+    if duplicate is not None:
+        raise InputError(f"two sources are called {duplicate}; name them, as in {duplicate}2=FILE")
     return sources
 
 

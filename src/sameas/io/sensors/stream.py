@@ -40,7 +40,7 @@ def format_of(data: bytes) -> str | None:
         if b'"updates"' in text or b'"roles"' in text:
             return "signalk"
         return "aircraft" if b'"aircraft"' in text else "table" if b"\n" in text else None
-    # A time of receipt may stand before a sentence.
+    # A line may begin with its receive time.
     return "nmea" if re.search(rb"[!$][A-Z]{4,9}[A-Z0-9]?,", text) else None
 
 
@@ -189,11 +189,11 @@ class ReportStream:
         return out
 
     def _read(self, read: Callable[[], list[Reports]]) -> list[Reports]:
-        """The reports of a reader; its counts of damaged and skipped lines are added to ours."""
+        """The reports of a reader; its counts of damaged and skipped lines are added to those of the stream."""
         try:
             out = read()
-        except NoReports as nothing:
-            self._count(nothing.damaged, nothing.passed_over)
+        except NoReports as empty:
+            self._count(empty.damaged, empty.passed_over)
             return []
         for reports in out:
             self._count(reports.damaged, reports.passed_over)

@@ -123,7 +123,7 @@ QUANTITIES = (
     _quantity("width_m", "length", "width beam"),
 )
 #: Conventional units where none is stated: sentence, columns that indicate the convention, names, unit.
-_HABITS = (
+_CONVENTIONS = (
     ("ship speeds are knots", ("mmsi", "imo"), ("sog", "speed", "speedoverground"), "kn"),
     ("speeds over ground (sog) are knots", ("sog", "speedoverground"), ("sog", "speedoverground"), "kn"),
     ("speeds of aircraft are knots", ("groundspeed", "gs"), ("groundspeed", "gs"), "kn"),
@@ -234,8 +234,8 @@ def _choice(
     stem, unit = stems[name]
     if unit in factors and "".join(stems[name]) not in quantity.names:
         return Choice(name, quantity, factors[unit], "")
-    for why, marks, applies, unit in _HABITS:
-        if stem in applies and unit in factors and any(stems[other][0] in marks for other in stems):
+    for why, indicators, applies, unit in _CONVENTIONS:
+        if stem in applies and unit in factors and any(stems[other][0] in indicators for other in stems):
             return Choice(name, quantity, factors[unit], f"{name} is read in {unit}: {why}")
     # Angles without a unit are degrees everywhere.
     our_unit = {"length": "m", "speed": "m/s", "variance": "m²", "speed variance": "m²/s²"}.get(quantity.kind)
@@ -269,7 +269,7 @@ _DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2}
 _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
 
 
-#: Cells of a Parquet file that are read in any case; a run of equal cells is a few bytes there (1 GB as Python lists).
+#: Number of cells always read from a Parquet file, however small: it compresses equal cells (1 GB as Python lists).
 _CELLS = 1 << 24
 
 
@@ -318,18 +318,18 @@ def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
         ),
         1,
     )
-    named = lines[number - 1].lstrip("# ")
-    delimiter = _delimiter_of(named) or (" " if ecsv else "")
+    header = lines[number - 1].lstrip("# ")
+    delimiter = _delimiter_of(header) or (" " if ecsv else "")
     if not delimiter:
         raise InputError(f"{source}: no format of sensors fits; as a table, its line {number} does not name columns")
-    names = [name.strip() for name in next(csv.reader([named], delimiter=delimiter))]
+    names = [name.strip() for name in next(csv.reader([header], delimiter=delimiter))]
     check_columns(len(names), source)
     counts = Counter(names)
-    twice = [name for name in names if counts[name] > 1]
-    if twice:
-        raise InputError(f"{source}: two columns are called {twice[0]}; rename one")
+    duplicates = [name for name in names if counts[name] > 1]
+    if duplicates:
+        raise InputError(f"{source}: two columns are called {duplicates[0]}; rename one")
     rows: list[list[str]] = []
-    places: list[int] = []
+    line_numbers: list[int] = []
     damaged: list[tuple[int, str]] = []
     reader = csv.reader(io.StringIO("\n".join(lines[number:])), delimiter=delimiter)
     for row in reader:
@@ -338,24 +338,24 @@ def cells_of_csv(lines: Sequence[str], source: str) -> TableText:
             continue
         if len(row) == len(names):
             rows.append(row)
-            places.append(line)
+            line_numbers.append(line)
         else:
             damaged.append((line, f"has not {len(names)} cells"))
     columns: dict[str, Sequence[Any]] = dict(
         zip(names, zip(*rows, strict=True) if rows else [()] * len(names), strict=True)
     )
-    return TableText(columns, np.array(places, np.int64), tuple(damaged))
+    return TableText(columns, np.array(line_numbers, np.int64), tuple(damaged))
 
 
 def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     """The cells of JSON objects, one per line or in one list; nested objects are flattened."""
     rows: list[dict[str, Any]] = []
-    places: list[int] = []
+    line_numbers: list[int] = []
     damaged: list[tuple[int, str]] = []
     objects: list[tuple[int, Any]] = []
     try:
-        whole = of_json("\n".join(lines))
-        objects = list(enumerate(whole, start=1)) if isinstance(whole, list) else [(1, whole)]
+        document = of_json("\n".join(lines))
+        objects = list(enumerate(document, start=1)) if isinstance(document, list) else [(1, document)]
     except ValueError:
         for number, line in enumerate(lines, start=1):
             if line.strip():
@@ -366,7 +366,7 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     for number, value in objects:
         if isinstance(value, dict):
             rows.append(_flattened(value))
-            places.append(number)
+            line_numbers.append(number)
         else:
             damaged.append((number, "no JSON object"))
     names = list(dict.fromkeys(name for row in rows for name in row))
@@ -377,7 +377,7 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     def column(name: str) -> list[Any]:
         return [row.get(name) for row in rows]
 
-    return TableText(_LazyColumns(names, column), np.array(places, np.int64), tuple(damaged))
+    return TableText(_LazyColumns(names, column), np.array(line_numbers, np.int64), tuple(damaged))
 
 
 def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
@@ -403,8 +403,8 @@ def cells_of_parquet(path: str | os.PathLike[str]) -> TableText:
         cells = table.column(name)
         if not pa.types.is_timestamp(cells.type):
             return list(cells.to_pylist())
-        whole = cells.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
-        return [None if t is None else t / 1e6 for t in whole.to_pylist()]
+        microseconds = cells.cast(pa.timestamp("us"), safe=False).cast(pa.int64())
+        return [None if t is None else t / 1e6 for t in microseconds.to_pylist()]
 
     return TableText(_LazyColumns(names, column), np.arange(1, table.num_rows + 1))
 
@@ -433,8 +433,8 @@ def read(
     chosen = choose(list(cells.columns), source, columns, units)
     _check_chosen(chosen, list(cells.columns), source)
     if not len(cells.lines):
-        broken = "; ".join(Damaged.of(cells.damaged).sentences())
-        raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(broken)}{broken}")
+        reasons = "; ".join(Damaged.of(cells.damaged).sentences())
+        raise InputError(f"{source}: names columns, but has no row that can be used{': ' * bool(reasons)}{reasons}")
     damaged = dict(cells.damaged)
     values = {
         name: _values(cells, choice, damaged) for name, choice in chosen.items() if name not in ("time_s", "day_s")
@@ -447,8 +447,8 @@ def read(
     values = {name: column[good] for name, column in values.items()} | {"line": cells.lines[good]}
     values, repeated = _without_repeats(_with_track_id(values))
     passed_over = {"position repeated": repeated} if repeated else {}
-    cut = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
-    notes = [note, *cut, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    truncated = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
+    notes = [note, *truncated, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
     return Reports.of(
         source, "table", _with_covariances(values), damaged=Damaged.of(damaged.items()),
         passed_over=passed_over, notes=notes,
@@ -634,10 +634,10 @@ def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
     """The values without repeated rows (same object, time and position), and the number of these."""
     if "track_id" not in values:
         return values, 0
-    place = next(pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values)
+    position = next(pair for pair in (("lat_deg", "lon_deg"), ("x_m", "y_m"), ("bearing_deg",)) if pair[0] in values)
     rows_read: set[tuple[Any, ...]] = set()
     first = np.ones(len(values["time_s"]), bool)
-    for k, key in enumerate(zip(*(values[name].tolist() for name in ("track_id", "time_s", *place)), strict=True)):
+    for k, key in enumerate(zip(*(values[name].tolist() for name in ("track_id", "time_s", *position)), strict=True)):
         first[k] = key[0] is None or key not in rows_read
         rows_read.add(key)
     return {name: column[first] for name, column in values.items()}, int((~first).sum())
@@ -646,9 +646,9 @@ def _without_repeats(values: dict[str, Any]) -> tuple[dict[str, Any], int]:
 def _with_covariances(values: dict[str, Any]) -> dict[str, Any]:
     """The values with covariance matrices instead of their columns; covariances take precedence over sigmas."""
     position = _matrix(values, ("cov_xx", "cov_xy", "cov_yy"), ("sigma_x_m", "sigma_y_m"))
-    circle = values.pop("sigma_m", None)
-    if position is None and circle is not None:
-        position = round_covariance(circle)
+    sigma = values.pop("sigma_m", None)
+    if position is None and sigma is not None:
+        position = round_covariance(sigma)
     velocity = _matrix(values, ("cov_vxvx", "cov_vxvy", "cov_vyvy"), ("sigma_vx", "sigma_vy"))
     matrices = {"covariance_m2": position, "velocity_covariance_m2_per_s2": velocity}
     return values | {name: matrix for name, matrix in matrices.items() if matrix is not None}
@@ -672,7 +672,7 @@ def _cells_of(file: SensorFile) -> TableText:
     if file.content.startswith(PARQUET):
         return cells_of_parquet(file.path)
     first = next((line.strip() for line in file.lines if line.strip()), "")
-    # The first line of a log may be what is left of one.
+    # The first line of a log may be truncated.
     if first[:1] in "{[" or file.share_of_lines(r"\{.*") > 0.5:
         return cells_of_json(file.lines, file.source)
     return replace(cells_of_csv(file.lines, file.source), unended=file.unended)
@@ -682,7 +682,7 @@ FORMAT = SensorFormat(
     "table",
     "CSV, Parquet or JSON lines with columns recognized by their names",
     lambda file: [read(_cells_of(file), file.source, file.start_s, file.options.columns, file.options.units)],
-    # A zero among sentences is a line that was damaged; no table has one.
+    # Zero bytes are in damaged logs of sentences, never in a table.
     lambda file: b"\0" not in file.head,
     magic=(PARQUET,),
 )

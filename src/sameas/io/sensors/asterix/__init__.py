@@ -33,7 +33,7 @@ from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 __all__ = ["FORMAT", "read"]
 
 
-_MEANINGS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
+_DECODERS: dict[int, ModuleType] = {21: cat021, 48: cat048, 62: cat062}
 #: Category, SAC and SIC: one sensor.
 Sensor = tuple[int, int, int]
 
@@ -76,10 +76,10 @@ def read(
             passed_over["block that came before, from a second network"] += 1
         elif block.problem:
             damaged.append((number + 1, block.problem))
-        elif block.category not in _MEANINGS:
+        elif block.category not in _DECODERS:
             passed_over[f"block of category {block.category:03d}"] += 1
         else:
-            number = _add(block, number, rows, damaged, passed_over)
+            number = _add_block(block, number, rows, damaged, passed_over)
     if not rows:
         problems = [
             *Damaged.of(damaged, "record").sentences(),
@@ -89,30 +89,30 @@ def read(
             f"{source}: no target of category 021, 048 or 062; {'; '.join(problems) or 'is it ASTERIX?'}",
             damaged=Damaged.of(damaged, "record"), passed_over=passed_over,
         )  # fmt: skip
-    # Damaged and passed over records are of the file; the first source has them.
-    about: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
-    about += [(Damaged(unit="record"), {})] * (len(rows) - 1)
+    # Damaged and skipped records are counted for the whole file, with its first sensor.
+    unused: list[tuple[Damaged, Mapping[str, int]]] = [(Damaged.of(damaged, "record"), passed_over)]
+    unused += [(Damaged(unit="record"), {})] * (len(rows) - 1)
     return [
-        _reports(sensor, of_rows(its), _name(source, sensor, 2 if live else len(rows)), start_s, *its_about)
-        for (sensor, its), its_about in zip(sorted(rows.items()), about, strict=True)
+        _reports(sensor, of_rows(own_rows), _name(source, sensor, 2 if live else len(rows)), start_s, *own_unused)
+        for (sensor, own_rows), own_unused in zip(sorted(rows.items()), unused, strict=True)
     ]
 
 
-def _add(
+def _add_block(
     block: Block,
     number: int,
     rows: dict[Sensor, list[dict[str, Any]]],
     damaged: list[tuple[int, str]],
     passed_over: Counter[str],
 ) -> int:
-    """Adds the reports of a block; the number of its last record is returned."""
-    meaning = _MEANINGS[block.category]
+    """Adds the reports of a block to ``rows``; returns the number of its last record in the file."""
+    decoder = _DECODERS[block.category]
     try:
         for items in records_of(CATEGORIES[block.category], block.data):
             number += 1
-            row = meaning.row(items)
+            row = decoder.row(items)
             if isinstance(row, str):
-                # What begins with its category is whole, but no target.
+                # A reason that begins with the category is that of an intact record without a target.
                 if row.startswith("0"):
                     passed_over[row] += 1
                 else:
@@ -143,17 +143,17 @@ def _reports(
     damaged: Damaged,
     passed_over: Mapping[str, int],
 ) -> Reports:
-    meaning = _MEANINGS[sensor[0]]
+    decoder = _DECODERS[sensor[0]]
     received_s = columns.pop("received_s")
     columns["time_s"] = _times(columns.pop("day_s"), received_s, name, start_s)
-    columns |= meaning.errors(columns)
-    dated = "of the capture" if np.isfinite(received_s).any() else "that was given"
-    notes = (f"{name}: times of day on the date {dated}", *meaning.notes(name))
+    columns |= decoder.errors(columns)
+    date_source = "of the capture" if np.isfinite(received_s).any() else "that was given"
+    notes = (f"{name}: times of day on the date {date_source}", *decoder.notes(name))
     return Reports.of(name, f"asterix {sensor[0]:03d}", columns, damaged=damaged, passed_over=passed_over, notes=notes)
 
 
 def _times(day_s: FloatArray, received_s: FloatArray, name: str, start_s: float | None) -> FloatArray:
-    """UTC of the times of day: on the day nearest to the packet's, else counted on from the date that was given."""
+    """UTC of the times of day: on the day nearest to the packet's, else counted from the given date."""
     if np.isfinite(received_s).all():
         day_s = np.where(np.isnan(day_s), np.mod(received_s, DAY_S), day_s)
         return np.asarray(day_s + DAY_S * np.round((received_s - day_s) / DAY_S))

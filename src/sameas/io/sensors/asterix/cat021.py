@@ -51,11 +51,11 @@ def errors(columns: Mapping[str, Any]) -> dict[str, Any]:
     """Covariances from NACp for versions 1 and 2, and from NUCp for version 0, which is in the bits of NIC."""
     n = len(columns["time_s"])
     absent = np.full(n, np.nan)
-    first = columns.get("version", absent) == 0
-    later = {name: np.where(first, np.nan, columns.get(name, absent)) for name in ("nac_p", "nac_v", "nic")}
-    errors_newer = errors_of({**columns, **later})
-    old = round_covariance(sigma_of_nucp(np.where(first, columns.get("nic", absent), np.nan)))
-    return errors_newer | {"covariance_m2": np.where(first[:, None], old, errors_newer["covariance_m2"])}
+    version_0 = columns.get("version", absent) == 0
+    of_newer = {name: np.where(version_0, np.nan, columns.get(name, absent)) for name in ("nac_p", "nac_v", "nic")}
+    newer = errors_of({**columns, **of_newer})
+    old = round_covariance(sigma_of_nucp(np.where(version_0, columns.get("nic", absent), np.nan)))
+    return newer | {"covariance_m2": np.where(version_0[:, None], old, newer["covariance_m2"])}
 
 
 def _height(item: bytes | None) -> float | None:

@@ -23,8 +23,8 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
     """The row of a report, or the reason why the record has none."""
     if "040" not in items:
         return "048 without a measured position"
-    kind = items["020"][0] if "020" in items else 0
-    if kind & 0x12:
+    descriptor = items["020"][0] if "020" in items else 0
+    if descriptor & 0x12:
         return "048 of a simulated target or a field monitor"
     if len(items.get("020", b"")) > 1 and items["020"][1] & 0x80:
         return "048 of a test target"
@@ -40,7 +40,7 @@ def row(items: Mapping[str, Any]) -> dict[str, Any] | str:
         "callsign": letters(items["240"]) if "240" in items else None,
         "mode_a": _mode_a(items.get("070")),
         "track_id": str(unsigned(items["161"]) & 0xFFF) if "161" in items else None,
-        "detection": _DETECTIONS[kind >> 5],
+        "detection": _DETECTIONS[descriptor >> 5],
         **_velocity(items),
         **_quality(items.get("210")),
     }

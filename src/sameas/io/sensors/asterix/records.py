@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 _PCAP = {b"\xd4\xc3\xb2\xa1": ("<", 1e6), b"\xa1\xb2\xc3\xd4": (">", 1e6),
          b"\x4d\x3c\xb2\xa1": ("<", 1e9), b"\xa1\xb2\x3c\x4d": (">", 1e9)}  # fmt: skip
-#: Bytes before the IP header by the kind of link; −2 of them are the protocol where there are any.
+#: Bytes before the IP header, by link type; the last two are the protocol in Ethernet (14 bytes).
 _LINKS = {1: 14, 101: 0, 113: 16, 228: 0, 276: 20}
 PCAPNG = b"\x0a\x0d\x0d\x0a"
 
@@ -68,22 +68,22 @@ def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
     """Times and UDP payloads of a pcap file; other packets and fragments are skipped."""
     order, unit = _PCAP[content[:4]]
     link = struct.unpack(order + "I", content[20:24])[0] & 0xFFFF if len(content) >= 24 else -1
-    skipped = _LINKS.get(link)
+    header = _LINKS.get(link)
     at = 24
-    while skipped is not None and at + 16 <= len(content):
+    while header is not None and at + 16 <= len(content):
         second, fraction, length, _ = struct.unpack(order + "IIII", content[at : at + 16])
-        payload = _udp(content[at + 16 : at + 16 + length], skipped)
+        payload = _udp(content[at + 16 : at + 16 + length], header)
         if payload:
             yield second + fraction / unit, payload
         at += 16 + length
 
 
-def _udp(frame: bytes, skipped: int) -> bytes:
+def _udp(frame: bytes, header: int) -> bytes:
     """The UDP payload of a frame with IPv4 or IPv6; empty where there is none."""
-    if skipped == 14:
-        while frame[skipped - 2 : skipped] in (b"\x81\x00", b"\x88\xa8"):
-            skipped += 4
-    ip = frame[skipped:]
+    if header == 14:
+        while frame[header - 2 : header] in (b"\x81\x00", b"\x88\xa8"):
+            header += 4
+    ip = frame[header:]
     if len(ip) < 28:
         return b""
     if ip[0] >> 4 == 4 and ip[9] == 17 and not int.from_bytes(ip[6:8], "big") & 0x3FFF:
@@ -112,7 +112,7 @@ Length = int | str | tuple["Field | None", ...]
 Field = tuple[str, Length]
 
 
-def _layout_compound(text: str) -> tuple[Field | None, ...]:
+def _subfields(text: str) -> tuple[Field | None, ...]:
     """Subfields from ``"ADR:3 TID:n15 -"``; a dash is a spare bit."""
     return tuple(None if part == "-" else _field(part) for part in text.split())
 
@@ -135,7 +135,7 @@ def _category(number: int, items: str, compounds: Mapping[str, str]) -> AsterixC
     for part in items.split():
         name = part.split(":")[0]
         if name in compounds:
-            fields.append((name, _layout_compound(compounds[name])))
+            fields.append((name, _subfields(compounds[name])))
         else:
             fields.append(None if part == "-" else _field(part))
     return AsterixCategory(number, tuple(fields))
@@ -206,8 +206,8 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
     at = 0
     while at < len(data):
         items: dict[str, Item] = {}
-        chosen, at = _fields_of(category.items, data, at)
-        for name, length in chosen:
+        present, at = _fields_of(category.items, data, at)
+        for name, length in present:
             if isinstance(length, tuple):
                 items[name], at = _compound(length, data, at)
             else:
@@ -221,8 +221,8 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
 
 def _compound(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[Mapping[str, bytes], int]:
     parts: dict[str, bytes] = {}
-    chosen, at = _fields_of(fields, data, at)
-    for name, length in chosen:
+    present, at = _fields_of(fields, data, at)
+    for name, length in present:
         end = _end(length, data, at)
         parts[name] = data[at:end]
         at = end
@@ -231,7 +231,7 @@ def _compound(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[M
 
 def _fields_of(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[list[Field], int]:
     """The items of a field specification, and its end: 7 per byte, whose lowest bit says whether another follows."""
-    chosen: list[Field] = []
+    present: list[Field] = []
     bit = 0
     while True:
         if at >= len(data):
@@ -243,10 +243,10 @@ def _fields_of(fields: tuple[Field | None, ...], data: bytes, at: int) -> tuple[
                 field = fields[bit + k] if bit + k < len(fields) else None
                 if field is None:
                     raise DamagedRecord(f"names item {bit + k + 1} of its field specification, which does not exist")
-                chosen.append(field)
+                present.append(field)
         bit += 7
         if not byte & 1:
-            return chosen, at
+            return present, at
 
 
 def _end(length: Length, data: bytes, at: int) -> int:
