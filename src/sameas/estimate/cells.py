@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, inner
+from sameas.estimate.discs import Discs
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -215,8 +216,8 @@ def finest(levels: Sequence[GridLevel], max_cells: float) -> GridLevel:
     return next((level for level in levels[::-1] if len(level.volume) <= max_cells), levels[0])
 
 
-def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...]]:
-    """Volume of the region of both sources, which must have records, and its levels of cells."""
+def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, ...], Discs | None]:
+    """Volume of the region of both sources, which must have records, its levels of cells, and its discs."""
     space = _SphereCells.over(first, second) if isinstance(first.space, Sphere) else _BoxCells.over(first, second)
     volume = space.volume if space.outline is None else space.volume * space.outline.area / space.area
     levels = [GridLevel(np.zeros(len(first), np.int32), np.zeros(len(second), np.int32), np.array([volume]))]
@@ -227,7 +228,22 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, 
             break
         size /= REFINEMENT
         levels.append(_level(*space.cells(first.features, second.features, size)))
-    return volume, tuple(levels)
+    discs = None
+    if isinstance(first.space, Sphere) and len(levels) > 1:
+        discs = Discs.of((first.features, second.features), volume)
+    if discs is not None:
+        volume, levels = float(discs.area.sum()), [_of_discs(level, discs) for level in levels]
+    return volume, tuple(levels), discs
+
+
+def _of_discs(level: GridLevel, discs: Discs) -> GridLevel:
+    """The level with every record in the cell of its disc's centre, and the volume of the discs in each cell."""
+    cells = level.of_first if discs.centres == 1 else level.of_second
+    used, index = np.unique(cells, return_inverse=True)
+    centres = np.asarray(index, np.int32)
+    others = centres[discs.nearest]
+    volume = np.asarray(np.bincount(centres, discs.area, len(used)), np.float64)
+    return GridLevel(centres, others, volume) if discs.centres == 1 else GridLevel(others, centres, volume)
 
 
 def _level(one: IntArray, two: IntArray, total: int, volumes: Callable[[IntArray], FloatArray]) -> GridLevel:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,6 +19,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner
 from sameas.estimate.cells import FINEST, GridLevel, levels_of
+from sameas.estimate.discs import Discs
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short
@@ -277,12 +278,16 @@ def _sampled(records: Records) -> IntArray:
 @in_short
 @dataclass(frozen=True)
 class Coverage:
-    """Cells of decreasing size over two sources. Make it with :meth:`Coverage.of`."""
+    """Cells of decreasing size over two sources. Make it with :meth:`Coverage.of`.
+
+    discs : of which the field consists, if one source was queried around the records of the other.
+    """
 
     first: Records
     second: Records
     volume: float
     levels: tuple[GridLevel, ...]
+    discs: Discs | None = field(default=None, kw_only=True)
 
     @property
     def counted(self) -> tuple[BoolArray, BoolArray]:
@@ -292,7 +297,8 @@ class Coverage:
     @classmethod
     def of(cls, first: Records, second: Records) -> Coverage:
         """Cells over the region of both sources, which must have records."""
-        return cls(first, second, *levels_of(first, second))
+        volume, levels, discs = levels_of(first, second)
+        return cls(first, second, volume, levels, discs=discs)
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Coverage:
         """The same cells and footprints, for some of the records, or for all in another order."""

@@ -147,12 +147,23 @@ def _area(coverage: Coverage) -> list[str]:
     area, density_1, density_2 = area_and_densities(coverage)
     names = coverage.first.source, coverage.second.source
     return [
+        *_discs(coverage, names),
         *entry("common area", f"{figures(area)} square degrees"),
         *entry(
             "mean density there",
             f"{figures(density_1)} of {names[0]} and {figures(density_2)} of {names[1]} per square degree",
         ),
     ]
+
+
+def _discs(coverage: Coverage, names: tuple[str, str]) -> list[str]:
+    """The discs that the field consists of, if it does."""
+    discs = coverage.discs
+    if discs is None:
+        return []
+    around, other = names if discs.centres == 1 else names[::-1]
+    radius = f"{discs.radius:.3g} arcsec"
+    return entry("field", f"discs of {radius} around the records of {around}: {other} has none elsewhere")
 
 
 def _rows(match: SkyMatch) -> list[str]:
