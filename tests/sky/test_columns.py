@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from astropy import units as u
 from astropy.table import MaskedColumn, Table
 
 from sameas.errors import InputError
+from sameas.sky import Catalogue
 from sameas.sky.column_choice import CatalogueOptions, ColumnChoice
 from sameas.sky.columns import choose
 from sameas.sky.conventions import CONVENTIONS
@@ -338,3 +341,42 @@ def test_every_convention_is_recognised_by_its_own_names() -> None:
         table = made(*convention.position, *convention.marks[:1], *error.names)
         choice = chosen(table, sigma_unit=None if error.unit else "arcsec")
         assert names_of(choice) == [*convention.position, *error.names], convention.title
+
+
+@pytest.mark.parametrize(
+    ("columns", "divisor", "line"),
+    [
+        (
+            ("ra", "dec", "err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"),
+            2.4477,
+            "contains 95 %: divided by 2.448",
+        ),
+        (("RA", "Decl", "Err90"), 2.1460, "radius; contains 90 %: divided by 2.146"),
+        (("SC_RA", "SC_DEC", "SC_POSERR"), math.sqrt(2.0), "radius; contains 63 %: divided by 1.414"),
+        (("RA", "DEC", "POSERR", "SYSERRCC", "SC_RA", "SC_DEC", "SC_POSERR"), math.sqrt(2.0), "POSERR [arcsec"),
+        (("RA", "DEC", "RADEC_ERR"), math.sqrt(2.0), "radius; contains 63 %: divided by 1.414"),
+        (("RA", "DEC", "RADEC_ERR", "POS_ERR"), 1.0, "POS_ERR [arcsec, guessed by its size], on each axis"),
+    ],
+)
+def test_errors_with_a_containment_become_standard_deviations(
+    columns: tuple[str, ...], divisor: float, line: str
+) -> None:
+    """Surveys in X-rays quote radii and ellipses of 63, 90 and 95 %."""
+    numbers = {name: [3.0, 3.0] for name in columns}
+    catalogue = Catalogue.of(numbers, "x")
+    assert line in next(text for text in catalogue.interpretation if text.startswith("errors"))
+    for axis in (0, 1):
+        assert 1e-3 * np.sqrt(catalogue.astrometry.variance(axis)) == pytest.approx(3.0 / divisor, rel=1e-4)
+    if "err_ellipse_r0" in columns:
+        stated = CatalogueOptions(ellipse=",".join(columns[2:]))
+    else:
+        stated = CatalogueOptions(sigma=catalogue.choice.error.columns[0].name)
+    again = Catalogue.of(numbers, "x", options=stated)
+    assert again.astrometry.variance(0) == pytest.approx(catalogue.astrometry.variance(0))
+
+
+def test_the_axes_of_an_ellipse_without_a_unit_have_the_same_one() -> None:
+    table = {"ra": [10.0, 11.0], "dec": [1.0, 2.0], "a": [8.0, 6.0], "b": [2.0, 1.0], "pa": [10.0, 20.0]}
+    catalogue = Catalogue.of(table, "x", options=CatalogueOptions(ellipse="a,b,pa"))
+    assert "a, b [arcsec, guessed by its size]" in catalogue.interpretation[1]
+    assert str(catalogue.doubts[0]).startswith("the unit of a, b is not stated; by its size arcsec")

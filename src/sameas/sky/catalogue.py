@@ -18,7 +18,7 @@ from sameas.errors import InputError, Message, naming
 from sameas.records import Records
 from sameas.representation import counted, in_short
 from sameas.sky import column_values, conventions
-from sameas.sky.column_choice import CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
+from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
 from sameas.sky.column_values import rotated_errors, to_icrs, typical_errors
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
@@ -76,7 +76,8 @@ def _assumed_error_doubt(choice: ColumnChoice) -> str:
         text = f"no column of position errors: those of {error.survey.title}{by} are assumed ({error.survey.source}); "
         return Message(text, naming("give {sigma:ARCSEC} or {sigma:COLUMN} if you know better"))
     if error.guessed_unit:
-        names, unit = ", ".join(column.name for column in error.columns), error.columns[0].unit
+        guessed = [column for column in error.columns if column.reason == GUESSED]
+        names, unit = ", ".join(column.name for column in guessed), guessed[0].unit
         return Message(f"the unit of {names} is not stated; by its size {unit}: ", naming("give {sigma_unit:UNIT}"))
     return ""
 
@@ -613,7 +614,7 @@ def _position_sigmas(
         for k, c in enumerate(error.columns)
     ]
     with np.errstate(invalid="ignore"):
-        columns[:2] = [np.where(sigma >= 0, sigma, np.nan) for sigma in columns[:2]]
+        columns[:2] = [np.where(size >= 0, size, np.nan) / error.divisor for size in columns[:2]]
     if error.kind == "circle":
         return columns[0], columns[0], None
     if error.kind == "ellipse":

@@ -6,6 +6,7 @@ medians from the literature, 1σ per axis: right on average at a magnitude, not 
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -201,7 +202,8 @@ class PositionError:
 
     reason : origin of a number. survey : source of typical errors. guessed_unit : the unit of the columns is not stated
     and was guessed from the size of the numbers.
-    angle_from : zero point of the ellipse angle, which increases towards the other axis.
+    angle_from : zero point of the ellipse angle, which increases towards the other axis. containment : probability that
+    the position lies within the circle or ellipse; 0 if the sizes are standard deviations.
     """
 
     kind: Literal["circle", "axes", "ellipse", "variances", "number", "survey", "unknown"]
@@ -213,6 +215,12 @@ class PositionError:
     reason: str = "option"
     survey: Survey | None = None
     guessed_unit: bool = False
+    containment: float = 0.0
+
+    @property
+    def divisor(self) -> float:
+        """The size of the circle or ellipse in standard deviations: √(−2 ln (1 − containment))."""
+        return math.sqrt(-2.0 * math.log1p(-self.containment)) if self.containment else 1.0
 
 
 @dataclass(frozen=True)
@@ -286,7 +294,11 @@ class ColumnChoice:
             "ellipse": f"ellipse, angle {'east of north' if self.error.angle_from == 'north' else 'north of east'}",
             "variances": "variances east and north",
         }
-        line = f"errors: {_listed(*self.error.columns)}, {words[self.error.kind]}"
+        shape = words[self.error.kind]
+        if self.error.containment:
+            shape = "radius" if self.error.kind == "circle" else shape
+            shape += f"; contains {100 * self.error.containment:.0f} %: divided by {self.error.divisor:.3f} to get σ"
+        line = f"errors: {_listed(*self.error.columns)}, {shape}"
         if self.error.correlation:
             line += f", correlation {self.error.correlation}"
         return line + (f", covariance {self.error.covariance}" if self.error.covariance else "")

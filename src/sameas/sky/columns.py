@@ -121,16 +121,19 @@ class ColumnSearch:
             return Column(name, own.to_string(), "unit of the column")
         return Column(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
-    def angle(self, name: str, unit: str) -> Column:
-        """A column of small angles, such as errors, with its unit; a missing unit is guessed from the values."""
-        column = self.column(name, unit, self.options.sigma_unit or "")
-        if not column.unit:
-            column = replace(column, unit=self._guessed_unit(name), reason=GUESSED)
-        return self.checked(column, "arcsec", "an angle")
+    def angles(self, names: tuple[str, ...], unit: str) -> tuple[Column, ...]:
+        """Columns of small angles, such as the errors of both axes, with their units; one unit is guessed for all
+        columns without."""
+        columns = [self.column(name, unit, self.options.sigma_unit or "") for name in names]
+        without = [column.name for column in columns if not column.unit]
+        if without:
+            guessed = self._guessed_unit(without)
+            columns = [c if c.unit else replace(c, unit=guessed, reason=GUESSED) for c in columns]
+        return tuple(self.checked(column, "arcsec", "an angle") for column in columns)
 
-    def _guessed_unit(self, name: str) -> str:
-        """The unit of an error column without one, guessed from its median."""
-        values = column_values.numbers(self.table, name, self.source)
+    def _guessed_unit(self, names: list[str]) -> str:
+        """The unit of error columns without one, guessed from their median."""
+        values = np.concatenate([column_values.numbers(self.table, name, self.source) for name in names])
         known = values[values > 0]
         middle = float(np.median(known)) if len(known) else 0.1
         if 0.0 < middle < _LEAST_IN_ARCSEC:
@@ -367,18 +370,23 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
     if options.sigma is not None and options.ellipse:
         raise InputError(Message(f"{search.source}: ", naming("give {sigma} or {ellipse}, not both")))
     if options.ellipse:
-        return _error_columns(search, ErrorNames("ellipse", search.several(options.ellipse, 3, "ellipse")))
+        names = search.several(options.ellipse, 3, "ellipse")
+        own = next((e for e in convention.errors if search.find_all(e.names) == names), None)
+        return _error_columns(search, own or ErrorNames("ellipse", names))
     if options.sigma is not None:
         return _error_of_option(search, options.sigma, convention)
     own = _own_error(search, convention)
     if own:
         return _error_columns(search, own, convention)
-    candidates = (
+    deviations = (
         *conventions.plain(convention.position).errors,
         *conventions.PLAIN_CIRCLES,
         *_circles_by_ending(search),
     )
-    found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
+    for candidates in (deviations, conventions.CONFIDENCE_RADII):
+        found = {names: e for e in candidates if (names := search.find_all(e.names)) and _may_be_angle(search, names)}
+        if found:
+            break
     if len(found) > 1:
         raise InputError(
             f"{search.source}: {len(found)} candidates for the position error: "
@@ -410,7 +418,8 @@ def _error_of_option(search: ColumnSearch, sigma: float | str, convention: Conve
         own = _own_error(search, convention)
         if own and search.find_all(own.names) == names:
             return _error_columns(search, own, convention)
-        return _error_columns(search, ErrorNames("axes" if count > 1 else "circle", names))
+        radii = (e for e in conventions.CONFIDENCE_RADII if search.find_all(e.names) == names)
+        return _error_columns(search, next(radii, ErrorNames("axes" if count > 1 else "circle", names)))
     return _number_of_option(search, number, search.options.sigma_unit or "arcsec")
 
 
@@ -426,7 +435,10 @@ def _number_of_option(search: ColumnSearch, number: float, unit: str) -> Positio
 def _circles_by_ending(search: ColumnSearch) -> tuple[ErrorNames, ...]:
     """Position errors with a survey prefix: ``xmm_poserr_arcsec``."""
     found = [name for name in search.table.colnames if _POSITION_ERROR.search(name)]
-    return tuple(ErrorNames("circle", (name,)) for name in found)
+    radial = conventions.CONFIDENCE_RADII[-1].containment
+    return tuple(
+        ErrorNames("circle", (name,), containment=radial if "radec_err" in name.lower() else 0.0) for name in found
+    )
 
 
 def _error_columns(
@@ -439,7 +451,7 @@ def _error_columns(
             search.checked(search.column(n, error_names.unit), "arcsec2", "the square of an angle") for n in names
         )
         return PositionError(kind, squares, covariance=search.find(error_names.covariance) or "")
-    columns = tuple(search.angle(name, error_names.unit) for name in names[:2])
+    columns = search.angles(names[:2], error_names.unit)
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
     stated = search.options.correlation
@@ -455,6 +467,7 @@ def _error_columns(
         covariance=covariance,
         angle_from=error_names.angle_from,
         guessed_unit=guessed,
+        containment=error_names.containment,
     )
 
 

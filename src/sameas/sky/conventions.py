@@ -7,6 +7,7 @@ Parameters are numbered 0 right ascension (times cos δ), 1 declination, 2 paral
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -26,7 +27,8 @@ class ErrorNames:
     "variances" (east, north).
 
     unit : assumed unit, "" for none. covariance : column of the covariance of east and north. angle_from : zero point
-    of the ellipse angle, which increases towards the other axis.
+    of the ellipse angle, which increases towards the other axis. containment : probability that the position lies
+    within the circle or ellipse of this size; 0 if the sizes are standard deviations per axis.
     """
 
     kind: ErrorKind
@@ -34,6 +36,7 @@ class ErrorNames:
     unit: str = ""
     covariance: str = ""
     angle_from: Literal["north", "east"] = "north"
+    containment: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -205,6 +208,14 @@ PLAIN_CIRCLES = tuple(
         "error",
     )
     for suffix in ("", "_arcsec", "_mas", "_deg")
+)
+
+#: Containment of the radius √(σ_east² + σ_north²), which emldetect (XMM-Newton, eROSITA) calls the 1σ radial error.
+_RADIAL = 1.0 - math.exp(-1.0)
+#: Radii around the position with a given probability, under names that say so.
+CONFIDENCE_RADII = (
+    *(ErrorNames("circle", (name,), "arcsec", containment=0.9) for name in ("err90", "poserr90", "pos_err_90")),
+    ErrorNames("circle", ("radec_err",), "arcsec", containment=_RADIAL),
 )
 
 # Header keywords for the time of observation. Not EPOCH: in FITS it is the equinox.
@@ -411,6 +422,41 @@ _TYCHO2 = Convention(
     magnitudes=(("VTmag", "e_VTmag"), ("BTmag", "e_BTmag")),
     over=("RA(ICRS)", "RAdeg", "_RAJ2000", "RAJ2000"),
 )
+_XMM = tuple(
+    Convention(
+        title="XMM-Newton",
+        position=position,
+        marks=("SC_POSERR", "SYSERRCC", "SC_DET_ML", "EP_8_FLUX"),
+        ids=ids,
+        # 4XMM user guide, POSERR: "Total radial position uncertainty", within it 63 %.
+        errors=(ErrorNames("circle", (error,), "arcsec", containment=_RADIAL),),
+        epochs=epochs,
+        over=over,
+    )
+    for position, error, ids, epochs, over in (
+        (("RA", "DEC"), "POSERR", ("DETID",), ("MJD_START",), ("SC_RA",)),
+        (("SC_RA", "SC_DEC"), "SC_POSERR", ("SRCID",), (), ()),
+    )
+)
+_CHANDRA = Convention(
+    title="Chandra Source Catalog",
+    position=("ra", "dec"),
+    marks=("err_ellipse_r0",),
+    ids=("name",),
+    # CSC 2, Source Position and Position Errors: the 95 % confidence level error ellipse, arcsec.
+    errors=(
+        ErrorNames("ellipse", ("err_ellipse_r0", "err_ellipse_r1", "err_ellipse_ang"), "arcsec", containment=0.95),
+    ),
+)
+_FERMI = Convention(
+    title="Fermi LAT",
+    position=("RAJ2000", "DEJ2000"),
+    marks=("Conf_95_SemiMajor",),
+    ids=("Source_Name",),
+    errors=(
+        ErrorNames("ellipse", ("Conf_95_SemiMajor", "Conf_95_SemiMinor", "Conf_95_PosAng"), "deg", containment=0.95),
+    ),
+)
 # Sexagesimal parts in separate columns, as at the CDS and in journals.
 _IN_PARTS = Convention(
     title="CDS, in parts",
@@ -426,6 +472,7 @@ _IN_PARTS = Convention(
 _PLAIN_POSITIONS = (
     ("ra", "dec"),
     ("ra", "de"),
+    ("ra", "decl"),
     ("RAdeg", "DEdeg"),
     ("ra_deg", "dec_deg"),
     ("RA_ICRS", "DE_ICRS"),
@@ -483,6 +530,9 @@ CONVENTIONS: tuple[Convention, ...] = (
     _SDSS,
     _PANSTARRS,
     *_LSST,
+    *_XMM,
+    _CHANDRA,
+    _FERMI,
     _SAMEAS_FRAME,
     *_sextractor("WIN"),
     *_sextractor("PSF"),
