@@ -370,9 +370,9 @@ def _position_error(search: ColumnSearch, convention: Convention) -> PositionErr
     if options.sigma is not None and options.ellipse:
         raise InputError(Message(f"{search.source}: ", naming("give {sigma} or {ellipse}, not both")))
     if options.ellipse:
-        names = search.several(options.ellipse, 3, "ellipse")
-        own = next((e for e in convention.errors if search.find_all(e.names) == names), None)
-        return _error_columns(search, own or ErrorNames("ellipse", names))
+        stated = search.several(options.ellipse, 3, "ellipse")
+        own = next((e for e in convention.errors if search.find_all(e.names) == stated), None)
+        return _error_columns(search, own or ErrorNames("ellipse", stated))
     if options.sigma is not None:
         return _error_of_option(search, options.sigma, convention)
     own = _own_error(search, convention)
