@@ -243,9 +243,9 @@ def scored(
 
 def alone(now: Instant) -> Objects:
     """The objects of one instant on its own."""
-    found = identify_many(now.sources, rule=now.rule(), region=now.region)
-    covariance = found.fused.covariance[:, :2, :2] + now.shared_error_m**2 * np.eye(2)
-    return Objects(np.ma.filled(found.members, -1), found.fused.state[:, :2], covariance)
+    identified = identify_many(now.sources, rule=now.rule(), region=now.region)
+    covariance = identified.fused.covariance[:, :2, :2] + now.shared_error_m**2 * np.eye(2)
+    return Objects(np.ma.filled(identified.members, -1), identified.fused.state[:, :2], covariance)
 
 
 def tracked(tracks: TrackedPlots) -> Objects:

@@ -55,17 +55,17 @@ def with_delay(kind: Kind, late: int, late_s: float) -> Kind:
 def estimated(kind: Kind, late: int, late_s: float, seed: int) -> list[tuple[float, float, float]]:
     """True delay, estimate and standard error (NaN where none is removed) of every source against the first."""
     _, scene, _ = simulated(with_delay(kind, late, late_s), seed)
-    _, found = scene.registered()
-    values = [one.parameters.get("time_s") if one.established else None for one in found]
+    _, biases = scene.registered()
+    values = [one.parameters.get("time_s") if one.established else None for one in biases]
     first = 0.0 if values[0] is None else values[0].value
-    truth = np.zeros(len(found))
+    truth = np.zeros(len(biases))
     truth[late] = late_s
     known = values[0] is not None
     out = []
-    for it, true in zip(values[1:], truth[1:], strict=True):
-        error = np.nan if it is None else it.standard_error
-        error = values[0].standard_error if it is None and known and values[0] is not None else error
-        out.append((true - truth[0], (0.0 if it is None else it.value) - first, error))
+    for estimate, true in zip(values[1:], truth[1:], strict=True):
+        error = np.nan if estimate is None else estimate.standard_error
+        error = values[0].standard_error if estimate is None and known and values[0] is not None else error
+        out.append((true - truth[0], (0.0 if estimate is None else estimate.value) - first, error))
     return out
 
 
@@ -77,12 +77,14 @@ def lines(scenes: int, first: int, delays_s: list[float]) -> Iterator[list[objec
             parts = [estimated(kind, late, late_s, 7_000_000 + 1000 * number + first + k) for k in range(scenes)]
             spent = (time.process_time() - began) / scenes
             true, value, error = np.array([one for part in parts for one in part]).T
-            found, due = np.isfinite(error), true != 0.0
-            off = (value - true)[found & due]
-            z = off / error[found & due]
-            yield [kind.words, late_s, scenes, int(due.sum()) or None, int((found & due).sum()) if due.any() else None,
-                   int((found & ~due).sum()), float(np.sqrt(np.mean(off**2))) if len(off) else None,
-                   float(np.sqrt(np.mean(z**2))) if len(off) else None, spent]  # fmt: skip
+            established, delayed = np.isfinite(error), true != 0.0
+            removed = established & delayed
+            difference = (value - true)[removed]
+            z = difference / error[removed]
+            yield [kind.words, late_s, scenes, int(delayed.sum()) or None,
+                   int(removed.sum()) if delayed.any() else None, int((established & ~delayed).sum()),
+                   float(np.sqrt(np.mean(difference**2))) if len(difference) else None,
+                   float(np.sqrt(np.mean(z**2))) if len(difference) else None, spent]  # fmt: skip
 
 
 def main() -> None:

@@ -132,15 +132,23 @@ def reported(
         for copy in range(1 + (k in doubled)):
             times = np.arange(own_phase[k], span_s, sensor.period_s)
             times = times[rng.random(len(times)) >= sensor.misses]
-            place, speed = fleet.at(np.full(len(times), k), times)
-            shown = (place[:, 0] >= sensor.west * width_m) & (place[:, 0] <= sensor.east * width_m)
-            shown &= times <= sensor.until_s
+            position, speed = fleet.at(np.full(len(times), k), times)
+            detected = (position[:, 0] >= sensor.west * width_m) & (position[:, 0] <= sensor.east * width_m)
+            detected &= times <= sensor.until_s
             if sensor.gap_s:
                 changes = np.cumsum(rng.exponential(sensor.gap_s, 2 + int(8.0 * span_s / sensor.gap_s)))
-                shown &= np.searchsorted(changes, times) % 2 == 0
-            m = int(shown.sum())
+                detected &= np.searchsorted(changes, times) % 2 == 0
+            m = int(detected.sum())
             side = rng.normal(0.0, 12.0, 2) if k in doubled else 0.0
-            rows.append((times[shown], place[shown] + side, speed[shown], np.full(m, k), np.full(m, k + 1000 * copy)))
+            rows.append(
+                (
+                    times[detected],
+                    position[detected] + side,
+                    speed[detected],
+                    np.full(m, k),
+                    np.full(m, k + 1000 * copy),
+                )
+            )
     scans_s = np.arange(first_s, span_s, sensor.period_s)
     mean_scans = 1.0 if sensor.polar else 20.0
     for number in range(rng.poisson(sensor.false * len(scans_s) / mean_scans)):

@@ -183,8 +183,8 @@ Method = Callable[[Instant], list[np.ndarray]]
 
 def alone(now: Instant) -> list[np.ndarray]:
     """Object numbers of the records of every source, from this instant only."""
-    found = identify_many(now.sources, rule=now.rule(), region=now.region)
-    return [np.ma.filled(found.of(k).object, -1) for k in range(len(now.sources))]
+    identified = identify_many(now.sources, rule=now.rule(), region=now.region)
+    return [np.ma.filled(identified.of(k).object, -1) for k in range(len(now.sources))]
 
 
 def scored(trial: Trial, scene: Scene, instants: np.ndarray, method: Method) -> PictureScore:
@@ -228,12 +228,14 @@ class MemoryScore:
         at = [key.get(pair, -1) for pair in zip(objects["time_s"].tolist(), objects["object"].tolist(), strict=True)]
         row = np.flatnonzero([k >= 0 and votes.true[k] >= 0 for k in at])
         k = np.array(at)[row]
-        places = {t: trial.world.true.at(t)[:, :2] for t in np.unique(votes.time_s).tolist()}
-        true = np.array([places[t][j] for t, j in zip(votes.time_s[k].tolist(), votes.true[k], strict=True)])
-        found = np.column_stack([objects["x_m"], objects["y_m"]])[row]
+        true_at = {t: trial.world.true.at(t)[:, :2] for t in np.unique(votes.time_s).tolist()}
+        true = np.array([true_at[t][j] for t, j in zip(votes.time_s[k].tolist(), votes.true[k], strict=True)])
+        estimated = np.column_stack([objects["x_m"], objects["y_m"]])[row]
         packed = [np.ma.filled(objects[name], np.nan)[row] for name in ("var_x_m2", "cov_xy_m2", "var_y_m2")]
-        honest = nees(found, np.stack([packed[0], packed[1], packed[1], packed[2]], axis=-1).reshape(-1, 2, 2), true)
-        off_m = np.ma.filled(np.hypot(*(found - true).T), np.nan)
+        honest = nees(
+            estimated, np.stack([packed[0], packed[1], packed[1], packed[2]], axis=-1).reshape(-1, 2, 2), true
+        )
+        off_m = np.ma.filled(np.hypot(*(estimated - true).T), np.nan)
         error_m, half_m = float(np.sqrt(np.nanmean(off_m**2))), float(np.nanmedian(off_m))
         return cls(pair_score(identities), siap(identities), honest, error_m, half_m, *gospa(trial, picture))
 
@@ -272,9 +274,9 @@ class Lines:
         began = time.process_time()
         instants = trial.instants(steps.alone_s)
         biased, known = trial.scene(), trial.scene_unbiased()
-        found, biases = biased.registered()
-        picture = MemoryScore.of(trial, Picture.of(found, trial.instants(steps.picture_s)))
-        one = [scored(trial, scene, instants, alone) for scene in (biased, known, found)]
+        registered, biases = biased.registered()
+        picture = MemoryScore.of(trial, Picture.of(registered, trial.instants(steps.picture_s)))
+        one = [scored(trial, scene, instants, alone) for scene in (biased, known, registered)]
         ours = [
             *label, *(score.pairs.f1 for score in one), picture.score.pairs.f1, picture.score.pairs.precision,
             picture.score.pairs.recall, picture.score.share_right, picture.siap.completeness, picture.siap.ambiguity,
@@ -282,7 +284,7 @@ class Lines:
             picture.nees.median, picture.error_m, picture.half_m, picture.gospa_m, picture.missed, picture.false,
         ]  # fmt: skip
         others = [
-            [*label, name, *(scored(trial, scene, instants, method).pairs.f1 for scene in (biased, found))]
+            [*label, name, *(scored(trial, scene, instants, method).pairs.f1 for scene in (biased, registered))]
             for name, method in contenders.methods().items()
         ]
         others.append([*label, "ours, one instant", one[0].pairs.f1, one[2].pairs.f1])
@@ -290,14 +292,17 @@ class Lines:
         return cls(ours, others, [[*label, *row] for row in _bias_rows(trial, biases)])
 
 
-def _bias_rows(trial: Trial, found: tuple[SourceBiases, ...]) -> list[list[object]]:
+def _bias_rows(trial: Trial, biases: tuple[SourceBiases, ...]) -> list[list[object]]:
     """True and estimated biases of every radar."""
     rows: list[list[object]] = []
-    for source, bias in zip(found[1:], trial.biases[1:], strict=True):
+    for source, bias in zip(biases[1:], trial.biases[1:], strict=True):
         row: list[object] = [source.source]
         for name in ("range_m", "azimuth_deg", "time_s"):
-            got = source.parameters.get(name)
-            row += [getattr(bias, name), *((None, None) if got is None else (got.value, got.standard_error))]
+            estimate = source.parameters.get(name)
+            row += [
+                getattr(bias, name),
+                *((None, None) if estimate is None else (estimate.value, estimate.standard_error)),
+            ]
         rows.append(row)
     return rows
 

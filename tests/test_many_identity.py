@@ -34,7 +34,7 @@ from test_many import WIDE, enumerated, field_scene, probabilities, same_as_iden
 
 
 @dataclass(frozen=True)
-class Told(Rule):
+class PrescribedEvidence(Rule):
     """Prescribed evidence: ln r of two records by their (source, row), 0.0 if not listed."""
 
     values: dict
@@ -42,15 +42,15 @@ class Told(Rule):
     def __call__(self, pairs):
         a, b = pairs.first, pairs.second
         rows = zip(a.rows[pairs.i].tolist(), b.rows[pairs.j].tolist(), strict=True)
-        said = [self.values.get(frozenset({(a.source, i), (b.source, j)}), 0.0) for i, j in rows]
-        return Evidence({"told": np.array(said, dtype=np.float64)})
+        log_ratio = [self.values.get(frozenset({(a.source, i), (b.source, j)}), 0.0) for i, j in rows]
+        return Evidence({"prescribed": np.array(log_ratio, dtype=np.float64)})
 
 
 def random_rule(rng, sources, share):
     """Random evidence from −5 to 5 for a share of all pairs."""
     records = [(s.source, row) for s in sources for row in range(len(s))]
     pairs = itertools.combinations(records, 2)
-    return Told({frozenset(pair): rng.uniform(-5, 5) for pair in pairs if rng.random() < share})
+    return PrescribedEvidence({frozenset(pair): rng.uniform(-5, 5) for pair in pairs if rng.random() < share})
 
 
 def naive_best_reference(ln_r, members):
@@ -112,13 +112,13 @@ def test_rules_are_added_to_pairwise_ones_under_a_count_prior():
             assert stated == pytest.approx(p[members], abs=1e-9)
 
 
-@pytest.mark.parametrize("believed", [PoissonObjects(0.3, 0.2), CloseObjects(1.0, 4.0)])
-def test_no_set_that_outweighs_its_single_records_is_omitted(believed):
+@pytest.mark.parametrize("position_rule", [PoissonObjects(0.3, 0.2), CloseObjects(1.0, 4.0)])
+def test_no_set_that_outweighs_its_single_records_is_omitted(position_rule):
     """Bounds include non-positional evidence: at every floor the kept sets are those above it of floor −∞."""
     rng = np.random.default_rng(4)
     for _ in range(6):
         sources = small_scene(rng, (3, 3, 2, 2), extent=5.0)
-        rule = believed + random_rule(rng, sources, rng.choice([0.3, 1.0])) + random_rule(rng, sources, 0.5)
+        rule = position_rule + random_rule(rng, sources, rng.choice([0.3, 1.0])) + random_rule(rng, sources, 0.5)
         together = pooled(sources, Radius(4.0))
         terms = terms_of(rule, PerPair(-1.0), together)
         everything = candidate_sets(together, terms)
@@ -188,14 +188,14 @@ def identity_of(rng, sources, objects, known=0.7, wrong=0.02):
     return Identity(attributes)
 
 
-def named_scene(rng, n_sources, n, extent, sigma=1.0, q=0.15, **said):
-    places = rng.uniform(0, extent, (n, 2))
+def named_scene(rng, n_sources, n, extent, sigma=1.0, q=0.15, **options):
+    positions = rng.uniform(0, extent, (n, 2))
     objects = [rng.permutation(np.flatnonzero(rng.uniform(size=n) >= q)) for _ in range(n_sources)]
     sources = [
-        Records.of(places[o] + rng.normal(size=(len(o), 2)) * sigma, sigma=sigma, source=f"s{s}")
+        Records.of(positions[o] + rng.normal(size=(len(o), 2)) * sigma, sigma=sigma, source=f"s{s}")
         for s, o in enumerate(objects)
     ]
-    return sources, objects, identity_of(rng, sources, objects, **said)
+    return sources, objects, identity_of(rng, sources, objects, **options)
 
 
 def test_two_sources_agree_with_identify_for_the_same_rules():
@@ -220,13 +220,13 @@ def test_the_order_of_sources_and_rows_changes_nothing(grid):
     first = probabilities(identify_many(sources, rule=PoissonObjects(0.07, (0.1, 0.2, 0.3)) + identity))
     for turn in itertools.permutations(range(3)):
         rows = [rng.permutation(len(sources[s])) for s in turn]
-        mixed, said = [], {}
+        mixed, attributes = [], {}
         for s, order in zip(turn, rows, strict=True):
             name = sources[s].source
             mixed.append(Records.of(sources[s].features[order], sigma=1.0, ids=order, source=name))
-            said[name] = {key: np.asarray(v)[order] for key, v in identity.attributes[name].items()}
+            attributes[name] = {key: np.asarray(v)[order] for key, v in identity.attributes[name].items()}
         q = tuple((0.1, 0.2, 0.3)[s] for s in turn)
-        got = probabilities(identify_many(mixed, rule=PoissonObjects(0.07, q) + Identity(said)))
+        got = probabilities(identify_many(mixed, rule=PoissonObjects(0.07, q) + Identity(attributes)))
         assert {frozenset((turn[s], int(rows[s][row])) for s, row in k): p for k, p in got.items()} == first
 
 
@@ -234,7 +234,7 @@ def test_a_rule_without_evidence_changes_nothing():
     rng = np.random.default_rng(22)
     sources = field_scene(rng, 3, 30, extent=30.0)
     alone = identify_many(sources, rule=PoissonObjects(0.03, 0.15))
-    silent = identify_many(sources, rule=PoissonObjects(0.03, 0.15) + Told({}) + Identity({}))
+    silent = identify_many(sources, rule=PoissonObjects(0.03, 0.15) + PrescribedEvidence({}) + Identity({}))
     assert probabilities(alone) == probabilities(silent)
 
 
@@ -245,11 +245,11 @@ def test_probabilities_are_calibrated_when_some_identities_are_wrong():
     for _ in range(6):
         sources, objects, identity = named_scene(rng, 3, 150, 60.0, known=0.9, wrong=0.01)
         found = identify_many(sources, rule=PoissonObjects(150 / 60.0**2, 0.15) + identity)
-        whole = {
+        true_sets = {
             frozenset((s, int(np.flatnonzero(o == k)[0])) for s, o in enumerate(objects) if k in o) for k in range(150)
         }
         stated += found.probability.tolist()
-        right += [members in whole for members in sets_of(found)]
+        right += [members in true_sets for members in sets_of(found)]
     stated, right = np.array(stated), np.array(right)
     assert (~right).sum() == pytest.approx((1 - stated).sum(), abs=3 * math.sqrt((stated * (1 - stated)).sum()) + 3)
     assert right.mean() > 0.95
@@ -260,18 +260,18 @@ def test_probabilities_are_calibrated_when_some_identities_are_wrong():
 
 def test_identities_of_bearings_are_used():
     radar = Records.of([[0.0, 1000.0], [100.0, 1000.0]], sigma=30.0, source="radar")
-    heard = Records.of([[2.9]], sigma=2.0, space=Plane(periods=(360.0,)), source="esm")
+    bearings = Records.of([[2.9]], sigma=2.0, space=Plane(periods=(360.0,)), source="esm")
     region = Region((0.0, 0.0), (5000.0, 5000.0))
-    sources: list[Records | Observations] = [radar, Observations(heard, Bearing(sensor=(0.0, 0.0)))]
-    belief = PoissonObjects(1e-6, 0.1, (0.0, 1e-4))
-    open_ = identify_many(sources, rule=belief, region=region)
-    assert open_.of("esm").p_partner[0, 0] < 0.6
+    sources: list[Records | Observations] = [radar, Observations(bearings, Bearing(sensor=(0.0, 0.0)))]
+    objects = PoissonObjects(1e-6, 0.1, (0.0, 1e-4))
+    without_identity = identify_many(sources, rule=objects, region=region)
+    assert without_identity.of("esm").p_partner[0, 0] < 0.6
     for row in (0, 1):
         of_radar: list[str | None] = [None, None]
         of_radar[row] = "SUPER7"
-        said = {"radar": {"callsign": of_radar}, "esm": {"callsign": ["SUPER7"]}}
-        told = identify_many(sources, rule=belief + Identity(said), region=region).of("esm")
-        assert told.partner[0, 0] == row and told.p_partner[0, 0] > 0.95
+        attributes = {"radar": {"callsign": of_radar}, "esm": {"callsign": ["SUPER7"]}}
+        answers = identify_many(sources, rule=objects + Identity(attributes), region=region).of("esm")
+        assert answers.partner[0, 0] == row and answers.p_partner[0, 0] > 0.95
 
 
 # ---- refusals ----
@@ -280,8 +280,12 @@ def test_identities_of_bearings_are_used():
 def test_rules_are_split_into_position_rules_and_others():
     identity, objects = Identity({}), PoissonObjects(1.0, 0.1)
     no_rules: list[Any] = [1.0, objects]
-    for rule in (objects + identity + Told({}), identity + objects + Told({}), objects + (identity + Told({}))):
-        assert isinstance(rule, SetRules) and parts_of(rule) == (objects, (identity, Told({})))
+    for rule in (
+        objects + identity + PrescribedEvidence({}),
+        identity + objects + PrescribedEvidence({}),
+        objects + (identity + PrescribedEvidence({})),
+    ):
+        assert isinstance(rule, SetRules) and parts_of(rule) == (objects, (identity, PrescribedEvidence({})))
     assert [type(part) for part in parts_of(identity + Field(1.0))[1]] == [Identity]
     for other in no_rules:
         with pytest.raises(TypeError):
@@ -309,8 +313,10 @@ def test_invalid_rules_are_refused_with_a_clear_message():
     for words, rule in refused.items():
         with pytest.raises(InputError, match=words):
             identify_many(sources, rule=rule)
-    impossible = Told({frozenset({("s0", 1), ("s2", 0)}): -math.inf})
-    with pytest.raises(InputError, match=r"told is -inf for s(0 row 1 and s2 row 0|2 row 0 and s0 row 1).*bound it"):
+    impossible = PrescribedEvidence({frozenset({("s0", 1), ("s2", 0)}): -math.inf})
+    with pytest.raises(
+        InputError, match=r"prescribed is -inf for s(0 row 1 and s2 row 0|2 row 0 and s0 row 1).*bound it"
+    ):
         identify_many(sources, rule=objects + impossible, gate=WIDE)
     with pytest.raises(InputError, match="identify_sequentially compares positions, and Identity needs records"):
         identify_sequentially(sources, rule=objects + identity)
@@ -366,8 +372,8 @@ def test_explanations_of_two_sources_agree_with_identify():
 def test_explanations_print_as_text():
     radar = Records.of([[0.0, 0.0], [6.0, 0.0]], sigma=2.0, ids=["r1", "r2"], source="radar")
     ais = Records.of([[3.2, 0.0], [6.0, 3.0]], sigma=1.0, ids=["a1", "a2"], source="ais")
-    said = {"radar": {"callsign": ["SUPER7", None]}, "ais": {"callsign": ["SUPER7", None]}}
-    found = identify_many([radar, ais], rule=PoissonObjects(0.01, 0.2) + Identity(said))
+    attributes = {"radar": {"callsign": ["SUPER7", None]}, "ais": {"callsign": ["SUPER7", None]}}
+    found = identify_many([radar, ais], rule=PoissonObjects(0.01, 0.2) + Identity(attributes))
     text = str(found.explain(0))
     assert text.startswith("Object 0 is radar r1 = ais a1, probability 0.99")
     assert "Group 0: 4 records; probabilities are summed over all partitions." in text

@@ -94,11 +94,11 @@ class Decoder:
 
     def _asked(self, arguments: list[str]) -> tuple[int, str] | None:
         try:
-            self.asks.write(json.dumps(arguments) + "\n")
-            self.asks.flush()
+            self.requests.write(json.dumps(arguments) + "\n")
+            self.requests.flush()
             # After memory corruption the process may wait for one of its locks for ever.
-            there = select.select([self.answers], [], [], DECODED_S)[0]
-            if not there:
+            is_ready = select.select([self.answers], [], [], DECODED_S)[0]
+            if not is_ready:
                 os.kill(self.process, signal.SIGXCPU)
             line = self.answers.readline()
         except BrokenPipeError:
@@ -106,18 +106,21 @@ class Decoder:
         return tuple(json.loads(line)) if line.endswith("\n") else None
 
     def _fork(self, program: str) -> None:
-        (heard, asks), (answers, told) = os.pipe(), os.pipe()
+        (request_in, request_out), (answer_in, answer_out) = os.pipe(), os.pipe()
         self.process, self.read = os.fork(), 0
         if self.process:
-            for end in (heard, told):
+            for end in (request_in, answer_out):
                 os.close(end)
-            self.asks, self.answers = os.fdopen(asks, "w"), os.fdopen(answers, encoding="utf-8", errors="replace")
+            self.requests, self.answers = (
+                os.fdopen(request_out, "w"),
+                os.fdopen(answer_in, encoding="utf-8", errors="replace"),
+            )
             return
-        for end in (asks, answers):
+        for end in (request_out, answer_in):
             os.close(end)
         code = 1
         try:
-            _decode_all(compile(program, "decoder", "exec"), os.fdopen(heard), told)
+            _decode_all(compile(program, "decoder", "exec"), os.fdopen(request_in), answer_out)
             code = 0
         finally:
             os._exit(code)
@@ -125,14 +128,14 @@ class Decoder:
     def end(self) -> int:
         """Close the pipe, on which the process ends, and return its exit code."""
         with contextlib.suppress(BrokenPipeError):
-            self.asks.close()
+            self.requests.close()
         self.answers.close()
         code = os.waitstatus_to_exitcode(os.waitpid(self.process, 0)[1])
         self.process = 0
         return code
 
 
-def _decode_all(program: Any, asked: Any, told: int) -> None:
+def _decode_all(program: Any, requests: Any, answer_out: int) -> None:
     """Run the program with the arguments of every line, within CPU and memory (1 GB) limits, and answer each."""
     import resource
     import time
@@ -140,7 +143,7 @@ def _decode_all(program: Any, asked: Any, told: int) -> None:
     if os.path.exists("/proc/self/statm"):
         most = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize() + (1 << 30)
         resource.setrlimit(resource.RLIMIT_AS, (most, resource.RLIM_INFINITY))
-    for line in asked:
+    for line in requests:
         last_s = int(time.process_time()) + 11
         resource.setrlimit(resource.RLIMIT_CPU, (last_s, resource.RLIM_INFINITY))
         sys.argv = ["-c", *json.loads(line)]
@@ -149,7 +152,7 @@ def _decode_all(program: Any, asked: Any, told: int) -> None:
             exec(program, {"__name__": "__main__"})
         except BaseException as error:
             answer = (1, f"{type(error).__name__}: {error}"[:4000])
-        os.write(told, (json.dumps(answer) + "\n").encode())
+        os.write(answer_out, (json.dumps(answer) + "\n").encode())
 
 
 #: Images per decoder process, and wall-clock seconds per image.
@@ -210,16 +213,16 @@ def stars() -> Any:
     from astropy.table import MaskedColumn, Table
 
     rng = np.random.default_rng(7)
-    made = Table({
+    table = Table({
         "id": np.arange(12) + 4472832130942575872, "name": [f"s{k}" for k in range(12)],
         "ra": rng.uniform(10.0, 10.2, 12), "dec": rng.uniform(-0.1, 0.1, 12),
         "pmra": rng.normal(0.0, 9.0, 12), "pmdec": rng.normal(0.0, 9.0, 12), "sigma": np.full(12, 0.1),
         "mag": MaskedColumn(rng.uniform(9.0, 18.0, 12), mask=np.arange(12) == 3), "known": np.arange(12) % 2 == 0,
     })  # fmt: skip
     for name, unit in {"ra": "deg", "dec": "deg", "sigma": "arcsec", "pmra": "mas/yr", "pmdec": "mas/yr"}.items():
-        made[name].unit = unit
-    made.meta["EPOCH"] = 2016.0
-    return made
+        table[name].unit = unit
+    table.meta["EPOCH"] = 2016.0
+    return table
 
 
 def written(ending: str) -> Callable[[], list[bytes]]:
@@ -252,12 +255,12 @@ def texts(*names: str, mark: str = ";", instead: str = ";") -> Callable[[], list
 
     def seeds() -> list[bytes]:
         source = (TESTS / "io" / "test_io_text.py").read_text(encoding="utf-8")
-        made = {
+        constants = {
             target.id: node.value
             for node in ast.parse(source).body
             if isinstance(node, ast.Assign) and isinstance(target := node.targets[0], ast.Name)
         }
-        text = "".join(ast.literal_eval(made[name]) for name in names)
+        text = "".join(ast.literal_eval(constants[name]) for name in names)
         return [text.replace(mark, instead).replace(f"ra{instead}", f"ra{mark}").encode()]
 
     return seeds
@@ -322,10 +325,10 @@ def sensor_parquet() -> list[bytes]:
     every = []
     for rows in (SENSOR_ROWS, POLAR_ROWS):
         out = io.BytesIO()
-        made = pa.Table.from_pylist(rows)
+        table = pa.Table.from_pylist(rows)
         if isinstance(rows[0]["time"], float):
-            made = made.set_column(0, "time", made["time"].cast(pa.int64()).cast(pa.timestamp("s")))
-        parquet.write_table(made, out)
+            table = table.set_column(0, "time", table["time"].cast(pa.int64()).cast(pa.timestamp("s")))
+        parquet.write_table(table, out)
         every.append(out.getvalue())
     return every
 
@@ -528,13 +531,13 @@ TARGETS: Mapping[str, Target] = {
     "orbits json": Target(".json", small_bodies, elements),
     "signal k": Target(".jsonl", signal_k, sensor),
     "watch.toml": Target(".toml", lambda: [WATCH_TOML], settings_toml),
-    "output": Target(".ecsv", outputs.SEEDS["table"], outputs.told),
-    "output fits": Target(".fits", outputs.SEEDS["fits"], outputs.told),
-    "provenance": Target(".txt", outputs.SEEDS["provenance"], outputs.told_beside),
-    "picture": Target(".csv", outputs.SEEDS["picture"], outputs.told_of_picture),
-    "state": Target(".pickle", outputs.SEEDS["state"], outputs.gone_on),
-    "journal": Target(".sqlite", outputs.SEEDS["journal"], outputs.gone_on),
-    "partitions": Target(".part", outputs.SEEDS["partitions"], outputs.unparted),
+    "output": Target(".ecsv", outputs.SEEDS["table"], outputs.explain_table),
+    "output fits": Target(".fits", outputs.SEEDS["fits"], outputs.explain_table),
+    "provenance": Target(".txt", outputs.SEEDS["provenance"], outputs.explain_with_provenance),
+    "picture": Target(".csv", outputs.SEEDS["picture"], outputs.explain_picture),
+    "state": Target(".pickle", outputs.SEEDS["state"], outputs.continue_watch),
+    "journal": Target(".sqlite", outputs.SEEDS["journal"], outputs.continue_watch),
+    "partitions": Target(".part", outputs.SEEDS["partitions"], outputs.finish_partitions),
 }  # fmt: skip
 
 
@@ -542,10 +545,10 @@ TARGETS: Mapping[str, Target] = {
 class Corpus:
     """The seeds of the targets, created on first use and unpacked for mutation."""
 
-    made: dict[str, list[bytes]] = field(default_factory=dict)
+    unpacked: dict[str, list[bytes]] = field(default_factory=dict)
 
     def seeds(self, name: str) -> list[bytes]:
         """The seeds of a target, unpacked."""
-        if name not in self.made:
-            self.made[name] = [TARGETS[name].inside(seed) for seed in TARGETS[name].seeds()]
-        return self.made[name]
+        if name not in self.unpacked:
+            self.unpacked[name] = [TARGETS[name].inside(seed) for seed in TARGETS[name].seeds()]
+        return self.unpacked[name]

@@ -264,8 +264,8 @@ def _child() -> None:
                     seconds = time.process_time() - began
                     if again or not what.startswith("took"):  # the first time a kernel may have been compiled
                         break
-                said = " ".join(what.split())
-                sys.stdout.write(f"{number}\t{seconds:.4f}\t{said}\n")
+                reason = " ".join(what.split())
+                sys.stdout.write(f"{number}\t{seconds:.4f}\t{reason}\n")
                 sys.stdout.flush()
 
 
@@ -324,16 +324,16 @@ class Code:
         digest = hashlib.sha256()
         for number in range(50):
             digest.update(input_of(name, seed, number, corpus))
-        found = {"python": sys.version.split()[0]}
+        versions = {"python": sys.version.split()[0]}
         for library in LIBRARIES:
             try:
-                found[library] = version(library)
+                versions[library] = version(library)
             except PackageNotFoundError:
                 continue
         paths = {module: SOURCE / module for module in modules}
         return cls(
             {module: _digest(_meaning(path)) if path.is_file() else "gone" for module, path in paths.items()},
-            found, digest.hexdigest()[:16],
+            versions, digest.hexdigest()[:16],
         )  # fmt: skip
 
     def stands(self, later: Code) -> bool:

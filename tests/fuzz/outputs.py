@@ -62,11 +62,11 @@ def tables(ending: str) -> tuple[bytes, ...]:
     with _folder() as folder:
         a, b, c = (str(_field(folder, k)) for k in range(3))
         out = folder / f"out{ending}"
-        made = []
+        contents = []
         for given in (("match", a, b, "--join", "1or2"), ("many", a, b, c)):
             _ran(*given, "-o", str(out))
-            made.append(_written(out))
-        return tuple(made)
+            contents.append(_written(out))
+        return tuple(contents)
 
 
 @cache
@@ -102,33 +102,33 @@ def framed() -> bytes:
         return _written(folder / "f.ecsv")
 
 
-class Remembered:
-    """A function that gives what it gave when what its answer depends on is the same again; the last ones are kept.
+class Cached:
+    """A function with a cache of its latest 12 answers.
 
-    A question reads a file several times, and one of two files that are compared is the same for all inputs: to read
-    each content once makes several times as many inputs in the same time. key : what the answer depends on; None where
-    that cannot be told. copied : a copy of an answer, where who asked may change it.
+    One target reads a file several times, and one of two compared files is the same for all inputs: with each content
+    read once, several times as many inputs are tested in the same time. key : what the answer depends on; None where
+    that is not known. copied : makes a copy of an answer that its caller may change.
     """
 
     def __init__(
         self, function: Callable[..., Any], key: Callable[..., object], copied: Callable[[Any], Any] | None = None
     ) -> None:
         self.function, self.key, self.copied = function, key, copied
-        self.kept = dict[object, tuple[Any, Exception | None]]()
+        self.cache = dict[object, tuple[Any, Exception | None]]()
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         key = self.key(*given, **named)
         if key is None:
             return self.function(*given, **named)
-        answer, error = self.kept.pop(key, (None, None)) if key in self.kept else self._asked(*given, **named)
-        while len(self.kept) >= 12:
-            del self.kept[next(iter(self.kept))]
-        self.kept[key] = (answer, error)  # what was asked for last is kept longest
+        answer, error = self.cache.pop(key, (None, None)) if key in self.cache else self._called(*given, **named)
+        while len(self.cache) >= 12:
+            del self.cache[next(iter(self.cache))]
+        self.cache[key] = (answer, error)  # the latest answers are kept longest
         if error is not None:
             raise error.with_traceback(None)
         return answer if self.copied is None else self.copied(answer)
 
-    def _asked(self, *given: Any, **named: Any) -> tuple[Any, Exception | None]:
+    def _called(self, *given: Any, **named: Any) -> tuple[Any, Exception | None]:
         try:
             return self.function(*given, **named), None
         except Exception as error:
@@ -136,11 +136,11 @@ class Remembered:
 
 
 def _content(path: Any, **_: Any) -> object:
-    """A file by its name and what is in it and beside it."""
-    beside = Path(f"{path}.provenance.json")
+    """The name and content of a file, and the content of its provenance file."""
+    provenance = Path(f"{path}.provenance.json")
     if not Path(path).is_file():
         return None
-    return str(path), Path(path).read_bytes(), beside.read_bytes() if beside.is_file() else b""
+    return str(path), Path(path).read_bytes(), provenance.read_bytes() if provenance.is_file() else b""
 
 
 def _pickled(*given: Any, **_: Any) -> object:
@@ -154,34 +154,34 @@ def _header(lines: Any) -> object:
 
 
 @cache
-def _remembering() -> tuple[tuple[str, Remembered], ...]:
-    """The functions that are remembered, by where they stand."""
+def _cached_functions() -> tuple[tuple[str, Cached], ...]:
+    """The cached functions by their import paths."""
     from astropy.table import meta
 
     import sameas.io
     from sameas.sky import crossmatch
 
     return (
-        ("sameas.io.read_table", Remembered(sameas.io.read_table, _content)),
-        ("sameas.io.read_provenance", Remembered(sameas.io.read_provenance, _content, copy.deepcopy)),
-        ("sameas.sky.crossmatch.match", Remembered(crossmatch.match, _pickled)),
+        ("sameas.io.read_table", Cached(sameas.io.read_table, _content)),
+        ("sameas.io.read_provenance", Cached(sameas.io.read_provenance, _content, copy.deepcopy)),
+        ("sameas.sky.crossmatch.match", Cached(crossmatch.match, _pickled)),
         (
             "astropy.table.meta.get_header_from_yaml",
-            Remembered(meta.get_header_from_yaml, _header, copy.deepcopy),
+            Cached(meta.get_header_from_yaml, _header, copy.deepcopy),
         ),
     )
 
 
 @contextlib.contextmanager
 def _once() -> Iterator[None]:
-    """Within it the same content is read once, and the same catalogues are matched once."""
+    """Within it, the same content is read once, and the same catalogues are matched once."""
     with contextlib.ExitStack() as stack:
-        for place, function in _remembering():
-            stack.enter_context(mock.patch(place, function))
+        for path, function in _cached_functions():
+            stack.enter_context(mock.patch(path, function))
         yield
 
 
-def told(path: Path) -> object:
+def explain_table(path: Path) -> object:
     """Run ``explain`` and ``compare`` on a table."""
     import sameas
     from sameas.errors import InputError
@@ -207,13 +207,13 @@ def told(path: Path) -> object:
     return answers
 
 
-#: Where the catalogues of a match lay, and lie.
+#: Folder of the catalogues in the provenance, replaced by the real one.
 _ELSEWHERE = b"/of/the/match"
 
 
 @cache
-def beside() -> tuple[bytes, bytes, bytes]:
-    """A match as CSV, the provenance beside it, and the folder of its catalogues, which stays."""
+def match_and_provenance() -> tuple[bytes, bytes, bytes]:
+    """A match as CSV, its provenance file, and the folder of its catalogues, which is kept."""
     folder = Path(tempfile.mkdtemp())
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     a, b = (str(_field(folder, k)) for k in range(2))
@@ -222,14 +222,14 @@ def beside() -> tuple[bytes, bytes, bytes]:
     return (folder / "out.csv").read_bytes(), facts.replace(place, _ELSEWHERE), place
 
 
-def told_beside(path: Path) -> object:
-    """A table whose provenance is changed; where it still names the catalogues they are matched again."""
+def explain_with_provenance(path: Path) -> object:
+    """Run ``explain`` and ``compare`` on a table with changed provenance; its catalogues are matched again."""
     whole = path.with_name("input.csv")
     if not whole.exists():
-        whole.write_bytes(beside()[0])
-    facts = path.read_bytes().replace(_ELSEWHERE, beside()[2])
+        whole.write_bytes(match_and_provenance()[0])
+    facts = path.read_bytes().replace(_ELSEWHERE, match_and_provenance()[2])
     path.with_name("input.csv.provenance.json").write_bytes(facts)
-    return told(whole)
+    return explain_table(whole)
 
 
 @cache
@@ -247,7 +247,7 @@ def picture() -> dict[str, bytes]:
         return {path.name: path.read_bytes() for path in sorted((folder / "out").glob("*.csv"))}
 
 
-def told_of_picture(path: Path) -> object:
+def explain_picture(path: Path) -> object:
     import sameas
     from sameas.errors import InputError
 
@@ -319,15 +319,15 @@ _NEXT_S = 1.7e9 + 40
 
 @cache
 def _next() -> Any:
-    """The picture after the next tick of a watch whose files nobody changed."""
+    """The picture after the next tick of a watch with unchanged files."""
     from sameas.live.keeper import Keeper
     from sameas.picture.live import LivePicture
 
-    told, advance = [], LivePicture.advance
+    states, advance = [], LivePicture.advance
 
     def noted(*given: Any) -> Any:
-        told.append(advance(*given))
-        return told[-1]
+        states.append(advance(*given))
+        return states[-1]
 
     with _folder() as folder:
         for name, own in kept().items():
@@ -336,12 +336,12 @@ def _next() -> Any:
         with mock.patch.object(LivePicture, "advance", noted):
             keeper.tick(_NEXT_S)
         keeper.close()
-    return told[0]
+    return states[0]
 
 
 @contextlib.contextmanager
 def _advanced(path: Path) -> Iterator[None]:
-    """Within it a watch whose journal was changed is told its next picture, which comes from the state."""
+    """Within it, a watch with a changed journal uses the known next picture, which depends on the state only."""
     from sameas.live.keeper import Keeper
     from sameas.picture.live import LivePicture
 
@@ -353,7 +353,7 @@ def _advanced(path: Path) -> Iterator[None]:
         yield
 
 
-def gone_on(path: Path) -> object:
+def continue_watch(path: Path) -> object:
     """A watch that goes on where another was; what a tick cannot do is an alarm of it."""
     from sameas.live.keeper import Keeper
 
@@ -373,7 +373,7 @@ def gone_on(path: Path) -> object:
 
 
 @cache
-def parted() -> dict[str, bytes]:
+def partition_run() -> dict[str, bytes]:
     """The files of a catalogue in partitions."""
     from astropy.table import Table
 
@@ -387,22 +387,22 @@ def parted() -> dict[str, bytes]:
                 for path in sorted((folder / "cat").rglob("*")) if path.is_file()}  # fmt: skip
 
 
-def parted_seeds() -> list[bytes]:
+def partition_seeds() -> list[bytes]:
     """One file of each kind."""
-    each = {Path(name).suffix + Path(name).name[:4]: content for name, content in parted().items()}
+    each = {Path(name).suffix + Path(name).name[:4]: content for name, content in partition_run().items()}
     return list(each.values())
 
 
-def unparted(path: Path) -> object:
+def finish_partitions(path: Path) -> object:
     """A catalogue of which one file is changed, or two parts are the same."""
     from sameas.partitions.layout import HatsCatalogue
 
     content, folder = path.read_bytes(), path.with_suffix("")
     shutil.rmtree(folder, ignore_errors=True)
-    for name, own in parted().items():
+    for name, own in partition_run().items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(own)
-    begins = {own[:12]: name for name, own in parted().items() if not name.startswith("_")}
+    begins = {own[:12]: name for name, own in partition_run().items() if not name.startswith("_")}
     place = next((name for begin, name in begins.items() if content[:6] == begin[:6]), "hats.properties")
     (folder / place).write_bytes(content)
     catalogue = HatsCatalogue.open(folder)
@@ -413,9 +413,9 @@ def unparted(path: Path) -> object:
 SEEDS: dict[str, Callable[[], list[bytes]]] = {
     "table": lambda: [*tables(".ecsv"), framed()],
     "fits": lambda: list(tables(".fits")),
-    "provenance": lambda: [beside()[1]],
+    "provenance": lambda: [match_and_provenance()[1]],
     "picture": lambda: list(picture().values()),
     "state": lambda: [kept()["state.pickle"]],
     "journal": lambda: [kept()["journal.sqlite"]],
-    "partitions": parted_seeds,
+    "partitions": partition_seeds,
 }

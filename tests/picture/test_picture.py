@@ -48,12 +48,12 @@ def test_one_instant_agrees_with_identify_many():
     o, r = object_columns(state), record_columns(state)
     assert " ".join(OBJECTS.split()) == " ".join(o) and " ".join(RECORDS.split()) == " ".join(r)
     names = [records_of(source).source for source in now.sources]
-    said = {
+    by_set = {
         " ".join(f"{name}:{records_of(s).ids[row]}" for name, s, row in zip(names, now.sources, members, strict=True)
                  if row is not np.ma.masked): p
         for members, p in zip(found.members, found.probability, strict=True)
     }  # fmt: skip
-    assert said == pytest.approx(dict(zip(o["members"].tolist(), o["probability"].tolist(), strict=True)))
+    assert by_set == pytest.approx(dict(zip(o["members"].tolist(), o["probability"].tolist(), strict=True)))
     for s, name in enumerate(names):
         mine, of = r["source"] == name, found.of(s)
         np.testing.assert_allclose(r["p_alone"][mine], of.p_alone, atol=1e-12)
@@ -147,13 +147,13 @@ def test_bearings_are_used_and_are_no_position_alone():
         "camera", "camera", site=Site(east_m=0.0, north_m=0.0), misses=MissRate(0.2), motion=WALK,
         coverage=SensorCoverage(range_m=3000.0), errors=SensorErrors(bearing_deg=0.5, extent_m=3.0),
     )  # fmt: skip
-    said = {"time_s": [0.0] * 3 + [10.0] * 3, "bearing_deg": [45.2, 120.0, 359.5] * 2}
+    bearings = {"time_s": [0.0] * 3 + [10.0] * 3, "bearing_deg": [45.2, 120.0, 359.5] * 2}
     rng = np.random.default_rng(7)
     x, v = straight([[700.0, 700.0], [0.0, 1000.0]], [[0.0, 0.0]] * 2, np.array([0.0, 10.0]))
     radar = feed(rng, describe("radar", "tracks"), np.array([0.0, 10.0]), x, v, 60.0, ["1", "2"])
     for features in (2, POSITION_AND_VELOCITY):
         picture = Picture.of(
-            Scene.of([radar, (camera, Reports.of("camera", "table", said))]), [0.0, 10.0], features=features
+            Scene.of([radar, (camera, Reports.of("camera", "table", bearings))]), [0.0, 10.0], features=features
         )
         o, r = picture.objects, picture.records
         both, alone = o["n_sources"] == 2, o["sources"] == "camera"
@@ -226,14 +226,14 @@ def test_the_summary_lists_the_important_facts():
 
 
 def test_excluded_stale_reports_are_reported():
-    said: dict[str, Any] = {
+    columns: dict[str, Any] = {
         "time_s": [0.0, 0.0, 900.0],
         "x_m": [0.0, 900.0, 900.0],
         "y_m": [0.0] * 3,
         "mmsi": ["1", "2", "2"],
     }
     ais = describe("ais", "ais", clutter_per_km2=0.0)
-    picture = Picture.of(Scene.of([(ais, Reports.of("ais", "ais", said))]), [0.0, 300.0, 900.0, 2500.0])
+    picture = Picture.of(Scene.of([(ais, Reports.of("ais", "ais", columns))]), [0.0, 300.0, 900.0, 2500.0])
     stages = picture.objects["stage"][picture.objects["mmsi"] == "1"].tolist()
     assert stages[0] == "confirmed" and stages[-1] == "ended"
 

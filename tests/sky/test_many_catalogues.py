@@ -21,7 +21,7 @@ from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
-from sameas.sky.many.population import AstrometricRecords, fitted, freedom, pairs_within, patterns_of
+from sameas.sky.many.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
 from sameas.space import displaced, sphere_offset
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -285,7 +285,7 @@ def test_a_catalogue_with_copied_positions_does_not_split_objects(apart: float) 
 def test_patterns_of_sets_are_counted() -> None:
     assert patterns_of(np.array([[3, -1, -1], [-1, 0, 2], [5, 6, 7]])).tolist() == [1, 6, 7]
     assert sorted(pairs_within(0b111)) == [3, 5, 6]
-    assert [freedom(pattern) for pattern in (1, 3, 7)] == [0, 2, 4]
+    assert [degrees_of_freedom(pattern) for pattern in (1, 3, 7)] == [0, 2, 4]
 
 
 def test_the_joined_table_has_every_row_once(scene: Sky) -> None:

@@ -106,55 +106,55 @@ class Points:
 
         rows = np.empty(len(self.points), np.int32)
         buckets = _buckets(other, (volume / limits[1]) ** (1.0 / self.d) / math.sqrt(self.d), len(other.points))
-        found = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, buckets, rows)
-        return rows[:found].astype(np.int64)
+        number = isolated(self.points, wanted, density, *limits, volume, self.d, other.points, buckets, rows)
+        return rows[:number].astype(np.int64)
 
     def in_discs(self, centres: FloatArray, radius: FloatArray, side: float) -> IntArray:
         """Rows of all points inside discs around these centres, and some more around them."""
         from sameas.kernels.coverage import rows_in_reach
 
         rows = np.empty(len(self.points), np.int32)
-        found = rows_in_reach(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
-        return rows[:found].astype(np.int64)
+        number = rows_in_reach(self.points, _buckets(self, side, len(self.points)), centres, radius, rows)
+        return rows[:number].astype(np.int64)
 
 
-def _buckets(ground: Points, side: float, n: int) -> Buckets:
-    """Cells of about this side over the points of ``ground``, in a table for n points."""
+def _buckets(source: Points, side: float, n: int) -> Buckets:
+    """Cells of about this side over the points of a source, in a table for n points."""
     from sameas.kernels.coverage import Buckets
 
     low, number, period = np.zeros(3), np.ones(3, np.int64), np.full(3, np.inf)
-    sides = np.where(np.arange(3) < len(ground.period), side, np.inf)  # an unused axis is one cell
-    for v, wraps in enumerate(ground.period):
+    sides = np.where(np.arange(3) < len(source.period), side, np.inf)  # an unused axis is one cell
+    for v, wraps in enumerate(source.period):
         if math.isfinite(wraps):
             number[v], period[v] = math.ceil(wraps / side), wraps
             sides[v] = wraps / number[v]
         else:
-            low[v] = float(ground.points[:, v].min())
-            number[v] = int(min((float(ground.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
+            low[v] = float(source.points[:, v].min())
+            number[v] = int(min((float(source.points[:, v].max()) - low[v]) / side, MAX_CELLS)) + 1 | 1
     return Buckets(low, sides, number, period, (1 << max(4, math.ceil(math.log2(2 * n)))) - 1)
 
 
-def within_holes(own: Points, seen: BoolArray, other: Points, density: FloatArray, share: float) -> BoolArray:
+def within_holes(own: Points, covered: BoolArray, other: Points, density: FloatArray, share: float) -> BoolArray:
     """(n,) whether records of one source, ``own``, lie in holes of the other, ``other``.
 
-    seen : (n,) whether they may be covered, by the cells.
+    covered : (n,) whether they may be covered, by the cells.
     density : (n,) expected density of the other source at them, per (unit of the residuals)^d.
     share : records of the other source per record of this one where both observe.
 
     The disc of a record has the volume in which :data:`DISC` records of the other source are expected. Holes found with
     these are then extended to their borders by smaller discs around the records in them.
     """
-    found = ~seen
-    if own.d > MAX_DIMENSIONS or len(other.points) < COMPANY or not seen.any():
-        return found
-    wanted, beyond = seen, OVERREACH * max(0.0, 1.0 - share)
-    if not seen.all():
-        widest = _radius(DISC, float(density[seen].min()), own.d)
-        wanted = seen | own.near(other, 2.0 * widest)
-    discs = opened(own, other, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
-    if discs.any():
-        discs |= opened(own, other, wanted & discs, density, STEP, beyond, 1.0)
-    return found | discs
+    in_hole = ~covered
+    if own.d > MAX_DIMENSIONS or len(other.points) < COMPANY or not covered.any():
+        return in_hole
+    wanted, beyond = covered, OVERREACH * max(0.0, 1.0 - share)
+    if not covered.all():
+        widest = _radius(DISC, float(density[covered].min()), own.d)
+        wanted = covered | own.near(other, 2.0 * widest)
+    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+    if in_disc.any():
+        in_disc |= in_empty_discs(own, other, wanted & in_disc, density, STEP, beyond, 1.0)
+    return in_hole | in_disc
 
 
 def _radius(expected: float, density: Floats, d: int) -> Floats:
@@ -163,11 +163,11 @@ def _radius(expected: float, density: Floats, d: int) -> Floats:
     return radius
 
 
-def opened(
+def in_empty_discs(
     own: Points, other: Points, wanted: BoolArray, density: FloatArray, expected: float, beyond: float, least: float
 ) -> BoolArray:
-    """Which points lie inside empty discs around ``wanted`` points that contain at least ``least`` of them."""
-    found = np.zeros(len(own.points), np.bool_)
+    """(n,) mask of the points in empty discs around ``wanted`` points that contain at least ``least`` points."""
+    in_disc = np.zeros(len(own.points), np.bool_)
     remaining = density[wanted]
     while len(remaining):
         high = float(remaining.max())
@@ -177,8 +177,8 @@ def opened(
         if len(rows):
             radius = _radius(expected, density[rows], own.d)
             inside = _inside(own, other, rows, radius, beyond * density[rows] ** (-1.0 / own.d), least)
-            found[inside] = True
-    return found
+            in_disc[inside] = True
+    return in_disc
 
 
 def _inside(
@@ -201,11 +201,11 @@ def _inside(
     return rows[~outside]
 
 
-def _sorted(ground: Points, rows: IntArray, side: float) -> tuple[FloatArray, Buckets, Int32Array, Int32Array]:
+def _sorted(source: Points, rows: IntArray, side: float) -> tuple[FloatArray, Buckets, Int32Array, Int32Array]:
     """Some points (n, 3), their buckets, and the rows of each bucket."""
     from sameas.kernels.coverage import into_buckets
 
-    points, buckets = ground.at(rows), _buckets(ground, side, max(len(rows), 1))
+    points, buckets = source.at(rows), _buckets(source, side, max(len(rows), 1))
     return points, buckets, *into_buckets(points, buckets)
 
 
@@ -302,13 +302,13 @@ class Coverage:
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Coverage:
         """The same cells and footprints, for some of the records, or for all in another order."""
-        made = Coverage(
+        coverage = Coverage(
             self.first.part(rows_1), self.second.part(rows_2), self.volume,
             tuple(level.part(rows_1, rows_2) for level in self.levels),
         )  # fmt: skip
         one, two = self.covered
-        made.__dict__["covered"] = one[rows_1], two[rows_2]
-        return made
+        coverage.__dict__["covered"] = one[rows_1], two[rows_2]
+        return coverage
 
     def density(
         self, source: int, weights: FloatArray, volumes: Sequence[FloatArray] | None = None
@@ -326,13 +326,13 @@ class Coverage:
         start = (float(weights.sum()) + 0.5) / float(volumes[0].sum())
         at_first, at_second = np.full(len(self.first), start), np.full(len(self.second), start)
         at = (at_first, at_second) if source == 1 else (at_second, at_first)
-        some, every = _sampled(self.first if source == 1 else self.second), bool((weights == 1.0).all())
+        sample, unweighted = _sampled(self.first if source == 1 else self.second), bool((weights == 1.0).all())
         for level, volume in zip(self.levels, volumes, strict=True):
             cell, _ = level.facing(source)
-            count = level.count(source) if every else np.bincount(cell, weights, len(volume))
+            count = level.count(source) if unweighted else np.bincount(cell, weights, len(volume))
             finest = level is self.levels[-1] or inner(count, count) <= FINEST * weights.sum()
-            others = np.maximum(count[cell[some]] - weights[some], 0.0)
-            smooth = smoothing(others, volume[cell[some]], at[0][some], weights[some])
+            others = np.maximum(count[cell[sample]] - weights[sample], 0.0)
+            smooth = smoothing(others, volume[cell[sample]], at[0][sample], weights[sample])
             refine(*level.facing(source), LEFT_OUT * weights if finest else weights, volume, count, smooth, *at)
             if finest:
                 break
@@ -341,15 +341,17 @@ class Coverage:
     @cached_property
     def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """Local densities of the covered records of source 1 and of source 2, each at the records of both sources."""
-        seen = [covered.astype(np.float64) for covered in self.covered]
-        one, two = (float(weights.sum()) for weights in seen)
+        weights = [covered.astype(np.float64) for covered in self.covered]
+        one, two = (float(covered.sum()) for covered in weights)
         volumes = self._common_volumes()
         if max(one, two) <= RICHER * min(one, two):
-            at_1, at_2 = threads.each([partial(self.density, k + 1, seen[k], volumes) for k in (0, 1)], len(seen[0]))
+            at_1, at_2 = threads.each(
+                [partial(self.density, k + 1, weights[k], volumes) for k in (0, 1)], len(weights[0])
+            )
             return at_1, at_2
         richer = 1 if one > two else 2
-        rich = self.density(richer, seen[richer - 1], volumes)
-        poor = self.density(3 - richer, seen[2 - richer], self._seen_volumes(richer, seen[richer - 1], rich))
+        rich = self.density(richer, weights[richer - 1], volumes)
+        poor = self.density(3 - richer, weights[2 - richer], self._volumes_by_richer(richer, weights[richer - 1], rich))
         return (rich, poor) if richer == 1 else (poor, rich)
 
     def _common_volumes(self) -> list[FloatArray]:
@@ -364,22 +366,24 @@ class Coverage:
         for level in self.levels:
             n, inverse = len(level.volume), []
             for of, covered in zip((level.of_first, level.of_second), self.covered, strict=True):
-                count, seen = np.bincount(of, minlength=n), np.bincount(of, covered, n)
-                inverse.append(np.where(count > 0, np.maximum(count, 0.5) / np.maximum(seen, 0.5), np.nan))
+                count, common = np.bincount(of, minlength=n), np.bincount(of, covered, n)
+                inverse.append(np.where(count > 0, np.maximum(count, 0.5) / np.maximum(common, 0.5), np.nan))
             one, two = (np.where(np.isnan(a), b, a) for a, b in (inverse, inverse[::-1]))
             volumes.append(level.volume / np.nan_to_num(np.maximum(one + two - 1.0, 1.0), nan=1.0))
         return volumes
 
-    def _seen_volumes(self, richer: int, seen: FloatArray, density: tuple[FloatArray, FloatArray]) -> list[FloatArray]:
+    def _volumes_by_richer(
+        self, richer: int, covered: FloatArray, density: tuple[FloatArray, FloatArray]
+    ) -> list[FloatArray]:
         """Per level, (c,) the volume of the cells where both sources observe, from the records of the ``richer``.
 
         Each record represents a volume proportional to 1/density. Where the poorer source has few records in a cell,
         its density is that of much larger cells, which extend far beyond the borders of a field.
 
-        seen : (n,) 1 for its records where the other source observes, else 0. density : its own, at both sources'
+        covered : (n,) 1 for its records where the other source observes, else 0. density : its own, at both sources'
         records.
         """
-        represented = seen / density[richer - 1]
+        represented = covered / density[richer - 1]
         represented *= self.common_volume / float(represented.sum())
         cells = ((level.facing(richer)[0], len(level.volume)) for level in self.levels)
         return [np.asarray(np.bincount(of, represented, n), np.float64) for of, n in cells]
@@ -389,45 +393,45 @@ class Coverage:
         """(n₁,), (n₂,) whether the other source observes at each record of source 1, and of source 2."""
         works = [partial(self._empty_cells, 1, 2), partial(self._empty_cells, 2, 1)]
         (company_1, highest_2, excess_2), (company_2, highest_1, excess_1) = threads.each(works, len(self.first))
-        n_seen = [max(int(np.count_nonzero(company == 0.0)), 1) for company in (company_1, company_2)]
+        n_observed = [max(int(np.count_nonzero(company == 0.0)), 1) for company in (company_1, company_2)]
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
-        least = IN_CELL * n_seen[0] / n_seen[1], IN_CELL * n_seen[1] / n_seen[0]
-        seen = company_1 < max(least[0], 1.0), company_2 < max(least[1], 1.0)
-        if all(where.all() for where in seen) and max(excess_1, excess_2) < UNEVEN:
-            return seen
-        mean = self._mean_densities(*seen)
+        least = IN_CELL * n_observed[0] / n_observed[1], IN_CELL * n_observed[1] / n_observed[0]
+        covered = company_1 < max(least[0], 1.0), company_2 < max(least[1], 1.0)
+        if all(each.all() for each in covered) and max(excess_1, excess_2) < UNEVEN:
+            return covered
+        mean = self._mean_densities(*covered)
         for _ in range(ROUNDS):
-            seen = self._outside_holes(seen, (highest_1, highest_2), mean)
-            previous, mean = mean, self._mean_densities(*seen)
+            covered = self._outside_holes(covered, (highest_1, highest_2), mean)
+            previous, mean = mean, self._mean_densities(*covered)
             if max(mean[0] / previous[0], mean[1] / previous[1]) < DENSER:
                 break
-        return seen
+        return covered
 
     @cached_property
-    def _grounds(self) -> tuple[Points, Points]:
+    def _points(self) -> tuple[Points, Points]:
         one, two = threads.each([partial(Points.of, self.first), partial(Points.of, self.second)], len(self.first))
         return one, two
 
-    def _mean_densities(self, seen_1: BoolArray, seen_2: BoolArray) -> tuple[float, float]:
+    def _mean_densities(self, covered_1: BoolArray, covered_2: BoolArray) -> tuple[float, float]:
         """Mean densities of both sources where both observe, for these covered records."""
-        volume = max(self._volume(seen_1, seen_2), MIN_VOLUME * self.volume)
-        number_1, number_2 = (max(int(np.count_nonzero(seen)), 1) for seen in (seen_1, seen_2))
+        volume = max(self._volume(covered_1, covered_2), MIN_VOLUME * self.volume)
+        number_1, number_2 = (max(int(np.count_nonzero(covered)), 1) for covered in (covered_1, covered_2))
         return number_1 / volume, number_2 / volume
 
     def _outside_holes(
-        self, seen: tuple[BoolArray, BoolArray], highest: tuple[FloatArray, FloatArray], mean: tuple[float, float]
+        self, covered: tuple[BoolArray, BoolArray], highest: tuple[FloatArray, FloatArray], mean: tuple[float, float]
     ) -> tuple[BoolArray, BoolArray]:
-        """``seen`` without records in holes found by empty discs.
+        """``covered`` without records in holes found by empty discs.
 
         highest : local densities of source 1 at the records of source 2, and of source 2 at those of source 1.
         mean : densities of both sources, lower limits of the expected ones.
         """
-        first, second = self._grounds
+        first, second = self._points
         of_first, of_second = (np.maximum(local, least) for local, least in zip(highest, mean, strict=True))
         one, two = threads.each(
             [
-                partial(within_holes, first, seen[0], second, of_second, mean[1] / mean[0]),
-                partial(within_holes, second, seen[1], first, of_first, mean[0] / mean[1]),
+                partial(within_holes, first, covered[0], second, of_second, mean[1] / mean[0]),
+                partial(within_holes, second, covered[1], first, of_first, mean[0] / mean[1]),
             ],
             len(self.first),
         )
@@ -460,13 +464,13 @@ class Coverage:
         """
         return self._volume(*self.covered)
 
-    def _volume(self, seen_1: BoolArray, seen_2: BoolArray) -> float:
+    def _volume(self, covered_1: BoolArray, covered_2: BoolArray) -> float:
         from sameas.kernels.coverage import shared_part
 
         richer = max(len(self.first), len(self.second))
         fine = next((level for level in self.levels[::-1] if richer >= HOLE * len(level.volume)), self.levels[0])
         count = np.zeros((len(fine.volume), 4))
-        return inner(shared_part(fine.of_first, seen_1, fine.of_second, seen_2, count), fine.volume)
+        return inner(shared_part(fine.of_first, covered_1, fine.of_second, covered_2, count), fine.volume)
 
 
 def local_share(

@@ -141,10 +141,10 @@ def _initial_relation(sample: Sample, background: MagnitudeDensity) -> Relation:
     centres = sample.weight @ sample.colours[:, :c] / sample.weight.sum()
     nearest = np.searchsorted(0.5 * (knots[1:] + knots[:-1]), x)
     k = len(knots)
-    found = np.empty((3, k + 1))
-    quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, found)
+    by_knot = np.empty((3, k + 1))
+    quartiles(np.argsort(difference, kind="stable"), difference, sample.weight, nearest, by_knot)
     enough = np.bincount(nearest, sample.weight, k) > PSEUDO_PAIRS
-    lower, offset, upper = np.where(enough, found[:, :k], found[:, k:])
+    lower, offset, upper = np.where(enough, by_knot[:, :k], by_knot[:, k:])
     scatter = np.maximum((upper - lower) / QUARTILE_RANGE, MIN_SCATTER)
     no_fit = np.zeros((k + c, k + c)), np.zeros(k + c), math.inf, float(sample.weight.sum())
     return Relation(
@@ -276,8 +276,8 @@ class Photometry:
         sides = self.compared[1] if cached and self.compared else comparisons_of(self.sides, pairs)
         previous = self.chains or (None, None)
         tilts = [
-            PartnerTilt.of(curve, side.measured.values[:, 0], float(p[seen].mean()) if seen.any() else 0.0)
-            for curve, side, p, seen in zip(curves, self.sides, p_partner, covered, strict=True)
+            PartnerTilt.of(curve, side.measured.values[:, 0], float(p[is_covered].mean()) if is_covered.any() else 0.0)
+            for curve, side, p, is_covered in zip(curves, self.sides, p_partner, covered, strict=True)
         ]
         forth, back = (
             _fit_chain(side, compared.tilted(tilt), np.where(used, p_pair, 0.0), start, tilt, last=last)
@@ -348,10 +348,10 @@ class Photometry:
     ) -> tuple[DetectionCurve | None, DetectionCurve | None]:
         """The share of either source's covered records that the other shows, by magnitude in the first band."""
         volume, at, curves = coverage.common_volume, (answer.pairs.i, answer.pairs.j), []
-        for side, rows, names, seen in zip(self.sides, at, self.names, coverage.covered, strict=True):
+        for side, rows, names, covered in zip(self.sides, at, self.names, coverage.covered, strict=True):
             magnitude = side.measured.values[:, 0]
             partner = np.minimum(np.bincount(rows, answer.p_pair, len(magnitude)), 1.0)
-            used = np.isfinite(magnitude) & seen
+            used = np.isfinite(magnitude) & covered
             enough = np.count_nonzero(used) >= MIN_PAIRS
             curves.append(DetectionCurve.of(names[0], magnitude[used], partner[used], volume) if enough else None)
         return curves[0], curves[1]
@@ -382,26 +382,26 @@ def _fit_chain(
     related: list[Mapping[Pattern, Relation]] = []
     for band, (density, comparisons) in enumerate(zip(side.densities, compared.bands, strict=True)):
         start = previous.related[band] if previous else {}
-        found = {
+        relations = {
             x.regressors.pattern: _fit_relation(
                 x, weight, density, start.get(x.regressors.pattern), last=last, informed=previous is not None
             )
             for x in comparisons
         }
-        related.append({pattern: relation for pattern, relation in found.items() if relation is not None})
+        related.append({pattern: relation for pattern, relation in relations.items() if relation is not None})
     return Chain(tuple(related), tilt)
 
 
 def _source_magnitudes(measured: MeasuredMagnitudes) -> SourceMagnitudes:
     """The densities of a source's bands, and the relations between them."""
     densities = tuple(map(_band_density, measured.values.T))
-    some = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // OWN_BAND_RECORDS))))
+    sample = measured.take(np.arange(0, len(measured.values), max(1, -(-len(measured.values) // OWN_BAND_RECORDS))))
     alone: list[Mapping[Pattern, Relation]] = []
     for band, density in enumerate(densities):
-        these = Regressors.split(band, some, None) if band and density is not None else ()
-        weight = np.ones(len(some.values))
-        seen = [Comparison(x, np.exp(density(x.y)), np.empty(0)) for x in these if density is not None]
-        alone.append({x.regressors.pattern: r for x in seen if (r := _fit_relation(x, weight, density, None))})
+        regressors = Regressors.split(band, sample, None) if band and density is not None else ()
+        weight = np.ones(len(sample.values))
+        comparisons = [Comparison(x, np.exp(density(x.y)), np.empty(0)) for x in regressors if density is not None]
+        alone.append({x.regressors.pattern: r for x in comparisons if (r := _fit_relation(x, weight, density, None))})
     return SourceMagnitudes(measured, densities, tuple(alone))
 
 

@@ -139,9 +139,9 @@ class Places:
             level, last = level.coarser(1), last + 1
         counts, levels = counts.coarser(finest), tuple(range(last - finest, -1, -1))
         cells, volume, numbers = counts.cells, volume * 4.0**finest, counts.numbers
-        seen = _seen(cells, numbers, levels, volume)
-        density = _density(cells, numbers * seen, levels, volume)
-        return cls(cells, finest, density, seen, np.full((len(cells), 2), np.nan), levels, volume)
+        covered = _covered_cells(cells, numbers, levels, volume)
+        density = _density(cells, numbers * covered, levels, volume)
+        return cls(cells, finest, density, covered, np.full((len(cells), 2), np.nan), levels, volume)
 
     def at(self, counted: IntArray) -> IntArray:
         """Indices of records into ``cells``, from the cells in which they were counted."""
@@ -204,17 +204,17 @@ class Places:
 _COLUMNS = ("cells", "density", "seen", "share")
 
 
-def _seen(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
+def _covered_cells(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
     """(u, 2) whether the other source observes there, as by ``kernels.coverage.look``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
-    density = np.tile(total[::-1] / _covered(cells, numbers, levels[0], volume), (len(cells), 1))
-    highest, seen = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
+    density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume), (len(cells), 1))
+    highest, covered = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
     for steps in levels:
         look_nested(
             cells, numbers, 2 * steps, PARTLY, volume, IN_CELL * total / total[::-1], HOLE, PSEUDO_COUNT,
-            density, highest, seen,
+            density, highest, covered,
         )  # fmt: skip
-    return seen
+    return covered
 
 
 def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> FloatArray:
@@ -222,7 +222,7 @@ def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volum
     by ``Coverage.density``. volume : of a cell."""
     total, density = numbers.sum(axis=0).astype(np.float64), np.empty((len(cells), 2, 2))
     own, others = density[:, :, 0], density[:, :, 1]
-    own[:] = others[:] = (total + 0.5) / _covered(cells, numbers, levels[0], volume)
+    own[:] = others[:] = (total + 0.5) / _field_volume(cells, numbers, levels[0], volume)
     smooths, sampled, open_ = np.array(SMOOTHS), min(SMOOTHING_CELLS / len(cells), 1.0), total > 0.0
     for steps in levels:
         score = np.zeros((2, len(smooths) + 1))
@@ -235,7 +235,7 @@ def _density(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volum
     return density
 
 
-def _covered(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float) -> float:
+def _field_volume(cells: IntArray, numbers: AnyIntArray, steps: int, volume: float) -> float:
     """The volume of all cells inside the field."""
     own, covered = np.empty(len(cells), np.int64), np.empty(len(cells))
     number = covered_cells(cells, numbers, 2 * steps, PARTLY, own, covered)
@@ -279,8 +279,8 @@ class _SampleCoverage(Coverage):
 
     @property
     def common_volume(self) -> float:
-        seen, counted = self.given_covered, self.given_counted
-        return self.volume * min(float(s[c].mean()) if c.any() else 1.0 for s, c in zip(seen, counted, strict=True))
+        pairs = zip(self.given_covered, self.given_counted, strict=True)
+        return self.volume * min(float(covered[c].mean()) if c.any() else 1.0 for covered, c in pairs)
 
 
 @in_short
@@ -380,30 +380,30 @@ def learn(
     ------
     InputError : the sample holds no records of one source.
     """
-    for one, some in zip(records, counted, strict=True):
-        if not some.any():
+    for one, has_counted in zip(records, counted, strict=True):
+        if not has_counted.any():
             raise InputError(f"{one.source} has no usable records in the sample; nothing can be identified")
     first, second = records
     at = places.at(cells[0]), places.at(cells[1])
-    seen = places.seen[at[0], 0], places.seen[at[1], 1]
+    covered = places.seen[at[0], 0], places.seen[at[1], 1]
     levels = tuple(_level(places.cells[at[0]], places.cells[at[1]], steps, places.volume) for steps in places.levels)
-    coverage = _SampleCoverage(first, second, volume, levels, counted, seen, places.densities(*at))
+    coverage = _SampleCoverage(first, second, volume, levels, counted, covered, places.densities(*at))
     columns = ColumnEvidence.of(first, second, evidence)
     columns = columns and replace(columns, folds=places.folds(cells))
-    found = match_sample(
+    sample = match_sample(
         coverage, errors=errors, gate=gate, density=density, brightness=brightness, precision=precision,
         columns=columns, tuning=tuning, progress=progress,
     )  # fmt: skip
-    estimates = found.estimates
-    weights = [(s & c).astype(np.float64) for s, c in zip(seen, estimates.counted, strict=True)]
+    estimates = sample.estimates
+    weights = [(s & c).astype(np.float64) for s, c in zip(covered, estimates.counted, strict=True)]
     part = [p * w for p, w in zip(estimates.p_partner, weights, strict=True)]
     places = places.with_shares(cells, part, weights)
     return Learned(
-        estimates.errors, found.gate_errors, found.gate_sigmas, estimates.mean_shares,
+        estimates.errors, sample.gate_errors, sample.gate_sigmas, estimates.mean_shares,
         _without_records(estimates.photometry),
         None if estimates.grades is None or estimates.grades.rule is None else _without_grades(estimates.grades),
         estimates.columns and estimates.columns.without_records(), density, places,
-        found.estimate,
+        sample.estimate,
     )  # fmt: skip
 
 

@@ -63,18 +63,18 @@ def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_
     """Write to ``of_first`` and ``of_second`` the ranks of the cells ``one`` and ``two``, of ``total``, among all that
     occur; returns the cells that occur, ascending.
     """
-    number, found = np.zeros(total, np.int32), 0
+    number, occupied = np.zeros(total, np.int32), 0
     for cells in (one, two):
         for c in cells:
             number[c] = 1
     for c in range(total):
         if number[c]:
-            number[c] = found
-            found += 1
+            number[c] = occupied
+            occupied += 1
     for cells, out in ((one, of_first), (two, of_second)):
         for k in range(len(cells)):
             out[k] = number[cells[k]]
-    known = np.empty(found, np.int64)
+    known = np.empty(occupied, np.int64)
     for cells, out in ((one, of_first), (two, of_second)):
         for k in range(len(cells)):
             known[out[k]] = cells[k]
@@ -344,7 +344,7 @@ def isolated(
     those around it, so the result contains every point with an empty disc, and others.
     """
     number, side = buckets.number, buckets.side
-    some, found = np.full(buckets.mask + 1, -1, np.int32), 0
+    some, count = np.full(buckets.mask + 1, -1, np.int32), 0
     # If every cell has its own bucket, a point in the same cell is at most a diagonal away.
     diagonal_sq = 0.0 if float(number[0]) * number[1] * number[2] <= buckets.mask + 1 else np.inf
     for v in range(source.shape[1]):
@@ -362,9 +362,9 @@ def isolated(
             if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, buckets.period) < limit):
                 continue
             if not has_neighbour(points, p, limit, source, some, buckets):
-                out[found] = p
-                found += 1
-    return found
+                out[count] = p
+                count += 1
+    return count
 
 
 @small
@@ -376,7 +376,7 @@ def rows_in_reach(
     out: Int32Array,
 ) -> int:
     """Write to ``out`` the rows of the points in buckets that discs around centres (c, 3) reach; returns the number."""
-    marked, found = np.zeros(buckets.mask + 1, np.bool_), 0
+    marked, count = np.zeros(buckets.mask + 1, np.bool_), 0
     for c in range(len(centres)):
         (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], buckets)
         for i in range(west, east + 1):
@@ -387,9 +387,9 @@ def rows_in_reach(
     for p in range(len(points)):
         i, j, k = cells_at(points, p, buckets)
         if marked[bucket_of(i, j, k, buckets)]:
-            out[found] = p
-            found += 1
-    return found
+            out[count] = p
+            count += 1
+    return count
 
 
 @small
@@ -514,10 +514,10 @@ def clear(
     buckets: Buckets,
     start: Int32Array,
     rows: Int32Array,
-    seen: BoolArray,
+    outside: BoolArray,
 ) -> None:
-    """Clear ``seen`` (n,) for points closer than ``inner[c]`` to a centre with ``least`` points within its radius."""
-    left = start[1:] - start[:-1]  # points of each bucket that are still seen
+    """Clear ``outside`` (n,) for points within ``inner[c]`` of a centre that has ``least`` points within its radius."""
+    left = start[1:] - start[:-1]  # points of each bucket that are still outside
     for c in range(len(centres)):
         if not holds(centres, c, radius[c], least, points, buckets, start, rows):
             continue
@@ -531,6 +531,6 @@ def clear(
                         continue
                     for place in range(start[b], start[b + 1]):
                         p = rows[place]
-                        if seen[p] and apart_sq(points, p, centres, c, buckets.period) < inner[c] * inner[c]:
-                            seen[p] = False
+                        if outside[p] and apart_sq(points, p, centres, c, buckets.period) < inner[c] * inner[c]:
+                            outside[p] = False
                             left[b] -= 1

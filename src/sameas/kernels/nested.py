@@ -84,9 +84,9 @@ def look_nested(
     pseudo_count: float,
     density: FloatArray,
     highest: FloatArray,
-    seen: BoolArray,
+    observed: BoolArray,
 ) -> None:
-    """Clear ``seen`` (u, 2) where the other source does not observe, judged by the cells ``shift`` bits coarser, and
+    """Clear ``observed`` (u, 2) where the other source does not observe, by the cells ``shift`` bits coarser, and
     refine the ``density`` (u, 2) of the other source by their counts, as ``coverage.look`` does.
 
     volume : of a finest cell. least : (2,) least records of a source in a cell that may be a hole of the other. hole :
@@ -101,7 +101,7 @@ def look_nested(
             count, other = (one, two) if s == 0 else (two, one)
             for k in range(begin, end):
                 if other == 0.0 and count >= least[s] and max(density[k, s], 0.5 * highest[k, s]) * size >= hole:
-                    seen[k, s] = False
+                    observed[k, s] = False
                 highest[k, s] = max(highest[k, s], density[k, s])
                 density[k, s] = (other + pseudo_count) / (size + pseudo_count / density[k, s])
         begin = end

@@ -23,7 +23,7 @@ from sameas.sky.frame.centroid import FWHM_PER_SIGMA, PSF, Centroids, Subtracted
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Detection, DetectionTuning, Flag, Measurements
 
-_AROUND = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
+_EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
 def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
@@ -48,8 +48,8 @@ def _too_sharp(frame: Frame, background: Background, psf: PSF, tuning: Detection
     """(rows, columns) mask of the pixels that are sharper than any star."""
     from scipy.ndimage import binary_dilation
 
-    around = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    contrast = tuning.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(around))
+    neighbour_light = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
+    contrast = tuning.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(neighbour_light))
     light = frame.image - background.level
     usable = np.isfinite(background.variance)
     variance = np.where(usable, background.variance, 0.0)
@@ -78,7 +78,7 @@ def _isolated(mask: BoolArray) -> BoolArray:
     """The pixels of a mask without neighbours in it."""
     from scipy.ndimage import convolve
 
-    return np.asarray(mask & (convolve(mask.astype(np.int8), _AROUND.astype(np.int8), mode="constant") == 0))
+    return np.asarray(mask & (convolve(mask.astype(np.int8), _EIGHT_NEIGHBOURS.astype(np.int8), mode="constant") == 0))
 
 
 def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
@@ -188,9 +188,9 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
 
     >>> import numpy as np
     >>> from sameas.simulate.frames import Camera, frame_of
-    >>> seen = frame_of(np.random.default_rng(1), x_px=[20.3, 44.0, 50.6], y_px=[31.5, 12.2, 47.7],
-    ...                 flux_e=[2e4, 1e4, 4e4], camera=Camera(shape=(64, 64)))
-    >>> detect(seen.frame).x_px.round(0).tolist()
+    >>> simulated = frame_of(np.random.default_rng(1), x_px=[20.3, 44.0, 50.6], y_px=[31.5, 12.2, 47.7],
+    ...                      flux_e=[2e4, 1e4, 4e4], camera=Camera(shape=(64, 64)))
+    >>> detect(simulated.frame).x_px.round(0).tolist()
     [51.0, 20.0, 44.0]
     """
     detection = detection or Detection()

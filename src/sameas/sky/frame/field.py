@@ -133,13 +133,13 @@ class StarField:
                 f"{catalogue.name}: its stars move, but the time of the frame is not known",
                 naming("give {epoch_jyr:YEAR}, or {pm:'none'} to leave them where they are"),
             )
-        used = np.arange(len(catalogue))
+        rows_used = np.arange(len(catalogue))
         if near is not None:
-            used = _near(catalogue, near, epoch_jyr)
-            catalogue = _only(catalogue, used)
+            rows_used = _near(catalogue, near, epoch_jyr)
+            catalogue = _part(catalogue, rows_used)
         if catalogue.error_is_unknown:
-            usual = PositionError("number", sigma_arcsec=COMMON_ERROR.usual_arcsec, reason="assumed")
-            catalogue = catalogue.with_error(usual)
+            typical = PositionError("number", sigma_arcsec=COMMON_ERROR.usual_arcsec, reason="assumed")
+            catalogue = catalogue.with_error(typical)
         records = catalogue.records(epoch_jyr if known and motion and len(catalogue) else None)
         if not len(records) and near is None:
             raise InputError(f"{catalogue.name}: no row has a position and an error of it; check its columns")
@@ -151,7 +151,7 @@ class StarField:
         return cls(
             name=catalogue.name,
             epoch_jyr=epoch_jyr if known and motion else None,
-            rows=used[rows],
+            rows=rows_used[rows],
             ids=np.asarray(catalogue.ids)[rows],
             ra_deg=ra % 360.0,
             dec_deg=dec,
@@ -203,7 +203,7 @@ def _near(catalogue: Catalogue, cone: Cone, epoch_jyr: float | None) -> IntArray
         return np.flatnonzero(distance_deg <= cone.radius_deg + 1.1 * moved_deg)
 
 
-def _only(catalogue: Catalogue, rows: IntArray) -> Catalogue:
+def _part(catalogue: Catalogue, rows: IntArray) -> Catalogue:
     """Some rows of a catalogue."""
     magnitude = None if catalogue.magnitude is None else catalogue.magnitude[rows]
     return replace(

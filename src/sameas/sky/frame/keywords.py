@@ -162,11 +162,11 @@ def station(cards: Cards, time: Time | None) -> tuple[Station | None, tuple[str,
         )
     east_deg, how = _east(cards, lon, lon_deg, time)
     height = cards.number(_HEIGHT)
-    place = Station(
+    station = Station(
         lat_deg, (east_deg + 180) % 360 - 180, math.nan if height is None else height.number(), _code(cards)
     )
-    called = f" (MPC {place.code})" if place.code else ""
-    return place, (f"station {lat_deg:+.4f}°, {place.lon_deg:+.4f}° east{called}: {lat.name}, {lon.name}, {how}",)
+    called = f" (MPC {station.code})" if station.code else ""
+    return station, (f"station {lat_deg:+.4f}°, {station.lon_deg:+.4f}° east{called}: {lat.name}, {lon.name}, {how}",)
 
 
 def _east(cards: Cards, card: Card, lon_deg: float, time: Time | None) -> tuple[float, str]:

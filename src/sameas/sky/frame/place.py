@@ -107,10 +107,10 @@ class Placement:
     def describe(self) -> str:
         """One line to print."""
         ra, dec = self.wcs.wcs.crval
-        hand = "mirrored" if self.parity > 0 else "not mirrored"
+        parity = "mirrored" if self.parity > 0 else "not mirrored"
         return (
             f"placed by {self.hint}: RA {ra:.5f}° Dec {dec:+.5f}°, {self.scale_arcsec:.4f}″/px, y axis at "
-            f"{self.rotation_deg:.2f}° (N through E), {hand}; {self.n_matched} stars, rms {self.rms_arcsec:.2f}″, "
+            f"{self.rotation_deg:.2f}° (N through E), {parity}; {self.n_matched} stars, rms {self.rms_arcsec:.2f}″, "
             f"odds {odds_in_words(self.log_odds)}, next best {odds_in_words(self.runner_up_log_odds)}"
         )
 
@@ -183,15 +183,15 @@ def _best_verdict(
     volume, tolerance = hint.search_volume(undistorted), 0.01 * undistorted.half_diagonal_px
     best, second = None, -math.inf
     for pointings in candidates(undistorted, hint, index, tuning):
-        for pointing in _different(pointings, undistorted, tuning.verified):
+        for pointing in _distinct(pointings, undistorted, tuning.verified):
             verdict = verify(undistorted, pointing, volume, tolerance, tuning.odds)
             if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, undistorted):
                 continue
             if best is None or verdict.log_odds > best.log_odds:
-                if best is not None and not _same(best.pointing, verdict.pointing, undistorted):
+                if best is not None and not _is_same(best.pointing, verdict.pointing, undistorted):
                     second = max(second, best.log_odds)
                 best = verdict
-            elif not _same(best.pointing, verdict.pointing, undistorted):
+            elif not _is_same(best.pointing, verdict.pointing, undistorted):
                 second = max(second, verdict.log_odds)
         if _is_established(best, second, least_log_odds):
             break
@@ -207,7 +207,7 @@ def _undistorted(problem: PlateProblem, hint: Hint) -> PlateProblem:
     return PlateProblem(px, problem.covariance, problem.shape, problem.vectors, problem.sigma_rad)
 
 
-def _different(pointings: Iterator[Pointing], problem: PlateProblem, most: int) -> Iterator[Pointing]:
+def _distinct(pointings: Iterator[Pointing], problem: PlateProblem, most: int) -> Iterator[Pointing]:
     """The first of each cluster of nearly equal pointings, at most ``most`` of them."""
     proposed = list(pointings)
     if not proposed:
@@ -230,7 +230,7 @@ def _corners(problem: PlateProblem) -> FloatArray:
     return np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0]])
 
 
-def _same(one: Pointing, other: Pointing, problem: PlateProblem) -> bool:
+def _is_same(one: Pointing, other: Pointing, problem: PlateProblem) -> bool:
     """Whether the corners of the frame agree for two pointings, to 1 % of its diagonal."""
     difference = one.to_sky(_corners(problem)) - other.to_sky(_corners(problem))
     size = 2 * problem.half_diagonal_px * one.scale_arcsec / ARCSEC_PER_RADIAN

@@ -32,7 +32,7 @@ from sameas.sky.output_columns import meta_of
 MIN_RUNNER_UP = 1e-3
 #: Object number of unusable rows.
 NO_OBJECT = -1
-_WORDS = {
+_DESCRIPTIONS = {
     "n_catalogues": ("", "number of catalogues that show the object"),
     "p_object": ("", "probability that exactly these records are one object"),
     "p_runner_up": ("", "probability of the most probable other answer"),
@@ -76,12 +76,12 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
     for k, catalogue in enumerate(match.catalogues):
         for name, column in zip(joined_names(match)[k], catalogue.table.columns.values(), strict=True):
             table[name] = _selected(column, rows[:, k])
-    absent = number == NO_OBJECT
-    for name, values in _answers(match, np.where(absent, 0, number)).items():
+    missing = number == NO_OBJECT
+    for name, values in _added_columns(match, np.where(missing, 0, number)).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        unit, words = _WORDS[name]
-        mask = np.ma.getmaskarray(values) | absent
-        attributes = {"unit": unit or None, "description": words, "meta": meta_of(name)}
+        unit, description = _DESCRIPTIONS[name]
+        mask = np.ma.getmaskarray(values) | missing
+        attributes = {"unit": unit or None, "description": description, "meta": meta_of(name)}
         table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **attributes)
     return table
 
@@ -91,9 +91,9 @@ def _unused(match: ManyMatch) -> IntArray:
     parts = []
     for k, records in enumerate(match.objects.given):
         assert isinstance(records, Records)
-        aside = records.set_aside.rows
-        rows = np.full((len(aside), len(match.catalogues)), NO_RECORD)
-        rows[:, k] = aside
+        unusable = records.set_aside.rows
+        rows = np.full((len(unusable), len(match.catalogues)), NO_RECORD)
+        rows[:, k] = unusable
         parts.append(rows)
     return np.concatenate(parts)
 
@@ -109,19 +109,19 @@ def joined_names(match: ManyMatch) -> list[list[str]]:
 
 def _selected(column: Any, at: IntArray) -> Any:
     """The rows ``at`` of a column, masked where NO_RECORD."""
-    absent = at == NO_RECORD
-    values = column[np.where(absent, 0, at)]
+    missing = at == NO_RECORD
+    values = column[np.where(missing, 0, at)]
     if not isinstance(column, Column):  # mixin columns such as Time mask their own cells
-        values[absent] = np.ma.masked
+        values[missing] = np.ma.masked
         return values
     mask = np.array(np.ma.getmaskarray(values))
-    mask[absent] = True
+    mask[missing] = True
     return MaskedColumn(
         np.ma.getdata(values), mask=mask, unit=column.unit, description=column.description, meta=column.meta
     )
 
 
-def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.MaskedArray]:
+def _added_columns(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.MaskedArray]:
     """The added columns, for some of the objects."""
     objects, state = match.objects, match.state
     sigma = np.sqrt(np.diagonal(state.covariance, axis1=1, axis2=2))[at]
@@ -154,20 +154,20 @@ def _answers(match: ManyMatch, at: IntArray) -> dict[str, NDArray[Any] | np.ma.M
 def _runner_up_texts(match: ManyMatch, at: IntArray) -> np.ma.MaskedArray:
     """(k,) runners-up as "catalogue id = catalogue id", masked below :data:`MIN_RUNNER_UP`."""
     rows = np.ma.filled(match.objects.runner_up, NO_RECORD)[at]
-    some = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= MIN_RUNNER_UP)
+    listed = np.flatnonzero(np.ma.filled(match.objects.p_runner_up, 0.0)[at] >= MIN_RUNNER_UP)
     names = [_to_ascii(catalogue.name) for catalogue in match.catalogues]
-    words = [
+    texts = [
         " = ".join(
             f"{name} {catalogue.ids[row]}"
             for name, catalogue, row in zip(names, match.catalogues, rows[k].tolist(), strict=True)
             if row != NO_RECORD
         )
-        for k in some.tolist()
+        for k in listed.tolist()
     ]
-    out = np.zeros(len(at), f"U{max(map(len, words), default=1)}")
-    out[some] = words
+    out = np.zeros(len(at), f"U{max(map(len, texts), default=1)}")
+    out[listed] = texts
     mask = np.ones(len(at), bool)
-    mask[some] = False
+    mask[listed] = False
     return np.ma.MaskedArray(out, mask)
 
 

@@ -69,13 +69,13 @@ class StarObservers(Observers):
     where there are any.
 
     astrometric, population : in the order of the catalogues and their tables. catalogue : (S,) catalogue number of each
-    source. position : per source, the indices of its records in the catalogue's records.
+    source. index : per source, the indices of its records in the catalogue's records.
     """
 
     astrometric: tuple[AstrometricRecords, ...] = field(kw_only=True)
     population: Population = field(kw_only=True)
     catalogue: tuple[int, ...] = field(kw_only=True)
-    position: tuple[IntArray, ...] = field(kw_only=True)
+    index: tuple[IntArray, ...] = field(kw_only=True)
 
     @classmethod
     def of(
@@ -89,38 +89,36 @@ class StarObservers(Observers):
         names = [one.source for one in records]
         sources = tuple(source for source in pooled.sources if isinstance(source, Records))
         catalogue = tuple(names.index(source.source) for source in sources)
-        position = tuple(place(source, records[c]) for source, c in zip(sources, catalogue, strict=True))
-        return cls(
-            sources, None, astrometric=astrometric, population=population, catalogue=catalogue, position=position
-        )
+        index = tuple(indices_among(source, records[c]) for source, c in zip(sources, catalogue, strict=True))
+        return cls(sources, None, astrometric=astrometric, population=population, catalogue=catalogue, index=index)
 
-    def placed(self, sets: NDArray[np.integer]) -> IntArray:
+    def by_catalogue(self, sets: NDArray[np.integer]) -> IntArray:
         """Sets (k, sources) of indices in the sources, as (k, catalogues) of indices in the catalogues' records."""
         out = np.full(sets.shape, NO_RECORD, np.int64)
         for s, c in enumerate(self.catalogue):
             k = np.flatnonzero(sets[:, s] != NO_RECORD)
-            out[k, c] = self.position[s][sets[k, s]]
+            out[k, c] = self.index[s][sets[k, s]]
         return out
 
     def joint(self, sets: NDArray[np.integer]) -> Joint:
         """Density and state of ``sets`` (k, sources): density of objects of their pattern times that of positions."""
-        placed = self.placed(sets)
-        fit, patterns = fitted(self.astrometric, placed), patterns_of(placed)
+        members = self.by_catalogue(sets)
+        fit, patterns = fitted(self.astrometric, members), patterns_of(members)
         log_density = fit.log_peak + self.population.log_profile(patterns, fit.chi_sq)
         several = patterns & (patterns - 1) > 0
-        log_density += np.where(several, self.population.mean_log_density(placed, patterns), 0.0)
+        log_density += np.where(several, self.population.mean_log_density(members, patterns), 0.0)
         scale_sq = np.where(fit.has_residual, self.population.scale_sq(patterns, fit.chi_sq), 1.0)
         state = np.column_stack([fit.direction, fit.motion])
         return Joint(log_density, fit.chi_sq, state, scale_sq[:, None, None] * fit.covariance)
 
     def terms(self, pooled: PooledRecords) -> Terms:
         """The weights of single records as objects."""
-        alone = [self.population.log_alone(c)[p] for c, p in zip(self.catalogue, self.position, strict=True)]
+        alone = [self.population.log_alone(c)[p] for c, p in zip(self.catalogue, self.index, strict=True)]
         return Terms({"density of lone records": Linear(0.0, -np.concatenate(alone))})
 
     def log_peak(self, s: int) -> FloatArray:
         """(n,) upper bound on the log density gained by a record of source s."""
-        return np.full(len(self.position[s]), UNBOUNDED)
+        return np.full(len(self.index[s]), UNBOUNDED)
 
 
 Matches = Mapping[tuple[int, int], SkyMatch]
@@ -135,18 +133,18 @@ class Candidates:
     gate. Fast stars in two catalogues without motions are outside any gate; if a third catalogue has the motion,
     records that are both candidates of one of its moving records are candidates of each other.
 
-    records : of each catalogue. positions : for each two (a < b), indices i (m,) and j (m,) in their records.
+    records : of each catalogue. indices : for each two (a < b), indices i (m,) and j (m,) in their records.
     """
 
     records: tuple[Records, ...]
-    positions: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
+    indices: Mapping[tuple[int, int], tuple[IntArray, IntArray]]
 
     @classmethod
     def of(cls, matches: Matches, records: Sequence[Records], astrometric: Sequence[AstrometricRecords]) -> Candidates:
         """The candidates of the ``matches`` of every two catalogues, and those implied by moving stars."""
         links = {}
         for (a, b), match in matches.items():
-            i, j, p = positions(match, records[a], records[b])
+            i, j, p = candidate_indices(match, records[a], records[b])
             links[a, b] = csr_array((p + 1.0, (i, j)), shape=(len(records[a]), len(records[b])))
         candidates = {}
         for a, b in combinations(range(len(records)), 2):
@@ -154,8 +152,8 @@ class Candidates:
             for c in range(len(records)):
                 if c in (a, b) or not astrometric[c].moving.any():
                     continue
-                to, off = _plausible(links, a, c), _plausible(links, c, b)
-                link = link + (to * astrometric[c].moving.astype(np.float64)) @ off
+                to_third, from_third = _plausible(links, a, c), _plausible(links, c, b)
+                link = link + (to_third * astrometric[c].moving.astype(np.float64)) @ from_third
             pairs = csr_array(link).tocoo()
             candidates[a, b] = pairs.row.astype(np.int64), pairs.col.astype(np.int64)
         return cls(tuple(records), candidates)
@@ -164,33 +162,35 @@ class Candidates:
         """The candidates of two of the catalogues, for any order of their records."""
         names = [records.source for records in self.records]
         a, b = names.index(first.source), names.index(second.source)
-        i, j = self.positions[min(a, b), max(a, b)]
+        i, j = self.indices[min(a, b), max(a, b)]
         if a > b:
             i, j = j, i
-        return measured(first, second, place(self.records[a], first)[i], place(self.records[b], second)[j])
+        return pairs_on_sphere(
+            first, second, indices_among(self.records[a], first)[i], indices_among(self.records[b], second)[j]
+        )
 
 
-def positions(match: SkyMatch, first: Records, second: Records) -> tuple[IntArray, IntArray, FloatArray]:
+def candidate_indices(match: SkyMatch, first: Records, second: Records) -> tuple[IntArray, IntArray, FloatArray]:
     """The candidates of a match as indices in two sets of records of its catalogues, and their probabilities."""
     result = match.result
-    i, used_1 = _positions_of(first, result.rows_1)
-    j, used_2 = _positions_of(second, result.rows_2)
+    i, used_1 = _indices_of_rows(first, result.rows_1)
+    j, used_2 = _indices_of_rows(second, result.rows_2)
     used = used_1 & used_2
     return i[used], j[used], result.p_pair[used]
 
 
-def measured(first: Records, second: Records, rows_1: IntArray, rows_2: IntArray) -> Pairs:
+def pairs_on_sphere(first: Records, second: Records, rows_1: IntArray, rows_2: IntArray) -> Pairs:
     """Pairs of records on the sphere with residuals, squared Mahalanobis distances and determinants."""
     i, j = rows_1.astype(np.int32), rows_2.astype(np.int32)
     offset = sphere_offset(*first.features[i].T, *second.features[j].T)
-    nothing = np.zeros(len(i))
-    pairs = Pairs(first, second, i, j, i, j, offset, nothing, nothing, "candidates of the catalogues two by two")
+    zeros = np.zeros(len(i))
+    pairs = Pairs(first, second, i, j, i, j, offset, zeros, zeros, "candidates of the catalogues two by two")
     sigma = pairs.covariance
     distance = mahalanobis_sq(offset, sigma)
     return replace(pairs, mahalanobis_sq=distance, determinant=np.linalg.det(sigma))
 
 
-def place(records: Records, among: Records) -> IntArray:
+def indices_among(records: Records, among: Records) -> IntArray:
     """(n,) index of each of the ``records`` in ``among``, the same records in another order."""
     order = np.argsort(among.rows)
     return order[np.searchsorted(among.rows, records.rows, sorter=order)]
@@ -198,13 +198,13 @@ def place(records: Records, among: Records) -> IntArray:
 
 def _plausible(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_array:
     """Candidates of catalogues a and b above :data:`PLAUSIBLE`, in either order, as a sparse matrix of ones."""
-    kept = csr_array(links[a, b] if a < b else links[b, a].T)
-    kept.data = np.where(kept.data > 1.0 + PLAUSIBLE, 1.0, 0.0)
-    kept.eliminate_zeros()
-    return kept
+    plausible = csr_array(links[a, b] if a < b else links[b, a].T)
+    plausible.data = np.where(plausible.data > 1.0 + PLAUSIBLE, 1.0, 0.0)
+    plausible.eliminate_zeros()
+    return plausible
 
 
-def _positions_of(records: Records, rows: IntArray) -> tuple[IntArray, BoolArray]:
+def _indices_of_rows(records: Records, rows: IntArray) -> tuple[IntArray, BoolArray]:
     """Indices of table rows among the records, and a mask of the rows found."""
     order = np.argsort(records.rows)
     at = order[np.minimum(np.searchsorted(records.rows, rows, sorter=order), max(len(records) - 1, 0))]
@@ -214,7 +214,7 @@ def _positions_of(records: Records, rows: IntArray) -> tuple[IntArray, BoolArray
 def _coverage_of(match: SkyMatch, first: Records, second: Records) -> Coverage:
     """The coverage of a match with its records in the order of ``first`` and ``second`` (at the common epoch)."""
     coverage = match.estimate.coverage
-    return coverage.part(place(first, coverage.first), place(second, coverage.second))
+    return coverage.part(indices_among(first, coverage.first), indices_among(second, coverage.second))
 
 
 @dataclass(frozen=True)
@@ -331,7 +331,7 @@ def match_many(
     observers = StarObservers.of(
         pooled_records, records, astrometric, _initial_population(matches, records, coverages, options)
     )
-    em = _estimated(replace(pooled_records, observers=observers), coverages, options, progress, tuning)
+    em = _estimate_population(replace(pooled_records, observers=observers), coverages, options, progress, tuning)
     objects = Objects(tuple(records_as_given), em.pooled, em.sets, em.answer, em.terms)
     expected = _by_names(em.expected, order, [catalogue.name for catalogue in catalogues])
     pairs = {(ordered[a].name, ordered[b].name): match for (a, b), match in matches.items()}
@@ -349,20 +349,20 @@ def _on_one_frame(
     many records, are not added to the errors of the records.
     """
     precise = sorted(range(len(catalogues)), key=lambda k: _typical_sigma(catalogues[k]))
-    placed, found, waiting = {precise[0]: catalogues[precise[0]]}, {}, precise[1:]
-    while waiting:
-        tries = ((k, reference) for k in waiting for reference in placed.values())
+    aligned, rotations, remaining = {precise[0]: catalogues[precise[0]]}, {}, precise[1:]
+    while remaining:
+        tries = ((k, reference) for k in remaining for reference in aligned.values())
         for k, reference in tries:
             _, _, one, two = at_common_epoch(reference, catalogues[k])
             rotation = find_rotation(one, two, partial(_stage, progress, f"{reference.name} and {catalogues[k].name}"))
-            found[catalogues[k].name] = rotation
+            rotations[catalogues[k].name] = rotation
             if not rotation.by_chance:
-                placed[k] = _rotated(catalogues[k], rotation)
+                aligned[k] = _rotated(catalogues[k], rotation)
                 break
         else:  # no remaining catalogue can be rotated
             break
-        waiting.remove(k)
-    return [placed.get(k, catalogue) for k, catalogue in enumerate(catalogues)], found
+        remaining.remove(k)
+    return [aligned.get(k, catalogue) for k, catalogue in enumerate(catalogues)], rotations
 
 
 def _typical_sigma(catalogue: Catalogue) -> float:
@@ -424,7 +424,7 @@ class _Estimate:
     converged: bool
 
 
-def _estimated(
+def _estimate_population(
     pooled_records: PooledRecords,
     coverages: Coverages,
     options: ManyOptions,
@@ -436,8 +436,8 @@ def _estimated(
     assert isinstance(observers, StarObservers)
     progress("sets of all")
     sets = candidate_sets(pooled_records, observers.terms(pooled_records))
-    placed = observers.placed(pooled_records.positions(sets.members))
-    log_weight = _LogWeight.of(placed, observers)
+    members = observers.by_catalogue(pooled_records.positions(sets.members))
+    log_weight = _LogWeight.of(members, observers)
     previous = np.full(1 << len(observers.sources), -1.0)
     population = observers.population
     for iteration in range(1, tuning.iterations + 1):
@@ -449,7 +449,7 @@ def _estimated(
         if converged or iteration == tuning.iterations:
             break
         previous = expected
-        population = population.learned(placed, log_weight.chi_sq, best.probability, coverages, tuning)
+        population = population.m_step(members, log_weight.chi_sq, best.probability, coverages, tuning)
     observers = replace(observers, population=population)
     pooled_records = replace(pooled_records, observers=observers)
     return _Estimate(
@@ -482,8 +482,8 @@ class _LogWeight:
         sets, patterns = self.sets[k], self.patterns[k]
         weight[k] += population.log_profile(patterns, self.chi_sq[k]) + population.mean_log_density(sets, patterns)
         for s in range(sets.shape[1]):
-            here = np.flatnonzero(sets[:, s] != NO_RECORD)
-            weight[k[here]] -= population.log_alone(s)[sets[here, s]]
+            present = np.flatnonzero(sets[:, s] != NO_RECORD)
+            weight[k[present]] -= population.log_alone(s)[sets[present, s]]
         return weight
 
 

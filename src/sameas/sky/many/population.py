@@ -106,11 +106,11 @@ class AstrometricRecords:
         k = np.flatnonzero(moving)
         if len(k):
             at_epoch = propagate(part[k], float(epoch_jyr or 0.0))
-            both = 1e-6 * at_epoch.covariance[:, _POSITION_AND_MOTION[:, None], _POSITION_AND_MOTION]
+            covariance_4 = 1e-6 * at_epoch.covariance[:, _POSITION_AND_MOTION[:, None], _POSITION_AND_MOTION]
             direction[k] = np.column_stack([at_epoch.ra_deg, at_epoch.dec_deg])
             motion[k] = 1e-3 * np.column_stack([at_epoch.pm_ra_mas_per_yr, at_epoch.pm_dec_mas_per_yr])
-            precision[k], log_norm[k] = inverse(both), _log_norm(both)
-            of_motion = both[:, 2:, 2:]
+            precision[k], log_norm[k] = inverse(covariance_4), _log_norm(covariance_4)
+            of_motion = covariance_4[:, 2:, 2:]
             motion_precision[k], motion_log_norm[k] = inverse(of_motion), _log_norm(of_motion)
         unknown = 1e-3 * np.sqrt(part.covariance[:, 3, 3])
         unknown = np.where(moving | (unknown <= 0.0) | (epoch_jyr is None), _ANY_ARCSEC_PER_YR, unknown)
@@ -144,7 +144,7 @@ def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer
 
 def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     anchor = _anchors(astrometric, sets)
-    whole, motions = InformationSum.of(len(sets), 4), InformationSum.of(len(sets), 2)
+    all_terms, motion_terms = InformationSum.of(len(sets), 4), InformationSum.of(len(sets), 2)
     moving, unknown_motion = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(astrometric):
         k = np.flatnonzero(sets[:, s] != NO_RECORD)
@@ -153,27 +153,27 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
         velocity = np.einsum("kvw,kw->kv", rotation, members.motion)
         axes = np.zeros((len(k), 4, 4))
         axes[:, :2, :2] = axes[:, 2:, 2:] = rotation
-        whole.add(k, np.column_stack([offset, velocity]), propagated(axes, members.precision), members.log_norm)
-        motions.add(k, velocity, propagated(rotation, members.motion_precision), members.motion_log_norm)
+        all_terms.add(k, np.column_stack([offset, velocity]), propagated(axes, members.precision), members.log_norm)
+        motion_terms.add(k, velocity, propagated(rotation, members.motion_precision), members.motion_log_norm)
         moving[k] += members.moving
         unknown_motion[k] = np.maximum(unknown_motion[k], np.where(members.moving, 0.0, members.unknown_motion))
     without_motion = np.flatnonzero(moving == 0)
     prior_precision = np.zeros((len(without_motion), 4, 4))
     prior_precision[:, [2, 3], [2, 3]] = 1.0 / unknown_motion[without_motion, None] ** 2
-    whole.add(
+    all_terms.add(
         without_motion,
         np.zeros((len(without_motion), 4)),
         prior_precision,
         -LOG_2PI - 2.0 * np.log(unknown_motion[without_motion]),
     )
-    log_peak, star = whole.log_peak(), whole.gaussian()
-    chi_sq = whole.chi_sq(star)
-    has_residual = (moving > 0) | ~whole.information[:, :2, 2:].any(axis=(1, 2))
+    log_peak, star = all_terms.log_peak(), all_terms.gaussian()
+    chi_sq = all_terms.chi_sq(star)
+    has_residual = (moving > 0) | ~all_terms.information[:, :2, 2:].any(axis=(1, 2))
     several = np.flatnonzero(moving > 1)
     if len(several):
-        known = motions.at(several)
-        log_peak[several] -= known.log_peak()
-        chi_sq[several] -= known.chi_sq(known.gaussian())
+        motion = motion_terms.at(several)
+        log_peak[several] -= motion.log_peak()
+        chi_sq[several] -= motion.chi_sq(motion.gaussian())
     return AstrometricFit(
         log_peak,
         np.maximum(chi_sq, 0.0),
@@ -249,14 +249,14 @@ class Population:
         """(k,) the term that replaces −½ χ² of a single normal, for sets of these patterns."""
         out = np.zeros(len(patterns))
         for pattern, rows in self._several(patterns):
-            out[rows] = self.errors[pattern].log_profile(chi_sq[rows], freedom(pattern))
+            out[rows] = self.errors[pattern].log_profile(chi_sq[rows], degrees_of_freedom(pattern))
         return out
 
     def scale_sq(self, patterns: IntArray, chi_sq: FloatArray) -> FloatArray:
         """(k,) expected square of the factor on the quoted errors, for sets of these patterns; 1 for single records."""
         out = np.ones(len(patterns))
         for pattern, rows in self._several(patterns):
-            errors, d = self.errors[pattern], freedom(pattern)
+            errors, d = self.errors[pattern], degrees_of_freedom(pattern)
             # ∫ scale² is the profile with two degrees of freedom less.
             mean = errors.log_profile(chi_sq[rows], d - 2) - errors.log_profile(chi_sq[rows], d)
             out[rows] = np.exp(mean)
@@ -280,7 +280,7 @@ class Population:
         """(n,) ln ρ of objects in catalogue s alone, at its records."""
         return self.log_density[s][:, 1 << s]
 
-    def learned(
+    def m_step(
         self,
         sets: IntArray,
         chi_sq: FloatArray,
@@ -305,14 +305,13 @@ class Population:
     def _fitted_errors(
         self, patterns: IntArray, chi_sq: FloatArray, probability: FloatArray, tuning: PopulationTuning
     ) -> dict[int, Errors]:
-
         fitted_errors = dict(self.errors)
         for pattern, errors in self.errors.items():
             rows = np.flatnonzero((patterns == pattern) & (probability > tuning.min_p_set))
             if probability[rows].sum() < DEFAULT_EM.min_pairs:
                 continue
             # The odds of these sets without their residuals.
-            p, d = np.minimum(probability[rows], tuning.largest_p_set), freedom(pattern)
+            p, d = np.minimum(probability[rows], tuning.largest_p_set), degrees_of_freedom(pattern)
             log_odds = np.log(p / (1.0 - p)) - errors.log_profile(chi_sq[rows], d)
             # Not wider than in the pairwise matches: beyond, chance pairs prevail.
             widest = max(
@@ -379,15 +378,15 @@ def log_densities(coverages: Coverages, shares: Sequence[FloatArray]) -> tuple[F
     covered = [_covered(coverages, s, shares) for s in range(n_sources)]
     for (a, b), coverage in coverages.items():
         for side, s in ((1, a), (2, b)):
-            all_at = coverage.density(side, np.ones(len(shares[s])))
+            density_at = coverage.density(side, np.ones(len(shares[s])))
             for pattern in _patterns_with(s, n_sources):
                 weights = covered[s][:, pattern].astype(np.float64)
                 share_at = local_share(coverage.levels, side, shares[s][:, pattern] * weights, weights)
-                for t, density, share in zip((a, b), all_at, share_at, strict=True):
+                for t, density, share in zip((a, b), density_at, share_at, strict=True):
                     if pattern >> t & 1:
                         # A catalogue's own records are in n − 1 coverages, those of another in one.
-                        part = 1.0 / (n_sources - 1) if t == s else 1.0
-                        total[t][:, pattern] += part * np.log(density * np.maximum(share, DEFAULT_EM.min_share))
+                        weight = 1.0 / (n_sources - 1) if t == s else 1.0
+                        total[t][:, pattern] += weight * np.log(density * np.maximum(share, DEFAULT_EM.min_share))
     sizes = np.array([max(pattern.bit_count(), 1) for pattern in range(1 << n_sources)])
     out = []
     for s, column in enumerate(total):
@@ -401,7 +400,7 @@ def patterns_of(sets: IntArray) -> IntArray:
     return (sets >= 0) @ (1 << np.arange(sets.shape[1]))
 
 
-def freedom(pattern: int) -> int:
+def degrees_of_freedom(pattern: int) -> int:
     """Degrees of freedom of the χ² of a star with a pattern."""
     return 2 * (pattern.bit_count() - 1)
 
