@@ -1,4 +1,4 @@
-"""Blends: one record of a coarse source may be two objects of a fine one (METHOD 11.3).
+"""Blends: one record of a coarse source may be two objects of a fine one.
 
 Two objects of the fine source (2) at separation s give one record of the coarse source (1) with probability B(s), which
 is 1 at s = 0 and ½ at the resolution; otherwise they are detected separately. Couples (two objects near each other)
@@ -10,10 +10,9 @@ without partners is
 
 over its records of one object and of two. Q = Σ P(M) cⁿ (1 − c)^(units − n) over the sets M of merged couples that
 contain the hypothesis' couples and none of its single objects, n its number of both. Units are merged couples and
-unmerged objects; w is
-j's share of the flux, or averaged over 0 to 1 without fluxes. Hypotheses of a group are summed exactly: every record of
-the coarse source has no partner, one, or two, and no object is assigned twice. c, ρ₁ and the shares of the error
-scales are estimated from the result by iteration.
+unmerged objects; w is j's share of the flux, or averaged over 0 to 1 without fluxes. Hypotheses of a group are summed
+exactly: every record of the coarse source has no partner, one, or two, and no object is assigned twice. c, ρ₁ and the
+shares of the error scales are estimated from the result by iteration.
 """
 
 from __future__ import annotations
@@ -157,7 +156,7 @@ def find_blends(
     ------
     InputError : a resolution that is not positive, fluxes that are not one above 0 per record.
 
-    Source: METHOD 11.3, including the probability that neither object of a couple is detected.
+    The model is that of the module.
 
     >>> rng = np.random.default_rng(3)
     >>> fine = rng.uniform(0.0, 100.0, (60, 2))

@@ -164,7 +164,7 @@ def with_trends(
     errors : the present model. p_pair : (m,) probabilities. most : greatest number of pairs used. previous : trends
     included in ``errors``, which are fitted again.
 
-    Source: METHOD 11.1.
+    Source: METHOD 6, "Errors that grow".
     """
     likely = np.flatnonzero(p_pair > tuning.min_p)
     likely = likely[:: max(1, -(-len(likely) // most))]

@@ -34,7 +34,7 @@ class Errors:
     added : variances per axis, (n_table,) by the rows of each source's table, in addition to these, or None; ignored in
         comparisons.
 
-    Source: METHOD 6, 11.1.
+    Source: METHOD 6.
     """
 
     scales: tuple[float, ...] = (1.0,)

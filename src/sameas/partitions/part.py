@@ -1,7 +1,7 @@
 """One part of two partitioned catalogues: cells and a halo around them are identified, and the halo's width is tested.
 
 A part's own records are decided as in the whole catalogues if no group that contains one of them reaches the halo's
-edge (METHOD 11.5).
+edge (docs/partitions.md, "Why the answer is the same").
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class PartTuning:
 
     Attributes
     ----------
-    competing : only pairs of larger log odds extend a group, since others are never chosen (METHOD 11.5). The effect
+    competing : only pairs of larger log odds extend a group, since others are never chosen. The effect
         of the others on probabilities falls off within one or two gates: halos of 32″ and of 129″ gave the same to
         1e-11 at λ 2.
     certain_arcsec : the widest halo.

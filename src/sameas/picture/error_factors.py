@@ -42,7 +42,7 @@ pairs of tracks that are surely one object, by their differences δ and δ′ so
 
     δ′ ~ N(M δ, S − M S Mᵀ),   M = C S⁻¹,   S = P_a + P_b,   C = Σ_{a,b} [s + (1 − s) exp(−Δt/τ)] R.
 
-Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8; METHOD 11.4.
+Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8.
 """
 
 from __future__ import annotations

@@ -231,7 +231,7 @@ def formal_field(
     ------
     InputError : a number that is out of range.
 
-    Source: METHOD 11.1.
+    Source: METHOD 6, "Error model".
 
     >>> scene = formal_field(np.random.default_rng(1), 40, floor_arcsec=0.15)
     >>> len(scene.true_pairs()[0])
