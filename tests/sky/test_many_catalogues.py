@@ -6,6 +6,7 @@ import importlib.util
 from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
 from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
+from sameas.sky.many import match as many_match
 from sameas.sky.many.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
 from sameas.space import displaced, sphere_offset
 
@@ -252,6 +254,21 @@ def test_a_catalogue_of_a_small_field_counts_inside_it_only() -> None:
     ours = objects(match_many(part.catalogues))
     assert len(inside) < 0.5 * len(small)
     assert len(ours & part.truth()) / len(ours) > 0.97
+
+
+def test_candidates_of_two_catalogues_stay_candidates_of_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The improbable ones of a catalogue with motions imply none for the others, and take none away from it."""
+    rng = np.random.default_rng(2)
+    matched = {}
+    for a, b in ((0, 1), (0, 2), (1, 2)):
+        i, j = np.divmod(np.sort(rng.permutation(900)[:200]), 30)
+        matched[a, b] = i, j, np.where(rng.random(200) < 0.7, 0.0, 0.9)
+    monkeypatch.setattr(many_match, "positions", lambda match, first, second: match)
+    moving = SimpleNamespace(moving=np.ones(30, bool))
+    made = many_match.Candidates.of(matched, [range(30)] * 3, [moving] * 3)  # type: ignore[arg-type]
+    for two, (i, j, _) in matched.items():
+        kept = np.column_stack(made.positions[two]).tolist()
+        assert {*zip(i.tolist(), j.tolist(), strict=True)} <= set(map(tuple, kept))
 
 
 def test_without_epochs_nothing_is_propagated() -> None:

@@ -198,7 +198,8 @@ def indices_among(records: Records, among: Records) -> IntArray:
 
 def _plausible(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_array:
     """Candidates of catalogues a and b above :data:`PLAUSIBLE`, in either order, as a sparse matrix of ones."""
-    plausible = csr_array(links[a, b] if a < b else links[b, a].T)
+    # A copy: eliminate_zeros moves the indices in place, and csr_array shares them.
+    plausible = csr_array(links[a, b] if a < b else links[b, a].T, copy=True)
     plausible.data = np.where(plausible.data > 1.0 + PLAUSIBLE, 1.0, 0.0)
     plausible.eliminate_zeros()
     return plausible
