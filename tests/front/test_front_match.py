@@ -188,6 +188,7 @@ REFUSED: dict[str, dict[str, Any]] = {
     "match has no option 'sigm1'; did you mean sigma1": {"sigm1": 0.1},
     "match has no option 'to_epock'; did you mean to_epoch": {"to_epock": 2000},
     "match has no option 'zzz'; see its documentation": {"zzz": 1},
+    "match has no option 'radius', for it needs none: how far to look follows from the errors": {"radius": 1.0},
     "first: no column 'rra' for ra1; did you mean 'ra'": {"ra1": "rra", "sigma": 0.1},
     "join 'both' is not known; choose one of": {"join": "both", "sigma": 0.1},
     "error scale is 'x'": {"error_scale": "x", "sigma": 0.1},

@@ -79,14 +79,19 @@ COMMANDS = {
 }
 
 
-#: Names of the search radius in other programs.
-_RADIUS = {"--radius", "--within", "--max-sep", "--max-error", "--separation", "--tolerance", "--match-radius"}
 #: Commands that use position errors instead of a radius, and their message.
 _WITH_ERRORS = {"match", "many"}
 _NO_RADIUS = (
     "No radius is needed: how far to look follows from the errors of the positions; where the tables do not state "
     "these, they are estimated, or give --sigma ARCSEC."
 )
+
+
+def _is_radius(option: str | None) -> bool:
+    """Whether an unknown option is the name of the search radius in another program."""
+    from sameas.front.options import RADIUS
+
+    return option is not None and option.strip("-").replace("-", "_") in RADIUS
 
 
 class _Recorded(TyperCommand):
@@ -99,7 +104,7 @@ class _Recorded(TyperCommand):
             return super().parse_args(ctx, ellipses_split(args))
         except Exception as error:
             unknown: Any = error
-            if self.name in _WITH_ERRORS and getattr(unknown, "option_name", None) in _RADIUS:
+            if self.name in _WITH_ERRORS and _is_radius(getattr(unknown, "option_name", None)):
                 unknown.possibilities = None  # similar in letters only
                 unknown.message = f"No such option: {unknown.option_name}. {_NO_RADIUS}"
             raise

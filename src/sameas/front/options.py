@@ -110,10 +110,22 @@ def renamed(text: str, side: int, columns: Mapping[str, Any]) -> str:
     return Message(*(parameter(part) if isinstance(part, Argument) else part for part in text.parts))
 
 
+#: Names of the search radius in other programs.
+RADIUS = {
+    "radius", "within", "max_sep", "max_error", "separation", "seplimit", "tolerance", "match_radius", "radius_arcsec",
+}  # fmt: skip
+
+
 def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> None:
     """Refuse unknown keyword arguments, with suggestions of similar names."""
     for name in given:
         if name not in known:
+            if name in RADIUS and "sigma" in known:
+                raise InputError(
+                    f"{call} has no option {name!r}, for it needs none: how far to look follows from the errors of the "
+                    "positions; where the tables do not state these, they are estimated",
+                    "give sigma=ARCSEC, or choose from the pairs by their sep_arcsec",
+                )
             close = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
             hint = f"did you mean {' or '.join(close)}?" if close else "see its documentation for those that it has"
             raise InputError(f"{call} has no option {name!r}", hint)
