@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -263,11 +264,13 @@ def test_candidates_of_two_catalogues_stay_candidates_of_all(monkeypatch: pytest
     for a, b in ((0, 1), (0, 2), (1, 2)):
         i, j = np.divmod(np.sort(rng.permutation(900)[:200]), 30)
         matched[a, b] = i, j, np.where(rng.random(200) < 0.7, 0.0, 0.9)
-    monkeypatch.setattr(many_match, "positions", lambda match, first, second: match)
-    moving = SimpleNamespace(moving=np.ones(30, bool))
-    made = many_match.Candidates.of(matched, [range(30)] * 3, [moving] * 3)  # type: ignore[arg-type]
+    monkeypatch.setattr(many_match, "candidate_indices", lambda match, first, second: match)
+    records: Any = [range(30)] * 3
+    moving: Any = [SimpleNamespace(moving=np.ones(30, bool))] * 3
+    matches: Any = matched
+    made = many_match.Candidates.of(matches, records, moving)
     for two, (i, j, _) in matched.items():
-        kept = np.column_stack(made.positions[two]).tolist()
+        kept = np.column_stack(made.indices[two]).tolist()
         assert {*zip(i.tolist(), j.tolist(), strict=True)} <= set(map(tuple, kept))
 
 
