@@ -131,6 +131,11 @@ def test_without_an_output_it_is_wrong_usage(table):
     assert run(table, "--sigma", 0.2).exit_code == 2
 
 
+def test_a_folder_without_a_catalogue_is_wrong_usage(tmp_path):
+    done = CliRunner().invoke(app, ["movers", str(tmp_path), "-o", str(tmp_path / "found")])
+    assert done.exit_code == 2 and "--catalog" in done.output and "is a folder" in " ".join(done.output.split())
+
+
 def test_two_exposures_raise_a_doubt(table, tmp_path):
     whole = read_table(table)
     first = sorted(set(whole["mjd"]))[:2]

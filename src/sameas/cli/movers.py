@@ -157,6 +157,11 @@ def movers(
     """
     if output is None and tracklets is None and catalog is None:
         raise typer.BadParameter("give -o OUT, the table to write", param_hint="-o")
+    folder = next((file for file in files if Path(file).is_dir()), None) if catalog is None else None
+    if folder is not None:
+        raise typer.BadParameter(
+            f"{folder} is a folder: for a series of frames give the catalogue of the stars, too", param_hint="--catalog"
+        )
     if report_probability is not None and report is None:
         raise typer.BadParameter("there is no report; give --report TOML", param_hint="--report-probability")
     if catalog is not None:
