@@ -240,16 +240,16 @@ def _whole_numbers(file: Any, path: Path, number: int, limits: Headers) -> dict[
             card = block[begin : begin + _CARD_BYTES]
             if card.rstrip() == b"END":
                 return cards
-            if found := _WHOLE.match(card):
-                cards.setdefault(found[1].decode("ascii"), int(found[2]))
+            if match := _WHOLE.match(card):
+                cards.setdefault(match[1].decode("ascii"), int(match[2]))
             elif is_header and _COUNTS.match(card[:8]):
                 raise InputError(
                     f"{path}: the header of extension {number} has no whole number in {card[:8].decode().strip()}; "
                     "it is damaged, copy it again"
                 )
-            elif found := _FORM.match(card):
-                cells = (int(found[2] or 1) * _BITS[found[3]] + 7) // 8
-                cards[found[1].decode("ascii")] = cells
+            elif match := _FORM.match(card):
+                cells = (int(match[2] or 1) * _BITS[match[3]] + 7) // 8
+                cards[match[1].decode("ascii")] = cells
         if len(block) < _BLOCK:
             break
     if not is_header:  # bytes after the last extension are ignored

@@ -44,9 +44,9 @@ def _short(text: str) -> str:
     return text if len(text) <= LONGEST_MESSAGE else text[:LONGEST_MESSAGE] + " …"
 
 
-def _cut(found: re.Match[str]) -> str:
-    quote = found[1] or ""
-    return quote + found[0].removeprefix(quote)[:LONGEST_QUOTE] + "…" + quote
+def _cut(match: re.Match[str]) -> str:
+    quote = match[1] or ""
+    return quote + match[0].removeprefix(quote)[:LONGEST_QUOTE] + "…" + quote
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,9 @@ class Message(str):
     parts: tuple[str | Argument, ...]
 
     def __new__(cls, *parts: str | Argument) -> Message:
-        made = super().__new__(cls, "".join(map(str, parts)))
-        made.parts = tuple(one for part in parts for one in (part.parts if isinstance(part, Message) else (part,)))
-        return made
+        message = super().__new__(cls, "".join(map(str, parts)))
+        message.parts = tuple(one for part in parts for one in (part.parts if isinstance(part, Message) else (part,)))
+        return message
 
     def __reduce__(self) -> tuple[type[Message], tuple[str | Argument, ...]]:
         return Message, self.parts

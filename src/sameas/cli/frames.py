@@ -113,19 +113,19 @@ def expanded(paths: Sequence[str], others: Sequence[str] = ()) -> list[str]:
     from sameas.representation import counted
 
     excluded = {Path(other).resolve() for other in others}
-    found: list[str] = []
+    frames: list[str] = []
     for path in paths:
         if not Path(path).is_dir():
-            found.append(path)
+            frames.append(path)
             continue
-        found += [one for one in frames_in(path) if Path(one).resolve() not in excluded]
+        frames += [one for one in frames_in(path) if Path(one).resolve() not in excluded]
         unused = [Path(one).name for one in calibrations_in(path) if Path(one).resolve() not in excluded]
         if unused:
             left = counted(len(unused), "calibration frame")
             notice(
                 f"{path}: {left} not used, the first {unused[0]}; --dark, --flat and --bias FILE calibrate with them"
             )
-    return found
+    return frames
 
 
 def names_of(paths: list[str]) -> list[str]:

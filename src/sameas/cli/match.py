@@ -249,17 +249,17 @@ def column_evidence(of_first: list[str], of_second: list[str], related: list[str
     from sameas.evidence import Column, Related
     from sameas.front.tables import odds_of
 
-    found: list[Column | Related] = []
+    evidence: list[Column | Related] = []
     for source, of_source in ((1, of_first), (2, of_second)):
         for text in of_source:
             name, given, path = text.partition("=")
-            found.append(Column(source, name.strip(), odds_of(path.strip()) if given else None))
+            evidence.append(Column(source, name.strip(), odds_of(path.strip()) if given else None))
     for text in related:
         one, colon, other = (part.strip() for part in text.partition(":"))
         if not (one and colon and other):
             raise InputError(f"--relation {text}: give a column of A and a column of B, A:B")
-        found.append(Related(one, other, (one, other)))
-    return tuple(found)
+        evidence.append(Related(one, other, (one, other)))
+    return tuple(evidence)
 
 
 def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quiet: bool) -> None:

@@ -239,10 +239,10 @@ def run_series(
     requests = [replace(template, path=path, name=name) for path, name in zip(frames, names_of(frames), strict=True)]
     tell = partial(print_outcome, printer=printer)
     done, failed = identified(run_all(requests, processes=processes, again=False, shown=not quiet, tell=tell))
-    made = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
-    written = made.write(Path(template.folder), _title(paths), template.catalogue)
+    movers = series_movers(done, options, failed=failed, below_limit=below_limit, say=printer)
+    written = movers.write(Path(template.folder), _title(paths), template.catalogue)
     if options.observer is not None:
-        printer(["", *report_lines(made.found, options.reported)])
+        printer(["", *report_lines(movers.found, options.reported)])
     printer(["", f"Output: {template.folder}/: {', '.join(written)}", f"Time: {clock.perf_counter() - began:.1f} s"])
 
 
@@ -280,13 +280,13 @@ def run_tables(
 
         night = read_night(paths, others, wanted, columns, progress=pace, say=say)
         share_compilation(quiet)
-        made = night_movers(night, options, progress=pace, say=say)
-        facts, tables = made.facts(), made.tables()
+        movers = night_movers(night, options, progress=pace, say=say)
+        facts, tables = movers.facts(), movers.tables()
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]
         if options.observer is not None:
-            made.write_reports(reports)
+            movers.write_reports(reports)
             written += [f"Report: {place}" for place in reports]
-            written += report_lines(made.found, options.reported)
+            written += report_lines(movers.found, options.reported)
     printer([*written, f"Time: {clock.perf_counter() - began:.1f} s"])
 
 

@@ -29,10 +29,10 @@ def duration_s(text: str | None) -> float | None:
     """Seconds of "10s", "2min", "0.5h" or a plain number of seconds."""
     if text is None:
         return None
-    found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z]*)\s*", text.lower())
-    if found is None or found[2] not in _SECONDS or float(found[1]) <= 0.0:
+    match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z]*)\s*", text.lower())
+    if match is None or match[2] not in _SECONDS or float(match[1]) <= 0.0:
         raise typer.BadParameter(f"{text!r} is not a duration; give 10s, 2min or 1h", param_hint="--every")
-    return float(found[1]) * _SECONDS[found[2]]
+    return float(match[1]) * _SECONDS[match[2]]
 
 
 def picture(
@@ -155,9 +155,9 @@ def run(
                 printer(lines)
 
             with _remedies(sensors):
-                made = pictured(sources, when, method, call=outputs.command, unread=left_out, progress=pace, say=say)
+                result = pictured(sources, when, method, call=outputs.command, unread=left_out, progress=pace, say=say)
             pace("writing")
-            written = write(made, draft, outputs, notice)
+            written = write(result, draft, outputs, notice)
         seconds = time.perf_counter() - began
     printer(["", f"Output: {outputs.folder}/: {', '.join(written)}", f"Time: {seconds:.1f} s"])
     if left := older(outputs.folder, written):

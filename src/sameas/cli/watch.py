@@ -152,20 +152,20 @@ def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | 
     from sameas.live.server import Access, application
 
     access = Access.of(host, token, viewer)
-    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        made.bind((host, port))
+        listener.bind((host, port))
     except OSError as error:
-        made.close()
+        listener.close()
         raise InputError(f"{host}:{port} cannot be served on ({error.strerror})", "give another --port") from error
     config = uvicorn.Config(
         application(keeper, access), log_level="warning", access_log=False, timeout_graceful_shutdown=1
     )
     key = f"?token={access.operator}" if access.operator else ""
     shown = f"[{host}]" if ":" in host else host
-    say([f"Map: http://{shown}:{made.getsockname()[1]}/{key}"])
-    return uvicorn.Server(config), made
+    say([f"Map: http://{shown}:{listener.getsockname()[1]}/{key}"])
+    return uvicorn.Server(config), listener
 
 
 async def _run(keeper: Any, server: Any, until_s: float | None) -> None:

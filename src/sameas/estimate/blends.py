@@ -471,8 +471,8 @@ def _enumerate(
 ) -> tuple[FloatArray, BoolArray]:
     """Probabilities of the candidates ``rows`` of one group, and which are in its most probable hypothesis."""
     options: dict[int, list[int]] = {}
-    for place, row in enumerate(rows):
-        options.setdefault(int(candidates.i[row]), []).append(place)
+    for at, row in enumerate(rows):
+        options.setdefault(int(candidates.i[row]), []).append(at)
     j, k = candidates.j[rows].tolist(), candidates.k[rows].tolist()
 
     def assignments(level: int, assigned: frozenset[int]) -> Iterator[tuple[int, ...]]:
@@ -481,12 +481,12 @@ def _enumerate(
             yield ()
             return
         yield from assignments(level + 1, assigned)
-        for place in lists[level]:
-            one, two = j[place], k[place]
+        for at in lists[level]:
+            one, two = j[at], k[at]
             if one in assigned or two in assigned:
                 continue
             for others in assignments(level + 1, assigned | ({one} if two < 0 else {one, two})):
-                yield (place, *others)
+                yield (at, *others)
 
     lists = list(options.values())
     solutions = list(assignments(0, frozenset()))
@@ -495,8 +495,8 @@ def _enumerate(
     weight = np.exp(weight - weight.max())
     weight /= weight.sum()
     p = np.zeros(len(rows))
-    for share, places in zip(weight, solutions, strict=True):
-        p[list(places)] += share
+    for share, assigned_rows in zip(weight, solutions, strict=True):
+        p[list(assigned_rows)] += share
     chosen = np.zeros(len(rows), np.bool_)
     chosen[list(solutions[int(np.argmax(weight))])] = True
     return p, chosen

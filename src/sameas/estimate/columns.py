@@ -145,10 +145,10 @@ class ColumnEvidence:
         for one in evidence:
             columns = one.columns if isinstance(one, Related) else (one,)
             coded = [column.of((first, second)[column.source - 1]) for column in columns]
-            for column, made in zip(columns, coded, strict=True):
+            for column, coded_column in zip(columns, coded, strict=True):
                 own = sides[column.source - 1]
-                if not any(_is_same(made, other) for other in own):
-                    own.append(made)
+                if not any(_is_same(coded_column, other) for other in own):
+                    own.append(coded_column)
             if isinstance(one, Related):
                 relations.append((coded[0], coded[1]))
         if not any(sides):
@@ -260,11 +260,11 @@ class ColumnEvidence:
             if regression is None:
                 fits.append(None)
                 continue
-            fit, found = (
+            fit, own_findings = (
                 regression.informative(source) if last or previous is None else (regression.fit(regression.bases), [])
             )
             fits.append(fit)
-            findings += found
+            findings += own_findings
         associations = []
         for a, b in self.relations:
             association, finding = _fit_association(a, b, pairs, p_counted, self.folds[0], self.tuning)

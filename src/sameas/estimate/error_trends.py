@@ -112,17 +112,17 @@ def covariates(
     coverage: Coverage, photometry: Photometry | None, tuning: TrendTuning = DEFAULT_TRENDS
 ) -> list[Covariate]:
     """The quantities that the errors of these records may depend on."""
-    found, sides = [], (coverage.first, coverage.second)
+    quantities, sides = [], (coverage.first, coverage.second)
     if photometry is not None:
         for source, (records, side) in enumerate(zip(sides, photometry.sides, strict=True)):
             measured = np.isfinite(side.measured.values)
             band = int(np.argmax(measured.sum(axis=0)))
             values = _by_row(records, side.measured.values[:, band])
-            found.append(Covariate(source, "magnitude", "", values))
+            quantities.append(Covariate(source, "magnitude", "", values))
     distance = _distance_from_centre(coverage.first, tuning.max_radius_deg)
     if distance is not None:
-        found.append(Covariate(0, "distance from the centre", "°", _by_row(coverage.first, distance)))
-    return found
+        quantities.append(Covariate(0, "distance from the centre", "°", _by_row(coverage.first, distance)))
+    return quantities
 
 
 def _by_row(records: Records, values: FloatArray) -> FloatArray:
@@ -142,8 +142,8 @@ def _distance_from_centre(records: Records, max_radius_deg: float) -> FloatArray
     middle = 0.5 * (least.min(axis=0) + greatest.max(axis=0))
     centre = middle / max(float(np.linalg.norm(middle)), 1e-9)
 
-    def distance_of(place: FloatArray) -> FloatArray:
-        chord_sq = sum((x - m) ** 2 for x, m in zip(place, centre, strict=True))
+    def distance_of(vectors: FloatArray) -> FloatArray:
+        chord_sq = sum((x - m) ** 2 for x, m in zip(vectors, centre, strict=True))
         return np.asarray(np.degrees(2.0 * np.arcsin(np.minimum(0.5 * np.sqrt(chord_sq), 1.0))))
 
     distance = np.concatenate(threads.each([partial(distance_of, part) for part in parts], len(records)))

@@ -59,7 +59,7 @@ def quantities(
     shares = threads.each(works, len(answer.pairs))
     best = min(shares, key=lambda share: share.count_error)
     common = Quantity(best.found, best.count_error)
-    found = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
+    quantities = {"common": common, "share_1": shares[0].quantity(), "share_2": shares[1].quantity()}
     volume = coverage.common_volume
     if volume > 0.0:
         unit = "per arcsec²" if isinstance(coverage.first.space, Sphere) else ""
@@ -67,12 +67,12 @@ def quantities(
         counts = {"density_common": common.value, "density_only_1": alone[0], "density_only_2": alone[1]}
         for name, number in counts.items():
             error = math.sqrt(max(number, 0.5) + common.standard_error**2)
-            found[name] = Quantity(number / volume, error / volume, unit)
+            quantities[name] = Quantity(number / volume, error / volume, unit)
     if errors:
-        found["error_scale"] = _error_scale(answer)
+        quantities["error_scale"] = _error_scale(answer)
     if photometry is not None:
-        found |= _of_relation(photometry)
-    return found
+        quantities |= _of_relation(photometry)
+    return quantities
 
 
 @dataclass(frozen=True)
@@ -148,15 +148,15 @@ def _of_relation(photometry: Photometry) -> dict[str, Quantity]:
     relation = photometry.first_relation
     if relation is None:
         return {}
-    found = {
+    quantities = {
         "zero_point": Quantity(relation.zero_point, relation.zero_point_error, "mag"),
         "scatter": Quantity(relation.typical_scatter, relation.scatter_error, "mag"),
     }
     for name, slope, error in zip(photometry.names[1][1:], relation.slopes, relation.slope_errors, strict=False):
-        found[f"colour_{name}"] = Quantity(float(slope), float(error), "mag/mag")
+        quantities[f"colour_{name}"] = Quantity(float(slope), float(error), "mag/mag")
     share = relation.unrelated
-    found["brightness_unrelated"] = Quantity(share, math.sqrt(share * (1.0 - share) / max(relation.weight, 1.0)))
-    return found
+    quantities["brightness_unrelated"] = Quantity(share, math.sqrt(share * (1.0 - share) / max(relation.weight, 1.0)))
+    return quantities
 
 
 def decisive(answer: Identification) -> Mapping[str, float]:

@@ -67,12 +67,12 @@ def differ_by_one_bit(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
 
 def _hexadecimal(texts: NDArray[Any]) -> IntArray:
     """(n,) values of texts of up to 15 hexadecimal digits; −1 for other texts."""
-    values, place = np.unique(texts, return_inverse=True)
+    values, index = np.unique(texts, return_inverse=True)
     numbers = np.full(len(values), -1, np.int64)
     for k, text in enumerate(values):
         if 0 < len(text) <= 15 and not set(text) - set("0123456789ABCDEF"):
             numbers[k] = int(text, 16)
-    return numbers[place]
+    return numbers[index]
 
 
 def differ_by_one_typing(first: NDArray[Any], second: NDArray[Any]) -> BoolArray:
@@ -315,9 +315,9 @@ class Identity(Rule):
         if any(column.dtype.kind == "f" for column in columns):
             return np.concatenate(columns)
         counted = [np.unique(column, return_counts=True) for column in columns]
-        values, place = np.unique(np.concatenate([v for v, _ in counted]), return_inverse=True)
+        values, index = np.unique(np.concatenate([v for v, _ in counted]), return_inverse=True)
         most = np.zeros(len(values), np.int64)
-        np.maximum.at(most, place, np.concatenate([n for _, n in counted]))
+        np.maximum.at(most, index, np.concatenate([n for _, n in counted]))
         return np.repeat(values, most)
 
 
@@ -375,13 +375,13 @@ def alarms(
     gate : positions beyond its quantile contradict; the default gate if not given.
     """
     limit_of = gate or ChiSquare(DEFAULT_COMPLETENESS)
-    found = []
+    all_alarms = []
     for name in unique:
         values = [_SourceValues.of(records, identity, name) for records in sources if isinstance(records.space, Plane)]
         for s, first in enumerate(values):
             for second in values[s:]:
-                found += first.against(second, name, limit_of)
-    return sorted(found, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
+                all_alarms += first.against(second, name, limit_of)
+    return sorted(all_alarms, key=lambda alarm: (alarm.attribute, alarm.value, alarm.first, alarm.second))
 
 
 @in_short

@@ -308,7 +308,7 @@ class MatchPicture:
 
 
 def write(
-    made: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object] = warnings.warn
+    result: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object] = warnings.warn
 ) -> list[str]:
     """Writes the requested outputs into a folder and returns the file names. warn : called for an omitted one."""
     from astropy.table import Table
@@ -316,7 +316,7 @@ def write(
     from sameas.io import write_table
     from sameas.io.geojson import write_geojson
 
-    picture, facts = made.picture, made.facts(outputs.command)
+    picture, facts = result.picture, result.facts(outputs.command)
     written = []
     for name, columns in zip(TABLES, (picture.objects, picture.records), strict=True):
         written.append(f"{name}.{outputs.format}")
@@ -325,9 +325,9 @@ def write(
         written.append("objects.geojson")
         write_geojson(picture.objects, draft / written[-1])
     written.append("summary.json")
-    (draft / written[-1]).write_text(json_text(facts | made.as_json()), "utf-8")
+    (draft / written[-1]).write_text(json_text(facts | result.as_json()), "utf-8")
     if outputs.map or outputs.image:
-        written += _drawn(made, draft, outputs, warn)
+        written += _drawn(result, draft, outputs, warn)
     return written
 
 
@@ -344,9 +344,9 @@ def fullest(picture: Picture) -> float:
     return float(picture.instants_s[np.flatnonzero(np.array(sources) == max(sources))[-1]])
 
 
-def _drawn(made: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object]) -> Iterator[str]:
+def _drawn(result: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Callable[[str], object]) -> Iterator[str]:
     """Writes the map and the image, and yields their file names."""
-    sheet = made.sheet()
+    sheet = result.sheet()
     if outputs.coast is not None and sheet.plane is not None:
         sheet = replace(sheet, ground=outputs.coast.in_plane(sheet.plane))
     if outputs.map:
@@ -359,7 +359,7 @@ def _drawn(made: MatchPicture, draft: Path, outputs: PictureOutputs, warn: Calla
             from sameas.plots.map import chart
             from sameas.plots.sheet import save
 
-            save(chart(sheet, fullest(made.picture)), draft / "picture.png")
+            save(chart(sheet, fullest(result.picture)), draft / "picture.png")
             yield "picture.png"
 
 

@@ -176,12 +176,12 @@ def _near(one: Identified, other: Identified) -> bool:
 def write_series(each: Sequence[FieldSeries], folder: str | Path, facts: Mapping[str, Any]) -> list[str]:
     """Writes the star table and the frame table of every series; returns the file names."""
     written = []
-    made = {**program(), **facts}
+    facts_of_run = {**program(), **facts}
     for one in each:
         tables = {"stars": one.series.star_table(), "frames": one.series.frame_table()}
         for what, table in tables.items():
             written.append(f"{one.name}.{what}.fits")
-            write_table(table, Path(folder) / written[-1], provenance=made, overwrite=True)
+            write_table(table, Path(folder) / written[-1], provenance=facts_of_run, overwrite=True)
     return written
 
 

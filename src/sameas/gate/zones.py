@@ -358,11 +358,11 @@ def _sharpness(records: Records) -> FloatArray:
 def _percentiles(values: FloatArray, shares: tuple[float, ...]) -> FloatArray:
     """(k, d) quantiles of every column, equal to ``np.quantile``, which takes four times as long for a few hundred
     rows."""
-    places = [share * (len(values) - 1) for share in shares]
-    ends = [(int(place), min(int(place) + 1, len(values) - 1)) for place in places]
+    ranks = [share * (len(values) - 1) for share in shares]
+    ends = [(int(rank), min(int(rank) + 1, len(values) - 1)) for rank in ranks]
     ordered = np.partition(values, sorted({end for both in ends for end in both}), axis=0)
     return np.stack(
-        [_between(ordered[low], ordered[high], place - low) for (low, high), place in zip(ends, places, strict=True)]
+        [_between(ordered[low], ordered[high], rank - low) for (low, high), rank in zip(ends, ranks, strict=True)]
     )
 
 

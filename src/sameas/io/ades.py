@@ -185,21 +185,22 @@ def observations(found: Any, known: Any, which: Any, series: Any = None) -> list
 
     series : that the detections are of; magnitudes are then those of its frames, errors have those of their plates.
     """
-    seen, out = found.detections, []
+    detections, out = found.detections, []
     if series is None:
-        error = np.where(seen.magnitude_error > 0, seen.magnitude_error, np.nan)
-        covariance, magnitude, snr = seen.covariance, seen.magnitude, 1.0857 / error
+        error = np.where(detections.magnitude_error > 0, detections.magnitude_error, np.nan)
+        covariance, magnitude, snr = detections.covariance, detections.magnitude, 1.0857 / error
     else:
         covariance, magnitude, snr = (
-            np.concatenate([getattr(exposure, name) for exposure in series.exposures])[seen.rows]
+            np.concatenate([getattr(exposure, name) for exposure in series.exposures])[detections.rows]
             for name in ("covariance", "magnitude", "snr")
         )
     for k in which.tolist():
         for row in found.members[k][found.members[k] >= 0].tolist():
             out.append(
                 Observation.of(
-                    found.names[k], seen.mjd_utc[row], (seen.ra_deg[row], seen.dec_deg[row]), covariance[row],
-                    magnitude=float(magnitude[row]), magnitude_error=float(seen.magnitude_error[row]),
+                    found.names[k], detections.mjd_utc[row], (detections.ra_deg[row], detections.dec_deg[row]),
+                    covariance[row], magnitude=float(magnitude[row]),
+                    magnitude_error=float(detections.magnitude_error[row]),
                     snr=float(snr[row]), permanent="" if known is None else known.number(k),
                 )
             )  # fmt: skip

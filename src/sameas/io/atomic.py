@@ -255,8 +255,8 @@ def _remove_abandoned(folder: Path) -> None:
         return
     with suppress(OSError), os.scandir(folder) as entries:
         for entry in entries:
-            found = _DRAFT.match(entry.name)
-            if found and found[1] == _machine() and not _is_running(int(found[2])):
+            match = _DRAFT.match(entry.name)
+            if match and match[1] == _machine() and not _is_running(int(match[2])):
                 _remove(Path(entry.path))
 
 

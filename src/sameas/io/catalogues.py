@@ -257,12 +257,12 @@ def _column(schema: pa.Schema, named: str | None, usual: tuple[str, ...], folder
     import pyarrow as pa
 
     known = {name.lower(): name for name in schema.names}
-    found = next((known[name.lower()] for name in ((named,) if named else usual) if name.lower() in known), None)
-    if found is not None:
-        kind = schema.field(found).type
+    column = next((known[name.lower()] for name in ((named,) if named else usual) if name.lower() in known), None)
+    if column is not None:
+        kind = schema.field(column).type
         if pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind):
-            return found
-        message = f"{folder}: column {found} is {kind}, not numbers"
+            return column
+        message = f"{folder}: column {column} is {kind}, not numbers"
     else:
         message = f"{folder}: no column {named or what!r} among {', '.join(schema.names[:8])} …"
     raise InputError(message, Message("give ", Argument(what, "NAME")))

@@ -393,10 +393,10 @@ def _variable(name: str, values: NDArray[Any]) -> tuple[str, NDArray[Any]]:
     spelled = {"i1": "i2", "u2": "i4", "u4": "i8", "f2": "f4", "b1": "b"}.get(kind.str[1:], kind.str[1:])
     if spelled not in _CODES:
         raise InputError(f"column {name} has lists of {kind} in its cells; FITS has no room for them")
-    made = np.empty(len(values), dtype=object)
+    arrays = np.empty(len(values), dtype=object)
     for row, value in enumerate(values):
-        made[row] = np.asarray([] if value is None else value, dtype="bool" if spelled == "b" else spelled)
-    return f"P{_CODES[spelled]}()", made
+        arrays[row] = np.asarray([] if value is None else value, dtype="bool" if spelled == "b" else spelled)
+    return f"P{_CODES[spelled]}()", arrays
 
 
 def _unused(values: NDArray[Any], mask: BoolArray) -> int:

@@ -58,14 +58,14 @@ def write_geojson(
 
 def _points(objects: Columns) -> Iterator[dict[str, Any]]:
     """A feature for each row of the objects."""
-    places = _positions(objects)
+    positions = _positions(objects)
     columns = {name: _values(column) for name, column in objects.items() if name not in ("lat_deg", "lon_deg")}
     # Times since 1970 need more digits than other numbers.
     columns["time_s"] = np.asarray(objects["time_s"], dtype=np.float64).tolist()
     stamps = _stamps(columns["time_s"])
-    for k, place in enumerate(places):
+    for k, position in enumerate(positions):
         properties = {name: column[k] for name, column in columns.items()}
-        geometry = None if place is None else {"type": "Point", "coordinates": place}
+        geometry = None if position is None else {"type": "Point", "coordinates": position}
         properties = {**stamps.get(properties["time_s"], {}), **properties}
         yield {"type": "Feature", "geometry": geometry, "properties": properties}
 
@@ -73,9 +73,9 @@ def _points(objects: Columns) -> Iterator[dict[str, Any]]:
 def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
     """A feature for each object with two or more positions: the line through them, and their times."""
     rows: dict[int, list[tuple[float, list[float]]]] = {}
-    for (time_s, number), place in zip(_keys(objects), _positions(objects), strict=True):
-        if place is not None:
-            rows.setdefault(number, []).append((time_s, place))
+    for (time_s, number), position in zip(_keys(objects), _positions(objects), strict=True):
+        if position is not None:
+            rows.setdefault(number, []).append((time_s, position))
     labels = _values(objects["label"]) if "label" in objects else [None] * len(objects["object"])
     numbers = np.asarray(objects["object"]).tolist()
     names = {number: label for number, label in zip(numbers, labels, strict=True) if label}
@@ -89,15 +89,15 @@ def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
         }  # fmt: skip
         yield {
             "type": "Feature",
-            "geometry": {"type": "MultiLineString", "coordinates": _line_parts([place for _, place in points])},
+            "geometry": {"type": "MultiLineString", "coordinates": _line_parts([position for _, position in points])},
             "properties": properties,
         }
 
 
-def _line_parts(places: list[list[float]]) -> list[list[list[float]]]:
+def _line_parts(positions: list[list[float]]) -> list[list[list[float]]]:
     """The line through the positions, split into parts where it crosses the antimeridian."""
-    lines: list[list[list[float]]] = [[places[0]]]
-    for begin, end in pairwise(places):
+    lines: list[list[list[float]]] = [[positions[0]]]
+    for begin, end in pairwise(positions):
         first, *rest = _split_at_antimeridian(begin, end)
         lines[-1].append(first[1])
         lines += rest
@@ -108,13 +108,17 @@ def _lines(objects: Columns, records: Columns) -> Iterator[dict[str, Any]]:
     """A feature for each object and instant with two or more positioned records."""
     home = dict(zip(_keys(objects), _positions(objects), strict=True))
     ends: dict[tuple[float, int], list[list[float]]] = {}
-    for key, place in zip(_keys(records), _positions(records), strict=True):
-        if place is not None and home.get(key) is not None:
-            ends.setdefault(key, []).append(place)
+    for key, position in zip(_keys(records), _positions(records), strict=True):
+        if position is not None and home.get(key) is not None:
+            ends.setdefault(key, []).append(position)
     stamps = _stamps([time_s for time_s, _ in ends])
-    for (time_s, number), places in ends.items():
-        if len(places) > 1:
-            pieces = [piece for place in places for piece in _split_at_antimeridian(home[time_s, number], place)]
+    for (time_s, number), record_positions in ends.items():
+        if len(record_positions) > 1:
+            pieces = [
+                piece
+                for position in record_positions
+                for piece in _split_at_antimeridian(home[time_s, number], position)
+            ]
             geometry = {"type": "MultiLineString", "coordinates": pieces}
             properties = {**stamps.get(time_s, {}), "time_s": time_s, "object": number}
             yield {"type": "Feature", "geometry": geometry, "properties": properties}

@@ -64,8 +64,8 @@ def _head(first: bytes, path: Path) -> tuple[list[_HeadLine], int]:
     head_lines, width = [], 0
     for line in first.split(b"\n"):
         if line.startswith(b"#"):
-            found = _LINE.match(line.decode("utf-8", "replace"))
-            head_lines += [_HeadLine(int(found[1]), found[2], *_description_and_unit(found[3]))] if found else []
+            match = _LINE.match(line.decode("utf-8", "replace"))
+            head_lines += [_HeadLine(int(match[1]), match[2], *_description_and_unit(match[3]))] if match else []
         elif line.strip():
             width = len(words(line))
             break

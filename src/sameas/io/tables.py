@@ -329,11 +329,11 @@ def _with_plain_columns(table: Table, path: Path) -> Table:
             kind = type(column).__name__
             raise InputError(f"cannot write {path}: column {name} is a {kind}; write its parts as columns")
         columns.append(column)
-    made = Table(columns, names=_names_of_one_line(table.colnames), meta=table.meta, copy=False)
-    for column in made.columns.values():
+    writable = Table(columns, names=_names_of_one_line(table.colnames), meta=table.meta, copy=False)
+    for column in writable.columns.values():
         if _NO_NAME.search(str(column.unit or "")):
             column.unit = UnrecognizedUnit(_one_line(str(column.unit)))
-    return made
+    return writable
 
 
 #: Line ends and control characters, not allowed in column names and units.
@@ -341,12 +341,12 @@ _NO_NAME = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ufffe\uffff]")
 
 
 def _one_line(name: str) -> str:
-    return _NO_NAME.sub(lambda found: printable(found[0]), name)
+    return _NO_NAME.sub(lambda match: printable(match[0]), name)
 
 
 def _names_of_one_line(names: Sequence[str]) -> list[str]:
     """The names without line breaks, still distinct; names without line breaks are unchanged."""
-    taken, made = {name for name in names if not _NO_NAME.search(name)}, []
+    taken, one_line_names = {name for name in names if not _NO_NAME.search(name)}, []
     for name in names:
         if _NO_NAME.search(name):
             name = begin = _one_line(name)
@@ -355,8 +355,8 @@ def _names_of_one_line(names: Sequence[str]) -> list[str]:
                 number += 1
                 name = f"{begin}_{number}"
             taken.add(name)
-        made.append(name)
-    return made
+        one_line_names.append(name)
+    return one_line_names
 
 
 def _naming(error: BaseException, path: Path) -> BaseException:

@@ -110,8 +110,8 @@ def _without_padding(table: Table) -> Table:
         if column.dtype.kind == "U":
             values = np.char.strip(np.ma.getdata(column))
             empty = np.ma.getmaskarray(column) | (values == "")
-            made = MaskedColumn(values, name=name, mask=empty) if empty.any() else Column(values, name=name)
-            table.replace_column(name, made)
+            stripped = MaskedColumn(values, name=name, mask=empty) if empty.any() else Column(values, name=name)
+            table.replace_column(name, stripped)
     return table
 
 

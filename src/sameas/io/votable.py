@@ -320,10 +320,10 @@ def _portable(column: Column) -> Column:
         values = unicode_of(values)
     if values.dtype.kind == "U":
         values, kept["_votable_string_dtype"] = _text_cells(values)
-    made = {"name": column.name, "unit": column.unit, "description": column.description, "meta": kept}
+    attributes = {"name": column.name, "unit": column.unit, "description": column.description, "meta": kept}
     if mask is None or not np.any(mask):
-        return Column(values, **made)
-    return MaskedColumn(values, mask=mask, **made)
+        return Column(values, **attributes)
+    return MaskedColumn(values, mask=mask, **attributes)
 
 
 def _text_cells(values: NDArray[Any]) -> tuple[NDArray[Any], str]:
@@ -449,14 +449,14 @@ def _unicode(column: Column, empty_is_missing: bool) -> Column:
         values = values.astype("U")
     if empty_is_missing:
         mask = mask | (values == "")
-    made = MaskedColumn(values, mask=mask, name=column.name) if mask.any() else Column(values, name=column.name)
-    _describe(made, column)
-    return made
+    text_column = MaskedColumn(values, mask=mask, name=column.name) if mask.any() else Column(values, name=column.name)
+    _describe(text_column, column)
+    return text_column
 
 
 def _unmasked(column: Column) -> Column:
     from astropy.table import Column
 
-    made = Column(np.asarray(column), name=column.name)
-    _describe(made, column)
-    return made
+    plain = Column(np.asarray(column), name=column.name)
+    _describe(plain, column)
+    return plain

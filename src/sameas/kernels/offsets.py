@@ -358,10 +358,10 @@ def tally(
 
 
 @kernel
-def blocks(votes: FloatArray, place: IntArray, around: IntArray) -> FloatArray:
-    """(k,) sum of the votes of the cells at ``around`` (b,) steps from each ``place`` (k,) in the flattened grid."""
-    out = np.zeros(len(place))
-    for k in range(len(place)):
-        for b in range(len(around)):
-            out[k] += votes[place[k] + around[b]]
+def blocks(votes: FloatArray, cell: IntArray, step: IntArray) -> FloatArray:
+    """(k,) sum of the votes of the cells ``step`` (b,) away from each ``cell`` (k,) in the flattened grid."""
+    out = np.zeros(len(cell))
+    for k in range(len(cell)):
+        for b in range(len(step)):
+            out[k] += votes[cell[k] + step[b]]
     return out

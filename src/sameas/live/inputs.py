@@ -141,14 +141,14 @@ class Wire:
     async def _udp(self) -> None:
         parts = urlsplit(self.url)
         host, port = parts.hostname or "0.0.0.0", parts.port or 0
-        made = _udp_socket(host, port, parse_qs(parts.query).get("interface", ["0.0.0.0"])[0])
+        udp_socket = _udp_socket(host, port, parse_qs(parts.query).get("interface", ["0.0.0.0"])[0])
         loop, received = asyncio.get_running_loop(), self._received
 
         class Receiver(asyncio.DatagramProtocol):
             def datagram_received(self, data: bytes, addr: object) -> None:
                 received(data, True)
 
-        transport, _ = await loop.create_datagram_endpoint(Receiver, sock=made)
+        transport, _ = await loop.create_datagram_endpoint(Receiver, sock=udp_socket)
         try:
             self._set_connected()
             await asyncio.Event().wait()
@@ -227,22 +227,22 @@ class Wire:
 
 def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
     """A non-blocking socket bound to this address; a multicast group is joined."""
-    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    made.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
+    udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
     try:
         address = ipaddress.ip_address(socket.gethostbyname(host))
         if address.is_multicast:
-            made.bind((str(address), port))
+            udp.bind((str(address), port))
             group = struct.pack("4s4s", socket.inet_aton(str(address)), socket.inet_aton(interface))
-            made.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)
         else:
-            made.bind((str(address), port))
+            udp.bind((str(address), port))
     except OSError:
-        made.close()
+        udp.close()
         raise
-    made.setblocking(False)
-    return made
+    udp.setblocking(False)
+    return udp
 
 
 @dataclass

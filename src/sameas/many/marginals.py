@@ -437,10 +437,10 @@ class _Sums:
         """Starts and ln P of the numbers of merges that remain for each block after those of the certain sets."""
         if not self.counts:
             return np.zeros(len(blocks.group) + 1, np.int64), np.zeros(1)
-        made = np.bincount(self.sets.group[certain], self.sets.size[certain] - 1, len(self.table_start)).astype(
-            np.int64
-        )
-        low, high = self.table_start[blocks.group] + made[blocks.group], self.table_start[blocks.group + 1]
+        certain_merges = np.bincount(
+            self.sets.group[certain], self.sets.size[certain] - 1, len(self.table_start)
+        ).astype(np.int64)
+        low, high = self.table_start[blocks.group] + certain_merges[blocks.group], self.table_start[blocks.group + 1]
         lists = [self.table[a:b] for a, b in zip(low, high, strict=True)]
         return Ragged.of_sizes(high - low).start, np.concatenate([*lists, np.zeros(1)])
 

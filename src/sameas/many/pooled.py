@@ -117,9 +117,9 @@ class PooledRecords:
         if not len(self._keys):
             return np.zeros(i.shape, bool), np.zeros(i.shape, np.int64)
         key = i * len(self) + j
-        place = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
-        is_pair = self._keys[place] == key
-        return is_pair, np.where(is_pair, place, 0)
+        index = np.minimum(np.searchsorted(self._keys, key), len(self._keys) - 1)
+        is_pair = self._keys[index] == key
+        return is_pair, np.where(is_pair, index, 0)
 
     @cached_property
     def _keys(self) -> IntArray:

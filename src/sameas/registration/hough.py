@@ -313,14 +313,20 @@ def _peaks(
     chance = None if density is None else density * float(size.prod())
     if np.all(size <= tuning.fine_sigmas * sigma):
         return [
-            (score, start + (place + 0.5) * size)
-            for score, place, _ in _crowded(votes, count, chance, tuning.peak_share, tuning.peak_cells)
+            (score, start + (cell + 0.5) * size)
+            for score, cell, _ in _crowded(votes, count, chance, tuning.peak_share, tuning.peak_cells)
         ]
     result: list[Peak] = []
-    for _, place, around in _crowded(votes, min(count, tuning.coarse_peaks), chance, 0.0, 1):
-        block = start + (place - 1.0) * size, start + (place + 2.0) * size
+    for _, cell, chance_votes in _crowded(votes, min(count, tuning.coarse_peaks), chance, 0.0, 1):
+        block = start + (cell - 1.0) * size, start + (cell + 2.0) * size
         result += _peaks(
-            records, periods, block, sigma, max(1, count // tuning.coarse_peaks), tuning, around / float(size.prod())
+            records,
+            periods,
+            block,
+            sigma,
+            max(1, count // tuning.coarse_peaks),
+            tuning,
+            chance_votes / float(size.prod()),
         )
     result.sort(key=lambda entry: -entry[0])
     return result[:count]
@@ -350,22 +356,22 @@ def _crowded(
     counts = blocks(flat, filled, near)
     most = min(12 * count, len(counts))
     top = np.argpartition(counts, len(counts) - most)[len(counts) - most :] if most else filled
-    place = np.stack(np.unravel_index(filled[top], votes.shape), axis=1)
-    around = _surroundings(votes, place) if chance is None else np.full(len(top), chance)
-    expected, counted = around * block, counts[top]
+    cell = np.stack(np.unravel_index(filled[top], votes.shape), axis=1)
+    chance_votes = _surroundings(votes, cell) if chance is None else np.full(len(top), chance)
+    expected, counted = chance_votes * block, counts[top]
     score = np.where(counted > expected, counted * np.log(counted / expected) - (counted - expected), 0.0)
     peaks: list[tuple[float, FloatArray, float]] = []
     taken = np.empty((0, votes.ndim))
     for k in np.lexsort((filled[top], -score)):
         if len(peaks) == count or score[k] <= 0.0 or (peaks and score[k] < share * peaks[0][0]):
             break
-        if not (np.abs(taken - place[k]) <= apart_cells).all(axis=1).any():
-            peaks.append((float(score[k]), place[k].astype(np.float64), float(around[k])))
-            taken = np.vstack([taken, place[k]])
+        if not (np.abs(taken - cell[k]) <= apart_cells).all(axis=1).any():
+            peaks.append((float(score[k]), cell[k].astype(np.float64), float(chance_votes[k])))
+            taken = np.vstack([taken, cell[k]])
     return peaks
 
 
-def _surroundings(votes: FloatArray, place: IntArray) -> FloatArray:
+def _surroundings(votes: FloatArray, cell: IntArray) -> FloatArray:
     """Mean count of a cell around each cell (k, d): over blocks of a tenth of the field and their neighbours."""
     from scipy import ndimage
 
@@ -373,14 +379,14 @@ def _surroundings(votes: FloatArray, place: IntArray) -> FloatArray:
     # Empty surroundings do not mean that chance votes are impossible.
     least = max(0.05 * votes.mean(), 1e-6)
     if np.prod([min(3 * s, length) for s, length in zip(side, votes.shape, strict=True)]) < 20.0 * 3.0**votes.ndim:
-        return np.full(len(place), max(float(votes.mean()), least))
+        return np.full(len(cell), max(float(votes.mean()), least))
     blocks, filled = votes, np.ones(())
     for axis, step in enumerate(side):
         edges = np.arange(0, votes.shape[axis], step)
         blocks = np.add.reduceat(blocks, edges, axis=axis)
         filled = filled[..., None] * np.diff(np.append(edges, votes.shape[axis])).astype(np.float64)
     smooth = ndimage.uniform_filter(blocks, 3, mode="constant") / ndimage.uniform_filter(filled, 3, mode="constant")
-    at = tuple(place[:, axis] // side[axis] for axis in range(votes.ndim))
+    at = tuple(cell[:, axis] // side[axis] for axis in range(votes.ndim))
     return np.asarray(np.maximum(smooth[at], least))
 
 
@@ -409,19 +415,19 @@ def _correlated_peaks(
         votes *= np.expand_dims(np.abs(shift) <= limit[v] + size[v], tuple(u for u in range(d) if u != v))
     if np.all(size <= tuning.fine_sigmas * sigma):
         return [
-            (score, start + place * size)
-            for score, place, _ in _crowded(votes, count, None, tuning.peak_share, tuning.peak_cells)
+            (score, start + cell * size)
+            for score, cell, _ in _crowded(votes, count, None, tuning.peak_share, tuning.peak_cells)
         ]
     tree = cKDTree(one / size)
     sample = two[np.linspace(0, len(two) - 1, min(tuning.vote_sample, len(two))).astype(np.int64)]
     result: list[Peak] = []
-    for _, place, around in _crowded(votes, tuning.coarse_peaks, None, 0.0, 1):
-        centre = start + place * size
+    for _, cell, chance_votes in _crowded(votes, tuning.coarse_peaks, None, 0.0, 1):
+        centre = start + cell * size
         near = tree.query_ball_point((sample + centre) / size, 1.5, p=np.inf, return_sorted=False)
         at = np.repeat(np.arange(len(sample)), [len(rows) for rows in near])
         rows = np.array([row for rows in near for row in rows], np.int64)
         difference, box = one[rows] - sample[at], (centre - 1.5 * size, centre + 1.5 * size)
-        density = around / float(size.prod()) * len(sample) / len(two)
+        density = chance_votes / float(size.prod()) * len(sample) / len(two)
         origin = np.zeros((1, d))
         result += _peaks(
             (difference, origin), np.full(d, np.inf), box, sigma, max(1, count // tuning.coarse_peaks), tuning, density

@@ -50,8 +50,8 @@ class Fault:
 
 def source_faults(feeds: Sequence[Feed]) -> tuple[Fault, ...]:
     """The faults of the sources of a scene with a probability above ``sure_fault``, in order of time."""
-    found = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > feed.tuning.sure_fault]
-    return tuple(sorted(found, key=lambda fault: fault.first_s))
+    faults = [fault for feed in feeds for fault in _faults(feed, feeds) if fault.probability > feed.tuning.sure_fault]
+    return tuple(sorted(faults, key=lambda fault: fault.first_s))
 
 
 def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
@@ -77,10 +77,10 @@ def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
     seconds = np.concatenate([-ahead[::-1], ahead])
     at = np.asarray(reports.rows)
     for _ in range(tuning.clock_jumps):
-        found = jump_of(steps, at, seconds, tuning.fault_prior, tuning)
-        if found is None or found[0] <= least_log_odds:
+        jump = jump_of(steps, at, seconds, tuning.fault_prior, tuning)
+        if jump is None or jump[0] <= least_log_odds:
             break
-        log_odds, row, jump_s, votes = found
+        log_odds, row, jump_s, votes = jump
         when = float(reports.time_s[int(np.flatnonzero(at == row)[0])])
         words = (
             f"{feed.description.name}: its clock jumps by {jump_s:+.0f} s, as the motion of {votes} tracks shows; "
@@ -134,19 +134,19 @@ def _places(reports: Reports) -> FloatArray | None:
 def _frozen(feed: Feed) -> Iterator[Fault]:
     """A source whose moving tracks repeat their last positions exactly until it ends."""
     raw, reports, tuning = feed.raw_reports, feed.reports, feed.tuning
-    place = None if raw is None else _places(raw)
-    if raw is None or place is None or not isinstance(reports, States) or raw.object_ids is None:
+    position = None if raw is None else _places(raw)
+    if raw is None or position is None or not isinstance(reports, States) or raw.object_ids is None:
         return
     _, number = np.unique(np.array([str(one) for one in raw.object_ids]), return_inverse=True)
     order = np.lexsort([raw.time_s, number])
-    time_s, place, number = raw.time_s[order], place[order], number[order]
+    time_s, position, number = raw.time_s[order], position[order], number[order]
     velocity = raw.velocity_m_per_s()
     # Without velocities a track counts as moving by its changing positions only.
     speed = np.full(len(order), np.inf) if velocity is None else np.nan_to_num(np.hypot(*velocity.T), nan=0.0)[order]
     end, votes, n_frozen, begins = float(raw.time_s.max()), 0.0, 0, []
     n_moving = 0
     for rows in np.split(np.arange(len(order)), np.flatnonzero(np.diff(number)) + 1):
-        changed = np.flatnonzero((place[rows[1:]] != place[rows[:-1]]).any(axis=1))
+        changed = np.flatnonzero((position[rows[1:]] != position[rows[:-1]]).any(axis=1))
         if len(changed) < tuning.frozen_reports or end - time_s[rows[-1]] > 0.25 * (end - float(raw.time_s.min())):
             continue
         last = int(changed[-1]) + 1

@@ -209,8 +209,10 @@ class Reports:
                 own[name] = _typed(name, array)
         about = Damaged() if damaged is None else damaged
         own, extra, about = _without_infinite(source, own, extra, about)
-        made = cls(source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes))
-        return _with_plain_angles(_checked(made))
+        reports = cls(
+            source, kind, **own, extra=extra, damaged=about, passed_over=passed_over or {}, notes=tuple(notes)
+        )
+        return _with_plain_angles(_checked(reports))
 
     @property
     def position(self) -> str:
