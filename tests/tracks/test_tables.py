@@ -46,6 +46,12 @@ def understood(*names):
         (("BaseDateTime", "LAT", "LON", "VesselName", "VesselType", "Length", "Width", "IMO"),
          {"time_s": "BaseDateTime", "lat_deg": "LAT", "lon_deg": "LON", "name": "VesselName", "type": "VesselType",
           "length_m": "Length", "width_m": "Width", "imo": "IMO"}),
+        (("UTC", "Tgt No", "Range (NM)", "Brg (T)"),
+         {"time_s": "UTC", "track_id": "Tgt No", "range_m": "Range (NM)", "bearing_deg": "Brg (T)"}),
+        (("UTC", "Target number", "Range", "Bearing (deg T)", "Bearing (R)"),
+         {"time_s": "UTC", "track_id": "Target number", "range_m": "Range", "bearing_deg": "Bearing (deg T)"}),
+        (("UTC", "Trk no.", "Rng (NM)", "True bearing"),
+         {"time_s": "UTC", "track_id": "Trk no.", "range_m": "Rng (NM)", "bearing_deg": "True bearing"}),
     ],
 )  # fmt: skip
 def test_common_column_names_are_recognised(names, expected):

@@ -84,7 +84,11 @@ QUANTITIES = (
     _quantity("y_m", "length", "y north n ynorth northing ypos posy"),
     _quantity("z_m", "length", "z up"),
     _quantity("range_m", "length", "range rng rho distance dist slantrange r"),
-    _quantity("bearing_deg", "angle", "bearing brg azimuth az theta"),
+    _quantity(
+        "bearing_deg",
+        "angle",
+        "bearing brg azimuth az theta truebearing truebrg bearingtrue brgtrue bearingt brgt bearingdegt",
+    ),
     _quantity("elevation_deg", "angle", "elevation el elev"),
     _quantity("station_lat_deg", "angle", "stationlat sensorlat ownlat ownshiplat"),
     _quantity("station_lon_deg", "angle", "stationlon sensorlon ownlon ownshiplon"),
@@ -111,7 +115,12 @@ QUANTITIES = (
     _quantity("sigma_range_m", "length", "sigmarange rangesigma rangestd stdrange sigmar"),
     _quantity("sigma_bearing_deg", "angle", "sigmabearing bearingsigma bearingstd sigmaazimuth azimuthsigma sigmaaz"),
     _quantity("sigma_elevation_deg", "angle", "sigmaelevation elevationsigma sigmael"),
-    _quantity("track_id", "text", "trackid tracknumber trackno tracknum id targetid target targetno objectid uid"),
+    _quantity(
+        "track_id",
+        "text",
+        "trackid tracknumber trackno tracknum id targetid target targetno targetnumber tgt tgtid tgtno trkid trkno "
+        "tracknr targetnr objectid uid",
+    ),
     _quantity("mmsi", "text", "mmsi"),
     _quantity("imo", "text", "imo imonumber"),
     _quantity("icao", "text", "icao24 icao icaoaddress hex modes modesaddress"),
