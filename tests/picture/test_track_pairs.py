@@ -17,7 +17,8 @@ from sameas.kernels.track_pairs import (
 )
 from sameas.picture.error_factors import MIN_M2, error_update
 from sameas.picture.named_tracks import prior_covariance
-from sameas.picture.track_pairs import Rivals
+from sameas.picture.track_pairs import Rivals, SwapRates
+from sameas.picture.tuning import DEFAULT_TUNING
 
 WAYS = ("interpreted", "compiled")
 
@@ -172,3 +173,42 @@ def test_pairs_of_one_track_are_rivals_whichever_track_began_first():
     assert rivals.best_other(values, 0).tolist() == [1, 0, 3, 2]
     assert rivals.best_other(values, 1).tolist() == [2, 3, 0, 1]
     assert rivals.max_other(values).tolist() == [2.0, 3.0, 3.0, 2.0]
+
+
+def two_by_two():
+    """Tracks 0 and 1 of source 0 with tracks 2 and 3 of source 1: rivals, and ln r for (0, 2) and (1, 3)."""
+    source = np.array([0, 0, 1, 1])
+    first, second = np.array([0, 0, 1, 1]), np.array([2, 3, 2, 3])
+    return Rivals.of(first, second, source[first], source[second]), np.array([6.0, -5.0, -5.0, 6.0])
+
+
+def test_one_swap_bounds_the_joint_odds_of_the_two_pairs_that_it_exchanges():
+    rivals, log_ratio = two_by_two()
+    p = 0.1
+
+    def swaps_of_source_1(side, pair, rival):
+        return np.full(len(pair), p if side == 0 else 0.0)
+
+    now = rivals.with_joint_swaps(log_ratio, log_ratio, swaps_of_source_1)
+    # A hidden state with two values, exchanged with probability p: its odds after the prediction step.
+    before = np.exp(log_ratio[0] + log_ratio[3] - log_ratio[1] - log_ratio[2])
+    expected = ((1.0 - p) * before + p) / ((1.0 - p) + p * before)
+    assert now[0] + now[3] - now[1] - now[2] == pytest.approx(np.log(expected))
+    # Whether a track of the one source has a partner among the two of the other does not change.
+    np.testing.assert_allclose(np.logaddexp(now[0], now[1]), np.logaddexp(log_ratio[0], log_ratio[1]))
+
+
+def test_a_swap_that_exchanges_one_pair_only_or_is_impossible_changes_no_history():
+    rivals, log_ratio = two_by_two()
+    assert np.array_equal(rivals.with_joint_swaps(log_ratio, log_ratio, lambda side, pair, _: 0.0 * pair), log_ratio)
+    # Track 1 has no partner: pairs (1, 2) and (1, 3) are less probable than chance.
+    alone = np.array([6.0, 5.0, -5.0, -5.0])
+    now = rivals.with_joint_swaps(alone, alone, lambda side, pair, _: np.full(len(pair), 0.1 if side == 0 else 0.0))
+    assert np.array_equal(now[:2], alone[:2])
+
+
+def test_a_swap_rate_counts_as_far_as_it_is_established():
+    swaps = SwapRates().of_sources(("tracks", "ais"), DEFAULT_TUNING)
+    tracks, ais = swaps.established(0.1, DEFAULT_TUNING)
+    assert ais == 0.0
+    assert 0.0 < tracks < 0.1 * swaps.rate(np.array([0]), DEFAULT_TUNING)[0]

@@ -37,6 +37,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -46,12 +47,13 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
+from sameas.gaussian import mahalanobis_sq
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.object_table import ColumnTable
 from sameas.picture.scan import Scan, objects_per_m2
-from sameas.picture.track_pairs import Rivals, SwapRates, TrackPairs, keys, with_manoeuvres
+from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import places_in
 from sameas.representation import in_short
@@ -212,6 +214,9 @@ def _timeouts(tracks: NamedTracks) -> FloatArray:
 
 #: Default ε: one report in ten thousand, for a radar of 20 rotations a minute once in eight hours (chosen).
 REASSIGNED = 1e-4
+#: Swap rates count as far as they are established: quantile of h for :meth:`Rivals.with_joint_swaps` (chosen). With the
+#: mean, ships abreast whose reports cannot show a swap would lose the history that they have.
+SWAP_QUANTILE = 0.1
 
 
 @in_short
@@ -333,7 +338,30 @@ class TrackMemory:
         # With an agreeing rival, ids may have been swapped: the mean offset may mix several objects.
         alone = rivals.max_other(np.where(agrees, 0.0, -np.inf)) < 0.0
         log_ratio += np.where(alone, track_pairs.log_offset, 0.0)
+        if tracks.scan is not None:
+            log_odds = log_ratio + track_pairs.log_now - math.log(objects_per_m2(tracks.scan.now))
+            numbers = by_source_order((first, second), (tracks.source[first], tracks.source[second]))
+            log_ratio = rivals.with_joint_swaps(
+                log_ratio, np.where(agrees, log_odds, -np.inf), partial(self._p_swap, tracks.scan, numbers)
+            )
         return rivals.bounded(log_ratio, agrees, self.reassigned)
+
+    def _p_swap(
+        self, scan: Scan, numbers: tuple[IntArray, IntArray], side: int, pair: IntArray, rival: IntArray
+    ) -> FloatArray:
+        """(n,) probability that the ids of the tracks in which pairs and rivals differ were swapped since a scan.
+
+        0 unless both tracks have a report of their source's last scan. numbers : (k,), (k,) indices of the tracks.
+        """
+        tracks, tuning = self.tracks, scan.tuning
+        one, other = tracks.place[numbers[1 - side][pair]], tracks.place[numbers[1 - side][rival]]
+        covariance = scan.reported_covariance[:, :2, :2]
+        chi_sq = mahalanobis_sq(scan.state[one, :2] - scan.state[other, :2], covariance[one] + covariance[other])
+        rate = self.swaps.established(SWAP_QUANTILE, tuning)[tracks.source[numbers[1 - side][pair]]]
+        period_s = np.array([d.timing.period_s or tuning.period_s for d in scan.now.descriptions])[scan.source]
+        is_recent = scan.now.instant_s - scan.time_s <= 1.5 * period_s
+        near = np.exp(-chi_sq / tuning.swap_chi_sq)
+        return np.where(is_recent[one] & is_recent[other] & (near > MIN_SWAP), np.minimum(rate * near, 0.4), 0.0)
 
     def with_real(self, track: IntArray) -> TrackMemory:
         """The memory after other sources confirm tracks (any shape, −1 for none) as real."""

@@ -29,7 +29,7 @@ Source: METHOD 3.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -201,7 +201,7 @@ class TrackPairs(ColumnTable):
         )
         updated = replace(updated, distant=self.distant.advance(step, newly_distant, tuning))
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
-        by_source = _by_source((a, b), (step.source[a], step.source[b]))
+        by_source = by_source_order((a, b), (step.source[a], step.source[b]))
         log_weight = self.log_ratio[rows] + self.log_reported[rows]
         best, log_report, p_swap = _swap_hypotheses(log_weight, log_two, step, by_source, rivals, tuning)
         log_rival = np.append(self.log_ratio[rows], 0.0)[best]
@@ -343,7 +343,7 @@ def _swap_hypotheses(
     rival (−1 without one), ln p of the pair's new reports apart from the position if their ids were swapped, and the
     probability of a swap for h = 1.
 
-    tracks : (k,), (k,) of both sources, as of :func:`_by_source`.
+    tracks : (k,), (k,) of both sources, as of :func:`by_source_order`.
     log_weight : (k,) ln r with the positions of the last reports. log_two : (k,) ln p of the new reports given two
     objects.
 
@@ -377,7 +377,7 @@ def _without_history(
     return out
 
 
-def _by_source(pair: tuple[IntArray, IntArray], source: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
+def by_source_order(pair: tuple[IntArray, IntArray], source: tuple[IntArray, IntArray]) -> tuple[IntArray, IntArray]:
     """(k,), (k,) both values of each pair, that of the source with the lower number first."""
     in_order = source[0] <= source[1]
     return np.where(in_order, *pair), np.where(in_order, *pair[::-1])
@@ -388,7 +388,7 @@ class Rivals:
     """Sets of mutually exclusive pairs: one track with each of the tracks of one other source.
 
     sides : (k,), (k,) numbers of the two sets of each pair: with the same track of the one source, and with the same of
-    the other, in the order of :func:`_by_source`.
+    the other, in the order of :func:`by_source_order`.
     """
 
     sides: tuple[IntArray, IntArray]
@@ -398,7 +398,9 @@ class Rivals:
         """first, second : (k,) numbers of the tracks, from 0 without large gaps. one, other : (k,) their sources."""
         sources = 1 + max(int(one.max(initial=0)), int(other.max(initial=0)))
         # A track that began later may be the second of one pair and the first of another.
-        (first, second), (one, other) = (_by_source(pair, (one, other)) for pair in ((first, second), (one, other)))
+        (first, second), (one, other) = (
+            by_source_order(pair, (one, other)) for pair in ((first, second), (one, other))
+        )
         return cls((first * sources + other, second * sources + one))
 
     def best_other(self, values: FloatArray, side: int) -> IntArray:
@@ -429,6 +431,36 @@ class Rivals:
         for side in range(2):
             better = padded[self.best_other(padded[:-1], 1 - side)]
             out = np.maximum(out, _group_maximum(self.sides[side], np.where(better > values, -np.inf, values)))
+        return out
+
+    def with_joint_swaps(
+        self, log_ratio: FloatArray, log_odds: FloatArray, p_swap: Callable[[int, IntArray, IntArray], FloatArray]
+    ) -> FloatArray:
+        """(k,) ln r, bounded as far as a swap of ids may have exchanged two pairs at once.
+
+        A swap of b and b′ exchanges (a, b), (a′, b′) for (a, b′), (a′, b). As ln r of each pair allows for it alone,
+        the sum of both is bounded by 2 ln[(1 − p) / p], twice what one swap permits. So the difference Δ of ln r of a
+        pair and of its best rival becomes ½ ln{[(1 − p) e^(2Δ) + p] / [(1 − p) + p e^(2Δ)]}.
+
+        log_odds : (k,) of each pair against chance, −∞ where the positions of the instant disagree. p_swap : gives the
+        probability p of pairs (n,) and their rivals (n,), with the same first track (0) or the same second one (1).
+        """
+        out = log_ratio.copy()
+        padded = np.append(log_odds, -np.inf)
+        for side in range(2):
+            best = self.best_other(log_odds, side)
+            partner = padded[self.best_other(log_odds, 1 - side)]
+            at = np.flatnonzero(best >= 0)
+            # Without a pair (a′, b′) or (a′, b), the swap exchanges one pair only, and ln r allows for it.
+            at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
+            p = p_swap(side, at, best[at])
+            at, p = at[p > 0.0], p[p > 0.0]
+            change = log_ratio[at] - log_ratio[best[at]]
+            log_stay, log_swap = np.log1p(-p), np.log(p)
+            joint = 0.5 * (
+                np.logaddexp(log_stay + 2.0 * change, log_swap) - np.logaddexp(log_stay, log_swap + 2.0 * change)
+            )
+            out[at] += np.logaddexp(0.0, -change) - np.logaddexp(0.0, -joint)
         return out
 
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
@@ -471,6 +503,14 @@ class SwapRates:
             return np.empty(0)
         weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
         return np.asarray((weight @ np.array(tuning.swap_rates) / weight.sum(axis=1))[source])
+
+    def established(self, share: float, tuning: Tuning) -> FloatArray:
+        """(S,) h that each source exceeds with probability 1 − ``share`` or more; 0 for sources that never swap."""
+        if not len(self.log_probable):
+            return np.empty(0)
+        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, keepdims=True))
+        at = np.argmax(np.cumsum(weight, axis=1) >= share * weight.sum(axis=1, keepdims=True), axis=1)
+        return np.where(np.isfinite(self.log_probable).sum(axis=1) > 1, np.array(tuning.swap_rates)[at], 0.0)
 
     def updated(
         self, before: tuple[FloatArray, FloatArray], gain: FloatArray, log_now: FloatArray,
