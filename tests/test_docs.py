@@ -182,7 +182,7 @@ def test_documents_name_no_private_paths(page):
 def test_equations_cited_in_code_are_on_the_method_page():
     heads = re.findall(r"^#+ ([\d.]*\d)\.? ", (HOME / "docs/method.md").read_text(encoding="utf-8"), re.MULTILINE)
     for path in (HOME / "src").rglob("*.py"):
-        for number in re.findall(r"METHOD (\d(?:\.\d)?)", path.read_text(encoding="utf-8")):
+        for number in re.findall(r"METHOD (\d+(?:\.\d+)?)", path.read_text(encoding="utf-8")):
             assert number in heads, f"{path.name} cites METHOD {number}"
 
 

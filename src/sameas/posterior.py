@@ -254,7 +254,9 @@ def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNIN
 
 
 def log_evidence(groups: Groups, best: Hypothesis, p_pair: FloatArray) -> FloatArray:
-    """(g,) ln Z: ln of the sum over all hypotheses of a group of exp(Σ weight), under a linear prior (METHOD 6.1c).
+    """(g,) ln Z: ln of the sum over all hypotheses of a group of exp(Σ weight), under a linear prior.
+
+    Z of METHOD 6, equation 6.1c.
 
     Exact where elimination is; elsewhere the Bethe approximation, which is exact on trees,
 

@@ -1,7 +1,7 @@
 """Evidence of columns for whether a record has a partner, estimated together with the identification.
 
-All columns of a source are fitted jointly: ln r of METHOD 6.6 is their addition to the logit of the share of records
-with a partner, fitted by penalised likelihood to the probability that each record has one,
+All columns of a source are fitted jointly: ln r (METHOD 6, equation 6.6) is their addition to the logit of the share of
+records with a partner, fitted by penalised likelihood to the probability that each record has one,
 
     logit P(partner | position, c) = logit of the local share + Σ f(c of one column) + Σ g(cells of two columns).
 

@@ -7,9 +7,9 @@ candidates j, at most one of which is the same object,
 
     L = 1 − c + c Σ_j N(Δ_j; 0, a²Σ_j + f²·1) / ρ,
 
-with ρ the density of the other source (METHOD 6.1a). Competition between records is ignored here; it counts in the sum
-over one-to-one hypotheses for the remaining points of the grid. The prior says that formal errors are usually too
-small, and that a floor of the size of the quoted error is common.
+with ρ the density of the other source (METHOD 6, equation 6.1a). Competition between records is ignored here; it counts
+in the sum over one-to-one hypotheses for the remaining points of the grid. The prior says that formal errors are
+usually too small, and that a floor of the size of the quoted error is common.
 
 With many pairs, estimation starts from the best point; with few, the points that are not ruled out are averaged over
 (:mod:`sameas.estimate.error_average`).

@@ -1,6 +1,6 @@
 """Columns of one source as evidence: how a number or category of a record changes its odds of having a partner.
 
-The evidence of a column with the value c is (METHOD 6.6)
+The evidence of a column with the value c is (METHOD 6, equation 6.6)
 
     ln r(c) = ln p(c | record has a partner) − ln p(c | record that the other source does not show),
 
