@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 #: Size of all files from which catalogues are read two at a time.
 TWO_AT_ONCE_BYTES = 4_000_000
 #: Bytes of freed memory that are kept for later arrays.
-KEPT_BYTES = 1 << 28
+KEPT_BYTES = 1 << 26
 
 
 def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Catalogue]:
