@@ -1,6 +1,7 @@
 """The HTTP server: event streams, tokens, and endpoints for other programs."""
 
 import json
+import re
 import urllib.error
 import urllib.request
 
@@ -55,6 +56,16 @@ def test_event_streams_begin_with_a_full_frame_and_resume_from_the_last_id(keepe
         assert again[:2] == ("delta", third[1]) and again[2]["objects"] == third[2]["objects"]
         # Ids that are too old or of another run cannot be resumed.
         assert events(url, 1, Last_Event_ID="123456789")[0][0] == "whole"
+
+
+@pytest.mark.slow
+def test_the_page_begins_with_the_objects_and_their_records(keeper):
+    """Before its first event it would else show no source and no probability of any object."""
+    with served(keeper) as url:
+        [whole] = events(url, 1)
+        _, _, page = ask(url)
+    rows = {name: int(n) for name, n in re.findall(r'"name": ?"([or])\.n"[^}]*"n": ?(\d+)', page)}
+    assert len(whole[2]["objects"]) >= 4 and rows["o"] >= 4 and rows["r"] >= rows["o"]
 
 
 @pytest.mark.slow

@@ -241,14 +241,14 @@ def live_page(keeper: Keeper, operator: bool) -> str:
     with keeper.lock:
         frame = keeper.frame
     empty: Mapping[str, Any] = {}
-    objects = empty if frame is None else frame.objects
+    objects, records = (empty, empty) if frame is None else (frame.objects, frame.records)
     sensors = [MapSensor.of(source.description, plane) for source in keeper.settings.sources.values()
                if source.description.site is None or _same_plane(source.description.site, plane)]  # fmt: skip
     sensors += [MapSensor(name, source.description.kind) for name, source in keeper.settings.sources.items()
                 if name not in {sensor.name for sensor in sensors}]  # fmt: skip
     instant_s = keeper.now_s() if frame is None else frame.time_s
     sheet = MapSheet.of(
-        "Live picture", _filled(objects), {}, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
+        "Live picture", _filled(objects), records, instants_s=np.array([instant_s]), sensors=sensors, plane=plane,
         summary=[*(str(one) for one in keeper.picture.biases.values()), *keeper.picture.errors],
         ground=None if watch.chart is None or plane is None else _chart(watch.chart).in_plane(plane),
     )  # fmt: skip
