@@ -84,6 +84,22 @@ def test_sources_too_far_apart_for_one_plane_are_refused(columns, words):
         doubts_with(DEGREES, "ais", columns)
 
 
+def test_both_explanations_of_a_far_source_are_named():
+    """Exchanged coordinates of a site explain the distance as well as exchanged columns of the other source."""
+    about, reports = DEGREES["radar"]
+    site = replace(about.site, lat_deg=about.site.lon_deg, lon_deg=about.site.lat_deg)
+    words = "ais: its latitudes and longitudes look exchanged: .*; or radar 1: its site's latitude and longitude look"
+    with pytest.raises(InputError, match=words):
+        Scene.of([(replace(about, site=site), reports), DEGREES["ais"]])
+
+
+def test_ranges_beyond_the_limit_are_named_as_ranges():
+    with pytest.raises(
+        InputError, match=r"ranges are longer than 900 km \(first: row \d+: \d+ km\); are they in another"
+    ):
+        doubts_with(DEGREES, "radar", {"range_m": DEGREES["radar"][1].range_m * 1852.0})
+
+
 @pytest.mark.slow
 def test_a_site_with_a_wrong_sign_is_reported():
     about, reports = DEGREES["radar"]

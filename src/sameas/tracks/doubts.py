@@ -271,20 +271,31 @@ def _far(source: Source, home: Source, reach_m: float) -> str:
     away = _typical_m(LocalPlane.about(*near), far)
     opening = f"{source[0].name}: lies {away / 1e3:.0f} km from {home[0].name}, too far for one plane"
     # Wrong columns are tried first: they are more frequent than wrong sites.
-    for one, other in sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None):
-        for guess in place_guesses(one[1]):
-            changed = guess.read(*one)
-            moved, there = None if changed is None else _places(*changed), _places(*other)
-            if moved is None or there is None:
-                continue
-            inside = int(np.sum(_distance_m(LocalPlane.about(*there), moved) < reach_m))
-            if 2 * inside > len(moved[0]):
-                what = "its site lies" if one[1].lat_deg is None else f"{inside} of {len(moved[0])} positions lie"
-                return (
-                    f"{opening}; {one[0].name}: its {guess.suspicion}: with {guess.changed}, {what} where "
-                    f"{other[0].name} is; {guess.remedy}, unless it is {other[0].name} that is wrong"
-                )
+    pairs = sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None)
+    explanations = [one for pair in pairs if (one := _explanation(*pair, reach_m))]
+    if len(explanations) == 2:
+        return f"{opening}; {'; or '.join(explanations)}"
+    if explanations:
+        wrong = home if explanations[0].startswith(f"{source[0].name}: ") else source
+        return f"{opening}; {explanations[0]}, unless it is {wrong[0].name} that is wrong"
     return f"{opening}; check the sign and the order of its coordinates, or make a picture of one of the two areas"
+
+
+def _explanation(source: Source, other: Source, reach_m: float) -> str:
+    """The mistake in a source that would explain its distance from another one, and its remedy; "" if there is none."""
+    name, there = source[0].name, _places(*other)
+    assert there is not None
+    for guess in place_guesses(source[1]):
+        changed = guess.read(*source)
+        moved = None if changed is None else _places(*changed)
+        if moved is None:
+            continue
+        inside = int(np.sum(_distance_m(LocalPlane.about(*there), moved) < reach_m))
+        if 2 * inside > len(moved[0]):
+            what = "its site lies" if source[1].lat_deg is None else f"{inside} of {len(moved[0])} positions lie"
+            where = f"{what} where {other[0].name} is"
+            return f"{name}: its {guess.suspicion}: with {guess.changed}, {where}; {guess.remedy}"
+    return ""
 
 
 def _places(description: Description, reports: Reports) -> tuple[FloatArray, FloatArray] | None:

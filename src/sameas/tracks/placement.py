@@ -22,6 +22,7 @@ from sameas.records import unpack
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import (
     EARTH_M,
+    FARTHEST_M,
     LocalPlane,
     along_and_across,
     bearing_in_plane,
@@ -212,6 +213,7 @@ class PlacedReports:
         range_m, bearing = np.asarray(reports.range_m), reports.bearing_deg
         if bearing is None:
             raise InputError(f"{self.description.name}: ranges without bearings; no position follows from them")
+        self._refuse_long_ranges(range_m)
         self._needed("errors", "range_m")
         sigma_range = _filled(reports.sigma_range_m, errors.sigma_range_m(range_m))
         sigma_bearing = _filled(reports.sigma_bearing_deg, self._needed("errors", "bearing_deg"), n)
@@ -232,6 +234,16 @@ class PlacedReports:
         to_plane = self.plane.jacobian(ground.lat_deg, ground.lon_deg, ground.height_m)
         position = self.plane.of_geodetic(ground.lat_deg, ground.lon_deg, self.description.name)
         return _Positions(position, propagated(to_plane, ground.covariance + extent), to_plane)
+
+    def _refuse_long_ranges(self, range_m: FloatArray) -> None:
+        """Refuse ranges in another unit: of which at least half are beyond the limit of the plane."""
+        far = np.flatnonzero(range_m > FARTHEST_M)
+        if len(far) and 2 * len(far) >= np.count_nonzero(np.isfinite(range_m)):
+            raise InputError(
+                f"{self.description.name}: {len(far)} ranges are longer than {FARTHEST_M / 1e3:.0f} km "
+                f"(first: row {far[0]}: {range_m[far[0]] / 1e3:.0f} km)",
+                "are they in another unit? Give it in the name of the column, for example range_m or range_nm",
+            )
 
     def _directions(self) -> Directions:
         reports = self.reports
