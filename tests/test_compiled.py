@@ -179,6 +179,7 @@ import numpy as np
 from numba.core.codegen import JITCPUCodegen
 from sameas.kernels.summary import greatest_pair
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 library = JITCPUCodegen._library_class
 answer = library._object_getbuffer_hook.__func__
 

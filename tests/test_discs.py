@@ -80,6 +80,17 @@ def test_a_field_that_both_observe_is_not_taken_for_discs(share, n):
     assert coverage.discs is None
 
 
+@pytest.mark.parametrize("moved", ["shifted", "rotated"])
+@pytest.mark.parametrize("n", [10, 40, 300])
+def test_an_offset_between_two_catalogues_is_not_taken_for_discs(moved, n):
+    """All residuals of a shift are of one length; those of a rotation fill a disc evenly, in all directions."""
+    one = NARROW.draw(np.random.default_rng(n), n)
+    from_middle = (one - (150.0, 2.0)) * 3600.0
+    shift = np.full((n, 2), 0.7) if moved == "shifted" else 1e-3 * from_middle[:, ::-1] * (-1.0, 1.0)
+    coverage = Coverage.of(*(Records.of(x, sigma=1.0, space=Sphere()) for x in (one, displaced(one, shift))))
+    assert coverage.discs is None
+
+
 def test_the_report_says_that_the_field_consists_of_discs():
     first, second, *_ = queried(np.random.default_rng(1), WIDE, 100, 10.0, 2.0)
     one, two = ({"ra": records.features[:, 0], "dec": records.features[:, 1]} for records in (first, second))

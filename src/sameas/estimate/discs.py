@@ -24,6 +24,11 @@ FULL = 0.25
 #: Least number of records in the outer half of the discs, and in the outer half per record in the quarter of the area
 #: next to it: in discs 2, around partners alone (residuals of any distribution that falls outwards) less than 1.
 OUTER, FLAT = 8, 1.2
+#: Least number of records that have the same nearest centre as another, per record in the outer half. Two catalogues of
+#: the same objects with a shift or a rotation between them fill discs as well, but with one record each.
+REPEATED = 0.5
+#: Most products of coordinates for finding the nearest centres without a tree, whose import takes longer.
+FEW_PRODUCTS = 4_000_000
 #: Points per disc at which the number of discs that overlap is counted.
 POINTS = 64
 
@@ -67,16 +72,16 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
     # Discs that overlap at most by half.
     if 0.5 * len(centres) * math.pi * least**2 > most:
         return None
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(ground)
-    chord, of = tree.query(unit_vectors(*others.T))
+    chord, of = _nearest(ground, unit_vectors(*others.T))
     # The outermost of n records lies at about 1 − 1/2n of the radius.
     reach = float(chord.max()) * (1.0 + 0.5 / len(others))
     outer = int(np.count_nonzero(chord > reach * math.sqrt(0.5)))
     next_to_it = int(np.count_nonzero(chord > 0.5 * reach)) - outer
-    if outer < OUTER or outer < FLAT * next_to_it:
+    if outer < OUTER or outer < FLAT * next_to_it or len(of) - len(np.unique(of)) < REPEATED * outer:
         return None
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(ground)
     # A sunflower: POINTS points that share the area of a disc evenly.
     k = np.arange(POINTS) + 0.5
     at, angle = reach * np.sqrt(k / POINTS), k * math.pi * (3.0 - math.sqrt(5.0))
@@ -90,3 +95,14 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
     radius = reach * ARCSEC_PER_RADIAN
     area = math.pi * radius**2 * share / POINTS
     return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
+
+
+def _nearest(centres: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
+    """(m,) distance to the nearest of ``centres`` (n, 3) and its index, for ``others`` (m, 3); unit vectors."""
+    if len(centres) * len(others) > FEW_PRODUCTS:
+        from scipy.spatial import cKDTree
+
+        distance, index = cKDTree(centres).query(others)
+        return distance, index
+    index = np.argmax(others @ centres.T, axis=1)
+    return np.linalg.norm(others - centres[index], axis=1), index
