@@ -450,7 +450,7 @@ class Rivals:
         for side in range(2):
             best = self.best_other(log_odds, side)
             partner = padded[self.best_other(log_odds, 1 - side)]
-            at = np.flatnonzero(best >= 0)
+            at = np.flatnonzero(padded[best] > -np.inf)  # −1, no rival, reads the last
             # Without a pair (a′, b′) or (a′, b), the swap exchanges one pair only, and ln r allows for it.
             at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
             p = p_swap(side, at, best[at])
