@@ -216,7 +216,7 @@ def test_large_tables_are_read_two_at_a_time_with_the_same_result(
     paths = [tmp_path / f"{name}{ending}" for name in ("first", "second", "none", "cut")]
     for source, path in zip(field_files, paths, strict=False):
         write_table(read_table(source), path, provenance={})
-    paths[3].write_bytes(paths[0].read_bytes()[:1000])
+    paths[3].write_bytes(paths[0].read_bytes()[:1000] if ending == ".parquet" else b"no table")
 
     def outcome():
         printed = sameas("match", *paths[:2], "-o", tmp_path / "out.csv").stdout
