@@ -27,8 +27,9 @@ OUTER, FLAT = 8, 1.2
 #: Least number of records that have the same nearest centre as another, per record in the outer half. Two catalogues of
 #: the same objects with a shift or a rotation between them fill discs as well, but with one record each.
 REPEATED = 0.5
-#: Most products of coordinates for finding the nearest centres without a tree, whose import takes longer.
-FEW_PRODUCTS = 4_000_000
+#: Most pairs of a centre and a record for finding the nearest centres without a tree, whose import takes longer; 2 SOME
+#: records, which are the most that are looked at first, stay below it.
+FEW_PAIRS = 8_000_000
 #: Points per disc at which the number of discs that overlap is counted.
 POINTS = 64
 
@@ -67,8 +68,7 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
         return None
     ground = unit_vectors(*centres.T)
     some = unit_vectors(*others[:: max(1, len(others) // SOME)].T)
-    nearest = ground[np.argmax(some @ ground.T, axis=1)]
-    least = float(np.linalg.norm(some - nearest, axis=1).max()) * ARCSEC_PER_RADIAN
+    least = float(_nearest(ground, some)[0].max()) * ARCSEC_PER_RADIAN
     # Discs that overlap at most by half.
     if 0.5 * len(centres) * math.pi * least**2 > most:
         return None
@@ -99,7 +99,7 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
 
 def _nearest(centres: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
     """(m,) distance to the nearest of ``centres`` (n, 3) and its index, for ``others`` (m, 3); unit vectors."""
-    if len(centres) * len(others) > FEW_PRODUCTS:
+    if len(centres) * len(others) > FEW_PAIRS:
         from scipy.spatial import cKDTree
 
         distance, index = cKDTree(centres).query(others)
