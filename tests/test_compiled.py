@@ -265,12 +265,11 @@ COSTLY = {"max", "min", "argmax", "argmin", "flatnonzero", "nonzero", "sum", "pr
         "coverage",
         "messages",
         "mixture",
-        "order",
         "plane",
         "posterior",
         "sphere",
-        "spans",
         "summary",
+        "zones",
     ],
 )
 def test_kernels_of_a_match_are_loaded_without_linear_algebra(name):

@@ -10,7 +10,7 @@ from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.intersection import sum_of_records, weights_of_least_determinant
 from sameas.kernels.kalman import innovation_model, report_factors, states_moved, tracks_moved
-from sameas.kernels.order import merge_rows
+from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_factors import growth
 from sameas.tracks.alignment import moved, process_noise, transition

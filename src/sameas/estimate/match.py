@@ -27,11 +27,13 @@ from sameas.errors import InputError
 from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.em import DEFAULT_EM, EMTuning, Estimates, iterate
-from sameas.estimate.error_average import Average, ErrorRanges, identify_averaged
 from sameas.estimate.error_grid import (
     DEFAULT_GRID,
+    Average,
+    ErrorRanges,
     ErrorScan,
     GridTuning,
+    identify_averaged,
     mean_densities,
     scan_errors,
     typical_error,

@@ -41,7 +41,13 @@ from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.kernels.nested import covered_cells, look_nested, refine_nested, refine_share_nested, score_nested
+from sameas.kernels.coverage import (
+    covered_cells,
+    look_nested,
+    refine_nested,
+    refine_share_nested,
+    score_nested,
+)
 from sameas.records import Records
 from sameas.representation import in_short
 

@@ -39,8 +39,8 @@ from sameas.space import Plane, Sphere
 
 # The search for all pairs within the gate.
 #
-# Records are sorted into zones (``zones.py``, ``kernels/order.py``); possible candidates of each are looked up
-# (``kernels/spans.py``) and measured (``kernels/sphere.py``, ``plane.py``). If a few records have far wider errors than
+# Records are sorted into zones (``zones.py``); possible candidates of each are looked up (both in
+# ``kernels/zones.py``) and measured (``kernels/sphere.py``, ``plane.py``). If a few records have far wider errors than
 # the others, the search runs over them, whichever source they belong to, so that they do not slow down the others. The
 # order of the pairs depends on the records' content, not on their rows.
 
@@ -206,7 +206,7 @@ def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed)
 
     The search runs over the wider of two classes.
     """
-    from sameas.kernels.spans import turned_round
+    from sameas.kernels.zones import turned_round
 
     parts = [np.empty(0, np.int64)]
     for a, b in product(range(len(one.grids)), range(len(two.grids))):
@@ -224,7 +224,7 @@ def _wide_pairs(one: Layout, two: Layout, geometry: Geometry, allowed: _Allowed)
 
 def _visits(visitors: Layout, a: int, hosts: Layout, b: int, geometry: Geometry, allowed: _Allowed) -> IntArray:
     """Pairs visitor << 32 | host between classes of the two sources that are near enough to be measured."""
-    from sameas.kernels.spans import ROOM, visit
+    from sameas.kernels.zones import ROOM, visit
 
     bounds = [visitors.starts[a] + k for k in threads.even(visitors.starts[a + 1] - visitors.starts[a], 256)]
     reach = hosts.reach(b, visitors.widest[a], bounds[-1], geometry)

@@ -20,7 +20,7 @@ from sameas.representation import in_short
 from sameas.space import Plane, Sphere
 
 if TYPE_CHECKING:
-    from sameas.kernels import order, spans
+    from sameas.kernels import zones as kernels
 
 Rows = NDArray[np.int32]
 
@@ -106,7 +106,7 @@ def _extent(values: FloatArray) -> FloatArray:
     """(2, d) least and greatest value of every column; few rows are not worth a compilation."""
     if 0 < len(values) < DEFAULT_TUNING.few_rows:
         return np.stack([values.min(axis=0), values.max(axis=0)])
-    from sameas.kernels.order import extent
+    from sameas.kernels.zones import extent
 
     return np.asarray(extent(values))
 
@@ -196,7 +196,7 @@ class Extent:
 
     @classmethod
     def of(cls, sources: tuple[Source, Source], geometry: Geometry) -> Extent:
-        from sameas.kernels.order import tally
+        from sameas.kernels.zones import tally
 
         axes = [geometry.x, geometry.y]
         low = np.minimum(sources[0].ends[0], sources[1].ends[0])[axes]
@@ -261,16 +261,16 @@ class Layout:
     zones, grids : of every class. widest : largest variances in x and in y of every class.
     """
 
-    side: order.Side
+    side: kernels.Side
     starts: list[int]
     zones: list[Zones]
-    grids: list[spans.Grid]
+    grids: list[kernels.Grid]
     widest: list[tuple[float, float]]
 
     @classmethod
     def of(cls, source: Source, classes: list[Rows], extent: Extent, geometry: Geometry) -> Layout:
         """Each class in its own zones, its records sorted by zone, x, other content, and id."""
-        from sameas.kernels.order import Side
+        from sameas.kernels.zones import Side
 
         n, width = len(source.features), source.covariance.shape[1]
         width += 0 if geometry.sphere else source.features.shape[1]
@@ -287,9 +287,9 @@ class Layout:
         ]
         return cls(side, starts, zones, grids, widest)
 
-    def reach(self, which: int, visitors: tuple[float, float], end: int, geometry: Geometry) -> spans.Reach:
+    def reach(self, which: int, visitors: tuple[float, float], end: int, geometry: Geometry) -> kernels.Reach:
         """The reach into a class of records with variances up to those of ``visitors``, at places before ``end``."""
-        from sameas.kernels.spans import Reach
+        from sameas.kernels.zones import Reach
 
         opening = geometry.opening * (1.0 + 1e-6)
         x, y = self.widest[which]
@@ -298,11 +298,10 @@ class Layout:
 
 
 def _laid_out(
-    source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: order.Side, base: int
-) -> spans.Grid:
+    source: Source, rows: Rows, zones: Zones, extent: Extent, geometry: Geometry, side: kernels.Side, base: int
+) -> kernels.Grid:
     """Write one class to ``side`` from place ``base`` on, and return its grid."""
-    from sameas.kernels.order import CELLS, Side, into_cells, into_zones, take_rows, zones_of
-    from sameas.kernels.spans import Grid
+    from sameas.kernels.zones import CELLS, Grid, Side, into_cells, into_zones, take_rows, zones_of
 
     n, content = len(rows), (source.features, source.covariance)
     zone, ends = np.empty(n, np.int32), np.empty(zones.count + 1, np.int64)
@@ -376,7 +375,7 @@ def _widest(records: Records) -> FloatArray:
         return records.covariance
     if records.covariance.shape[1] == 2:
         return np.asarray(records.covariance.max(axis=1, keepdims=True))
-    from sameas.kernels.order import widest
+    from sameas.kernels.zones import widest
 
     variance = np.empty((len(records), 1))
     widest(records.covariance, variance)

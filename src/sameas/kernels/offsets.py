@@ -15,7 +15,7 @@ from sameas.kernels.compiled import inlined, kernel, part
 from sameas.kernels.components import join, root
 from sameas.kernels.linear import solve
 from sameas.kernels.plane import whitened
-from sameas.kernels.spans import folded
+from sameas.kernels.zones import folded
 
 LOG_2PI = math.log(2.0 * math.pi)
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
-from sameas.kernels.order import Side
-from sameas.kernels.spans import ROOM, Grid, Reach, first_from, folded, near, taken_back
+from sameas.kernels.zones import ROOM, Grid, Reach, Side, first_from, folded, near, taken_back
 
 
 @part
@@ -71,7 +70,7 @@ def sweep_plane(
 ) -> tuple[int, int]:
     """Write the candidates of the records at places ``first`` ≤ k < ``last`` of source 1 to the arrays ``out``.
 
-    one, two : ``order.Side``. grid, reach : of source 2. folds : periods of x and y. listed : see ``spans.near``, from
+    one, two : ``zones.Side``. grid, reach : of source 2. folds : periods of x and y. listed : see ``zones.near``, from
     ``first`` on. periods (d,). out : the columns of ``gate.Pairs``. Returns (candidates written, next k); next k < last
     if out is full.
     """

@@ -8,8 +8,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
-from sameas.kernels.order import Side, sine
-from sameas.kernels.spans import ROOM, Grid, Reach, near, taken_back
+from sameas.kernels.zones import ROOM, Grid, Reach, Side, near, sine, taken_back
 
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
@@ -153,8 +152,8 @@ def sweep_sphere(
 ) -> tuple[int, int]:
     """Write the candidates of the records at places ``first`` ≤ k < ``last`` of source 1 to the arrays ``out``.
 
-    one, two : ``order.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of source 2. listed :
-    see ``spans.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written, next k);
+    one, two : ``zones.Side``, guards (longitude, latitude, its cosine, variance). grid, reach : of source 2. listed :
+    see ``zones.near``, from ``first`` on. out : the columns of ``gate.Pairs``. Returns (candidates written, next k);
     next k < last if out is full.
     """
     room = np.empty(ROOM, np.int32), np.empty(ROOM, np.int32), np.empty(ROOM, np.uint8)

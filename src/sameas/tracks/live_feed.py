@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
-from sameas.kernels.order import merge_rows
+from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane

@@ -8,8 +8,7 @@ import naive
 from problems import shuffled
 from sameas import InputError, Records, Sphere
 from sameas.estimate.coverage import Coverage
-from sameas.estimate.error_average import Average, ErrorAverage
-from sameas.estimate.error_grid import DEFAULT_GRID, GridTuning, scan_errors
+from sameas.estimate.error_grid import DEFAULT_GRID, Average, ErrorAverage, GridTuning, scan_errors
 from sameas.estimate.match import match
 from sameas.evidence import Errors
 from sameas.gate import Radius
