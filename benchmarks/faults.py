@@ -470,7 +470,7 @@ def partitioned(folder: Path) -> tuple[str, str]:
     """Two HATS catalogues of one field."""
     from astropy.table import Table as Stars
 
-    from sameas.partitions.output import write_hats
+    from sameas.partitions.hats import write_hats
 
     rng = np.random.default_rng(9)
     ra, dec = rng.uniform(40.0, 40.6, 3000), rng.uniform(10.0, 10.6, 3000)

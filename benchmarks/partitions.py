@@ -19,8 +19,7 @@ from astropy.table import Table as Rows
 
 import sameas
 from benchmarks.tables import Table, report
-from sameas.partitions.layout import Cell, HatsCatalogue, properties
-from sameas.partitions.output import finish_catalogue, write_hats
+from sameas.partitions.hats import Cell, HatsCatalogue, finish_catalogue, properties, write_hats
 from sameas.partitions.run import PIECE_ROWS
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)

@@ -122,8 +122,7 @@ def test_a_state_of_another_kind_is_refused(state, tmp_path):
 )
 def test_a_damaged_list_of_partitions_is_refused(name, content, words, tmp_path):
     pytest.importorskip("cdshealpix", reason="catalogues in partitions need cdshealpix: pip install 'sameas[hats]'")
-    from sameas.partitions.layout import HatsCatalogue
-    from sameas.partitions.output import write_hats
+    from sameas.partitions.hats import HatsCatalogue, write_hats
 
     write_hats(stars(0.0), tmp_path / "cat", max_rows=10)
     assert HatsCatalogue.open(tmp_path / "cat").partition_rows.sum() == 20

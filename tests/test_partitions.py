@@ -27,8 +27,7 @@ from sameas.estimate.places import Counts, Places
 from sameas.io import read_table
 from sameas.io.atomic import held
 from sameas.partitions import healpix, run
-from sameas.partitions.layout import CELL, Cell, HatsCatalogue, is_hats, partition_file
-from sameas.partitions.output import write_hats
+from sameas.partitions.hats import CELL, Cell, HatsCatalogue, is_hats, partition_file, write_hats
 from sameas.partitions.part import DEFAULT_PART, Halo, PartTuning, Patch
 
 EVERYTHING = np.array([[0, 12 << 58]], np.int64)
@@ -560,7 +559,7 @@ def test_an_interruption_in_the_last_step_leaves_no_scratch(tmp_path, monkeypatc
     """The collection was once complete while the run folder stayed next to it."""
     import signal
 
-    from sameas.partitions.output import write_collection
+    from sameas.partitions.hats import write_collection
 
     def interrupted(*given):
         write_collection(*given)

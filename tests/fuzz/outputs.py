@@ -377,7 +377,7 @@ def partition_run() -> dict[str, bytes]:
     """The files of a catalogue in partitions."""
     from astropy.table import Table
 
-    from sameas.partitions.output import write_hats
+    from sameas.partitions.hats import write_hats
 
     rng = np.random.default_rng(9)
     stars = Table({"id": np.arange(60), "ra": rng.uniform(40.0, 41.0, 60), "dec": rng.uniform(10.0, 11.0, 60)})
@@ -395,7 +395,7 @@ def partition_seeds() -> list[bytes]:
 
 def finish_partitions(path: Path) -> object:
     """A catalogue of which one file is changed, or two parts are the same."""
-    from sameas.partitions.layout import HatsCatalogue
+    from sameas.partitions.hats import HatsCatalogue
 
     content, folder = path.read_bytes(), path.with_suffix("")
     shutil.rmtree(folder, ignore_errors=True)

@@ -22,7 +22,7 @@ import pyarrow as pa
 from lsdb.core.crossmatch.abstract_crossmatch_algorithm import AbstractCrossmatchAlgorithm
 
 from sameas.errors import InputError
-from sameas.partitions.layout import CELL
+from sameas.partitions.hats import CELL
 
 if TYPE_CHECKING:
     from lsdb.core.crossmatch.crossmatch_args import CrossmatchArgs

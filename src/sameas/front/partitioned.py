@@ -16,7 +16,7 @@ from sameas.errors import InputError
 from sameas.front.options import FILE_OPTIONS, fields_of
 from sameas.front.provenance import made_by
 from sameas.front.request import Request
-from sameas.partitions.layout import HatsCatalogue, is_hats
+from sameas.partitions.hats import HatsCatalogue, is_hats
 
 if TYPE_CHECKING:
     from sameas.partitions.run import Estimated, Written

@@ -26,7 +26,7 @@ from sameas.groups import Groups, groups, laid_out
 from sameas.io.arrow import column_of
 from sameas.io.parquet import decoded, described
 from sameas.partitions import healpix
-from sameas.partitions.layout import CELL, Cell, HatsCatalogue, numbers_of
+from sameas.partitions.hats import CELL, Cell, HatsCatalogue, numbers_of
 from sameas.posterior import APPROXIMATE, Posterior, posterior
 from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records

@@ -35,11 +35,17 @@ from sameas.evidence import Related
 from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
 from sameas.kernels import threads
 from sameas.partitions import healpix
-from sameas.partitions.layout import CELL, OWN, Cell, HatsCatalogue, numbers_of, partition_file, sky_order
-from sameas.partitions.output import (  # fmt: skip
+from sameas.partitions.hats import (
+    CELL,
+    OWN,
+    Cell,
+    HatsCatalogue,
     arrow_of,
     catalogue_properties,
     finish_catalogue,
+    numbers_of,
+    partition_file,
+    sky_order,
     write_collection,
     write_margin,
     write_rows,
