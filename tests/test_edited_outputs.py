@@ -11,9 +11,9 @@ from tests.live.conftest import replay, settings
 import sameas
 from sameas.errors import InputError
 from sameas.io import read_table, write_table
+from sameas.io.saved import dumps
 from sameas.live.journal import LAYOUT
 from sameas.live.keeper import Keeper
-from sameas.saved import dumps
 
 
 def stars(shift):

@@ -143,8 +143,8 @@ def test_the_source_calls_no_eval_exec_or_pickle(path):
         alias.name.split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names
     }
     imported |= {(node.module or "").split(".")[0] for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
-    # Saved states are read there, and make data only (tests/test_saved.py).
-    allowed = {"pickle"} if path.relative_to(SOURCE).as_posix() == "saved.py" else set()
+    # Saved states are read there, and make data only (tests/io/test_io_saved.py).
+    allowed = {"pickle"} if path.relative_to(SOURCE).as_posix() == "io/saved.py" else set()
     assert not imported & {"pickle", "dill", "cloudpickle", "marshal", "shelve", "joblib"} - allowed
     for name, words in calls(tree):
         assert name not in ("eval", "exec", "compile", "__import__", "os.system", "os.popen", "yaml.load"), name

@@ -13,7 +13,7 @@ HOME = Path(sameas.__file__).parent
 #: The modules and packages of ``sameas`` from the lowest layer up; those of one line do not import each other.
 FLOORS = """
 arrays errors kernels representation times
-bounds gaussian ragged saved
+bounds gaussian ragged
 space
 records
 gate

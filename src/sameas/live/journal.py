@@ -20,9 +20,9 @@ import numpy as np
 import sameas
 from sameas.errors import InputError, reading
 from sameas.io.atomic import held, replacing
+from sameas.io.saved import dumps, loads
 from sameas.live.frame import Alarm, Frame
 from sameas.picture.picture import Columns, gathered
-from sameas.saved import dumps, loads
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS objects (object INTEGER PRIMARY KEY, first_s REAL, last_s REAL, confirmed INTEGER,

@@ -33,6 +33,7 @@ from sameas.estimate.places import Counts, Learned, Places, drawn, learn
 from sameas.estimate.sample import Sampling
 from sameas.evidence import Related
 from sameas.io.atomic import end_with_parent, held, refused_by_disk, together
+from sameas.io.saved import dumps, loads
 from sameas.kernels import threads
 from sameas.partitions import healpix
 from sameas.partitions.hats import (
@@ -63,7 +64,6 @@ from sameas.partitions.part import (
     without_rows,
 )
 from sameas.representation import in_short
-from sameas.saved import dumps, loads
 from sameas.sky.bands import columns_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, common_epoch

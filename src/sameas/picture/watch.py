@@ -138,7 +138,7 @@ NO_TEXTS = np.full(len(TEXTS), "", dtype=object)
 EvidenceOf = Callable[[Instant, TrackMemory], SetRule]
 
 
-#: Functions that saved states refer to by name (:mod:`sameas.saved`).
+#: Functions that saved states refer to by name (:mod:`sameas.io.saved`).
 SAVED = ("all_evidence",)
 
 

@@ -10,8 +10,8 @@ import pytest
 
 from sameas import Records
 from sameas.errors import InputError
+from sameas.io.saved import dumps, loads, sealed
 from sameas.picture import Watch
-from sameas.saved import dumps, loads, sealed
 
 
 def test_data_round_trip() -> None:
@@ -50,7 +50,7 @@ def named(module: str, name: str, argument: str) -> bytes:
     ("module", "name"),
     [("os", "system"), ("builtins", "eval"), ("builtins", "open"), ("subprocess", "check_output"), ("posix", "system"),
      ("sameas.io.tables", "os.remove"), ("sameas.io", "read_table"), ("importlib", "import_module"),
-     ("sameas.saved", "pickle.loads"), ("numpy", "load")],
+     ("sameas.io.saved", "pickle.loads"), ("numpy", "load")],
 )  # fmt: skip
 def test_no_call_of_a_hostile_state_is_made(module: str, name: str, tmp_path) -> None:
     mark = tmp_path / "mark"
