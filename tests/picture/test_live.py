@@ -9,7 +9,10 @@ from tests.picture.modelled_scenes import describe, feed, straight
 
 from sameas.errors import InputError
 from sameas.picture import LivePicture, PlotPicture, picture_states
+from sameas.picture.live import Registered
 from sameas.tracks import Clutter, Description, LocalPlane, MissRate, Motion, Scene, SensorErrors, Site, Timing
+from sameas.tracks.biases import TIME
+from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
 from sameas.tracks.tuning import DEFAULT_TUNING
 
@@ -227,6 +230,21 @@ def test_biases_are_estimated_from_the_last_minutes_and_removed():
     after = list(live_states(made, np.arange(303.0, 390.0, 3.0), [a for a in arrivals if a[0] >= 300.0], picture))
     several = [np.mean((s.members >= 0).sum(axis=1) > 1) for s in (states[-1], after[-1])]
     assert several[0] < 0.2 < 0.5 < several[1]
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 2.5])
+def test_a_report_stays_current_until_the_next_one_can_have_arrived(delay_s):
+    """Latency, transport and a delay of the stamps make reports older than the interval before the next one arrives."""
+    picture, current = LivePicture([Description("sbs", "ads-b", timing=Timing(period_s=1.0, latency_s=0.2))]), []
+    if delay_s:
+        theta = np.where(np.arange(6) == TIME, delay_s, 0.0)
+        picture.take_off(Registered((SourceBiases("sbs", theta=theta, covariance=np.zeros((6, 6))),)))
+    for k in range(60):
+        columns: dict[str, Any] = {"time_s": [k + 0.1], "x_m": [200.0 * k], "y_m": [0.0], "icao": ["400a00"]}
+        picture.add("sbs", Reports.of("sbs", "adsb", columns))
+        current += [len(picture.advance(k + t).scan.time_s) for t in (1.0, 1.05, 1.09)]
+    assert len(current) == 180 and all(current[9:])
+    assert [len(picture.advance(60.0 + t).scan.time_s) for t in (1.5, 5.0)] == [0, 0]
 
 
 def test_a_ships_radar_without_a_site_centres_the_plane_on_the_ship():

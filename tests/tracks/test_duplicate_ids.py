@@ -84,6 +84,19 @@ def test_a_track_ends_after_a_silence_longer_than_the_gaps_of_its_source() -> No
     assert [len(scene.at(t).sources[0]) for t in (50.0, 59.9, 61.0)] == [2, 2, 1]  # type: ignore[arg-type]
 
 
+def test_a_ship_at_anchor_stays_where_most_others_report_every_two_seconds() -> None:
+    ferries = [
+        (t, 400.0 * k + 9.0 * t, 0.0, 9.0, f"23500{k:04d}") for k in range(40) for t in np.arange(0.0, 600.0, 2.0)
+    ]
+    anchored = [(t, -2000.0, 0.0, 0.0, "235009999") for t in np.arange(0.0, 600.0, 180.0)]
+    columns = dict(
+        zip(("time_s", "x_m", "y_m", "vx_m_per_s", "mmsi"), zip(*ferries, *anchored, strict=True), strict=True)
+    )
+    columns["vy_m_per_s"] = [0.0] * len(columns["time_s"])
+    scene = Scene.of([(Description("ais", "ais"), Reports.of("ais", "ais", columns))])
+    assert [len(scene.at(t).sources[0]) for t in (100.0, 350.0, 599.0)] == [41, 41, 41]  # type: ignore[arg-type]
+
+
 def test_the_timeout_is_the_99_9th_percentile_of_gaps() -> None:
     rng = np.random.default_rng(1)
     times = np.cumsum(np.where(rng.random(20_000) < 0.05, 180.0, 10.0))

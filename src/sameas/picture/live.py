@@ -254,9 +254,9 @@ class LivePicture:
         biases = self._biases.get(live_feed.description.name)
         if biases is None or biases.theta is None or biases.covariance is None:
             return live_feed.feed(instant_s)
-        # Reports with early stamps become current later, so older ones are needed until then.
-        feed = live_feed.feed(instant_s - max(0.0, -float(biases.theta[TIME])))
-        return unbiased_now(feed, biases.theta, biases.covariance)
+        delay_s = float(biases.theta[TIME])
+        feed = live_feed.feed(instant_s, early_s=max(0.0, -delay_s))
+        return unbiased_now(feed, biases.theta, biases.covariance, live_feed.track_timeout_s(delay_s))
 
     def _start(self) -> Watch | PlotPicture:
         reporting = [feed for feed in self._feeds.values() if feed.has_reports]

@@ -261,6 +261,18 @@ class Feed:
         """Seconds without a report after which a track of the source has ended."""
         return track_timeout_s(self.reports.time_s, self.reports.track, self.tuning)
 
+    def timeouts_s(self, rows: IntArray) -> FloatArray:
+        """(n,) the track timeout after each of these reports.
+
+        A ship at anchor reports every three minutes. Where most others report every two seconds, intervals of three
+        minutes are too rare to count among the gaps of the source.
+        """
+        timeout_s = np.full(len(rows), self.track_timeout_s + self.tuning.stamp_step_s)
+        if self.p_stationary is None:
+            return timeout_s
+        rest_s = self.tuning.stationary_timeout_s
+        return np.where(self.p_stationary[rows] > 0.5, np.maximum(timeout_s, rest_s), timeout_s)
+
     @cached_property
     def succession(self) -> Succession:
         """The current report of each track at any instant, of a source with track ids."""

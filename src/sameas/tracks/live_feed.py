@@ -116,7 +116,9 @@ class LiveFeed:
         self._freed = np.empty(0, np.int64)
         self._free = np.empty(0, np.int64)
         self._order = np.empty(0, np.int64)
-        self._gaps = np.empty(0)
+        # (n, 2): final gaps within tracks, and how late the later report of each was.
+        self._gaps = np.empty((0, 2))
+        self._instant_s = -math.inf
         self._split: dict[str, Branches] = {}
         self._named: bool | None = None
         self._horizon_s = -math.inf
@@ -169,6 +171,7 @@ class LiveFeed:
         if in_plane.track is not None:
             new.name = self._names(in_plane.track[usable])
         new.serial = self._serial + np.arange(len(usable))
+        new.late_s = self._instant_s - new.time_s
         self._serial += len(usable)
         self.counts.taken += len(usable)
         if in_plane.track is None or isinstance(in_plane, Directions):
@@ -179,9 +182,13 @@ class LiveFeed:
         else:
             self._add_to_tracks(new)
 
-    def feed(self, instant_s: float) -> Feed:
-        """The feed of an instant, for a scene; reports that no later instant needs are dropped."""
-        self._drop(instant_s - self.lag_s)
+    def feed(self, instant_s: float, early_s: float = 0.0) -> Feed:
+        """The feed of an instant, for a scene; reports that no later instant needs are dropped.
+
+        early_s : by which the stamps are early; such reports become current later, so older ones are needed until then.
+        """
+        self._drop(instant_s - early_s - self.lag_s)
+        self._instant_s = instant_s
         rows = self._rows.visible(("measured",) if self._directions or not self._named else ())
         time_s, sensor_m = rows.time_s, rows.sensor_m if np.isfinite(rows.sensor_m).any() else None
         track = rows.name if self._named else None
@@ -206,7 +213,7 @@ class LiveFeed:
             p_stationary, self.tuning, rows.heights if self._has_heights else None,
         )  # fmt: skip
         if self._named:
-            feed = feed.with_succession(self._succession(rows), self.track_timeout_s)
+            feed = feed.with_succession(self._succession(rows), self.track_timeout_s())
         return feed
 
     def release(self) -> None:
@@ -214,15 +221,19 @@ class LiveFeed:
         self._free = np.concatenate([self._free, self._freed])
         self._freed = np.empty(0, np.int64)
 
-    @property
-    def track_timeout_s(self) -> float:
-        """Seconds without a report after which a track has ended; infinite while no track has two reports."""
+    def track_timeout_s(self, delay_s: float = 0.0) -> float:
+        """Seconds without a report after which a track has ended; infinite while no track has two reports.
+
+        A report that was not there yet at an instant after its time is late: its track was without a report until then.
+        delay_s : by which the times of the reports are corrected afterwards; it makes them later by as much.
+        """
         if not len(self._gaps):
             return math.inf
+        gaps = self._gaps[:, 0] + np.maximum(self._gaps[:, 1] + delay_s, 0.0)
         # The quantile with method "higher": np.quantile takes ten times as long, and np.partition twenty times where
         # most gaps are equal.
-        place = math.ceil(self.tuning.timeout_quantile * (len(self._gaps) - 1))
-        return float(np.sort(self._gaps)[place])
+        place = math.ceil(self.tuning.timeout_quantile * (len(gaps) - 1))
+        return float(np.sort(gaps)[place])
 
     # ---- adding reports ----
 
@@ -466,7 +477,9 @@ class LiveFeed:
             number, time_s = rows.number[order], rows.time_s[order]
             superseded = np.append((number[1:] == number[:-1]) & (time_s[1:] <= horizon_s), False)[: len(order)]
             # These gaps are final: no late report can change them.
-            self._gaps = np.append(self._gaps, np.diff(time_s, append=0.0)[superseded])[-self.live.gaps :]
+            later = np.flatnonzero(superseded) + 1
+            gaps = np.column_stack([time_s[later] - time_s[superseded], rows.late_s[order[later]]])
+            self._gaps = np.concatenate([self._gaps, gaps])[-self.live.gaps :]
             timed_out = time_s < horizon_s - (self._memory_s - self.lag_s)
             dropped = order[superseded | timed_out]
         else:
@@ -511,7 +524,7 @@ def _sigma_m(covariance: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(covariance[:, 0, 0] + covariance[:, 1, 1]))
 
 
-def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed:
+def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray, track_timeout_s: float) -> Feed:
     """A live feed corrected for biases (6,) with covariance (6, 6); the order of its reports stays."""
     reports = corrected(feed.reports, feed.sensor_m, biases, covariance)
     unbiased = replace(
@@ -520,7 +533,7 @@ def unbiased_now(feed: Feed, biases: FloatArray, covariance: FloatArray) -> Feed
     if feed.reports.track is None:
         return unbiased
     succession = replace(feed.succession, time_s=feed.succession.time_s - biases[TIME])
-    return unbiased.with_succession(succession, feed.track_timeout_s)
+    return unbiased.with_succession(succession, track_timeout_s)
 
 
 #: Columns that a feed needs.
@@ -534,7 +547,7 @@ class _Rows:
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
         ("covariance", (4, 4), math.nan), ("p_stationary", (), 0.0), ("sensor_m", (2,), math.nan),
-        ("heights", (4,), math.nan),
+        ("heights", (4,), math.nan), ("late_s", (), -math.inf),
     )  # fmt: skip
     time_s: FloatArray
     measured: FloatArray
@@ -546,6 +559,7 @@ class _Rows:
     p_stationary: FloatArray
     sensor_m: FloatArray
     heights: FloatArray
+    late_s: FloatArray
 
     def __init__(self, n: int) -> None:
         for name, shape, empty in self.ARRAYS:
@@ -565,6 +579,7 @@ class _Rows:
         rows = cls(0)
         rows.p_stationary, rows.sensor_m, rows.heights = np.zeros(n), np.full((n, 2), np.nan), np.full((n, 4), np.nan)
         rows.number, rows.serial, rows.name = np.full(n, -1), np.full(n, -1), np.full(n, "", object)
+        rows.late_s = np.full(n, -np.inf)
         return rows
 
     @classmethod

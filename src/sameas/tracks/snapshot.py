@@ -97,7 +97,7 @@ class Snapshot:
             rows = last_exposure(feed.scan_s, feed.scan_times_s, instant_s)
         else:
             rows = feed.succession.at(instant_s)
-            rows = rows[instant_s - reports.time_s[rows] <= feed.track_timeout_s]
+            rows = rows[instant_s - reports.time_s[rows] <= feed.timeouts_s(rows)]
         usable = reports.usable[rows] if isinstance(reports, Directions) else reports.usable_of(rows)
         rows = rows[usable]
         time_s, none = reports.time_s[rows], np.empty(0, np.int64)
