@@ -8,7 +8,7 @@ from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from sameas.kernels import partitions
 from sameas.many.identify import identify_many
-from sameas.many.marginals import EXACT, MAX_RECORDS, best_partition, best_sets, incidence_of, packed_groups
+from sameas.many.marginals import EXACT, MAX_RECORDS, best_partition, best_sets, incidence_of, sum_pruned_groups
 from sameas.many.rules import PoissonObjects
 from sameas.many.sets import TUNING, Sets
 from sameas.records import Records
@@ -61,14 +61,14 @@ def test_the_partition_is_optimal_where_the_relaxation_is_fractional():
 def test_sets_that_duals_prove_improbable_change_no_probability(seed):
     sets, n = random_sets(np.random.default_rng(seed), per_source=6, triples=30)
     every = np.ones(1, bool)
-    whole = packed_groups(sets, n, every, replace(TUNING, small=n))
-    pruned = packed_groups(sets, n, every, replace(TUNING, small=0))
+    whole = sum_pruned_groups(sets, n, every, replace(TUNING, small=n))
+    pruned = sum_pruned_groups(sets, n, every, replace(TUNING, small=0))
     assert (whole[2] >= EXACT).all() and (pruned[2] >= EXACT).all()
     np.testing.assert_allclose(pruned[0], whole[0], rtol=0.0, atol=1e-10)
     assert (pruned[1] == whole[1]).all()
     assert sets.log_weight[pruned[1]].sum() == pytest.approx(direct(sets, n, whole=True), abs=1e-6)
     # With few steps allowed, the sum omits more sets, reports it, and still contains the best partition.
-    short = packed_groups(sets, n, every, replace(TUNING, small=0, block_steps=300))
+    short = sum_pruned_groups(sets, n, every, replace(TUNING, small=0, block_steps=300))
     if short[2][0] >= 0.0:
         assert short[2][0] < EXACT and (short[1] == whole[1]).all()
 
@@ -87,12 +87,12 @@ def test_groups_of_three_records_summed_by_enumeration_agree_with_the_general_su
     for spread in (1.0, 10.0, 400.0):
         weight = np.where(size > 1, spread * rng.standard_normal(len(size)), 0.0)
         sets = Sets(members, size, weight, group, start, np.full(16, -np.inf))
-        few, general = (packed_groups(sets, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
+        few, general = (sum_pruned_groups(sets, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
         np.testing.assert_allclose(few[0], general[0], rtol=1e-12, atol=1e-14)
         assert (few[1] == general[1]).all() and (few[2] >= EXACT).all()
     # The choice between two tied partitions does not depend on the method.
     equal = Sets(members, size, np.zeros(len(size)), group, start, np.full(16, -np.inf))
-    few, general = (packed_groups(equal, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
+    few, general = (sum_pruned_groups(equal, 48, np.ones(16, bool), replace(TUNING, small=n)) for n in (8, 2))
     np.testing.assert_allclose(few[0], general[0], rtol=1e-12)
     assert (few[1] == general[1]).all()
 
@@ -100,7 +100,7 @@ def test_groups_of_three_records_summed_by_enumeration_agree_with_the_general_su
 def test_the_best_partition_of_possible_sets_is_found_with_and_without_block_sums():
     for seed in range(3):
         sets, n = random_sets(np.random.default_rng(seed), per_source=6, triples=30)
-        share, chosen, _ = packed_groups(sets, n, np.ones(1, bool), TUNING)
+        share, chosen, _ = sum_pruned_groups(sets, n, np.ones(1, bool), TUNING)
         tilted = replace(sets, log_weight=sets.log_weight + 0.5 * (sets.size - 1) * (np.arange(len(sets)) % 3 == 0))
         for tuning in (TUNING, replace(TUNING, small=0, cuts=(30.0,), block_steps=1)):
             best = best_sets(tilted, n, share > 0.0, time_limit_s=10.0, tuning=tuning)
@@ -157,7 +157,7 @@ def test_samples_agree_with_the_sum():
         # Where sets of three have no parts, all three records are single in between, which takes long where they are
         # much more probable than that.
         sets = replace(sets, log_weight=0.4 * sets.log_weight)
-        exact, chosen, cut = packed_groups(sets, n, np.ones(1, bool))
+        exact, chosen, cut = sum_pruned_groups(sets, n, np.ones(1, bool))
         assert cut[0] >= EXACT
         sampled = by_samples(sets, n, chosen)
         total = np.bincount(sets.entries()[1], sampled[sets.entries()[0]], n)
@@ -168,7 +168,7 @@ def test_samples_agree_with_the_sum():
     chain = np.array([[0, -1], [-1, 1], [2, -1], [-1, 3], [0, 1], [2, 1], [2, 3]])
     weight = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.5, -12.0])
     sets = Sets(chain, (chain >= 0).sum(axis=1), weight, np.zeros(7, np.int64), np.array([0, 7]), np.array([-np.inf]))
-    exact, chosen, _ = packed_groups(sets, 4, np.ones(1, bool))
+    exact, chosen, _ = sum_pruned_groups(sets, 4, np.ones(1, bool))
     sampled = by_samples(sets, 4, chosen)
     np.testing.assert_allclose(sampled, exact, atol=0.01)
     # Sets the chain rarely visits keep a probability above 0.

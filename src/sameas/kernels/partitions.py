@@ -71,13 +71,13 @@ def eliminate(
                 top -= 1
             n = max(n, top + 1)
         log_p = table[table_start[g] : table_start[g + 1]]
-        solved[g] = _group(
+        solved[g] = _sum_group(
             n, first[a:b], mask[a:b], weight[a:b], merges[a:b], log_p, counted, cap, share[a:b], chosen[a:b]
         )
 
 
 @part
-def _group(
+def _sum_group(
     n: int,
     first: IntArray,
     mask: NDArray[np.uint64],
@@ -89,21 +89,21 @@ def _group(
     share: FloatArray,
     chosen: BoolArray,
 ) -> bool:
-    key, made, layer, origin, target, used = _steps(n, first, mask, merges, counted, cap)
+    key, n_merges, layer, origin, target, used = _steps(n, first, mask, merges, counted, cap)
     if len(layer) == 0:
         return False
-    best, step = _best(len(key), origin, target, used, weight)
+    best, step = _best_paths(len(key), origin, target, used, weight)
     last, stop = layer[n], layer[n + 1]
     top, highest, finish = -np.inf, -np.inf, last
     for t in range(last, stop):
-        prior = log_p[made[t]] if counted else 0.0
+        prior = log_p[n_merges[t]] if counted else 0.0
         highest = max(highest, prior)
         if best[t] + prior > top:
             top, finish = best[t] + prior, t
     ends = np.ones(stop - last)
     for t in range(last, stop):
-        ends[t - last] = math.exp(log_p[made[t]] - highest) if counted else 1.0
-    if not _summed(layer[: n + 2], origin, target, used, _factors(n, mask, weight), ends, share):
+        ends[t - last] = math.exp(log_p[n_merges[t]] - highest) if counted else 1.0
+    if not _add_path_shares(layer[: n + 2], origin, target, used, _factors(n, mask, weight), ends, share):
         return False
     while step[finish] >= 0:
         e = step[finish]
@@ -121,14 +121,14 @@ def _factors(n: int, mask: NDArray[np.uint64], weight: FloatArray) -> FloatArray
     """
     one = np.uint64(1)
     most, total = np.full(n, -np.inf), np.zeros(len(mask))
-    for turn in range(2):
+    for pass_number in range(2):
         for k in range(len(mask)):
             size = 0
             for r in range(n):
                 size += (mask[k] >> np.uint64(r)) & one == one
             for r in range(n):
                 if (mask[k] >> np.uint64(r)) & one == one:
-                    if turn == 0:
+                    if pass_number == 0:
                         most[r] = max(most[r], weight[k] / size)
                     else:
                         total[k] += most[r]
@@ -136,7 +136,7 @@ def _factors(n: int, mask: NDArray[np.uint64], weight: FloatArray) -> FloatArray
 
 
 @part
-def _summed(
+def _add_path_shares(
     layer: IntArray,
     origin: Int32Array,
     target: Int32Array,
@@ -158,7 +158,7 @@ def _summed(
     for r in range(n):
         for e in range(cuts[r], cuts[r + 1]):
             forward[target[e]] += forward[origin[e]] * (factor[used[e]] if used[e] >= 0 else 1.0)
-        if not _scaled(forward[layer[r + 1] : layer[r + 2]]):
+        if not _normalize(forward[layer[r + 1] : layer[r + 2]]):
             return False
     for r in range(n - 1, -1, -1):
         total = 0.0
@@ -171,13 +171,13 @@ def _summed(
         for e in range(cuts[r], cuts[r + 1]):
             if used[e] >= 0:
                 share[used[e]] += forward[origin[e]] * factor[used[e]] * backward[target[e]] / total
-        if not _scaled(backward[layer[r] : layer[r + 1]]):
+        if not _normalize(backward[layer[r] : layer[r + 1]]):
             return False
     return True
 
 
 @part
-def _scaled(values: FloatArray) -> bool:
+def _normalize(values: FloatArray) -> bool:
     """Divide the values by the largest; returns whether that is above 0."""
     most = 0.0
     for value in values:
@@ -191,8 +191,8 @@ def _scaled(values: FloatArray) -> bool:
 def _steps(
     n: int, first: IntArray, mask: NDArray[np.uint64], merges: IntArray, counted: bool, cap: int
 ) -> tuple[Int32Array | IntArray | NDArray[np.uint64], ...]:
-    """States (records taken, merges made), the layers' starts, and the steps between states (origin, target, set used);
-    empty arrays if there are more than about ``cap`` steps."""
+    """States (records taken, number of merges), the layers' starts, and the steps between states (origin, target, set
+    used); empty arrays if there are more than about ``cap`` steps."""
     limit, layer = FIRST_CAPACITY, np.zeros(n + 2, np.int64)
     while limit < cap:
         limit *= 2
@@ -200,18 +200,18 @@ def _steps(
     capacity = FIRST_CAPACITY
     # Growing arrays within the loops would cost more than the loops: if they are too small, the loops start again.
     while True:
-        key, made = np.empty(capacity + 1, np.uint64), np.empty(capacity + 1, np.int64)
+        key, n_merges = np.empty(capacity + 1, np.uint64), np.empty(capacity + 1, np.int64)
         origin, target, used = np.empty(capacity, np.int32), np.empty(capacity, np.int32), np.empty(capacity, np.int32)
-        steps = _filled(n, first, mask, merges, counted, width, key, made, layer, origin, target, used)
+        steps = _fill_steps(n, first, mask, merges, counted, width, key, n_merges, layer, origin, target, used)
         if steps >= 0:
-            return key[: layer[n + 1]], made[: layer[n + 1]], layer, origin[:steps], target[:steps], used[:steps]
+            return key[: layer[n + 1]], n_merges[: layer[n + 1]], layer, origin[:steps], target[:steps], used[:steps]
         if capacity == limit:
-            return key[:0], made[:0], layer[:0], origin[:0], target[:0], used[:0]
+            return key[:0], n_merges[:0], layer[:0], origin[:0], target[:0], used[:0]
         capacity = min(4 * capacity, limit)
 
 
 @part
-def _filled(
+def _fill_steps(
     n: int,
     first: IntArray,
     mask: NDArray[np.uint64],
@@ -219,7 +219,7 @@ def _filled(
     counted: bool,
     width: int,
     key: NDArray[np.uint64],
-    made: IntArray,
+    n_merges: IntArray,
     layer: IntArray,
     origin: Int32Array,
     target: Int32Array,
@@ -231,9 +231,9 @@ def _filled(
     """
     one, capacity = np.uint64(1), len(origin)
     direct = width < 63 and (1 << width) <= 4 * capacity
-    slots, place_of = np.full(1 << width if direct else 2 * capacity, NONE, np.int32), np.empty(capacity + 1, np.int64)
+    slots, slot_of = np.full(1 << width if direct else 2 * capacity, NONE, np.int32), np.empty(capacity + 1, np.int64)
     options = np.empty(len(first) + 1, np.int64)
-    key[0], made[0], layer[0], layer[1] = 0, 0, 0, 1
+    key[0], n_merges[0], layer[0], layer[1] = 0, 0, 0, 1
     size, steps, low = 1, 0, 0
     for r in range(n):
         high = low
@@ -255,15 +255,15 @@ def _filled(
             for at in range(n_options):
                 k = options[at]
                 new = state & ~bit if taken else (state | mask[k]) & ~bit
-                count = made[s] if taken or not counted else made[s] + merges[k]
-                place = np.int64(new >> after) if direct else _slot(slots, key, made, new, count)
-                if slots[place] == NONE:
-                    slots[place], key[size], made[size], place_of[size] = size, new, count, place
+                count = n_merges[s] if taken or not counted else n_merges[s] + merges[k]
+                slot = np.int64(new >> after) if direct else _slot(slots, key, n_merges, new, count)
+                if slots[slot] == NONE:
+                    slots[slot], key[size], n_merges[size], slot_of[size] = size, new, count, slot
                     size += 1
-                origin[steps], target[steps], used[steps] = s, slots[place], k
+                origin[steps], target[steps], used[steps] = s, slots[slot], k
                 steps += 1
         for s in range(layer[r + 1], size):
-            slots[place_of[s]] = NONE
+            slots[slot_of[s]] = NONE
         layer[r + 2] = size
         low = high
     return steps
@@ -280,7 +280,7 @@ def _width(first: IntArray, mask: NDArray[np.uint64]) -> int:
 
 
 @part
-def _best(
+def _best_paths(
     size: int, origin: Int32Array, target: Int32Array, used: Int32Array, weight: FloatArray
 ) -> tuple[FloatArray, IntArray]:
     """Largest weight of a path to each state, and the last step of that path."""
@@ -294,24 +294,24 @@ def _best(
 
 
 @part
-def _slot(slots: Int32Array, key: NDArray[np.uint64], made: IntArray, new: int, count: int) -> int:
+def _slot(slots: Int32Array, key: NDArray[np.uint64], n_merges: IntArray, new: int, count: int) -> int:
     """The slot of a state in the hash table, or the empty slot where it belongs."""
     last = np.uint64(len(slots) - 1)
     # 32-bit halves are multiplied, so that nothing overflows, which would warn when interpreted.
     low = (new & np.uint64(0xFFFFFFFF)) * np.uint64(0x9E3779B1)
     high = ((new >> np.uint64(32)) ^ np.uint64(count)) * np.uint64(0x85EBCA6B)
     mixed = low ^ high
-    place = np.int64((mixed ^ (mixed >> np.uint64(29)) ^ (mixed >> np.uint64(17))) & last)
-    while slots[place] != NONE and (key[slots[place]] != new or made[slots[place]] != count):
-        place = (place + 1) & np.int64(last)
-    return place
+    slot = np.int64((mixed ^ (mixed >> np.uint64(29)) ^ (mixed >> np.uint64(17))) & last)
+    while slots[slot] != NONE and (key[slots[slot]] != new or n_merges[slots[slot]] != count):
+        slot = (slot + 1) & np.int64(last)
+    return slot
 
 
 # Groups whose sets are pruned by duals, and summed block by block.
 
 
 @kernel
-def packed(
+def sum_pruned(
     groups: IntArray,
     start: IntArray,
     members: IntArray,
@@ -340,26 +340,27 @@ def packed(
     of that sum, and probabilities from samples of their partitions.
     """
     local = np.full(len(dual), NONE)
-    mask, of, total = np.empty(FEW_SETS, np.int64), np.empty((FEW_SETS, FEW_RECORDS), np.int64), np.empty(FEW_SETS)
+    mask, log_weight = np.empty(FEW_SETS, np.int64), np.empty(FEW_SETS)
+    partition = np.empty((FEW_SETS, FEW_RECORDS), np.int64)
     for g in groups:
         a, b = start[g], start[g + 1]
         few = b - a <= FEW_SETS and small >= FEW_RECORDS
-        if few and _few_summed(members[a:b], weight[a:b], local, mask, of, total, share[a:b], chosen[a:b]):
+        if few and _sum_few(members[a:b], weight[a:b], local, mask, partition, log_weight, share[a:b], chosen[a:b]):
             cut[g] = cuts[0]
         else:
-            cut[g] = _packed_group(
+            cut[g] = _sum_pruned_group(
                 members[a:b], weight[a:b], local, small, cuts, max_records, cap, dual, share[a:b], chosen[a:b]
             )
 
 
 @part
-def _few_summed(
+def _sum_few(
     members: IntArray,
     weight: FloatArray,
     local: IntArray,
     mask: IntArray,
-    of: IntArray,
-    total: FloatArray,
+    partition: IntArray,
+    log_weight: FloatArray,
     share: FloatArray,
     chosen: BoolArray,
 ) -> bool:
@@ -367,8 +368,8 @@ def _few_summed(
     returns whether that is so. Most groups have three records at most, and setting up the elimination takes ten times
     as long.
 
-    local : −1 for all records, restored. mask, of, total : scratch for each set's records as bits, each partition's
-    sets and its weight.
+    local : −1 for all records, restored. mask, partition, log_weight : scratch for each set's records as
+    bits, each partition's sets and its ln weight.
     """
     n = 0
     for s in range(len(members)):
@@ -386,41 +387,43 @@ def _few_summed(
                 local[record] = NONE
     if n > FEW_RECORDS:
         return False
-    count, all_records, best, next_ = 0, (1 << n) - 1, -np.inf, -np.inf
+    count, all_records, best, second_best = 0, (1 << n) - 1, -np.inf, -np.inf
     for first in range(len(members)):
         if not mask[first] & 1:
             continue
-        left = all_records & ~mask[first]
+        remaining = all_records & ~mask[first]
         # The second set contains the lowest remaining record, and the third all remaining ones.
-        for second in range(len(members) if left else 1):
-            if left and (mask[second] & ~left or not mask[second] & (left & -left)):
+        for second in range(len(members) if remaining else 1):
+            if remaining and (mask[second] & ~remaining or not mask[second] & (remaining & -remaining)):
                 continue
-            rest = left & ~mask[second] if left else 0
-            for third in range(len(members) if rest else 1):
-                if rest and mask[third] != rest:
+            third_records = remaining & ~mask[second] if remaining else 0
+            for third in range(len(members) if third_records else 1):
+                if third_records and mask[third] != third_records:
                     continue
-                of[count, 0], of[count, 1], of[count, 2] = first, second if left else NONE, third if rest else NONE
+                partition[count, 0] = first
+                partition[count, 1] = second if remaining else NONE
+                partition[count, 2] = third if third_records else NONE
                 value = weight[first]
-                value += weight[second] if left else 0.0
-                value += weight[third] if rest else 0.0
-                total[count] = value
-                best, next_ = max(best, value), max(next_, min(best, value))
+                value += weight[second] if remaining else 0.0
+                value += weight[third] if third_records else 0.0
+                log_weight[count] = value
+                best, second_best = max(best, value), max(second_best, min(best, value))
                 count += 1
-    if not best - next_ > CLEAR_NATS:
+    if not best - second_best > CLEAR_NATS:
         return False
-    whole = 0.0
+    normalizer = 0.0
     for c in range(count):
-        whole += math.exp(total[c] - best)
+        normalizer += math.exp(log_weight[c] - best)
     for c in range(count):
         for at in range(FEW_RECORDS):
-            if of[c, at] != NONE:
-                share[of[c, at]] += math.exp(total[c] - best) / whole
-                chosen[of[c, at]] = chosen[of[c, at]] or total[c] == best
+            if partition[c, at] != NONE:
+                share[partition[c, at]] += math.exp(log_weight[c] - best) / normalizer
+                chosen[partition[c, at]] = chosen[partition[c, at]] or log_weight[c] == best
     return True
 
 
 @part
-def _by_local_number(members: IntArray, local: IntArray) -> tuple[IntArray, IntArray, int]:
+def _local_numbers(members: IntArray, local: IntArray) -> tuple[IntArray, IntArray, int]:
     """The sets of a group as CSR, begin (k + 1,) and entry, its records numbered by first appearance, and the number of
     records. members : (k, S) sets, −1 for none. local : −1 for all records; receives the numbers."""
     begin, entry = np.zeros(len(members) + 1, np.int64), np.empty(members.size, np.int64)
@@ -438,7 +441,7 @@ def _by_local_number(members: IntArray, local: IntArray) -> tuple[IntArray, IntA
 
 
 @part
-def _packed_group(
+def _sum_pruned_group(
     members: IntArray,
     weight: FloatArray,
     local: IntArray,
@@ -450,46 +453,46 @@ def _packed_group(
     share: FloatArray,
     chosen: BoolArray,
 ) -> float:
-    """Sum one group of :func:`packed`; returns its cut."""
+    """Sum one group of :func:`sum_pruned`; returns its cut."""
     k = len(members)
-    begin, entry, n = _by_local_number(members, local)
+    begin, entry, n = _local_numbers(members, local)
     own_dual, source = np.empty(n), np.empty(n, np.int64)
     for s in range(k):
         for column, record in enumerate(members[s]):
             if record != NONE and local[record] != NONE:
                 own_dual[local[record]], source[local[record]] = dual[record], column
                 local[record] = NONE
-    block, done, place, hint = np.zeros(n, np.int64), np.zeros(n, np.bool_), np.arange(k), np.zeros(k, np.bool_)
+    block, done, in_group, hint = np.zeros(n, np.int64), np.zeros(n, np.bool_), np.arange(k), np.zeros(k, np.bool_)
     if n <= small:
         _blocks(begin, entry, block)
-        if _sum_blocks(begin, entry, weight, place, block, done, max_records, cap, share, chosen):
+        if _sum_blocks(begin, entry, weight, in_group, block, done, max_records, cap, share, chosen):
             return cuts[0]
-    begin, entry, weight, place, hint = _prune(begin, entry, weight, place, hint, cuts[0], block, done, own_dual)
-    if _sum_blocks(begin, entry, weight, place, block, done, max_records, cap, share, chosen):
+    begin, entry, weight, in_group, hint = _prune(begin, entry, weight, in_group, hint, cuts[0], block, done, own_dual)
+    if _sum_blocks(begin, entry, weight, in_group, block, done, max_records, cap, share, chosen):
         return cuts[0]
     # Blocks share no sets, so only those that are not summed yet need better duals.
-    begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, ~done[entry[begin[:-1]]])
+    begin, entry, weight, in_group, hint = _selected(begin, entry, weight, in_group, hint, ~done[entry[begin[:-1]]])
     for sweeps in ANNEALINGS:
         # Each attempt starts from the sets of the first cut.
         hint = _anneal(begin, entry, weight, sweeps, own_dual)
-        pruned, inexact = (begin, entry, weight, place, hint), np.zeros(n, np.bool_)
+        pruned, inexact = (begin, entry, weight, in_group, hint), np.zeros(n, np.bool_)
         for cut in cuts:
             if cut < MIN_CUT and not inexact.any():
                 inexact = ~done
             pruned = _prune(*pruned, cut, block, done, own_dual)
             if _sum_blocks(*pruned[:4], block, done, max_records, cap, share, chosen):
                 if cut < MIN_CUT:
-                    _by_samples(begin, entry, weight, place, hint, inexact, source, chosen, share)
+                    _sample_shares(begin, entry, weight, in_group, hint, inexact, source, chosen, share)
                 return cut
     return -1.0
 
 
 @part
-def _by_samples(
+def _sample_shares(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
-    place: IntArray,
+    in_group: IntArray,
     hint: BoolArray,
     records: BoolArray,
     source: IntArray,
@@ -502,10 +505,10 @@ def _by_samples(
     for s in range(len(weight)):
         for e in range(begin[s], begin[s + 1]):
             kept[s] = kept[s] and records[entry[e]]
-    begin, entry, weight, place, _ = _taken(begin, entry, weight, place, hint, kept)
-    p = sampled(begin, entry, source, weight, chosen[place])
+    begin, entry, weight, in_group, _ = _selected(begin, entry, weight, in_group, hint, kept)
+    p = sampled(begin, entry, source, weight, chosen[in_group])
     for s in range(len(weight)):
-        share[place[s]] = p[s]
+        share[in_group[s]] = p[s]
 
 
 @kernel
@@ -516,7 +519,7 @@ def set_samples(groups: IntArray, start: IntArray, members: IntArray, weight: Fl
     local, source = np.full(n, NONE), np.empty(n, np.int64)
     for g in groups:
         a, b = start[g], start[g + 1]
-        begin, entry, number = _by_local_number(members[a:b], local)
+        begin, entry, number = _local_numbers(members[a:b], local)
         for s in range(a, b):
             for column, record in enumerate(members[s]):
                 if record != NONE:
@@ -534,41 +537,41 @@ def _anneal(begin: IntArray, entry: IntArray, weight: FloatArray, sweeps: int, d
     """
     k, n = len(weight), len(dual)
     x = np.zeros(k)
-    own, sets = np.zeros(n + 1, np.int64), np.empty(len(entry), np.int64)
+    start, sets = np.zeros(n + 1, np.int64), np.empty(len(entry), np.int64)
     for temperature in TEMPERATURES:
         # Sets of negligible x at this temperature are skipped until the next one.
-        own[:] = 0
+        start[:] = 0
         for s in range(k):
             exponent = -_cost(s, begin, entry, weight, dual) / temperature
             x[s] = math.exp(min(exponent, 50.0)) if exponent > MIN_EXPONENT or begin[s + 1] - begin[s] == 1 else 0.0
             if x[s] > 0.0:
                 for e in range(begin[s], begin[s + 1]):
-                    own[entry[e] + 1] += 1
+                    start[entry[e] + 1] += 1
         for r in range(n):
-            own[r + 1] += own[r]
-        fill = own[:-1].copy()
+            start[r + 1] += start[r]
+        fill = start[:-1].copy()
         for s in range(k):
             if x[s] > 0.0:
                 for e in range(begin[s], begin[s + 1]):
                     sets[fill[entry[e]]] = s
                     fill[entry[e]] += 1
         for sweep in range(sweeps):
-            for turn in range(n):
-                r = turn if sweep % 2 == 0 else n - 1 - turn
+            for step in range(n):
+                r = step if sweep % 2 == 0 else n - 1 - step
                 total = 0.0
-                for at in range(own[r], own[r + 1]):
+                for at in range(start[r], start[r + 1]):
                     total += x[sets[at]]
                 if total > 0.0:
                     share = 1.0 / total
-                    for at in range(own[r], own[r + 1]):
+                    for at in range(start[r], start[r + 1]):
                         x[sets[at]] *= share
                     dual[r] += temperature * math.log(total)
-    lack = np.zeros(n)
+    deficit = np.zeros(n)
     for s in range(k):
-        even = -_cost(s, begin, entry, weight, dual) / (begin[s + 1] - begin[s])
+        per_record = -_cost(s, begin, entry, weight, dual) / (begin[s + 1] - begin[s])
         for e in range(begin[s], begin[s + 1]):
-            lack[entry[e]] = max(lack[entry[e]], even)
-    dual += lack
+            deficit[entry[e]] = max(deficit[entry[e]], per_record)
+    dual += deficit
     return x > 0.5
 
 
@@ -590,7 +593,7 @@ def _prune(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
-    place: IntArray,
+    in_group: IntArray,
     hint: BoolArray,
     cut: float,
     block: IntArray,
@@ -599,45 +602,45 @@ def _prune(
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
     """The sets without those of finished blocks and those that the duals of their block prove improbable.
 
-    place : (k,) of each set in the group. hint : (k,) sets of a good partition, if known.
+    in_group : (k,) the number of each set in the group. hint : (k,) sets of a good partition, if known.
     """
     n = len(block)
     kept = ~done[entry[begin[:-1]]]
-    begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, kept)
-    value, total = np.zeros(n), np.zeros(n)
-    for turn in range(PRUNINGS):
+    begin, entry, weight, in_group, hint = _selected(begin, entry, weight, in_group, hint, kept)
+    best_weight, bound = np.zeros(n), np.zeros(n)
+    for iteration in range(PRUNINGS):
         k = len(weight)
         _blocks(begin, entry, block)
         cost = np.empty(k)
         for s in range(k):
             cost[s] = _cost(s, begin, entry, weight, dual)
         _descend(*_sets_of_records(begin, entry, n, 2), cost, dual)
-        if turn == 0:
+        if iteration == 0:
             _greedy(begin, entry, weight, cost, hint, n)
-        value[:], total[:] = 0.0, 0.0
+        best_weight[:], bound[:] = 0.0, 0.0
         for r in range(n):
-            total[block[r]] += dual[r]
+            bound[block[r]] += dual[r]
         for s in range(k):
             if begin[s + 1] - begin[s] == 1:
                 cost[s] = dual[entry[begin[s]]]
             elif hint[s]:
-                value[block[entry[begin[s]]]] += weight[s]
+                best_weight[block[entry[begin[s]]]] += weight[s]
         kept, n_pruned = np.ones(k, np.bool_), 0
         for s in range(k):
             b = block[entry[begin[s]]]
-            if cost[s] > cut + total[b] - value[b]:
+            if cost[s] > cut + bound[b] - best_weight[b]:
                 kept[s] = False
                 n_pruned += 1
-        begin, entry, weight, place, hint = _taken(begin, entry, weight, place, hint, kept)
+        begin, entry, weight, in_group, hint = _selected(begin, entry, weight, in_group, hint, kept)
         if n_pruned <= MIN_PRUNED_SHARE * k:
             break
     _blocks(begin, entry, block)
-    return begin, entry, weight, place, hint
+    return begin, entry, weight, in_group, hint
 
 
 @part
-def _taken(
-    begin: IntArray, entry: IntArray, weight: FloatArray, place: IntArray, hint: BoolArray, kept: BoolArray
+def _selected(
+    begin: IntArray, entry: IntArray, weight: FloatArray, in_group: IntArray, hint: BoolArray, kept: BoolArray
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, BoolArray]:
     """The sets that are ``kept`` (k,)."""
     count = np.count_nonzero(kept)
@@ -650,7 +653,7 @@ def _taken(
                 at += 1
             k += 1
             new_begin[k] = at
-    return new_begin, new_entry[:at], weight[kept], place[kept], hint[kept]
+    return new_begin, new_entry[:at], weight[kept], in_group[kept], hint[kept]
 
 
 @part
@@ -665,39 +668,39 @@ def _cost(s: int, begin: IntArray, entry: IntArray, weight: FloatArray, dual: Fl
 @part
 def _sets_of_records(begin: IntArray, entry: IntArray, n: int, least: int) -> tuple[IntArray, IntArray]:
     """The sets of at least ``least`` records of each of n records, as CSR."""
-    own = np.zeros(n + 1, np.int64)
+    start = np.zeros(n + 1, np.int64)
     for s in range(len(begin) - 1):
         if begin[s + 1] - begin[s] >= least:
             for e in range(begin[s], begin[s + 1]):
-                own[entry[e] + 1] += 1
+                start[entry[e] + 1] += 1
     for r in range(n):
-        own[r + 1] += own[r]
-    fill, sets = own[:-1].copy(), np.empty(own[n], np.int64)
+        start[r + 1] += start[r]
+    fill, sets = start[:-1].copy(), np.empty(start[n], np.int64)
     for s in range(len(begin) - 1):
         if begin[s + 1] - begin[s] >= least:
             for e in range(begin[s], begin[s + 1]):
                 sets[fill[entry[e]]] = s
                 fill[entry[e]] += 1
-    return own, sets
+    return start, sets
 
 
 @part
-def _descend(own: IntArray, sets: IntArray, cost: FloatArray, dual: FloatArray) -> None:
+def _descend(start: IntArray, sets: IntArray, cost: FloatArray, dual: FloatArray) -> None:
     """Lower the duals one by one, in alternating order, as far as the reduced costs of their sets stay nonnegative."""
     n = len(dual)
     for sweep in range(SWEEPS):
         lowered = 0.0
-        for turn in range(n):
-            r = turn if sweep % 2 == 0 else n - 1 - turn
-            if own[r] == own[r + 1]:
+        for step in range(n):
+            r = step if sweep % 2 == 0 else n - 1 - step
+            if start[r] == start[r + 1]:
                 continue
             most = dual[r]
-            for at in range(own[r], own[r + 1]):
+            for at in range(start[r], start[r + 1]):
                 most = min(most, cost[sets[at]])
             if most > 0.0:
                 lowered += most
                 dual[r] -= most
-                for at in range(own[r], own[r + 1]):
+                for at in range(start[r], start[r + 1]):
                     cost[sets[at]] -= most
         if lowered < MIN_LOWERED_NATS:
             return
@@ -714,7 +717,7 @@ def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArr
         s = several[at]
         rank[at] = -1.0 if hint[s] else cost[s] - 1e-6 * weight[s]
     owner, order = np.full(n, NONE), several[np.argsort(rank)]
-    for turn in range(EXCHANGES):
+    for sweep in range(EXCHANGES):
         changed = False
         for s in order:
             if owner[entry[begin[s]]] == s:
@@ -726,7 +729,7 @@ def _greedy(begin: IntArray, entry: IntArray, weight: FloatArray, cost: FloatArr
                     repeated = repeated or owner[entry[f]] == other
                 if other != NONE and not repeated:
                     displaced += weight[other]
-            if weight[s] > displaced + 1e-9 * abs(displaced) and (turn > 0 or displaced == 0.0):
+            if weight[s] > displaced + 1e-9 * abs(displaced) and (sweep > 0 or displaced == 0.0):
                 for e in range(begin[s], begin[s + 1]):
                     other = owner[entry[e]]
                     if other != NONE:
@@ -747,7 +750,7 @@ def _sum_blocks(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
-    place: IntArray,
+    in_group: IntArray,
     block: IntArray,
     done: BoolArray,
     max_records: int,
@@ -756,7 +759,7 @@ def _sum_blocks(
     chosen: BoolArray,
 ) -> bool:
     """Sum the blocks of records that the sets connect and that are not ``done`` (n,); returns whether all are now."""
-    n, k = len(block), len(place)
+    n, k = len(block), len(in_group)
     first_set, records = np.zeros(n + 1, np.int64), np.zeros(n, np.int64)
     for s in range(k):
         first_set[block[entry[begin[s]]] + 1] += 1
@@ -768,16 +771,16 @@ def _sum_blocks(
         b = block[entry[begin[s]]]
         of_block[fill[b]] = s
         fill[b] += 1
-    number, own, summed = np.full(n, NONE), np.zeros(n, np.int64), np.zeros(n, np.bool_)
+    number, n_sets, summed = np.full(n, NONE), np.zeros(n, np.int64), np.zeros(n, np.bool_)
     for b in range(n):
         sets = of_block[first_set[b] : first_set[b + 1]]
         if done[b] or len(sets) == 0:
             continue
         if len(sets) == 1:
-            share[place[sets[0]]], chosen[place[sets[0]]], summed[b] = 1.0, True, True
+            share[in_group[sets[0]]], chosen[in_group[sets[0]]], summed[b] = 1.0, True, True
         elif records[b] <= max_records:
-            _order(begin, entry, sets, number, own)
-            summed[b] = _sum_block(begin, entry, weight, place, sets, number, records[b], cap, share, chosen)
+            _order(begin, entry, sets, number, n_sets)
+            summed[b] = _sum_block(begin, entry, weight, in_group, sets, number, records[b], cap, share, chosen)
     all_done = True
     for r in range(n):
         done[r] = done[r] or summed[block[r]]
@@ -786,26 +789,26 @@ def _sum_blocks(
 
 
 @part
-def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, own: IntArray) -> None:
+def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, n_sets: IntArray) -> None:
     """Number the records of a block breadth first from one with few sets (Cuthill–McKee), so that records which share
-    sets have close numbers and states few records. number : −1 for these records. own : (n,) zeros, restored."""
+    sets have close numbers and states few records. number : −1 for these records. n_sets : (n,) zeros, restored."""
     total = 0
     for s in sets:
         for e in range(begin[s], begin[s + 1]):
-            own[entry[e]] += 1
+            n_sets[entry[e]] += 1
             total += 1
     queue, seed = np.empty(total, np.int64), entry[begin[sets[0]]]
     for s in sets:
         for e in range(begin[s], begin[s + 1]):
-            if own[entry[e]] < own[seed]:
+            if n_sets[entry[e]] < n_sets[seed]:
                 seed = entry[e]
     number[seed], queue[0], size = 0, seed, 1
-    done, low = np.zeros(len(sets), np.bool_), 0
+    done, first_added = np.zeros(len(sets), np.bool_), 0
     for at in range(total):
         if at == size:
             break
         # The sets of the first record in the queue append their other records, those of few sets first.
-        record, low = queue[at], size
+        record, first_added = queue[at], size
         for k in range(len(sets)):
             if done[k]:
                 continue
@@ -817,15 +820,15 @@ def _order(begin: IntArray, entry: IntArray, sets: IntArray, number: IntArray, o
             done[k] = True
             for e in range(begin[sets[k]], begin[sets[k] + 1]):
                 if number[entry[e]] == NONE:
-                    place = size
-                    while place > low and own[queue[place - 1]] > own[entry[e]]:
-                        queue[place] = queue[place - 1]
-                        number[queue[place]] = place
-                        place -= 1
-                    queue[place], number[entry[e]] = entry[e], place
+                    position = size
+                    while position > first_added and n_sets[queue[position - 1]] > n_sets[entry[e]]:
+                        queue[position] = queue[position - 1]
+                        number[queue[position]] = position
+                        position -= 1
+                    queue[position], number[entry[e]] = entry[e], position
                     size += 1
     for at in range(size):
-        own[queue[at]] = 0
+        n_sets[queue[at]] = 0
 
 
 @part
@@ -833,7 +836,7 @@ def _sum_block(
     begin: IntArray,
     entry: IntArray,
     weight: FloatArray,
-    place: IntArray,
+    in_group: IntArray,
     sets: IntArray,
     number: IntArray,
     n: int,
@@ -848,11 +851,13 @@ def _sum_block(
             low[at] = min(low[at], number[entry[e]])
             mask[at] |= np.uint64(1) << np.uint64(number[entry[e]])
     order = np.argsort(low * len(sets) + np.arange(len(sets)))
-    own = sets[order]
+    ordered = sets[order]
     part_share, part_chosen = np.zeros(len(sets)), np.zeros(len(sets), np.bool_)
     merges = np.zeros(len(sets), np.int64)
-    if not _group(n, low[order], mask[order], weight[own], merges, np.zeros(1), False, cap, part_share, part_chosen):
+    if not _sum_group(
+        n, low[order], mask[order], weight[ordered], merges, np.zeros(1), False, cap, part_share, part_chosen
+    ):
         return False
-    for at in range(len(own)):
-        share[place[own[at]]], chosen[place[own[at]]] = part_share[at], part_chosen[at]
+    for at in range(len(ordered)):
+        share[in_group[ordered[at]]], chosen[in_group[ordered[at]]] = part_share[at], part_chosen[at]
     return True

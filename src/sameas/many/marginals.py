@@ -258,7 +258,7 @@ def answer(
 def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning: ManyTuning = TUNING) -> Answer:
     """:func:`answer` without a count prior; sizes : (g,) number of records of every group."""
     n = int(sizes.sum())
-    share, chosen, cut = packed_groups(sets, n, np.ones(len(sizes), bool), tuning)
+    share, chosen, cut = sum_pruned_groups(sets, n, np.ones(len(sizes), bool), tuning)
     rest = cut < 0
     if not rest.any():
         return Answer(chosen, share, np.zeros(len(sizes)), cut)
@@ -280,7 +280,7 @@ def best_sets(
     """
     which, chosen, groups = np.flatnonzero(possible), np.zeros(len(sets), bool), np.zeros(len(sets.start) - 1, bool)
     groups[sets.group[which]] = True
-    _, chosen[which], cut = packed_groups(sets.take(which), n_records, groups, tuning)
+    _, chosen[which], cut = sum_pruned_groups(sets.take(which), n_records, groups, tuning)
     rest = groups & (cut < 0)
     if not rest.any():
         return chosen
@@ -290,7 +290,7 @@ def best_sets(
     return np.where(rest[sets.group], searched, chosen)
 
 
-def packed_groups(
+def sum_pruned_groups(
     sets: Sets, n_records: int, groups: BoolArray, tuning: ManyTuning = TUNING
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Probabilities and best partition (k,) of the ``groups`` (g,) whose blocks can all be summed, and their cut (g,).
@@ -298,13 +298,13 @@ def packed_groups(
     No linear programme is needed: duals are found by descent, and by annealing where that is not enough. Groups that
     are not solved have a cut of −1.
     """
-    from sameas.kernels.partitions import packed
+    from sameas.kernels.partitions import sum_pruned
 
     n, dual = len(sets), np.zeros(n_records)
     at, record = sets.entries()
     np.maximum.at(dual, record, (sets.log_weight / sets.size)[at])
     share, chosen, cut = np.zeros(n), np.zeros(n, bool), np.full(len(groups), -1.0)
-    packed(
+    sum_pruned(
         np.flatnonzero(groups & (sets.floor <= 0)), sets.start, sets.members, sets.log_weight, tuning.small,
         np.array(tuning.cuts), MAX_RECORDS, min(tuning.block_steps, tuning.max_steps), dual, share, chosen, cut,
     )  # fmt: skip
