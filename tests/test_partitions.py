@@ -187,10 +187,10 @@ def test_probabilities_of_percolating_groups_do_not_depend_on_the_halo_boundary(
 
     numbers, rows = np.unique(one.stored >> 2 * (29 - 13), return_counts=True)
     cell = Cell(13, int(numbers[rows.argmax()]))
-    first = work.within(Patch(cell.order, np.array([cell.number])), work.halo_arcsec)
-    assert first.doubtful > 0 and error(first, work.identified(first.one, first.two)) > 1e-6
-    parts = work.decided([cell])
-    assert max(error(part, part.result) for part in parts) < 1e-9 and parts[-1].doubtful == 0
+    first = work.decide_patch(Patch(cell.order, np.array([cell.number])), work.halo_arcsec)
+    assert first.n_doubtful > 0 and error(first, work.identified(first.one, first.two)) > 1e-6
+    parts = work.decide([cell])
+    assert max(error(part, part.result) for part in parts) < 1e-9 and parts[-1].n_doubtful == 0
 
 
 def ids_of(one, two, result):
@@ -226,11 +226,13 @@ def test_a_halo_that_is_too_narrow_is_detected(tmp_path):
     found = sameas.match(*stored(tmp_path, tables, (300, 300)), sigma="pos_err", sigma_unit="arcsec")
     work = found.estimated.work
     cell = run.output_cells(work)[3]
-    narrow = work.within(Patch(cell.order, np.array([cell.number])), 1.0)
-    first, *again = replace(work, halo_arcsec=1.0).decided([cell])
-    assert narrow.doubtful > 0 == first.doubtful == again[-1].doubtful and again[-1].halo_arcsec > first.halo_arcsec
+    narrow = work.decide_patch(Patch(cell.order, np.array([cell.number])), 1.0)
+    first, *again = replace(work, halo_arcsec=1.0).decide([cell])
+    assert (
+        narrow.n_doubtful > 0 == first.n_doubtful == again[-1].n_doubtful and again[-1].halo_arcsec > first.halo_arcsec
+    )
     # Every row of the cell is in exactly one part.
-    enough = work.decided([cell])
+    enough = work.decide([cell])
     for parts in ([first, *again], enough):
         own = np.concatenate([part.first.ids[part.own[0]] for part in parts])
         assert sorted(own) == sorted(narrow.first.ids[narrow.own[0]])

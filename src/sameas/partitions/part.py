@@ -101,7 +101,7 @@ class Side:
 
     def columns(self, magnitudes: str, evidence: Sequence[Column | Related] = ()) -> list[str]:
         """The columns that the identification needs."""
-        names = set(_texts(self.understood.choice))
+        names = set(_strings_in(self.understood.choice))
         for one in evidence:
             names |= {c.values for c in (one.columns if isinstance(one, Related) else (one,))}
         bands = {name.strip() for side in magnitudes.split(":") for name in side.split(",")}
@@ -140,33 +140,34 @@ class Rows:
     cut_by_position: bool
 
     @cached_property
-    def still(self) -> bool:
+    def unmoved(self) -> bool:
         """Whether all records have the catalogue's positions, without motion."""
-        at, rows, features = self.catalogue.astrometry, self.records.rows, self.records.features
-        if len(rows) == len(at.ra_deg):
-            return np.array_equal(features[:, 0], at.ra_deg) and np.array_equal(features[:, 1], at.dec_deg)
-        return np.array_equal(features[:, 0], at.ra_deg[rows]) and np.array_equal(features[:, 1], at.dec_deg[rows])
+        ra_deg, dec_deg = self.catalogue.astrometry.ra_deg, self.catalogue.astrometry.dec_deg
+        rows, features = self.records.rows, self.records.features
+        if len(rows) < len(ra_deg):
+            ra_deg, dec_deg = ra_deg[rows], dec_deg[rows]
+        return np.array_equal(features[:, 0], ra_deg) and np.array_equal(features[:, 1], dec_deg)
 
     @cached_property
     def cells(self) -> IntArray:
         """(n,) cells in which the records are counted."""
-        if self.still and self.cut_by_position:
+        if self.unmoved and self.cut_by_position:
             return self.stored[self.records.rows] >> 2 * (healpix.FINEST - self.cell_order)
         return healpix.cells_of(self.records.features, self.cell_order)
 
     @cached_property
-    def place(self) -> FloatArray:
+    def direction(self) -> FloatArray:
         """(n, 3) directions of the records."""
         return unit_vectors(*self.records.features.T)
 
     @cached_property
     def moved_arcsec(self) -> FloatArray:
         """(n,) distance of the records from their stored positions."""
-        if self.still:
+        if self.unmoved:
             return np.zeros(len(self.records))
-        at = self.catalogue.astrometry
-        stored = unit_vectors(at.ra_deg[self.records.rows], at.dec_deg[self.records.rows])
-        return np.asarray(np.linalg.norm(self.place - stored, axis=1) * ARCSEC_PER_RADIAN)
+        astrometry = self.catalogue.astrometry
+        stored = unit_vectors(astrometry.ra_deg[self.records.rows], astrometry.dec_deg[self.records.rows])
+        return np.asarray(np.linalg.norm(self.direction - stored, axis=1) * ARCSEC_PER_RADIAN)
 
     def moved_limit(self, far_arcsec: float) -> float:
         """Upper limit of the motion of records that are not far, arcsec: 0 if none of them moved."""
@@ -245,22 +246,22 @@ class Work:
                 )
         return one.rows(table)
 
-    def decided(self, cells: Sequence[Cell]) -> list[Part]:
+    def decide(self, cells: Sequence[Cell]) -> list[Part]:
         """The parts of a piece, some cells of one order.
 
         The first part is the piece without the small cells of doubtful records; the next part has these cells and a
         halo twice as wide, again without those of its doubtful records, and so on.
         """
         patch = Patch(cells[0].order, np.array([cell.number for cell in cells]))
-        parts = [self.within(patch, self.halo_arcsec)]
+        parts = [self.decide_patch(patch, self.halo_arcsec)]
         order = max(patch.order, self.sides[0].cell_order)
-        while parts[-1].doubtful and parts[-1].halo_arcsec < self.tuning.certain_arcsec:
-            last = parts.pop()
-            again = Patch(order, last.doubtful_cells(order))
-            parts += [last.without(again), self.within(again, 2.0 * last.halo_arcsec)]
+        while parts[-1].n_doubtful and parts[-1].halo_arcsec < self.tuning.certain_arcsec:
+            previous = parts.pop()
+            doubtful_patch = Patch(order, previous.doubtful_cells(order))
+            parts += [previous.without(doubtful_patch), self.decide_patch(doubtful_patch, 2.0 * previous.halo_arcsec)]
         return parts
 
-    def within(self, patch: Patch, halo_arcsec: float) -> Part:
+    def decide_patch(self, patch: Patch, halo_arcsec: float) -> Part:
         """The cells of a patch decided with a halo of at least this width."""
         halo = Halo.around(patch, halo_arcsec, self.tuning.finer)
         disc = halo.disc()
@@ -272,15 +273,15 @@ class Work:
         own = stored[0][one.records.rows], stored[1][two.records.rows]
         competing = Competing.of(pairs, log_ratio, self.tuning.competing)
         edge = self._edge(one, two, halo)
-        whole = groups(pairs)
-        best = assign(whole, log_ratio, EVIDENCE_ALONE(whole.sizes_1, whole.sizes_2))
+        grouped = groups(pairs)
+        best = assign(grouped, log_ratio, EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
         p_pair = np.zeros(len(pairs))
         unsummed = np.zeros_like(own[0]), np.zeros_like(own[1])
         for block in self._blocks(pairs, own, one, two):
-            more = self._sum(p_pair, pairs, log_ratio, (whole, best), competing, block, edge)
-            unsummed = unsummed[0] | more[0], unsummed[1] | more[1]
-        summed = Posterior(p_pair, np.full(len(whole), APPROXIMATE, np.int8), np.zeros(len(whole)), 0.0)
-        result = Identification(pairs, whole, evidence, best, summed)
+            of_block = self._sum(p_pair, pairs, log_ratio, (grouped, best), competing, block, edge)
+            unsummed = unsummed[0] | of_block[0], unsummed[1] | of_block[1]
+        summed = Posterior(p_pair, np.full(len(grouped), APPROXIMATE, np.int8), np.zeros(len(grouped)), 0.0)
+        result = Identification(pairs, grouped, evidence, best, summed)
         touching = competing.in_groups(competing.groups_of(*edge))
         doubtful = own[0] & (touching[0] | unsummed[0]), own[1] & (touching[1] | unsummed[1])
         return Part(halo.width_arcsec, one, two, result, stored, doubtful)
@@ -331,17 +332,17 @@ class Work:
             if sum(map(np.count_nonzero, near)) > self.tuning.max_share * n_records:
                 near = np.ones_like(near[0]), np.ones_like(near[1])
             of_1, of_2 = near[0][pairs.i], near[1][pairs.j]
-            inside, severed = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)
+            kept, severed = np.flatnonzero(of_1 & of_2), np.flatnonzero(of_1 != of_2)
             cut = edge[0].copy(), edge[1].copy()
             cut[0][pairs.i[severed]] = cut[1][pairs.j[severed]] = True
-            i, j = pairs.i[inside], pairs.j[inside]
+            i, j = pairs.i[kept], pairs.j[kept]
             grouped, best = whole
-            if len(inside) < len(pairs):
-                grouped = laid_out(pairs.place_1[inside], pairs.place_2[inside], i, j, len(cut[0]), len(cut[1]))
-                best = assign(grouped, log_ratio[inside], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
+            if len(kept) < len(pairs):
+                grouped = laid_out(pairs.place_1[kept], pairs.place_2[kept], i, j, len(cut[0]), len(cut[1]))
+                best = assign(grouped, log_ratio[kept], EVIDENCE_ALONE(grouped.sizes_1, grouped.sizes_2))
             summed = posterior(grouped, best, cut=cut)
             written = wanted[0][i] | wanted[1][j]
-            p_pair[inside[written]] = summed.p_pair[written]
+            p_pair[kept[written]] = summed.p_pair[written]
             assert summed.open is not None
             unsummed = np.zeros_like(near[0]), np.zeros_like(near[1])
             unsummed[0][i[summed.open]] = unsummed[1][j[summed.open]] = True
@@ -354,21 +355,21 @@ class Work:
         """Whether records outside the halo may be candidates of a record."""
         assert self.learned is not None
         tuning, learned = self.tuning, self.learned
-        sigma = [np.sqrt(records.variances.max(axis=1))
-                 for records in learned.start.records(one.records, two.records)]  # fmt: skip
-        largest = [float(np.quantile(s, 0.999)) if len(s) else 0.0 for s in sigma]
-        moved = max((s.moved_limit(self.far_arcsec) for s in (one, two)), default=0.0)
+        sigmas = [np.sqrt(records.variances.max(axis=1))
+                  for records in learned.start.records(one.records, two.records)]  # fmt: skip
+        max_sigma = [float(np.quantile(sigma, 0.999)) if len(sigma) else 0.0 for sigma in sigmas]
+        moved = max((rows.moved_limit(self.far_arcsec) for rows in (one, two)), default=0.0)
 
-        def at_edge(rows: Rows, s: FloatArray, other: float) -> BoolArray:
+        def at_edge(rows: Rows, sigma_arcsec: FloatArray, other: float) -> BoolArray:
             inside = healpix.within(halo.own, rows.stored[rows.records.rows])
-            reach = np.minimum(learned.gate_sigmas * np.hypot(s, other), tuning.certain_arcsec)
+            reach = np.minimum(learned.gate_sigmas * np.hypot(sigma_arcsec, other), tuning.certain_arcsec)
             near = np.zeros(len(reach), np.bool_)
             # A record of the patch that has hardly moved is farther from the edge than the halo's width.
             tested = np.flatnonzero(~inside | (reach + moved + rows.moved_arcsec > halo.width_arcsec))
-            near[tested] = halo.edge_arcsec(rows.place[tested], reach[tested] + moved) <= reach[tested] + moved
+            near[tested] = halo.edge_arcsec(rows.direction[tested], reach[tested] + moved) <= reach[tested] + moved
             return near
 
-        return at_edge(one, sigma[0], largest[1]), at_edge(two, sigma[1], largest[0])
+        return at_edge(one, sigmas[0], max_sigma[1]), at_edge(two, sigmas[1], max_sigma[0])
 
 
 @in_short
@@ -490,15 +491,15 @@ class Halo:
         far = float(np.linalg.norm(self.edges - self.middle, axis=1).max()) * ARCSEC_PER_RADIAN
         return np.append(self.middle, far)
 
-    def edge_arcsec(self, place: FloatArray, up_to: FloatArray) -> FloatArray:
-        """(n,) lower bounds of the distances of directions from the edge; infinite if beyond the largest ``up_to``."""
+    def edge_arcsec(self, direction: FloatArray, max_arcsec: FloatArray) -> FloatArray:
+        """(n,) lower bounds of the distances of directions from the edge; infinite above the largest ``max_arcsec``."""
         from scipy.spatial import cKDTree
 
-        if not len(place) or not len(self.edges):
-            return np.full(len(place), np.inf)
+        if not len(direction) or not len(self.edges):
+            return np.full(len(direction), np.inf)
         slack = CORNER * self.side_arcsec
-        most = (float(up_to.max()) + slack) / ARCSEC_PER_RADIAN
-        distance, _ = cKDTree(self.edges).query(place, distance_upper_bound=most)
+        limit = (float(max_arcsec.max()) + slack) / ARCSEC_PER_RADIAN
+        distance, _ = cKDTree(self.edges).query(direction, distance_upper_bound=limit)
         return np.asarray(distance * ARCSEC_PER_RADIAN - slack)
 
 
@@ -507,8 +508,8 @@ class Halo:
 class Part:
     """A decided part.
 
-    own : (n_table,) for either catalogue, the rows stored in the part's cells. open : (n,) for either, the records of
-    these rows whose answer a wider halo might change.
+    own : (n_table,) for either catalogue, the rows stored in the part's cells. doubtful_records : (n,) for either, the
+    records of these rows whose answer a wider halo might change.
     """
 
     halo_arcsec: float
@@ -516,26 +517,26 @@ class Part:
     two: Rows
     result: Identification
     own: tuple[BoolArray, BoolArray]
-    open: tuple[BoolArray, BoolArray]
+    doubtful_records: tuple[BoolArray, BoolArray]
 
     @property
-    def doubtful(self) -> int:
+    def n_doubtful(self) -> int:
         """Number of records whose answer a wider halo might change."""
-        return sum(int(np.count_nonzero(of)) for of in self.open)
+        return sum(int(np.count_nonzero(mask)) for mask in self.doubtful_records)
 
     def doubtful_cells(self, order: int) -> IntArray:
         """The cells of this order that contain doubtful records."""
         shift = 2 * (healpix.FINEST - order)
-        cells = [rows.stored[rows.records.rows[of]] >> shift
-                for rows, of in zip((self.one, self.two), self.open, strict=True)]  # fmt: skip
+        cells = [rows.stored[rows.records.rows[mask]] >> shift
+                for rows, mask in zip((self.one, self.two), self.doubtful_records, strict=True)]  # fmt: skip
         return np.unique(np.concatenate(cells))
 
     def without(self, patch: Patch) -> Part:
         """The part without the cells of a patch, and with no record doubtful: the patch has them all."""
         own_1, own_2 = (own & ~healpix.within(patch.stretch, rows.stored)
                         for own, rows in zip(self.own, (self.one, self.two), strict=True))  # fmt: skip
-        none_1, none_2 = (np.zeros(len(of), np.bool_) for of in self.open)
-        return replace(self, own=(own_1, own_2), open=(none_1, none_2))
+        none_1, none_2 = (np.zeros(len(mask), np.bool_) for mask in self.doubtful_records)
+        return replace(self, own=(own_1, own_2), doubtful_records=(none_1, none_2))
 
     @property
     def first(self) -> Catalogue:
@@ -550,10 +551,10 @@ class Part:
     def table(self, work: Work) -> tuple[Table, IntArray]:
         """The joined rows by ascending cell of order 29, and these cells."""
         assert work.learned is not None
-        seen = [
+        covered = [
             rows.records.over_table(work.learned.seen(rows.cells, k + 1)) for k, rows in enumerate((self.one, self.two))
         ]
-        joinable = _Joinable(self.first, self.second, self.result, seen[0], seen[1])
+        joinable = _Joinable(self.first, self.second, self.result, covered[0], covered[1])
         rows = joined_rows(joinable, work.join).of(*self.own)
         cell = rows.either(self.one.stored, self.two.stored)
         if np.any(cell[1:] < cell[:-1]):
@@ -580,7 +581,7 @@ class Part:
             "pairs": int(np.count_nonzero(own)),
             "expected_common": float(p.sum()),
             "expected_wrong": float((1.0 - p[chosen]).sum()),
-            "doubtful": self.doubtful,
+            "doubtful": self.n_doubtful,
             "halo_arcsec": self.halo_arcsec,
         }
 
@@ -601,16 +602,16 @@ WITH_SECOND = ("all2", "1or2", "2not1", "1xor2")
 def _by_cells(pairs: Pairs, one: Rows, two: Rows) -> Pairs:
     """The candidates ordered by the stored cells of their records: the order of a group's sum, and where sums are
     approximated, then do not depend on the other records of the part."""
-    place_1, place_2 = (_places(rows)[k] for rows, k in ((one, pairs.i), (two, pairs.j)))
-    order = np.argsort(place_1.astype(np.int64) << 32 | place_2, kind="stable")  # merges ascending runs
-    return replace(pairs.part(order), place_1=place_1[order], place_2=place_2[order])
+    rank_1, rank_2 = (_ranks(rows)[k] for rows, k in ((one, pairs.i), (two, pairs.j)))
+    order = np.argsort(rank_1.astype(np.int64) << 32 | rank_2, kind="stable")  # merges ascending runs
+    return replace(pairs.part(order), place_1=rank_1[order], place_2=rank_2[order])
 
 
-def _places(rows: Rows) -> NDArray[np.int32]:
+def _ranks(rows: Rows) -> NDArray[np.int32]:
     """(n,) ranks of the records by their stored cells."""
-    place = np.empty(len(rows.records), np.int32)
-    place[np.argsort(rows.stored[rows.records.rows], kind="stable")] = np.arange(len(place), dtype=np.int32)
-    return place
+    rank = np.empty(len(rows.records), np.int32)
+    rank[np.argsort(rows.stored[rows.records.rows], kind="stable")] = np.arange(len(rank), dtype=np.int32)
+    return rank
 
 
 def brightness(first: Catalogue, second: Catalogue, magnitudes: str) -> tuple[Magnitudes, Magnitudes] | None:
@@ -638,12 +639,12 @@ def table_of(table: pa.Table) -> Table:
     return Table(columns, copy=False)
 
 
-def _texts(value: Any) -> list[str]:
+def _strings_in(value: Any) -> list[str]:
     """All strings in a value, in the fields of its dataclasses and the items of its lists."""
     if isinstance(value, str):
         return [value]
     if hasattr(value, "__dataclass_fields__"):
-        return [text for name in value.__dataclass_fields__ for text in _texts(getattr(value, name))]
+        return [text for name in value.__dataclass_fields__ for text in _strings_in(getattr(value, name))]
     if isinstance(value, list | tuple):
-        return [text for one in value for text in _texts(one)]
+        return [text for one in value for text in _strings_in(one)]
     return []

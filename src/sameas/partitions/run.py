@@ -217,7 +217,7 @@ def estimate(
     far = max(tuning.far_arcsec, tuning.far_sigmas * max(one.sigma_arcsec for one in chunks))
     sigma = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
-    counted = _counted(work, scratch, workers, executor, progress, tuning)
+    counted = _count_all(work, scratch, workers, executor, progress, tuning)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
@@ -226,7 +226,7 @@ def estimate(
     places = Places.of(counts, healpix.area_arcsec2(order))
     steps, cells = drawn(counts, tuning.sampling)
     volume = places.within(counts, cells, steps)
-    sampled, learned, assumed = _learned(work, sigma, places, steps, cells, volume, options, progress, tuning)
+    sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, progress, tuning)
     final = tuple(replace(s, understood=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
     halo, margin = _halos(work, tuning)
@@ -241,8 +241,8 @@ def completed_epochs(catalogues: Sequence[Catalogue], epoch_jyr: float | None) -
     where both overlap."""
     known = [one for one in catalogues if not one.error_is_unknown and not one.choice.error.guessed_unit]
     if len(known) == 2:
-        made, _ = completed(catalogues, epoch_jyr)
-        return made[0], made[1]
+        with_epochs, _ = completed(catalogues, epoch_jyr)
+        return with_epochs[0], with_epochs[1]
     return catalogues[0], catalogues[1]
 
 
@@ -304,7 +304,7 @@ def _order_of(stored: IntArray, records_per_cell: float) -> int:
     return 24
 
 
-def _counted(
+def _count_all(
     work: Work, scratch: Path, workers: int | None, executor: Executor | None, progress: Progress, tuning: RunTuning
 ) -> tuple[list[Counted], list[Counted]]:
     """The counts of every partition of both catalogues, in parallel."""
@@ -333,11 +333,11 @@ def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
     import pyarrow as pa
 
     return replace(
-        side, far=table.take(pa.array(kept)), far_place=rows.place, far_reach_arcsec=10.0 * rows.sigma_arcsec
+        side, far=table.take(pa.array(kept)), far_place=rows.direction, far_reach_arcsec=10.0 * rows.sigma_arcsec
     )
 
 
-def _learned(
+def _learn_from_sample(
     work: Work, sigma: float, places: Places, steps: int, cells: IntArray, volume: float,
     options: MatchOptions, progress: Progress, tuning: RunTuning,
 ) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:  # fmt: skip
@@ -349,18 +349,18 @@ def _learned(
     order = work.sides[0].cell_order - steps
     margin = tuning.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
-    ring = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
-    stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(ring, fine)]))
+    around = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
+    stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(around, fine)]))
     whole_sky = np.array([0.0, 0.0, 1.0, 2.0 * 206265.0])
     rows = [work.read(side, stretch, whole_sky, work.columns(side)) for side in (1, 2)]
     # The epoch is fixed by now; errors and their units may be inferred from both catalogues together.
     (one, two), assumed = completed([part.catalogue for part in rows], options.epoch_jyr)
-    made = [replace(part, catalogue=c, records=c.records(side.epoch_jyr))
+    parts = [replace(part, catalogue=c, records=c.records(side.epoch_jyr))
             for part, c, side in zip(rows, (one, two), work.sides, strict=True)]  # fmt: skip
-    counted = [np.isin(part.cells >> 2 * steps, cells) for part in made]
+    counted = [np.isin(part.cells >> 2 * steps, cells) for part in parts]
     learned = learn(
-        (made[0].records, made[1].records), (made[0].cells, made[1].cells), (counted[0], counted[1]), places, volume,
-        errors=options.errors(), gate=options.gate(), density=options.density(),
+        (parts[0].records, parts[1].records), (parts[0].cells, parts[1].cells), (counted[0], counted[1]),
+        places, volume, errors=options.errors(), gate=options.gate(), density=options.density(),
         brightness=brightness(one, two, options.magnitudes), precision=options.precision, progress=progress,
         evidence=columns_of(one, two, options.evidence, options.magnitudes),
     )  # fmt: skip
@@ -392,7 +392,7 @@ def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
         grouped = laid_out(pairs.place_1[kept], pairs.place_2[kept], i, j, len(pairs.first), len(pairs.second))
         lat = pairs.first.features[i, 1]
         lon = pairs.first.features[i, 0]
-        extents = _extents(grouped.of_pairs().astype(np.int64), len(grouped), lon, lat)
+        extents = _group_extents(grouped.of_pairs().astype(np.int64), len(grouped), lon, lat)
 
     def width(share: float) -> float:
         extent = float(np.quantile(extents, share))
@@ -401,20 +401,21 @@ def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
     return width(tuning.halo_share), width(tuning.margin_share)
 
 
-def _extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:
+def _group_extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:
     """(m,) extent in arcsec of the group of each pair: an upper bound of the distance of any two of its records."""
     east = np.where(lon > 180.0, lon - 360.0, lon), np.mod(lon, 360.0)
-    width = np.minimum(*(_spread(group, n, x) for x in east)) * np.cos(np.radians(_least(group, n, np.abs(lat))))
-    return np.asarray(3600.0 * np.hypot(width, _spread(group, n, lat)))[group]
+    least_lat = _minimum_by_group(group, n, np.abs(lat))
+    width = np.minimum(*(_range_by_group(group, n, x) for x in east)) * np.cos(np.radians(least_lat))
+    return np.asarray(3600.0 * np.hypot(width, _range_by_group(group, n, lat)))[group]
 
 
-def _spread(group: IntArray, n: int, values: FloatArray) -> FloatArray:
+def _range_by_group(group: IntArray, n: int, values: FloatArray) -> FloatArray:
     high = np.full(n, -np.inf)
     np.maximum.at(high, group, values)
-    return high - _least(group, n, values)
+    return high - _minimum_by_group(group, n, values)
 
 
-def _least(group: IntArray, n: int, values: FloatArray) -> FloatArray:
+def _minimum_by_group(group: IntArray, n: int, values: FloatArray) -> FloatArray:
     low = np.full(n, np.inf)
     np.minimum.at(low, group, values)
     return low
@@ -460,7 +461,7 @@ def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> di
     work = stored_work(folder)
     cpu = time.process_time()
     summaries: list[dict[str, Any]] = []
-    pieces = (_decided(work, piece, facts, summaries) for piece in task.pieces)
+    pieces = (_joined_piece(work, piece, facts, summaries) for piece in task.pieces)
     if len(task.cells) == 1:
         written = [write_rows(pieces, partition_file(Path(catalogue), task.cells[0]))]
     else:
@@ -468,19 +469,19 @@ def decide_partition(folder: str, given: tuple[Task, str, dict[str, Any]]) -> di
         begins = np.searchsorted(numbers_of(rows, CELL), [cell.stretch[0] for cell in task.cells])
         written = [write_rows([rows.slice(begin, end - begin)], partition_file(Path(catalogue), cell))
                    for cell, (begin, end) in zip(task.cells, begins, strict=True)]  # fmt: skip
-    full = [[cell.order, cell.number] for cell, rows in zip(task.cells, written, strict=True) if rows]
+    non_empty = [[cell.order, cell.number] for cell, rows in zip(task.cells, written, strict=True) if rows]
     summary = {key: (max if key == "halo_arcsec" else sum)(one[key] for one in summaries) for key in summaries[0]}
-    summary |= {"written": full, "order": task.cell.order, "number": task.cell.number}
+    summary |= {"written": non_empty, "order": task.cell.order, "number": task.cell.number}
     written_whole(summary_file(Path(folder), task), json.dumps(summary).encode())
     return summary | {"cpu_seconds": time.process_time() - cpu}
 
 
-def _decided(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
+def _joined_piece(work: Work, piece: tuple[Cell, ...], facts: dict[str, Any], summaries: list[dict[str, Any]]) -> Any:
     """The Arrow table of a piece's joined rows, by ascending cell of order 29; appends to ``summaries``."""
     import pyarrow as pa
 
     tables = []
-    for part in work.decided(piece):
+    for part in work.decide(piece):
         summaries.append(part.summary)
         tables.append(arrow_of(*part.table(work), facts))
     if len(tables) == 1:
@@ -545,7 +546,7 @@ class Workers:
                 failures = 1 if done else failures + 1
                 self._own = None
                 if failures >= self.tuning.max_failures:
-                    at = ", ".join(str(_cell_of(task)) for task in left[: len(done) + self.number][:3])
+                    at = ", ".join(str(_cell_of_task(task)) for task in left[: len(done) + self.number][:3])
                     raise InputError(
                         f"workers died {failures} times, at one of the partitions {at} …; finished parts are kept",
                         "give fewer workers if memory ran out, and call again",
@@ -578,7 +579,7 @@ class Workers:
         return self._own
 
 
-def _cell_of(task: Any) -> Any:
+def _cell_of_task(task: Any) -> Any:
     return next((part for part in task if isinstance(part, Cell)), task)
 
 
@@ -658,20 +659,20 @@ def write(
         name; workers keep dying; the disk is full.
     """
     try:
-        return _written(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
+        return _write_locked(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise InputError(
                 f"{path}: the disk is full; finished parts are kept", "make room, and call again"
             ) from error
-        gone = "the folder no longer exists" if isinstance(error, FileNotFoundError) else None
-        reason = refused_by_disk(error) or gone
+        missing = "the folder no longer exists" if isinstance(error, FileNotFoundError) else None
+        reason = refused_by_disk(error) or missing
         if reason is None:
             raise
         raise InputError(f"cannot write {path}: {reason}; finished parts are kept", "call again") from error
 
 
-def _written(
+def _write_locked(
     estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
     executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning,
 ) -> Written:  # fmt: skip
@@ -681,8 +682,8 @@ def _written(
         raise InputError(f"{path}: exists already", "give another name, or remove it")
     mark = scratch / "begun.json"
     with reading(str(mark), "cannot be read"):
-        begun = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else facts
-    if begun != facts:
+        begun_facts = json.loads(mark.read_text(encoding="utf-8")) if mark.exists() else facts
+    if begun_facts != facts:
         raise InputError(f"{path}: was begun with other catalogues or options", "give another name, or remove it")
     # A scratch folder without the mark is of a run that was killed before it wrote anything else.
     if path.exists() and not mark.exists() and any(one != scratch for one in path.iterdir()):
@@ -694,14 +695,14 @@ def _written(
                 stack.enter_context(closing(held(scratch)))
             if (path / "collection.properties").exists():
                 raise InputError(f"{path}: another run has just written it", "give another name, or remove it")
-            done = _all_written(
+            written = _write_all(
                 estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning, last
             )
         shutil.rmtree(scratch)
-    return done
+    return written
 
 
-def _all_written(
+def _write_all(
     estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
     executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning, last: Callable[[], None],
 ) -> Written:  # fmt: skip
@@ -714,37 +715,39 @@ def _all_written(
     mark = scratch / "begun.json"
     store(work, scratch)
     written_whole(mark, json.dumps(facts).encode())
-    most = min(piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
-    planned = list(divided(output_cells(work), estimated.counts, work.sides[0].cell_order, most))
-    summaries = [_summary_of(scratch, catalogue, task) for task in planned]
-    tasks = [(task, str(catalogue), facts) for task, one in zip(planned, summaries, strict=True) if one is None]
-    done, cpu = [one for one in summaries if one is not None], 0.0
+    max_records = min(piece_rows, estimated.rows_with_halo(PIECE_PAIRS))
+    all_tasks = list(divide(output_cells(work), estimated.counts, work.sides[0].cell_order, max_records))
+    summaries = [_finished_summary(scratch, catalogue, task) for task in all_tasks]
+    tasks = [(task, str(catalogue), facts)
+             for task, summary in zip(all_tasks, summaries, strict=True) if summary is None]  # fmt: skip
+    finished, cpu = [summary for summary in summaries if summary is not None], 0.0
     with Workers(workers if len(tasks) > 1 else 1, executor, tuning) as pool:
         for n, (_, summary) in enumerate(pool.each(decide_partition, str(scratch), tasks), 1):
-            done.append(summary)
+            finished.append(summary)
             cpu += summary["cpu_seconds"]
             progress(f"part {n + len(summaries) - len(tasks)} of {len(summaries)}")
-        full = [Cell(*cell) for one in done for cell in one["written"]]
-        if not full:
+        non_empty = [Cell(*cell) for summary in finished for cell in summary["written"]]
+        if not non_empty:
             raise InputError(f"{path}: the join {work.join} has no rows; nothing was written")
         properties = catalogue_properties(name, *position_columns(work))
-        rows = finish_catalogue(catalogue, full, properties, facts)
+        rows = finish_catalogue(catalogue, non_empty, properties, facts)
         margin = f"{name}_{margin_arcsec:g}arcs" if margin_arcsec > 0.0 else None
         if margin is not None:
             progress("margin")
-            _write_margins(pool, str(scratch), catalogue, path / margin, full, margin_arcsec, properties, facts)
+            _write_margins(pool, str(scratch), catalogue, path / margin, non_empty, margin_arcsec, properties, facts)
     for draft in path.rglob(".*.part"):  # of workers that died while writing
         draft.unlink(missing_ok=True)
     last()
     write_collection(path, name, margin if margin is not None and (path / margin).exists() else None)
-    sums = {key: sum(one[key] for one in sorted(done, key=lambda one: (one["order"], one["number"])))
+    finished = sorted(finished, key=lambda summary: (summary["order"], summary["number"]))
+    sums = {key: sum(summary[key] for summary in finished)
             for key in ("pairs", "expected_common", "expected_wrong", "doubtful", "read")}  # fmt: skip
-    widest = max(one["halo_arcsec"] for one in done)
-    return Written(path, rows, len(full), sums["pairs"], sums["expected_common"], sums["expected_wrong"],
+    widest = max(summary["halo_arcsec"] for summary in finished)
+    return Written(path, rows, len(non_empty), sums["pairs"], sums["expected_common"], sums["expected_wrong"],
                    sums["doubtful"], widest, len(tasks), cpu, sums["read"])  # fmt: skip
 
 
-def _summary_of(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | None:
+def _finished_summary(scratch: Path, catalogue: Path, task: Task) -> dict[str, Any] | None:
     """The summary of a finished task whose files all exist, else None."""
     file = summary_file(scratch, task)
     if not file.exists():
@@ -761,11 +764,11 @@ def _write_margins(
 ) -> None:  # fmt: skip
     _output.cache_clear()
     tasks = [(cell, str(catalogue), str(margin), arcsec) for cell in cells]
-    full = [task[0] for task, rows in pool.each(margin_partition, scratch, tasks) if rows]
-    if full:
+    non_empty = [task[0] for task, rows in pool.each(margin_partition, scratch, tasks) if rows]
+    if non_empty:
         own = {"dataproduct_type": "margin", "obs_collection": margin.name, "hats_primary_table_url": catalogue.name,
                "hats_margin_threshold": f"{arcsec:g}"}  # fmt: skip
-        finish_catalogue(margin, full, {**properties, **own}, facts)
+        finish_catalogue(margin, non_empty, {**properties, **own}, facts)
 
 
 def position_columns(work: Work) -> tuple[str, str]:
@@ -777,9 +780,9 @@ def position_columns(work: Work) -> tuple[str, str]:
     from astropy.table import Table
 
     tables = [Table({name: [0] for name in names}) for names in schemas]
-    called = dict(zip(schemas[0], joined_names(*tables)[0], strict=True))
+    output_name = dict(zip(schemas[0], joined_names(*tables)[0], strict=True))
     ra, dec = work.sides[0].stored.position
-    return called[ra], called[dec]
+    return output_name[ra], output_name[dec]
 
 
 def output_cells(work: Work) -> list[Cell]:
@@ -793,7 +796,7 @@ def output_cells(work: Work) -> list[Cell]:
     return sorted(cells, key=sky_order)
 
 
-def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Iterator[Task]:
+def divide(cells: Sequence[Cell], counts: Counts, order: int, max_records: int) -> Iterator[Task]:
     """The output's cells in tasks of pieces of at most ``most`` records of both catalogues, in HEALPix order; a piece
     may have more if it is as small as the cells of the counts, which are of ``order``."""
     begins = counts.cells << 2 * (healpix.FINEST - order)
@@ -801,7 +804,7 @@ def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Ite
 
     def small_enough(*cells: Cell) -> bool:
         begin, end = np.searchsorted(begins, [cells[0].stretch[0, 0], cells[-1].stretch[0, 1]])
-        return cells[0].order >= order or bool(total[end] - total[begin] <= most)
+        return cells[0].order >= order or bool(total[end] - total[begin] <= max_records)
 
     def pieces(*cells: Cell) -> Iterator[tuple[Cell, ...]]:
         """A cell or two adjacent ones if small enough, else pieces of them."""
@@ -814,21 +817,21 @@ def divided(cells: Sequence[Cell], counts: Counts, order: int, most: int) -> Ite
             yield from pieces(*cells[0].inner[:2])
             yield from pieces(*cells[0].inner[2:])
 
-    def tasks(cell: Cell, own: Sequence[Cell]) -> Iterator[Task]:
-        if len(own) == 1 and (own[0].order <= cell.order or not small_enough(own[0])):
-            yield Task((own[0],), tuple(pieces(own[0])))
+    def tasks(cell: Cell, in_cell: Sequence[Cell]) -> Iterator[Task]:
+        if len(in_cell) == 1 and (in_cell[0].order <= cell.order or not small_enough(in_cell[0])):
+            yield Task((in_cell[0],), tuple(pieces(in_cell[0])))
         elif small_enough(cell):
-            yield Task(tuple(own), ((common(own),),))
+            yield Task(tuple(in_cell), ((common(in_cell),),))
         else:
             for inner in cell.inner:
-                inside = [one for one in own if one.order > cell.order and one.at(inner.order) == inner]
+                inside = [one for one in in_cell if one.order > cell.order and one.at(inner.order) == inner]
                 if inside:
                     yield from tasks(inner, inside)
 
     for k in range(12):
-        own = [cell for cell in cells if cell.at(0) == Cell(0, k)]
-        if own:
-            yield from tasks(Cell(0, k), own)
+        in_cell = [cell for cell in cells if cell.at(0) == Cell(0, k)]
+        if in_cell:
+            yield from tasks(Cell(0, k), in_cell)
 
 
 def common(cells: Sequence[Cell]) -> Cell:
