@@ -9,7 +9,7 @@ import pytest
 from browser import CHROMIUM, Browser
 from sameas.simulate.frames import Camera, Gaussian, frame_of
 from sameas.sky.movers.search import search
-from sameas.sky.movers.stack import confirmed, stack
+from sameas.sky.movers.stack import TUNING, _evidence, confirmed, stack
 from sameas.sky.series import Exposure, tie
 
 SIDE, SCALE, RA, DEC = 256, 1.0, 150.0, 20.0
@@ -80,7 +80,7 @@ def test_light_on_frames_without_detection_confirms_a_mover():
     found, tied = search(tied, min_probability=0.0)
     stacked = stack(found, tied, frames)
     assert found.size[0] == 3 and stacked.detected[0].sum() == 3
-    assert stacked.log_ratio[0] > 6.0 and stacked.p[0] >= found.p_tracklet[0]
+    assert stacked.log_ratio[0] > 3.5 and stacked.p[0] >= found.p_tracklet[0]
 
 
 def test_frames_without_light_refute_a_tracklet():
@@ -95,6 +95,37 @@ def test_frames_without_light_refute_a_tracklet():
     stacked = stack(doubtful, tied, frames)
     kept, left = confirmed(doubtful, stacked, 0.5)
     assert stacked.p[0] < 0.5 and len(kept) == len(left) == 0
+
+
+def test_light_of_an_unlisted_star_on_other_frames_makes_nothing_certain():
+    """Six frames of it gave a factor of 10⁸; one place in a hundred of real frames has such light."""
+    tied, _, _ = series(4, seen=(0, 2, 5))
+    found, _ = search(tied, min_probability=0.0)
+    found = replace(found.only(np.zeros(1, int)), log_missed=np.array([-2.0]))
+    detected = np.array([[True] * 3 + [False] * 6])
+    seen = np.zeros((1, 9), bool), detected, TUNING
+    bright = _evidence(found, np.full((1, 9), 100.0), np.full((1, 9), 10.0), *seen)[0] - 2.0
+    assert 3.8 < bright <= np.log(1 / TUNING.unlisted)
+    # Frames without light refute as before.
+    dark = _evidence(found, np.where(detected, 100.0, 0.0), np.full((1, 9), 10.0), *seen)[0] - 2.0
+    assert -14.0 < dark < -10.0
+
+
+def test_every_number_of_a_tracklet_has_the_evidence_of_forced_photometry():
+    """A tracklet of p = 1.0000 once had the chance number and the odds of before the measurement."""
+    tied, frames, _ = series(4, seen=(0, 2, 5))
+    found, tied = search(tied, min_probability=0.0)
+    found = replace(
+        found, p_tracklet=np.full(len(found), 0.6), p_exact=np.full(len(found), 0.5),
+        p_member=0.6 * (found.members >= 0),
+    )  # fmt: skip
+    stacked = stack(found, tied, frames)
+    kept, _ = confirmed(found, stacked, 0.5)
+    change = kept.log_weight[0] - found.log_weight[0]
+    assert change == pytest.approx(stacked.log_ratio[0]) and change > 2.0
+    assert kept.expected_chance[0] == pytest.approx(found.expected_chance[0] * np.exp(-change))
+    assert 0.9 < kept.p_tracklet[0] <= kept.p_member[0].max() + 1e-12 and kept.log_missed[0] == 0.0
+    assert kept.p_exact[0] == pytest.approx(kept.p_tracklet[0] * 0.5 / 0.6)
 
 
 def test_a_bright_mover_of_one_and_a_half_pixels_in_total_is_no_blend():

@@ -50,7 +50,8 @@ class StackTuning:
     controls : number of positions around the track, per frame, that give the noise. far_widths : their maximum
         distance, FWHM.
     hidden_widths : a star closer than this (FWHM) hides the mover. absent : probability ε that it is not visible.
-    variable : relative 1σ of its flux. max_tracklets : maximum number of tracklets, the first ones.
+    variable : relative 1σ of its flux. unlisted : probability that the light on its path is not its own, but of a star
+        or halo that is not listed. max_tracklets : maximum number of tracklets, the first ones.
     """
 
     half_px: int = 24
@@ -60,6 +61,9 @@ class StackTuning:
     hidden_widths: float = 1.2
     absent: float = 0.1
     variable: float = 0.3
+    #: At 1 500 random places of ten real frames a path over six of them has a likelihood ratio above 100 in 1.3 % of
+    #: the cases, and a mean one of 9·10⁴ where chance allows 1; with 0.02 the mean is 0.85.
+    unlisted: float = 0.02
     max_tracklets: int = 200
 
 
@@ -314,8 +318,9 @@ def _evidence(
         log_visible = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
         log_absent = -0.5 * ((flux / error) ** 2 + np.log(error**2))
         log_ratio = np.logaddexp(log_visible, math.log(tuning.absent) + log_absent) - log_absent
-    # An unlisted star on the track would give much light: the evidence per frame is limited.
+    # An unlisted star on the track would give much light: the evidence is limited, per frame and of all.
     gain = np.where(missed, np.minimum(log_ratio, 3.0), 0.0).sum(axis=1)
+    gain -= np.logaddexp(math.log1p(-tuning.unlisted), math.log(tuning.unlisted) + gain)
     # This replaces the misses counted by the search.
     return np.asarray(gain - found.log_missed[: len(flux)])
 
@@ -341,9 +346,16 @@ def _stacked(
 
 
 def confirmed(found: Movers, stacked: Stack, min_probability: float) -> tuple[Movers, Stack]:
-    """The tracklets with the probabilities after forced photometry, those below the minimum excluded."""
+    """The tracklets with the evidence of forced photometry, those less probable than the minimum excluded."""
     p = np.concatenate([stacked.p, found.p_tracklet[len(stacked) :]])
-    found = replace(found, p_tracklet=p)
+    change = np.concatenate([stacked.log_ratio, np.zeros(len(found) - len(stacked))])
+    share = p / np.maximum(found.p_tracklet, 1e-300)
+    found = replace(
+        found, p_tracklet=p, p_exact=np.minimum(share * found.p_exact, p),
+        p_member=np.minimum(share[:, None] * found.p_member, 1.0), log_weight=found.log_weight + change,
+        expected_chance=found.expected_chance * np.exp(-change),
+        log_missed=np.where(np.arange(len(found)) < len(stacked), 0.0, found.log_missed),
+    )  # fmt: skip
     keep = p >= min_probability
     measured = keep[: len(stacked)]
     names = ("place", "chip", "flux", "error", "hidden", "detected", "log_ratio", "p", "along", "stacked", "snr")

@@ -333,13 +333,29 @@ def _common_step(axes: EclipticAxes, first: IntArray, second: IntArray, width: f
     if len(pairs) < _LEAST_PAIRS:
         return None
     step = axes.offsets(first[pairs["i"]], second[pairs["j"]])
-    tree = cKDTree(step)
-    near = tree.query_ball_point(step, width, return_length=True)
-    best = int(near.argmax())
-    around = len(tree.query_ball_point(step[best], 4.0 * width)) - near[best]
-    if near[best] < _LEAST_PAIRS or near[best] < _EXCESS * around / 15.0:
+    tree, tried = cKDTree(step), _thinned(step, 0.5 * width)
+    near = tree.query_ball_point(step[tried], width, return_length=True)
+    best, most = step[tried[near.argmax()]], int(near.max())
+    around = tree.query_ball_point(best, 4.0 * width, return_length=True) - most
+    if most < _LEAST_PAIRS or most < _EXCESS * around / 15.0:
         return None
-    return np.median(step[tree.query_ball_point(step[best], width)], axis=0)
+    return np.median(step[tree.query_ball_point(best, width)], axis=0)
+
+
+#: Maximum number of vectors that are tried in one cell: a thousand detections at one place have a million pairs, and
+#: counting the neighbours of each took half of the search's time.
+_MOST_TRIED = 100
+
+
+def _thinned(step: FloatArray, side: float) -> IntArray:
+    """Rows of the vectors (n, 2), ascending: all, or some :data:`_MOST_TRIED` evenly chosen in a cell of more."""
+    column, row = np.floor((step - step.min(axis=0)) / side).astype(np.int64).T
+    cell = column * (int(row.max()) + 1) + row
+    order = np.argsort(cell, kind="stable")
+    first = np.flatnonzero(np.diff(cell[order], prepend=-1))
+    count = np.diff(first, append=len(cell))
+    rank = np.arange(len(cell)) - np.repeat(first, count)
+    return np.sort(order[rank % np.repeat(-(-count // _MOST_TRIED), count) == 0])
 
 
 def _one_motion(steps: dict[int, FloatArray], previous: dict[int, int], mjd: FloatArray, width: float) -> bool:
