@@ -117,7 +117,7 @@ def test_every_number_of_a_tracklet_has_the_evidence_of_forced_photometry():
     found, tied = search(tied, min_probability=0.0)
     found = replace(
         found, p_tracklet=np.full(len(found), 0.6), p_exact=np.full(len(found), 0.5),
-        p_member=0.6 * (found.members >= 0),
+        p_member=np.where(found.members >= 0, 0.6, 0.0),
     )  # fmt: skip
     stacked = stack(found, tied, frames)
     kept, _ = confirmed(found, stacked, 0.5)
