@@ -93,7 +93,7 @@ def test_incoming_connections_are_read():
 def test_a_flood_drops_and_counts_the_oldest_data():
     queue = BoundedQueue(100)
     for k in range(50):
-        queue.put(bytes([k]) * 10, float(k), False)
+        queue.put(bytes([k]) * 10, float(k))
     assert queue.dropped == 40 and [piece[0] for piece in queue.take(1000)] == list(range(40, 50)) and not len(queue)
 
 
@@ -101,3 +101,78 @@ def test_an_invalid_input_address_is_refused():
     for url in ("carrier-pigeon://loft", "udp://10.0.0.1"):
         with pytest.raises(InputError, match="input"):
             Wire(url, ReportStream("x"))
+
+
+def test_a_signal_k_server_is_asked_for_its_deltas_and_a_refusal_is_named():
+    """The server of Signal K greets, and sends nothing until a client subscribes."""
+
+    async def run():
+        port, asked = free_port(), []
+
+        async def serve(reader, writer):
+            writer.write(b'{"name":"signalk-server","version":"2.1","self":"vessels.urn:x","roles":["main"]}\r\n')
+            asked.append(json.loads(await reader.readline()))
+            writer.close()
+
+        wire = Wire(f"tcp://127.0.0.1:{port}", ReportStream("boat"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: str(wire.state))
+        refused = str(wire.state)
+        async with await asyncio.start_server(serve, "127.0.0.1", port):
+            await until(lambda: asked)
+        task.cancel()
+        return refused, asked[0]
+
+    refused, asked = asyncio.run(run())
+    assert refused == "Connection refused"
+    assert asked["context"] == "*" and asked["subscribe"][0]["path"] == "*"
+
+
+def test_a_unicast_port_that_another_program_receives_is_an_error():
+    async def run():
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+            other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            other.bind(("127.0.0.1", 0))
+            wire = Wire(f"udp://127.0.0.1:{other.getsockname()[1]}", ReportStream("coast"))
+            task = asyncio.create_task(wire.run())
+            await until(lambda: str(wire.state))
+            task.cancel()
+            return str(wire.state)
+
+    assert asyncio.run(run()) == "Address already in use"
+
+
+def test_a_file_is_polled(tmp_path):
+    path = tmp_path / "aircraft.json"
+    content = {"now": 1714560000.0, "aircraft": [{"hex": "400a00", "lat": 50.0, "lon": -1.0}]}
+    path.write_text(json.dumps(content, indent=1))
+
+    async def run():
+        wire = Wire(path.as_uri(), ReportStream("pi"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: len(wire.queue))
+        task.cancel()
+        return wire.take()
+
+    [reports] = asyncio.run(run())
+    assert reports.icao.tolist() == ["400a00"]
+
+
+def test_a_line_cut_off_by_a_broken_connection_is_not_continued_by_the_next():
+    async def run():
+        port, served = free_port(), []
+
+        async def serve(reader, writer):
+            served.append(1)
+            writer.write(LINE[:30] if len(served) == 1 else LINE)
+            await writer.drain()
+            writer.close()
+
+        async with await asyncio.start_server(serve, "127.0.0.1", port):
+            wire = Wire(f"tcp://127.0.0.1:{port}", ReportStream("coast", "table"))
+            task = asyncio.create_task(wire.run())
+            await until(lambda: len(served) > 1 and len(wire.queue) > 2)
+            task.cancel()
+        return wire
+
+    assert asyncio.run(run()).take()[0].mmsi.tolist()[:1] == ["235070762"]

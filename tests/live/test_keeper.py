@@ -114,6 +114,56 @@ def test_deltas_add_up_to_the_frame(keeper):
     keeper.close()
 
 
+def approach(tmp_path, own_ship, **watch):
+    """The kinds of alarms while a ship passes a place at 100 m."""
+    keeper = Keeper(
+        Settings(
+            {"ais": LiveSource(Description("ais", "ais"))},
+            WatchSettings(own_ship=own_ship, register_every_s=0.0, plane={"lat_deg": 50.0, "lon_deg": -1.0}, **watch),
+        ),
+        replay=replay(),
+    )
+    keeper.replay.sources, keeper.replay._next, kinds = [], [], set()
+    for t in np.arange(0.0, 60.0, 2.0):
+        north = 2000.0 - 10.0 * t
+        row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + north / 111_240.0], "lon_deg": [-0.9986]}
+        row |= {"mmsi": ["235000001"], "vx_m_per_s": [0.0], "vy_m_per_s": [-10.0]}
+        keeper.picture.add("ais", Reports.of("ais", "ais", row))
+        kinds |= {alarm.kind for alarm in keeper.tick(START_S + t).alarms}
+    keeper.close()
+    return kinds
+
+
+@pytest.mark.slow
+def test_a_radar_on_shore_is_no_own_ship_in_danger_unless_a_distance_is_given(tmp_path):
+    shore = OwnShip(lat_deg=50.0, lon_deg=-1.0)
+    assert approach(tmp_path, shore) == set()
+    assert approach(tmp_path, shore, cpa_m=500.0) == {"cpa"}
+
+
+def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
+    path, now = tmp_path / "sensors.toml", [1000.0]
+    path.write_text(
+        '[watch]\nsilent_s = 30\n[sources.coast]\nkind = "ais"\ninput = "udp://127.0.0.1:60004"\n'
+        '[sources.bridge]\nkind = "marine radar"\ninput = "tcp://127.0.0.1:10110"\n'
+        '[sources.port]\nkind = "ais"\ninput = "tcp://127.0.0.1:10111"\n'
+    )
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    coast, bridge, port = keeper.wires.values()
+    coast.state.connected = port.state.connected = True
+    bridge.state.error = "Connection refused"
+    assert keeper.tick().alarms == ()
+    now[0] = 1031.0
+    port._received(b"!AIVDM,1,1,,A,13aGra0P00PHid>NK9<2sdAN0L1P,0*FF\r\n")
+    began = "has sent no report since the watch began"
+    assert {alarm.text for alarm in keeper.tick().alarms} == {
+        f"coast {began}: nothing arrives on udp://127.0.0.1:60004",
+        f"bridge {began}: tcp://127.0.0.1:10110 is not connected (Connection refused)",
+        f"port {began}: data arrive on tcp://127.0.0.1:10111, but none are its reports (1 × wrong checksum)",
+    }
+    keeper.close()
+
+
 @pytest.mark.slow
 def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     t = np.arange(0.0, 400.0, 2.0)
@@ -125,7 +175,7 @@ def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
         "time_s": START_S + t, "x_m": 0.0 * t, "y_m": 0.0 * t, "mmsi": ["235000002"] * len(t),
         "vx_m_per_s": 0.0 * t, "vy_m_per_s": 0.0 * t,
     }  # fmt: skip
-    watch = WatchSettings(own_ship=OwnShip(mmsi="235000002"), register_every_s=0.0)
+    watch = WatchSettings(own_ship=OwnShip(mmsi="235000002"), register_every_s=0.0, cpa_m=926.0)
     keeper = Keeper(Settings({"ais": LiveSource(Description("ais", "ais"))}, watch), tmp_path, replay=replay())
     keeper.replay.sources, keeper.replay._next = [], []
     said = []

@@ -28,7 +28,7 @@ def frame(tmp_path_factory):
 def read_back(frame, format, stream_format):
     stream = ReportStream("out", stream_format)
     for part in FORMATS[format](frame):
-        stream.feed(part, frame.time_s, whole=True)
+        stream.feed(part, frame.time_s, last=True)
     return stream.reports()
 
 

@@ -58,6 +58,25 @@ def test_own_ship_is_remembered_from_piece_to_piece():
     assert stream.own_ship == pytest.approx((50.55, -0.95, 90.0))
 
 
+def test_lines_of_two_connections_are_not_mixed():
+    stream, row = ReportStream("receivers", "table"), {"time": 1714560000, "lat": 50.1, "lon": -1.2}
+    for at in range(0, 90, 20):
+        for connection in (1, 2):
+            line = json.dumps(row | {"mmsi": f"23507076{connection}"}).encode() + b"\n"
+            stream.feed(line[at : at + 20], 0.0, connection=connection)
+    [reports] = stream.reports()
+    assert sorted(reports.mmsi.tolist()) == ["235070761", "235070762"] and not +stream.damaged
+
+
+def test_a_datagram_cut_off_does_not_spoil_the_next():
+    data = block(48, plot(40_000.0, 1) + plot(40_000.5, 2))
+    stream = ReportStream("feed", "asterix")
+    stream.feed(data[:-5], 1_714_560_000.0, last=True)
+    stream.feed(data, 1_714_560_000.0, last=True)
+    [reports] = stream.reports()
+    assert len(reports) == 2 and stream.damaged["an ASTERIX block that is cut off"] == 1
+
+
 def test_damaged_lines_are_counted_and_reading_continues():
     stream = ReportStream("bridge", "nmea")
     stream.feed(b"!AIVDM,1,1,,A,33P;Tw0tjBQO22:E7dm66DrB20UP,0*00\n\xff\xfe nonsense\n", 0.0)
@@ -90,8 +109,8 @@ def test_asterix_takes_the_date_of_receipt_and_a_source_per_sensor():
     received = 1_714_560_000.0
     day_s = received % 86400.0
     stream, data = ReportStream("lan"), block(48, plot(day_s))
-    stream.feed(data, received, whole=True)
-    stream.feed(data, received, whole=True)
+    stream.feed(data, received, last=True)
+    stream.feed(data, received, last=True)
     [reports] = stream.reports()
     assert reports.source.startswith("lan:048 ") and reports.time_s[0] == pytest.approx(received, abs=0.01)
     assert stream.passed_over["block that came before, from a second network"] == 1

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from sameas.errors import printable
 from sameas.report.prose import ALARM, DOUBT, wrapped
@@ -27,10 +27,13 @@ _STYLES = {DOUBT: "yellow", ALARM: "bold red"}
 
 
 class Printer:
-    """Prints lines of a report. Headings start at the margin, everything else is indented."""
+    """Prints lines of a report. Headings start at the margin, everything else is indented.
 
-    def __init__(self, quiet: bool) -> None:
-        self.quiet = quiet
+    out : where to; stdout unless data are written there.
+    """
+
+    def __init__(self, quiet: bool, out: TextIO | None = None) -> None:
+        self.quiet, self.out = quiet, sys.stdout if out is None else out
 
     def __call__(self, lines: Iterable[str]) -> None:
         """Print lines; if quiet, only doubts and alarms, on stderr."""
@@ -47,22 +50,22 @@ class Printer:
     @cached_property
     def _console(self) -> Console | None:
         """A console for colours; None without a terminal: rich takes longer to import than everything to print."""
-        if not (sys.stdout.isatty() or any(map(os.environ.get, _COLOURED))):
+        if not (self.out.isatty() or any(map(os.environ.get, _COLOURED))):
             return None
         from rich.console import Console
 
-        return Console(highlight=False, markup=False, emoji=False, soft_wrap=True)
+        return Console(file=self.out, highlight=False, markup=False, emoji=False, soft_wrap=True)
 
     def _print(self, line: str, style: str | None) -> None:
         try:
             if self._console is None:
-                sys.stdout.write(f"{line}\n")
-                sys.stdout.flush()
+                self.out.write(f"{line}\n")
+                self.out.flush()
             else:
                 self._console.print(line, style=style)
         except (BrokenPipeError, SystemExit):  # rich ends the process where a reader has gone
             # The reader of stdout (head, less) has gone; the output file is still to be written.
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.out.fileno())
             self.quiet = True
 
 

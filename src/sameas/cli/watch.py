@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import signal
+import sys
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,6 +19,7 @@ from sameas.cli.outcome import answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError
+from sameas.report.prose import ALARM
 from sameas.representation import counted
 
 _INPUTS, _MAP = "What is read", "The map"
@@ -90,10 +94,11 @@ def watch(
         settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
         share_compilation(quiet)
         keeper = Keeper(settings, output, replay=replay)
-        say = Printer(quiet)
+        to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
+        say = Printer(quiet, sys.stderr if to_stdout else None)
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
         server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
-        asyncio.run(_run(keeper, server, until_s))
+        asyncio.run(_run(keeper, server, until_s, say))
         state = keeper.health()
         say([f"Watched: {counted(state['tick'], 'instant')}, {counted(state['objects'], 'object')} in the last"])
         for name, one in state["sources"].items():
@@ -168,7 +173,31 @@ def _server(keeper: Any, host: str, port: int, token: str | None, viewer: str | 
     return uvicorn.Server(config), listener
 
 
-async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
+class _News:
+    """Lines on what has changed since the last call: connections, and alarms that begin."""
+
+    def __init__(self, keeper: Any) -> None:
+        self.keeper = keeper
+        self.connections: dict[str, str] = {}
+        self.alarms: dict[str, float] = {}
+
+    def __call__(self) -> list[str]:
+        from sameas.live.keeper import ALARM_ENDS_S
+
+        lines, frame = [], self.keeper.frame
+        for url, wire in self.keeper.wires.items():
+            words = str(wire.state)
+            if words and words != self.connections.get(url):
+                self.connections[url] = words
+                lines.append(f"  {url}: {words}")
+        for alarm in () if frame is None else frame.alarms:
+            if frame.time_s - self.alarms.get(alarm.key, -math.inf) > ALARM_ENDS_S:
+                lines.append(f"{ALARM}{datetime.fromtimestamp(frame.time_s, UTC):%H:%M:%S} {alarm.text}")
+            self.alarms[alarm.key] = frame.time_s
+        return lines
+
+
+async def _run(keeper: Any, server: Any, until_s: float | None, say: Printer) -> None:
     """Run the loop and the server until the time is up or a signal stops them."""
     over = asyncio.Event()
     loop = asyncio.get_running_loop()
@@ -186,6 +215,14 @@ async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
         server[0].install_signal_handlers = lambda: None
         server[0].capture_signals = contextlib.nullcontext
         served = asyncio.create_task(server[0].serve(sockets=[server[1]]))
+    news = _News(keeper)
+
+    async def tell() -> None:
+        while True:
+            say(news())
+            await asyncio.sleep(1.0)
+
+    told = asyncio.create_task(tell())
     watched = asyncio.create_task(keeper.run(until=ends, stop=over))
     ending = asyncio.create_task(over.wait())
     try:
@@ -193,6 +230,8 @@ async def _run(keeper: Any, server: Any, until_s: float | None) -> None:
         await watched
     finally:
         ending.cancel()
+        told.cancel()
+        say(news())
         if server is not None and served is not None:
             server[0].should_exit = True
             with contextlib.suppress(asyncio.CancelledError):

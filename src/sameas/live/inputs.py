@@ -1,19 +1,22 @@
 """Inputs: one reader task per wire, which queues bytes with their receive time and reconnects when the wire breaks.
 
-Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (client), ``tcp-listen://`` (server), ``http(s)://`` (polled
-every second), ``serial:`` (with pyserial), ``stdin:``. The queue of a wire is bounded: when the picture cannot keep up,
-the oldest data are dropped and counted, so that a flood on one wire loses reports of that wire only.
+Wires: ``udp://`` (a multicast group is joined), ``tcp://`` (client), ``tcp-listen://`` (server), ``http(s)://`` and
+``file://`` (polled every second), ``serial:`` (with pyserial), ``stdin:``. The queue of a wire is bounded: when the
+picture cannot keep up, the oldest data are dropped and counted, so that a flood on one wire loses reports of that wire
+only.
 """
 
 from __future__ import annotations
 
 import asyncio
 import ipaddress
+import math
 import os
 import socket
 import struct
 import sys
 import time
+import urllib.error
 import urllib.request
 from collections import deque
 from collections.abc import Awaitable, Callable
@@ -22,34 +25,37 @@ from dataclasses import dataclass, field
 from urllib.parse import parse_qs, urlsplit
 
 from sameas.errors import InputError
-from sameas.io.sensors.stream import ReportStream
+from sameas.io.sensors.stream import ReportStream, format_of
 from sameas.tracks.reports import Reports
 
 #: Shortest and longest wait in seconds before a wire is reconnected.
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
 #: A TCP connection without data for this many seconds is closed and reconnected.
 SILENT_S = 120.0
-_SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "serial", "stdin")
+_SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "file", "serial", "stdin")
+#: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
+_SUBSCRIPTION = b'{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}\r\n'
+#: A piece of data: receive time, bytes, number of its connection, whether it is the last of this connection.
+Piece = tuple[float, bytes, int, bool]
 
 
 @dataclass
 class BoundedQueue:
-    """Pieces with their receive times. Above ``max_bytes`` in total the oldest are dropped; dropped : their number."""
+    """Pieces in the order of receipt. Above ``max_bytes`` in total the oldest are dropped; dropped : their number."""
 
     max_bytes: int = 8 << 20
     dropped: int = 0
-    _pieces: deque[tuple[float, bytes, bool]] = field(default_factory=deque)
+    _pieces: deque[Piece] = field(default_factory=deque)
     _bytes: int = 0
 
-    def put(self, data: bytes, received_s: float, whole: bool) -> None:
-        self._pieces.append((received_s, data, whole))
+    def put(self, data: bytes, received_s: float, connection: int = 0, *, last: bool = False) -> None:
+        self._pieces.append((received_s, data, connection, last))
         self._bytes += len(data)
         while self._bytes > self.max_bytes:
-            _, lost, _ = self._pieces.popleft()
-            self._bytes -= len(lost)
+            self._bytes -= len(self._pieces.popleft()[1])
             self.dropped += 1
 
-    def take(self, max_bytes: int) -> list[tuple[float, bytes, bool]]:
+    def take(self, max_bytes: int) -> list[Piece]:
         """Removes and returns the oldest pieces, until they have ``max_bytes`` or more."""
         out, size = [], 0
         while self._pieces and size < max_bytes:
@@ -71,7 +77,11 @@ class WireState:
     connections: int = 0
     error: str = ""
     received: int = 0
-    last_s: float = 0.0
+    last_s: float = -math.inf
+
+    def __str__(self) -> str:
+        """The connection in a word or two; empty before the first attempt."""
+        return "connected" if self.connected else self.error
 
 
 class Wire:
@@ -98,8 +108,8 @@ class Wire:
         wait_s = FIRST_WAIT_S
         scheme = urlsplit(self.url).scheme
         reader: Callable[[], Awaitable[None]] = {
-            "udp": self._udp, "tcp": self._tcp, "tcp-listen": self._listen, "http": self._http, "https": self._http,
-            "serial": self._serial, "stdin": self._stdin,
+            "udp": self._udp, "tcp": self._tcp, "tcp-listen": self._listen, "http": self._polled, "https": self._polled,
+            "file": self._polled, "serial": self._serial, "stdin": self._stdin,
         }[scheme]  # fmt: skip
         while True:
             before = self.state.received
@@ -109,7 +119,7 @@ class Wire:
             except asyncio.CancelledError:
                 raise
             except (OSError, TimeoutError, InputError) as error:
-                self.state.error = str(error) or type(error).__name__
+                self.state.error = _cause(error)
             self.state.connected = False
             if scheme == "stdin":
                 return
@@ -123,20 +133,26 @@ class Wire:
         ------
         InputError : the data cannot be decoded to reports; they are dropped.
         """
-        for received_s, data, whole in self.queue.take(max_bytes):
-            self.stream.feed(data, received_s, whole=whole)
+        for received_s, data, connection, last in self.queue.take(max_bytes):
+            self.stream.feed(data, received_s, connection=connection, last=last)
         return self.stream.reports()
 
-    def _received(self, data: bytes, whole: bool = False) -> None:
+    def _received(self, data: bytes, connection: int = 0, *, last: bool = False) -> None:
         now_s = self.clock()
         self.state.received += len(data)
         self.state.last_s, self.state.error = now_s, ""
-        self.queue.put(data, now_s, whole)
+        self.queue.put(data, now_s, connection, last=last)
 
-    def _set_connected(self) -> None:
+    def _ended(self, connection: int) -> None:
+        """Ends a connection: an incomplete line of it is not continued by the next one."""
+        self.queue.put(b"", self.clock(), connection, last=True)
+
+    def _set_connected(self) -> int:
+        """Counts a connection; its number."""
         self.state.connected = True
         self.state.connections += 1
         self.state.error = ""
+        return self.state.connections
 
     async def _udp(self) -> None:
         parts = urlsplit(self.url)
@@ -146,7 +162,7 @@ class Wire:
 
         class Receiver(asyncio.DatagramProtocol):
             def datagram_received(self, data: bytes, addr: object) -> None:
-                received(data, True)
+                received(data, last=True)
 
         transport, _ = await loop.create_datagram_endpoint(Receiver, sock=udp_socket)
         try:
@@ -158,11 +174,19 @@ class Wire:
     async def _tcp(self) -> None:
         parts = urlsplit(self.url)
         reader, writer = await asyncio.wait_for(asyncio.open_connection(parts.hostname, parts.port), 10.0)
+        connection = self._set_connected()
+        subscribed = False
         try:
-            self._set_connected()
             while data := await asyncio.wait_for(reader.read(65536), SILENT_S):
-                self._received(data)
+                self._received(data, connection)
+                if not subscribed and "signalk" in (self.stream.format, format_of(data)):
+                    # Its first message is a greeting.
+                    writer.write(_SUBSCRIPTION)
+                    subscribed = True
+        except TimeoutError:
+            raise TimeoutError(f"no data for {SILENT_S:.0f} s") from None
         finally:
+            self._ended(connection)
             writer.close()
             with suppress(OSError):
                 await writer.wait_closed()
@@ -174,23 +198,25 @@ class Wire:
 
         async def served(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             writers.add(writer)
+            connection = self._set_connected()
             try:
                 with suppress(OSError):
                     while data := await reader.read(65536):
-                        self._received(data)
+                        self._received(data, connection)
             finally:
+                self._ended(connection)
                 writers.discard(writer)
                 writer.close()
 
         async with await asyncio.start_server(served, parts.hostname, parts.port) as server:
-            self._set_connected()
+            self.state.connected = True
             try:
                 await server.serve_forever()
             finally:
                 for writer in list(writers):
                     writer.close()
 
-    async def _http(self) -> None:
+    async def _polled(self) -> None:
         def fetched() -> bytes:
             with urllib.request.urlopen(self.url, timeout=5.0) as answer:
                 return bytes(answer.read(32 << 20))
@@ -199,7 +225,7 @@ class Wire:
             data = await asyncio.to_thread(fetched)
             if not self.state.connected:
                 self._set_connected()
-            self._received(data.replace(b"\n", b" "), True)
+            self._received(data.replace(b"\n", b" "), last=True)
             await asyncio.sleep(1.0)
 
     async def _serial(self) -> None:
@@ -225,14 +251,24 @@ class Wire:
             self._received(data)
 
 
+def _cause(error: Exception) -> str:
+    """What broke a wire, in the words of the operating system."""
+    reason = getattr(error, "reason", error)
+    if isinstance(error, urllib.error.HTTPError) or not isinstance(reason, OSError) or reason.errno is None:
+        return str(error) or type(error).__name__
+    words = reason.strerror if isinstance(reason, socket.gaierror) else os.strerror(reason.errno)
+    return words or str(reason)
+
+
 def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
     """A non-blocking socket bound to this address; a multicast group is joined."""
     udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
     try:
         address = ipaddress.ip_address(socket.gethostbyname(host))
         if address.is_multicast:
+            # Any number of programs may receive a group. Of two that share a unicast port, one would get nothing.
+            udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             udp.bind((str(address), port))
             group = struct.pack("4s4s", socket.inet_aton(str(address)), socket.inet_aton(interface))
             udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, group)

@@ -38,6 +38,8 @@ T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")
 #: An alarm ends when its condition has been absent for this many seconds of picture time.
 ALARM_ENDS_S = 10.0
+#: CPA in metres that raises an alarm unless it is given, 0.5 nm, while own ship is at least this fast, m/s (1 kn).
+CPA_M, UNDER_WAY_M_PER_S = 926.0, 0.514
 #: Number of deltas that are kept for listeners that reconnect.
 KEPT_DELTAS = 300
 #: Number of ticks whose durations are kept.
@@ -120,6 +122,7 @@ class Keeper:
         self._suspected: frozenset[str] = frozenset()
         self._refusal = ""
         self._tick = 0
+        self._began_s = clock()
         watch = settings.watch
         self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
         state = None if folder is None else load_state(folder)
@@ -293,13 +296,17 @@ class Keeper:
         return float(slope[0]), float(slope[1])
 
     def _cpa_alarms(self, frame: Frame) -> list[Alarm]:
-        watch, out = self.settings.watch, []
+        watch, out, ship = self.settings.watch, [], frame.own_ship
+        cpa_m = watch.cpa_m
+        if cpa_m is None:
+            under_way = ship is not None and math.hypot(ship.vx_m_per_s, ship.vy_m_per_s) > UNDER_WAY_M_PER_S
+            cpa_m = CPA_M if under_way else 0.0
         own = watch.own_ship.mmsi if watch.own_ship else None
         stages = dict(zip(frame.objects["object"].tolist(), frame.objects["stage"].tolist(), strict=True))
         label = dict(zip(frame.objects["object"].tolist(), frame.objects["label"].tolist(), strict=True))
         mmsi = dict(zip(frame.objects["object"].tolist(), frame.objects["mmsi"].tolist(), strict=True))
         for number, (metres, seconds) in frame.cpa.items():
-            if metres < watch.cpa_m and seconds < watch.tcpa_s and stages[number] in ("confirmed", "coasting"):
+            if metres < cpa_m and seconds < watch.tcpa_s and stages[number] in ("confirmed", "coasting"):
                 if own and mmsi[number] == own:
                     continue
                 text = f"{label[number] or f'object {number}'} will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"
@@ -309,8 +316,10 @@ class Keeper:
     def _source_alarms(self, now_s: float) -> list[Alarm]:
         watch, out, clock_s = self.settings.watch, [], self.clock()
         for name, state in self.sources.items() if self.replay is None else ():
-            if math.isfinite(state.last_s) and clock_s - state.last_s > watch.silent_s:
-                out.append(Alarm(f"silent {name}", "source", f"{name} has sent no report for {watch.silent_s:.0f} s"))
+            if clock_s - max(state.last_s, self._began_s) > watch.silent_s and not self._gives_own_ship(name):
+                since = f"for {watch.silent_s:.0f} s" if math.isfinite(state.last_s) else "since the watch began"
+                text = f"{name} has sent no report {since}: {self._silence(name)}"
+                out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
                 text = f"{name}: its time stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt"
@@ -324,6 +333,27 @@ class Keeper:
                 )
                 self.counters[f"dropped {url}"] = wire.queue.dropped
         return out
+
+    def _gives_own_ship(self, name: str) -> bool:
+        """Whether the wire of a source gives the position of own ship now; it need not give reports, too."""
+        own, wire = self.settings.watch.own_ship, self.wires.get(self.settings.sources[name].url or "")
+        if own is None or own.source != name or wire is None or math.isnan(wire.stream.own_ship[0]):
+            return False
+        return self.clock() - wire.state.last_s <= self.settings.watch.silent_s
+
+    def _silence(self, name: str) -> str:
+        """Why a source gives no reports, as far as its wire shows it."""
+        source, state = self.settings.sources[name], self.sources[name]
+        if state.error:
+            return state.error
+        wire = self.wires[source.url or ""]
+        if not wire.state.connected:
+            return f"{source.url} is not connected ({wire.state.error or 'no answer'})"
+        if not math.isfinite(wire.state.last_s) or self.clock() - wire.state.last_s > self.settings.watch.silent_s:
+            return f"nothing arrives on {source.url}"
+        unused = wire.stream.damaged + wire.stream.passed_over
+        reasons = ", ".join(f"{n} × {reason}" for reason, n in unused.most_common(2))
+        return f"data arrive on {source.url}, but none are its reports" + (f" ({reasons})" if reasons else "")
 
     def _folder_alarms(self) -> list[Alarm]:
         if not self._refusal:
@@ -494,7 +524,7 @@ class Keeper:
             url: {
                 "connected": wire.state.connected, "connections": wire.state.connections, "error": wire.state.error,
                 "bytes": wire.state.received, "dropped": wire.queue.dropped,
-                "damaged": sum(wire.stream.damaged.values()),
+                "damaged": sum(wire.stream.damaged.values()), "unused": dict(wire.stream.passed_over),
             }
             for url, wire in self.wires.items()
         }  # fmt: skip

@@ -51,9 +51,11 @@ class WatchSettings:
     every_s : time between ticks. lag_s : largest delay of a report. behind_s : delay of the picture behind the clock.
     register_every_s : time between two estimates of the sources' biases; 0: never.
     plane : origin of the plane; the first site or position if not given.
-    own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object with a smaller CPA and TCPA raises an alarm.
-    silent_s : a source without reports for this long raises an alarm. clock_s : so does a source whose time stamps
-        differ from the receive times by more.
+    own_ship : for CPA and TCPA. cpa_m, tcpa_s : an object with a smaller CPA and TCPA raises an alarm. If cpa_m is not
+        given, it is 0.5 nm while own ship makes way, and there is no alarm while she does not: a radar on shore, or a
+        ship in port, has many vessels close by.
+    silent_s : a source without reports for this long, or since the start, raises an alarm. clock_s : so does a source
+        whose time stamps differ from the receive times by more.
     faults_every_s : time between two searches of the last minutes for deception and source faults; 0: never. Two
         successive searches must find a fault before it raises an alarm.
     archive_every_s : time between archived ticks; 0: none. history_s : span of the history on the page.
@@ -68,7 +70,7 @@ class WatchSettings:
     register_every_s: float = 60.0
     plane: Mapping[str, float] | None = None
     own_ship: OwnShip | None = None
-    cpa_m: float = 926.0
+    cpa_m: float | None = None
     tcpa_s: float = 1200.0
     silent_s: float = 60.0
     clock_s: float = 30.0

@@ -81,7 +81,7 @@ class ReportStream:
             raise InputError(
                 f"{self.source}: {self.format!r} is not a stream format", f"give one of {', '.join(STREAM_FORMATS)}"
             )
-        self._rest = b""
+        self._rest: dict[int, bytes] = {}
         self._lines: list[tuple[float, str]] = []
         self._datagrams: list[tuple[float, bytes]] = []
         self._ais_state, self._ship, self._vessels = ais.ReceiverState(), arpa.OwnShip(), signalk.Vessels()
@@ -89,40 +89,52 @@ class ReportStream:
         self._aircraft: dict[str, object] = {}
         self._blocks: set[tuple[int, bytes]] = set()
 
-    def feed(self, data: bytes, received_s: float, *, whole: bool = False) -> None:
-        """Adds bytes received at this time. whole : whether they are a datagram, whose last line is complete."""
+    def feed(self, data: bytes, received_s: float, *, connection: int = 0, last: bool = False) -> None:
+        """Adds bytes received at this time.
+
+        connection : its number; an incomplete line or block waits for the next bytes of its own connection.
+        last : whether nothing follows, because the bytes are a datagram or the connection ends.
+        """
+        data = self._rest.pop(connection, b"") + data
         if self.format is None:
-            self.format = format_of(self._rest + data)
+            self.format = format_of(data)
         if self.format == "asterix":
-            self._feed_blocks(self._rest + data, received_s)
-            return
-        pieces = re.split(rb"[\r\n]+", self._rest + data)
-        self._rest = pieces.pop()
-        if whole and self._rest:
-            pieces.append(self._rest)
-            self._rest = b""
-        if len(self._rest) > LONGEST_LINE:
+            rest = self._feed_blocks(data, received_s)
+            if rest and last:
+                self.damaged["an ASTERIX block that is cut off"] += 1
+                rest = b""
+        else:
+            rest = self._feed_lines(data, received_s, last)
+        if rest:
+            self._rest[connection] = rest
+
+    def _feed_lines(self, data: bytes, received_s: float, last: bool) -> bytes:
+        """Adds complete lines; the rest is an incomplete one."""
+        pieces = re.split(rb"[\r\n]+", data)
+        rest = b"" if last else pieces.pop()
+        if len(rest) > LONGEST_LINE:
             self.damaged["a line without an end"] += 1
-            self._rest = b""
+            rest = b""
         self._lines += [(received_s, piece.decode("utf-8", errors="replace")) for piece in pieces if piece.strip()]
         if self.format is None and self._lines:
             self.format = format_of("\n".join(line for _, line in self._lines).encode() + b"\n")
+        return rest
 
-    def _feed_blocks(self, data: bytes, received_s: float) -> None:
-        """Adds complete blocks; an incomplete one waits for the next bytes."""
+    def _feed_blocks(self, data: bytes, received_s: float) -> bytes:
+        """Adds complete blocks; the rest is an incomplete one."""
         at = 0
         while at + 3 <= len(data):
             length = int.from_bytes(data[at + 1 : at + 3], "big")
             if length < 4:
                 self.damaged["bytes that are no ASTERIX block"] += 1
-                at = len(data)
+                data = data[:at]
                 break
             if at + length > len(data):
                 break
             at += length
         if at:
             self._datagrams.append((received_s, data[:at]))
-        self._rest = data[at:]
+        return data[at:]
 
     @property
     def own_ship(self) -> tuple[float, float, float]:
