@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks import workload
 from benchmarks.frames import one_band
 from benchmarks.recovered import true_rule
-from benchmarks.registration import drawn, put
+from benchmarks.registration import draw_scene, with_positions
 from benchmarks.tables import Table, report
 from sameas import Errors, Identification, Records, identify
 from sameas.estimate.match import Estimate, match
@@ -132,9 +132,9 @@ def registration(options: argparse.Namespace) -> Table:
     """Cost of the search for a shift, relative to one match without an offset."""
     lines = []
     for n in options.targets:
-        scene = drawn(7, 0.1, DENSITY, n)
+        scene = draw_scene(7, 0.1, DENSITY, n)
         for shift in SHIFTS_SIGMAS:
-            moved = put(scene.second, scene.second.features - [shift, 0.0])
+            moved = with_positions(scene.second, scene.second.features - [shift, 0.0])
             runs = (
                 lambda m=scene: _matched(m.first, m.second),
                 lambda m=scene, s=moved: register(m.first, s, Shift()),

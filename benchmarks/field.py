@@ -144,21 +144,21 @@ def formal(kinds: list[Kind], title: str, options: argparse.Namespace) -> Iterat
     """One row per kind of field; then the calibration over all of them."""
     lines, total, worse = [], Score(), []
     for kind in kinds:
-        ours, mutual = Score(), MutualNearest()
+        score, mutual = Score(), MutualNearest()
         for scene in kind.fields(options):
-            ours.add(match(scene.first, scene.second)[0], scene)
+            score.add(match(scene.first, scene.second)[0], scene)
             mutual.add(scene)
         radius, found, wrong = mutual.best()
-        loss, loss_of_mutual = ours.wrong + ours.missed, wrong + ours.true - found
+        loss, loss_of_mutual = score.wrong + score.missed, wrong + score.true - found
         if loss > loss_of_mutual:
             label = f"{kind.objects} objects, floor {kind.floor:g}″, scale {kind.scale:g}"
             worse.append(f"{label}: {loss}, {loss_of_mutual}")
         lines.append([
-            kind.objects, kind.floor, kind.scale, ours.true, ours.found, ours.wrong, ours.missed, ours.certain,
-            ours.expected, ours.deviation, radius, found, wrong, ours.true - found,
+            kind.objects, kind.floor, kind.scale, score.true, score.found, score.wrong, score.missed, score.certain,
+            score.expected, score.deviation, radius, found, wrong, score.true - found,
         ])  # fmt: skip
-        total.stated += ours.stated
-        total.is_true += ours.is_true
+        total.stated += score.stated
+        total.is_true += score.is_true
     columns = (
         "objects", "floor ″", "scale", "true pairs", "found", "wrong", "missed", "none, p > .99", "expected wrong",
         "difference, σ", "mutual: best ″", "found", "wrong", "missed",
@@ -195,15 +195,19 @@ PHOTON = Sky(
 )  # fmt: skip
 
 
-def with_floor(rng: np.random.Generator, made: Exposure) -> tuple[Exposure, Exposure]:
+def with_floor(rng: np.random.Generator, simulated: Exposure) -> tuple[Exposure, Exposure]:
     """The frame with an error floor that its errors do not include; the same with errors that do."""
-    first = made.scene.first
-    moved = replace(first, features=displaced(first.features, FLOOR_ARCSEC * rng.standard_normal((len(first), 2))))
-    full = moved.full_covariance() + FLOOR_ARCSEC**2 * np.eye(2)
-    honest = Records.of(moved.features, covariance=full, space=Sphere(), source=moved.source)
+    first = simulated.scene.first
+    displaced_first = replace(
+        first, features=displaced(first.features, FLOOR_ARCSEC * rng.standard_normal((len(first), 2)))
+    )
+    full = displaced_first.full_covariance() + FLOOR_ARCSEC**2 * np.eye(2)
+    with_quoted_floor = Records.of(
+        displaced_first.features, covariance=full, space=Sphere(), source=displaced_first.source
+    )
     return (
-        replace(made, scene=replace(made.scene, first=moved)),
-        replace(made, scene=replace(made.scene, first=honest)),
+        replace(simulated, scene=replace(simulated.scene, first=displaced_first)),
+        replace(simulated, scene=replace(simulated.scene, first=with_quoted_floor)),
     )
 
 
@@ -213,9 +217,9 @@ def crowded(options: argparse.Namespace) -> Iterator[Table]:
     floors: list[float] = []
     for number in range(options.frames):
         rng = np.random.default_rng([163, number])
-        made = exposure(rng, PHOTON, side_deg=options.side)
-        unquoted, quoted = with_floor(rng, made)
-        for title, case in (("as quoted", made), (f"floor of {FLOOR_ARCSEC:g}″, quoted", quoted),
+        simulated = exposure(rng, PHOTON, side_deg=options.side)
+        unquoted, quoted = with_floor(rng, simulated)
+        for title, case in (("as quoted", simulated), (f"floor of {FLOOR_ARCSEC:g}″, quoted", quoted),
                             (f"floor of {FLOOR_ARCSEC:g}″, not quoted", unquoted)):  # fmt: skip
             first, second = case.scene.first, case.scene.second
             if case is not unquoted:
@@ -282,11 +286,11 @@ def couples(options: argparse.Namespace) -> Iterator[Table]:
     """Objects closer to each other than in a Poisson field, with and without the estimate of companions."""
     lines: list[list[object]] = []
     for objects, share, separation, missing in COUPLES:
-        ways = {
+        tunings = {
             "sameas": DEFAULT_MATCH,
             "no companions": replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None)),
         }
-        scores, certain_counts = {way: Score() for way in ways}, dict.fromkeys(ways, (0, 0))
+        scores, certain_counts = {method: Score() for method in tunings}, dict.fromkeys(tunings, (0, 0))
         mutual = MutualNearest()
         for number in range(max(1, 3 * options.objects // objects)):
             seed = [163, objects, round(100 * share), round(10 * separation), round(100 * missing), number]
@@ -294,18 +298,18 @@ def couples(options: argparse.Namespace) -> Iterator[Table]:
                 np.random.default_rng(seed), objects, share=share, separation=separation, missing=missing
             )
             mutual.add(scene)
-            for way, tuning in ways.items():
+            for method, tuning in tunings.items():
                 answer, _ = match(scene.first, scene.second, tuning=tuning)
-                scores[way].add(answer, scene)
+                scores[method].add(answer, scene)
                 matches = answer.matches
                 right = is_true_pair((matches.rows_1, matches.rows_2), scene.true_pairs())
                 certain = matches.p_match > CERTAIN
-                n, n_wrong = certain_counts[way]
-                certain_counts[way] = n + int(certain.sum()), n_wrong + int((certain & ~right).sum())
+                n, n_wrong = certain_counts[method]
+                certain_counts[method] = n + int(certain.sum()), n_wrong + int((certain & ~right).sum())
         _, found, wrong = mutual.best()
         line: list[object] = [objects, share, separation, missing, scores["sameas"].true]
-        for way, score in scores.items():
-            line += [score.found, score.wrong, score.expected, *certain_counts[way]]
+        for method, score in scores.items():
+            line += [score.found, score.wrong, score.expected, *certain_counts[method]]
         lines.append([*line, found, wrong])
     heads = ("right", "wrong", "expected wrong", "certain", "wrong of these")
     columns = ("objects", "in couples", "separation, σ", "missed", "true pairs", *heads,
@@ -320,8 +324,8 @@ def others(options: argparse.Namespace) -> Iterator[Table]:
     for kind in (Kind(200, 0.0), Kind(200, 0.15), Kind(200, 0.5), Kind(200, 0.0, 4.0)):
         scene = next(kind.fields(options))
         true = scene.true_pairs()
-        ours = match(scene.first, scene.second)[0].matches
-        claims: dict[str, Pairs] = {"sameas": (ours.rows_1, ours.rows_2)}
+        matches = match(scene.first, scene.second)[0].matches
+        claims: dict[str, Pairs] = {"sameas": (matches.rows_1, matches.rows_2)}
         with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
             claims |= _other_claims(scene, Path(name) / "scene", options, missing)
         for by, claimed in claims.items():
@@ -366,9 +370,9 @@ class ClaimScore:
     right: list[np.ndarray] = field(default_factory=list)
     true: int = 0
 
-    def add(self, claimed: Pairs, p: np.ndarray, made: Counterparts) -> None:
+    def add(self, claimed: Pairs, p: np.ndarray, simulated: Counterparts) -> None:
         """Add one set."""
-        true = made.scene.true_pairs()
+        true = simulated.scene.true_pairs()
         self.p.append(p)
         self.right.append(is_true_pair(claimed, true))
         self.true += len(true[0])
@@ -391,38 +395,41 @@ class ClaimScore:
 
 def columns(options: argparse.Namespace) -> Iterator[Table]:
     """Counterparts of sources with large errors, columns of the deep catalogue as evidence; and NWAY."""
-    ours: dict[str, ClaimScore] = {}
+    by_columns: dict[str, ClaimScore] = {}
     of_nway: ClaimScore | None = None
     uninformative: dict[str, list[str]] = {}
     for number in range(options.sets):
-        made = counterparts(np.random.default_rng([16, number + 1]))
-        scene = made.scene
-        magnitude = Column(2, made.magnitude, name="MAG")
-        noise = Column(2, made.noise, name="noise")
-        more = [Column(2, made.colour, name="colour"), Column(2, made.kind, name="kind"), noise]
+        simulated = counterparts(np.random.default_rng([16, number + 1]))
+        scene = simulated.scene
+        magnitude = Column(2, simulated.magnitude, name="MAG")
+        noise = Column(2, simulated.noise, name="noise")
+        other_columns = [Column(2, simulated.colour, name="colour"), Column(2, simulated.kind, name="kind"), noise]
         ways: dict[str, list[Column | Related]] = {
-            "positions": [], "MAG": [magnitude], "noise": [noise], "MAG, colour, kind, noise": [magnitude, *more],
-            "MAG and its relation to flux": [Related(made.flux, made.magnitude, ("flux", "MAG"))],
+            "positions": [], "MAG": [magnitude], "noise": [noise],
+            "MAG, colour, kind, noise": [magnitude, *other_columns],
+            "MAG and its relation to flux": [Related(simulated.flux, simulated.magnitude, ("flux", "MAG"))],
         }  # fmt: skip
         for name, evidence in ways.items():
             answer, estimate = match(scene.first, scene.second, evidence=evidence)
             found = answer.matches
-            ours.setdefault(name, ClaimScore()).add((found.rows_1, found.rows_2), found.p_match, made)
+            by_columns.setdefault(name, ClaimScore()).add((found.rows_1, found.rows_2), found.p_match, simulated)
             if estimate.columns is not None:
                 without = [one.name for one in estimate.columns.findings if not one.used]
                 uninformative.setdefault(name, []).append(",".join(without) or "none")
-        pairs = _counterparts_of_nway(made, options)
+        pairs = _counterparts_of_nway(simulated, options)
         if pairs is not None:
             of_nway = of_nway or ClaimScore()
-            of_nway.add(*pairs, made)
-    true = ours["MAG"].true
-    lines: list[list[object]] = [[f"sameas, {name}", "all", true, *score.line()] for name, score in ours.items()]
+            of_nway.add(*pairs, simulated)
+    true = by_columns["MAG"].true
+    lines: list[list[object]] = [[f"sameas, {name}", "all", true, *score.line()] for name, score in by_columns.items()]
     if of_nway is not None:
         for min_p in (0.0, 0.25, 0.5):
             line = of_nway.line(min_p)
             lines.append(["NWAY, MAG auto", f"p > {min_p:g}" if min_p else "all", true, *line])
-            threshold = ours["MAG"].threshold_for(int(line[0]))  # type: ignore[call-overload]
-            lines.append(["sameas, MAG, as many found", f"p > {threshold:.2f}", true, *ours["MAG"].line(threshold)])
+            threshold = by_columns["MAG"].threshold_for(int(line[0]))  # type: ignore[call-overload]
+            lines.append(
+                ["sameas, MAG, as many found", f"p > {threshold:.2f}", true, *by_columns["MAG"].line(threshold)]
+            )
     notes = [f"uninformative, set by set: {name}: {'; '.join(sets)}" for name, sets in uninformative.items()]
     names = ("by", "kept", "true pairs", "found", "wrong", "expected wrong", "difference, σ")
     yield Table(
@@ -431,14 +438,14 @@ def columns(options: argparse.Namespace) -> Iterator[Table]:
     )  # fmt: skip
 
 
-def _counterparts_of_nway(made: Counterparts, options: argparse.Namespace) -> tuple[Pairs, np.ndarray] | None:
+def _counterparts_of_nway(simulated: Counterparts, options: argparse.Namespace) -> tuple[Pairs, np.ndarray] | None:
     """NWAY's counterparts and their probabilities, given the true area and completeness; None if it is missing."""
-    area = made.area_arcsec2
-    n, n1, n2 = len(made.scene.true_pairs()[0]), len(made.scene.first), len(made.scene.second)
+    area = simulated.area_arcsec2
+    n, n1, n2 = len(simulated.scene.true_pairs()[0]), len(simulated.scene.first), len(simulated.scene.second)
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
         densities = workload.Densities(n / area, (n1 - n) / area, (n2 - n) / area)
-        folder = workload.save(Path(name) / "scene", made.scene, densities)
-        np.save(folder / "magnitude.npy", made.magnitude)
+        folder = workload.save(Path(name) / "scene", simulated.scene, densities)
+        np.save(folder / "magnitude.npy", simulated.magnitude)
         found = options.interpreters.nway("nway_counterparts", folder, area / 3600.0**2, n / n1)
     if found is None:
         return None
@@ -453,20 +460,24 @@ def blended(options: argparse.Namespace) -> Iterator[Table]:
     """Coarse records that may be two objects, as of WISE against Gaia; next to one-to-one matching."""
     scores: dict[str, BlendScore] = {}
     for number in range(options.fields):
-        made = blended_field(np.random.default_rng([164, number]), objects=options.blend_objects)
-        first, second = made.first, made.second
+        simulated = blended_field(np.random.default_rng([164, number]), objects=options.blend_objects)
+        first, second = simulated.first, simulated.second
         answer, estimate = match(first, second)
         forward, backward = nearest(first, second), nearest(second, first)
         mutual = (backward.rows[forward.rows] == np.arange(len(first))) & (forward.separation_arcsec < 3.0)
         one_to_one = np.full(len(first), -1)
         one_to_one[answer.matches.rows_1] = answer.matches.rows_2
         no_second = np.full(len(first), -1)
-        scores.setdefault("mutual nearest, 3″", BlendScore()).add(np.where(mutual, forward.rows, -1), no_second, made)
-        scores.setdefault("sameas, one to one", BlendScore()).add(one_to_one, no_second, made)
-        for title, flux in (("sameas, blends", None), ("sameas, blends, fluxes given", made.flux)):
-            found = find_blends(first, second, made.resolution_arcsec, errors=estimate.errors, flux=flux,
+        scores.setdefault("mutual nearest, 3″", BlendScore()).add(
+            np.where(mutual, forward.rows, -1), no_second, simulated
+        )
+        scores.setdefault("sameas, one to one", BlendScore()).add(one_to_one, no_second, simulated)
+        for title, flux in (("sameas, blends", None), ("sameas, blends, fluxes given", simulated.flux)):
+            found = find_blends(first, second, simulated.resolution_arcsec, errors=estimate.errors, flux=flux,
                                 coverage=estimate.coverage)  # fmt: skip
-            scores.setdefault(title, BlendScore()).add(found.partner.filled(-1), found.other.filled(-1), made, found)
+            scores.setdefault(title, BlendScore()).add(
+                found.partner.filled(-1), found.other.filled(-1), simulated, found
+            )
     columns = ("by", "records", "right", "blends", "found", "wrong", "missed", "expected", "difference, σ", "not exact")
     yield Table(
         f"Blends: {options.fields} fields of {options.blend_objects} objects, 20 000 per deg², resolution 6″",
@@ -488,10 +499,10 @@ class BlendScore:
     p: list[np.ndarray] = field(default_factory=list)
     is_blend: list[np.ndarray] = field(default_factory=list)
 
-    def add(self, partner: np.ndarray, other: np.ndarray, made: BlendedField, found: Blends | None = None) -> None:
+    def add(self, partner: np.ndarray, other: np.ndarray, simulated: BlendedField, found: Blends | None = None) -> None:
         """Add one field: (n,) rows of both objects of each record, −1 for none."""
-        right = (np.sort(np.column_stack([partner, other]), axis=1) == np.sort(made.parts, axis=1)).all(axis=1)
-        is_blend, claimed = np.all(made.parts >= 0, axis=1), other >= 0
+        right = (np.sort(np.column_stack([partner, other]), axis=1) == np.sort(simulated.parts, axis=1)).all(axis=1)
+        is_blend, claimed = np.all(simulated.parts >= 0, axis=1), other >= 0
         inexact = 0 if found is None else int((~found.exact).sum())
         self.counts += [
             len(is_blend), right.sum(), is_blend.sum(), (right & is_blend).sum(), (claimed & ~right).sum(), inexact

@@ -88,8 +88,8 @@ def frames(options: argparse.Namespace, seed: int, change: Change | None = None)
     """Frames of one kind."""
     for number in range(options.frames):
         rng = np.random.default_rng([seed, number])
-        made = exposure(rng, side_deg=options.side)
-        yield made if change is None else replace(made, scene=change(rng, made.scene))
+        simulated = exposure(rng, side_deg=options.side)
+        yield simulated if change is None else replace(simulated, scene=change(rng, simulated.scene))
 
 
 # ---- wrong pairs by method ----
@@ -100,11 +100,11 @@ def contest(options: argparse.Namespace) -> Table:
     tallies: dict[str, Tally] = {}
     missing: set[str] = set()
     converged = True
-    for made in frames(options, 71):
-        for name, claimed in others(made, options, missing):
-            tallies.setdefault(name, Tally()).add(claimed, made.scene)
-        for name, answer, estimate in ours(made):
-            tallies.setdefault(name, Tally()).add_answer(answer, made.scene)
+    for simulated in frames(options, 71):
+        for name, claimed in others(simulated, options, missing):
+            tallies.setdefault(name, Tally()).add(claimed, simulated.scene)
+        for name, answer, estimate in by_sameas(simulated):
+            tallies.setdefault(name, Tally()).add_answer(answer, simulated.scene)
             converged &= estimate is None or estimate.converged
     lines = [[name, *tally.line()] for name, tally in tallies.items()]
     wrong = {name: sum(f[1] for f in tally.frames) for name, tally in tallies.items()}
@@ -123,28 +123,28 @@ def contest(options: argparse.Namespace) -> Table:
     return Table(f"Frame and catalogue: {sizes}", columns, lines, notes)
 
 
-def ours(made: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]]:
+def by_sameas(simulated: Exposure) -> Iterator[tuple[str, Identification, Estimate | None]]:
     """Results and estimates of `sameas`."""
-    first, second = made.scene.first, made.scene.second
-    yield TRUE, identify(first, second, rule=true_rule(made)), None
+    first, second = simulated.scene.first, simulated.scene.second
+    yield TRUE, identify(first, second, rule=true_rule(simulated)), None
     yield ESTIMATED, *match(first, second)
-    yield ONE_BAND, *match(first, second, brightness=one_band(made.brightness))
-    yield TWO_BANDS, *match(first, second, brightness=made.brightness)
+    yield ONE_BAND, *match(first, second, brightness=one_band(simulated.brightness))
+    yield TWO_BANDS, *match(first, second, brightness=simulated.brightness)
 
 
-def others(made: Exposure, options: argparse.Namespace, missing: set[str]) -> Iterator[tuple[str, Pairs]]:
+def others(simulated: Exposure, options: argparse.Namespace, missing: set[str]) -> Iterator[tuple[str, Pairs]]:
     """The pairs of the other methods."""
-    yield "nearest within 3σ", accuracy.nearest(made.scene)
-    yield "mutual nearest within 3σ", accuracy.mutual(made.scene)
-    rule = true_rule(made)
+    yield "nearest within 3σ", accuracy.nearest(simulated.scene)
+    yield "mutual nearest within 3σ", accuracy.mutual(simulated.scene)
+    rule = true_rule(simulated)
     densities = workload.Densities(*(float(x) for x in (rule.common, rule.only_1, rule.only_2)))  # type: ignore[arg-type]
     with tempfile.TemporaryDirectory(prefix="sameas-bench-") as name:
-        arrays = workload.Arrays.load(workload.save(Path(name) / "scene", made.scene, densities))
+        arrays = workload.Arrays.load(workload.save(Path(name) / "scene", simulated.scene, densities))
         if peers.PEERS["stilts"].version(sys.executable):
             yield "STILTS find=best, 3σ", peers.stilts_pairs(arrays)
         else:
             missing.add("STILTS")
-        pairs = nway(arrays, made.scene, made.area_arcsec2, options.interpreters)
+        pairs = nway(arrays, simulated.scene, simulated.area_arcsec2, options.interpreters)
         if pairs is None:
             missing.add("NWAY")
         else:
@@ -173,10 +173,10 @@ def misquoted_errors(options: argparse.Namespace) -> Table:
     lines = []
     for words, change in changes.items():
         tallies: dict[str, Tally] = {}
-        for made in frames(options, 73, change):
-            for name, answer, _ in ours(made):
+        for simulated in frames(options, 73, change):
+            for name, answer, _ in by_sameas(simulated):
                 if name != ONE_BAND:
-                    tallies.setdefault(name, Tally()).add_answer(answer, made.scene)
+                    tallies.setdefault(name, Tally()).add_answer(answer, simulated.scene)
         lines += [[words, name, *tally.line()[1:4:2], *tally.line()[6:]] for name, tally in tallies.items()]
     worst = max(float(line[5]) for line in lines if line[1] != TRUE)  # type: ignore[arg-type]
     columns = ("errors", "by", "wrong", "decided wrongly", "expected wrong", "ECE", "Brier")
@@ -188,22 +188,22 @@ def misquoted_errors(options: argparse.Namespace) -> Table:
 
 def real(options: argparse.Namespace) -> Iterator[Table]:
     """NGC 188 and Hipparcos × Gaia: completeness by magnitude, zero points, and sizes of the terms of the evidence."""
-    for title, found in real_matches():
-        e = found.estimate
-        lines = [[name, q.value, q.standard_error, q.unit] for name, q in e.quantities.items()]
-        decide = ", ".join(f"{name} {value:.2f}" for name, value in e.decisive.items())
+    for title, answer in real_matches():
+        estimate = answer.estimate
+        lines = [[name, q.value, q.standard_error, q.unit] for name, q in estimate.quantities.items()]
+        sizes = ", ".join(f"{name} {value:.2f}" for name, value in estimate.decisive.items())
         notes = (
-            f"median |ln odds|: {decide}; brightness changes {e.changed_by_brightness} answers; "
-            f"{e.iterations} iterations",
+            f"median |ln odds|: {sizes}; brightness changes {estimate.changed_by_brightness} answers; "
+            f"{estimate.iterations} iterations",
         )
         yield Table(f"{title}: estimated", ("quantity", "value", "±", "unit"), lines, notes)
-        for curve, mine in ((e.detection_1, found.first), (e.detection_2, found.second)):
+        for curve, catalogue in ((estimate.detection_1, answer.first), (estimate.detection_2, answer.second)):
             if curve is not None:
                 bins = zip(
                     curve.edges, curve.edges[1:], curve.number, curve.probability, curve.standard_error, strict=False
                 )
                 rows = [[f"{low:g}–{high:g}", int(n), float(p), float(error)] for low, high, n, p, error in bins]
-                yield Table(f"{title}: {mine.name} shown by the other", (curve.band, "rows", "share", "±"), rows)
+                yield Table(f"{title}: {catalogue.name} shown by the other", (curve.band, "rows", "share", "±"), rows)
 
 
 def real_matches() -> Iterator[tuple[str, Any]]:
@@ -239,13 +239,13 @@ def hipparcos_gaia() -> Any:
     return sky_match(first, second)
 
 
-def alone(section: Callable[[argparse.Namespace], Table]) -> Callable[[argparse.Namespace], Iterator[Table]]:
+def one_table(section: Callable[[argparse.Namespace], Table]) -> Callable[[argparse.Namespace], Iterator[Table]]:
     """A section of one table."""
     return lambda options: iter([section(options)])
 
 
 SECTIONS: dict[str, Callable[[argparse.Namespace], Iterator[Table]]] = {
-    "contest": alone(contest), "spoiled": alone(misquoted_errors), "recovered": recovered, "real": real,
+    "contest": one_table(contest), "spoiled": one_table(misquoted_errors), "recovered": recovered, "real": real,
 }  # fmt: skip
 
 

@@ -41,12 +41,12 @@ class Fleet:
     turn: np.ndarray
     height: np.ndarray
 
-    def at(self, who: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(k, 2) places and velocities of objects at times."""
-        angle = self.phase[who] + self.turn[who] * time_s
-        out = np.column_stack([np.cos(angle), np.sin(angle)])
-        place = self.centre[who] + self.radius[who, None] * out
-        return place, (self.radius * self.turn)[who, None] * np.column_stack([-out[:, 1], out[:, 0]])
+    def at(self, rows: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(k, 2) positions and velocities of objects at times."""
+        angle = self.phase[rows] + self.turn[rows] * time_s
+        direction = np.column_stack([np.cos(angle), np.sin(angle)])
+        position = self.centre[rows] + self.radius[rows, None] * direction
+        return position, (self.radius * self.turn)[rows, None] * np.column_stack([-direction[:, 1], direction[:, 0]])
 
     @classmethod
     def of(cls, rng: np.random.Generator, n: int, width_m: float, speed: tuple[float, float], height: float) -> Fleet:
@@ -66,12 +66,12 @@ class Fleet:
     def crossing(self, rng: np.random.Generator) -> Fleet:
         """The fleet; every second object passes the previous one within some 20 m in mid-run, at an angle."""
         lead = np.arange(len(self.turn)) // 2 * 2
-        follows = np.flatnonzero(np.arange(len(self.turn)) % 2)
+        followers = np.flatnonzero(np.arange(len(self.turn)) % 2)
         when = rng.uniform(0.4, 0.8, len(self.turn)) * SPAN_S
-        meet, _ = self.at(lead, when)
-        own, _ = self.at(np.arange(len(lead)), when)
+        lead_position, _ = self.at(lead, when)
+        own_position, _ = self.at(np.arange(len(lead)), when)
         centre = self.centre.copy()
-        centre[follows] += (meet - own + rng.normal(0.0, 10.0, own.shape))[follows]
+        centre[followers] += (lead_position - own_position + rng.normal(0.0, 10.0, own_position.shape))[followers]
         return replace(self, centre=centre)
 
 
@@ -125,28 +125,28 @@ def reported(
     """The description, the reports and the object of each, −1 for false ones."""
     n, rows = len(fleet.turn), []
     reporting = np.flatnonzero(rng.random(n) < sensor.share) if sensor.which is None else sensor.which(n)
-    doubled = {k for k in reporting.tolist() if rng.random() < sensor.twice}
+    with_two_ids = {k for k in reporting.tolist() if rng.random() < sensor.twice}
     first_s = rng.uniform(0.0, 1.0)
     own_phase = rng.uniform(0.0, sensor.period_s, n) if sensor.kind in ("ais", "ads-b") else np.full(n, first_s)
     for k in reporting.tolist():
-        for copy in range(1 + (k in doubled)):
+        for track_number in range(1 + (k in with_two_ids)):
             times = np.arange(own_phase[k], span_s, sensor.period_s)
             times = times[rng.random(len(times)) >= sensor.misses]
-            position, speed = fleet.at(np.full(len(times), k), times)
+            position, velocity = fleet.at(np.full(len(times), k), times)
             detected = (position[:, 0] >= sensor.west * width_m) & (position[:, 0] <= sensor.east * width_m)
             detected &= times <= sensor.until_s
             if sensor.gap_s:
                 changes = np.cumsum(rng.exponential(sensor.gap_s, 2 + int(8.0 * span_s / sensor.gap_s)))
                 detected &= np.searchsorted(changes, times) % 2 == 0
             m = int(detected.sum())
-            side = rng.normal(0.0, 12.0, 2) if k in doubled else 0.0
+            displacement = rng.normal(0.0, 12.0, 2) if k in with_two_ids else 0.0
             rows.append(
                 (
                     times[detected],
-                    position[detected] + side,
-                    speed[detected],
+                    position[detected] + displacement,
+                    velocity[detected],
                     np.full(m, k),
-                    np.full(m, k + 1000 * copy),
+                    np.full(m, k + 1000 * track_number),
                 )
             )
     scans_s = np.arange(first_s, span_s, sensor.period_s)
@@ -156,9 +156,9 @@ def reported(
         start = rng.uniform(0.0, width_m, 2)
         rows.append((times, np.tile(start, (len(times), 1)), np.zeros((len(times), 2)), np.full(len(times), -1),
                      np.full(len(times), 5000 + number)))  # fmt: skip
-    time_s, place, speed, owner, track = (np.concatenate(column) for column in zip(*rows, strict=True))
+    time_s, position, velocity, owner, track = (np.concatenate(column) for column in zip(*rows, strict=True))
     order = np.argsort(time_s, kind="stable")
-    time_s, place, speed, owner, track = (x[order] for x in (time_s, place, speed, owner, track))
+    time_s, position, velocity, owner, track = (x[order] for x in (time_s, position, velocity, owner, track))
     track = _swapped(fleet, time_s, owner, track, sensor.swaps, rng)
     columns: dict[str, np.ndarray] = {"time_s": time_s + sensor.late_s}
     errors = SensorErrors(position_m=sensor.stated * sensor.sigma_m, speed_m_per_s=sensor.speed_error, course_deg=5.0,
@@ -166,19 +166,19 @@ def reported(
     site = None
     if sensor.polar:
         site = Site(east_m=0.5 * width_m, north_m=-0.3 * width_m)
-        arm = place - (site.east_m, site.north_m)
-        range_m = np.hypot(*arm.T)
+        from_site = position - (site.east_m, site.north_m)
+        range_m = np.hypot(*from_site.T)
         sigma_deg = 0.5
         sigma_m = sensor.sigma_m + sensor.range_share * range_m
         columns["range_m"] = np.maximum(range_m + sigma_m * rng.normal(size=len(range_m)), 1.0)
         columns["bearing_deg"] = (
-            np.degrees(np.arctan2(*arm.T)) + sensor.azimuth_deg + sigma_deg * rng.normal(size=len(range_m))
+            np.degrees(np.arctan2(*from_site.T)) + sensor.azimuth_deg + sigma_deg * rng.normal(size=len(range_m))
         ) % 360.0
         errors = SensorErrors(range_m=sensor.stated * sensor.sigma_m, range_share=0.0,
                               bearing_deg=sensor.stated * sigma_deg, extent_m=1.0)  # fmt: skip
     else:
-        x = place + sensor.sigma_m * rng.normal(size=place.shape)
-        v = speed + sensor.speed_error * rng.normal(size=speed.shape)
+        x = position + sensor.sigma_m * rng.normal(size=position.shape)
+        v = velocity + sensor.speed_error * rng.normal(size=velocity.shape)
         columns |= {"x_m": x[:, 0], "y_m": x[:, 1], "vx_m_per_s": v[:, 0], "vy_m_per_s": v[:, 1]}
         names = np.array([f"{k:04d}" for k in track], object)
         if sensor.kind == "ais":
@@ -191,12 +191,12 @@ def reported(
         height = fleet.height[np.maximum(owner, 0)] + 20.0 * rng.normal(size=len(owner))
         columns["pressure_alt_m"] = np.where(rng.random(len(owner)) < sensor.heights, height, np.nan)
         errors = replace(errors, height_m=20.0)
-    described = Description(
+    description = Description(
         sensor.name, sensor.kind, site=site, errors=errors, misses=MissRate(sensor.stated_misses), motion=sensor.motion,
         clutter=Clutter(sensor.stated_false_per_km2),
         timing=Timing(sensor.period_s, 0.0, None if sensor.kind in ("ais", "ads-b", "marine radar") else 0.0),
     )  # fmt: skip
-    return described, Reports.of(sensor.name, "ais" if sensor.kind == "ais" else "table", columns), owner
+    return description, Reports.of(sensor.name, "ais" if sensor.kind == "ais" else "table", columns), owner
 
 
 def _swapped(
@@ -205,16 +205,16 @@ def _swapped(
     """Track numbers; those of two near objects are exchanged permanently with probability ``swaps`` per scan."""
     if not swaps:
         return track
-    out, number = track.copy(), {int(k): int(k) for k in np.unique(track)}
+    swapped, number = track.copy(), {int(k): int(k) for k in np.unique(track)}
     for scan in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s) > 0.0) + 1):
-        place, _ = fleet.at(np.maximum(owner[scan], 0), time_s[scan])
-        distance = np.hypot(*(place[:, None] - place).transpose(2, 0, 1))
+        position, _ = fleet.at(np.maximum(owner[scan], 0), time_s[scan])
+        distance = np.hypot(*(position[:, None] - position).transpose(2, 0, 1))
         for i, j in np.argwhere(np.triu(distance < 60.0, 1)):
             if rng.random() < swaps:
                 one, two = int(track[scan[i]]), int(track[scan[j]])
                 number[one], number[two] = number[two], number[one]
-        out[scan] = [number[int(k)] for k in track[scan]]
-    return out
+        swapped[scan] = [number[int(k)] for k in track[scan]]
+    return swapped
 
 
 @dataclass(frozen=True)

@@ -265,28 +265,29 @@ def searched(
 
 def by_heliolinx(python: Path, series: Series) -> list[np.ndarray]:
     """The tracklets of heliolinx from the unexplained detections."""
-    seen = unexplained_detections(series)
-    span = float(np.ptp(seen.mjd_utc))
-    given = {
-        "mjd": seen.frame_mjd[seen.frame].tolist(), "ra": seen.ra_deg.tolist(), "dec": seen.dec_deg.tolist(),
-        "magnitude": np.nan_to_num(seen.magnitude, nan=20.0).tolist(), "frame": seen.frame.tolist(),
-        "times": seen.frame_mjd.tolist(), "middle": list(series.middle_deg), "span": 1.01 * span + 1e-4,
+    detections = unexplained_detections(series)
+    span = float(np.ptp(detections.mjd_utc))
+    request = {
+        "mjd": detections.frame_mjd[detections.frame].tolist(),
+        "ra": detections.ra_deg.tolist(), "dec": detections.dec_deg.tolist(),
+        "magnitude": np.nan_to_num(detections.magnitude, nan=20.0).tolist(), "frame": detections.frame.tolist(),
+        "times": detections.frame_mjd.tolist(), "middle": list(series.middle_deg), "span": 1.01 * span + 1e-4,
         # As for sameas: at least two pixels in all, at most the fastest injected rate.
         "arc": 2.0 * series.scale_arcsec_per_px, "fastest": BINS.rates[-1] * 24.0 / 60.0,
     }  # fmt: skip
-    done = subprocess.run([str(python), "-c", HELIOLINX], input=json.dumps(given), capture_output=True, text=True,
+    process = subprocess.run([str(python), "-c", HELIOLINX], input=json.dumps(request), capture_output=True, text=True,
                           check=True)  # fmt: skip
-    tracklets = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("[")))
-    return places_of(series, [seen.rows[np.array(rows)] for rows in tracklets])
+    tracklets = json.loads(next(line for line in process.stdout.splitlines() if line.startswith("[")))
+    return places_of(series, [detections.rows[np.array(rows)] for rows in tracklets])
 
 
-def mover_of(place: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
+def mover_of(tracklet: np.ndarray, path: np.ndarray, reach: np.ndarray) -> int:
     """The mover of at least 70 % and at least three of the detections of a tracklet; −1 for none."""
-    frame, at = place[:, 0].astype(int), place[:, 1:]
-    near = np.hypot(*(path[:, frame] - at[None]).transpose(2, 0, 1)) < reach[:, None]
-    count = near.sum(axis=1)
+    frame, position = tracklet[:, 0].astype(int), tracklet[:, 1:]
+    is_near = np.hypot(*(path[:, frame] - position[None]).transpose(2, 0, 1)) < reach[:, None]
+    count = is_near.sum(axis=1)
     best = int(np.argmax(count)) if len(count) else -1
-    return best if best >= 0 and count[best] >= max(3, 0.7 * len(at)) else -1
+    return best if best >= 0 and count[best] >= max(3, 0.7 * len(position)) else -1
 
 
 class Tally:
@@ -298,27 +299,27 @@ class Tally:
         self.cases: list[tuple[float, bool]] = []
 
     def add(
-        self, case: Case, places: Sequence[np.ndarray], p: np.ndarray | None, before: Sequence[np.ndarray],
+        self, case: Case, tracklets: Sequence[np.ndarray], p: np.ndarray | None, before: Sequence[np.ndarray],
         stated_from: int = 0,
     ) -> None:  # fmt: skip
         """Add the tracklets of one round. before : tracklets of the series without movers, which are not false.
         stated_from : index of the first tracklet that counts in the table of stated probabilities."""
-        hit = set()
-        for k, place in enumerate(places):
-            owner = mover_of(place, case.path, case.reach)
-            if owner < 0 and any(_common(place, one) >= 2 for one in before):
+        found_movers = set()
+        for k, tracklet in enumerate(tracklets):
+            owner = mover_of(tracklet, case.path, case.reach)
+            if owner < 0 and any(_common(tracklet, one) >= 2 for one in before):
                 continue
             if p is not None and k >= stated_from:
                 self.cases.append((float(p[k]), owner >= 0))
             if p is None or p[k] >= 0.5:
                 if owner >= 0:
-                    hit.add(owner)
+                    found_movers.add(owner)
                 else:
-                    self.wrong[self.bins.of(*case.like(place))] += 1
+                    self.wrong[self.bins.of(*case.like(tracklet))] += 1
         for m in np.flatnonzero(case.stays):
-            at = self.bins.of(case.rate[m], case.magnitude[m])
-            self.injected[at] += 1
-            self.found[at] += int(m in hit)
+            cell = self.bins.of(case.rate[m], case.magnitude[m])
+            self.injected[cell] += 1
+            self.found[cell] += int(m in found_movers)
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Rows of the table: found / injected, and false ones."""
@@ -326,8 +327,8 @@ class Tally:
         for k, (lo, hi) in enumerate(itertools.pairwise(self.bins.rates)):
             cells = [f"{a}/{b}" if b else "–" for a, b in zip(self.found[k], self.injected[k], strict=True)]
             out.append((self.by, f"{lo:g}…{hi:g}", *cells, int(self.wrong[k].sum())))
-        whole = [f"{a}/{b}" for a, b in zip(self.found.sum(axis=0), self.injected.sum(axis=0), strict=True)]
-        out.append((self.by, "all", *whole, int(self.wrong.sum())))
+        totals = [f"{a}/{b}" for a, b in zip(self.found.sum(axis=0), self.injected.sum(axis=0), strict=True)]
+        out.append((self.by, "all", *totals, int(self.wrong.sum())))
         out.append((self.by, "false", *map(int, self.wrong.sum(axis=0)), ""))
         return out
 
@@ -359,14 +360,14 @@ class Case:
     limit: float
     stays: np.ndarray
 
-    def like(self, place: np.ndarray) -> tuple[float, float]:
+    def like(self, tracklet: np.ndarray) -> tuple[float, float]:
         """Rate and magnitude of a false tracklet: its mean rate and its median light."""
-        each = self.series.exposures
-        k = place[:, 0].astype(int)
-        minutes = 1440.0 * (each[k[-1]].mjd_utc - each[k[0]].mjd_utc)
-        rate = np.hypot(*(place[-1, 1:] - place[0, 1:])) * self.series.scale_arcsec_per_px / max(minutes, 1e-9)
-        flux = [each[f].flux[np.argmin(np.hypot(each[f].x_px - x, each[f].y_px - y))] for f, x, y in
-                zip(k, *place[:, 1:].T, strict=True)]  # fmt: skip
+        exposures = self.series.exposures
+        k = tracklet[:, 0].astype(int)
+        minutes = 1440.0 * (exposures[k[-1]].mjd_utc - exposures[k[0]].mjd_utc)
+        rate = np.hypot(*(tracklet[-1, 1:] - tracklet[0, 1:])) * self.series.scale_arcsec_per_px / max(minutes, 1e-9)
+        flux = [exposures[f].flux[np.argmin(np.hypot(exposures[f].x_px - x, exposures[f].y_px - y))] for f, x, y in
+                zip(k, *tracklet[:, 1:].T, strict=True)]  # fmt: skip
         return rate, -2.5 * math.log10(max(float(np.median(flux)), 1e-9) / self.limit)
 
 
@@ -383,7 +384,7 @@ def case_of(scene: Scene, rng: np.random.Generator) -> Case:
 def noisy_case(rng: np.random.Generator, *, count: int = 5, side: int = 1024, false: int = 1000) -> Case:
     """Measurements without pixels: 500 stars, and on every frame 1000 false ones near the limit."""
     scale, every, stars, limit = 1.2, 12.0, 500, 300.0
-    at, light = rng.uniform(5, side - 5, (stars, 2)), limit * 10 ** rng.uniform(0.0, 2.4, stars)
+    star_xy, star_flux = rng.uniform(5, side - 5, (stars, 2)), limit * 10 ** rng.uniform(0.0, 2.4, stars)
     rate, magnitude = BINS.drawn(rng)
     angle = rng.uniform(0.0, 2 * math.pi, EACH)
     step = (rate / scale)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
@@ -392,12 +393,12 @@ def noisy_case(rng: np.random.Generator, *, count: int = 5, side: int = 1024, fa
     path = middle[:, None] + (minutes - minutes.mean())[None, :, None] * step[:, None]
     out = []
     for k in range(count):
-        flux = np.concatenate([light, limit * 10 ** (-0.4 * magnitude)])
-        xy = np.concatenate([at, path[:, k]])
+        flux = np.concatenate([star_flux, limit * 10 ** (-0.4 * magnitude)])
+        xy = np.concatenate([star_xy, path[:, k]])
         flux = flux + limit / 5.0 * rng.standard_normal(len(flux))
-        seen = (flux > limit) & ((xy > 0) & (xy < side)).all(axis=1)
-        flux = np.concatenate([flux[seen], limit * (1.0 - rng.random(false)) ** -0.4])
-        xy = np.concatenate([xy[seen], rng.uniform(0, side, (false, 2))])
+        detected = (flux > limit) & ((xy > 0) & (xy < side)).all(axis=1)
+        flux = np.concatenate([flux[detected], limit * (1.0 - rng.random(false)) ** -0.4])
+        xy = np.concatenate([xy[detected], rng.uniform(0, side, (false, 2))])
         sigma = 0.02 + 1.3 * limit / 5.0 / flux
         xy = xy + sigma[:, None] * rng.standard_normal(xy.shape)
         dec, n = 22.9 + (xy[:, 1] - side / 2) * scale / 3600.0, len(xy)
@@ -425,18 +426,18 @@ def tables(
     heads = [f"{lo:+g}…{hi:+g}" for lo, hi in itertools.pairwise(bins.magnitudes)]
     out, stated, drawn = [], [], []
     # Nothing can be found below the limit without pixels.
-    each = [replace(scene, bins=bins) for scene in scenes]
-    for scene in each if fastest else (*each, None):
+    with_bins = [replace(scene, bins=bins) for scene in scenes]
+    for scene in with_bins if fastest else (*with_bins, None):
         name = NOISY if scene is None else scene.name
         contenders = ["sameas", *([ADDED] if fastest and scene else []), *(["heliolinx"] if peer else [])]
         tallies = {by: Tally(name, by, bins) for by in contenders}
         before: dict[str, list[np.ndarray]] = {"sameas": [], "heliolinx": [], ADDED: []}
         if scene is not None:
-            alone = with_trails(tie(exposures(scene, scene.frames)), scene.frames)
-            linked, _, more, _ = searched(alone, scene.frames, fastest)
+            without_movers = with_trails(tie(exposures(scene, scene.frames)), scene.frames)
+            linked, _, more, _ = searched(without_movers, scene.frames, fastest)
             before["sameas"], before[ADDED] = linked, linked + more
             if peer:
-                before["heliolinx"] = by_heliolinx(peer, alone)
+                before["heliolinx"] = by_heliolinx(peer, without_movers)
         for _ in range(rounds if scene else 4 * rounds):
             case = noisy_case(rng) if scene is None else case_of(scene, rng)
             places, p, more, p_more = searched(case.series, case.frames, fastest)

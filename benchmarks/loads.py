@@ -47,11 +47,11 @@ def stars(folder: Path, *sides: tuple[int, float, float]) -> list[str]:
 
 def wide_one(folder: Path) -> list[str]:
     """100 000 rows each, one of them with an error that covers the field."""
-    place = np.random.default_rng(3).uniform(-3600.0, 3600.0, (2, 100_000))
+    offset_arcsec = np.random.default_rng(3).uniform(-3600.0, 3600.0, (2, 100_000))
     noise = np.random.default_rng(4).normal(0.0, 0.1, (2, 2, 100_000))
     sigma = np.full(100_000, 0.1)
-    return _catalogues(folder, [(place + noise[0], np.where(np.arange(100_000) == 77, 3600.0, sigma)),
-                                (place + noise[1], sigma)])  # fmt: skip
+    return _catalogues(folder, [(offset_arcsec + noise[0], np.where(np.arange(100_000) == 77, 3600.0, sigma)),
+                                (offset_arcsec + noise[1], sigma)])  # fmt: skip
 
 
 def field(folder: Path, n: int, absent: int = 0, crowd: tuple[int, float] = (0, 0.0), sides: int = 2) -> list[str]:
@@ -60,17 +60,17 @@ def field(folder: Path, n: int, absent: int = 0, crowd: tuple[int, float] = (0, 
     absent : number of rows with NaN positions. crowd : number of rows in one clump, and its scatter in arcsec.
     """
     side = 3600.0 * np.sqrt(n / 40_000.0)
-    place = np.random.default_rng(5).uniform(-0.5 * side, 0.5 * side, (2, n))
+    offset_arcsec = np.random.default_rng(5).uniform(-0.5 * side, 0.5 * side, (2, n))
     noise = np.random.default_rng(6).normal(0.0, 0.1, (sides, 2, n))
     rows = np.random.default_rng(7).integers(n // 3, n, absent)
-    for one in noise:
-        one[:, rows] = np.nan
-        one[:, : crowd[0]] = one[:, : crowd[0]] * crowd[1] - place[:, : crowd[0]]
-    return _catalogues(folder, [(place + one, np.full(n, 0.1)) for one in noise])
+    for source_noise in noise:
+        source_noise[:, rows] = np.nan
+        source_noise[:, : crowd[0]] = source_noise[:, : crowd[0]] * crowd[1] - offset_arcsec[:, : crowd[0]]
+    return _catalogues(folder, [(offset_arcsec + source_noise, np.full(n, 0.1)) for source_noise in noise])
 
 
-def _scattered(k: int, n: int, spread: float) -> np.ndarray:
-    return np.random.default_rng(k).normal(0.0, spread, (2, n))
+def _scattered(k: int, n: int, sigma: float) -> np.ndarray:
+    return np.random.default_rng(k).normal(0.0, sigma, (2, n))
 
 
 def _catalogues(folder: Path, sides: list[tuple[np.ndarray, np.ndarray]]) -> list[str]:
@@ -78,8 +78,8 @@ def _catalogues(folder: Path, sides: list[tuple[np.ndarray, np.ndarray]]) -> lis
     from pyarrow import parquet
 
     paths = []
-    for k, (place, sigma) in enumerate(sides):
-        columns = {"ra": 150.0 + place[0] / 3600.0, "dec": place[1] / 3600.0, "sigma": sigma}
+    for k, (offset_arcsec, sigma) in enumerate(sides):
+        columns = {"ra": 150.0 + offset_arcsec[0] / 3600.0, "dec": offset_arcsec[1] / 3600.0, "sigma": sigma}
         paths.append(str(folder / f"{k}.parquet"))
         parquet.write_table(pa.table(columns), paths[-1])
     return paths

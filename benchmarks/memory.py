@@ -124,13 +124,13 @@ def _tracks(
     rows: list[list[np.ndarray]] = []
     for k, times in times_of:
         path = true.paths[k]
-        place, after = path.at(times)[:, :2], path.at(times + 1.0)[:, :2]
-        known = np.isfinite(place).all(axis=1) & np.isfinite(after).all(axis=1)
-        times, place, after = times[known], place[known], after[known]
+        position, next_position = path.at(times)[:, :2], path.at(times + 1.0)[:, :2]
+        is_known = np.isfinite(position).all(axis=1) & np.isfinite(next_position).all(axis=1)
+        times, position, next_position = times[is_known], position[is_known], next_position[is_known]
         if len(times) < 2:
             continue
-        velocity = after - place + 0.5 * rng.standard_normal(place.shape)
-        measured = place + errors.of_track(times, rng)
+        velocity = next_position - position + 0.5 * rng.standard_normal(position.shape)
+        measured = position + errors.of_track(times, rng)
         rows.append([times, measured[:, 0], measured[:, 1], *velocity.T, np.full(len(times), k)])
     time_s, x, y, vx, vy, owner = (np.concatenate(column) for column in zip(*rows, strict=True))
     order = np.argsort(time_s, kind="stable")
@@ -150,8 +150,8 @@ def _named(
     if swaps > 0.0:
         number = np.arange(len(true))
         for scan in np.split(np.arange(len(time_s)), np.flatnonzero(np.diff(time_s) > 0.0) + 1):
-            at = true.at(float(time_s[scan[0]]))[owner[scan], :2]
-            distance = np.hypot(*(at[:, None] - at).transpose(2, 0, 1))
+            position = true.at(float(time_s[scan[0]]))[owner[scan], :2]
+            distance = np.hypot(*(position[:, None] - position).transpose(2, 0, 1))
             for i, j in np.argwhere(np.triu(distance < SWAPPED_M, 1)):
                 if rng.random() < swaps:
                     number[[owner[scan[i]], owner[scan[j]]]] = number[[owner[scan[j]], owner[scan[i]]]]
@@ -159,12 +159,12 @@ def _named(
     return np.array([str(name) for name in names], object)
 
 
-def alone(now: Instant, memory: TrackMemory) -> Rule:
+def instant_evidence(now: Instant, memory: TrackMemory) -> Rule:
     """The evidence of the instant."""
     return all_evidence(now, memory, previous_scans=False)  # type: ignore[return-value]
 
 
-METHODS = {"memory": Watch, "instants alone": lambda: Watch(evidence=alone, bound=1.0)}
+METHODS = {"memory": Watch, "instants alone": lambda: Watch(evidence=instant_evidence, bound=1.0)}
 
 
 @dataclass(frozen=True)

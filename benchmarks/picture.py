@@ -105,9 +105,9 @@ def solent() -> World | None:
 
 def paris(cache: Path) -> World:
     """Aircraft around Paris, the busiest 25 minutes of three hours."""
-    whole = motion.aircraft(cache)
-    start = float(whole.time_s.min()) + 24 * 300.0
-    log = motion.between(whole, start, start + SPAN_S + 200.0)
+    flights = motion.aircraft(cache)
+    start = float(flights.time_s.min()) + 24 * 300.0
+    log = motion.between(flights, start, start + SPAN_S + 200.0)
     radar = Description(
         "radar", "air radar", coverage=SensorCoverage(range_m=150e3), clutter=Clutter(1e-4),
         resolution=Resolution(200.0, 1.0),
@@ -115,13 +115,13 @@ def paris(cache: Path) -> World:
         timing=Timing(period_s=4.0, latency_s=1.0, latency_sigma_s=0.05),
     )  # fmt: skip
     sites = ((48.72, 2.38, 90.0), (49.01, 2.55, 120.0), (48.61, 2.68, 90.0))
-    described = Description("adsb", "ads-b", errors=ADSB_ERRORS, timing=Timing(latency_s=0.0))
+    description = Description("adsb", "ads-b", errors=ADSB_ERRORS, timing=Timing(latency_s=0.0))
     # The log repeats the last position while none is received: repetitions are not truth.
     plane = LocalPlane.about(np.asarray(log.lat_deg), np.asarray(log.lon_deg))
-    placed = PlacedReports(described, log, plane).in_plane
+    placed = PlacedReports(description, log, plane).in_plane
     assert isinstance(placed, States)
     measured = log.where(position_updates(placed)[0].usable)
-    return World("Paris, ADS-B", log, described, TrueMotion.of(measured, described, gap_s=30.0), sites, radar)
+    return World("Paris, ADS-B", log, description, TrueMotion.of(measured, description, gap_s=30.0), sites, radar)
 
 
 @dataclass(frozen=True)
@@ -181,7 +181,7 @@ def corrected(reports: Reports, bias: Bias) -> Reports:
 Method = Callable[[Instant], list[np.ndarray]]
 
 
-def alone(now: Instant) -> list[np.ndarray]:
+def instant_only(now: Instant) -> list[np.ndarray]:
     """Object numbers of the records of every source, from this instant only."""
     identified = identify_many(now.sources, rule=now.rule(), region=now.region)
     return [np.ma.filled(identified.of(k).object, -1) for k in range(len(now.sources))]
@@ -198,8 +198,8 @@ def scored(trial: Trial, scene: Scene, instants: np.ndarray, method: Method) -> 
             columns["source"].append(np.full(len(rows), feed.description.name))
             columns["object"].append(np.asarray(numbers))
             columns["row"].append(rows)
-    whole = {name: np.concatenate(parts) for name, parts in columns.items()}
-    return pair_score(Identities.of(whole, trial.true_of(whole)))
+    joined = {name: np.concatenate(parts) for name, parts in columns.items()}
+    return pair_score(Identities.of(joined, trial.true_of(joined)))
 
 
 @dataclass(frozen=True)
@@ -244,11 +244,11 @@ def gospa(trial: Trial, picture: Picture) -> tuple[float, float, float]:
     """Mean GOSPA in metres, missed and false objects per instant, of the confirmed objects against all true ones."""
     objects = picture.objects
     confirmed = (objects["stage"] == "confirmed") & ~np.ma.getmaskarray(objects["x_m"])
-    place = np.column_stack([np.ma.getdata(objects[name]) for name in ("x_m", "y_m")])
+    position = np.column_stack([np.ma.getdata(objects[name]) for name in ("x_m", "y_m")])
     pictures = []
     for instant_s in picture.instants_s:
         true = trial.world.true.at(float(instant_s))[:, :2]
-        pictures.append((place[confirmed & (objects["time_s"] == instant_s)], true[np.isfinite(true).all(axis=1)]))
+        pictures.append((position[confirmed & (objects["time_s"] == instant_s)], true[np.isfinite(true).all(axis=1)]))
     mean, parts = mean_gospa(pictures, cutoff=CUTOFF_M)
     return mean, float(np.mean([part.missed for part in parts])), float(np.mean([part.false for part in parts]))
 
@@ -265,21 +265,22 @@ class Steps:
 class Lines:
     """The rows of one trial in every table."""
 
-    ours: list[object]
+    picture_rows: list[object]
     others: list[list[object]]
     biases: list[list[object]]
 
     @classmethod
     def of(cls, trial: Trial, label: list[object], steps: Steps) -> Lines:
-        began = time.process_time()
+        start = time.process_time()
         instants = trial.instants(steps.alone_s)
         biased, known = trial.scene(), trial.scene_unbiased()
         registered, biases = biased.registered()
         picture = MemoryScore.of(trial, Picture.of(registered, trial.instants(steps.picture_s)))
-        one = [scored(trial, scene, instants, alone) for scene in (biased, known, registered)]
-        ours = [
-            *label, *(score.pairs.f1 for score in one), picture.score.pairs.f1, picture.score.pairs.precision,
-            picture.score.pairs.recall, picture.score.share_right, picture.siap.completeness, picture.siap.ambiguity,
+        instant_scores = [scored(trial, scene, instants, instant_only) for scene in (biased, known, registered)]
+        picture_row = [
+            *label, *(score.pairs.f1 for score in instant_scores), picture.score.pairs.f1,
+            picture.score.pairs.precision, picture.score.pairs.recall, picture.score.share_right,
+            picture.siap.completeness, picture.siap.ambiguity,
             picture.siap.continuity, picture.siap.switches, picture.nees.mean,
             picture.nees.median, picture.error_m, picture.half_m, picture.gospa_m, picture.missed, picture.false,
         ]  # fmt: skip
@@ -287,9 +288,9 @@ class Lines:
             [*label, name, *(scored(trial, scene, instants, method).pairs.f1 for scene in (biased, registered))]
             for name, method in contenders.methods().items()
         ]
-        others.append([*label, "ours, one instant", one[0].pairs.f1, one[2].pairs.f1])
-        print(f"  {trial.world.name} {label}: {time.process_time() - began:.0f} s of CPU", flush=True)
-        return cls(ours, others, [[*label, *row] for row in _bias_rows(trial, biases)])
+        others.append([*label, "ours, one instant", instant_scores[0].pairs.f1, instant_scores[2].pairs.f1])
+        print(f"  {trial.world.name} {label}: {time.process_time() - start:.0f} s of CPU", flush=True)
+        return cls(picture_row, others, [[*label, *row] for row in _bias_rows(trial, biases)])
 
 
 def _bias_rows(trial: Trial, biases: tuple[SourceBiases, ...]) -> list[list[object]]:
@@ -332,7 +333,7 @@ def tables(world: World, noises: tuple[float, ...], misses: tuple[float, ...], s
         f"GOSPA of the confirmed objects, cutoff {CUTOFF_M:g} m; missed and false per instant",
     )
     return [
-        Table(f"{world.name}: ours", OURS, [line.ours for line in lines], notes),
+        Table(f"{world.name}: ours", OURS, [line.picture_rows for line in lines], notes),
         Table(
             f"{world.name}: other methods, one instant", OTHERS, [row for line in lines for row in line.others], notes
         ),

@@ -59,7 +59,7 @@ class Field:
     second: Any
     stilts: np.ndarray | None
 
-    def ours(self) -> np.ndarray:
+    def by_sameas(self) -> np.ndarray:
         """The partner by `sameas`."""
         return np.asarray(self.found.result.answers_1.partner.filled(NO_PARTNER))
 
@@ -115,23 +115,23 @@ def stilts_partners(first: Any, second: Any) -> np.ndarray | None:
 
 def summary(field: Field) -> Table:
     """Pairs, double claims, agreement with `sameas`."""
-    ours, (near, _) = field.ours(), field.nearest()
-    partners = {"sameas": ours, f"nearest within {RADIUS_ARCSEC:g}″": near}
+    by_sameas, (near, _) = field.by_sameas(), field.nearest()
+    partners = {"sameas": by_sameas, f"nearest within {RADIUS_ARCSEC:g}″": near}
     if field.stilts is not None:
         partners[f"STILTS find=best, {RADIUS_ARCSEC:g}″"] = field.stilts
     lines = []
     for name, partner in partners.items():
         claimed = partner[partner >= 0]
         twice = int(np.sum(np.unique(claimed, return_counts=True)[1] > 1))
-        both = (partner >= 0) & (ours >= 0)
-        same = int(np.sum(both & (partner == ours)))
-        other = int(np.sum(both & (partner != ours)))
-        lines.append([name, len(claimed), twice, same, other, int(np.sum((partner >= 0) & (ours < 0))),
-                      int(np.sum((partner < 0) & (ours >= 0)))])  # fmt: skip
-    e = field.found.estimate
+        both = (partner >= 0) & (by_sameas >= 0)
+        n_same = int(np.sum(both & (partner == by_sameas)))
+        n_other = int(np.sum(both & (partner != by_sameas)))
+        lines.append([name, len(claimed), twice, n_same, n_other, int(np.sum((partner >= 0) & (by_sameas < 0))),
+                      int(np.sum((partner < 0) & (by_sameas >= 0)))])  # fmt: skip
+    estimate = field.found.estimate
     notes = (
-        f"{field.found.moved}; gate {e.gate_sigmas:.3g} quoted σ ({GAIA_ARCSEC:g}″, {TWOMASS_ARCSEC:g}″)",
-        f"typical error {e.typical_scale:.2f} times the quoted; {len(e.errors.scales)} scales; "
+        f"{field.found.moved}; gate {estimate.gate_sigmas:.3g} quoted σ ({GAIA_ARCSEC:g}″, {TWOMASS_ARCSEC:g}″)",
+        f"typical error {estimate.typical_scale:.2f} times the quoted; {len(estimate.errors.scales)} scales; "
         f"{field.found.result.expected_wrong:.1f} pairs of sameas expected to be wrong",
     )
     columns = (
@@ -149,72 +149,72 @@ def summary(field: Field) -> Table:
 def claims(field: Field) -> Table:
     """2MASS sources that are nearest to two Gaia stars, and the star that `sameas` matches with each."""
     near, distance = field.nearest()
-    ours = field.ours()
+    by_sameas = field.by_sameas()
     sources, count = np.unique(near[near >= 0], return_counts=True)
     lines: list[list[object]] = []
     for source in sources[count > 1]:
         stars = np.flatnonzero(near == source)
         stars = stars[np.argsort(distance[stars])]
-        holder = np.flatnonzero(ours == source)
+        holder = np.flatnonzero(by_sameas == source)
         words = "none" if not len(holder) else "the nearer" if holder[0] == stars[0] else (
             "the farther" if holder[0] in stars else "another star"
         )  # fmt: skip
         p = [field.probability(int(i), int(source)) for i in stars]
-        others = int(np.sum((ours[stars] >= 0) & (ours[stars] != source)))
+        others = int(np.sum((by_sameas[stars] >= 0) & (by_sameas[stars] != source)))
         lines.append([
             str(field.second.ids[source]), len(stars), ", ".join(f"{distance[i]:.3f}" for i in stars),
             ", ".join("cut" if x is None else f"{x:.3f}" for x in p), words, others,
         ])  # fmt: skip
     columns = ("2MASS", "claims", "separations, ″", "p of each", "matched with", "claimants with another")
-    unresolved = int(np.sum(np.unique(ours[ours >= 0], return_counts=True)[1] > 1))
+    unresolved = int(np.sum(np.unique(by_sameas[by_sameas >= 0], return_counts=True)[1] > 1))
     note = f"{len(lines)} double claims within {RADIUS_ARCSEC:g}″; {unresolved} remain in the match"
     return Table("NGC 188: double claims", columns, lines, (note,))
 
 
-def differences(field: Field, name: str, theirs: np.ndarray) -> Table:
+def differences(field: Field, name: str, by_other: np.ndarray) -> Table:
     """Every Gaia star with another partner by another program."""
-    ours = field.ours()
+    by_sameas = field.by_sameas()
     lines = []
-    for i in np.flatnonzero(theirs != ours).tolist():
-        t, o = int(theirs[i]), int(ours[i])
+    for i in np.flatnonzero(by_other != by_sameas).tolist():
+        of_other, of_sameas = int(by_other[i]), int(by_sameas[i])
         cells: list[object] = [str(field.first.ids[i])]
-        for j in (t, o):
+        for j in (of_other, of_sameas):
             cells += ["none", None, None] if j < 0 else [
                 str(field.second.ids[j]), field.separation(i, j), field.probability(i, j)
             ]  # fmt: skip
         p_none = float(field.found.result.answers_1.p_none[i])
-        lines.append([*cells, p_none, explanation(field, i, theirs, ours)])
+        lines.append([*cells, p_none, explanation(field, i, by_other, by_sameas)])
     columns = ("Gaia", name, "sep ″", "p", "sameas", "sep ″", "p", "p none", "why")
     kinds, count = np.unique([str(line[-1]).split(":")[0] for line in lines], return_counts=True)
     notes = [f"{n} × {kind}" for kind, n in sorted(zip(kinds, count, strict=True), key=lambda x: -x[1])]
     return Table(f"NGC 188: where {name} differs ({len(lines)})", columns, lines, notes)
 
 
-def explanation(field: Field, i: int, their_partners: np.ndarray, our_partners: np.ndarray) -> str:
+def explanation(field: Field, i: int, other_partners: np.ndarray, sameas_partners: np.ndarray) -> str:
     """Why `sameas` does not match star i as another program does."""
-    theirs, ours = int(their_partners[i]), int(our_partners[i])
-    if theirs < 0:
-        return _only_in_sameas(field, i, ours, their_partners)
-    if field.probability(i, theirs) is None:
+    their_source, our_source = int(other_partners[i]), int(sameas_partners[i])
+    if their_source < 0:
+        return _only_in_sameas(field, i, our_source, other_partners)
+    if field.probability(i, their_source) is None:
         return "not a candidate: beyond the gate" + _motion(field, i)
-    holder = np.flatnonzero(our_partners == theirs)
+    holder = np.flatnonzero(sameas_partners == their_source)
     if len(holder) and holder[0] != i:
         h = int(holder[0])
-        words = f"{field.separation(h, theirs):.3f}″ away, p {field.probability(h, theirs):.3f}"
+        words = f"{field.separation(h, their_source):.3f}″ away, p {field.probability(h, their_source):.3f}"
         return f"their source has a more probable star: Gaia {field.first.ids[h]}, {words}"
-    if ours >= 0:
+    if our_source >= 0:
         return "another pair in the best hypothesis of the group"
     return "no partner is more probable: too many σ" + _motion(field, i)
 
 
-def _only_in_sameas(field: Field, i: int, ours: int, their_partners: np.ndarray) -> str:
+def _only_in_sameas(field: Field, i: int, source: int, other_partners: np.ndarray) -> str:
     """Why another program has no partner for star i, which `sameas` matches with a source."""
-    if field.separation(i, ours) > RADIUS_ARCSEC:
+    if field.separation(i, source) > RADIUS_ARCSEC:
         return f"no partner there: ours is beyond {RADIUS_ARCSEC:g}″" + _motion(field, i)
-    holder = np.flatnonzero(their_partners == ours)
+    holder = np.flatnonzero(other_partners == source)
     if len(holder):
         return f"no partner there: our source has a nearer star, Gaia {field.first.ids[int(holder[0])]}"
-    star, distance = field.nearest_star(ours)
+    star, distance = field.nearest_star(source)
     if star != i:
         return (
             f"no partner there: Gaia {field.first.ids[star]} is nearer to our source ({distance:.3f}″) and has "

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from benchmarks.tables import Table
-from sameas import PoissonField, match
-from sameas.estimate.match import Estimate
+from sameas import PoissonField
+from sameas.estimate.match import Estimate, match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Magnitudes
 from sameas.simulate.exposures import Exposure, Sky, exposure, misquoted, with_outliers
@@ -44,56 +44,58 @@ class Kind:
     sky: Sky = field(default_factory=Sky)
     side_deg: float | None = None
     banded: bool = False
-    change: Change = lambda rng, made: made
+    change: Change = lambda rng, simulated: simulated
     known: Mapping[str, float] = field(default_factory=dict)
 
     def deviations(self, seed: tuple[int, int], side_deg: float) -> Iterator[tuple[str, float]]:
         """Names and deviations, in standard errors, of all that one frame has a true value for."""
         rng = np.random.default_rng(seed)
-        made = self.change(rng, exposure(rng, self.sky, side_deg=self.side_deg or side_deg))
-        _, estimate = match(made.scene.first, made.scene.second, brightness=made.brightness if self.banded else None)
-        truth = truths(made) | true_colour_terms(estimate, made) | dict(self.known)
+        simulated = self.change(rng, exposure(rng, self.sky, side_deg=self.side_deg or side_deg))
+        _, estimate = match(
+            simulated.scene.first, simulated.scene.second, brightness=simulated.brightness if self.banded else None
+        )
+        truth = truths(simulated) | true_colour_terms(estimate, simulated) | dict(self.known)
         for name, quantity in quantities(estimate):
             if np.isfinite(truth.get(name, np.nan)):
                 yield name, (quantity.value - truth[name]) / quantity.standard_error
         if self.banded:
-            yield from curve_deviations(estimate, made)
+            yield from curve_deviations(estimate, simulated)
 
 
-def quoted_too_small(rng: np.random.Generator, made: Exposure) -> Exposure:
+def quoted_too_small(rng: np.random.Generator, simulated: Exposure) -> Exposure:
     """All errors are quoted too small."""
-    return replace(made, scene=misquoted(made.scene, BOTH))
+    return replace(simulated, scene=misquoted(simulated.scene, BOTH))
 
 
-def uneven(rng: np.random.Generator, made: Exposure) -> Exposure:
+def misquoted_with_floor(rng: np.random.Generator, simulated: Exposure) -> Exposure:
     """The frame's errors quoted too small, and a floor under the catalogue's."""
-    first, second = made.scene.first, made.scene.second
+    first, second = simulated.scene.first, simulated.scene.second
     moved = displaced(second.features, FLOOR_ARCSEC * rng.standard_normal((len(second), 2)))
     first, second = replace(first, covariance=first.covariance / FRAME**2), replace(second, features=moved)
-    return replace(made, scene=replace(made.scene, first=first, second=second))
+    return replace(simulated, scene=replace(simulated.scene, first=first, second=second))
 
 
-def alike(rng: np.random.Generator, made: Exposure) -> Exposure:
+def uniform_errors(rng: np.random.Generator, simulated: Exposure) -> Exposure:
     """One error for all of the catalogue; the frame's errors quoted too small, and a floor under the catalogue's."""
-    second = made.scene.second
+    second = simulated.scene.second
     covariance = np.tile([ALIKE_ARCSEC**2, 0.0, ALIKE_ARCSEC**2], (len(second), 1))
     moved = displaced(second.features, ALIKE_ARCSEC * rng.standard_normal((len(second), 2)))
     second = replace(second, features=moved, covariance=covariance)
-    return uneven(rng, replace(made, scene=replace(made.scene, second=second)))
+    return misquoted_with_floor(rng, replace(simulated, scene=replace(simulated.scene, second=second)))
 
 
-def far_off(rng: np.random.Generator, made: Exposure) -> Exposure:
+def displaced_records(rng: np.random.Generator, simulated: Exposure) -> Exposure:
     """Some records of each source are displaced."""
-    return replace(made, scene=with_outliers(rng, made.scene, DISPLACED))
+    return replace(simulated, scene=with_outliers(rng, simulated.scene, DISPLACED))
 
 
-def confused(rng: np.random.Generator, made: Exposure) -> Exposure:
+def unrelated_magnitudes(rng: np.random.Generator, simulated: Exposure) -> Exposure:
     """Some of the frame's magnitudes are those of other stars of it."""
-    frame, catalogue = made.brightness
+    frame, catalogue = simulated.brightness
     values = np.array(frame.values)
     at = np.flatnonzero(rng.uniform(size=len(values)) < UNRELATED)
     values[at] = values[rng.integers(0, len(values), len(at))]
-    return replace(made, brightness=(Magnitudes(values, frame.sigma, frame.names), catalogue))
+    return replace(simulated, brightness=(Magnitudes(values, frame.sigma, frame.names), catalogue))
 
 
 #: True values if the errors differ from the quoted ones by more than one factor; quantities without one are NaN.
@@ -103,7 +105,7 @@ KINDS = (
     Kind("sparse, positions only", SPARSE, 0.6),
     Kind("crowded, two bands", banded=True),
     Kind(
-        f"crowded, two bands, {UNRELATED:.0%} of the magnitudes unrelated", banded=True, change=confused,
+        f"crowded, two bands, {UNRELATED:.0%} of the magnitudes unrelated", banded=True, change=unrelated_magnitudes,
         known={"brightness_unrelated": UNRELATED},
     ),
     Kind(
@@ -111,20 +113,20 @@ KINDS = (
         known={"error_scale": BOTH, "factor_1": BOTH, "factor_2": BOTH, "both": BOTH, "floor_instead": np.nan},
     ),
     Kind(
-        f"sparse, {DISPLACED:.0%} of either source's records displaced by 10 σ", SPARSE, 0.6, change=far_off,
+        f"sparse, {DISPLACED:.0%} of either source's records displaced by 10 σ", SPARSE, 0.6, change=displaced_records,
         known={"error_scale": np.nan},
     ),
     Kind(
         f"sparse, one error of {ALIKE_ARCSEC:g}″ for all of the catalogue, the frame's quoted {FRAME:g} times too "
-        f"small, a floor of {FLOOR_ARCSEC:g}″", EXACT, 0.6, change=alike, known=UNEVEN,
+        f"small, a floor of {FLOOR_ARCSEC:g}″", EXACT, 0.6, change=uniform_errors, known=UNEVEN,
     ),
     Kind(
         f"sparse, the frame's errors quoted {FRAME:g} times too small, a floor of {FLOOR_ARCSEC:g}″", SPARSE, 0.6,
-        change=uneven, known=UNEVEN,
+        change=misquoted_with_floor, known=UNEVEN,
     ),
     Kind(
         f"crowded, the frame's errors quoted {FRAME:g} times too small, a floor of {FLOOR_ARCSEC:g}″",
-        change=uneven, known=UNEVEN,
+        change=misquoted_with_floor, known=UNEVEN,
     ),
 )  # fmt: skip
 
@@ -165,25 +167,27 @@ def _chance(trials: int) -> float:
 # ---- true values ----
 
 
-def true_rule(made: Exposure) -> PoissonField:
+def true_rule(simulated: Exposure) -> PoissonField:
     """The positions' rule with the parameters that made the frame."""
-    sky = made.sky
+    sky = simulated.sky
     magnitude = np.linspace(sky.brightest, sky.faintest, 4001)
     number = 10 ** (sky.steepness * magnitude)
-    shown = float(np.average(sky.completeness(magnitude), weights=number))
-    stars, listed = sky.stars_per_deg2 / 3600.0**2, 1.0 - sky.uncatalogued
-    false = stars * shown * sky.false_share / (1.0 - sky.false_share)
+    detected = float(np.average(sky.completeness(magnitude), weights=number))
+    stars, catalogued = sky.stars_per_deg2 / 3600.0**2, 1.0 - sky.uncatalogued
+    false = stars * detected * sky.false_share / (1.0 - sky.false_share)
     return PoissonField(
-        stars * listed * shown, stars * shown * sky.uncatalogued + false, stars * listed * (1.0 - shown)
+        stars * catalogued * detected,
+        stars * detected * sky.uncatalogued + false,
+        stars * catalogued * (1.0 - detected),
     )
 
 
-def truths(made: Exposure) -> dict[str, float]:
+def truths(simulated: Exposure) -> dict[str, float]:
     """The true values of the estimates if errors and magnitudes are as quoted."""
-    rule, sky = true_rule(made), made.sky
+    rule, sky = true_rule(simulated), simulated.sky
     only_1, only_2, common = (float(x) for x in (rule.only_1, rule.only_2, rule.common))  # type: ignore[arg-type]
-    pairs = made.scene.true_pairs()
-    colour = np.mean(made.colour[made.scene.truth_1[pairs[0]]] - 0.8)
+    pairs = simulated.scene.true_pairs()
+    colour = np.mean(simulated.colour[simulated.scene.truth_1[pairs[0]]] - 0.8)
     return {
         "common": len(pairs[0]), "share_1": common / (common + only_1), "share_2": common / (common + only_2),
         "density_common": common, "density_only_1": only_1, "density_only_2": only_2, "error_scale": 1.0,
@@ -192,7 +196,7 @@ def truths(made: Exposure) -> dict[str, float]:
     }  # fmt: skip
 
 
-def true_colour_terms(estimate: Estimate, made: Exposure) -> dict[str, float]:
+def true_colour_terms(estimate: Estimate, simulated: Exposure) -> dict[str, float]:
     """Slopes of the frame's magnitude, free of errors and scatter, on the measured colours of the true pairs.
 
     Not the frame's colour term, which is the slope on true colours: see :class:`sameas.evidence.Relation`. By weighted
@@ -201,16 +205,16 @@ def true_colour_terms(estimate: Estimate, made: Exposure) -> dict[str, float]:
     relation = None if estimate.photometry is None else estimate.photometry.first_relation
     if relation is None:
         return {}
-    (i, j), sky, catalogue = made.scene.true_pairs(), made.sky, made.brightness[1]
-    star = made.scene.truth_1[i]
-    frame = made.magnitude[star] + sky.zero_point + sky.colour_term * (made.colour[star] - 0.8)
-    seen, sigma = np.asarray(catalogue.values)[j], np.asarray(catalogue.sigma)[j]
-    curve = [np.interp(seen[:, 0], relation.knots, hat) for hat in np.eye(len(relation.knots))]
-    basis = np.column_stack([*curve, seen[:, 1:] - seen[:, :1]])
+    (i, j), sky, catalogue = simulated.scene.true_pairs(), simulated.sky, simulated.brightness[1]
+    star = simulated.scene.truth_1[i]
+    frame = simulated.magnitude[star] + sky.zero_point + sky.colour_term * (simulated.colour[star] - 0.8)
+    measured, sigma = np.asarray(catalogue.values)[j], np.asarray(catalogue.sigma)[j]
+    curve = [np.interp(measured[:, 0], relation.knots, hat) for hat in np.eye(len(relation.knots))]
+    basis = np.column_stack([*curve, measured[:, 1:] - measured[:, :1]])
     # The relation is − colour_term (I − V); this is the effect of errors of V and I on the expected magnitude.
     moved = (1.0 + sky.colour_term) ** 2 * sigma[:, 0] ** 2 + sky.colour_term**2 * sigma[:, 1] ** 2
-    root = 1.0 / np.sqrt(sky.scatter**2 + np.asarray(made.brightness[0].sigma)[i, 0] ** 2 + moved)
-    slopes = np.linalg.lstsq(root[:, None] * basis, root * (frame - seen[:, 0]))[0][len(relation.knots) :]
+    root = 1.0 / np.sqrt(sky.scatter**2 + np.asarray(simulated.brightness[0].sigma)[i, 0] ** 2 + moved)
+    slopes = np.linalg.lstsq(root[:, None] * basis, root * (frame - measured[:, 0]))[0][len(relation.knots) :]
     return {f"colour_{name}": float(slope) for name, slope in zip(catalogue.names[1:], slopes, strict=True)}
 
 
@@ -222,14 +226,14 @@ def quantities(estimate: Estimate) -> Iterator[tuple[str, Quantity]]:
         yield from model.terms.items()
 
 
-def curve_deviations(estimate: Estimate, made: Exposure) -> Iterator[tuple[str, float]]:
+def curve_deviations(estimate: Estimate, simulated: Exposure) -> Iterator[tuple[str, float]]:
     """Bins of P_d(m) of the catalogue, in standard errors, where the error of a magnitude does not matter."""
-    curve, sky = estimate.detection_2, made.sky
+    curve, sky = estimate.detection_2, simulated.sky
     if curve is None:
         return
-    seen = np.asarray(made.brightness[1].values)[:, 0]
-    true = made.magnitude[made.scene.truth_2]
-    at = np.searchsorted(curve.edges, seen, side="right") - 1
+    measured = np.asarray(simulated.brightness[1].values)[:, 0]
+    true = simulated.magnitude[simulated.scene.truth_2]
+    at = np.searchsorted(curve.edges, measured, side="right") - 1
     for k in range(len(curve.number)):
         expected = float(sky.completeness(true[at == k]).mean()) if np.any(at == k) else np.nan
         if curve.number[k] >= 30 and np.isfinite(expected):

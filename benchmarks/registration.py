@@ -24,7 +24,7 @@ DENSITIES, MISSES, SHIFTS = (0.01, 0.03), (0.1, 0.3), (0.0, 2.0, 4.0, 8.0, 30.0)
 ICP_STEPS, REACH_SIGMAS = 30, 3.0
 
 
-def drawn(seed: int, q: float, density: float, n: int = TARGETS) -> SimulatedScene:
+def draw_scene(seed: int, q: float, density: float, n: int = TARGETS) -> SimulatedScene:
     """Targets scattered at ``density`` per σ², σ = 1 the error of one axis of a residual."""
     side = math.sqrt(n / density)
     half = math.sqrt(0.5)
@@ -33,29 +33,29 @@ def drawn(seed: int, q: float, density: float, n: int = TARGETS) -> SimulatedSce
     )
 
 
-def put(records: Records, features: np.ndarray) -> Records:
+def with_positions(records: Records, features: np.ndarray) -> Records:
     """The records at other places."""
     return replace(records, features=np.ascontiguousarray(features))
 
 
 def inverse(model: Offset, theta: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """The positions that the offset moves to ``positions``, by Newton's method."""
-    at = positions.copy()
+    estimate = positions.copy()
     for _ in range(20):
-        residual = positions - model.moved(at, theta)
-        at = at + np.linalg.solve(model.carried(at, theta), residual[..., None])[..., 0]
-    return at
+        residual = positions - model.moved(estimate, theta)
+        estimate = estimate + np.linalg.solve(model.carried(estimate, theta), residual[..., None])[..., 0]
+    return estimate
 
 
-def f1(made: SimulatedScene, pairs: tuple[np.ndarray, np.ndarray]) -> float:
+def f1(scene: SimulatedScene, pairs: tuple[np.ndarray, np.ndarray]) -> float:
     """F1 of the claimed pairs; NaN without true pairs."""
-    return score_pairs(pairs, made.true_pairs()).f1
+    return score_pairs(pairs, scene.true_pairs()).f1
 
 
 def pairs_of(answer: object) -> tuple[np.ndarray, np.ndarray]:
     """Rows of the identified pairs."""
-    found = answer.matches  # type: ignore[attr-defined]
-    return found.rows_1, found.rows_2
+    matches = answer.matches  # type: ignore[attr-defined]
+    return matches.rows_1, matches.rows_2
 
 
 def icp(first: Records, second: Records) -> tuple[np.ndarray, np.ndarray]:
@@ -90,10 +90,10 @@ class Tally:
         return float(np.nanstd(self.values) / math.sqrt(len(self.values)))
 
 
-def f1_with_truth(made: SimulatedScene, q: float, density: float) -> float:
+def f1_with_truth(scene: SimulatedScene, q: float, density: float) -> float:
     """F1 without an offset, with the true densities and miss rates given."""
     one = density * q * (1 - q)
-    return f1(made, pairs_of(identify(made.first, made.second, rule=PoissonField(density * (1 - q) ** 2, one, one))))
+    return f1(scene, pairs_of(identify(scene.first, scene.second, rule=PoissonField(density * (1 - q) ** 2, one, one))))
 
 
 def shifts(scenes: int) -> Table:
@@ -102,22 +102,22 @@ def shifts(scenes: int) -> Table:
     for density in DENSITIES:
         for q in MISSES:
             for shift in SHIFTS:
-                truth, without, by_icp, ours, loss, established = (Tally() for _ in range(6))
+                truth, without, by_icp, by_register, loss, established = (Tally() for _ in range(6))
                 for seed in range(scenes):
-                    made = drawn(seed, q, density)
+                    scene = draw_scene(seed, q, density)
                     angle = 2.0 * math.pi * np.random.default_rng(seed + 10**6).uniform()
-                    away = shift * np.array([math.cos(angle), math.sin(angle)])
-                    second = put(made.second, made.second.features - away)
-                    found = register(made.first, second, Shift())
-                    truth.values.append(f1_with_truth(made, q, density))
-                    unshifted = f1(made, pairs_of(match(made.first, made.second, errors=Errors())[0]))
-                    without.values.append(f1(made, pairs_of(match(made.first, second, errors=Errors())[0])))
-                    by_icp.values.append(f1(made, icp(made.first, second)))
-                    ours.values.append(f1(made, pairs_of(found.identification)))
-                    loss.values.append(unshifted - ours.values[-1])
-                    established.values.append(100.0 * found.established)
+                    offset = shift * np.array([math.cos(angle), math.sin(angle)])
+                    second = with_positions(scene.second, scene.second.features - offset)
+                    solution = register(scene.first, second, Shift())
+                    truth.values.append(f1_with_truth(scene, q, density))
+                    unshifted = f1(scene, pairs_of(match(scene.first, scene.second, errors=Errors())[0]))
+                    without.values.append(f1(scene, pairs_of(match(scene.first, second, errors=Errors())[0])))
+                    by_icp.values.append(f1(scene, icp(scene.first, second)))
+                    by_register.values.append(f1(scene, pairs_of(solution.identification)))
+                    loss.values.append(unshifted - by_register.values[-1])
+                    established.values.append(100.0 * solution.established)
                 lines.append(
-                    [density, q, shift, truth.mean, without.mean, by_icp.mean, ours.mean, loss.mean, loss.error,
+                    [density, q, shift, truth.mean, without.mean, by_icp.mean, by_register.mean, loss.mean, loss.error,
                      "yes" if loss.mean <= 0.03 else "no", established.mean]
                 )  # fmt: skip
     columns = ("β·s²", "misses", "shift σ", "F1 truth given", "F1 no registration", "F1 ICP", "F1 register", "loss",
@@ -137,17 +137,17 @@ class Trial:
     theta: tuple[float, ...]
 
 
-def _velocity(made: SimulatedScene) -> np.ndarray:
-    return np.random.default_rng(len(made.second)).normal(0.0, 2.0, (len(made.second), 2))
+def _velocity(scene: SimulatedScene) -> np.ndarray:
+    return np.random.default_rng(len(scene.second)).normal(0.0, 2.0, (len(scene.second), 2))
 
 
 TRIALS = (
-    Trial("rotation 2°, scale 1 %, shift 8σ", lambda made, side: Similarity(), (8.0, 0.0, 2.0, 0.01)),
-    Trial("sensor: range 6σ, azimuth 3°", lambda made, side: SensorBias((-0.3 * side, -0.2 * side)), (6.0, 3.0)),
+    Trial("rotation 2°, scale 1 %, shift 8σ", lambda scene, side: Similarity(), (8.0, 0.0, 2.0, 0.01)),
+    Trial("sensor: range 6σ, azimuth 3°", lambda scene, side: SensorBias((-0.3 * side, -0.2 * side)), (6.0, 3.0)),
     Trial(
         "sensor: the same, gain 2 %, time 2",
-        lambda made, side: SensorBias(
-            (-0.3 * side, -0.2 * side), gain_width=0.02, time_width=3.0, velocity=_velocity(made)
+        lambda scene, side: SensorBias(
+            (-0.3 * side, -0.2 * side), gain_width=0.02, time_width=3.0, velocity=_velocity(scene)
         ),
         (6.0, 3.0, 0.02, 2.0),
     ),
@@ -165,17 +165,17 @@ def others(scenes: int) -> Table:
                 loss, established, time_ms = Tally(), Tally(), Tally()
                 z = []
                 for seed in range(scenes):
-                    made = drawn(base + seed, q, density)
-                    model = trial.model(made, math.sqrt(TARGETS / density)).placed(made.first, made.second)
+                    scene = draw_scene(base + seed, q, density)
+                    model = trial.model(scene, math.sqrt(TARGETS / density)).placed(scene.first, scene.second)
                     theta = np.array(trial.theta)
-                    second = put(made.second, inverse(model, theta, made.second.features))
+                    second = with_positions(scene.second, inverse(model, theta, scene.second.features))
                     start = time.perf_counter()
-                    found = register(made.first, second, model)
+                    solution = register(scene.first, second, model)
                     time_ms.values.append(1e3 * (time.perf_counter() - start))
-                    unshifted = f1(made, pairs_of(match(made.first, made.second, errors=Errors())[0]))
-                    loss.values.append(unshifted - f1(made, pairs_of(found.identification)))
-                    established.values.append(100.0 * found.established)
-                    z.append((found.theta - theta) / found.standard_errors)
+                    unshifted = f1(scene, pairs_of(match(scene.first, scene.second, errors=Errors())[0]))
+                    loss.values.append(unshifted - f1(scene, pairs_of(solution.identification)))
+                    established.values.append(100.0 * solution.established)
+                    z.append((solution.theta - theta) / solution.standard_errors)
                 inside = 100.0 * np.mean(np.abs(z) < 2.0, axis=0)
                 within = ", ".join(f"{name} {share:.1f}" for name, share in zip(model.names, inside, strict=True))
                 lines.append([trial.name, density, q, loss.mean, loss.error, within, established.mean, time_ms.mean])
@@ -191,15 +191,15 @@ def times(runs: int) -> Table:
     """Time of a registration, and of one match with everything estimated."""
     lines = []
     for n in (40, 300, 2000, 20_000):
-        made = drawn(1, 0.1, 0.01, n)
+        scene = draw_scene(1, 0.1, 0.01, n)
         for name, model in (("shift", Shift()), ("similarity", Similarity())):
-            second = put(made.second, made.second.features - [8.0, 3.0])
+            second = with_positions(scene.second, scene.second.features - [8.0, 3.0])
             seconds: dict[str, list[float]] = {"register": [], "match": []}
             for _ in range(runs + 1):
                 start = time.perf_counter()
-                register(made.first, second, model)
+                register(scene.first, second, model)
                 middle = time.perf_counter()
-                match(made.first, made.second, errors=Errors())
+                match(scene.first, scene.second, errors=Errors())
                 seconds["register"].append(middle - start)
                 seconds["match"].append(time.perf_counter() - middle)
             medians = [1e3 * float(np.median(seconds[key][1:])) for key in ("register", "match")]

@@ -69,11 +69,11 @@ def programs(b: Bench, step: Step) -> dict[str, Work | str]:
     """The tasks on one scene, `sameas` first; a missing program has its installation command instead."""
     folder = b.sky(step.lam, rows=step.rows)
     small = step.rows <= 20_000
-    ours = {
+    of_sameas = {
         name: b.stages(folder, until, runs=50 if small else 7)
         for name, until in ((MAP, "assignment"), (POSTERIORS, "posterior"))
     }
-    return ours | dict(b.peers(folder, *PROGRAMS, runs=15 if small else 5))
+    return of_sameas | dict(b.peers(folder, *PROGRAMS, runs=15 if small else 5))
 
 
 def sweep(b: Bench, title: str, axis: str, steps: Sequence[Step], excluded: Sequence[str] = ()) -> Table:
@@ -82,17 +82,17 @@ def sweep(b: Bench, title: str, axis: str, steps: Sequence[Step], excluded: Sequ
     lines: list[list[Any]] = []
     for k, step in enumerate(steps):
         growth = steps[k + 1].rows / step.rows if k + 1 < len(steps) else 1.0
-        ours = float("nan")
+        sameas_s = float("nan")
         for name, work in programs(b, step).items():
             if name in ended:
                 continue
-            one = Measurement(error=work, not_installed=True) if isinstance(work, str) else measure(work)
-            if one.seconds:
-                ours = one.median if name == MAP else ours
-                lines.append([step.x, name, *cells(one, step.rows, ours)])
-            reason = end_reason(one, growth, b.slow_s)
+            measurement = Measurement(error=work, not_installed=True) if isinstance(work, str) else measure(work)
+            if measurement.seconds:
+                sameas_s = measurement.median if name == MAP else sameas_s
+                lines.append([step.x, name, *cells(measurement, step.rows, sameas_s)])
+            reason = end_reason(measurement, growth, b.slow_s)
             if reason:
-                ended[name] = reason if one.not_installed else f"ends at {axis} {step.x:g}: {reason}"
+                ended[name] = reason if measurement.not_installed else f"ends at {axis} {step.x:g}: {reason}"
     versions = (f"{PEERS[name].name} {b.versions[name]}" for name in PROGRAMS if b.versions[name])
     notes = [
         f"a line ends where one run took longer than {b.slow_s:g} s",
@@ -103,22 +103,23 @@ def sweep(b: Bench, title: str, axis: str, steps: Sequence[Step], excluded: Sequ
     return Table(title, (axis, *COLUMNS), lines, notes)
 
 
-def end_reason(one: Measurement, growth: float, slow_s: float) -> str:
+def end_reason(measurement: Measurement, growth: float, slow_s: float) -> str:
     """Why a program does not run the next step, of ``growth`` times the rows; empty if it does."""
-    if not one.seconds:
-        return f"is missing ({one.error})" if one.not_installed else f"failed: {one.error}"
-    if one.median > slow_s:
-        return f"a run took {duration(one.median)}"
-    if growth * one.peak_mb > 1024 * machine.memory_gb():
-        return f"took {one.peak_mb:.0f} MB; {growth:g} times that may not fit"
+    if not measurement.seconds:
+        return f"is missing ({measurement.error})" if measurement.not_installed else f"failed: {measurement.error}"
+    if measurement.median > slow_s:
+        return f"a run took {duration(measurement.median)}"
+    if growth * measurement.peak_mb > 1024 * machine.memory_gb():
+        return f"took {measurement.peak_mb:.0f} MB; {growth:g} times that may not fit"
     return ""
 
 
-def cells(one: Measurement, rows: int, ours: float) -> list[float]:
+def cells(measurement: Measurement, rows: int, sameas_s: float) -> list[float]:
     """The numbers of a measurement in the order of ``COLUMNS``."""
     return [
-        one.median, min(one.seconds), max(one.seconds), len(one.seconds), round(one.peak_mb),
-        round(one.peak_mb - one.baseline_mb), 1e6 * one.median / rows, one.median / ours,
+        measurement.median, min(measurement.seconds), max(measurement.seconds), len(measurement.seconds),
+        round(measurement.peak_mb), round(measurement.peak_mb - measurement.baseline_mb),
+        1e6 * measurement.median / rows, measurement.median / sameas_s,
     ]  # fmt: skip
 
 
@@ -209,8 +210,9 @@ def headline(rows: Table) -> str:
     shared = [n for by, n in seconds if by == astropy and n <= LAMBDA_ROWS and (MAP, n) in seconds]
     if not shared:
         return "Time and memory against rows and crowding"
-    ours, other = (duration(seconds[by, max(shared)]) for by in (MAP, astropy))
-    return f"{spaced(max(shared))} rows a side: best one-to-one pairs in {ours}, astropy's nearest in {other}"
+    n = max(shared)
+    times = [duration(seconds[by, n]) for by in (MAP, astropy)]
+    return f"{spaced(n)} rows a side: best one-to-one pairs in {times[0]}, astropy's nearest in {times[1]}"
 
 
 def curves(table: Table, what: int) -> dict[str, np.ndarray]:

@@ -22,8 +22,8 @@ from typing import Any
 
 from benchmarks import workload
 from benchmarks.measure import Measurement, Work, measure
-from benchmarks.ours import STAGES
 from benchmarks.peers import PEERS, Interpreters
+from benchmarks.sameas_calls import STAGES
 from benchmarks.tables import Table, report
 from benchmarks.timetable import PeerWork, Row, timetable
 
@@ -64,7 +64,7 @@ class Bench:
     def stages(self, folder: str, until: str = "assignment", **changes: Any) -> Work:
         """The stages of `sameas` on the scene in ``folder``, up to the assignment or the posterior."""
         options = {"folder": folder, "until": until}
-        return replace(Work("benchmarks.ours:stages", options, at_most_s=self.slow_s), **changes)
+        return replace(Work("benchmarks.sameas_calls:stages", options, at_most_s=self.slow_s), **changes)
 
     def peers(self, folder: str, *names: str, runs: int = 5) -> tuple[PeerWork, ...]:
         """The named peers on the scene in ``folder``; a missing one has its installation command instead of work."""
@@ -117,7 +117,7 @@ def full(b: Bench) -> Iterator[Row]:
 def posteriors(b: Bench) -> Iterator[Row]:
     """With the posterior of every pair and record."""
     yield Row("λ 0.5, posteriors", b.stages(b.sky(0.5), "posterior"), (), b.limit(0.8))
-    call = Work("benchmarks.ours:whole_call", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s)
+    call = Work("benchmarks.sameas_calls:whole_call", {"folder": b.sky(0.5), "gate_sigmas": None}, at_most_s=b.slow_s)
     yield Row("λ 0.5, posteriors, default gate (6.4σ), whole call", call)
     medium, small = min(b.rows, 100_000), min(b.rows, 10_000)
     for lam, limit in ((0.5, 0.1), (2.0, 2.0)):
@@ -170,7 +170,7 @@ def targets(b: Bench) -> Iterator[Row]:
             folder = b.scene_folder(f"targets-{n}-{d}", partial(workload.targets, 17, n, d))
             calls = max(200, 200_000 // n)
             options = {"folder": folder}
-            work = Work("benchmarks.ours:whole_call", options, min(calls, 2000), 20.0, threads=1, cpu_time=True)
+            work = Work("benchmarks.sameas_calls:whole_call", options, min(calls, 2000), 20.0, threads=1, cpu_time=True)
             peers = b.peers(folder, "stonesoup") if n <= 200 else ()
             yield Row(f"{n} targets, {d}-D, whole call", work, peers, limit, quantile=0.99)
 
@@ -178,12 +178,12 @@ def targets(b: Bench) -> Iterator[Row]:
 def count(b: Bench) -> Iterator[Row]:
     """The exact prior on the number of common objects: CPU time of one thread."""
     for n, limit, runs in ((100, 0.4e-3, 1000), (500, 60e-3, 100)):
-        ours, scipy = (
-            Work(f"benchmarks.ours:{name}", {"n": n}, runs, 60.0, threads=1, cpu_time=True)
+        of_sameas, scipy = (
+            Work(f"benchmarks.sameas_calls:{name}", {"n": n}, runs, 60.0, threads=1, cpu_time=True)
             for name in ("full_group", "linear_sum_assignment")
         )
         peers = (("SciPy linear_sum_assignment, one k", scipy),)
-        yield Row(f"count prior, all k, full group of {n}", ours, peers, limit, quantile=0.99)
+        yield Row(f"count prior, all k, full group of {n}", of_sameas, peers, limit, quantile=0.99)
 
 
 # ---- whole processes ----
@@ -195,9 +195,9 @@ def files(b: Bench) -> Iterator[Row]:
     first, second = _parquet(folder)
     out = folder / "out.parquet"
     command = [_sameas(), "match", str(first), str(second), "-o", str(out), *COLUMN_OPTIONS]
-    ours = Work("benchmarks.processes:process", {"command": command, "output": str(out)}, 5, b.slow_s)
+    of_sameas = Work("benchmarks.processes:process", {"command": command, "output": str(out)}, 5, b.slow_s)
     peers = tuple((f"{name} (FITS)", work) for name, work in b.peers(str(folder), "stilts"))
-    yield Row(f"sameas match of two Parquet tables of {b.rows} rows", ours, peers, b.limit(2.5))
+    yield Row(f"sameas match of two Parquet tables of {b.rows} rows", of_sameas, peers, b.limit(2.5))
 
 
 def _parquet(folder: Path) -> list[Path]:
@@ -276,7 +276,7 @@ def certificates(b: Bench) -> Table:
     """Certificates of the assignments, and by which method the posteriors were computed."""
     lines = []
     for lam in workload.LAMBDAS:
-        one = measure(Work("benchmarks.ours:certificate", {"folder": b.sky(lam)}, 1))
+        one = measure(Work("benchmarks.sameas_calls:certificate", {"folder": b.sky(lam)}, 1))
         if one.error:
             lines.append([lam, one.error, *[None] * 7])
             continue
@@ -299,10 +299,10 @@ def quick(b: Bench, keep: bool) -> Table:
     for lam in (0.5, 2.0):
         folder = b.sky(lam)
         nearest = measure_astropy(b, folder)
-        ours = measure(b.stages(folder, "posterior", runs=11))
-        if ours.error:
-            sys.exit(ours.error)
-        for stage, seconds in stage_medians(ours).items():
+        of_sameas = measure(b.stages(folder, "posterior", runs=11))
+        if of_sameas.error:
+            sys.exit(of_sameas.error)
+        for stage, seconds in stage_medians(of_sameas).items():
             name = f"{b.rows} λ {lam:g} {stage}"
             now[name] = seconds / nearest.median
             before = stored.get(name)

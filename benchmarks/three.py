@@ -24,7 +24,7 @@ NAMES = ("hipparcos", "gaia", "tycho2")
 UNKNOWN_MOTION_MAS_PER_YR = 20.0
 
 
-def understood(index: Path, north_of_deg: float) -> list[Catalogue]:
+def read_catalogues(index: Path, north_of_deg: float) -> list[Catalogue]:
     """The catalogues of the example, north of a declination."""
     import hipparcos_gaia
     import three_catalogues
@@ -35,31 +35,31 @@ def understood(index: Path, north_of_deg: float) -> list[Catalogue]:
     return list(three_catalogues.catalogues(*kept))
 
 
-def members(found: ManyMatch) -> np.ndarray:
+def members(many: ManyMatch) -> np.ndarray:
     """(n, S) rows of the catalogues in the order of ``NAMES``, −1 for none."""
     order = [
-        [c.name for c in found.catalogues].index(name) for name in NAMES if name in {c.name for c in found.catalogues}
+        [c.name for c in many.catalogues].index(name) for name in NAMES if name in {c.name for c in many.catalogues}
     ]
-    return np.asarray(np.ma.filled(found.objects.members, -1)[:, order])
+    return np.asarray(np.ma.filled(many.objects.members, -1)[:, order])
 
 
-def picture(found: ManyMatch) -> tuple[Catalogue, np.ndarray]:
+def picture(many: ManyMatch) -> tuple[Catalogue, np.ndarray]:
     """The fused catalogue of two catalogues, and the rows (n, 2) of both that its rows come from.
 
     An object of both has the fused position and motion at the common epoch; other records are unchanged.
     """
-    rows = np.ma.filled(found.objects.members, -1)
+    rows = np.ma.filled(many.objects.members, -1)
     both = np.flatnonzero((rows >= 0).all(axis=1))
-    state, covariance = found.state.state, 1e6 * found.state.covariance
+    state, covariance = many.state.state, 1e6 * many.state.covariance
     columns = {name: np.full(len(rows), np.nan) for name in _COLUMNS}
     values = [state[both, 0], state[both, 1], *(1e3 * state[both, k] for k in (2, 3))]
     values += [np.sqrt(covariance[both, k, k]) for k in range(4)]
     pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
     sigma = [np.sqrt(covariance[both, k, k]) for k in range(4)]
     values += [covariance[both, a, b] / (sigma[a] * sigma[b]) for a, b in pairs]
-    for name, column in zip(_COLUMNS, [*values, np.full(len(both), found.epoch_jyr)], strict=True):
+    for name, column in zip(_COLUMNS, [*values, np.full(len(both), many.epoch_jyr)], strict=True):
         columns[name][both] = column
-    for k, catalogue in enumerate(found.catalogues):
+    for k, catalogue in enumerate(many.catalogues):
         single = np.flatnonzero((rows[:, k] >= 0) & (rows[:, 1 - k] < 0))
         for name, column in zip(_COLUMNS, _astrometry(catalogue, rows[single, k]), strict=True):
             columns[name][single] = column
@@ -79,22 +79,22 @@ def _astrometry(catalogue: Catalogue, rows: np.ndarray) -> list[np.ndarray]:
     from sameas.sky.many.population import moving_rows
 
     a = catalogue.astrometry[rows]
-    known = moving_rows(catalogue)[rows]
-    place = [0, 1, 3, 4]
-    sigma = [np.sqrt(a.covariance[:, k, k]) for k in place]
+    has_motion = moving_rows(catalogue)[rows]
+    components = [0, 1, 3, 4]
+    sigma = [np.sqrt(a.covariance[:, k, k]) for k in components]
     pairs = [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
-    rho = [a.covariance[:, place[u], place[v]] / (sigma[u] * sigma[v]) for u, v in pairs]
-    motion = [np.where(known, value, np.nan) for value in (a.pm_ra_mas_per_yr, a.pm_dec_mas_per_yr)]
-    spread = [*sigma[:2], *(np.where(known, value, np.nan) for value in sigma[2:])]
-    return [a.ra_deg, a.dec_deg, *motion, *spread, *rho, a.epoch_jyr]
+    rho = [a.covariance[:, components[u], components[v]] / (sigma[u] * sigma[v]) for u, v in pairs]
+    motion = [np.where(has_motion, value, np.nan) for value in (a.pm_ra_mas_per_yr, a.pm_dec_mas_per_yr)]
+    sigmas = [*sigma[:2], *(np.where(has_motion, value, np.nan) for value in sigma[2:])]
+    return [a.ra_deg, a.dec_deg, *motion, *sigmas, *rho, a.epoch_jyr]
 
 
 def one_after_another(catalogues: dict[str, Catalogue], last: str) -> np.ndarray:
     """(n, 3) objects if two catalogues are matched first, and the last one with their fused catalogue."""
     first = [name for name in NAMES if name != last]
     joined, rows = picture(match_many([catalogues[name] for name in first]))
-    found = match_many([joined, catalogues[last]])
-    both = np.ma.filled(found.objects.members, -1)
+    many = match_many([joined, catalogues[last]])
+    both = np.ma.filled(many.objects.members, -1)
     out = np.full((len(both), len(NAMES)), -1)
     for k, name in enumerate(first):
         out[:, NAMES.index(name)] = np.where(both[:, 0] >= 0, rows[both[:, 0], k], -1)
@@ -102,12 +102,12 @@ def one_after_another(catalogues: dict[str, Catalogue], last: str) -> np.ndarray
     return out
 
 
-def two_at_a_time(found: ManyMatch) -> np.ndarray:
+def two_at_a_time(many: ManyMatch) -> np.ndarray:
     """(n, 3) triples whose three pairs, from matches of two catalogues each, are consistent."""
     import three_catalogues as example
 
-    to_gaia, to_tycho = (example.partners(found, "hipparcos", name) for name in NAMES[1:])
-    across = np.append(example.partners(found, "gaia", "tycho2"), -1)[to_gaia]
+    to_gaia, to_tycho = (example.partners(many, "hipparcos", name) for name in NAMES[1:])
+    across = np.append(example.partners(many, "gaia", "tycho2"), -1)[to_gaia]
     closed = np.flatnonzero((to_gaia >= 0) & (to_tycho >= 0) & (across == to_tycho))
     return np.column_stack([closed, to_gaia[closed], to_tycho[closed]])
 
@@ -117,27 +117,35 @@ def objects_of(rows: np.ndarray) -> set[tuple[int, ...]]:
     return set(map(tuple, rows[(rows >= 0).sum(axis=1) > 1].tolist()))
 
 
-def tabled(index: Path, north_of_deg: float) -> list[Table]:
+def compare_methods(index: Path, north_of_deg: float) -> list[Table]:
     """Number of objects of each method, and of those that differ from the joint match."""
-    catalogues = dict(zip(NAMES, understood(index, north_of_deg), strict=True))
-    began = time.process_time()
+    catalogues = dict(zip(NAMES, read_catalogues(index, north_of_deg), strict=True))
+    start = time.process_time()
     together = match_many(list(catalogues.values()))
-    seconds = time.process_time() - began
-    found = {"all together": members(together)}
+    seconds = time.process_time() - start
+    by_method = {"all together": members(together)}
     for last in NAMES:
-        found[f"{' and '.join(n for n in NAMES if n != last)}, then {last}"] = one_after_another(catalogues, last)
-    ours = objects_of(found["all together"])
+        by_method[f"{' and '.join(n for n in NAMES if n != last)}, then {last}"] = one_after_another(catalogues, last)
+    joint_objects = objects_of(by_method["all together"])
     rows = []
-    for method, objects in found.items():
-        shown = objects >= 0
-        counts = [int((shown.sum(axis=1) == k).sum()) for k in (3, 2)]
-        theirs = objects_of(objects)
-        rows.append([method, *counts, len(theirs - ours), len(ours - theirs)])
+    for method, objects in by_method.items():
+        present = objects >= 0
+        counts = [int((present.sum(axis=1) == k).sum()) for k in (3, 2)]
+        other_objects = objects_of(objects)
+        rows.append([method, *counts, len(other_objects - joint_objects), len(joint_objects - other_objects)])
     closed = two_at_a_time(together)
-    triples = {one for one in ours if min(one) >= 0}
-    theirs = objects_of(closed)
-    rows.append(["two at a time, closed triangles", len(closed), None, len(theirs - ours), len(triples - theirs)])
-    orders = [objects_of(objects) for method, objects in found.items() if method != "all together"]
+    triples = {one for one in joint_objects if min(one) >= 0}
+    other_objects = objects_of(closed)
+    rows.append(
+        [
+            "two at a time, closed triangles",
+            len(closed),
+            None,
+            len(other_objects - joint_objects),
+            len(triples - other_objects),
+        ]
+    )
+    orders = [objects_of(objects) for method, objects in by_method.items() if method != "all together"]
     largest = max(len(one ^ two) for one, two in combinations(orders, 2))
     notes = [
         f"Records: {', '.join(f'{len(c)} of {name}' for name, c in catalogues.items())}; all together took "
@@ -160,7 +168,7 @@ def main(arguments: Any = None) -> None:
     options = parser.parse_args(arguments)
     if not options.index.exists():
         sys.exit(f"{options.index} does not exist: apt-get install astrometry-data-tycho2-07-littleendian")
-    report("three", tabled(options.index, options.north_of))
+    report("three", compare_methods(options.index, options.north_of))
 
 
 if __name__ == "__main__":

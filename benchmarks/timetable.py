@@ -30,12 +30,12 @@ PeerWork = tuple[str, Work | str]
 class Row:
     """A task of `sameas`, compared with its peers.
 
-    what : label. ours : the work. peers : those of other programs. limit_s : target in seconds. min_speedup : targeted
-    ratio of the first peer's median to our time. quantile : of the run times that is compared with the targets.
+    what : label. work : that of `sameas`. peers : those of other programs. limit_s : target in seconds. min_speedup :
+    targeted ratio of the first peer's median to its time. quantile : of the run times, compared with the targets.
     """
 
     what: str
-    ours: Work
+    work: Work
     peers: tuple[PeerWork, ...] = ()
     limit_s: float | None = None
     min_speedup: float | None = None
@@ -47,14 +47,14 @@ def timetable(title: str, rows: Iterable[Row], notes: tuple[str, ...] = ()) -> T
     lines: list[list[object]] = []
     failures: list[str] = []
     for row in rows:
-        measured = [("sameas", measure(row.ours)), *((name, _measured(work)) for name, work in row.peers)]
-        ours = measured[0][1]
-        for k, (name, one) in enumerate(measured):
+        measured = [("sameas", measure(row.work)), *((name, _measured(work)) for name, work in row.peers)]
+        reference = measured[0][1]
+        for k, (name, measurement) in enumerate(measured):
             targets = _targets(row, measured) if k == 0 else ["", ""]
             what = row.what if k == 0 else ""
-            lines.append([what, name, *_cells(one, row.quantile, ours.quantile(row.quantile)), *targets])
-            if one.error and not one.not_installed:
-                failures.append(f"{row.what}: {name} failed: {one.error}")
+            lines.append([what, name, *_cells(measurement, row.quantile, reference.quantile(row.quantile)), *targets])
+            if measurement.error and not measurement.not_installed:
+                failures.append(f"{row.what}: {name} failed: {measurement.error}")
     return Table(title, COLUMNS, lines, (*notes, *failures))
 
 
@@ -65,25 +65,25 @@ def _measured(work: Work | str) -> Measurement:
 def _targets(row: Row, measured: list[tuple[str, Measurement]]) -> list[object]:
     """The targets in words, and whether all are met."""
     time = measured[0][1].quantile(row.quantile)
-    targets, met = [], []
+    targets, met_targets = [], []
     if row.limit_s is not None:
         targets.append(f"≤ {duration(row.limit_s)}")
-        met.append(time <= row.limit_s)
+        met_targets.append(time <= row.limit_s)
     if row.min_speedup is not None and len(measured) > 1 and measured[1][1].seconds:
         name, peer = measured[1]
         targets.append(f"≥ {row.min_speedup:.3g}× {name.split()[0]}")
-        met.append(peer.median >= row.min_speedup * time)
-    return [", ".join(targets), "" if not met else "yes" if all(met) else "NO"]
+        met_targets.append(peer.median >= row.min_speedup * time)
+    return [", ".join(targets), "" if not met_targets else "yes" if all(met_targets) else "NO"]
 
 
-def _cells(one: Measurement, quantile: float, ours: float) -> list[object]:
-    if not one.seconds:
-        cells = ["missing", one.error] if one.not_installed else ["failed", ""]
+def _cells(measurement: Measurement, quantile: float, reference_s: float) -> list[object]:
+    if not measurement.seconds:
+        cells = ["missing", measurement.error] if measurement.not_installed else ["failed", ""]
         return [*cells, 0, None, None, None]
-    prefix = "" if quantile == 0.5 else f"p50 {duration(one.median)}, p{100 * quantile:.0f} "
-    time = one.quantile(quantile)
-    spread = f"{duration(min(one.seconds))} to {duration(max(one.seconds))}"
+    prefix = "" if quantile == 0.5 else f"p50 {duration(measurement.median)}, p{100 * quantile:.0f} "
+    time = measurement.quantile(quantile)
+    spread = f"{duration(min(measurement.seconds))} to {duration(max(measurement.seconds))}"
     return [
-        prefix + duration(time), spread, len(one.seconds), round(one.peak_mb),
-        round(one.peak_mb - one.baseline_mb), round(time / ours, 2) if ours > 0 else None,
+        prefix + duration(time), spread, len(measurement.seconds), round(measurement.peak_mb),
+        round(measurement.peak_mb - measurement.baseline_mb), round(time / reference_s, 2) if reference_s > 0 else None,
     ]  # fmt: skip

@@ -23,32 +23,33 @@ TIME_S = np.arange(-5.0, SPAN_S + 6.0)
 class Paths:
     """Objects with positions (n, times, 2) at :data:`TIME_S` and heights (n,) in metres."""
 
-    place: np.ndarray
+    position: np.ndarray
     height: np.ndarray
 
     @classmethod
-    def of(cls, *place: np.ndarray) -> Paths:
+    def of(cls, *position: np.ndarray) -> Paths:
         """Ships."""
-        return cls(np.array(place), np.zeros(len(place)))
+        return cls(np.array(position), np.zeros(len(position)))
 
     @property
     def turn(self) -> np.ndarray:
         """(n,) for the number of objects."""
         return self.height
 
-    def at(self, who: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(k, 2) places and velocities of objects at times."""
-        time_s = np.broadcast_to(np.asarray(time_s, float), np.shape(who))
+    def at(self, rows: np.ndarray, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(k, 2) positions and velocities of objects at times."""
+        time_s = np.broadcast_to(np.asarray(time_s, float), np.shape(rows))
         k = np.clip(np.floor(time_s - TIME_S[0]).astype(int), 0, len(TIME_S) - 2)
-        velocity = self.place[who, k + 1] - self.place[who, k]
-        return self.place[who, k] + velocity * (time_s - TIME_S[k])[:, None], velocity
+        velocity = self.position[rows, k + 1] - self.position[rows, k]
+        return self.position[rows, k] + velocity * (time_s - TIME_S[k])[:, None], velocity
 
 
-def _smooth(place: np.ndarray, s: float = 8.0) -> np.ndarray:
+def _smooth(position: np.ndarray, s: float = 8.0) -> np.ndarray:
     """(times, 2) a path without sudden changes of velocity."""
     t = np.arange(-3.0 * s, 3.0 * s + 1.0)
     weight = np.exp(-0.5 * (t / s) ** 2)
-    padded = np.concatenate([np.repeat(place[:1], len(t) // 2, 0), place, np.repeat(place[-1:], len(t) // 2, 0)])
+    half = len(t) // 2
+    padded = np.concatenate([np.repeat(position[:1], half, 0), position, np.repeat(position[-1:], half, 0)])
     return np.column_stack([np.convolve(column, weight / weight.sum(), "valid") for column in padded.T])
 
 
@@ -117,8 +118,8 @@ def stack(rng: np.random.Generator) -> Paths:
     """Eight aircraft on one circle of 4 km, 300 m above each other."""
     turn = rng.uniform(100.0, 120.0, 8) / 4000.0
     angle = rng.uniform(0.0, 2.0 * np.pi, 8)[:, None] + turn[:, None] * TIME_S
-    place = 4000.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2) + rng.normal(0.0, 150.0, (8, 1, 2))
-    return Paths(place + 5000.0, 2000.0 + 300.0 * np.arange(8))
+    position = 4000.0 * np.stack([np.sin(angle), np.cos(angle)], axis=2) + rng.normal(0.0, 150.0, (8, 1, 2))
+    return Paths(position + 5000.0, 2000.0 + 300.0 * np.arange(8))
 
 
 def _of(paths: Callable[[np.random.Generator], Paths]) -> Callable[..., Paths]:
