@@ -1,6 +1,7 @@
 """Inputs: real sockets on the loopback; broken connections are restored, a flood drops the oldest data."""
 
 import asyncio
+import contextlib
 import json
 import socket
 
@@ -156,6 +157,22 @@ def test_a_file_is_polled(tmp_path):
 
     [reports] = asyncio.run(run())
     assert reports.icao.tolist() == ["400a00"]
+
+
+def test_a_cancellation_that_comes_with_the_end_of_a_connection_ends_the_wire(monkeypatch):
+    async def swallows(wire):
+        with contextlib.suppress(asyncio.CancelledError):
+            await asyncio.sleep(60.0)
+
+    async def run():
+        monkeypatch.setattr(Wire, "_tcp", swallows)
+        task = asyncio.create_task(Wire("tcp://127.0.0.1:1", ReportStream("coast")).run())
+        await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.wait({task}, timeout=5.0)
+        return task.done()
+
+    assert asyncio.run(run())
 
 
 def test_a_line_cut_off_by_a_broken_connection_is_not_continued_by_the_next():

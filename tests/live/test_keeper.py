@@ -165,6 +165,24 @@ def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
 
 
 @pytest.mark.slow
+def test_a_long_tick_makes_no_source_silent(tmp_path, monkeypatch):
+    path, now = tmp_path / "sensors.toml", [START_S]
+    path.write_text('[watch]\nsilent_s = 30\n[sources.coast]\nkind = "ais"\ninput = "udp://127.0.0.1:60004"\n')
+    keeper = Keeper(read_settings(path), clock=lambda: now[0])
+    advance = keeper.picture.advance
+
+    def compiled(instant_s):
+        now[0] += 90.0
+        return advance(instant_s)
+
+    monkeypatch.setattr(keeper.picture, "advance", compiled)
+    [wire] = keeper.wires.values()
+    wire._received(b'{"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}\n')
+    assert keeper.tick().alarms == ()
+    keeper.close()
+
+
+@pytest.mark.slow
 def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     t = np.arange(0.0, 400.0, 2.0)
     ship: dict[str, Any] = {

@@ -121,7 +121,9 @@ class Wire:
             except (OSError, TimeoutError, InputError) as error:
                 self.state.error = _cause(error)
             self.state.connected = False
-            if scheme == "stdin":
+            task = asyncio.current_task()
+            # wait_for of Python 3.11 swallows a cancellation that comes together with data or an end of the connection.
+            if scheme == "stdin" or (task is not None and task.cancelling()):
                 return
             wait_s = FIRST_WAIT_S if self.state.received > before else min(2.0 * wait_s, LONGEST_WAIT_S)
             await asyncio.sleep(wait_s)

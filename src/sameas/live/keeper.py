@@ -122,7 +122,8 @@ class Keeper:
         self._suspected: frozenset[str] = frozenset()
         self._refusal = ""
         self._tick = 0
-        self._began_s = clock()
+        # Receive times are compared with the time at which the queues were emptied: a tick may take long.
+        self._began_s = self._taken_s = clock()
         watch = settings.watch
         self.journal = None if folder is None else Journal(folder, archive_every_s=watch.archive_every_s)
         state = None if folder is None else load_state(folder)
@@ -218,6 +219,7 @@ class Keeper:
             self._suspected = frozenset(found)
 
     def _take_reports(self, until_s: float) -> None:
+        self._taken_s = self.clock()
         if self.replay is not None:
             for name, reports in self.replay.take(until_s):
                 self._add(name, reports, self.clock())
@@ -314,7 +316,7 @@ class Keeper:
         return out
 
     def _source_alarms(self, now_s: float) -> list[Alarm]:
-        watch, out, clock_s = self.settings.watch, [], self.clock()
+        watch, out, clock_s = self.settings.watch, [], self._taken_s
         for name, state in self.sources.items() if self.replay is None else ():
             if clock_s - max(state.last_s, self._began_s) > watch.silent_s and not self._gives_own_ship(name):
                 since = f"for {watch.silent_s:.0f} s" if math.isfinite(state.last_s) else "since the watch began"
@@ -339,7 +341,7 @@ class Keeper:
         own, wire = self.settings.watch.own_ship, self.wires.get(self.settings.sources[name].url or "")
         if own is None or own.source != name or wire is None or math.isnan(wire.stream.own_ship[0]):
             return False
-        return self.clock() - wire.state.last_s <= self.settings.watch.silent_s
+        return self._taken_s - wire.state.last_s <= self.settings.watch.silent_s
 
     def _silence(self, name: str) -> str:
         """Why a source gives no reports, as far as its wire shows it."""
@@ -349,7 +351,7 @@ class Keeper:
         wire = self.wires[source.url or ""]
         if not wire.state.connected:
             return f"{source.url} is not connected ({wire.state.error or 'no answer'})"
-        if not math.isfinite(wire.state.last_s) or self.clock() - wire.state.last_s > self.settings.watch.silent_s:
+        if not math.isfinite(wire.state.last_s) or self._taken_s - wire.state.last_s > self.settings.watch.silent_s:
             return f"nothing arrives on {source.url}"
         unused = wire.stream.damaged + wire.stream.passed_over
         reasons = ", ".join(f"{n} × {reason}" for reason, n in unused.most_common(2))
