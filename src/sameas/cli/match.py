@@ -272,6 +272,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         for path in map(Path, request.paths):
             if path.name.lower().endswith(parquet.FORMAT.extensions):
                 parquet.read_ahead(path)
+        request.begin_checksums()
     from concurrent.futures import ThreadPoolExecutor
 
     from sameas.cli.terminal import Pace, Printer, share_compilation

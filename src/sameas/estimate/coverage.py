@@ -457,6 +457,15 @@ class Coverage:
         return company, highest, excess
 
     @cached_property
+    def typical_error(self) -> FloatArray:
+        """(d,) typical error of a pair along every axis, in residual units; equal for both axes of a sphere."""
+        both = [np.median(records.variances, axis=0) for records in (self.first, self.second)]
+        variance = np.broadcast_to(both[0] + both[1], self.first.d)
+        if isinstance(self.first.space, Sphere):
+            variance = np.full(2, variance.mean())
+        return np.sqrt(variance)
+
+    @cached_property
     def common_volume(self) -> float:
         """Volume where both sources observe, (residual unit)^d, from the covered part of the records in each cell.
 

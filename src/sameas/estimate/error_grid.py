@@ -42,7 +42,7 @@ from sameas.posterior import Posterior, by_messages, log_evidence, posterior
 from sameas.prior import PerPair
 from sameas.records import Records
 from sameas.result import Identification
-from sameas.space import Sphere, ball_volume
+from sameas.space import ball_volume
 
 #: Pairs of smaller ln odds, before one-to-one, are dropped (chosen; below rounding).
 MIN_LOG_ODDS = math.log(1e-12)
@@ -144,7 +144,7 @@ def scan_errors(
     """
     if not all(covered.any() for covered in coverage.covered):
         return None
-    unit = typical_error(coverage)
+    unit = coverage.typical_error
     rows = _sampled_rows(coverage, tuning)
     if rows is None:
         return None
@@ -208,15 +208,6 @@ def _scan(
 def _log_likelihood(sums: FloatArray, tuning: GridTuning) -> FloatArray:
     """(c,) ln of the likelihood of the records with these Σ N/ρ (n,), by share in common."""
     return np.asarray(np.log1p(np.multiply.outer(tuning.shares, sums - 1.0)).sum(axis=1))
-
-
-def typical_error(coverage: Coverage) -> FloatArray:
-    """(d,) typical error of a pair along every axis, in the unit of the residuals; equal for both axes of a sphere."""
-    both = [np.median(records.variances, axis=0) for records in (coverage.first, coverage.second)]
-    variance = np.broadcast_to(both[0] + both[1], coverage.first.d)
-    if isinstance(coverage.first.space, Sphere):
-        variance = np.full(2, variance.mean())
-    return np.sqrt(variance)
 
 
 def mean_densities(coverage: Coverage, density: tuple[float, float] | None) -> tuple[float, float]:

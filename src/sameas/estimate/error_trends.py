@@ -137,7 +137,7 @@ def _distance_from_centre(records: Records, max_radius_deg: float) -> FloatArray
     if isinstance(records.space, Plane) or np.ptp(records.features[:, 1]) > 2.0 * max_radius_deg:
         return None
     bounds = threads.even(len(records))
-    parts = threads.over(lambda a, b: unit_vectors(*records.features[a:b].T).T, bounds)
+    parts = threads.over(lambda a, b: np.ascontiguousarray(unit_vectors(*records.features[a:b].T).T), bounds)
     least, greatest = (np.array([end(part, axis=1) for part in parts]) for end in (np.min, np.max))
     middle = 0.5 * (least.min(axis=0) + greatest.max(axis=0))
     centre = middle / max(float(np.linalg.norm(middle)), 1e-9)

@@ -36,7 +36,6 @@ from sameas.estimate.error_grid import (
     identify_averaged,
     mean_densities,
     scan_errors,
-    typical_error,
 )
 from sameas.estimate.error_model import ErrorModel, Tail, better_model, error_model, factor_on_quoted, fit_spread, tail
 from sameas.estimate.error_trends import DEFAULT_TRENDS, Trend, TrendTuning, covariates, with_trends
@@ -286,7 +285,7 @@ def _expected_work(coverage: Coverage, density: tuple[float, float] | None) -> f
     if not all(covered.any() for covered in coverage.covered):
         return 0.0
     d = coverage.first.d
-    volume = ball_volume(d) * ChiSquare().limit(d) ** (0.5 * d) * float(np.prod(typical_error(coverage)))
+    volume = ball_volume(d) * ChiSquare().limit(d) ** (0.5 * d) * float(np.prod(coverage.typical_error))
     n = min(len(coverage.first), len(coverage.second))
     return float(n * (1.0 + 2.0 * max(mean_densities(coverage, density)) * volume))
 

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
@@ -171,13 +171,24 @@ class Request(Generic[Options]):
             return f"one {kind_of(first)} is given twice: every record would match itself"
         return ""
 
+    def begin_checksums(self) -> None:
+        """Compute the checksums of the files in threads, for :meth:`facts`."""
+        for k, source in enumerate(self.sources):
+            if isinstance(source, str) and os.path.isfile(source):  # a pipe can be read only once
+                self._checksums[k] = threads.started(self._checksums[k])
+
+    @cached_property
+    def _checksums(self) -> list[Callable[[], str]]:
+        """For each source a function that returns the checksum of its file."""
+        return [partial(checksum, source) for source in self.sources]
+
     def facts(self) -> dict[str, Any]:
         """The request as flat provenance: absolute paths with checksums, options as JSON."""
         facts: dict[str, Any] = {}
         for k, source in enumerate(self.sources, 1):
             is_path = isinstance(source, str)
             facts[f"input_{k}"] = str(Path(source).resolve()) if is_path else f"{kind_of(source)} in memory"
-            facts[f"sha256_{k}"] = checksum(source) if is_path else None
+            facts[f"sha256_{k}"] = self._checksums[k - 1]() if is_path else None
             for one in FILE_OPTIONS:
                 facts[f"{one.name}_{k}"] = of_side(self.columns, one.parameter, k)
             facts[f"options_{k}"] = json.dumps(fields_of(self.columns, k), sort_keys=True)

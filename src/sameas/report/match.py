@@ -264,9 +264,10 @@ def _residuals(match: SkyMatch) -> list[str]:
         f"  {'(first minus second)':{LABEL}}{2 * mean_and_rms}{'median':>12}{'median':>14}",
     ]
     for label, offset, distance in rows:
-        mean, rms = offset.mean(axis=0), np.sqrt(np.mean(offset**2, axis=0))
+        by_axis = np.ascontiguousarray(offset.T)  # sums along rows of memory are some ten times as fast
+        mean, rms = by_axis.mean(axis=1), np.sqrt(np.mean(by_axis**2, axis=1))
         cells = f"{mean[0]:+9.4f}{rms[0]:10.4f}{mean[1]:+9.4f}{rms[1]:10.4f}"
-        medians = f"{np.median(np.hypot(*offset.T)):12.4f}{np.nanmedian(distance):14.2f}"
+        medians = f"{np.median(np.hypot(*by_axis)):12.4f}{np.nanmedian(distance):14.2f}"
         lines.append(f"  {label:{LABEL}}{cells}{medians}")
     return [*lines, f"  {'expected from errors':{LABEL}}{'':50}{expected:14.2f}"]
 

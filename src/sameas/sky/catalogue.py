@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -191,7 +192,7 @@ class Catalogue:
         """The column of the magnitude."""
         return self.choice.magnitude
 
-    @property
+    @cached_property
     def epoch_jyr(self) -> float | None:
         """The median epoch of the rows, None if no epoch is known."""
         known = self.astrometry.epoch_jyr[np.isfinite(self.astrometry.epoch_jyr)]

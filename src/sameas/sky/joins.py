@@ -470,7 +470,9 @@ class _JoinedColumns:
         return self._either(lambda side: getattr(self._answers(side), name))
 
     def _id_second(self) -> np.ma.MaskedArray:
-        return self._either(lambda side: _second_ids(self.match, self._answers(side), 3 - side))
+        if self.rows.has_first.all():
+            return _second_ids(self.match, self._answers(1).second[self.rows.of_first], 2)
+        return self._either(lambda side: _second_ids(self.match, self._answers(side).second, 3 - side))
 
     def _answers(self, side: int) -> Answers:
         return self.match.result.answers_1 if side == 1 else self.match.result.answers_2
@@ -508,9 +510,10 @@ class _JoinedColumns:
         return np.ma.MaskedArray(np.where(chosen, 1, np.where(rival, 2, 0)).astype(np.int16), np.zeros(len(p), bool))
 
 
-def _second_ids(match: Joinable, answers: Answers, other: int) -> np.ma.MaskedArray:
+def _second_ids(match: Joinable, rows: np.ma.MaskedArray, other: int) -> np.ma.MaskedArray:
+    """The ids of rows (n,) of a source; masked as these."""
     ids = (match.first if other == 1 else match.second).ids
-    absent = np.ma.getmaskarray(answers.second)
+    absent = np.ma.getmaskarray(rows)
     if not len(ids):
         return np.ma.MaskedArray(np.zeros(len(absent), ids.dtype), np.ones(len(absent), np.bool_))
-    return np.ma.MaskedArray(ids[np.where(absent, 0, np.ma.getdata(answers.second))], absent)
+    return np.ma.MaskedArray(ids[np.where(absent, 0, np.ma.getdata(rows))], absent)
