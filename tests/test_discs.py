@@ -97,3 +97,48 @@ def test_the_report_says_that_the_field_consists_of_discs():
     found = sameas.match(one, two, sigma1=0.5, sigma2=0.1, names=("targets", "Gaia"))
     report = " ".join(found.report().split())
     assert "field discs of 10 arcsec around the records of targets: Gaia has none elsewhere" in report
+
+
+def both_queried(rng, area, n, radius, mean, listed=True):
+    """Two catalogues, both queried within ``radius`` of the same targets; labels of their objects.
+
+    mean : number of other objects in a disc. listed : whether the targets are among the objects.
+    """
+    target = area.draw(rng, n)
+    number = rng.poisson(mean, n)
+    others = [displaced(np.tile(at, (k, 1)), within(rng, k, radius)) for at, k in zip(target, number, strict=True)]
+    objects = np.concatenate([target, *others] if listed else others)
+    sides, labels = [], []
+    for share, sigma in ((0.6, 0.4), (0.5, 0.5)):
+        of = np.flatnonzero(rng.random(len(objects)) < share)
+        at = displaced(objects[of], sigma * rng.normal(size=(len(of), 2)))
+        sides.append(Records.of(at, sigma=sigma, space=Sphere(), source=f"σ {sigma}"))
+        labels.append(of)
+    return *sides, *labels
+
+
+@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize(("n", "radius", "mean"), [(300, 60.0, 4.0), (200, 15.0, 3.0), (60, 60.0, 60.0)])
+def test_of_two_cone_searches_around_the_same_targets_as_many_pairs_are_wrong_as_expected(n, radius, mean, listed):
+    """The sky between the discs counted as a part of the field: five to seven times as many were wrong as expected."""
+    wrong, expected, variance = 0, 0.0, 0.0
+    for seed in range(3):
+        first, second, of_first, of_second = both_queried(np.random.default_rng(seed), NARROW, n, radius, mean, listed)
+        found = sameas.match(first, second)
+        p = np.asarray(found.pairs["p_match"])
+        rows = [np.asarray(found.pairs[name]) for name in ("row_1", "row_2")]
+        wrong += int(np.count_nonzero(of_first[rows[0]] != of_second[rows[1]]))
+        expected, variance = expected + found.expected_wrong, variance + float((p * (1.0 - p)).sum())
+        discs = found.estimate.coverage.discs
+        assert discs.centres == 0 and 0.75 * radius < discs.radius < 1.3 * radius
+        assert 0.7 * n < len(discs.area) < 1.3 * n
+    assert abs(wrong - expected) < 3.0 * math.sqrt(2.0 * variance) + 2.0
+
+
+@pytest.mark.parametrize("extent", [5.0, 60.0])
+def test_clusters_and_couples_in_a_field_are_not_taken_for_discs(extent):
+    rng = np.random.default_rng(1)
+    centre = NARROW.draw(rng, 150)
+    clusters = displaced(np.repeat(centre, 6, axis=0), extent * rng.standard_t(3, size=(900, 2)))
+    sides = [np.concatenate([clusters[rng.random(900) < 0.7], NARROW.draw(rng, 1500)]) for _ in range(2)]
+    assert Coverage.of(*(Records.of(points, sigma=0.3, space=Sphere()) for points in sides)).discs is None

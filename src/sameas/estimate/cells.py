@@ -230,14 +230,28 @@ def levels_of(first: Records, second: Records) -> tuple[float, tuple[GridLevel, 
         levels.append(_level(*space.cells(first.features, second.features, size)))
     discs = None
     if isinstance(first.space, Sphere) and len(levels) > 1:
-        discs = Discs.of((first.features, second.features), volume)
+        discs = Discs.of((first.features, second.features), volume, _clumped(levels[-1], volume))
     if discs is not None:
         volume, levels = float(discs.area.sum()), [_of_discs(level, discs) for level in levels]
     return volume, tuple(levels), discs
 
 
+def _clumped(level: GridLevel, volume: float) -> float:
+    """Pairs of one source's records in cells, as a multiple of those of an even field; of both sources the smaller."""
+    count = np.array([level.count(1), level.count(2)])
+    expected = count.sum(axis=1) ** 2 * float(np.median(level.volume)) / volume
+    return float(((count * (count - 1.0)).sum(axis=1) / expected).min())
+
+
 def _of_discs(level: GridLevel, discs: Discs) -> GridLevel:
     """The level with every record in the cell of its disc's centre, and the volume of the discs in each cell."""
+    if not discs.centres:
+        # In the cell of the first record of its disc.
+        first_record = np.unique(discs.nearest, return_index=True)[1]
+        used, index = np.unique(np.concatenate([level.of_first, level.of_second])[first_record], return_inverse=True)
+        volume = np.asarray(np.bincount(index, discs.area, len(used)), np.float64)
+        of_all, n = np.asarray(index, np.int32)[discs.nearest], len(level.of_first)
+        return GridLevel(of_all[:n], of_all[n:], volume)
     cells = level.of_first if discs.centres == 1 else level.of_second
     used, index = np.unique(cells, return_inverse=True)
     centres = np.asarray(index, np.int32)

@@ -280,7 +280,7 @@ def _sampled(records: Records) -> IntArray:
 class Coverage:
     """Cells of decreasing size over two sources. Make it with :meth:`Coverage.of`.
 
-    discs : of which the field consists, if one source was queried around the records of the other.
+    discs : of which the field consists, if one source or both were queried around targets.
     """
 
     first: Records

@@ -1,8 +1,9 @@
-"""Fields that are discs around the records of one source: the other was queried within a radius around each of them.
+"""Fields that are discs: one source, or both, were queried within a radius around each of a list of targets.
 
-Such discs (cone searches around a list of targets) may hold two or three records each, and fill a millionth of the sky
-that the list spans. Cells find a density from four records on, so they would take the sky between the discs for a part
-of the field, its density for that of chance, and every neighbour for the partner.
+The targets are the records of the other source, or in neither of the two. Such discs (cone searches) may hold two or
+three records each, and fill a millionth of the sky that the list spans. Cells find a density from four records on, so
+they would take the sky between the discs for a part of the field, its density for that of chance, and every neighbour
+for the partner.
 """
 
 from __future__ import annotations
@@ -32,16 +33,34 @@ REPEATED = 0.5
 FEW_PAIRS = 8_000_000
 #: Points per disc at which the number of discs that overlap is counted.
 POINTS = 64
+#: Around targets that no source lists: pairs of one source's records in the cells, as a multiple of those of an even
+#: field, from which discs are looked for; least mean number of neighbours in a disc; most pairs of neighbours.
+CLUMPED, NEIGHBOURS, MOST_PAIRS = 1.5, 0.5, 20_000_000
+#: Steps of the distance within which neighbours are counted, and most growth of their number over two steps where the
+#: discs end, in which an even field has 2.4 times as many.
+STEP, GROWTH = 1.25, 1.08
+#: The distance within which 90 % of the pairs of records in a disc lie, in radii: of records that fill it evenly, and
+#: where one of 1 + k is the target at its centre, by 1/k (simulated).
+NINE_TENTHS = 1.49
+AROUND_TARGETS = ((0.0, 0.2, 0.5, 1.0), (1.49, 1.39, 1.15, 0.95))
+#: Most pairs within half of that distance, as a fraction of all: 0.39 in evenly filled discs, less around targets, 0.44
+#: in Gaussian clusters; two standard deviations more are allowed.
+HALF = 0.42
+#: Most neighbours per record, as a multiple of the other records per disc: 1 to 2 in discs; more where few clusters lie
+#: among many single records.
+UNEQUAL = 2.5
+#: Least fraction of the records that must lie within 1.25 radii of the middle of their disc.
+WITHIN = 0.95
 
 
 @in_short
 @dataclass(frozen=True)
 class Discs:
-    """Discs around the records of one source that hold all records of the other.
+    """Discs around the records of one source that hold all records of the other, or discs that hold those of both.
 
-    centres : source (1 or 2) that has the centres. radius : in arcsec. nearest : (m,) centre nearest to each record of
-    the other source. area : (n,) of each disc in square arcsec, with its share of what overlapping discs have in
-    common.
+    centres : source (1 or 2) that has the centres, or 0. radius : in arcsec. nearest : (m,) centre nearest to each
+    record of the other source; without a source of centres the disc of each record of both, the first source first.
+    area : (n,) of each disc in square arcsec, with its share of what overlapping discs have in common.
     """
 
     centres: int
@@ -50,15 +69,20 @@ class Discs:
     area: FloatArray
 
     @classmethod
-    def of(cls, positions: tuple[FloatArray, FloatArray], region: float) -> Discs | None:
+    def of(cls, positions: tuple[FloatArray, FloatArray], region: float, clumped: float = 0.0) -> Discs | None:
         """The discs of two sources on the sphere, or None if their fields are something else.
 
         positions : (n₁, 2), (n₂, 2) longitude and latitude in degrees. region : area of the region of all records.
+        clumped : pairs of one source's records in cells, as a multiple of those of an even field; of both, the smaller.
         """
         for centres, others in ((0, 1), (1, 0)):
             found = _around(positions[centres], positions[others], FULL * region)
             if found is not None:
                 return cls(centres + 1, *found)
+        if clumped >= CLUMPED:
+            found = _around_neither(positions, region)
+            if found is not None:
+                return cls(0, *found)
         return None
 
 
@@ -79,6 +103,15 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
     next_to_it = int(np.count_nonzero(chord > 0.5 * reach)) - outer
     if outer < OUTER or outer < FLAT * next_to_it or len(of) - len(np.unique(of)) < REPEATED * outer:
         return None
+    radius, area = reach * ARCSEC_PER_RADIAN, _areas(ground, reach)
+    return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
+
+
+def _areas(ground: FloatArray, reach: float) -> FloatArray:
+    """(n,) area in square arcsec of discs around ``ground`` (n, 3), with their shares of what overlaps.
+
+    reach : radius of the discs, as a chord.
+    """
     from scipy.spatial import cKDTree
 
     tree = cKDTree(ground)
@@ -92,9 +125,88 @@ def _around(centres: FloatArray, others: FloatArray, most: float) -> tuple[float
     share = np.zeros(len(ground))
     for x, y in zip(at * np.cos(angle), at * np.sin(angle), strict=True):
         share += 1.0 / np.maximum(tree.query_ball_point(ground + x * east + y * north, reach, return_length=True), 1)
-    radius = reach * ARCSEC_PER_RADIAN
-    area = math.pi * radius**2 * share / POINTS
-    return None if area.sum() > most else (radius, np.asarray(of, np.int64), area)
+    return np.asarray(math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 * share / POINTS)
+
+
+def _around_neither(
+    positions: tuple[FloatArray, FloatArray], region: float
+) -> tuple[float, IntArray, FloatArray] | None:
+    """Radius, disc of each record and areas of discs around targets that no source lists; None without such discs.
+
+    Neighbours are counted within a source, because partners of the other are no sign of a disc. Their number beyond
+    those of an even field grows with the distance up to the diameter of the discs, and no more from there on.
+    """
+    n = np.array([len(positions[0]), len(positions[1])])
+    if min(n) < 2 * OUTER or n.sum() > MOST_CENTRES:
+        return None
+    from scipy.spatial import cKDTree
+
+    units = [unit_vectors(*side.T) for side in positions]
+    trees = [cKDTree(side) for side in units]
+    # From a fiftieth of the mean spacing of the records to twenty times that, if it is within the region.
+    spacing = math.sqrt(region / n.max()) / ARCSEC_PER_RADIAN
+    steps = np.arange(math.ceil(math.log(1000.0) / math.log(STEP)))
+    reach = 0.02 * spacing * STEP**steps
+    reach = reach[reach < 0.2 * math.sqrt(region) / ARCSEC_PER_RADIAN]
+    share = [len(side) ** 2 * math.pi * (reach * ARCSEC_PER_RADIAN) ** 2 / region for side in units]
+    counts = [tree.count_neighbors(tree, reach) - len(side) for tree, side in zip(trees, units, strict=True)]
+    excess = np.sum(counts, axis=0) - np.sum(share, axis=0)
+    enough = excess >= max(NEIGHBOURS * n.sum(), 4.0 * OUTER)
+    ends = np.flatnonzero(enough[:-2] & (excess[2:] <= GROWTH * excess[:-2]))
+    if not len(ends) or excess[ends[0]] > MOST_PAIRS:
+        return None
+    most = float(excess[ends[0]])
+    nine_tenths = float(np.interp(0.9 * most, excess[: ends[0] + 1], reach[: ends[0] + 1]))
+    rough = nine_tenths / NINE_TENTHS
+    if np.interp(0.5 * nine_tenths, reach, excess) > HALF * most + 2.0 * math.sqrt(most):
+        return None
+    points = np.concatenate(units)
+    disc = _gathered(points, 1.2 * rough)
+    if disc is None:
+        return None
+    discs_of_each = [len(np.unique(of)) for of in np.split(disc, [n[0]])]
+    if most > UNEQUAL * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
+        return None
+    count = np.bincount(disc)
+    middle = np.column_stack([np.bincount(disc, axis) for axis in points.T]) / count[:, None]
+    # Discs that overlap have a larger extent, and sparse ones around unlisted targets a smaller one.
+    widest = nine_tenths / float(np.interp(n.sum() / most, *AROUND_TARGETS))
+    radius = min(_half_extent(points, disc, 2.6 * rough), widest)
+    inside = np.linalg.norm(points - middle[disc], axis=1) <= 1.25 * radius
+    area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius)
+    if inside.mean() < WITHIN or area.sum() > FULL * region:
+        return None
+    return radius * ARCSEC_PER_RADIAN, disc, area
+
+
+def _gathered(points: FloatArray, width: float) -> IntArray | None:
+    """(n,) groups of points, by moving each to the mean of those within ``width``, again and again; None if many."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    moved, n = points, len(points)
+    for _ in range(5):
+        tree = cKDTree(moved)
+        if tree.count_neighbors(tree, width) > MOST_PAIRS:
+            return None
+        i, j = tree.query_pairs(width, output_type="ndarray").T
+        number = 1.0 + np.bincount(i, minlength=n) + np.bincount(j, minlength=n)
+        total = [axis + np.bincount(i, axis[j], n) + np.bincount(j, axis[i], n) for axis in moved.T]
+        moved = np.column_stack(total) / number[:, None]
+    i, j = cKDTree(moved).query_pairs(0.3 * width, output_type="ndarray").T
+    return np.asarray(connected_components(coo_array((np.ones(len(i)), (i, j)), (n, n)), False)[1], np.int64)
+
+
+def _half_extent(points: FloatArray, group: IntArray, most: float) -> float:
+    """Half of the largest distance in groups of points, up to ``most``; without the widest 2 % of the groups."""
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(points).sparse_distance_matrix(cKDTree(points), most, output_type="ndarray")
+    pairs = pairs[group[pairs["i"]] == group[pairs["j"]]]
+    extent = np.zeros(int(group.max()) + 1)
+    np.maximum.at(extent, group[pairs["i"]], pairs["v"])
+    return 0.5 * float(np.quantile(extent[extent > 0], 0.98))
 
 
 def _nearest(centres: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -161,8 +161,10 @@ def _discs(coverage: Coverage, names: tuple[str, str]) -> list[str]:
     discs = coverage.discs
     if discs is None:
         return []
-    around, other = names if discs.centres == 1 else names[::-1]
     radius = f"{discs.radius:.3g} arcsec"
+    if not discs.centres:
+        return entry("field", f"{count(len(discs.area))} discs of {radius}: neither has records elsewhere")
+    around, other = names if discs.centres == 1 else names[::-1]
     return entry("field", f"discs of {radius} around the records of {around}: {other} has none elsewhere")
 
 
