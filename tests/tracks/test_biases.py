@@ -12,7 +12,7 @@ from sameas.tracks.coordinates import plane_polar
 from sameas.tracks.placement import Directions
 
 RNG = np.random.default_rng(1)
-PLACE, VELOCITY = RNG.uniform(-9e3, 9e3, (7, 2)), 6.0 * RNG.standard_normal((7, 2))
+POSITION, VELOCITY = RNG.uniform(-9e3, 9e3, (7, 2)), 6.0 * RNG.standard_normal((7, 2))
 THETA = np.array([60.0, -1.5, 0.004, 2.5, 30.0, -20.0])
 MODELS = {
     "site": BiasModel((500.0, -2000.0)),
@@ -28,23 +28,26 @@ def without_site(name):
 @pytest.mark.parametrize("name", MODELS)
 def test_undoing_a_bias_is_the_inverse(name):
     model, theta = MODELS[name], without_site(name)
-    shown = model.forward(PLACE, VELOCITY, theta)
-    assert np.hypot(*(shown.place - PLACE).T).min() > 20.0
-    np.testing.assert_allclose(model.inverse(shown.place, VELOCITY, theta).place, PLACE, atol=1e-8)
+    shown = model.forward(POSITION, VELOCITY, theta)
+    assert np.hypot(*(shown.position - POSITION).T).min() > 20.0
+    np.testing.assert_allclose(model.inverse(shown.position, VELOCITY, theta).position, POSITION, atol=1e-8)
 
 
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("way", ["forward", "inverse"])
 def test_derivatives_agree_with_finite_differences(name, way):
     move, theta = getattr(MODELS[name], way), without_site(name)
-    found = move(PLACE, VELOCITY, theta)
+    found = move(POSITION, VELOCITY, theta)
     step = 1e-3 * np.eye(2)
-    numeric = [(move(PLACE + e, VELOCITY, theta).place - move(PLACE - e, VELOCITY, theta).place) / 2e-3 for e in step]
-    np.testing.assert_allclose(found.by_place, np.stack(numeric, axis=-1), atol=1e-6)
+    numeric = [
+        (move(POSITION + e, VELOCITY, theta).position - move(POSITION - e, VELOCITY, theta).position) / 2e-3
+        for e in step
+    ]
+    np.testing.assert_allclose(found.by_position, np.stack(numeric, axis=-1), atol=1e-6)
     for k, e in enumerate(1e-4 * np.eye(6)):
         if name == "nowhere" and k < 3:
             continue
-        slope = (move(PLACE, VELOCITY, theta + e).place - move(PLACE, VELOCITY, theta - e).place) / 2e-4
+        slope = (move(POSITION, VELOCITY, theta + e).position - move(POSITION, VELOCITY, theta - e).position) / 2e-4
         np.testing.assert_allclose(found.by_bias[..., k], slope, atol=2e-3, err_msg=BIASES[k])
 
 
@@ -52,7 +55,7 @@ def test_derivatives_agree_with_finite_differences(name, way):
 def test_the_offset_of_two_biased_sources_aligns_their_records():
     other = np.array([-40.0, 0.8, 0.0, -1.0, 0.0, 0.0])
     first, second = MODELS["site"], BiasModel((4000.0, 3000.0))
-    seen_1, seen_2 = (m.forward(PLACE, VELOCITY, t).place for m, t in ((first, THETA), (second, other)))
+    seen_1, seen_2 = (m.forward(POSITION, VELOCITY, t).position for m, t in ((first, THETA), (second, other)))
     model = RelativeBias(first, second, VELOCITY, (1.0,) * 12)
     theta = np.concatenate([THETA, other])
     np.testing.assert_allclose(model.moved(seen_2, theta), seen_1, atol=1e-6)

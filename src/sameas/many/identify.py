@@ -152,11 +152,11 @@ class _Picture:
         members = self.members.copy()
         members[i[chosen], s] = j[chosen] + self.pooled.start[s]
         new = _Picture.of(self.pooled, s)
-        alone = np.setdiff1d(np.arange(len(source)), j[chosen])
+        unmatched = np.setdiff1d(np.arange(len(source)), j[chosen])
         return _Picture(
             self.pooled,
-            np.concatenate([members, new.members[alone]]),
-            np.concatenate([self.p * p_step, p_alone[alone]]),
+            np.concatenate([members, new.members[unmatched]]),
+            np.concatenate([self.p * p_step, p_alone[unmatched]]),
         )
 
     def objects(self, given: tuple[Records, ...]) -> Objects:
@@ -171,10 +171,10 @@ class _Picture:
         singles[np.arange(n), together.source] = np.arange(n)
         size = (self.members != NO_RECORD).sum(axis=1)
         several = size > 1
-        alone = ~several
+        single = ~several
         p_alone, chosen = np.zeros(n), np.zeros(n, bool)
-        p_alone[self.members[alone].max(axis=1)] = self.p[alone]
-        chosen[self.members[alone].max(axis=1)] = True
+        p_alone[self.members[single].max(axis=1)] = self.p[single]
+        chosen[self.members[single].max(axis=1)] = True
         return _result(
             given,
             together,

@@ -259,15 +259,18 @@ def additive_answer(sets: Sets, sizes: IntArray, *, time_limit_s: float, tuning:
     """:func:`answer` without a count prior; sizes : (g,) number of records of every group."""
     n = int(sizes.sum())
     share, chosen, cut = sum_pruned_groups(sets, n, np.ones(len(sizes), bool), tuning)
-    rest = cut < 0
-    if not rest.any():
+    unsolved = cut < 0
+    if not unsolved.any():
         return Answer(chosen, share, np.zeros(len(sizes)), cut)
-    best = best_partition(sets, n, rest, time_limit_s=time_limit_s)
+    best = best_partition(sets, n, unsolved, time_limit_s=time_limit_s)
     cost = _reduced_cost(sets, best.dual, best.slack, sets.log_weight)
     part, _, cut = _Sums.additive(sets, n, tuning).all(cost, best.chosen, cut, sets.log_weight)
-    of_rest = rest[sets.group]
+    of_unsolved = unsolved[sets.group]
     return Answer(
-        np.where(of_rest, best.chosen, chosen), np.where(of_rest, part, share), np.where(rest, best.gap, 0.0), cut
+        np.where(of_unsolved, best.chosen, chosen),
+        np.where(of_unsolved, part, share),
+        np.where(unsolved, best.gap, 0.0),
+        cut,
     )
 
 
@@ -281,13 +284,13 @@ def best_sets(
     which, chosen, groups = np.flatnonzero(possible), np.zeros(len(sets), bool), np.zeros(len(sets.start) - 1, bool)
     groups[sets.group[which]] = True
     _, chosen[which], cut = sum_pruned_groups(sets.take(which), n_records, groups, tuning)
-    rest = groups & (cut < 0)
-    if not rest.any():
+    unsolved = groups & (cut < 0)
+    if not unsolved.any():
         return chosen
     which = np.flatnonzero(possible | (sets.size == 1))
     searched = np.zeros(len(sets), bool)
-    searched[which] = best_partition(sets.take(which), n_records, rest, time_limit_s=time_limit_s).chosen
-    return np.where(rest[sets.group], searched, chosen)
+    searched[which] = best_partition(sets.take(which), n_records, unsolved, time_limit_s=time_limit_s).chosen
+    return np.where(unsolved[sets.group], searched, chosen)
 
 
 def sum_pruned_groups(
@@ -322,20 +325,20 @@ def _solve_counted(
 ) -> float:
     """Choose group g's sets by branch and bound, in ``chosen``, and tilt its ``weight`` by the prior's slope at their
     number of merges; returns the gap."""
-    here = np.arange(sets.start[g], sets.start[g + 1])
-    merges = sets.size[here] - 1
+    of_group = np.arange(sets.start[g], sets.start[g + 1])
+    merges = sets.size[of_group] - 1
     log_p = sums.table[sums.table_start[g] : sums.table_start[g + 1]]
-    several = here[merges > 0]
-    incidence = incidence_of(sets, sums.n_records)[:, several]
-    picked, gap = best_counted(weight[several], sets.size[several] - 1, incidence, log_p, time_limit_s)
-    chosen[here] = False
-    chosen[several[picked]] = True
-    taken = sets.members[several[picked]]
-    single = here[merges == 0]
-    chosen[single] = ~np.isin(sets.members[single].max(axis=1), taken)
-    count = int((sets.size[several[picked]] - 1).sum())
+    multiple = of_group[merges > 0]
+    incidence = incidence_of(sets, sums.n_records)[:, multiple]
+    best, gap = best_counted(weight[multiple], sets.size[multiple] - 1, incidence, log_p, time_limit_s)
+    chosen[of_group] = False
+    chosen[multiple[best]] = True
+    covered = sets.members[multiple[best]]
+    single = of_group[merges == 0]
+    chosen[single] = ~np.isin(sets.members[single].max(axis=1), covered)
+    count = int((sets.size[multiple[best]] - 1).sum())
     low, high = max(count - 1, 0), min(count + 1, len(log_p) - 1)
-    weight[here] += merges * (log_p[high] - log_p[low]) / max(high - low, 1)
+    weight[of_group] += merges * (log_p[high] - log_p[low]) / max(high - low, 1)
     return gap
 
 
@@ -374,18 +377,18 @@ class _Sums:
         from sameas.kernels.partitions import MIN_CUT, set_samples
 
         share, cut = np.zeros(len(self.sets)), cut.copy()
-        for value in self.tuning.cuts:
+        for limit in self.tuning.cuts:
             unsolved = cut < 0
-            if value < MIN_CUT or not unsolved.any():
+            if limit < MIN_CUT or not unsolved.any():
                 break
-            part, _, solved = self.below(np.where(chosen, 0.0, cost), value, unsolved)
+            part, _, solved = self.below(np.where(chosen, 0.0, cost), limit, unsolved)
             share += part
-            cut[solved] = value
-        rest = cut < 0
-        if rest.any():
+            cut[solved] = limit
+        unsolved = cut < 0
+        if unsolved.any():
             sets = self.sets
-            set_samples(np.flatnonzero(rest), sets.start, sets.members, weight, chosen, self.n_records, share)
-        cut[rest] = 0.0
+            set_samples(np.flatnonzero(unsolved), sets.start, sets.members, weight, chosen, self.n_records, share)
+        cut[unsolved] = 0.0
         return share, chosen, cut
 
     def below(self, cost: FloatArray, cut: float, groups: BoolArray) -> tuple[FloatArray, BoolArray, BoolArray]:
@@ -473,38 +476,38 @@ class _Blocks:
         _, part = connected_components(adjacency, directed=False)
         of_set = part[members.max(axis=1)]
         isolated = np.bincount(of_set, minlength=part.max(initial=-1) + 1)[of_set] == 1
-        certain, rest = np.flatnonzero(isolated), np.flatnonzero(~isolated)
-        unit = sets.group[kept] if whole_groups else of_set
-        labels, block = np.unique(unit[rest], return_inverse=True)
+        certain, uncertain = np.flatnonzero(isolated), np.flatnonzero(~isolated)
+        connected = sets.group[kept] if whole_groups else of_set
+        labels, block = np.unique(connected[uncertain], return_inverse=True)
         # Records that share sets get consecutive numbers, so that states have few records.
         rank = np.empty(n_records, np.int64)
         if n_records:
             rank[reverse_cuthill_mckee(adjacency, symmetric_mode=True)] = np.arange(n_records)
-        number, size = _numbers(block, rest, at, record, part, rank, len(labels), n_records)
+        number, size = _numbers(block, uncertain, at, record, part, rank, len(labels), n_records)
         bits = number[record]
         low = np.full(len(kept), 1 << 30)
         np.minimum.at(low, at, bits)
         mask = np.zeros(len(kept), np.uint64)
         np.bitwise_or.at(mask, at, np.uint64(1) << np.minimum(bits, 63).astype(np.uint64))
-        order = np.lexsort([rest, low[rest], block])
+        order = np.lexsort([uncertain, low[uncertain], block])
         start = Ragged.of_sorted(block[order], len(labels)).start
-        ordered = rest[order]
+        ordered = uncertain[order]
         group = sets.group[kept[ordered[start[:-1]]]] if len(labels) else np.empty(0, np.int64)
         return cls(certain, ordered, start, low[ordered], mask[ordered], size, group)
 
 
 def _numbers(
-    block: IntArray, rest: IntArray, at: IntArray, record: IntArray, part: IntArray, rank: IntArray, n_blocks: int,
+    block: IntArray, uncertain: IntArray, at: IntArray, record: IntArray, part: IntArray, rank: IntArray, n_blocks: int,
     n_records: int,
 ) -> tuple[IntArray, IntArray]:  # fmt: skip
     """(n,) number of each record within its block (0 without a block), and (b,) numbers of records of the blocks."""
     of_set = np.full(at.max(initial=-1) + 1, -1)
-    of_set[rest] = block
+    of_set[uncertain] = block
     of_record = np.full(n_records, -1)
     of_record[record] = of_set[at]
-    inside = np.flatnonzero(of_record >= 0)
-    inside = inside[np.lexsort([rank[inside], part[inside], of_record[inside]])]
-    size = np.bincount(of_record[inside], minlength=n_blocks)
+    numbered = np.flatnonzero(of_record >= 0)
+    numbered = numbered[np.lexsort([rank[numbered], part[numbered], of_record[numbered]])]
+    size = np.bincount(of_record[numbered], minlength=n_blocks)
     number = np.zeros(n_records, np.int64)
-    number[inside] = Ragged.of_sizes(size).index
+    number[numbered] = Ragged.of_sizes(size).index
     return number, size

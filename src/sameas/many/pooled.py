@@ -197,10 +197,10 @@ def _pairs(
             numbers.append((pairs.i.astype(np.int64) + start[s], pairs.j.astype(np.int64) + start[t]))
     i, j = (np.concatenate(column) for column in zip(*numbers, strict=True))
     order = np.argsort(i * start[-1] + j, kind="stable")
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
     cuts = np.cumsum([0, *map(len, compared)])
-    parts = tuple((pairs, place[cuts[k] : cuts[k + 1]]) for k, pairs in enumerate(compared))
+    parts = tuple((pairs, rank[cuts[k] : cuts[k + 1]]) for k, pairs in enumerate(compared))
     return i[order], j[order], parts, description
 
 

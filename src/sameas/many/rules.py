@@ -113,14 +113,14 @@ class PairTerms:
         m = len(pooled.i)
         terms: dict[str, FloatArray] = {}
         informative = np.zeros(m, bool)
-        for pairs, place in pooled.parts:
+        for pairs, index in pooled.parts:
             evidence = rule(pairs)
             for name, values in evidence.terms.items():
                 infinite = np.flatnonzero(~np.isfinite(values))
                 if len(infinite):
                     raise InputError(_not_finite(name, pairs, int(infinite[0]), values))
-                terms.setdefault(name, np.zeros(m))[place] = values
-            informative[place] = evidence.informative
+                terms.setdefault(name, np.zeros(m))[index] = values
+            informative[index] = evidence.informative
         return cls(terms, informative, shares)
 
     @cached_property

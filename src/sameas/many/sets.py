@@ -120,7 +120,7 @@ class _SetsOfSize:
     by_pair: FloatArray
 
     @classmethod
-    def alone(cls, records: IntArray) -> _SetsOfSize:
+    def single(cls, records: IntArray) -> _SetsOfSize:
         zero = np.zeros(len(records))
         return cls(records[:, None], np.empty((len(records), 0), np.int64), zero, zero)
 
@@ -163,7 +163,7 @@ class _Growth:
     ) -> tuple[list[_SetsOfSize], BoolArray]:
         """Sets of 2 to ``largest`` records of some groups (g,), by size, and the groups of more than ``limit`` sets."""
         pooled = self.pooled
-        level = _SetsOfSize.alone(np.flatnonzero(groups[pooled.group]))
+        level = _SetsOfSize.single(np.flatnonzero(groups[pooled.group]))
         levels: list[_SetsOfSize] = []
         count, too_many = np.zeros(len(pooled.sizes), np.int64), np.zeros(len(pooled.sizes), bool)
         if floor == np.inf:

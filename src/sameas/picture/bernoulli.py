@@ -283,10 +283,10 @@ class BernoulliTable(ObjectTable):
         """(m, m) ln N/ρ of positions, whether states agree, and whether positions differ."""
         delta = self.state[:, None] - self.state
         total = self.covariance[:, None] + self.covariance
-        chi_sq, place = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
+        chi_sq, position_chi_sq = mahalanobis_sq(delta, total), mahalanobis_sq(delta[..., :2], total[..., :2, :2])
         log_n = log_density(delta[..., :2], total[..., :2, :2])
         agree, differ = ChiSquare(tuning.same_quantile).limit(4), ChiSquare(tuning.different_quantile).limit(2)
-        return log_n - math.log(density_per_m2), chi_sq < agree, place > differ
+        return log_n - math.log(density_per_m2), chi_sq < agree, position_chi_sq > differ
 
     def _joined(self, i: int, j: int) -> BernoulliTable:
         """The table with objects i and j merged into row i."""

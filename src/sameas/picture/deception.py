@@ -34,14 +34,14 @@ class PictureTrack:
     """One track in the records of a picture, (k,) each.
 
     source, track : number of its source, and its id. at : indices of its instants. object : numbers of its objects.
-    place, variance : (k, 2), (k,) positions and the larger variance of their axes.
+    position, variance : (k, 2), (k,) positions and the larger variance of their axes.
     """
 
     source: int
     track: str
     at: IntArray
     object: IntArray
-    place: FloatArray
+    position: FloatArray
     variance: FloatArray
 
 
@@ -50,7 +50,7 @@ def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants
     out = []
     at = np.searchsorted(instants, records["time_s"])
     hidden = np.ma.getmaskarray(records["x_m"])
-    place = np.column_stack([np.ma.filled(records[name], np.nan) for name in ("x_m", "y_m")])
+    position = np.column_stack([np.ma.filled(records[name], np.nan) for name in ("x_m", "y_m")])
     variance = np.maximum(np.ma.filled(records["var_x_m2"], np.nan), np.ma.filled(records["var_y_m2"], np.nan))
     for s, feed in enumerate(feeds):
         if feed.reports.track is None:
@@ -59,7 +59,7 @@ def _tracks(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], instants
         names, number = np.unique(records["track_id"][own].astype(str), return_inverse=True)
         order = np.argsort(number, kind="stable")
         for name, rows in zip(names, np.split(own[order], np.flatnonzero(np.diff(number[order])) + 1), strict=False):
-            out.append(PictureTrack(s, str(name), at[rows], records["object"][rows], place[rows], variance[rows]))
+            out.append(PictureTrack(s, str(name), at[rows], records["object"][rows], position[rows], variance[rows]))
     return out
 
 
@@ -153,27 +153,30 @@ def _companions(
 
 
 def _dragged(
-    own: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    track: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
 ) -> Iterator[Fault]:
     """An alarm if the track's positions moved away from those of the sensors that tracked the same object before."""
     contradicting, begins = [], []
-    after = np.zeros(len(own.at), bool)
-    for other, last in _companions(own, others, tuning):
-        both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
-        chi_sq = np.sum((own.place[i] - other.place[j]) ** 2, axis=1) / (own.variance[i] + other.variance[j])
-        apart = (both > last) & (chi_sq > tuning.apart_sigmas**2)
-        if apart.sum() >= tuning.apart_instants and apart[-1]:
-            contradicting.append((other, float(np.sqrt(np.sum((own.place[i[-1]] - other.place[j[-1]]) ** 2)))))
-            begins.append(int(both[apart][0]))
-            after |= own.at >= both[apart][0]
+    after = np.zeros(len(track.at), bool)
+    for other, last in _companions(track, others, tuning):
+        common_instants, i, j = np.intersect1d(track.at, other.at, return_indices=True)
+        chi_sq = np.sum((track.position[i] - other.position[j]) ** 2, axis=1) / (track.variance[i] + other.variance[j])
+        contradicts = (common_instants > last) & (chi_sq > tuning.apart_sigmas**2)
+        if contradicts.sum() >= tuning.apart_instants and contradicts[-1]:
+            contradicting.append((other, float(np.sqrt(np.sum((track.position[i[-1]] - other.position[j[-1]]) ** 2)))))
+            begins.append(int(common_instants[contradicts][0]))
+            after |= track.at >= common_instants[contradicts][0]
     if not contradicting:
         return
     # If a sensor tracks an object at the reported position, the sensor lost its old track; nothing was dragged.
-    alone = after & ~_has_partner(own, others)
-    if alone.sum() < 0.8 * after.sum():
+    unaccompanied = after & ~_has_partner(track, others)
+    if unaccompanied.sum() < 0.8 * after.sum():
         return
     log_undetected = sum(
-        min(float(-np.log(feed.q_at(own.place[alone], float(instants[own.at[alone][0]]))).sum()), tuning.empty_vote)
+        min(
+            float(-np.log(feed.q_at(track.position[unaccompanied], float(instants[track.at[unaccompanied][0]]))).sum()),
+            tuning.empty_vote,
+        )
         for feed in feeds
         if feed.sensor_m is not None
         and feed.description.kind not in CORRELATED_KINDS
@@ -181,14 +184,14 @@ def _dragged(
     )
     sensors = sorted({feeds[other.source].description.name for other, _ in contradicting})
     log_odds = math.log(tuning.false_position_odds) + log_undetected - (len(sensors) - 1) * math.log(tuning.sensor_swap)
-    name, first = feeds[own.source].description.name, float(instants[min(begins)])
+    name, first = feeds[track.source].description.name, float(instants[min(begins)])
     distance_m = max(distance for _, distance in contradicting)
     words = (
-        f"{name} reports {own.track} at one place, {' and '.join(sensors)} {'sees' if len(sensors) == 1 else 'see'} it "
-        f"at another, {distance_m:.0f} m away at the end, and nothing at the place reported; its "
+        f"{name} reports {track.track} at one place, {' and '.join(sensors)} {'sees' if len(sensors) == 1 else 'see'} "
+        f"it at another, {distance_m:.0f} m away at the end, and nothing at the place reported; its "
         "positions are forged or faulty"
     )
-    yield Fault("dragged", name, first, float(instants[own.at[-1]]), log_odds, words, own.track)
+    yield Fault("dragged", name, first, float(instants[track.at[-1]]), log_odds, words, track.track)
 
 
 def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:

@@ -286,15 +286,15 @@ class ErrorFactors:
         extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return extended._with_posterior(tuning)
 
-    def informative(self, source: IntArray, place: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
+    def informative(self, source: IntArray, position: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
         """(k,) the new reports, of (n,), that :meth:`with_shifts` should use.
 
-        source, place : (n,), (n, 2). stated, motion : (n, 2, 2) R + R′ as stated, and D. Where the motion is larger
+        source, position : (n,), (n, 2). stated, motion : (n, 2, 2) R + R′ as stated, and D. Where the motion is larger
         than the errors, residuals would test the motion model instead.
         """
         steady = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
         which = np.flatnonzero(steady & (self.reports[source] < MOST_OF_SOURCE))
-        return which[evenly(place[which], MAX_REPORTS)]
+        return which[evenly(position[which], MAX_REPORTS)]
 
     def with_shifts(
         self,
@@ -405,12 +405,12 @@ class ErrorFactors:
         return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))
 
 
-def evenly(place: FloatArray, most: int) -> IntArray:
-    """(k,) rows, ascending, of at most ``most`` of n places (n, 2), spread evenly in the order of their coordinates, so
-    that the choice does not depend on the order of the rows."""
-    if len(place) <= most:
-        return np.arange(len(place))
-    return np.sort(ordered_by(place.T)[np.linspace(0, len(place) - 1, most).astype(np.int64)])
+def evenly(position: FloatArray, max_rows: int) -> IntArray:
+    """(k,) rows, ascending, of at most ``max_rows`` of n positions (n, 2), spread evenly in the order of their
+    coordinates, so that the choice does not depend on the order of the rows."""
+    if len(position) <= max_rows:
+        return np.arange(len(position))
+    return np.sort(ordered_by(position.T)[np.linspace(0, len(position) - 1, max_rows).astype(np.int64)])
 
 
 def _log_prior(logs: FloatArray, tuning: Tuning) -> FloatArray:

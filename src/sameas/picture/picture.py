@@ -277,8 +277,8 @@ def with_degrees(columns: Columns, plane: LocalPlane | None) -> Columns:
     if plane is None or not columns:
         return columns
     hidden = np.ma.getmaskarray(columns["x_m"])
-    place = np.column_stack([np.ma.filled(columns[name], 0.0) for name in ("x_m", "y_m")])
-    lat, lon = plane.to_geodetic(place)
+    position_m = np.column_stack([np.ma.filled(columns[name], 0.0) for name in ("x_m", "y_m")])
+    lat, lon = plane.to_geodetic(position_m)
     out: Columns = {}
     for name, column in columns.items():
         if name == "x_m":

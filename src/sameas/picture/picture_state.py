@@ -202,10 +202,10 @@ class TrackedObjects:
         """The explanation why object ``row`` has its records; its members include priors of tracked objects."""
         identification = self.tracks.identification
         assert identification is not None
-        reasons, place = identification.explain(int(self.which[row])), np.full(len(self.tracks), -1)
-        place[self.which] = np.arange(len(self.which))
+        reasons, row_of = identification.explain(int(self.which[row])), np.full(len(self.tracks), -1)
+        row_of[self.which] = np.arange(len(self.which))
         rivals = tuple(
-            replace(rival, taken=tuple((name, int(place[at])) for name, at in rival.taken if name[0] != KNOWN))
+            replace(rival, taken=tuple((name, int(row_of[at])) for name, at in rival.taken if name[0] != KNOWN))
             for rival in reasons.rivals
         )
         return replace(reasons, rivals=rivals)

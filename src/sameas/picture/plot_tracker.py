@@ -273,12 +273,12 @@ class TrackedPlots:
         if self.identification is None or not len(self.prior_objects):
             return out
         pooled = self.identification.pooled
-        place = {records_of(source).source: u for u, source in enumerate(pooled.sources)}
-        k = place[KNOWN]
+        index_of = {records_of(source).source: u for u, source in enumerate(pooled.sources)}
+        k = index_of[KNOWN]
         prior_objects = self.identification.p_together[pooled.start[k] : pooled.start[k + 1]].toarray()
         rows = records_of(pooled.sources[k]).rows
         for s, source in enumerate(self.now.sources):
-            u = place.get(records_of(source).source)
+            u = index_of.get(records_of(source).source)
             if u is not None:
                 columns = prior_objects[:, pooled.start[u] : pooled.start[u + 1]]
                 out[s][np.ix_(rows, records_of(pooled.sources[u]).rows)] = np.clip(columns, 0.0, 1.0)

@@ -260,11 +260,11 @@ def _few(mean: float, none: str) -> str:
 def _by_sources(objects: Mapping[str, NDArray[Any]], n_sources: int) -> tuple[tuple[int, ...], int]:
     if not len(objects["object"]):
         return (0,) * (n_sources + 1), 0
-    number, place = np.unique(objects["object"], return_inverse=True)
-    most, confirmed = np.zeros(len(number), np.int64), np.zeros(len(number), bool)
-    np.maximum.at(most, place, objects["n_sources"])
-    confirmed[place[np.isin(objects["stage"], ["confirmed", "coasting"])]] = True
-    return tuple(np.bincount(most[confirmed], minlength=n_sources + 1).tolist()), int(np.sum(~confirmed))
+    number, index = np.unique(objects["object"], return_inverse=True)
+    max_sources, confirmed = np.zeros(len(number), np.int64), np.zeros(len(number), bool)
+    np.maximum.at(max_sources, index, objects["n_sources"])
+    confirmed[index[np.isin(objects["stage"], ["confirmed", "coasting"])]] = True
+    return tuple(np.bincount(max_sources[confirmed], minlength=n_sources + 1).tolist()), int(np.sum(~confirmed))
 
 
 def _misses(feeds: Sequence[Feed], tallies: Sequence[Tally], tuning: Tuning) -> Iterable[MissCount]:

@@ -105,9 +105,9 @@ class States:
         if x.shape != (n, 2) or t.ndim != 1:
             raise InputError(f"{source}: times {t.shape}, positions {x.shape}; give (n,) and (n, 2)")
         if not np.isfinite(t).all():
-            lost = np.flatnonzero(~np.isfinite(t))
-            reports = counted(len(lost), "report has", "reports have")
-            raise InputError(f"{source}: {reports} no time (first: row {lost[0]}); give seconds")
+            without_time = np.flatnonzero(~np.isfinite(t))
+            reports = counted(len(without_time), "report has", "reports have")
+            raise InputError(f"{source}: {reports} no time (first: row {without_time[0]}); give seconds")
         if not speed_m_per_s > 0.0:
             raise InputError(f"{source}: motion.speed_m_per_s is {speed_m_per_s}; give how fast objects may be, 1σ")
         state, out_covariance = np.zeros((n, 4)), np.zeros((n, 4, 4))
@@ -198,12 +198,12 @@ def moved(
     out[:, :2, :2] = symmetric(p[:, :2, :2] + t * (p[:, 2:, :2] + crossed))
     out[:, :2, 2:], out[:, 2:, :2] = crossed, crossed.transpose(0, 2, 1)
     out[:, 2:, 2:] = symmetric(p[:, 2:, 2:])
-    place, cross, speed = q * (size * size * size) / 3.0, q * dt[:, 0] * size / 2.0, q * size
+    of_position, of_both, of_velocity = q * (size * size * size) / 3.0, q * dt[:, 0] * size / 2.0, q * size
     for axis in range(2):
-        out[:, axis, axis] += place
-        out[:, axis, axis + 2] += cross
-        out[:, axis + 2, axis] += cross
-        out[:, axis + 2, axis + 2] += speed
+        out[:, axis, axis] += of_position
+        out[:, axis, axis + 2] += of_both
+        out[:, axis + 2, axis] += of_both
+        out[:, axis + 2, axis + 2] += of_velocity
     if late_s:
         out[:, :2, :2] += late_s * late_s * (there[:, 2:, None] * there[:, None, 2:] + out[:, 2:, 2:])
     return there, out
@@ -345,10 +345,10 @@ def with_minutes(reports: States, walk: FloatArray, tuning: Tuning) -> tuple[Sta
     seconds = -60.0 * np.arange(1.0, tuning.max_minutes + 1.0)
     for _ in range(tuning.max_pauses):
         steps = Steps.of(reports, walk, tuning)
-        found = jump_of(steps, at, seconds, tuning.pause_prior, tuning)
-        if found is None or found[0] <= 0.0:
+        jump = jump_of(steps, at, seconds, tuning.pause_prior, tuning)
+        if jump is None or jump[0] <= 0.0:
             break
-        _, row, jump_s, _ = found
+        _, row, jump_s, _ = jump
         reports = replace(reports, time_s=np.where(at >= row, reports.time_s - jump_s, reports.time_s))
         count -= round(jump_s / 60.0)
     return reports, count

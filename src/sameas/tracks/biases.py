@@ -3,7 +3,7 @@
 Six numbers, in the order of :data:`BIASES`: a sensor with a site has offsets of range and azimuth and a range gain; any
 source may be late and displaced as a whole.
 
-- :class:`BiasModel`: from the place of an object to its measured place, and back, with derivatives.
+- :class:`BiasModel`: from the position of an object to its measured position, and back, with derivatives.
 - :class:`RelativeBias`: the offset between two such sources, for :mod:`sameas.registration`.
 - :class:`AzimuthBias`: the same for directions.
 
@@ -33,10 +33,10 @@ RANGE, AZIMUTH, GAIN, TIME, EAST, NORTH = range(6)
 
 @dataclass(frozen=True)
 class Displaced:
-    """Places (…, n, 2) after a displacement, and their derivatives by those before (…, n, 2, 2) and by the biases."""
+    """Displaced positions (…, n, 2), and their derivatives by those before (…, n, 2, 2) and by the biases."""
 
-    place: FloatArray
-    by_place: FloatArray
+    position: FloatArray
+    by_position: FloatArray
     by_bias: FloatArray
 
 
@@ -49,12 +49,12 @@ class BiasModel:
 
     site_m: ArrayLike | None = None
 
-    def forward(self, place: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
-        """The place at which the source measures objects that are at ``place`` (…, n, 2) with ``velocity`` (n, 2)."""
-        before = place - velocity * theta[..., TIME, None]
+    def forward(self, position: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
+        """The measured positions of objects at ``position`` (…, n, 2) with ``velocity`` (n, 2)."""
+        before = position - velocity * theta[..., TIME, None]
         shift, eye = theta[..., EAST:], np.broadcast_to(np.eye(2), (*before.shape, 2))
         if self.site_m is None:
-            measured, by_place, polar = before, eye, np.zeros((*before.shape, 3))
+            measured, by_position, polar = before, eye, np.zeros((*before.shape, 3))
         else:
             site = np.asarray(self.site_m, dtype=np.float64)
             true_m, along, across = _polar(before - site)
@@ -62,25 +62,25 @@ class BiasModel:
             along_out, across_out = _rotated(along, across, theta[..., AZIMUTH])
             measured = site + measured_m[..., None] * along_out
             by_range = (1.0 + theta[..., GAIN])[..., None, None] * _outer(along_out, along)
-            by_place = by_range + (measured_m / true_m)[..., None, None] * _outer(across_out, across)
+            by_position = by_range + (measured_m / true_m)[..., None, None] * _outer(across_out, across)
             by_polar = along_out, RADIAN * measured_m[..., None] * across_out, true_m[..., None] * along_out
             polar = np.stack(np.broadcast_arrays(*by_polar), axis=-1)
-        late = -np.einsum("...vw,...w->...v", by_place, np.broadcast_to(velocity, before.shape))
-        by_bias = np.concatenate([polar, late[..., None], np.broadcast_to(eye, by_place.shape)], axis=-1)
-        return Displaced(measured + shift, by_place, by_bias)
+        late = -np.einsum("...vw,...w->...v", by_position, np.broadcast_to(velocity, before.shape))
+        by_bias = np.concatenate([polar, late[..., None], np.broadcast_to(eye, by_position.shape)], axis=-1)
+        return Displaced(measured + shift, by_position, by_bias)
 
-    def inverse(self, measured_place: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
-        """The place of objects whose measured place is ``measured_place`` (…, n, 2): the inverse of :meth:`forward`."""
-        measured = measured_place - theta[..., EAST:]
+    def inverse(self, measured_position: FloatArray, velocity: FloatArray, theta: FloatArray) -> Displaced:
+        """The positions of objects measured at ``measured_position`` (…, n, 2): the inverse of :meth:`forward`."""
+        measured = measured_position - theta[..., EAST:]
         if self.site_m is not None:
             site = np.asarray(self.site_m, dtype=np.float64)
             measured_m, along_out, across_out = _polar(measured - site)
             along, _ = _rotated(along_out, across_out, -theta[..., AZIMUTH])
             measured = site + ((measured_m - theta[..., RANGE]) / (1.0 + theta[..., GAIN]))[..., None] * along
-        place = measured + velocity * theta[..., TIME, None]
-        forward = self.forward(place, velocity, theta)
-        back = _inverse(forward.by_place)
-        return Displaced(place, back, -back @ forward.by_bias)
+        position = measured + velocity * theta[..., TIME, None]
+        forward = self.forward(position, velocity, theta)
+        back = _inverse(forward.by_position)
+        return Displaced(position, back, -back @ forward.by_bias)
 
 
 def _polar(arm: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -142,13 +142,13 @@ class RelativeBias(Offset):
         return self
 
     def moved(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        return self._displaced(features, theta).place
+        return self._displaced(features, theta).position
 
     def jacobian(self, features: FloatArray, theta: FloatArray) -> FloatArray:
         return self._displaced(features, theta).by_bias[..., list(self.which)]
 
     def carried(self, features: FloatArray, theta: FloatArray) -> FloatArray:
-        return self._displaced(features, theta).by_place
+        return self._displaced(features, theta).by_position
 
     def _displaced(self, features: FloatArray, theta: FloatArray) -> Displaced:
         theta_12 = np.zeros((*theta.shape[:-1], 12))
@@ -162,9 +162,9 @@ class RelativeBias(Offset):
                 measured, by_bias=np.concatenate([measured.by_bias, np.zeros_like(measured.by_bias)], axis=-1)
             )
         true = self.second.inverse(features, self.velocity, theta_12[..., 6:])
-        measured = self.first.forward(true.place, self.velocity, theta_12[..., :6])
-        by_bias = np.concatenate(np.broadcast_arrays(measured.by_bias, measured.by_place @ true.by_bias), axis=-1)
-        return Displaced(measured.place, measured.by_place @ true.by_place, by_bias)
+        measured = self.first.forward(true.position, self.velocity, theta_12[..., :6])
+        by_bias = np.concatenate(np.broadcast_arrays(measured.by_bias, measured.by_position @ true.by_bias), axis=-1)
+        return Displaced(measured.position, measured.by_position @ true.by_position, by_bias)
 
     def chart(self, features: FloatArray) -> FloatArray:
         site = self._charted()[1]
@@ -248,7 +248,7 @@ def corrected(
 
     Parameters
     ----------
-    sensor_m : (n, 2) place of the sensor at each report; None for a source without a site, which has no range and
+    sensor_m : (n, 2) position of the sensor at each report; None for a source without a site, which has no range and
         azimuth biases.
     biases, covariance : (6,) and (6, 6), in the order of :data:`BIASES`.
     """
@@ -263,10 +263,10 @@ def corrected(
     # The time bias is corrected in the stamps; positions must not be moved for it again.
     without_time = np.where(np.arange(len(BIASES)) == TIME, 0.0, biases)
     true = model.inverse(state[usable, :2], state[usable, 2:], without_time)
-    jacobian = np.zeros((len(true.place), 4, 4))
-    jacobian[:, :2, :2] = jacobian[:, 2:, 2:] = true.by_place
+    jacobian = np.zeros((len(true.position), 4, 4))
+    jacobian[:, :2, :2] = jacobian[:, 2:, 2:] = true.by_position
     state[usable] = np.einsum("nvw,nw->nv", jacobian, state[usable])
-    state[usable, :2] = true.place
+    state[usable, :2] = true.position
     corrected_covariance = propagated(jacobian, out_covariance[usable])
     corrected_covariance[:, :2, :2] += propagated(true.by_bias, covariance)
     out_covariance[usable] = corrected_covariance

@@ -4,7 +4,7 @@ A longitude of the wrong sign, kilometres for metres, a clock in another time zo
 given, and matches well in another unit, sign or order. These guesses (:class:`UnitGuess`) are tried only for sources
 that match no other, and only to name the remedy: data are never changed.
 
-- :func:`doubts`: on the sources of a scene. :func:`apart`: on sources too far apart for one plane.
+- :func:`doubts`: on the sources of a scene. :func:`too_far_apart`: on sources too far apart for one plane.
 """
 
 from __future__ import annotations
@@ -243,33 +243,33 @@ def _comparable(feed: Feed, others: Sequence[Feed]) -> list[Feed]:
     return [o for o in others if len(feed.reports) and len(o.reports) and (own or isinstance(o.reports, States))]
 
 
-def apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
+def too_far_apart(sources: Sequence[Source], tuning: Tuning = DEFAULT_TUNING) -> tuple[str, ...]:
     """Sentences on sources too far from the source with the most positions for one plane.
 
     The site of a sensor counts where its reports have no positions in degrees.
     """
-    places = [_places(*source) for source in sources]
-    counts = [0 if p is None else len(p[0]) for p in places]
+    positions = [_geodetic_positions(*source) for source in sources]
+    counts = [0 if p is None else len(p[0]) for p in positions]
     if not counts or not max(counts):
         return ()
-    most = int(np.argmax(counts))
-    home = places[most]
-    assert home is not None
-    middle = LocalPlane.about(*home)
-    reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, home), 0.9)), tuning.near_m)
+    reference = int(np.argmax(counts))
+    reference_position = positions[reference]
+    assert reference_position is not None
+    middle = LocalPlane.about(*reference_position)
+    reach = max(tuning.near_extents * float(np.quantile(_distance_m(middle, reference_position), 0.9)), tuning.near_m)
     sentences = []
-    for k, place in enumerate(places):
-        if place is not None and k != most and _typical_m(middle, place) > FARTHEST_M:
-            sentences.append(_far(sources[k], sources[most], reach))
+    for k, position in enumerate(positions):
+        if position is not None and k != reference and _median_distance_m(middle, position) > FARTHEST_M:
+            sentences.append(_far_sentence(sources[k], sources[reference], reach))
     return tuple(sentences)
 
 
-def _far(source: Source, home: Source, reach_m: float) -> str:
+def _far_sentence(source: Source, home: Source, reach_m: float) -> str:
     """The sentence on a source beyond the plane of another, ``home``; reach_m : radius of the positions of that one."""
-    far, near = _places(*source), _places(*home)
-    assert far is not None and near is not None
-    away = _typical_m(LocalPlane.about(*near), far)
-    opening = f"{source[0].name}: lies {away / 1e3:.0f} km from {home[0].name}, too far for one plane"
+    positions, home_positions = _geodetic_positions(*source), _geodetic_positions(*home)
+    assert positions is not None and home_positions is not None
+    distance_m = _median_distance_m(LocalPlane.about(*home_positions), positions)
+    opening = f"{source[0].name}: lies {distance_m / 1e3:.0f} km from {home[0].name}, too far for one plane"
     # Wrong columns are tried first: they are more frequent than wrong sites.
     pairs = sorted([(source, home), (home, source)], key=lambda pair: pair[0][1].lat_deg is None)
     explanations = [one for pair in pairs if (one := _explanation(*pair, reach_m))]
@@ -283,43 +283,43 @@ def _far(source: Source, home: Source, reach_m: float) -> str:
 
 def _explanation(source: Source, other: Source, reach_m: float) -> str:
     """The mistake in a source that would explain its distance from another one, and its remedy; "" if there is none."""
-    name, there = source[0].name, _places(*other)
-    assert there is not None
+    name, positions = source[0].name, _geodetic_positions(*other)
+    assert positions is not None
     for guess in place_guesses(source[1]):
         changed = guess.read(*source)
-        moved = None if changed is None else _places(*changed)
-        if moved is None:
+        corrected = None if changed is None else _geodetic_positions(*changed)
+        if corrected is None:
             continue
-        inside = int(np.sum(_distance_m(LocalPlane.about(*there), moved) < reach_m))
-        if 2 * inside > len(moved[0]):
-            what = "its site lies" if source[1].lat_deg is None else f"{inside} of {len(moved[0])} positions lie"
+        inside = int(np.sum(_distance_m(LocalPlane.about(*positions), corrected) < reach_m))
+        if 2 * inside > len(corrected[0]):
+            what = "its site lies" if source[1].lat_deg is None else f"{inside} of {len(corrected[0])} positions lie"
             where = f"{what} where {other[0].name} is"
             return f"{name}: its {guess.suspicion}: with {guess.changed}, {where}; {guess.remedy}"
     return ""
 
 
-def _places(description: Description, reports: Reports) -> tuple[FloatArray, FloatArray] | None:
+def _geodetic_positions(description: Description, reports: Reports) -> tuple[FloatArray, FloatArray] | None:
     """Latitudes and longitudes of the positions, or of the sensor; None if none are given in degrees."""
     for lat, lon in ((reports.lat_deg, reports.lon_deg), (reports.station_lat_deg, reports.station_lon_deg)):
         if lat is not None and lon is not None:
-            known = np.isfinite(lat) & np.isfinite(lon)
-            return (lat[known], lon[known]) if known.any() else None
+            is_known = np.isfinite(lat) & np.isfinite(lon)
+            return (lat[is_known], lon[is_known]) if is_known.any() else None
     site = description.site
     if site is None or site.lat_deg is None or site.lon_deg is None:
         return None
     return np.array([site.lat_deg]), np.array([site.lon_deg])
 
 
-def _distance_m(middle: LocalPlane, place: tuple[FloatArray, FloatArray]) -> FloatArray:
+def _distance_m(middle: LocalPlane, position: tuple[FloatArray, FloatArray]) -> FloatArray:
     """(n,) great-circle distances on a sphere."""
-    phi, lam = np.radians(place[0]), np.radians(place[1] - middle.lon_deg)
+    phi, lam = np.radians(position[0]), np.radians(position[1] - middle.lon_deg)
     start = np.radians(middle.lat_deg)
     half = np.sin((phi - start) / 2.0) ** 2 + np.cos(phi) * np.cos(start) * np.sin(lam / 2.0) ** 2
     return np.asarray(2.0 * EARTH_M * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0))))
 
 
-def _typical_m(middle: LocalPlane, place: tuple[FloatArray, FloatArray]) -> float:
-    return float(np.median(_distance_m(middle, place)))
+def _median_distance_m(middle: LocalPlane, position: tuple[FloatArray, FloatArray]) -> float:
+    return float(np.median(_distance_m(middle, position)))
 
 
 def _tolerant(feed: Feed) -> Feed:

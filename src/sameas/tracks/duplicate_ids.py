@@ -49,8 +49,8 @@ def split_duplicate_ids(
         is_outlier, objects = count[branch] == 1, np.flatnonzero(count > 1)
         if np.count_nonzero(np.diff(branch[~is_outlier])) < tuning.alternations:
             objects = objects[:1]
-        for place, number in enumerate(objects[1:], start=2):
-            track[rows[own[branch == number]]] = f"{names[k]} ({place})"
+        for nth, of_object in enumerate(objects[1:], start=2):
+            track[rows[own[branch == of_object]]] = f"{names[k]} ({nth})"
         if len(objects):
             state[rows[own[is_outlier]]] = np.nan
         notes += _notes(str(names[k]), len(objects), int(is_outlier.sum()))

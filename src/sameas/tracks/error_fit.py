@@ -312,35 +312,39 @@ def _compared(feeds: Sequence[Feed], prior: _Prior, columns: Sequence[NDArray[An
     """The pairs with their differences, of those within the box; columns : s, t, i, j and weight."""
     s, t, i, j, weight = columns
     n = len(s)
-    place, sensor, bearing = np.full((2, n, 2), np.nan), np.empty((2, n, 2)), np.full((2, n), np.nan)
+    position, sensor, bearing = np.full((2, n, 2), np.nan), np.empty((2, n, 2)), np.full((2, n), np.nan)
     for k, feed in enumerate(feeds):
         for side, (which, rows) in enumerate(((s, i), (t, j))):
-            own = which == k
-            sensor[side, own] = feed.sensor_m[rows[own]]  # type: ignore[index]
+            of_feed = which == k
+            sensor[side, of_feed] = feed.sensor_m[rows[of_feed]]  # type: ignore[index]
             if isinstance(feed.reports, Directions):
-                bearing[side, own] = feed.reports.bearing_deg[rows[own]]
+                bearing[side, of_feed] = feed.reports.bearing_deg[rows[of_feed]]
             else:
-                place[side, own] = feed.reports.state[rows[own], :2]
-    has_place = np.isfinite(place[:, :, 0])
-    placed = has_place.all(axis=0)
-    middle = np.where(placed[:, None], 0.5 * (place[0] + place[1]), np.where(has_place[0][:, None], place[0], place[1]))
+                position[side, of_feed] = feed.reports.state[rows[of_feed], :2]
+    has_position = np.isfinite(position[:, :, 0])
+    both_positions = has_position.all(axis=0)
+    middle = np.where(
+        both_positions[:, None],
+        0.5 * (position[0] + position[1]),
+        np.where(has_position[0][:, None], position[0], position[1]),
+    )
     # A direction is compared with a position as seen from the sensor of the direction.
-    origin = np.where(has_place[0][:, None], sensor[1], sensor[0])
-    arm = middle - origin
-    range_m = np.maximum(np.hypot(*arm.T), 1e-9)
-    sight = arm / range_m[:, None]
-    delta = np.where(placed[:, None], place[0] - place[1], 0.0)
-    bearing_of_place = np.degrees(np.arctan2(arm[:, 0], arm[:, 1]))
-    angles = [np.where(has_place[side], bearing_of_place, bearing[side]) for side in (0, 1)]
+    origin = np.where(has_position[0][:, None], sensor[1], sensor[0])
+    from_sensor = middle - origin
+    range_m = np.maximum(np.hypot(*from_sensor.T), 1e-9)
+    direction = from_sensor / range_m[:, None]
+    delta = np.where(both_positions[:, None], position[0] - position[1], 0.0)
+    bearing_of_position = np.degrees(np.arctan2(from_sensor[:, 0], from_sensor[:, 1]))
+    angles = [np.where(has_position[side], bearing_of_position, bearing[side]) for side in (0, 1)]
     angle = np.radians((angles[0] - angles[1] + 180.0) % 360.0 - 180.0)
-    along = np.einsum("nv,nv->n", delta, sight)
-    across = np.where(placed, delta[:, 0] * sight[:, 1] - delta[:, 1] * sight[:, 0], angle * range_m)
+    along = np.einsum("nv,nv->n", delta, direction)
+    across = np.where(both_positions, delta[:, 0] * direction[:, 1] - delta[:, 1] * direction[:, 0], angle * range_m)
     a, b, e = np.exp(2.0 * prior.median)
     hull = e[s] + e[t]
     sigma = np.sqrt(np.maximum(a[s] + a[t], range_m**2 * (b[s] + b[t])) + hull)
     box = np.maximum(tuning.fit_box_m, tuning.fit_box_sigmas * sigma)
-    keep = np.flatnonzero((np.abs(along) < box) & (np.abs(across) < box) & (range_m > 1.0))
-    return _Pairs(*(x[keep] for x in (s, t, i, j, range_m, along, across, placed, box, weight)))
+    kept = np.flatnonzero((np.abs(along) < box) & (np.abs(across) < box) & (range_m > 1.0))
+    return _Pairs(*(x[kept] for x in (s, t, i, j, range_m, along, across, both_positions, box, weight)))
 
 
 def _scans(feed: Feed) -> tuple[FloatArray, list[IntArray]]:

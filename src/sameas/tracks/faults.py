@@ -180,13 +180,13 @@ def _floods(feed: Feed) -> Iterator[Fault]:
     if not 5 <= bins.max(initial=0) < 10**6:
         return
     count = np.bincount(bins)
-    usual = max(float(np.median(count)), 1.0)
+    typical = max(float(np.median(count)), 1.0)
     normal = count[count <= np.quantile(count, 0.9)]
     dispersion = max(float(np.var(normal)) / max(float(normal.mean()), 1.0), 1.0)
-    flooded = (count > tuning.flood_factor * usual) & (count > usual + tuning.flood_min)
+    flooded = (count > tuning.flood_factor * typical) & (count > typical + tuning.flood_min)
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flooded.astype(np.int64), [0]])))
     for low, high in zip(edges[::2], edges[1::2], strict=True):
-        reports, expected = float(count[low:high].sum()), usual * (high - low)
+        reports, expected = float(count[low:high].sum()), typical * (high - low)
         log_odds = (reports * math.log(reports / expected) - reports + expected) / dispersion
         log_odds += math.log(tuning.fault_prior / len(count))
         name, begin = feed.description.name, float(time_s.min()) + float(low) * width

@@ -59,14 +59,14 @@ def shows_tracks(feed: Feed) -> bool:
 
 @dataclass(frozen=True)
 class Plots:
-    """A radar's plots (n,): time, scan, place east and north, place of the sensor, range, azimuth (°).
+    """A radar's plots (n,): time, scan, position east and north, position of the sensor, range, azimuth (°).
 
     variance : (n, 2) m² along and across the line of sight, without the constant errors of an object.
     """
 
     time_s: FloatArray
     scan: IntArray
-    place: FloatArray
+    position: FloatArray
     sensor: FloatArray
     range_m: FloatArray
     azimuth_deg: FloatArray
@@ -79,12 +79,12 @@ class Plots:
         assert isinstance(reports, States) and feed.sensor_m is not None
         rows = np.flatnonzero(reports.usable & np.isfinite(feed.sensor_m).all(axis=1))
         rows = rows[np.argsort(reports.time_s[rows], kind="stable")]
-        place, sensor = reports.state[rows, :2], feed.sensor_m[rows]
-        range_m, azimuth, frame = _sight(place - sensor)
+        position, sensor = reports.state[rows, :2], feed.sensor_m[rows]
+        range_m, azimuth, frame = _sight(position - sensor)
         stated = np.einsum("nav,nvw,naw->na", frame, reports.covariance[rows, :2, :2], frame)
         variance = np.maximum(stated - (feed.description.errors.extent_m or 0.0) ** 2, 0.05 * stated)
         scan = np.unique(feed.scan_s[rows], return_inverse=True)[1]
-        return cls(reports.time_s[rows], scan, place, sensor, range_m, azimuth, variance)
+        return cls(reports.time_s[rows], scan, position, sensor, range_m, azimuth, variance)
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -215,16 +215,16 @@ def _background(plots: Plots, rows: IntArray, tuning: Tuning) -> FloatArray:
     """(m,) density of other plots at the plots ``rows``, per m² and scan: of fixed echoes, plus that of the range."""
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(plots.place)
+    tree = cKDTree(plots.position)
     scans_s = plots.time_s[_first_of_scans(plots)]
     width = np.sqrt(2.0 * plots.variance[rows]) + tuning.echo_m
-    frame = _sight(plots.place[rows] - plots.sensor[rows])[2]
-    owner, other = flattened(tree.query_ball_point(plots.place[rows], 3.0 * width.max(axis=1), return_sorted=False))
+    frame = _sight(plots.position[rows] - plots.sensor[rows])[2]
+    owner, other = flattened(tree.query_ball_point(plots.position[rows], 3.0 * width.max(axis=1), return_sorted=False))
     apart_s = np.abs(plots.time_s[other] - plots.time_s[rows[owner]])
     earliest_s, latest_s = tuning.background_from_s, tuning.background_to_s
     kept = (apart_s >= earliest_s) & (apart_s <= latest_s)
     owner, other = owner[kept], other[kept]
-    step = np.einsum("mav,mv->ma", frame[owner], plots.place[other] - plots.place[rows[owner]]) / width[owner]
+    step = np.einsum("mav,mv->ma", frame[owner], plots.position[other] - plots.position[rows[owner]]) / width[owner]
     kernel = np.exp(-0.5 * np.sum(step**2, axis=1)) / (2.0 * np.pi * width[owner].prod(axis=1))
     at = plots.time_s[rows]
     window = sum(
@@ -304,8 +304,8 @@ def fit_plots(feed: Feed, partners: Sequence[Feed]) -> BiasFit | None:
     peaks: list[tuple[float, int, int]] = []
     for low, high in _peaks(log_posterior, tuning):
         inside = search.log_likelihood[:, :, low:high].sum(axis=1)
-        scale, place = divmod(int(np.argmax(inside)), high - low)
-        peaks.append((float(np.logaddexp.reduce(log_posterior[low:high]) + np.log(step)), scale, low + place))
+        scale, position = divmod(int(np.argmax(inside)), high - low)
+        peaks.append((float(np.logaddexp.reduce(log_posterior[low:high]) + np.log(step)), scale, low + position))
     evidence, s, at = max(peaks)
     start = np.zeros(len(FITTED))
     start[FITTED.index(AZIMUTH)] = search.azimuth_deg[at]

@@ -55,7 +55,7 @@ def scans_of(
     Parameters
     ----------
     time_s : (n,) in any order. period_s : between scans, as described; without it each stamp is a scan.
-    bearing_deg : (n,) of the plots from the sensor, NaN where unknown; None if the sensor's place is unknown.
+    bearing_deg : (n,) of the plots from the sensor, NaN where unknown; None if the sensor's position is unknown.
     scan_times_s : (l,) times of all scans, where known.
 
     Example
@@ -158,9 +158,9 @@ def last_rotation(
     return np.flatnonzero((time_s > end - rotation.period_s) & (time_s <= end))
 
 
-def seen_from(place: FloatArray, sensor_m: FloatArray | None) -> FloatArray | None:
-    """(n,) bearings of places (n, 2) from the sensor (n, 2), degrees; None if the sensor's place is unknown."""
+def seen_from(position: FloatArray, sensor_m: FloatArray | None) -> FloatArray | None:
+    """(n,) bearings of positions (n, 2) from the sensor (n, 2), degrees; None if the sensor's position is unknown."""
     if sensor_m is None:
         return None
-    arm = place - sensor_m
-    return np.asarray(np.degrees(np.arctan2(arm[:, 0], arm[:, 1])))
+    from_sensor = position - sensor_m
+    return np.asarray(np.degrees(np.arctan2(from_sensor[:, 0], from_sensor[:, 1])))

@@ -37,7 +37,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.alignment import States
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.doubts import apart, doubts
+from sameas.tracks.doubts import doubts, too_far_apart
 from sameas.tracks.error_fit import ErrorFit, fit_errors
 from sameas.tracks.feed import Feed, need_filtering
 from sameas.tracks.heights import HeightModel, HeightReports, heights_of
@@ -81,7 +81,7 @@ class Scene:
         No plane is needed if all sources give metres in one plane of the user's own. Reports with ids are filtered to
         tracks first if they are unfiltered measurements (:func:`sameas.tracks.feed.need_filtering`).
         """
-        if far := apart(sources, tuning):
+        if far := too_far_apart(sources, tuning):
             raise InputError("; ".join(far))
         if plane is None and (middle := _middle(sources)) is not None:
             plane = LocalPlane.about(*middle)
@@ -110,8 +110,8 @@ class Scene:
 
         references : names of the sources assumed to have no bias, if not given by their descriptions.
         """
-        feeds, found = registered(self.feeds, references, self._plot_fits)
-        return replace(self, feeds=feeds), found
+        feeds, biases = registered(self.feeds, references, self._plot_fits)
+        return replace(self, feeds=feeds), biases
 
     def with_fitted_errors(self) -> tuple[Scene, ErrorFit]:
         """The scene with errors, clutter and latencies estimated from its bare plots, and the fit.

@@ -136,9 +136,9 @@ class Snapshot:
         description, reports = self.feed.description, self.feed.reports
         assert isinstance(reports, States)
         age = instant_s - float(self.time_s.mean()) if len(self.rows) else 0.0
-        rest = instant_s - age - self.time_s
+        dt_s = instant_s - age - self.time_s
         walk = self.feed.walk_m2_per_s3[self.rows]
-        state, covariance = moved(reports.state[self.rows], reports.covariance[self.rows], rest, walk)
+        state, covariance = moved(reports.state[self.rows], reports.covariance[self.rows], dt_s, walk)
         late = (description.motion.speed_m_per_s or 0.0) * (description.timing.latency_sigma_s or 0.0)
         wander = process_noise(np.full(len(walk), age), walk)[:, :2, :2] + late**2 * np.eye(2)
         covariance = covariance[:, :2, :2] + wander
