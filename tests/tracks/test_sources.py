@@ -103,3 +103,21 @@ def test_a_format_named_like_a_kind_of_source_has_that_kind(folder, monkeypatch)
     [pings] = read_sources([folder / "pings.txt"])
     assert (pings.description.kind, pings.why_kind) == ("sonar", "its format is sonar")
     assert pings.description.errors.position_m == 20.0
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        'columns = { range_m = "Range" }',
+        'columns = { range = "d" }',
+        'columns = { range_m = "d" }, units = { d = "furlong" }',
+    ],
+)
+def test_a_description_that_does_not_fit_its_file_is_an_error_where_others_can_be_read(given, tmp_path):
+    (tmp_path / "ais.csv").write_text("time,lat,lon,mmsi\n0,50.0,-1.0,235000001\n")
+    (tmp_path / "radar.csv").write_text("time,d,bearing\n0,900,45\n")
+    (tmp_path / "sensors.toml").write_text(
+        f'[sources.radar]\nkind = "marine radar"\nfile = {{ path = "radar.csv", {given} }}\n'
+    )
+    with pytest.raises(InputError, match=r"radar: .*(among: time, d, bearing|did you mean range_m|unit 'furlong')"):
+        read_sources([tmp_path / "ais.csv"], read_source_options(tmp_path / "sensors.toml"), set_aside=[])

@@ -107,7 +107,10 @@ def test_options_of_the_user_override():
         ("time,lat,lon\n0,-118.2,33.9\n1,-118.3,33.8", "2 latitudes lie beyond ±90°.*swapped"),
         ("time,lat,lon\nx,1,2", "no time can be read in column 'time' .first: 'x'.; write ISO 8601"),
         ("time,lat,lon\n1,x,2", "no row can be used: 1 line damaged: lat is no number .line 2."),
-        ("time,lat,lon\n01/02/2024 12:00:00,1,2", "dates like .* can be read in two ways; write them as 2024-01-13"),
+        (
+            "time,lat,lon\n01/02/2024 12:00:00,1,2",
+            "dates like .* in two ways; give start, .*, or write them as 2024-01-13",
+        ),
         ("nothing", "no format of sensors fits; as a table, its line 1 does not"),
     ],
 )
@@ -167,6 +170,20 @@ def test_day_and_month_are_distinguished_by_their_values():
                                     datetime(2016, 1, 5, tzinfo=UTC).timestamp()]  # fmt: skip
     made = table("time,lat,lon\n1/13/2016 13:02:11,1,2")
     assert made.time_s[0] == datetime(2016, 1, 13, 13, 2, 11, tzinfo=UTC).timestamp()
+
+
+def test_the_start_shows_which_number_of_a_date_is_the_day():
+    text = "time,lat,lon\n01/02/2024 12:00:00,1,2"
+    for day, start in ((1, datetime(2024, 2, 1, tzinfo=UTC)), (2, datetime(2024, 1, 2, tzinfo=UTC))):
+        made = table(text, start_s=start.timestamp())
+        assert made.time_s[0] == start.timestamp() + 43_200.0, day
+    assert table("time,lat,lon\n05/05/2024 12:00:00,1,2").time_s[0] == datetime(2024, 5, 5, 12, tzinfo=UTC).timestamp()
+
+
+def test_columns_that_are_not_used_are_reported():
+    made = table("time,lat,lon,snr,gain\n0,1,2,3,4\n")
+    assert "radar.csv: columns not used: snr, gain" in made.notes
+    assert not any("not used" in note for note in table("date,time,lat,lon\n2016-01-12,13:02:11,1,2").notes)
 
 
 def test_dates_and_times_in_two_columns_and_times_of_day_are_read():

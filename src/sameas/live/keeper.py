@@ -252,7 +252,8 @@ class Keeper:
             return
         state.last_s, state.error = received_s, ""
         if self.replay is None:
-            state.delay_s = received_s - float(np.median(reports.time_s))
+            # Older ones may have waited in the queue.
+            state.delay_s = received_s - float(np.median(np.sort(reports.time_s)[-5:]))
 
     def _keep_history(self, frame: Frame) -> None:
         """Keeps a frame every 10 s, or every tick where these are longer, for the history that pages show."""

@@ -198,7 +198,8 @@ def read_sources(
     options : by name, from :func:`read_source_options`.
     start : UTC of the first line of files with the time of day only.
     set_aside : receives the errors of files that exist but cannot be read, if others can. Without it, and if no file
-        can be read, the first error is raised.
+        can be read, the first error is raised. An error of a description, such as the name of a column that the file
+        does not have, is always raised.
 
     Raises
     ------
@@ -219,7 +220,8 @@ def read_sources(
             for reports in read_reports(path, reading):
                 sources.append(source_of(reports, described.get(reports.source), path))
         except InputError as error:
-            if set_aside is None or not path.is_file() or error.words.arguments:
+            wrongly_described = isinstance(error, tables.NotInTable) or bool(error.words.arguments)
+            if set_aside is None or not path.is_file() or wrongly_described:
                 raise
             unread[name] = error
     if unread and not sources:

@@ -152,6 +152,10 @@ class Choice:
     why: str
 
 
+class NotInTable(InputError):
+    """The description of a table names a column, a quantity or a unit that there is not."""
+
+
 def choose(
     names: Sequence[str], source: str, named: Mapping[str, str] | None = None, units: Mapping[str, str] | None = None
 ) -> dict[str, Choice]:
@@ -204,10 +208,10 @@ def _check_named(names: Sequence[str], source: str, named: Mapping[str, str], un
     for column in named:
         if column not in quantities:
             near = difflib.get_close_matches(column, sorted(quantities), n=3)
-            raise InputError(f"{source}: {column!r} is not a quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
+            raise NotInTable(f"{source}: {column!r} is not a quantity; did you mean {' or '.join(near) or 'lat_deg'}?")
     for name in [*(name for name in named.values() if name), *units]:
         if name not in names:
-            raise InputError(f"{source}: no column {name!r} among: {', '.join(names)}")
+            raise NotInTable(f"{source}: no column {name!r} among: {', '.join(names)}")
 
 
 def _stem(name: str) -> tuple[str, str]:
@@ -238,7 +242,7 @@ def _choice(
     if name in units:
         unit = re.sub(r"[^a-z0-9]", "", units[name].lower())
         if unit not in factors:
-            raise InputError(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
+            raise NotInTable(f"{source}: column {name!r}: unit {units[name]!r} is none of {', '.join(factors)}")
         return Choice(name, quantity, factors[unit], f"{name} is in {units[name]}, as said")
     stem, unit = stems[name]
     if unit in factors and "".join(stems[name]) not in quantity.names:
@@ -273,6 +277,8 @@ def _with_courses(chosen: dict[str, Choice], stems: Mapping[str, tuple[str, str]
 
 
 _NULLS = {"", "null", "none", "na", "n/a", "--", "nan"}
+#: Number of unused columns that are listed.
+_LISTED = 12
 _DELIMITERS = ",;\t|"
 _DAY_FIRST = re.compile(r"(\d{1,2})[/.](\d{1,2})[/.](\d{4})[ T]+(\d{1,2}):(\d{2})(?::(\d{2}(?:\.\d+)?))?")
 _OF_DAY = re.compile(r"(\d{1,2}):(\d{2}):(\d{2}(?:\.\d+)?)")
@@ -458,6 +464,11 @@ def read(
     passed_over = {"position repeated": repeated} if repeated else {}
     truncated = [f"{source}: its last line has no line end: it may be incomplete"] * cells.unended
     notes = [note, *truncated, *(f"{source}: {choice.why}" for choice in chosen.values() if choice.why)]
+    used = {choice.name for choice in chosen.values()}
+    unused = [name for name in cells.columns if name not in used and name.lower() not in ("date", "time")]
+    if unused:
+        more = f" and {len(unused) - _LISTED} more" if len(unused) > _LISTED else ""
+        notes.append(f"{source}: columns not used: {', '.join(unused[:_LISTED])}{more}")
     return Reports.of(
         source, "table", _with_covariances(values), damaged=Damaged.of(damaged.items()),
         passed_over=passed_over, notes=notes,
@@ -548,7 +559,7 @@ def _times(
         days, hours = (cells.columns[str(part)] for part in parts)
         column = [f"{day} {hour}" for day, hour in zip(days, hours, strict=True)]
     if choice.quantity.column == "time_s":
-        times = _instants(column, choice, source)
+        times = _instants(column, choice, source, start_s)
         if np.isfinite(times).any():
             _mark(np.isnan(times), cells.lines, damaged, "no time")
             low = float(np.nanmax(np.abs(times))) < 1e8
@@ -571,36 +582,47 @@ def _times(
     ), f"{source}: {choice.name} is read as UTC time of day, counted on from the start"
 
 
-def _instants(column: Sequence[Any], choice: Choice, source: str) -> FloatArray:
+def _instants(column: Sequence[Any], choice: Choice, source: str, start_s: float | None) -> FloatArray:
     """Times in seconds, from numbers, ISO text or dates like 13/01/2024; NaN where a cell is none of these."""
     try:
         numbers = np.array(column, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         texts = ["" if cell is None else str(cell).strip() for cell in column]
         if any(_DAY_FIRST.fullmatch(text) for text in texts[:100]):
-            return _day_month_dates(texts, source)
+            return _day_month_dates(texts, source, start_s)
         return np.array([np.nan if (time_s := instant(text)) is None else time_s for text in texts])
     if choice.factor in (1.0, 0.0):
         return np.array([seconds(number) for number in numbers])
     return numbers * choice.factor
 
 
-def _day_month_dates(texts: Sequence[str], source: str) -> FloatArray:
-    """Times from dates like 13/01/2024 12:00:00; a number above 12 shows which one is the day."""
-    matches = [_DAY_FIRST.fullmatch(text) for text in texts]
-    firsts = [(int(match[1]), int(match[2])) for match in matches if match]
-    day_first, month_first = any(a > 12 for a, _ in firsts), any(b > 12 for _, b in firsts)
-    if day_first == month_first:
-        raise InputError(f"{source}: dates like {texts[0]!r} can be read in two ways; write them as 2024-01-13")
-    times = []
-    for match in matches:
-        try:
-            day, month = (int(match[1]), int(match[2])) if day_first else (int(match[2]), int(match[1]))  # type: ignore
-            moment = datetime(int(match[3]), month, day, int(match[4]), int(match[5]), tzinfo=UTC)  # type: ignore
-            times.append(moment.timestamp() + float(match[6] or 0.0))  # type: ignore[index]
-        except (TypeError, ValueError):
-            times.append(np.nan)
-    return np.array(times)
+def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None) -> FloatArray:
+    """Times from dates like 13/01/2024 12:00:00. A number above 12 shows which one is the day, else the start does."""
+    day_first, month_first = (np.array([_of_date(text, day) for text in texts]) for day in (1, 2))
+    readable = [np.isfinite(day_first), np.isfinite(month_first)]
+    only = [bool((readable[k] & ~readable[1 - k]).any()) for k in (0, 1)]
+    if only[0] != only[1]:
+        return day_first if only[0] else month_first
+    if only[0] or not np.array_equal(day_first, month_first, equal_nan=True):
+        if only[0] or start_s is None:
+            raise InputError(
+                f"{source}: dates like {texts[0]!r} can be read in two ways",
+                naming("give {start}, the UTC date of the first row, or write them as 2024-01-13"),
+            )
+        return min(day_first, month_first, key=lambda times: abs(float(times[np.isfinite(times)][0]) - start_s))
+    return day_first
+
+
+def _of_date(text: str, day: int) -> float:
+    """The time of a date like 13/01/2024 12:00:00 whose ``day``-th number is the day; NaN where it is none."""
+    match = _DAY_FIRST.fullmatch(text)
+    if match is None:
+        return np.nan
+    try:
+        moment = datetime(int(match[3]), int(match[3 - day]), int(match[day]), int(match[4]), int(match[5]), tzinfo=UTC)
+    except ValueError:
+        return np.nan
+    return moment.timestamp() + float(match[6] or 0.0)
 
 
 def _seconds_of_day(cell: Any) -> float:
