@@ -99,7 +99,7 @@ def test_a_page_runs_and_prints_what_it_shows(page, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("block", list(not_run()))
-def test_a_block_that_is_only_shown(block):
+def test_blocks_that_are_not_run_state_why(block):
     pytest.skip(block.says["not run"])
 
 

@@ -83,7 +83,7 @@ def simple():
     return identify(first, second, rule=Field(1e-3), prior=PerPair(0.5), gate=Box(3.0))
 
 
-def test_the_text_of_a_simple_case():
+def test_an_explanation_lists_the_candidates_and_the_next_best_identification():
     text = str(simple().explain("A1"))
     first, *rest = text.splitlines()
     assert first.startswith("radar A1 (row 0) is ais 7, probability 0.")

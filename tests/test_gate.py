@@ -6,11 +6,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import naive
 from problems import KINDS, by_id, plane_records, shuffled, sky_records
 from sameas import Box, ChiSquare, InputError, Radius, Records, Sphere
 from sameas.gate import Tuning
+from sameas.gate.gate import quantile, upper_quantile
 from sameas.kernels import threads
 from sameas.kernels.compiled import Kernel
 from sameas.space import Plane, sphere_offset
@@ -478,3 +480,10 @@ def test_zones_of_distant_fields_cover_the_fields_only():
     source = Source.of(records, geometry)
     covered = 0.01 * (np.cos(np.radians(50.0)) + np.cos(np.radians(60.0)))
     assert Extent.of((source, source), geometry).area < 30.0 * covered
+
+
+@pytest.mark.parametrize("d", [1, 2, 3, 4, 6])
+@pytest.mark.parametrize("share", [1e-12, 0.01, 0.5, 0.99])
+def test_quantiles_of_chi_square_agree_with_scipy(d, share):
+    assert quantile(share, d) == pytest.approx(chi2.ppf(share, d), rel=1e-9)
+    assert upper_quantile(share, d) == pytest.approx(chi2.isf(share, d), rel=1e-9)

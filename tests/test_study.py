@@ -124,7 +124,7 @@ def test_a_run_of_more_scenes_repeats_a_shorter_one():
         (lambda: studied(10, ["gospel"]), "no experiment is called gospel; give one of claims, spacing"),
     ],
 )
-def test_refusals(make, words):
+def test_invalid_scenes_and_experiments_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
 

@@ -20,7 +20,7 @@ def by_definition(found, true, cutoff, order):
     return best + cutoff**order / 2 * (len(true) - len(found))
 
 
-def test_a_hand_example():
+def test_gospa_of_an_example_computed_by_hand():
     # One found 0.6 away, one 3 away from anything with cutoff 2, one true object missed twice over.
     score = gospa([[0.6, 0.0], [10.0, 3.0]], [[0.0, 0.0], [10.0, 0.0], [20.0, 0.0]], cutoff=2.0)
     assert (score.missed, score.false) == (2, 1)

@@ -81,7 +81,7 @@ class Tuning:
 
 DEFAULT_TUNING = Tuning()
 
-#: Pairs that a thread lays out anew at a time, which takes 100 bytes each.
+#: Pairs that a thread lays out again at a time, which takes 100 bytes each.
 PAIRS_AT_ONCE = 200_000
 
 

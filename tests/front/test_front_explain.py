@@ -43,7 +43,7 @@ def test_a_match_in_memory_is_explained_from_its_file(match, tmp_path, ending):
 
 
 @pytest.mark.slow
-def test_a_record_of_the_second(match, tmp_path):
+def test_a_record_of_the_second_catalogue_is_explained(match, tmp_path):
     path = tmp_path / "out.fits"
     match.write(path, "1or2")
     text = str(sameas.explain(path, "b3", source=2))
@@ -77,7 +77,7 @@ def test_records_without_ids_are_named_by_row(crowded, tmp_path):
 
 
 @pytest.mark.slow
-def test_several_catalogues(crowded, tmp_path):
+def test_objects_of_several_catalogues_are_explained(crowded, tmp_path):
     first, second = crowded
     found = sameas.match_many(first, second, first | {"name": [f"c{k}" for k in range(60)]}, sigma=0.7, id="name")
     path = tmp_path / "objects.fits"
@@ -92,7 +92,7 @@ def test_several_catalogues(crowded, tmp_path):
     assert "offset_1" not in read_provenance(path)
 
 
-def test_refusals(crowded, match, tmp_path):
+def test_outputs_that_cannot_be_explained_are_refused(crowded, match, tmp_path):
     from astropy.table import Table
 
     write_table(Table({"a": [1]}), tmp_path / "other.fits", provenance={})

@@ -104,7 +104,7 @@ def test_the_command_accepts_the_option_named_by_its_doubt(three, tmp_path, monk
     assert with_it.exit_code == 0 and "added to s3: -" in with_it.stdout
 
 
-def test_refusals(three):
+def test_invalid_sources_and_options_are_refused(three):
     for words, sources, options in (
         ("1 catalogues given; give two to 8", three[:1], {}),
         ("no option 'sigma4'; did you mean", three, {"sigma4": 1.0}),
@@ -115,7 +115,7 @@ def test_refusals(three):
             sameas.match_many(*sources, **options)
 
 
-def test_a_picture_of_two_of_them(found):
+def test_two_of_several_catalogues_are_plotted(found):
     pytest.importorskip("matplotlib")
     assert found.plot("third", "first").axes
     with pytest.raises(InputError, match="no catalogues first and x; give two of first, second, third"):

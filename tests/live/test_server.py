@@ -112,7 +112,7 @@ def test_beyond_the_loopback_tokens_give_roles(keeper):
 
 
 @pytest.mark.parametrize(("token", "role"), [("a", "operator"), ("b", "viewer"), ("c", None), (None, None)])
-def test_roles(token, role):
+def test_a_token_has_its_role(token, role):
     assert Access("0.0.0.0", "a", "b").role(token) == role
 
 

@@ -389,7 +389,7 @@ def test_refused_with_the_row_and_the_remedy(change, words):
     assert words in str(error.value)
 
 
-def test_other_refusals():
+def test_invalid_missing_motions_and_epochs_are_refused():
     with pytest.raises(InputError, match="pm_sigma_mas_per_yr is -1"):
         MissingMotion(pm_sigma_mas_per_yr=-1)
     star = Astrometry.of([0.0], [0.0], epoch_jyr=2016.0, sigma=[[1.0, 1.0]])

@@ -87,7 +87,7 @@ def delays(sources):
 
 
 @pytest.mark.parametrize("made", [aircraft, vessels])
-def test_a_delay_that_the_description_does_not_mention_is_found_and_said(made):
+def test_a_delay_that_the_description_does_not_mention_is_found_and_reported(made):
     apart = []
     for seed, late_s in enumerate((1.0, 2.0, 5.0, -3.0)):
         found, biases = delays(made(seed, late_s))
@@ -99,7 +99,7 @@ def test_a_delay_that_the_description_does_not_mention_is_found_and_said(made):
     assert np.abs(apart).max() < 3.5
 
 
-def test_a_clock_said_to_be_exact_is_not_corrected():
+def test_a_clock_described_as_exact_is_not_corrected():
     found, biases = delays(aircraft(0, 2.0, bias=BiasPrior(time_s=0.0)))
     assert found == {} and set(biases[1].parameters) == {"east_m", "north_m"}
 

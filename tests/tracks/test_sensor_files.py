@@ -103,7 +103,7 @@ def test_wrapping_counters_are_unwrapped_and_gaps_kept():
     np.testing.assert_allclose(unwrapped(times % 60.0, 60.0), times - 60.0 * (times[0] // 60.0))
 
 
-def test_the_last_value_is_held():
+def test_missing_values_are_filled_forward():
     assert forward_filled(np.array([np.nan, 2.0, np.nan, 5.0])).tolist() == [2.0, 2.0, 2.0, 5.0]
     assert np.isnan(forward_filled(np.array([np.nan]))).all()
     assert at_second(np.array([100.0]), np.array([np.nan]))[0] == 100.0

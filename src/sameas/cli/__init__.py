@@ -60,7 +60,7 @@ def process() -> None:
     import os
 
     _use_one_arena()
-    # OpenBLAS wakes a thread per processor for every long product, which then spins for 20 ms beside our own threads.
+    # OpenBLAS wakes a thread per processor for every long product, which then spins for 20 ms while our threads work.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # NumPy asks for huge pages. In a virtual machine the kernel often takes three times as long to clear them: 1.8 s
     # instead of 0.6 for a million rows.

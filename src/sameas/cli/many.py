@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from sameas.front.request import Request
     from sameas.sky.many import ManyOptions
 
-#: Catalogues that options can speak of; ``sameas.sky.many`` takes no more.
+#: Most catalogues of ``sameas.sky.many``, each of which has numbered options.
 MOST = 8
 _PANEL = "Columns and files: of all catalogues, or with a number of one (--sigma2 0.1)"
 _PANELS = dict.fromkeys(["", *map(str, range(1, MOST + 1))], _PANEL)

@@ -187,9 +187,9 @@ def match(
 
         request = Request((str(first), str(second)), options, columns)
         if both_hats(first, second):
-            beside = {"--compare-nearest": compare_nearest, "--certify": certify, "--pictures": pictures,
+            blends_outputs = {"--compare-nearest": compare_nearest, "--certify": certify, "--pictures": pictures,
                       "--out-format": out_format, "--blends": blends}  # fmt: skip
-            for name, value in beside.items():
+            for name, value in blends_outputs.items():
                 if value:
                     raise InputError(f"{name}: not over the partitions of HATS catalogues", "leave it out")
             over_partitions(request, join, nway_columns, None if dry_run else output, workers, quiet)
@@ -283,13 +283,13 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         from sameas.plots.sheet import required
 
         required()
-    beside = replace(outputs, path=outputs.path.with_stem(f"{outputs.path.stem}-blends"))
+    blends_outputs = replace(outputs, path=outputs.path.with_stem(f"{outputs.path.stem}-blends"))
     if joining.blends is not None:
         if not 0.0 < joining.blends < math.inf:
             raise InputError(
                 f"--blends {joining.blends:g}: give the resolution of the first catalogue in arcsec, above 0"
             )
-        beside.check(request.paths)
+        blends_outputs.check(request.paths)
     outputs.check(request.paths)
     began = time.perf_counter()
     printer = Printer(quiet)
@@ -316,7 +316,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
                     pace("blends")
                     blended, output = match.blends(joining.blends), written
                     written = [*blends_lines(blended, joining.blends), "", *output]
-                    written.append(beside.write(blended, facts, "blends"))
+                    written.append(blends_outputs.write(blended, facts, "blends"))
             finally:
                 lines = report.result()
                 pace.pause()

@@ -230,7 +230,7 @@ HEADER_EPOCHS = (
     "DATE-OBS",
 )
 
-# Columns that VizieR computes beside the catalogue's own.
+# Columns that VizieR computes in addition to the catalogue's own.
 VIZIER_COMPUTED = ("_RAJ2000", "_RA", "_RA_icrs", "_RA.icrs", "_RAB1950")
 
 

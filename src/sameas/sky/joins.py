@@ -171,8 +171,8 @@ def blend_table(first: Records, second: Records, found: Blends) -> Table:
     columns["p_match"] = found.p_match[order], "probability of this answer"
     columns["p_blend"] = found.p_blend[order], "probability that the record is two objects, whichever"
     for name, (values, words) in columns.items():
-        made = MaskedColumn if isinstance(values, np.ma.MaskedArray) else Column
-        table.add_column(made(values, description=words), name=name)
+        column = MaskedColumn if isinstance(values, np.ma.MaskedArray) else Column
+        table.add_column(column(values, description=words), name=name)
     return table
 
 

@@ -284,9 +284,9 @@ def _rows(unit: FloatArray, side_deg: float) -> tuple[IntArray, FloatArray]:
     return row, ecliptic_longitude_deg(unit)
 
 
-def _keys(row: IntArray, longitude_deg: FloatArray, side_deg: float, beside: int = 0) -> IntArray:
-    """(n,) keys of the cells at rows and longitudes, shifted by ``beside`` columns."""
+def _keys(row: IntArray, longitude_deg: FloatArray, side_deg: float, shift: int = 0) -> IntArray:
+    """(n,) keys of the cells at rows and longitudes, shifted by ``shift`` columns."""
     across = np.maximum(1, np.floor(360.0 * np.cos(np.radians((row + 0.5) * side_deg - 90.0)) / side_deg))
-    column = np.floor(longitude_deg / 360.0 * across).astype(np.int64) + beside
+    column = np.floor(longitude_deg / 360.0 * across).astype(np.int64) + shift
     stride = math.ceil(360.0 / side_deg) + 3
     return np.asarray((row + 1) * stride + column + 1)
