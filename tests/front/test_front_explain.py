@@ -72,8 +72,34 @@ def test_records_without_ids_are_named_by_row(crowded, tmp_path):
     partner = found.identification.answers_1.partner
     text = str(sameas.explain(path, 3))
     assert ("has no partner" in text) == (partner[3] is np.ma.masked)
-    with pytest.raises(InputError, match="it has no ids, and the output does not hold all its rows in their order"):
+    with pytest.raises(InputError, match="because the output does not hold all its rows in their order"):
         sameas.explain(path, 3, source=2)
+
+
+@pytest.mark.parametrize("join", ["all1", "1or2", "all2"])
+def test_rows_are_counted_with_rows_that_lack_a_position_or_share_one(join, tmp_path):
+    """One row without a position, or two of the same, and every row was refused: the catalogue had no ids, it said."""
+    ra = np.array([np.nan, 10.0, 10.1, 10.1, 10.2])
+    first = {"ra": ra, "dec": np.full(5, 1.0), "name": [f"a{k}" for k in range(5)]}
+    second = {"ra": ra[[4, 2, 0]], "dec": np.full(3, 1.0), "name": [f"b{k}" for k in range(3)]}
+    source, names = (2, "b") if join == "all2" else (1, "a")
+    for id_column in ("name", None):
+        sides = [{key: side[key] for key in ("ra", "dec", id_column) if key} for side in (first, second)]
+        found = sameas.match(*sides, sigma=0.3, sigma_unit="arcsec", id=id_column)
+        path = tmp_path / f"{id_column}.fits"
+        found.write(path, join)
+        for row in range(len(second["ra"] if source == 2 else ra)):
+            text = str(sameas.explain(path, row=row, source=source))
+            at = (second["ra"] if source == 2 else ra)[row]
+            assert (f"{names}{row}" if id_column else f"at {at:.6f}" if at > 0 else "without a position") in text
+    sexagesimal = {"ra": ["00:40:00.0", "00:41:00.0"], "dec": ["+01:00:00", "+01:00:00"]}
+    sameas.match(sexagesimal, second, sigma=0.3, sigma_unit="arcsec").write(tmp_path / "text.fits", "all1")
+    assert "at 00:41:00.0 +01:00:00" in str(sameas.explain(tmp_path / "text.fits", row=1))
+    # Its id finds a record without a position, which is in the output.
+    missing = "b2" if source == 2 else "a0"
+    assert "could not be used" in str(sameas.explain(tmp_path / "name.fits", missing, source=source))
+    with pytest.raises(InputError, match="rows cannot be counted"):
+        sameas.explain(tmp_path / "name.fits", row=1, source=3 - source)
 
 
 @pytest.mark.slow

@@ -310,7 +310,8 @@ def _nearest(times: NDArray[Any], at_s: float | None) -> float:
 def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_row: bool) -> IntArray:
     """The rows of the table with a record of a catalogue, given by its id or its row."""
     name, column = facts[f"name_{source}"], facts.get(f"id_column_{source}")
-    present = ~_absent(table[facts[f"ra_column_{source}"]])
+    # Records without a position are in the output, too.
+    present = ~_absent(table[column or facts[f"ra_column_{source}"]])
     if column is not None and not by_row:
         rows = np.flatnonzero(present & (texts_of(table[column]) == record.strip()))
         if not len(rows):
@@ -326,17 +327,22 @@ def _found(table: Table, facts: Mapping[str, Any], record: str, source: int, by_
 
 def _row_numbers(table: Table, facts: Mapping[str, Any], source: int, present: BoolArray) -> IntArray:
     """(n,) the catalogue row of each row of the table, −1 for none; refused unless the table has them all."""
-    leading = {"all1": (1,), "1or2": (1,), "pairs": (1,), "all2": (2,)}.get(facts.get("join", ""), ())
-    ids = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
+    rows, join = facts[f"rows_{source}"], facts.get("join", "")
+    leading = {"all1": 1, "1or2": 1, "pairs": 1, "all2": 2}.get(join)
+    if source == leading and (len(table) == rows or (join == "1or2" and not present[rows:].any())):
+        return np.where(np.arange(len(table)) < rows, np.arange(len(table)), -1)
+    positions = [texts_of(table[facts[f"{role}_column_{source}"]]) for role in ("ra", "dec")]
     held = np.flatnonzero(present)
     same = np.ones(len(held), bool)
-    same[1:] = np.any([part[held][1:] != part[held][:-1] for part in ids], axis=0)
+    same[1:] = np.any([part[held][1:] != part[held][:-1] for part in positions], axis=0)
     number = np.full(len(table), -1)
     number[held] = np.cumsum(same) - 1
-    if ("join" in facts and source not in leading) or number.max(initial=-1) + 1 != facts[f"rows_{source}"]:
+    if ("join" in facts and source != leading) or number.max(initial=-1) + 1 != rows:
         raise InputError(
-            f"{facts[f'name_{source}']}: it has no ids, and the output does not hold all its rows in their order",
-            f"write it with an id, or with the join {'all2' if source == 2 else 'all1'}",
+            f"{facts[f'name_{source}']}: rows cannot be counted, because the output does not hold all its rows in "
+            "their order",
+            ("give the id instead, or " if facts.get(f"id_column_{source}") else "write it with an id, or ")
+            + f"with the join {'all2' if source == 2 else 'all1'}",
         )
     return number
 
@@ -359,14 +365,20 @@ def _called(table: Table, facts: Mapping[str, Any], row: int, source: int) -> st
     column = facts.get(f"id_column_{source}")
     if column is not None:
         return str(_value(table, column, row))
-    at = [float(_value(table, facts[f"{role}_column_{source}"], row)) for role in ("ra", "dec")]
-    return f"at {at[0]:.6f} {at[1]:+.6f}"
+    at = _coordinates(table, facts, row, source)
+    return f"at {' '.join(at)}" if at else "without a position"
+
+
+def _coordinates(table: Table, facts: Mapping[str, Any], row: int, source: int) -> list[str]:
+    """Both coordinates of a record as text; none if one is missing."""
+    at = [_value(table, facts[f"{role}_column_{source}"], row) for role in ("ra", "dec")]
+    if None in at:
+        return []
+    return [one if isinstance(one, str) else f"{one:{sign}.6f}" for one, sign in zip(at, ("", "+"), strict=True)]
 
 
 def _where(table: Table, facts: Mapping[str, Any], row: int, source: int) -> list[str]:
-    at = [_value(table, facts[f"{role}_column_{source}"], row) for role in ("ra", "dec")]
-    words = [one if isinstance(one, str) else f"{one:{sign}.6f}" for one, sign in zip(at, ("", "+"), strict=True)]
-    lines = entry("position", ", ".join(words))
+    lines = entry("position", ", ".join(_coordinates(table, facts, row, source)) or "not known")
     magnitude = facts.get(f"magnitude_column_{source}")
     if magnitude is not None and (value := _value(table, magnitude, row)) is not None:
         lines += entry("brightness", f"{magnitude} {float(value):.2f}")
