@@ -80,8 +80,8 @@ def test_records_without_ids_are_named_by_row(crowded, tmp_path):
 def test_rows_are_counted_with_rows_that_lack_a_position_or_share_one(join, tmp_path):
     """One row without a position, or two of the same, and every row was refused: the catalogue had no ids, it said."""
     ra = np.array([np.nan, 10.0, 10.1, 10.1, 10.2])
-    first = {"ra": ra, "dec": np.full(5, 1.0), "name": [f"a{k}" for k in range(5)]}
-    second = {"ra": ra[[4, 2, 0]], "dec": np.full(3, 1.0), "name": [f"b{k}" for k in range(3)]}
+    first = {"ra": ra, "dec": np.full(5, 1.0), "name": np.array([f"a{k}" for k in range(5)])}
+    second = {"ra": ra[[4, 2, 0]], "dec": np.full(3, 1.0), "name": np.array([f"b{k}" for k in range(3)])}
     source, names = (2, "b") if join == "all2" else (1, "a")
     for id_column in ("name", None):
         sides = [{key: side[key] for key in ("ra", "dec", id_column) if key} for side in (first, second)]
