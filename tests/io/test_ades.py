@@ -107,3 +107,21 @@ def test_magnitudes_need_a_band(observer):
     from dataclasses import replace
 
     assert "mag" not in rows()[0].fields(replace(observer, band="")) and math.isnan(rows()[1].magnitude)
+
+
+def test_lines_of_80_columns_name_catalogues_and_high_numbers_as_the_minor_planet_center_does():
+    """Codes as in iau-ades 0.1.3; Gaia DR3 and EDR3 were exchanged, three were wrong, numbers above 99 999 were lost."""
+    one = Observation("sa00001", "2018-10-18T03:03:53.784", 62.5, 22.5, 0.1, 0.1, 0.0, permanent="433123")
+    codes = {
+        "Gaia3": "W",
+        "Gaia3E": "X",
+        "Gaia2": "V",
+        "Hip2": "x",
+        "Tyc1": "f",
+        "Tyc2": "g",
+        "UCAC3": "u",
+        "UCAC4": "q",
+    }
+    for name, code in codes.items():
+        line = line_of(one, Observer("810", "J. Doe", (), (), (), name))
+        assert line[71] == code and line[:12] == "h3123       " and line[77:80] == "810" and len(line) == 80

@@ -24,9 +24,16 @@ from sameas.io.atomic import replacing
 #: Columns of a report in the order of ADES.
 COLUMNS = ("permID", "provID", "trkSub", "mode", "stn", "obsTime", "ra", "dec", "rmsRA", "rmsDec", "rmsCorr", "astCat",
            "mag", "rmsMag", "band", "photCat", "logSNR", "notes", "remarks")  # fmt: skip
-#: One-letter codes of catalogues in lines of 80 columns.
-_CATALOGUE_CODES = {"Gaia3": "X", "Gaia3E": "W", "Gaia2": "V", "Gaia1": "U", "UCAC4": "q", "UCAC5": "Y", "Tyc2": "g"}
-_CATALOGUE_CODES |= {"PPMXL": "t", "2MASS": "L", "Hip2": "2", "Tyc1": "6", "USNOB1": "o", "UCAC3": "e"}
+#: One-letter codes of catalogues in lines of 80 columns, by their names in ADES: those of the Minor Planet Center, as in
+#: ``iau-ades`` 0.1.3.
+_CATALOGUE_CODES = {
+    "USNOA1": "a", "USNOSA1": "b", "USNOA2": "c", "USNOSA2": "d", "UCAC1": "e", "Tyc1": "f", "Tyc2": "g",
+    "GSC1.0": "h", "GSC1.1": "i", "GSC1.2": "j", "GSC2.2": "k", "ACT": "l", "GSCACT": "m", "SDSS8": "n", "USNOB1": "o",
+    "PPM": "p", "UCAC4": "q", "UCAC2": "r", "PPMXL": "t", "UCAC3": "u", "NOMAD": "v", "CMC14": "w", "Hip2": "x",
+    "Hip1": "y", "GSC": "z", "2MASS": "L", "GSC2.3": "M", "SDSS7": "N", "CMC15": "Q", "URAT1": "S", "Gaia1": "U",
+    "Gaia2": "V", "Gaia3": "W", "Gaia3E": "X", "UCAC5": "Y", "ATLAS2": "Z", "PS1_DR1": "1", "PS1_DR2": "2",
+}  # fmt: skip
+_BASE_62 = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz"
 _EXAMPLE = """[observatory]
 mpcCode = "810"
 [submitter]
@@ -275,6 +282,18 @@ def write_80_columns(
 REPORTS = {"psv": write_psv, "xml": write_xml, "txt": write_80_columns}
 
 
+def _packed(number: int) -> str:
+    """The number of a minor planet in five characters, as the Minor Planet Center packs it.
+
+    >>> _packed(2713), _packed(99999), _packed(100000), _packed(360017), _packed(619999), _packed(620000), _packed(3140113)
+    ('02713', '99999', 'A0000', 'a0017', 'z9999', '~0000', '~AZaz')
+    """
+    if number < 620_000:
+        return f"{_BASE_62[number // 10_000]}{number % 10_000:04d}"
+    rest = number - 620_000
+    return "~" + "".join(_BASE_62[rest // 62**k % 62] for k in (3, 2, 1, 0))
+
+
 def line_of(one: Observation, observer: Observer) -> str:
     """One line of 80 columns.
 
@@ -282,9 +301,9 @@ def line_of(one: Observation, observer: Observer) -> str:
     -------
     >>> who = Observer("810", "J. Doe", (), (), (), "Gaia3")
     >>> line_of(Observation("sa00001", "2018-10-18T03:03:53.784", 62.5, 22.5, 0.1, 0.1, 0.0), who)
-    '     sa00001  C2018 10 18.12770604 10 00.000+22 30 00.00               X     810'
+    '     sa00001  C2018 10 18.12770604 10 00.000+22 30 00.00               W     810'
     """
-    number = f"{int(one.permanent):05d}" if one.permanent.isdigit() and int(one.permanent) < 100000 else "     "
+    number = _packed(int(one.permanent)) if one.permanent.isdigit() else "     "
     name = "       " if number.strip() else f"{one.name[:7]:7}"
     date, clock = one.time.rstrip("Z").split("T")
     hours, minutes, seconds = clock.split(":")
