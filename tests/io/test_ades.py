@@ -110,7 +110,7 @@ def test_magnitudes_need_a_band(observer):
 
 
 def test_lines_of_80_columns_name_catalogues_and_high_numbers_as_the_minor_planet_center_does():
-    """Codes as in iau-ades 0.1.3; Gaia DR3 and EDR3 were exchanged, three were wrong, numbers above 99 999 were lost."""
+    """Codes as in iau-ades 0.1.3. Gaia DR3 and EDR3 were exchanged, three were wrong, and high numbers were lost."""
     one = Observation("sa00001", "2018-10-18T03:03:53.784", 62.5, 22.5, 0.1, 0.1, 0.0, permanent="433123")
     codes = {
         "Gaia3": "W",

@@ -24,7 +24,7 @@ from sameas.io.atomic import replacing
 #: Columns of a report in the order of ADES.
 COLUMNS = ("permID", "provID", "trkSub", "mode", "stn", "obsTime", "ra", "dec", "rmsRA", "rmsDec", "rmsCorr", "astCat",
            "mag", "rmsMag", "band", "photCat", "logSNR", "notes", "remarks")  # fmt: skip
-#: One-letter codes of catalogues in lines of 80 columns, by their names in ADES: those of the Minor Planet Center, as in
+#: One-letter codes of catalogues in lines of 80 columns, by their names in ADES: the Minor Planet Center's, as in
 #: ``iau-ades`` 0.1.3.
 _CATALOGUE_CODES = {
     "USNOA1": "a", "USNOSA1": "b", "USNOA2": "c", "USNOSA2": "d", "UCAC1": "e", "Tyc1": "f", "Tyc2": "g",
@@ -285,8 +285,8 @@ REPORTS = {"psv": write_psv, "xml": write_xml, "txt": write_80_columns}
 def _packed(number: int) -> str:
     """The number of a minor planet in five characters, as the Minor Planet Center packs it.
 
-    >>> _packed(2713), _packed(99999), _packed(100000), _packed(360017), _packed(619999), _packed(620000), _packed(3140113)
-    ('02713', '99999', 'A0000', 'a0017', 'z9999', '~0000', '~AZaz')
+    >>> [_packed(number) for number in (2713, 99999, 100000, 360017, 619999, 620000, 3140113)]
+    ['02713', '99999', 'A0000', 'a0017', 'z9999', '~0000', '~AZaz']
     """
     if number < 620_000:
         return f"{_BASE_62[number // 10_000]}{number % 10_000:04d}"
