@@ -25,7 +25,7 @@ from sameas.prior import PerPair
 
 #: Kernels that a match of two large tables calls, by module, in the order of their first calls.
 KERNELS_OF_A_MATCH = {
-    "coverage": ("sphere_cells", "renumber", "sizes", "look", "shared_part", "refine", "refine_share"),
+    "coverage": ("sphere_cells", "renumber", "cell_sizes", "check_cells", "shared_part", "refine", "refine_share"),
     "zones": ("extent", "tally", "zones_of", "into_zones", "into_cells", "take_rows"),
     "sphere": ("sweep_sphere",),
     "components": ("label_pairs", "lay_out"),

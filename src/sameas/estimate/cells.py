@@ -324,7 +324,7 @@ class _SphereCells:
         return math.radians(self.arc) * sines * ARCSEC_PER_RADIAN**2
 
     def cells(self, first: FloatArray, second: FloatArray, size: float) -> Cut:
-        from sameas.kernels.coverage import rings, sizes, sphere_cells
+        from sameas.kernels.coverage import cell_sizes, rings, sphere_cells
 
         begin, volume = rings(self.low, self.high, self.arc, size)
         one, two = np.empty(len(first), np.int64), np.empty(len(second), np.int64)
@@ -333,7 +333,7 @@ class _SphereCells:
         threads.each(works, len(first))
 
         def volumes(occupied: IntArray) -> FloatArray:
-            whole: FloatArray = sizes(occupied, begin, volume)
+            whole: FloatArray = cell_sizes(occupied, begin, volume)
             if self.outline is None:
                 return whole
             ring = np.searchsorted(begin, occupied, side="right") - 1

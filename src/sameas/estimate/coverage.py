@@ -41,7 +41,7 @@ Floats = TypeVar("Floats", float, FloatArray)
 DISC = 12.0
 #: Minimum number of records expected in it from the number of records of its own source in it (including its centre),
 #: so that a region with few objects is not mistaken for a hole.
-COMPANY = 7.0
+MIN_EXPECTED = 7.0
 #: Records expected in a smaller empty disc that extends a hole to its border.
 STEP = 5.0
 #: An empty disc at a border reaches beyond it to the first records, by about this fraction of their spacing. The
@@ -145,13 +145,13 @@ def within_holes(own: Points, covered: BoolArray, other: Points, density: FloatA
     these are then extended to their borders by smaller discs around the records in them.
     """
     in_hole = ~covered
-    if own.d > MAX_DIMENSIONS or len(other.points) < COMPANY or not covered.any():
+    if own.d > MAX_DIMENSIONS or len(other.points) < MIN_EXPECTED or not covered.any():
         return in_hole
     wanted, beyond = covered, OVERREACH * max(0.0, 1.0 - share)
     if not covered.all():
         widest = _radius(DISC, float(density[covered].min()), own.d)
         wanted = covered | own.near(other, 2.0 * widest)
-    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, max(2.0, COMPANY / share))
+    in_disc = in_empty_discs(own, other, wanted, density, DISC, beyond, max(2.0, MIN_EXPECTED / share))
     if in_disc.any():
         in_disc |= in_empty_discs(own, other, wanted & in_disc, density, STEP, beyond, 1.0)
     return in_hole | in_disc
@@ -238,7 +238,7 @@ SHARED_PSEUDO_COUNT = 200.0
 RICHER = 2.0
 #: Records expected in an empty cell that is taken for a hole: the probability of an empty cell by chance is e⁻⁷.
 HOLE = 7.0
-#: Records expected in it from the number of records of the querying source in it, at least (see :data:`COMPANY`).
+#: Records expected in it from the number of records of the querying source in it, at least (see :data:`MIN_EXPECTED`).
 IN_CELL = 3.5
 #: The search for holes is repeated with the densities outside those found, at most this often, while a source is denser
 #: there by this factor.
@@ -392,11 +392,15 @@ class Coverage:
     def covered(self) -> tuple[BoolArray, BoolArray]:
         """(n₁,), (n₂,) whether the other source observes at each record of source 1, and of source 2."""
         works = [partial(self._empty_cells, 1, 2), partial(self._empty_cells, 2, 1)]
-        (company_1, highest_2, excess_2), (company_2, highest_1, excess_1) = threads.each(works, len(self.first))
-        n_observed = [max(int(np.count_nonzero(company == 0.0)), 1) for company in (company_1, company_2)]
+        (own_in_empty_1, highest_2, excess_2), (own_in_empty_2, highest_1, excess_1) = threads.each(
+            works, len(self.first)
+        )
+        n_observed = [
+            max(int(np.count_nonzero(own_in_empty == 0.0)), 1) for own_in_empty in (own_in_empty_1, own_in_empty_2)
+        ]
         # Requires enough records of its own source, too, so that a region poor in objects is not taken for a hole.
         least = IN_CELL * n_observed[0] / n_observed[1], IN_CELL * n_observed[1] / n_observed[0]
-        covered = company_1 < max(least[0], 1.0), company_2 < max(least[1], 1.0)
+        covered = own_in_empty_1 < max(least[0], 1.0), own_in_empty_2 < max(least[1], 1.0)
         if all(each.all() for each in covered) and max(excess_1, excess_2) < UNEVEN:
             return covered
         mean = self._mean_densities(*covered)
@@ -444,17 +448,17 @@ class Coverage:
         (n,) the density of ``source`` there if it observes; and the excess of query records in empty cells over chance,
         in standard deviations.
         """
-        from sameas.kernels.coverage import look
+        from sameas.kernels.coverage import check_cells
 
         n = len(self.first if query == 1 else self.second)
         density = np.full(n, len(self.first if source == 1 else self.second) / self.volume)
-        company, highest, excess = np.zeros(n), np.zeros(n), 0.0
+        own_in_empty, highest, excess = np.zeros(n), np.zeros(n), 0.0
         for level in self.levels:
             cells, _ = level.facing(query)
             counts = level.count(source), level.count(query)
-            more = look(cells, level.volume, *counts, PSEUDO_COUNT, HOLE, company, density, highest)
+            more = check_cells(cells, level.volume, *counts, PSEUDO_COUNT, HOLE, own_in_empty, density, highest)
             excess = max(excess, more)
-        return company, highest, excess
+        return own_in_empty, highest, excess
 
     @cached_property
     def typical_error(self) -> FloatArray:

@@ -42,8 +42,8 @@ from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.kernels.coverage import (
+    check_cells_nested,
     covered_cells,
-    look_nested,
     refine_nested,
     refine_share_nested,
     score_nested,
@@ -211,12 +211,12 @@ _COLUMNS = ("cells", "density", "seen", "share")
 
 
 def _covered_cells(cells: IntArray, numbers: AnyIntArray, levels: Sequence[int], volume: float) -> BoolArray:
-    """(u, 2) whether the other source observes there, as by ``kernels.coverage.look``. volume : of a cell."""
+    """(u, 2) whether the other source observes there, as by ``kernels.coverage.check_cells``. volume : of a cell."""
     total = numbers.sum(axis=0).astype(np.float64)
     density = np.tile(total[::-1] / _field_volume(cells, numbers, levels[0], volume), (len(cells), 1))
     highest, covered = np.zeros(numbers.shape), np.ones(numbers.shape, np.bool_)
     for steps in levels:
-        look_nested(
+        check_cells_nested(
             cells, numbers, 2 * steps, PARTLY, volume, IN_CELL * total / total[::-1], HOLE, PSEUDO_COUNT,
             density, highest, covered,
         )  # fmt: skip

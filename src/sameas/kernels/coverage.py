@@ -43,8 +43,8 @@ def sphere_cells(
     for k in range(len(cell)):
         ring = min(max(int((features[k, 1] - low) / height), 0), number - 1)
         turn, pieces = features[k, 0] - west, begin[ring + 1] - begin[ring]
-        along = (turn - 360.0 * np.floor(turn / 360.0)) / arc
-        cell[k] = begin[ring] + min(int(along * pieces), pieces - 1)
+        fraction = (turn - 360.0 * np.floor(turn / 360.0)) / arc
+        cell[k] = begin[ring] + min(int(fraction * pieces), pieces - 1)
 
 
 @small
@@ -82,7 +82,7 @@ def renumber(one: IntArray, two: IntArray, total: int, of_first: Int32Array, of_
 
 
 @small
-def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
+def cell_sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
     """(c,) sizes of the cells ``known``, ascending, of rings of first cells ``begin`` and cell sizes ``volume``."""
     out, ring = np.empty(len(known)), 0
     for k in range(len(known)):
@@ -96,21 +96,22 @@ def sizes(known: IntArray, begin: IntArray, volume: FloatArray) -> FloatArray:
 
 
 @small
-def look(
+def check_cells(
     cell: Int32Array,
     volume: FloatArray,
     count: FloatArray,
     own_count: FloatArray,
     pseudo_count: float,
     hole: float,
-    company: FloatArray,
+    own_in_empty: FloatArray,
     density: FloatArray,
     highest: FloatArray,
 ) -> float:
     """Test whether the other source observes around each record, by one size of cells.
 
-    Raises ``company`` (n,) to the number of records in a record's cell, including itself, if the other source has none
-    there although at least ``hole`` are expected; refines the ``density`` (n,) of the other source by the cell's count.
+    Raises ``own_in_empty`` (n,) to the number of records in a record's cell, including itself, if the other source has
+    none there although at least ``hole`` are expected; refines the ``density`` (n,) of the other source by the cell's
+    count.
 
     cell : (n,) of the records. volume : of the cells. count, own_count : records of the other source and of this one in
     each. highest : (n,) highest densities so far, at least half of which is expected: coarse cells just outside a
@@ -127,7 +128,7 @@ def look(
         by_chance += chance
         variance += chance * (1.0 - chance) * own_count[c]  # the records of a cell are not independent
         if count[c] == 0.0 and max(density[k], 0.5 * highest[k]) * volume[c] >= hole:
-            company[k] = max(company[k], own_count[c])
+            own_in_empty[k] = max(own_in_empty[k], own_count[c])
         highest[k] = max(highest[k], density[k])
         density[k] = (count[c] + pseudo_count) / (volume[c] + pseudo_count / density[k])
     return (empty - by_chance) / np.sqrt(variance)
@@ -283,7 +284,7 @@ def covered_cells(
 
 
 @small
-def look_nested(
+def check_cells_nested(
     cells: IntArray,
     numbers: AnyIntArray,
     shift: int,
@@ -297,7 +298,7 @@ def look_nested(
     observed: BoolArray,
 ) -> None:
     """Clear ``observed`` (u, 2) where the other source does not observe, by the cells ``shift`` bits coarser, and
-    refine the ``density`` (u, 2) of the other source by their counts, as :func:`look` does.
+    refine the ``density`` (u, 2) of the other source by their counts, as :func:`check_cells` does.
 
     volume : of a finest cell. least : (2,) least records of a source in a cell that may be a hole of the other. hole :
     least expected records of the other in it. highest : (u, 2) highest densities so far.
@@ -439,7 +440,7 @@ def bucket_of(i: int, j: int, k: int, buckets: Buckets) -> int:
 
 
 @part
-def along(x: float, v: int, buckets: Buckets, radius: float) -> tuple[int, int]:
+def cell_range(x: float, v: int, buckets: Buckets, radius: float) -> tuple[int, int]:
     """(first, last) cell along one axis of a disc around ``x``; on a periodic axis they may be outside the period."""
     low, side, number, period = buckets.low[v], buckets.side[v], buckets.number[v], buckets.period[v]
     if period < np.inf and 2.0 * radius + 2.0 * side >= period:
@@ -448,55 +449,55 @@ def along(x: float, v: int, buckets: Buckets, radius: float) -> tuple[int, int]:
 
 
 @part
-def reach_of(
+def cell_ranges(
     centres: FloatArray, c: int, radius: float, buckets: Buckets
 ) -> tuple[tuple[int, int], tuple[int, int], tuple[int, int]]:
     """(first, last) cell along each of three axes of a disc around a centre."""
     return (
-        along(centres[c, 0], 0, buckets, radius),
-        along(centres[c, 1], 1, buckets, radius),
-        along(centres[c, 2], 2, buckets, radius),
+        cell_range(centres[c, 0], 0, buckets, radius),
+        cell_range(centres[c, 1], 1, buckets, radius),
+        cell_range(centres[c, 2], 2, buckets, radius),
     )
 
 
 @part
-def turned(cell: int, number: int, period: float) -> int:
+def wrapped(cell: int, number: int, period: float) -> int:
     """A cell reduced to its period."""
     return cell % number if period < np.inf else cell
 
 
 @part
-def turned_round(i: int, j: int, k: int, buckets: Buckets) -> tuple[int, int, int]:
+def wrapped_cell(i: int, j: int, k: int, buckets: Buckets) -> tuple[int, int, int]:
     """A cell along three axes, reduced to its periods."""
     number, period = buckets.number, buckets.period
-    return turned(i, number[0], period[0]), turned(j, number[1], period[1]), turned(k, number[2], period[2])
+    return wrapped(i, number[0], period[0]), wrapped(j, number[1], period[1]), wrapped(k, number[2], period[2])
 
 
 @part
-def apart_sq(points: FloatArray, p: int, centres: FloatArray, c: int, period: FloatArray) -> float:
+def distance_sq(points: FloatArray, p: int, centres: FloatArray, c: int, period: FloatArray) -> float:
     """Squared distance of a point from a centre, the shorter one on periodic axes."""
     total = 0.0
     for v in range(points.shape[1]):
-        away = points[p, v] - centres[c, v]
+        difference = points[p, v] - centres[c, v]
         if period[v] < np.inf:
-            away -= period[v] * np.round(away / period[v])
-        total += away * away
+            difference -= period[v] * np.round(difference / period[v])
+        total += difference * difference
     return total
 
 
 @part
-def at(points: FloatArray, p: int, v: int) -> float:
+def coordinate(points: FloatArray, p: int, v: int) -> float:
     """A coordinate of a point, 0 on an unused axis."""
     return points[p, v] if v < points.shape[1] else 0.0
 
 
 @part
-def cells_at(points: FloatArray, p: int, buckets: Buckets) -> tuple[int, int, int]:
+def cell_of_point(points: FloatArray, p: int, buckets: Buckets) -> tuple[int, int, int]:
     """The cell of a point along three axes."""
     return (
-        cell_of(at(points, p, 0), 0, buckets),
-        cell_of(at(points, p, 1), 1, buckets),
-        cell_of(at(points, p, 2), 2, buckets),
+        cell_of(coordinate(points, p, 0), 0, buckets),
+        cell_of(coordinate(points, p, 1), 1, buckets),
+        cell_of(coordinate(points, p, 2), 2, buckets),
     )
 
 
@@ -510,14 +511,14 @@ def has_neighbour(
     buckets: Buckets,
 ) -> bool:
     """Whether a sample point (one a bucket) of the cells around a point has a squared distance below a limit."""
-    i, j, k = cells_at(points, p, buckets)
+    i, j, k = cell_of_point(points, p, buckets)
     wide, deep = min(points.shape[1] - 1, 1), max(points.shape[1] - 2, 0)
     for at_i in range(i - 1, i + 2):
         for at_j in range(j - wide, j + wide + 1):
             for at_k in range(k - deep, k + deep + 1):
-                cell_i, cell_j, cell_k = turned_round(at_i, at_j, at_k, buckets)
+                cell_i, cell_j, cell_k = wrapped_cell(at_i, at_j, at_k, buckets)
                 q = some[bucket_of(cell_i, cell_j, cell_k, buckets)]
-                if q >= 0 and apart_sq(source, q, points, p, buckets.period) < limit:
+                if q >= 0 and distance_sq(source, q, points, p, buckets.period) < limit:
                     return True
     return False
 
@@ -548,16 +549,20 @@ def isolated(
     for v in range(source.shape[1]):
         diagonal_sq += side[v] * side[v]
     for q in range(len(source)):
-        i, j, k = cells_at(source, q, buckets)
+        i, j, k = cell_of_point(source, q, buckets)
         some[bucket_of(i, j, k, buckets)] = q
     for p in range(len(points)):
         if wanted[p] and least < density[p] <= most:
             part = expected / density[p]
             limit = part if d == 2 else part ** (2.0 / d)
-            i, j, k = cells_at(points, p, buckets)
+            i, j, k = cell_of_point(points, p, buckets)
             inside = 0 <= i < number[0] and 0 <= j < number[1] and 0 <= k < number[2]
             q = some[bucket_of(i, j, k, buckets)]
-            if q >= 0 and inside and (diagonal_sq <= limit or apart_sq(source, q, points, p, buckets.period) < limit):
+            if (
+                q >= 0
+                and inside
+                and (diagonal_sq <= limit or distance_sq(source, q, points, p, buckets.period) < limit)
+            ):
                 continue
             if not has_neighbour(points, p, limit, source, some, buckets):
                 out[count] = p
@@ -576,14 +581,14 @@ def rows_in_reach(
     """Write to ``out`` the rows of the points in buckets that discs around centres (c, 3) reach; returns the number."""
     marked, count = np.zeros(buckets.mask + 1, np.bool_), 0
     for c in range(len(centres)):
-        (west, east), (south, north), (below, above) = reach_of(centres, c, radius[c], buckets)
+        (west, east), (south, north), (below, above) = cell_ranges(centres, c, radius[c], buckets)
         for i in range(west, east + 1):
             for j in range(south, north + 1):
                 for k in range(below, above + 1):
-                    at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                    at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
                     marked[bucket_of(at_i, at_j, at_k, buckets)] = True
     for p in range(len(points)):
-        i, j, k = cells_at(points, p, buckets)
+        i, j, k = cell_of_point(points, p, buckets)
         if marked[bucket_of(i, j, k, buckets)]:
             out[count] = p
             count += 1
@@ -596,7 +601,7 @@ def into_buckets(points: FloatArray, buckets: Buckets) -> tuple[Int32Array, Int3
     bucket, mask = np.empty(len(points), np.int32), buckets.mask
     start, rows = np.zeros(mask + 2, np.int32), np.empty(len(points), np.int32)
     for p in range(len(points)):
-        i, j, k = cells_at(points, p, buckets)
+        i, j, k = cell_of_point(points, p, buckets)
         bucket[p] = bucket_of(i, j, k, buckets)
         start[bucket[p] + 1] += 1
     for b in range(mask + 1):
@@ -621,19 +626,19 @@ def is_empty(
     rows: Int32Array,
 ) -> bool:
     """Whether no point is closer to the centre than the radius."""
-    i, j, k = cells_at(centres, c, buckets)
+    i, j, k = cell_of_point(centres, c, buckets)
     own = bucket_of(i, j, k, buckets)
-    for place in range(start[own], start[own + 1]):  # most centres have a point in their own cell
-        if apart_sq(points, rows[place], centres, c, buckets.period) < radius * radius:
+    for at in range(start[own], start[own + 1]):  # most centres have a point in their own cell
+        if distance_sq(points, rows[at], centres, c, buckets.period) < radius * radius:
             return False
-    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, buckets)
+    (west, east), (south, north), (below, above) = cell_ranges(centres, c, radius, buckets)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
-                at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
                 b = bucket_of(at_i, at_j, at_k, buckets)
-                for place in range(start[b], start[b + 1]):
-                    if apart_sq(points, rows[place], centres, c, buckets.period) < radius * radius:
+                for at in range(start[b], start[b + 1]):
+                    if distance_sq(points, rows[at], centres, c, buckets.period) < radius * radius:
                         return False
     return True
 
@@ -666,14 +671,14 @@ def is_within(
     buckets: Buckets,
 ) -> bool:
     """Whether a point is in a cell and closer to a centre than the limit."""
-    if apart_sq(points, p, centres, c, buckets.period) >= limit * limit:
+    if distance_sq(points, p, centres, c, buckets.period) >= limit * limit:
         return False
-    own_i, own_j, own_k = cells_at(points, p, buckets)
+    own_i, own_j, own_k = cell_of_point(points, p, buckets)
     return own_i == i and own_j == j and own_k == k
 
 
 @part
-def holds(
+def has_enough(
     centres: FloatArray,
     c: int,
     radius: float,
@@ -687,14 +692,14 @@ def holds(
     if least <= 1.0:
         return True
     count = 0
-    (west, east), (south, north), (below, above) = reach_of(centres, c, radius, buckets)
+    (west, east), (south, north), (below, above) = cell_ranges(centres, c, radius, buckets)
     for i in range(west, east + 1):
         for j in range(south, north + 1):
             for k in range(below, above + 1):
-                at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
                 b = bucket_of(at_i, at_j, at_k, buckets)
-                for place in range(start[b], start[b + 1]):
-                    p = rows[place]
+                for at in range(start[b], start[b + 1]):
+                    p = rows[at]
                     if is_within(p, at_i, at_j, at_k, radius, points, centres, c, buckets):
                         count += 1
                         if count >= least:
@@ -717,18 +722,18 @@ def clear(
     """Clear ``outside`` (n,) for points within ``inner[c]`` of a centre that has ``least`` points within its radius."""
     left = start[1:] - start[:-1]  # points of each bucket that are still outside
     for c in range(len(centres)):
-        if not holds(centres, c, radius[c], least, points, buckets, start, rows):
+        if not has_enough(centres, c, radius[c], least, points, buckets, start, rows):
             continue
-        (west, east), (south, north), (below, above) = reach_of(centres, c, inner[c], buckets)
+        (west, east), (south, north), (below, above) = cell_ranges(centres, c, inner[c], buckets)
         for i in range(west, east + 1):
             for j in range(south, north + 1):
                 for k in range(below, above + 1):
-                    at_i, at_j, at_k = turned_round(i, j, k, buckets)
+                    at_i, at_j, at_k = wrapped_cell(i, j, k, buckets)
                     b = bucket_of(at_i, at_j, at_k, buckets)
                     if not left[b]:
                         continue
-                    for place in range(start[b], start[b + 1]):
-                        p = rows[place]
-                        if outside[p] and apart_sq(points, p, centres, c, buckets.period) < inner[c] * inner[c]:
+                    for at in range(start[b], start[b + 1]):
+                        p = rows[at]
+                        if outside[p] and distance_sq(points, p, centres, c, buckets.period) < inner[c] * inner[c]:
                             outside[p] = False
                             left[b] -= 1

@@ -11,7 +11,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
-from sameas.kernels.zones import ROOM, Grid, Reach, Side, first_from, folded, near, taken_back
+from sameas.kernels.zones import ROOM, Grid, Reach, Side, count_without, first_from, folded, near
 
 
 @part
@@ -83,7 +83,7 @@ def sweep_plane(
             return count, last
         count, t = measured_on_plane(one, two, limit, box, periods, room[0], room[1], found, count, out)
         if t < found:
-            return taken_back(out[0], count, room[0][t]), np.int64(room[0][t])
+            return count_without(out[0], count, room[0][t]), np.int64(room[0][t])
 
 
 @part

@@ -8,7 +8,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
-from sameas.kernels.zones import ROOM, Grid, Reach, Side, near, sine, taken_back
+from sameas.kernels.zones import ROOM, Grid, Reach, Side, count_without, near, sine
 
 DEG = math.pi / 180.0
 ARCSEC = 206264.80624709636
@@ -166,7 +166,7 @@ def sweep_sphere(
             return count, last
         count, t = measured_on_sphere(one, two, limit, box, room[0], room[1], found, terms, count, out)
         if t < found:
-            return taken_back(out[0], count, room[0][t]), np.int64(room[0][t])
+            return count_without(out[0], count, room[0][t]), np.int64(room[0][t])
 
 
 @part

@@ -588,7 +588,7 @@ def visit(
 
 
 @small
-def turned_round(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
+def transposed(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
     """Write sorted pairs k << 32 | q to ``out`` as q << 32 | k, sorted. starts : zeros, one more than there are q."""
     for e in range(len(pairs)):
         starts[(pairs[e] & 0xFFFFFFFF) + 1] += 1
@@ -601,7 +601,7 @@ def turned_round(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
 
 
 @part
-def taken_back(place1: Int32Array, count: int, k: int) -> int:
+def count_without(place1: Int32Array, count: int, k: int) -> int:
     """The number of candidates without those of record k, which are the last."""
     while count > 0 and place1[count - 1] == k:
         count -= 1
