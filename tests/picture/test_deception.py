@@ -8,6 +8,9 @@ from modelled_scenes import describe, feed, straight
 
 from sameas.picture import LivePicture
 from sameas.picture.picture import Picture, instants
+from sameas.report.picture import found_lines
+from sameas.report.prose import ALARM
+from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 
 MMSI = [f"23500000{k}" for k in range(6)]
@@ -83,3 +86,25 @@ def test_a_live_picture_finds_deception_too(changes, kind):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_correct_picture_raises_no_alarm(seed):
     assert faults(scene(seed, radars=("radar", "other"))) == ()
+
+
+@pytest.mark.slow_after(1)
+def test_two_ships_that_exchange_their_mmsi_are_one_alarm_which_the_report_prints():
+    radar, (ais, reports) = sources()
+    track, later = reports.track_id.astype(object), reports.time_s > 200.0
+    first, other = track == MMSI[0], track == MMSI[5]
+    swapped = np.where(later & first, MMSI[5], np.where(later & other, MMSI[0], track))
+    made = Reports.of(ais.name, reports.kind, reports.columns() | {"track_id": swapped, "mmsi": swapped})
+    found = Scene.of([radar, (ais, made)])
+    summary = Picture.of(found, instants(found.span_s, 10.0)).summary
+    (fault,) = summary.faults
+    assert (fault.kind, fault.track, fault.first_s) == ("exchanged", MMSI[0], 210.0) and fault.probability > 0.999
+    [printed] = [line for line in found_lines(summary) if line.startswith(ALARM)]
+    assert f"{MMSI[0]} and {MMSI[5]} change places, 7" in printed
+
+
+def test_one_false_position_is_no_jump():
+    _, (ais, reports) = sources()
+    columns = dict(reports.columns())
+    columns["y_m"] = columns["y_m"] + np.where((reports.track_id == MMSI[0]) & (reports.time_s == 200.0), 9000.0, 0.0)
+    assert not faults(Scene.of([(ais, Reports.of(ais.name, reports.kind, columns))]))

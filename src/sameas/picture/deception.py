@@ -6,8 +6,10 @@ A cooperative track was one object with a sensor's track for a while. Then
   sensor's tracker may have swapped to a neighbour; the evidence against that is other sensors that continue too, and
   that no sensor covering the reported position detects anything there.
 - its reports end, while others of its source continue and the sensor still tracks the ship ("silent").
+- its reported positions jump farther than it can move, and stay there ("jumped"), or two tracks jump to each other's
+  place ("exchanged": two ships with each other's MMSI). No sensor is needed for these.
 
-:func:`deceptions` finds both in the records of a picture, each with its log-odds; :func:`faults_and_deceptions` gives
+:func:`deceptions` finds them in the records of a picture, each with its log-odds; :func:`faults_and_deceptions` gives
 the faults of sources, and the deceptions that these do not explain.
 """
 
@@ -25,6 +27,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ranges
+from sameas.tracks.alignment import States
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
 from sameas.tracks.feed import CORRELATED_KINDS, Feed
 
@@ -122,6 +125,9 @@ def deceptions(
         others = index.partners(own)
         alarms += _dragged(own, others, feeds, instants, tuning)
         alarms += _silent(own, others, feeds, instants, tuning)
+    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
+    for feed in feeds:
+        alarms += [fault for fault in _jumped(feed, tuning) if (fault.source, fault.track) not in dragged]
     alarms = [fault for fault in alarms if fault.probability > tuning.sure_deception]
     return tuple(sorted(alarms, key=lambda fault: fault.first_s))
 
@@ -192,6 +198,76 @@ def _dragged(
         "positions are forged or faulty"
     )
     yield Fault("dragged", name, first, float(instants[track.at[-1]]), log_odds, words, track.track)
+
+
+@dataclass(frozen=True)
+class _Jump:
+    """A jump of a track between two of its reports: their times, positions (2,), and the reach of the object (m)."""
+
+    track: str
+    times_s: tuple[float, float]
+    places_m: tuple[FloatArray, FloatArray]
+    reach_m: float
+
+    @property
+    def distance_m(self) -> float:
+        return float(np.hypot(*(self.places_m[1] - self.places_m[0])))
+
+    def exchanges(self, other: _Jump) -> bool:
+        """Whether both jump to where the other was, one soon after the other."""
+        overlap_s = min(self.times_s[1], other.times_s[1]) - max(self.times_s[0], other.times_s[0])
+        apart = [np.hypot(*(self.places_m[k] - other.places_m[1 - k])) for k in (0, 1)]
+        return overlap_s > -60.0 and max(apart) < self.reach_m + other.reach_m
+
+
+def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
+    """The jumps in the tracks of a source, each with ``n_around`` reports before and after it, in order of time."""
+    reports, speed = feed.reports, feed.description.motion.speed_m_per_s
+    if not isinstance(reports, States) or reports.track is None or not speed:
+        return []
+    names, number = np.unique(reports.track.astype(str), return_inverse=True)
+    rows = np.flatnonzero(reports.usable)
+    rows = rows[np.lexsort([reports.time_s[rows], number[rows]])]
+    number, time_s, place = number[rows], reports.time_s[rows], reports.state[rows, :2]
+    radius = feed.tuning.position_sigmas * np.sqrt(np.trace(reports.covariance[rows, :2, :2], axis1=1, axis2=2))
+    reach = radius[1:] + radius[:-1] + feed.tuning.max_speed_sigmas * speed * np.diff(time_s)
+    same_track = np.diff(number) == 0
+    far = same_track & (np.hypot(*np.diff(place, axis=0).T) > reach)
+    jumps = []
+    for k in np.flatnonzero(far).tolist():
+        around = slice(max(k + 1 - n_around, 0), k + n_around)
+        # A single false position is no jump, and has two of these.
+        if len(far[around]) == 2 * n_around - 1 and same_track[around].all() and far[around].sum() == 1:
+            track, times_s = str(names[number[k]]), (float(time_s[k]), float(time_s[k + 1]))
+            jumps.append(_Jump(track, times_s, (place[k], place[k + 1]), float(reach[k])))
+    return sorted(jumps, key=lambda jump: jump.times_s)
+
+
+def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
+    """Alarms on tracks of a cooperative source that jump farther than their objects can move, and stay there."""
+    if feed.description.kind not in CORRELATED_KINDS or (feed.raw_reports and feed.raw_reports.counted_clock):
+        return
+    name, jumps = feed.description.name, _jumps_of(feed, tuning.jump_reports)
+    exchanged: set[str] = set()
+    for k, jump in enumerate(jumps):
+        if jump.track in exchanged:
+            continue
+        other = next((o for o in jumps[k + 1 :] if o.track not in (jump.track, *exchanged) and jump.exchanges(o)), None)
+        log_odds = 0.5 * (feed.tuning.position_sigmas * jump.distance_m / jump.reach_m) ** 2
+        log_odds = min(log_odds + math.log(tuning.false_position_odds), 50.0)
+        kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s, faster than they can move"
+        words = (
+            f"{name}: the positions of {jump.track} jump by {jump.distance_m:.0f} m {within}: another ship uses its "
+            "identity, or they are forged or faulty"
+        )
+        if other is not None:
+            exchanged |= {jump.track, other.track}
+            kind = "exchanged"
+            words = (
+                f"{name}: {jump.track} and {other.track} change places, {jump.distance_m:.0f} m apart, {within}: each "
+                "uses the identity of the other, or their positions are forged"
+            )
+        yield Fault(kind, name, jump.times_s[1], jump.times_s[1], log_odds, words, jump.track)
 
 
 def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray:

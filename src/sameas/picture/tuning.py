@@ -82,6 +82,7 @@ class Tuning:
 
     min_instants : minimum number of instants at which two tracks were one object, to find deception.
     min_reports : minimum number of reports of a track, to find its silence.
+    jump_reports : minimum number of reports of a track before and after a jump.
     apart_sigmas, apart_instants : two tracks are apart beyond this many σ, at this many instants or more.
     false_position_odds, sensor_swap : prior odds that reported positions are false, against a swap of the sensor's
         track to another ship; and the probability of such a swap for each further sensor. empty_vote : maximum evidence
@@ -160,6 +161,7 @@ class Tuning:
 
     min_instants: int = 5
     min_reports: int = 5
+    jump_reports: int = 3
     apart_sigmas: float = 5.0
     apart_instants: int = 3
     false_position_odds: float = 0.1

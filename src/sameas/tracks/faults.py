@@ -25,9 +25,9 @@ from sameas.tracks.reports import Reports
 class Fault:
     """An alarm on one source, or on one of its tracks.
 
-    kind : "clock", "ended", "frozen", "flood", "dragged" or "silent". source : name. track : its id, "" for the whole
-    source. first_s, last_s : begin and end of the fault. log_odds : against a sound source. words : what is wrong and
-    what to do.
+    kind : "clock", "ended", "frozen", "flood", "dragged", "silent", "jumped" or "exchanged". source : name.
+    track : its id, "" for the whole source. first_s, last_s : begin and end of the fault. log_odds : against a sound
+    source. words : what is wrong and what to do.
     """
 
     kind: str
