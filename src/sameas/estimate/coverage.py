@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner
+from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner, median
 from sameas.estimate.cells import FINEST, GridLevel, levels_of
 from sameas.estimate.discs import Discs
 from sameas.kernels import threads
@@ -463,11 +463,11 @@ class Coverage:
     @cached_property
     def typical_error(self) -> FloatArray:
         """(d,) typical error of a pair along every axis, in residual units; equal for both axes of a sphere."""
-        both = [np.median(records.variances, axis=0) for records in (self.first, self.second)]
+        both = [np.array([median(axis) for axis in records.variances.T]) for records in (self.first, self.second)]
         variance = np.broadcast_to(both[0] + both[1], self.first.d)
         if isinstance(self.first.space, Sphere):
             variance = np.full(2, variance.mean())
-        return np.sqrt(variance)
+        return np.asarray(np.sqrt(variance))
 
     @cached_property
     def common_volume(self) -> float:

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray
+from sameas.arrays import BoolArray, FloatArray, median
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.photometry import Photometry, weighted_median
 from sameas.gate.gate import quantile
@@ -129,14 +129,14 @@ def _error_scale(answer: Identification) -> Quantity:
     """
     d, weight = answer.pairs.d, answer.p_pair
     used = weight > 1e-3
-    median = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[used]), weight[used])
+    middle = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[used]), weight[used])
     expected = math.sqrt(quantile(0.5, d))
     log_density = (
         (d - 1) * math.log(expected) - 0.5 * expected**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
     )
     number = float(weight.sum() - (weight * (1.0 - weight)).sum())
     error = 0.5 / (expected * math.exp(log_density) * math.sqrt(max(number, 1.0)))
-    return Quantity(median / expected, median / expected * error)
+    return Quantity(middle / expected, middle / expected * error)
 
 
 def _of_relation(photometry: Photometry) -> dict[str, Quantity]:
@@ -172,7 +172,7 @@ def decisive(answer: Identification) -> Mapping[str, float]:
 def _typical(values: FloatArray, chosen: BoolArray) -> float:
     """The median absolute value of the chosen ones."""
     some = values[chosen]
-    return float(np.median(np.abs(some, out=some), overwrite_input=True))
+    return median(np.abs(some, out=some))
 
 
 def changed_without(answer: Identification, names: tuple[str, ...]) -> int:

@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray
+from sameas.arrays import BoolArray, FloatArray, median
 from sameas.errors import InputError, Message, naming
 from sameas.records import Records
 from sameas.representation import counted, in_short
@@ -52,12 +52,12 @@ def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     known = sigma[np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)]
     if not len(known):
         return "no row has both a position and a positive error: no row can be matched"
-    median = float(np.median(known))
+    middle = median(known)
     names = ", ".join(column.name for column in choice.error.columns) or "sigma"
-    if median > _LARGEST_SIGMA_ARCSEC:
-        return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in mas?"
-    if median < _LEAST_SIGMA_ARCSEC:
-        return f"the position errors ({names}) have a median of {median:g} arcsec: are they rather in degrees?"
+    if middle > _LARGEST_SIGMA_ARCSEC:
+        return f"the position errors ({names}) have a median of {middle:g} arcsec: are they rather in mas?"
+    if middle < _LEAST_SIGMA_ARCSEC:
+        return f"the position errors ({names}) have a median of {middle:g} arcsec: are they rather in degrees?"
     n_unusable = len(sigma) - len(known)
     if n_unusable:
         lack, are = ("lacks", "is") if n_unusable == 1 else ("lack", "are")
@@ -196,7 +196,7 @@ class Catalogue:
     def epoch_jyr(self) -> float | None:
         """The median epoch of the rows, None if no epoch is known."""
         known = self.astrometry.epoch_jyr[np.isfinite(self.astrometry.epoch_jyr)]
-        return float(np.median(known)) if len(known) else None
+        return median(known) if len(known) else None
 
     @classmethod
     def of(cls, table: Any, name: str, *, options: CatalogueOptions | None = None) -> Catalogue:
@@ -474,7 +474,7 @@ def _precision_doubt(table: Table, choice: ColumnChoice, astrometry: Astrometry)
     step, name = max(steps)
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
     known = sigma[np.isfinite(sigma)]
-    if len(known) and step < _HARMLESS_STEP * float(np.median(known)):
+    if len(known) and step < _HARMLESS_STEP * median(known):
         return ""
     return f"{name} is in single precision: positions are rounded to {step:.2g} arcsec; store it in double precision"
 

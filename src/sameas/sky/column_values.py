@@ -16,7 +16,7 @@ from astropy import units as u
 from astropy.table import QTable, Table
 from numpy.typing import NDArray
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, median
 from sameas.errors import InputError, naming
 from sameas.sky.conventions import SkyFrame
 
@@ -178,7 +178,7 @@ def years(table: Table, name: str, source: str) -> FloatArray:
         return _years_of_dates(np.asarray(column, dtype="datetime64[us]"))
     values = numbers(table, name, source)
     known = values[np.isfinite(values)]
-    middle = float(np.median(known)) if len(known) else 2000.0
+    middle = median(known) if len(known) else 2000.0
     if 1700 < middle < 2300:
         return values
     if 15000 < middle < 100000:
@@ -253,13 +253,13 @@ def typical_errors(sigma: FloatArray, magnitude: FloatArray | None) -> FloatArra
     known = np.isfinite(sigma) & (sigma > 0)
     if not known.any():
         return np.full(len(sigma), np.nan)
-    overall = np.full(len(sigma), float(np.median(sigma[known])))
+    overall = np.full(len(sigma), median(sigma[known]))
     both = np.flatnonzero(known & np.isfinite(magnitude)) if magnitude is not None else np.zeros(0, np.int64)
     if magnitude is None or len(both) < 2 * _ROWS_PER_MEDIAN:
         return overall
     parts = np.array_split(both[np.argsort(magnitude[both])], min(_MOST_MEDIANS, len(both) // _ROWS_PER_MEDIAN))
-    mags = [float(np.median(magnitude[part])) for part in parts]
-    logs = [float(np.median(np.log(sigma[part]))) for part in parts]
+    mags = [median(magnitude[part]) for part in parts]
+    logs = [median(np.log(sigma[part])) for part in parts]
     return np.where(np.isfinite(magnitude), np.exp(np.interp(magnitude, mags, logs)), overall)
 
 

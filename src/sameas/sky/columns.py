@@ -18,6 +18,7 @@ import numpy as np
 from astropy import units as u
 from astropy.table import Table
 
+from sameas.arrays import median
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
 from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, survey_of
@@ -135,7 +136,7 @@ class ColumnSearch:
         """The unit of error columns without one, guessed from their median."""
         values = np.concatenate([column_values.numbers(self.table, name, self.source) for name in names])
         known = values[values > 0]
-        middle = float(np.median(known)) if len(known) else 0.1
+        middle = median(known) if len(known) else 0.1
         if 0.0 < middle < _LEAST_IN_ARCSEC:
             return "deg"
         moving = self.find_all(("pmra", "pmdec")) or self.find_all(("pmRA", "pmDE"))
@@ -543,7 +544,7 @@ def _year(search: ColumnSearch, epoch: Epoch) -> float | None:
         return epoch.jyr
     years = column_values.years(search.table, epoch.column, search.source)
     known = years[np.isfinite(years)]
-    return float(np.median(known)) if len(known) else None
+    return median(known) if len(known) else None
 
 
 def _released_epoch(search: ColumnSearch, convention: Convention) -> Epoch | None:

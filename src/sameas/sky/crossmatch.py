@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, median
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected_blends
 from sameas.estimate.companions import close_neighbours
@@ -321,7 +321,7 @@ def _refuse_large_errors(one: Records, two: Records, tuning: CrossmatchTuning) -
 
 def _typical_sigma(records: Records) -> float:
     """The median over the records of the root mean variance of both axes, arcsec."""
-    return math.sqrt(float(np.median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1]))))
+    return math.sqrt(median(0.5 * (records.covariance[:, 0] + records.covariance[:, -1])))
 
 
 def _records_per_cell(position_deg: FloatArray, side_arcsec: float, tuning: CrossmatchTuning) -> float:
@@ -399,8 +399,8 @@ def density_doubts(coverage: Coverage, options: MatchOptions, tuning: Crossmatch
 def _error_doubts(result: Identification, estimate: Estimate, tuning: CrossmatchTuning) -> tuple[str, ...]:
     """The notes of the estimate, and doubts about the unit of the errors and large groups."""
     doubts = list(estimate.notes)
-    calls = [partial(np.median, records.covariance[:, 0]) for records in (result.first, result.second)]
-    sigma = [math.sqrt(float(median)) for median in threads.each(calls, len(result.first))]
+    calls = [partial(median, records.covariance[:, 0]) for records in (result.first, result.second)]
+    sigma = [math.sqrt(variance) for variance in threads.each(calls, len(result.first))]
     spacing = 0.5 * math.sqrt(estimate.coverage.common_volume / max(len(result.first), len(result.second)))
     widest = max(range(2), key=lambda k: sigma[k])
     if sigma[widest] > spacing > 0.0:

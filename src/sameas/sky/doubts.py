@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray, median
 from sameas.errors import Argument, Message, naming
 from sameas.gaussian import inverse
 from sameas.records import Records
@@ -160,7 +160,7 @@ def _is_guessed(column: Column) -> bool:
 def _median_sigma_arcsec(catalogue: Catalogue) -> float:
     variance = 0.5 * (catalogue.astrometry.variance(0) + catalogue.astrometry.variance(1))
     known = variance[np.isfinite(variance)]
-    return 1e-3 * float(np.sqrt(np.median(known))) if len(known) else np.nan
+    return 1e-3 * math.sqrt(median(known)) if len(known) else np.nan
 
 
 def common_error(
