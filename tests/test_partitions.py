@@ -504,6 +504,31 @@ def test_a_hats_catalogue_and_a_table_are_refused_together(tmp_path):
         sameas.match(a, {"ra": [1.0], "dec": [1.0]})
 
 
+def test_a_catalogue_with_wrong_or_missing_properties_is_named(tmp_path):
+    """A column that is not there was an unexpected KeyError; without properties the other catalogue was blamed."""
+    a, b = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
+    properties = next(path for path in a.iterdir() if path.name.endswith("properties"))
+    text = properties.read_text()
+    properties.write_text(text.replace("hats_col_ra=ra", "hats_col_ra=RA_ICRS"))
+    with pytest.raises(InputError, match="no column 'RA_ICRS', which hats_col_ra of its properties names"):
+        sameas.match(a, b, sigma="pos_err").write(tmp_path / "one", workers=1)
+    properties.unlink()
+    for pair in ((a, b), (b, a)):
+        with pytest.raises(InputError, match=f"{a.name}: has partitions, but no hats.properties"):
+            sameas.match(*pair)
+
+
+def test_an_output_is_a_folder_whose_records_are_not_explained(tmp_path):
+    paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=14), (300, 300))
+    found = sameas.match(*paths, sigma="pos_err")
+    for ending in (".fits", ".parquet"):
+        with pytest.raises(InputError, match="is a folder of partitions, not one file"):
+            found.write(tmp_path / f"out{ending}", workers=1)
+    found.write(tmp_path / "out", workers=1)
+    with pytest.raises(InputError, match="records of a HATS catalogue are not looked up"):
+        sameas.explain(tmp_path / "out", 17)
+
+
 def test_options_that_would_depend_on_the_partition_are_refused(tmp_path):
     paths = stored(tmp_path, sky((0.0, 0.0), 300, 0.1, seed=15), (300, 300))
     with pytest.raises(InputError, match="values for rows cannot be used over partitions"):

@@ -232,11 +232,17 @@ def picture_tables(folder: Path) -> tuple[Table, Table]:
     InputError : they are not there.
     """
     from sameas.io import read_table
+    from sameas.partitions.hats import is_hats
 
     paths = []
     for name in _TABLES:
         there = [folder / f"{name}.{ending}" for ending in ("parquet", "csv") if (folder / f"{name}.{ending}").exists()]
         if not there:
+            if is_hats(folder):
+                raise InputError(
+                    f"{folder}: records of a HATS catalogue are not looked up",
+                    "match tables of that part of the sky, and give their output",
+                )
             raise InputError(f"{folder}: has no {name}.parquet or {name}.csv; give the folder of a picture")
         paths.append(there[0])
     objects, records = map(read_table, paths)

@@ -16,7 +16,7 @@ from sameas.errors import InputError
 from sameas.front.options import FILE_OPTIONS, fields_of
 from sameas.front.provenance import made_by
 from sameas.front.request import Request
-from sameas.partitions.hats import HatsCatalogue, is_hats
+from sameas.partitions.hats import HatsCatalogue, is_hats, without_properties
 
 if TYPE_CHECKING:
     from sameas.partitions.run import Estimated, Written
@@ -105,11 +105,12 @@ class PartitionedMatch:
 
         Raises
         ------
-        InputError : the folder exists and is not an unfinished match of the same input; a partition cannot be read, by
-            name; workers die repeatedly.
+        InputError : the name is that of a table; the folder exists and is not an unfinished match of the same input; a
+            partition cannot be read, by name; workers die repeatedly.
         """
         from sameas.partitions.run import write
 
+        refuse_file_name(path)
         target, workers = Path(path).absolute(), self.workers if workers is None else workers
         for source in self.request.paths:
             if target == Path(source).resolve() or target.is_relative_to(Path(source).resolve()):
@@ -198,15 +199,29 @@ def both_hats(first: Any, second: Any) -> bool:
 
     Raises
     ------
-    InputError : only one of them is.
+    InputError : only one of them is, or has partitions without their properties.
     """
     found = [is_hats(source) for source in (first, second)]
     if any(found) and not all(found):
+        if without_properties(bare := second if found[0] else first):
+            raise InputError(f"{bare}: has partitions, but no hats.properties", "restore it, or import it again")
         raise InputError(
             f"{first if found[0] else second}: a HATS catalogue is matched with another one",
             "import the other with hats-import, or give a table of both",
         )
     return all(found)
+
+
+def refuse_file_name(path: str | os.PathLike[str]) -> None:
+    """Refuse an output with the name of a table."""
+    from sameas.io.tables import FORMATS
+
+    name = Path(path).name.lower()
+    if ending := next((one for known in FORMATS for one in known.extensions if name.endswith(one)), ""):
+        raise InputError(
+            f"{path}: the match of HATS catalogues is a folder of partitions, not one file",
+            f"give a name without {ending}",
+        )
 
 
 def written_lines(written: Written) -> list[str]:

@@ -99,6 +99,16 @@ def is_hats(path: Any) -> bool:
     )
 
 
+def without_properties(path: Any) -> bool:
+    """Whether a path is a HATS catalogue except that its properties are missing."""
+    return (
+        isinstance(path, str | os.PathLike)
+        and os.path.isdir(path)
+        and (Path(path) / "dataset").is_dir()
+        and not is_hats(path)
+    )
+
+
 def properties(path: Path) -> dict[str, str]:
     """The keys and values of a properties file."""
     lines = (line.partition("=") for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#"))
@@ -168,10 +178,22 @@ class HatsCatalogue:
         """The schema of the first partition."""
         return _opened(self._files(self.cells[0])[0], self.cells[0]).schema_arrow
 
-    @property
+    @cached_property
     def position(self) -> tuple[str, str]:
-        """The columns of right ascension and declination by which the catalogue is partitioned."""
-        return self.properties.get("hats_col_ra", "ra"), self.properties.get("hats_col_dec", "dec")
+        """The columns of right ascension and declination by which the catalogue is partitioned.
+
+        Raises
+        ------
+        InputError : its files have no such column.
+        """
+        names = self.properties.get("hats_col_ra", "ra"), self.properties.get("hats_col_dec", "dec")
+        for key, name in zip(("hats_col_ra", "hats_col_dec"), names, strict=True):
+            if name not in self.schema.names:
+                raise InputError(
+                    f"{self.path}: its partitions have no column {name!r}, which {key} of its properties names",
+                    "correct the properties",
+                )
+        return names
 
     def _files(self, cell: Cell) -> list[Path]:
         file = self.file(cell)
