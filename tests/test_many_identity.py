@@ -28,7 +28,7 @@ from sameas.gate import Radius
 from sameas.many.identify import identify_many, identify_sequentially
 from sameas.many.observations import Bearing, Observations, records_of
 from sameas.many.pooled import pooled
-from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, best_reference, parts_of, terms_of
+from sameas.many.rules import MissedObjects, PoissonObjects, SetRules, best_reference, by_precision, parts_of, terms_of
 from sameas.many.sets import ManyTuning, candidate_sets
 from test_many import WIDE, enumerated, field_scene, probabilities, same_as_identify, sets_of, small_scene
 
@@ -401,3 +401,19 @@ def test_unknown_objects_and_sequential_results_cannot_be_explained():
         found.explain(len(found))
     with pytest.raises(InputError, match="only the objects of identify_many are explained"):
         identify_sequentially(sources, rule=PoissonObjects(0.1, 0.2)).explain(0)
+
+
+def test_pairs_weighted_by_precision_have_the_joint_chi_squared_of_all_positions():
+    rng = np.random.default_rng(4)
+    for k in (2, 3, 4):
+        x, w = rng.normal(size=k), rng.uniform(0.1, 5.0, k)
+        later, earlier = np.tril_indices(k, -1)
+        chi_sq = (x[later] - x[earlier]) ** 2 / (1.0 / w[later] + 1.0 / w[earlier])
+        shares = by_precision((w[later] + w[earlier])[None])
+        joint = (w * (x - np.average(x, weights=w)) ** 2).sum()
+        assert float((shares * chi_sq).sum()) == pytest.approx(joint)
+        assert shares.sum() == pytest.approx(k - 1.0)
+    # A record that is compared with none of the others does not lower their shares.
+    np.testing.assert_allclose(
+        by_precision(np.array([[2.0, 0.0, 0.0], [2.0, 1.0, 0.0]])), [[1.0, 0.0, 0.0], [1.0, 2 / 3, 0.0]]
+    )

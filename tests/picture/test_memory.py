@@ -9,13 +9,17 @@ from modelled_scenes import beside, describe, feed, straight, two_meet
 from sameas.errors import InputError
 from sameas.gate import Radius
 from sameas.many.identify import identify_many
+from sameas.many.observations import records_of
+from sameas.many.pooled import pooled
+from sameas.many.rules import PoissonObjects, pairs_of, terms_of
 from sameas.picture import TrackMemory
 from sameas.picture.memory import PreviousScans
 from sameas.picture.picture import picture_states
 from sameas.picture.scan import Scan
-from sameas.picture.track_pairs import TrackPairs
+from sameas.picture.track_pairs import Rivals, TrackPairs
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
+from sameas.prior import PerPair
 from sameas.records import Records
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
@@ -345,6 +349,40 @@ def test_trackers_without_swaps_are_not_suspected_of_them():
 
 
 @pytest.mark.slow
+def test_two_tracks_of_a_wrong_ship_count_twice_against_it():
+    # Two ships √10 σ of a tracker apart, each with a track of three sources, one of them 4 times as precise; ln r is
+    # that of noiseless mean offsets.
+    numbers = {name: [k, k + 1] for name, k in (("ais", 0), ("east", 2), ("west", 4))}
+    precision = {"ais": 16.0, "east": 1.0, "west": 1.0}
+    source = {track: name for name, tracks in numbers.items() for track in tracks}
+    pairs = [(a, b) for a in range(6) for b in range(a + 1, 6) if source[a] != source[b]]
+    w = np.array([[precision[source[track]] for track in pair] for pair in pairs])
+    apart = np.array([(a - b) % 2 for a, b in pairs])
+    log_ratio = 4.0 - 5.0 * apart * w.prod(axis=1) / w.sum(axis=1)
+    first, second = np.array(pairs).T
+    one, other = (np.array([list(numbers).index(source[track]) for track in side]) for side in (first, second))
+    level = Rivals.of(first, second, one, other).level(log_ratio, np.ones(len(pairs), bool))
+    assert level.tolist() == pytest.approx([4.0] * len(pairs))
+    rule = PreviousScans(numbers, first, second, log_ratio, level, w.sum(axis=1))
+    rng = np.random.default_rng(1)
+    sources = [Records.of(rng.normal(size=(2, 2)), sigma=5.0, source=name) for name in numbers]
+    together = pooled(sources, Radius(1e3))
+    terms = terms_of(PoissonObjects(1e-3, 0.2) + rule, PerPair(0.0), together)
+    track = [numbers[s.source][row] for s in map(records_of, together.sources) for row in s.rows]
+
+    def history(of):
+        """Σ of the memory of the set of one track per source."""
+        records = np.sort([track.index(k) for k in of])[None]
+        return float(terms.by_pair_of(pairs_of(together, records))[0])
+
+    for wrong in ([0, 2, 5], [0, 3, 4], [0, 3, 5]):
+        # ½ χ² of the set's positions about their weighted mean.
+        at = np.array([k % 2 for k in wrong])
+        weight = np.array([precision[source[k]] for k in wrong])
+        joint = 5.0 * (weight * (at - np.average(at, weights=weight)) ** 2).sum()
+        assert history([0, 2, 4]) - history(wrong) == pytest.approx(joint)
+
+
 def test_swaps_of_ships_abreast_are_found_over_many_reports():
     rates = []
     for seed in range(3):

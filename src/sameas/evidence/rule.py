@@ -24,10 +24,14 @@ class Evidence:
 
     log_error : (m,) standard error of that sum for rules that integrate numerically, None where it is exact to
         rounding; infinite where the sum is only a bound.
+    precision : (m,) of rules that compare positions which both records measure with their own errors: the sum of the
+        two precisions 1/σ², 0 for pairs that are not compared. It weights the pairs of sets of three records or more
+        (:func:`sameas.many.rules.by_precision`); None for other rules.
     """
 
     terms: Mapping[str, FloatArray]
     log_error: FloatArray | None = None
+    precision: FloatArray | None = None
 
     @property
     def log_ratio(self) -> FloatArray:

@@ -21,6 +21,7 @@ A rule of pairs compares two records, and k − 1 comparisons determine a set of
   with h alone: λ(T) = Σ_θ p(θ) ∏ p(v_i|θ)/p(v_i) ≈ max_h ∏_{i≠h} r_hi. A third record with the same attribute counts
   once, and one that contradicts two others counts against them once.
 - :func:`mean_of_pairs`, for the density of unrelated records: (k − 1) times the mean over the pairs.
+- :func:`by_precision`, for positions compared in previous scans: as in the joint density of all records.
 
 For two records both shares are 1.
 """
@@ -92,15 +93,36 @@ def mean_of_pairs(log_ratio: FloatArray, informative: BoolArray) -> FloatArray:
     return np.full(log_ratio.shape, 2.0 / _size(log_ratio.shape[1]))
 
 
+def by_precision(precision: FloatArray) -> FloatArray:
+    """The shares c_ij = (w_i + w_j) / W of records with the precisions w_i = 1/σ_i², W their sum over the set.
+
+    The χ² of k positions about their weighted mean is Σ w_i w_j δ_ij² / W, that of a pair w_i w_j δ_ij² / (w_i + w_j).
+
+    precision : (k, pairs) w_i + w_j, 0 for pairs that are not compared. Of the records of compared pairs, W is the sum
+    of these divided by one less than the number of the records; no share is above 1.
+    """
+    if precision.shape[1] <= 1:
+        return np.ones(precision.shape)
+    compared = (precision > 0.0).astype(np.float64)
+    records = np.count_nonzero(compared @ _incidence(precision.shape[1]), axis=1)
+    total = precision.sum(axis=1)
+    scale = np.maximum(records - 1.0, 0.0) / np.where(total > 0.0, total, 1.0)
+    return np.asarray(np.minimum(precision * scale[:, None], 1.0))
+
+
 @in_short
 @dataclass(frozen=True)
 class PairTerms:
     """A rule of pairs: named terms (m,) of ln r of all pooled pairs, whether it is informative (m,), and the shares of
-    the pairs in larger sets."""
+    the pairs in larger sets.
+
+    precision : (m,) of :class:`sameas.evidence.Evidence`; if given, the shares are :func:`by_precision`.
+    """
 
     terms: Mapping[str, FloatArray]
     informative: BoolArray
     shares: Shares
+    precision: FloatArray | None = None
 
     @classmethod
     def of(cls, rule: Callable[[Pairs], Evidence], pooled: PooledRecords, shares: Shares) -> PairTerms:
@@ -113,6 +135,7 @@ class PairTerms:
         m = len(pooled.i)
         terms: dict[str, FloatArray] = {}
         informative = np.zeros(m, bool)
+        precision: FloatArray | None = None
         for pairs, index in pooled.parts:
             evidence = rule(pairs)
             for name, values in evidence.terms.items():
@@ -121,7 +144,10 @@ class PairTerms:
                     raise InputError(_not_finite(name, pairs, int(infinite[0]), values))
                 terms.setdefault(name, np.zeros(m))[index] = values
             informative[index] = evidence.informative
-        return cls(terms, informative, shares)
+            if evidence.precision is not None:
+                precision = np.zeros(m) if precision is None else precision
+                precision[index] = evidence.precision
+        return cls(terms, informative, shares, precision)
 
     @cached_property
     def log_ratio(self) -> FloatArray:
@@ -130,6 +156,8 @@ class PairTerms:
 
     def shares_of(self, pairs: IntArray) -> FloatArray:
         """(k, pairs) the shares c of the pairs of sets of one size, in the order of :func:`pairs_of`."""
+        if self.precision is not None:
+            return by_precision(self.precision[pairs])
         return self.shares(self.log_ratio[pairs], self.informative[pairs])
 
     def of_sets(self, pairs: IntArray) -> FloatArray:

@@ -224,10 +224,20 @@ SWAP_QUANTILE = 0.1
 class PreviousScans(Rule):
     """The evidence of previous scans on pairs of named tracks; made by :meth:`TrackMemory.rule`.
 
+    ln r of a pair has two parts, which count differently in a set of tracks of three sources or more:
+
+    - The level, the same for all ways to match the tracks of rivals, shows whether sources have objects in common. The
+      best reference counts, so that one source with a wrong time or wrong errors does not separate the others.
+    - The difference from the level, 0 or less, shows which of the rivals is the object. All sources count by their
+      precision. With the best reference of each set, a wrong set would count only the more favourable part of the
+      evidence: of two tracks of the same wrong ship, one.
+
     Parameters
     ----------
     numbers : by source name, the track number of each row of the source's table, −1 for rows without an id.
     first, second : (k,) numbers of tracks, first < second, in ascending order. log_ratio : (k,) their ln r.
+    level : (k,) of ln r; None if every set counts its best reference. precision : (k,) sum of the precisions of both
+        tracks, above 0; required with a level.
 
     Example
     -------
@@ -243,6 +253,8 @@ class PreviousScans(Rule):
     first: ArrayLike
     second: ArrayLike
     log_ratio: ArrayLike
+    level: ArrayLike | None = None
+    precision: ArrayLike | None = None
 
     def __post_init__(self) -> None:
         first, second, log_ratio = np.asarray(self.first), np.asarray(self.second), np.asarray(self.log_ratio)
@@ -250,15 +262,43 @@ class PreviousScans(Rule):
             raise InputError("PreviousScans: give first, second and log_ratio of every pair of tracks, first < second")
         if np.any(np.diff(keys(first, second)) <= 0):
             raise InputError("PreviousScans: give every pair of tracks once, in ascending order")
+        if (self.level is None) != (self.precision is None):
+            raise InputError("PreviousScans: give level and precision of every pair of tracks, or neither")
 
     def __call__(self, pairs: Pairs) -> Evidence:
+        return Evidence({"memory": self._of_pairs(pairs, self.log_ratio)})
+
+    def parts(self) -> tuple[Rule, ...]:
+        """The level, and the differences from it; the rule itself without a level."""
+        if self.level is None:
+            return (self,)
+        at_level = PreviousScans(self.numbers, self.first, self.second, self.level)
+        differences = _RivalHistories(self.numbers, self.first, self.second, self.log_ratio, self.level, self.precision)
+        return at_level, differences
+
+    def _of_pairs(self, pairs: Pairs, values: ArrayLike) -> FloatArray:
+        """(m,) the values (k,) of the pairs' tracks; 0 for pairs that are not among them."""
         one, two = (
             np.asarray(self.numbers.get(side.source, np.full(side.n_table, -1)))[side.rows[at]]
             for side, at in ((pairs.first, pairs.i), (pairs.second, pairs.j))
         )
         pair_key = np.where((one >= 0) & (two >= 0), keys(np.minimum(one, two), np.maximum(one, two)), -1)
         at = places_in(keys(np.asarray(self.first), np.asarray(self.second)), pair_key)
-        return Evidence({"memory": np.append(np.asarray(self.log_ratio, dtype=np.float64), 0.0)[at]})
+        return np.append(np.asarray(values, dtype=np.float64), 0.0)[at]
+
+
+@dataclass(frozen=True)
+class _RivalHistories(PreviousScans):
+    """How much less probable the history of each pair is than its level: see :class:`PreviousScans`."""
+
+    def parts(self) -> tuple[Rule, ...]:
+        return (self,)
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        assert self.level is not None and self.precision is not None
+        difference = np.asarray(self.log_ratio, np.float64) - np.asarray(self.level, np.float64)
+        precision = self._of_pairs(pairs, self.precision)
+        return Evidence({"memory": self._of_pairs(pairs, difference)}, precision=precision)
 
 
 @in_short
@@ -319,16 +359,34 @@ class TrackMemory:
 
     def rule(self) -> PreviousScans:
         """The rule of previous scans for the records of the instant."""
-        scan, track_pairs, numbers = self.tracks.scan, self.track_pairs, {}
+        log_ratio, level = self._log_ratio()
+        first, second = self.track_pairs.first, self.track_pairs.second
+        return PreviousScans(self._numbers(), first, second, log_ratio, level, self._precision())
+
+    def _numbers(self) -> dict[str, IntArray]:
+        """By source name, the track number of each row of the source's table, −1 for rows without an id."""
+        scan, numbers = self.tracks.scan, {}
         for s, description in enumerate(() if scan is None else scan.now.descriptions):
             assert scan is not None
             records = slice(scan.start[s], scan.start[s + 1])
             numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, -1)
             numbers[description.name][scan.table[records]] = self.tracks.track_of_record[records]
-        return PreviousScans(numbers, track_pairs.first, track_pairs.second, self._log_ratio())
+        return numbers
 
-    def _log_ratio(self) -> FloatArray:
-        """(k,) ln r of the pairs, without the positions of the instant."""
+    def _precision(self) -> FloatArray:
+        """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""
+        if self.tracks.scan is None:
+            return np.zeros(len(self.track_pairs))
+        covariance = self.tracks.scan.covariance[self.tracks.place, :2, :2]
+        precision = 1.0 / np.sqrt(np.linalg.det(covariance))
+        one, other = (
+            precision[places_in(self.tracks.number, number)]
+            for number in (self.track_pairs.first, self.track_pairs.second)
+        )
+        return np.asarray(one + other)
+
+    def _log_ratio(self) -> tuple[FloatArray, FloatArray]:
+        """(k,) ln r of the pairs, without the positions of the instant, and its level (:class:`PreviousScans`)."""
         track_pairs, tracks = self.track_pairs, self.tracks
         first, second = (places_in(tracks.number, number) for number in (track_pairs.first, track_pairs.second))
         rivals = Rivals.of(first, second, tracks.source[first], tracks.source[second])
@@ -344,7 +402,8 @@ class TrackMemory:
             log_ratio = rivals.with_joint_swaps(
                 log_ratio, np.where(agrees, log_odds, -np.inf), partial(self._p_swap, tracks.scan, numbers)
             )
-        return rivals.bounded(log_ratio, agrees, self.reassigned)
+        log_ratio = rivals.bounded(log_ratio, agrees, self.reassigned)
+        return log_ratio, rivals.level(log_ratio, agrees)
 
     def _p_swap(
         self, scan: Scan, numbers: tuple[IntArray, IntArray], side: int, pair: IntArray, rival: IntArray
@@ -376,7 +435,7 @@ class TrackMemory:
         known = np.array([names.index(d.name) if d.name in names else n for d in scan.now.descriptions], np.int64)
         swap_rate = np.append(self.swaps.rate(np.arange(n), scan.tuning), 0.0)[known]
         return with_manoeuvres(
-            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio(), per_m2, swap_rate
+            scan, track_of_record, self.tracks.scan, self.track_pairs, self._log_ratio()[0], per_m2, swap_rate
         )
 
     def with_pairs(self, pooled: PooledRecords) -> TrackMemory:

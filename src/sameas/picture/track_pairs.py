@@ -422,6 +422,15 @@ class Rivals:
             out = np.maximum(out, _group_maximum(side, values))
         return out
 
+    def level(self, values: FloatArray, agrees: BoolArray) -> FloatArray:
+        """(k,) the mean of the highest values with the one and with the other track, each pair's own included.
+
+        agrees : (k,) whether the positions of the instant agree; other rivals are ignored.
+        """
+        agreeing = np.where(agrees, values, -np.inf)
+        first, second = (np.maximum(values, _group_maximum(side, agreeing)) for side in self.sides)
+        return np.asarray(0.5 * (first + second))
+
     def most_free(self, values: FloatArray, agrees: BoolArray) -> FloatArray:
         """(k,) the highest value of each pair and its rivals, without rivals whose other track has a better pair.
 
