@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
@@ -81,6 +82,14 @@ def test_the_result_has_the_methods_of_other_results(found, tmp_path) -> None:
     assert names - {f"{name}.csv.provenance.json" for name in ("objects", "identities")} == {
         "objects.csv", "identities.csv", "objects.geojson", "summary.json", "map.html"
     }  # fmt: skip
+    clock = f"{datetime.fromtimestamp(START + 30.0, UTC):%H:%M:%S}"
+    assert str(sameas.explain(tmp_path / "out", number, at=clock)) == str(
+        sameas.explain(tmp_path / "out", number, at=START + 30.0)
+    )
+    again = tmp_path / "again" / "out"
+    again.parent.mkdir()
+    found.write(again, format="csv", image=False)
+    assert str(sameas.compare(tmp_path / "out", again)).splitlines()[0] == f"{tmp_path / 'out'} against {again}"
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert summary["command"].startswith("sameas.match_picture(dict, dict, sensors=") and summary["files"] == []
 

@@ -97,6 +97,14 @@ def test_a_sink_sends_what_fits_in_datagrams(frame):
             sinks_of([wrong])
 
 
+def test_sentences_have_82_characters_at_most(frame, monkeypatch):
+    listed = [one | {"name": "ABCDEFGHIJKLMNOPQRST", "x_m": 100_000.0} for one in frame.listed()]
+    monkeypatch.setattr(type(frame), "listed", lambda self: listed)
+    monkeypatch.setattr(type(frame), "cpa", {one["object"]: (99_999.0, 9_999.0) for one in listed})
+    sentences = list(FORMATS["nmea"](frame))
+    assert max(map(len, sentences)) == 82 and all(b",ABCDEFG" in sentence for sentence in sentences)
+
+
 def test_no_transponder_text_stops_an_output(frame, monkeypatch):
     """A six-letter address that is no hexadecimal number once stopped the ASTERIX output."""
     hostile = {"icao": "zzzzzz", "mmsi": "=cmd()", "name": 'a*00\r\n$GPGLL,"/><x', "label": "]]>\x1b[31m\u2028"}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -213,14 +213,14 @@ def _of_other(record: str, name: str, other: int) -> InputError:
 
 
 def _of_picture(folder: Path, record: str, source: int | str, at: float | str | None) -> list[str]:
-    from sameas.io.sensors.clock import instant
+    from sameas.front.picture import picture_time
     from sameas.report.explain import picture_lines
 
     objects, records = picture_tables(folder)
-    when = None if at is None else float(at) if _is_number(at) else instant(str(at))
-    if at is not None and when is None:
-        raise InputError(f"at={at}: give a time such as 2024-05-01T13:00:00Z, or seconds")
     with reading(str(folder), CHANGED):
+        times = [float(time_s) for time_s in objects["time_s"]]
+        span_s = min(times, default=0.0), max(times, default=0.0)
+        when = None if at is None else picture_time(at, "at", span_s)
         return picture_lines(objects, records, record, None if source in (1, "1") else str(source), when)
 
 
@@ -247,14 +247,6 @@ def picture_tables(folder: Path) -> tuple[Table, Table]:
         paths.append(there[0])
     objects, records = map(read_table, paths)
     return objects, records
-
-
-def _is_number(text: float | str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 # Comparison of two outputs: which records are one object in one of them but not in the other; :func:`compare`.
@@ -299,6 +291,8 @@ def compare(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> Lines
     Example: ``print(sameas.compare("before.fits", "after.fits"))``.
     """
     first, second = (_read(Path(path)) for path in (one, other))
+    if first.title == second.title:
+        first, second = replace(first, title=str(one)), replace(second, title=str(other))
     shared = set(first.of) & set(second.of)
     if not shared:
         raise InputError(

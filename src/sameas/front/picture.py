@@ -68,9 +68,9 @@ class Instants:
     def of(self, span_s: tuple[float, float]) -> FloatArray:
         """(k,) the instants in seconds, ascending, for reports within a span."""
         if self.at is not None:
-            return np.array([_time(self.at, "at", span_s)])
-        first = span_s[0] if self.begin is None else _time(self.begin, "begin", span_s)
-        last = span_s[1] if self.end is None else _time(self.end, "end", span_s)
+            return np.array([picture_time(self.at, "at", span_s)])
+        first = span_s[0] if self.begin is None else picture_time(self.begin, "begin", span_s)
+        last = span_s[1] if self.end is None else picture_time(self.end, "end", span_s)
         if first > last:
             words = Message("the picture would be from ", self._range_text(first, last), ": it ends before it begins")
             raise InputError(words)
@@ -219,7 +219,7 @@ class MatchPicture:
         """
         from sameas.report.explain import picture_lines
 
-        when = None if at is None else _time(at, "at", self.scene.span_s)
+        when = None if at is None else picture_time(at, "at", self.scene.span_s)
         return Lines(tuple(picture_lines(self.objects, self.pairs, str(id), source, when)))
 
     def plot(self, at: float | str | None = None) -> Figure:
@@ -231,7 +231,7 @@ class MatchPicture:
         """
         from sameas.plots.map import chart
 
-        return chart(self.sheet(), fullest(self.picture) if at is None else _time(at, "at", self.scene.span_s))
+        return chart(self.sheet(), fullest(self.picture) if at is None else picture_time(at, "at", self.scene.span_s))
 
     def write(self, folder: str | os.PathLike[str], *, format: str = "parquet", map: bool = True, image: bool = True,
               coast: str | os.PathLike[str] | None = None) -> None:  # fmt: skip
@@ -552,7 +552,7 @@ def _reading(name: str, described: Mapping[str, SourceOptions]) -> tuple[Any, ..
     return None if options.start is None else instant(str(options.start)), options.columns, options.units
 
 
-def _time(text: str | float, argument: str, span_s: tuple[float, float]) -> float:
+def picture_time(text: str | float, argument: str, span_s: tuple[float, float]) -> float:
     """Seconds, from ISO text, seconds (since 1970 or of another clock), or HH:MM[:SS] of the first day."""
     text = str(text)
     time_s = _of_day(text, span_s)

@@ -30,6 +30,8 @@ _KNOT_M_PER_S, _MILE_M = 1852.0 / 3600.0, 1852.0
 STALE_S = 15.0
 #: Largest datagram in bytes, below the MTU of Ethernet, so that it is not fragmented.
 _DATAGRAM = 1400
+#: Most characters of a sentence between the $ and the star.
+_SENTENCE = 82 - len("$*hh\r\n")
 
 
 def geojson(frame: Frame) -> dict[str, Any]:
@@ -76,6 +78,8 @@ def nmea(frame: Frame) -> Iterator[bytes]:
                 "" if math.isnan(tcpa) else f"{tcpa / 60.0:.2f}", "N",
                 name, "T", "", clock, "A",
             ]  # fmt: skip
+            # A sentence has 82 characters at most (NMEA 0183): the name is cut.
+            fields[11] = name[: max(len(name) + _SENTENCE - len(",".join(fields)), 0)]
             yield sentence(",".join(fields))
         if one.get("lat_deg") is not None:
             lat, lon = _degrees(one["lat_deg"], 2, "NS"), _degrees(one["lon_deg"], 3, "EW")
