@@ -7,7 +7,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from datetime import datetime
 from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +22,7 @@ from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
-from sameas.io.sensors.clock import DAY_S, instant
+from sameas.io.sensors.clock import instant, picture_time
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells
@@ -550,26 +549,3 @@ def _reading(name: str, described: Mapping[str, SourceOptions]) -> tuple[Any, ..
         return ()
     options = described[name].options
     return None if options.start is None else instant(str(options.start)), options.columns, options.units
-
-
-def picture_time(text: str | float, argument: str, span_s: tuple[float, float]) -> float:
-    """Seconds, from ISO text, seconds (since 1970 or of another clock), or HH:MM[:SS] of the first day."""
-    text = str(text)
-    time_s = _of_day(text, span_s)
-    time_s = instant(text) if time_s is None else time_s
-    if time_s is None:
-        words = Message(Argument(argument, text), ": give a time such as 2024-05-01T13:00:00Z, 13:00, or seconds")
-        raise InputError(words)
-    return time_s
-
-
-def _of_day(text: str, span_s: tuple[float, float]) -> float | None:
-    """Seconds, from HH:MM[:SS] on the day of the first report, or on the next day if only that is in the span."""
-    for form in ("%H:%M", "%H:%M:%S"):
-        try:
-            clock = datetime.strptime(text.removesuffix("Z"), form)
-        except ValueError:
-            continue
-        moment = span_s[0] - span_s[0] % DAY_S + clock.hour * 3600.0 + clock.minute * 60.0 + clock.second
-        return moment + DAY_S if moment < span_s[0] and moment + DAY_S <= span_s[1] else moment
-    return None

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray
-from sameas.errors import InputError
+from sameas.errors import Argument, InputError, Message
 from sameas.tracks.reports import LAST_S
 
 #: Units of ships and aircraft in metres and seconds.
@@ -115,3 +115,26 @@ def at_second(clock_s: FloatArray, second: FloatArray, tolerance_s: float = 5.0)
     age = np.mod(clock_s - second, 60.0)
     age = np.where(age > 60.0 - tolerance_s, age - 60.0, age)
     return np.where(np.isfinite(second), clock_s - age, clock_s)
+
+
+def picture_time(text: str | float, argument: str, span_s: tuple[float, float]) -> float:
+    """Seconds, from ISO text, seconds (since 1970 or of another clock), or HH:MM[:SS] of the first day."""
+    text = str(text)
+    time_s = _of_day(text, span_s)
+    time_s = instant(text) if time_s is None else time_s
+    if time_s is None:
+        words = Message(Argument(argument, text), ": give a time such as 2024-05-01T13:00:00Z, 13:00, or seconds")
+        raise InputError(words)
+    return time_s
+
+
+def _of_day(text: str, span_s: tuple[float, float]) -> float | None:
+    """Seconds, from HH:MM[:SS] on the day of the first report, or on the next day if only that is in the span."""
+    for form in ("%H:%M", "%H:%M:%S"):
+        try:
+            clock = datetime.strptime(text.removesuffix("Z"), form)
+        except ValueError:
+            continue
+        moment = span_s[0] - span_s[0] % DAY_S + clock.hour * 3600.0 + clock.minute * 60.0 + clock.second
+        return moment + DAY_S if moment < span_s[0] and moment + DAY_S <= span_s[1] else moment
+    return None
