@@ -159,20 +159,55 @@ def test_a_file_is_polled(tmp_path):
     assert reports.icao.tolist() == ["400a00"]
 
 
-def test_a_cancellation_that_comes_with_the_end_of_a_connection_ends_the_wire(monkeypatch):
-    async def swallows(wire):
-        with contextlib.suppress(asyncio.CancelledError):
-            await asyncio.sleep(60.0)
+def test_a_cancellation_that_comes_together_with_data_ends_the_wire(monkeypatch):
+    """``asyncio.wait_for`` of Python 3.11 swallowed it: a watch went on until the busy connection ended."""
 
     async def run():
-        monkeypatch.setattr(Wire, "_tcp", swallows)
-        task = asyncio.create_task(Wire("tcp://127.0.0.1:1", ReportStream("coast")).run())
-        await asyncio.sleep(0.01)
-        task.cancel()
-        await asyncio.wait({task}, timeout=5.0)
-        return task.done()
+        port, over, closed = free_port(), asyncio.Event(), asyncio.Event()
+
+        async def serve(reader, writer):
+            with contextlib.suppress(OSError):
+                while not over.is_set():
+                    writer.write(LINE)
+                    await writer.drain()
+                    await asyncio.sleep(0.01)
+            writer.close()
+            with contextlib.suppress(OSError):
+                await writer.wait_closed()
+            closed.set()
+
+        wire = Wire(f"tcp://127.0.0.1:{port}", ReportStream("coast", "table"))
+        async with await asyncio.start_server(serve, "127.0.0.1", port):
+            task = asyncio.create_task(wire.run())
+            await until(lambda: len(wire.queue))
+            feed = asyncio.StreamReader.feed_data
+
+            def fed(reader, data):
+                feed(reader, data)
+                asyncio.get_running_loop().call_soon(task.cancel)
+
+            monkeypatch.setattr(asyncio.StreamReader, "feed_data", fed)
+            await asyncio.wait({task}, timeout=5.0)
+            done = task.done()
+            over.set()
+            await closed.wait()
+            task.cancel()
+            return done
 
     assert asyncio.run(run())
+
+
+def test_a_port_that_is_bound_is_listening_and_not_connected():
+    async def run():
+        wire = Wire(f"tcp-listen://127.0.0.1:{free_port()}", ReportStream("coast", "table"))
+        task = asyncio.create_task(wire.run())
+        await until(lambda: wire.state.connected)
+        words = str(wire.state)
+        task.cancel()
+        await asyncio.wait({task})
+        return words
+
+    assert asyncio.run(run()) == "listening"
 
 
 def test_a_line_cut_off_by_a_broken_connection_is_not_continued_by_the_next():

@@ -114,8 +114,8 @@ def test_deltas_add_up_to_the_frame(keeper):
     keeper.close()
 
 
-def approach(tmp_path, own_ship, **watch):
-    """The kinds of alarms while a ship passes a place at 100 m."""
+def approach(tmp_path, own_ship, also=None, **watch):
+    """The kinds of alarms while a ship passes a place at 100 m. also : adds the reports of others at each time."""
     keeper = Keeper(
         Settings(
             {"ais": LiveSource(Description("ais", "ais"))},
@@ -129,6 +129,8 @@ def approach(tmp_path, own_ship, **watch):
         row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + north / 111_240.0], "lon_deg": [-0.9986]}
         row |= {"mmsi": ["235000001"], "vx_m_per_s": [0.0], "vy_m_per_s": [-10.0]}
         keeper.picture.add("ais", Reports.of("ais", "ais", row))
+        if also is not None:
+            also(keeper, t)
         kinds |= {alarm.kind for alarm in keeper.tick(START_S + t).alarms}
     keeper.close()
     return kinds
@@ -139,6 +141,30 @@ def test_a_radar_on_shore_is_no_own_ship_in_danger_unless_a_distance_is_given(tm
     shore = OwnShip(lat_deg=50.0, lon_deg=-1.0)
     assert approach(tmp_path, shore) == set()
     assert approach(tmp_path, shore, cpa_m=500.0) == {"cpa"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("knots", "kinds"), [(5.0, {"cpa"}), (0.5, set())])
+def test_a_ship_under_way_is_warned_of_approaches_and_one_in_port_is_not(tmp_path, knots, kinds):
+    def moved(keeper, t):
+        north = 0.5144 * knots * t
+        row: dict[str, Any] = {"time_s": [START_S + t], "lat_deg": [50.0 + north / 111_240.0], "lon_deg": [-1.0]}
+        row |= {"mmsi": ["235000009"], "vx_m_per_s": [0.0], "vy_m_per_s": [0.5144 * knots]}
+        keeper.picture.add("ais", Reports.of("ais", "ais", row))
+
+    assert approach(tmp_path, OwnShip(mmsi="235000009"), also=moved) == kinds
+
+
+def test_the_terminal_shows_an_alarm_once_however_long_the_ticks_are(tmp_path):
+    from sameas.cli.watch import _News
+
+    keeper = Keeper(settings(), replay=replay())
+    news = _News(keeper)
+    for t in (0.0, 30.0, 60.0):
+        keeper._raise_alarms([Alarm("cpa 1", "cpa", "A will pass at 100 m in 2.0 min", (1,))], START_S + t)
+        keeper._raise_alarms([Alarm("cpa 1", "cpa", "A will pass at 100 m in 1.5 min", (1,))], START_S + t)
+    assert sum("will pass" in line for line in news()) == 1 and not news()
+    keeper.close()
 
 
 def test_a_source_that_never_sends_is_an_alarm_with_the_reason(tmp_path):
@@ -286,7 +312,7 @@ def test_the_contents_of_states_match_the_layout_version(keeper):
     names.dump(keeper.picture)
     held = sorted((kind, sorted(found)) for kind, found in names.found.items())
     # Where this fails, states that others have saved cannot be read any more: raise LAYOUT, and take the new digest.
-    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (7, "775e18680e21")
+    assert (LAYOUT, hashlib.sha256(repr(held).encode()).hexdigest()[:12]) == (8, "58ac53fdb45e")
 
 
 def test_settings_are_read_and_unknown_ones_refused(tmp_path):

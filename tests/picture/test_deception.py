@@ -103,8 +103,25 @@ def test_two_ships_that_exchange_their_mmsi_are_one_alarm_which_the_report_print
     assert f"{MMSI[0]} and {MMSI[5]} change places, 7" in printed
 
 
-def test_one_false_position_is_no_jump():
+def ais_alone(is_false):
+    """Only the AIS, with the first ship 9 km off where ``is_false`` of the times."""
     _, (ais, reports) = sources()
     columns = dict(reports.columns())
-    columns["y_m"] = columns["y_m"] + np.where((reports.track_id == MMSI[0]) & (reports.time_s == 200.0), 9000.0, 0.0)
-    assert not faults(Scene.of([(ais, Reports.of(ais.name, reports.kind, columns))]))
+    columns["y_m"] = columns["y_m"] + np.where((reports.track_id == MMSI[0]) & is_false(reports.time_s), 9000.0, 0.0)
+    return faults(Scene.of([(ais, Reports.of(ais.name, reports.kind, columns))]))
+
+
+def test_a_jump_is_found_without_a_radar_and_one_false_position_is_none():
+    assert not ais_alone(lambda time_s: time_s == 200.0)
+    (fault,) = ais_alone(lambda time_s: time_s > 200.0)
+    assert (fault.kind, fault.track) == ("jumped", MMSI[0])
+    assert f"{MMSI[0]} jumps by 9" in str(fault) and "faster than it can move: another sender" in str(fault)
+
+
+def test_ships_that_exchange_their_mmsi_back_are_a_second_alarm():
+    _, (ais, reports) = sources()
+    track, swapped = reports.track_id.astype(object), (reports.time_s > 120.0) & (reports.time_s <= 280.0)
+    names = np.where(swapped & (track == MMSI[0]), MMSI[5], np.where(swapped & (track == MMSI[5]), MMSI[0], track))
+    columns = reports.columns() | {"track_id": names, "mmsi": names}
+    found = faults(Scene.of([(ais, Reports.of(ais.name, reports.kind, columns))]))
+    assert [(fault.kind, fault.first_s) for fault in found] == [("exchanged", 130.0), ("exchanged", 290.0)]

@@ -187,9 +187,9 @@ def match(
 
         request = Request((str(first), str(second)), options, columns)
         if both_hats(first, second):
-            blends_outputs = {"--compare-nearest": compare_nearest, "--certify": certify, "--pictures": pictures,
-                      "--out-format": out_format, "--blends": blends}  # fmt: skip
-            for name, value in blends_outputs.items():
+            unsupported = {"--compare-nearest": compare_nearest, "--certify": certify, "--pictures": pictures,
+                           "--out-format": out_format, "--blends": blends}  # fmt: skip
+            for name, value in unsupported.items():
                 if value:
                     raise InputError(f"{name}: not over the partitions of HATS catalogues", "leave it out")
             over_partitions(request, join, nway_columns, None if dry_run else output, workers, quiet)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import math
+import logging
 import signal
 import sys
 import time
@@ -22,6 +22,7 @@ from sameas.errors import InputError
 from sameas.report.prose import ALARM
 from sameas.representation import counted
 
+LOG = logging.getLogger("sameas.live")
 _INPUTS, _MAP = "What is read", "The map"
 
 
@@ -178,22 +179,18 @@ class _News:
 
     def __init__(self, keeper: Any) -> None:
         self.keeper = keeper
-        self.connections: dict[str, str] = {}
-        self.alarms: dict[str, float] = {}
+        self.connections: dict[str, tuple[str, int]] = {}
 
     def __call__(self) -> list[str]:
-        from sameas.live.keeper import ALARM_ENDS_S
-
-        lines, frame = [], self.keeper.frame
+        lines = []
         for url, wire in self.keeper.wires.items():
-            words = str(wire.state)
-            if words and words != self.connections.get(url):
-                self.connections[url] = words
+            words, connection = str(wire.state), (str(wire.state), wire.state.connections)
+            if words and connection != self.connections.get(url):
+                self.connections[url] = connection
                 lines.append(f"  {url}: {words}")
-        for alarm in () if frame is None else frame.alarms:
-            if frame.time_s - self.alarms.get(alarm.key, -math.inf) > ALARM_ENDS_S:
-                lines.append(f"{ALARM}{datetime.fromtimestamp(frame.time_s, UTC):%H:%M:%S} {alarm.text}")
-            self.alarms[alarm.key] = frame.time_s
+        while self.keeper.begun:
+            time_s, alarm = self.keeper.begun.popleft()
+            lines.append(f"{ALARM}{datetime.fromtimestamp(time_s, UTC):%H:%M:%S} {alarm.text}")
         return lines
 
 
@@ -219,10 +216,15 @@ async def _run(keeper: Any, server: Any, until_s: float | None, say: Printer) ->
 
     async def tell() -> None:
         while True:
-            say(news())
+            # In a thread, because a terminal that is stopped blocks.
+            try:
+                await asyncio.to_thread(lambda: say(news()))
+            except OSError:
+                LOG.exception("nothing more is printed")
+                return
             await asyncio.sleep(1.0)
 
-    told = asyncio.create_task(tell())
+    printing = asyncio.create_task(tell())
     watched = asyncio.create_task(keeper.run(until=ends, stop=over))
     ending = asyncio.create_task(over.wait())
     try:
@@ -230,10 +232,10 @@ async def _run(keeper: Any, server: Any, until_s: float | None, say: Printer) ->
         await watched
     finally:
         ending.cancel()
-        told.cancel()
-        say(news())
+        printing.cancel()
         if server is not None and served is not None:
             server[0].should_exit = True
             with contextlib.suppress(asyncio.CancelledError):
                 await served
             server[1].close()
+        say(news())

@@ -49,6 +49,9 @@ HALF = 0.42
 #: Most neighbours per record, as a multiple of the other records per disc: 1 to 2 in discs; more where few clusters lie
 #: among many single records.
 UNEQUAL = 2.5
+#: Least fraction of the pairs that must be of discs with three records of a source or more: with half a neighbour per
+#: target it is a half; couples of companions have none.
+SEVERAL = 0.33
 #: Least fraction of the records that must lie within 1.25 radii of the middle of their disc.
 WITHIN = 0.95
 
@@ -163,6 +166,10 @@ def _around_neither(
     points = np.concatenate(units)
     disc = _gathered(points, 1.2 * rough)
     if disc is None:
+        return None
+    numbers = np.concatenate([np.bincount(of) for of in np.split(disc, [n[0]])])
+    pairs = numbers * (numbers - 1)
+    if pairs[numbers > 2].sum() < SEVERAL * pairs.sum():
         return None
     discs_of_each = [len(np.unique(of)) for of in np.split(disc, [n[0]])]
     if most > UNEQUAL * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):

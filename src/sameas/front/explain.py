@@ -218,8 +218,8 @@ def _of_picture(folder: Path, record: str, source: int | str, at: float | str | 
 
     objects, records = picture_tables(folder)
     with reading(str(folder), CHANGED):
-        times = [float(time_s) for time_s in objects["time_s"]]
-        span_s = min(times, default=0.0), max(times, default=0.0)
+        times = np.asarray(objects["time_s"], np.float64)
+        span_s = (float(times.min()), float(times.max())) if len(times) else (0.0, 0.0)
         when = None if at is None else picture_time(at, "at", span_s)
         return picture_lines(objects, records, record, None if source in (1, "1") else str(source), when)
 

@@ -13,6 +13,7 @@ import ipaddress
 import math
 import os
 import socket
+import ssl
 import struct
 import sys
 import time
@@ -22,6 +23,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from http.client import HTTPException
 from urllib.parse import parse_qs, urlsplit
 
 from sameas.errors import InputError
@@ -32,6 +34,8 @@ from sameas.tracks.reports import Reports
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 15.0
 #: A TCP connection without data for this many seconds is closed and reconnected.
 SILENT_S = 120.0
+#: Seconds to wait for a TCP connection.
+ANSWER_S = 10.0
 _SCHEMES = ("udp", "tcp", "tcp-listen", "http", "https", "file", "serial", "stdin")
 #: A Signal K server sends deltas over TCP only to a client that subscribes (Signal K 1.7, "Subscription protocol").
 _SUBSCRIPTION = b'{"context":"*","subscribe":[{"path":"*","policy":"instant"}]}\r\n'
@@ -71,17 +75,22 @@ class BoundedQueue:
 
 @dataclass
 class WireState:
-    """State of a wire. connections : their number. received : bytes in total. last_s : receive time of the last."""
+    """State of a wire.
+
+    connections : their number. received : bytes in total. last_s : receive time of the last. open_word : what an open
+    wire is; a port that is bound is only listening.
+    """
 
     connected: bool = False
     connections: int = 0
     error: str = ""
     received: int = 0
     last_s: float = -math.inf
+    open_word: str = "connected"
 
     def __str__(self) -> str:
         """The connection in a word or two; empty before the first attempt."""
-        return "connected" if self.connected else self.error
+        return self.open_word if self.connected else self.error
 
 
 class Wire:
@@ -102,6 +111,8 @@ class Wire:
             raise InputError(f"input {url!r}: is not a known kind of input", f"give one of {', '.join(_SCHEMES)}")
         if parts.scheme in ("udp", "tcp", "tcp-listen") and not parts.port:
             raise InputError(f"input {url!r}: has no port", f"give {parts.scheme}://HOST:PORT")
+        if parts.scheme in ("udp", "tcp-listen"):
+            self.state.open_word = "listening"
 
     async def run(self) -> None:
         """Reads until cancelled; a broken wire is reconnected, after waits that double up to ``LONGEST_WAIT_S``."""
@@ -118,12 +129,10 @@ class Wire:
                 self.state.error = "closed by the other side"
             except asyncio.CancelledError:
                 raise
-            except (OSError, TimeoutError, InputError) as error:
+            except (OSError, HTTPException, InputError) as error:
                 self.state.error = _cause(error)
             self.state.connected = False
-            task = asyncio.current_task()
-            # wait_for of Python 3.11 swallows a cancellation that comes together with data or an end of the connection.
-            if scheme == "stdin" or (task is not None and task.cancelling()):
+            if scheme == "stdin":
                 return
             wait_s = FIRST_WAIT_S if self.state.received > before else min(2.0 * wait_s, LONGEST_WAIT_S)
             await asyncio.sleep(wait_s)
@@ -175,11 +184,20 @@ class Wire:
 
     async def _tcp(self) -> None:
         parts = urlsplit(self.url)
-        reader, writer = await asyncio.wait_for(asyncio.open_connection(parts.hostname, parts.port), 10.0)
+        # Not asyncio.wait_for: that of Python 3.11 swallows a cancellation that comes together with data.
+        try:
+            async with asyncio.timeout(ANSWER_S):
+                reader, writer = await asyncio.open_connection(parts.hostname, parts.port)
+        except TimeoutError:
+            raise TimeoutError(f"no answer for {ANSWER_S:.0f} s") from None
         connection = self._set_connected()
         subscribed = False
         try:
-            while data := await asyncio.wait_for(reader.read(65536), SILENT_S):
+            while True:
+                async with asyncio.timeout(SILENT_S):
+                    data = await reader.read(65536)
+                if not data:
+                    return
                 self._received(data, connection)
                 if not subscribed and "signalk" in (self.stream.format, format_of(data)):
                     # Its first message is a greeting.
@@ -242,10 +260,13 @@ class Wire:
         except serial.SerialException as error:
             raise OSError(str(error)) from error
         with line:
-            self._set_connected()
-            while True:
-                if data := await asyncio.to_thread(line.read, max(line.in_waiting, 1)):
-                    self._received(data)
+            connection = self._set_connected()
+            try:
+                while True:
+                    if data := await asyncio.to_thread(line.read, max(line.in_waiting, 1)):
+                        self._received(data, connection)
+            finally:
+                self._ended(connection)
 
     async def _stdin(self) -> None:
         self._set_connected()
@@ -256,8 +277,11 @@ class Wire:
 def _cause(error: Exception) -> str:
     """What broke a wire, in the words of the operating system."""
     reason = getattr(error, "reason", error)
-    if isinstance(error, urllib.error.HTTPError) or not isinstance(reason, OSError) or reason.errno is None:
-        return str(error) or type(error).__name__
+    if isinstance(error, urllib.error.HTTPError):
+        return str(error)
+    # The numbers of TLS errors are OpenSSL's.
+    if not isinstance(reason, OSError) or reason.errno is None or isinstance(reason, ssl.SSLError):
+        return str(reason) or type(error).__name__
     words = reason.strerror if isinstance(reason, socket.gaierror) else os.strerror(reason.errno)
     return words or str(reason)
 

@@ -110,6 +110,8 @@ class Keeper:
         self.frame: Frame | None = None
         self.deltas: deque[Delta] = deque(maxlen=KEPT_DELTAS)
         self.history: deque[Frame] = deque()
+        #: Alarms that began, with their times, for the terminal, which takes them.
+        self.begun: deque[tuple[float, Alarm]] = deque(maxlen=KEPT_DELTAS)
         self.counters: Counter[str] = Counter()
         self.durations_s: deque[float] = deque(maxlen=KEPT_DURATIONS)
         self.lock = threading.Lock()
@@ -287,11 +289,11 @@ class Keeper:
         east, north = plane.of_geodetic([lat], [lon])[0].tolist()
         if not self._own or (self._own[-1][1], self._own[-1][2]) != (east, north):
             self._own.append((now_s, east, north))
-        return OwnShipState(east, north, *self._own_velocity(), heading)
+        return OwnShipState(east, north, *self._own_velocity(now_s), heading)
 
-    def _own_velocity(self) -> tuple[float, float]:
+    def _own_velocity(self, now_s: float) -> tuple[float, float]:
         """Slope (m/s east, north) of a line through the positions of the last 30 s; 0 where they span less than 1 s."""
-        recent = [one for one in self._own if one[0] > self._own[-1][0] - 30.0]
+        recent = [one for one in self._own if one[0] > now_s - 30.0]
         if len(recent) < 2 or recent[-1][0] - recent[0][0] < 1.0:
             return 0.0, 0.0
         times, east, north = np.array(recent).T
@@ -401,6 +403,7 @@ class Keeper:
             known = self._alarms.get(alarm.key)
             if known is None:
                 self.counters["alarms"] += 1
+                self.begun.append((now_s, alarm))
             number = -self.counters["alarms"] if known is None else known[0]
             if number < 0:
                 number = self._try_journal(partial(Journal.alarm, alarm=alarm, time_s=now_s)) or number

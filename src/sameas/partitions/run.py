@@ -797,8 +797,8 @@ def output_cells(work: Work) -> list[Cell]:
 
 
 def divide(cells: Sequence[Cell], counts: Counts, order: int, max_records: int) -> Iterator[Task]:
-    """The output's cells in tasks of pieces of at most ``most`` records of both catalogues, in HEALPix order; a piece
-    may have more if it is as small as the cells of the counts, which are of ``order``."""
+    """The output's cells in tasks of pieces of at most ``max_records`` records of both catalogues, in HEALPix order; a
+    piece may have more if it is as small as the cells of the counts, which are of ``order``."""
     begins = counts.cells << 2 * (healpix.FINEST - order)
     total = np.concatenate([[0], np.cumsum(counts.numbers.sum(axis=1))])
 

@@ -113,7 +113,7 @@ def deceptions(
     feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
 ) -> tuple[Fault, ...]:
     """The deceptions in the records of a picture with a probability above ``sure_deception``, in order of time."""
-    if not len(records["time_s"]) or len(feeds) < 2:
+    if not len(records["time_s"]):
         return ()
     instants = np.unique(records["time_s"])
     tracks = _tracks(feeds, records, instants)
@@ -248,24 +248,26 @@ def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
     if feed.description.kind not in CORRELATED_KINDS or (feed.raw_reports and feed.raw_reports.counted_clock):
         return
     name, jumps = feed.description.name, _jumps_of(feed, tuning.jump_reports)
-    exchanged: set[str] = set()
+    exchanged: set[int] = set()
     for k, jump in enumerate(jumps):
-        if jump.track in exchanged:
+        if k in exchanged:
             continue
-        other = next((o for o in jumps[k + 1 :] if o.track not in (jump.track, *exchanged) and jump.exchanges(o)), None)
+        later = (n for n in range(k + 1, len(jumps)) if n not in exchanged and jumps[n].track != jump.track)
+        n_other = next((n for n in later if jump.exchanges(jumps[n])), None)
         log_odds = 0.5 * (feed.tuning.position_sigmas * jump.distance_m / jump.reach_m) ** 2
         log_odds = min(log_odds + math.log(tuning.false_position_odds), 50.0)
-        kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s, faster than they can move"
+        kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s"
         words = (
-            f"{name}: the positions of {jump.track} jump by {jump.distance_m:.0f} m {within}: another ship uses its "
-            "identity, or they are forged or faulty"
+            f"{name}: {jump.track} jumps by {jump.distance_m:.0f} m {within}, faster than it can move: another sender "
+            "uses its identity, or its positions are forged or faulty"
         )
-        if other is not None:
-            exchanged |= {jump.track, other.track}
+        if n_other is not None:
+            exchanged |= {k, n_other}
             kind = "exchanged"
             words = (
-                f"{name}: {jump.track} and {other.track} change places, {jump.distance_m:.0f} m apart, {within}: each "
-                "uses the identity of the other, or their positions are forged"
+                f"{name}: {jump.track} and {jumps[n_other].track} change places, {jump.distance_m:.0f} m apart, "
+                f"{within}, faster than they can move: each uses the identity of the other, or their positions "
+                "are forged"
             )
         yield Fault(kind, name, jump.times_s[1], jump.times_s[1], log_odds, words, jump.track)
 

@@ -601,12 +601,15 @@ def _day_month_dates(texts: Sequence[str], source: str, start_s: float | None) -
     day_first, month_first = (np.array([_of_date(text, day) for text in texts]) for day in (1, 2))
     readable = [np.isfinite(day_first), np.isfinite(month_first)]
     only = [bool((readable[k] & ~readable[1 - k]).any()) for k in (0, 1)]
-    if only[0] != only[1]:
+    if only[0] and only[1]:
+        raise InputError(f"{source}: some dates have the day first, others the month", "write them as 2024-01-13")
+    if only[0] or only[1]:
         return day_first if only[0] else month_first
-    if only[0] or not np.array_equal(day_first, month_first, equal_nan=True):
-        if only[0] or start_s is None:
+    if not np.array_equal(day_first, month_first, equal_nan=True):
+        if start_s is None:
+            example = next(text for text in texts if _DAY_FIRST.fullmatch(text))
             raise InputError(
-                f"{source}: dates like {texts[0]!r} can be read in two ways",
+                f"{source}: dates like {example!r} can be read in two ways",
                 naming("give {start}, the UTC date of the first row, or write them as 2024-01-13"),
             )
         return min(day_first, month_first, key=lambda times: abs(float(times[np.isfinite(times)][0]) - start_s))
