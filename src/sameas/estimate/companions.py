@@ -23,6 +23,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.estimate.cells import GridLevel, finest
+from sameas.estimate.coverage import typical_error
 from sameas.estimate.sample import Setting
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs, Radius
@@ -198,15 +199,6 @@ class _Source:
         return i[distinct], k[distinct], distance[distinct]
 
 
-def _unit(setting: Setting) -> FloatArray:
-    """(d,) typical standard deviation of a residual."""
-    one, two = setting.pairs.first, setting.pairs.second
-    variance = np.median(one.variances, axis=0) + np.median(two.variances, axis=0)
-    if isinstance(one.space, Sphere):
-        variance = variance.mean()
-    return np.array(np.broadcast_to(np.sqrt(variance), setting.pairs.d))
-
-
 def _points(records: Records, unit: FloatArray) -> FloatArray:
     """(n, d) positions in ``unit``, or (n, 3) on a sphere."""
     if isinstance(records.space, Sphere):
@@ -256,7 +248,8 @@ def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[_Sourc
     if setting.pairs.d > tuning.max_dimensions or not 0 < sum(setting.n_counted) <= tuning.max_records:
         return None
     rows = _sampled_rows(setting.levels, tuning.n_records)
-    one, two = (s.part(some) for s, some in zip(_sources(setting, _unit(setting)), rows, strict=True))
+    unit = typical_error(setting.pairs.first, setting.pairs.second)
+    one, two = (s.part(some) for s, some in zip(_sources(setting, unit), rows, strict=True))
     return one, two
 
 
@@ -331,7 +324,8 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     sampled = None if sum(setting.n_counted) < sum(map(len, setting.counted)) else _sampled_sources(setting, tuning)
     if sampled is None:
         return None
-    d, unit, (one, two) = setting.pairs.d, _unit(setting), sampled
+    unit = typical_error(setting.pairs.first, setting.pairs.second)
+    d, (one, two) = setting.pairs.d, sampled
     of_1, of_2 = _Neighbours.of(one, d, tuning), _Neighbours.of(two, d, tuning)
     if of_1 is None or of_2 is None:
         return None

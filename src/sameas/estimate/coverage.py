@@ -266,6 +266,15 @@ def smoothing(others: FloatArray, volume: FloatArray, density: FloatArray, weigh
     return SMOOTHS[int(np.argmax(scores - LOG_PRIOR_STEP * np.arange(len(SMOOTHS))))]
 
 
+def typical_error(one: Records, two: Records) -> FloatArray:
+    """(d,) typical error of a pair along every axis, in residual units; equal for both axes of a sphere."""
+    both = [np.array([median(axis) for axis in records.variances.T]) for records in (one, two)]
+    variance = np.broadcast_to(both[0] + both[1], one.d)
+    if isinstance(one.space, Sphere):
+        variance = np.full(2, variance.mean())
+    return np.asarray(np.sqrt(variance))
+
+
 def _sampled(records: Records) -> IntArray:
     """At most about :data:`SOME` records, chosen by a hash of their positions, not by the order of the rows."""
     n = len(records)
@@ -462,12 +471,8 @@ class Coverage:
 
     @cached_property
     def typical_error(self) -> FloatArray:
-        """(d,) typical error of a pair along every axis, in residual units; equal for both axes of a sphere."""
-        both = [np.array([median(axis) for axis in records.variances.T]) for records in (self.first, self.second)]
-        variance = np.broadcast_to(both[0] + both[1], self.first.d)
-        if isinstance(self.first.space, Sphere):
-            variance = np.full(2, variance.mean())
-        return np.asarray(np.sqrt(variance))
+        """(d,) :func:`typical_error` of both sources."""
+        return typical_error(self.first, self.second)
 
     @cached_property
     def common_volume(self) -> float:

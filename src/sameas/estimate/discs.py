@@ -167,11 +167,12 @@ def _around_neither(
     disc = _gathered(points, 1.2 * rough)
     if disc is None:
         return None
-    numbers = np.concatenate([np.bincount(of) for of in np.split(disc, [n[0]])])
+    numbers_of_each = [np.bincount(of) for of in np.split(disc, [n[0]])]
+    numbers = np.concatenate(numbers_of_each)
     pairs = numbers * (numbers - 1)
     if pairs[numbers > 2].sum() < SEVERAL * pairs.sum():
         return None
-    discs_of_each = [len(np.unique(of)) for of in np.split(disc, [n[0]])]
+    discs_of_each = [np.count_nonzero(numbers) for numbers in numbers_of_each]
     if most > UNEQUAL * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
         return None
     count = np.bincount(disc)
