@@ -199,7 +199,7 @@ class Wire:
                 if not data:
                     return
                 self._received(data, connection)
-                if not subscribed and "signalk" in (self.stream.format, format_of(data)):
+                if not subscribed and (self.stream.format or format_of(data)) == "signalk":
                     # Its first message is a greeting.
                     writer.write(_SUBSCRIPTION)
                     subscribed = True
