@@ -319,7 +319,7 @@ def tables(options: argparse.Namespace) -> Iterator[Table]:
         yield autoferry.positions(0.5)
         yield autoferry.kinds_only(0.5)
     if "memory" in options.only:
-        yield from memory.table(every_s=30.0, seeds=1, only="")
+        yield from memory.table(every_s=30.0, seeds=range(2), only="")
     if "deception" in options.only and (table := deceptions(min(options.scenes, 10))) is not None:
         yield table
 
