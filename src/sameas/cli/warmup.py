@@ -27,7 +27,7 @@ from sameas.prior import PerPair
 KERNELS_OF_A_MATCH = {
     "coverage": ("sphere_cells", "renumber", "cell_sizes", "check_cells", "shared_part", "refine", "refine_share"),
     "zones": ("extent", "tally", "zones_of", "into_zones", "into_cells", "take_rows"),
-    "sphere": ("sweep_sphere",),
+    "search": ("sweep_sphere",),
     "components": ("label_pairs", "lay_out"),
     "assign": ("assign_linear",),
     "posterior": ("exact",),

@@ -40,9 +40,9 @@ from sameas.space import Plane, Sphere
 # The search for all pairs within the gate.
 #
 # Records are sorted into zones (``zones.py``); possible candidates of each are looked up (both in
-# ``kernels/zones.py``) and measured (``kernels/sphere.py``, ``plane.py``). If a few records have far wider errors than
-# the others, the search runs over them, whichever source they belong to, so that they do not slow down the others. The
-# order of the pairs depends on the records' content, not on their rows.
+# ``kernels/zones.py``) and measured (``kernels/search.py``). If a few records have far wider errors than the others,
+# the search runs over them, whichever source they belong to, so that they do not slow down the others. The order of the
+# pairs depends on the records' content, not on their rows.
 
 #: Places, i, j, residual, squared Mahalanobis distance, determinant: the columns of :class:`sameas.gate.Pairs`.
 Columns = tuple[
@@ -118,7 +118,7 @@ def _search(first: Records, second: Records, limit: float, box: bool, tuning: Tu
 
 def _each_with_each(first: Records, second: Records, limit: float, box: bool, space: Plane) -> Columns | None:
     """All pairs of few records on a plane; None if they exceed the allocated columns, or records are equal."""
-    from sameas.kernels.plane import sweep_few
+    from sameas.kernels.search import sweep_few
 
     out = _room(first.d, 4 * (len(first) + len(second)))
     periods = np.array(space.period_list(first.d))
@@ -131,7 +131,7 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
     about: tuple[Any, ...] = one.side, two.side, two.grids[0], two.reach(0, one.widest[0], one.starts[1], geometry)
     gate: tuple[Any, ...] = geometry.limit, geometry.box
     if geometry.sphere:
-        from sameas.kernels.sphere import sweep_sphere as kernel
+        from sameas.kernels.search import sweep_sphere as kernel
 
         few = len(one.side.rows) + len(two.side.rows) <= geometry.tuning.few_rows
         if few and getattr(kernel, "interprets", False) and not len(wide):
@@ -140,7 +140,7 @@ def _listed(one: Layout, two: Layout, wide: IntArray, geometry: Geometry, allowe
                 allowed.take(len(columns[0]))
                 return columns
     else:
-        from sameas.kernels.plane import sweep_plane as kernel
+        from sameas.kernels.search import sweep_plane as kernel
 
         about, gate = (*about, geometry.folds), (*gate, geometry.periods)
 
@@ -170,7 +170,7 @@ def _few_on_sphere(one: Layout, two: Layout, geometry: Geometry) -> Columns | No
 
     None with too many pairs, or pairs so wide or so near a pole that the kernel uses other series for them.
     """
-    from sameas.kernels.sphere import CLOSE_DEG, close_residual, shorter_ways, spreads
+    from sameas.kernels.search import CLOSE_DEG, close_residual, shorter_ways, spreads
 
     guard_1, guard_2 = one.side.guard, two.side.guard
     order = np.argsort(guard_2[:, 1], kind="stable")
@@ -413,11 +413,11 @@ class Pairs:
             out[:] = 0.0
             out[:, 0, 0] = out[:, 1, 1] = a.covariance[i, 0] + b.covariance[j, 0]  # circles need no rotation
         elif isinstance(a.space, Sphere):
-            from sameas.kernels.sphere import sphere_covariances
+            from sameas.kernels.search import sphere_covariances
 
             sphere_covariances(a.features, a.covariance, b.features, b.covariance, i, j, out)
         else:
-            from sameas.kernels.plane import plane_covariances
+            from sameas.kernels.search import plane_covariances
 
             plane_covariances(a.covariance, b.covariance, i, j, out)
         return out

@@ -9,7 +9,7 @@ import numpy as np
 
 from sameas.arrays import AnyIntArray, BoolArray, FloatArray, Int32Array, IntArray
 from sameas.kernels.compiled import part, small
-from sameas.kernels.sphere import ARCSEC
+from sameas.kernels.search import ARCSEC
 
 # Cells of a space: the cells of records, and their sizes.
 

@@ -14,7 +14,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.compiled import inlined, kernel, part
 from sameas.kernels.components import join, root
 from sameas.kernels.linear import solve
-from sameas.kernels.plane import whitened
+from sameas.kernels.search import whitened
 from sameas.kernels.zones import folded
 
 LOG_2PI = math.log(2.0 * math.pi)
