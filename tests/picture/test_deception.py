@@ -54,6 +54,23 @@ def test_a_second_radar_raises_the_probability_of_deception():
     assert two.log_odds > one.log_odds + 2.0
 
 
+@pytest.mark.slow_after(1)
+def test_a_tracker_that_follows_a_ship_late_on_her_path_is_no_alarm():
+    rng = np.random.default_rng(3)
+    start = np.column_stack([1500.0 * np.arange(6), 2000.0 + 300.0 * rng.standard_normal(6)])
+    true, v = straight(start, 4.0 * rng.standard_normal((6, 2)), TIMES)
+    late = true.copy()
+    for place, lag_s in ((true, 0.0), (late, 9.0)):
+        # Her speed grows by 18 m/s between 200 and 300 s.
+        moving = np.maximum(TIMES - lag_s - 200.0, 0.0)
+        place[0, :, 1] += np.where(moving < 100.0, 0.09 * moving**2, 18.0 * moving - 900.0)
+    v = v.copy()
+    v[0, :, 1] += 0.18 * np.clip(TIMES - 200.0, 0.0, 100.0)
+    radar = feed(rng, describe("radar", "tracks"), TIMES, late, v, 30.0, [f"radar{k}" for k in range(6)])
+    ais = feed(rng, describe("ais", "ais"), TIMES, true, v, 300.0, MMSI, {"mmsi": MMSI})
+    assert not faults(Scene.of([radar, ais]))
+
+
 @pytest.mark.slow
 def test_ais_silence_of_a_ship_still_on_radar_is_an_alarm():
     (fault,) = faults(scene(silent_from_s=200.0))

@@ -111,6 +111,46 @@ def test_a_straight_course_is_followed_without_lag():
     assert late_s.std() / np.sqrt(tracks) < 0.1
 
 
+def changing(rng, tracks=200, looks=200):
+    """Ships at 8 m/s that turn by 90° or speed up by 0.12 m/s² between 200 and 300 s; the reports and the truth."""
+    time_s = 3.0 * np.arange(looks)
+    share = np.clip((time_s - 200.0) / 100.0, 0.0, 1.0)
+    turn, faster = np.deg2rad(90.0) * share, 12.0 * share
+    turns = np.arange(tracks) % 2 == 0
+    speed = np.where(turns[:, None], 8.0, 8.0 + faster)
+    course = np.where(turns[:, None], turn, 0.0)
+    truth = np.cumsum(3.0 * speed[..., None] * np.stack([np.sin(course), np.cos(course)], axis=-1), axis=1)
+    seen = truth + 25.0 * rng.standard_normal(truth.shape)
+    names = np.repeat([f"t{k}" for k in range(tracks)], looks)
+    made = States.of(np.tile(time_s, tracks), seen.reshape(-1, 2), 625.0 * np.eye(2), speed_m_per_s=8.0, track=names)
+    return made, truth
+
+
+def test_a_ship_that_turns_or_speeds_up_for_a_minute_is_followed_with_little_lag_and_honest_errors():
+    made, truth = changing(np.random.default_rng(11))
+    states = follow(made, acceleration_m2_per_s3=0.01).states
+    late = slice(84, 100)  # 252 to 297 s
+    error = (states.state[:, :2].reshape(truth.shape) - truth)[:, late]
+    covariance = states.covariance[:, :2, :2].reshape(*truth.shape, 2)[:, late]
+    nees = np.einsum("nkv,nkvw,nkw->nk", error, np.linalg.inv(covariance), error)
+    assert np.hypot(*error.mean(axis=1).T).mean() < 15.0
+    assert nees.mean() < 4.0
+
+
+def test_the_filter_is_as_before_while_the_motion_is_as_modelled():
+    reports, _ = scene(np.random.default_rng(12), tracks=300, reports=30)
+    manoeuvres = follow(reports, acceleration_m2_per_s3=Q).trend[:, 3] == 0.0
+    assert manoeuvres.mean() < 1e-3
+
+
+def test_a_single_outlier_is_no_manoeuvre():
+    time_s = 3.0 * np.arange(30)
+    position = np.column_stack([6.0 * time_s, np.zeros(30)])
+    position[20, 1] = 150.0
+    reports = States.of(time_s, position, 625.0 * np.eye(2), speed_m_per_s=8.0, track=["7"] * 30)
+    assert np.isinf(follow(reports, acceleration_m2_per_s3=0.01).trend[:, 3]).all()
+
+
 def test_an_id_given_to_another_object_begins_a_new_track():
     time_s = np.arange(8.0)
     position = np.column_stack([5.0 * time_s, np.zeros(8)])

@@ -166,7 +166,7 @@ def _dragged(
     after = np.zeros(len(track.at), bool)
     for other, last in _companions(track, others, tuning):
         common_instants, i, j = np.intersect1d(track.at, other.at, return_indices=True)
-        chi_sq = np.sum((track.position[i] - other.position[j]) ** 2, axis=1) / (track.variance[i] + other.variance[j])
+        chi_sq = _disagreement(track, other, i, j, instants, tuning)
         contradicts = (common_instants > last) & (chi_sq > tuning.apart_sigmas**2)
         if contradicts.sum() >= tuning.apart_instants and contradicts[-1]:
             contradicting.append((other, float(np.sqrt(np.sum((track.position[i[-1]] - other.position[j[-1]]) ** 2)))))
@@ -198,6 +198,20 @@ def _dragged(
         "positions are forged or faulty"
     )
     yield Fault("dragged", name, first, float(instants[track.at[-1]]), log_odds, words, track.track)
+
+
+def _disagreement(
+    own: PictureTrack, other: PictureTrack, i: IntArray, j: IntArray, instants: FloatArray, tuning: Tuning
+) -> FloatArray:
+    """(k,) χ² of the positions ``j`` of the other track against the path of the own one about its reports ``i``.
+
+    The other track may be late or early on the path by some seconds, 1σ ``tracker_lag_s``.
+    """
+    lag_s = tuning.tracker_lag_s * np.linspace(-tuning.apart_sigmas, tuning.apart_sigmas, 41)
+    times = instants[own.at[i]] + lag_s[:, None]
+    path = np.stack([np.interp(times, instants[own.at], axis) for axis in own.position.T], axis=-1)
+    chi_sq = np.sum((path - other.position[j]) ** 2, axis=2) / (own.variance[i] + other.variance[j])
+    return np.asarray((chi_sq + (lag_s[:, None] / tuning.tracker_lag_s) ** 2).min(axis=0))
 
 
 @dataclass(frozen=True)

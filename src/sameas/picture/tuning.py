@@ -84,6 +84,7 @@ class Tuning:
     min_reports : minimum number of reports of a track, to find its silence.
     jump_reports : minimum number of reports of a track before and after a jump.
     apart_sigmas, apart_instants : two tracks are apart beyond this many σ, at this many instants or more.
+        tracker_lag_s : 1σ of the time by which a sensor's tracker follows the path of a ship late.
     false_position_odds, sensor_swap : prior odds that reported positions are false, against a swap of the sensor's
         track to another ship; and the probability of such a swap for each further sensor. empty_vote : maximum evidence
         of one sensor without a detection at the reported position.
@@ -164,6 +165,7 @@ class Tuning:
     jump_reports: int = 3
     apart_sigmas: float = 5.0
     apart_instants: int = 3
+    tracker_lag_s: float = 5.0
     false_position_odds: float = 0.1
     sensor_swap: float = 0.01
     empty_vote: float = 6.0

@@ -20,6 +20,10 @@ ADS-B, radar plots with track numbers). One pass in order of time gives each rep
 track up to it. The covariance is checked by NIS: the mean normalised innovation squared is the dimension where noise
 and motion are described correctly. :func:`are_unfiltered` decides whether reports are unfiltered plots or already
 smoothed.
+
+A ship that accelerates for a minute leaves this model: the filter lags by tens of metres, with a covariance of a few.
+Its innovations then lie on one side, which :class:`InnovationTrend` detects; q is larger from then on for the length of
+a manoeuvre.
 """
 
 from __future__ import annotations
@@ -368,15 +372,82 @@ class FilteredTracks:
     nis : (n,) normalised innovation squared of each report; NaN where it started a track.
     began : (n,) whether the report started a track: the first one, or one so far from the prediction that the id went
         to another object, or the object moved in a way that its motion model excludes.
+    trend : (n, 4) the innovations up to each report, to continue from it; see :class:`InnovationTrend`.
     """
 
     states: States
     nis: FloatArray
     began: BoolArray
+    trend: FloatArray
+
+
+@dataclass(frozen=True)
+class InnovationTrend:
+    """The recent innovations of tracks, by which a manoeuvre is detected; rows of (n, 4) arrays.
+
+    total : (n, 2) fading sum of the innovations, each whitened by its covariance. weight : (n,) sum of the squared
+    weights, which is the variance of ``total`` per axis while the motion is as modelled. since_s : (n,) seconds since
+    the last manoeuvre was detected.
+
+    Source: Bar-Shalom, Li and Kirubarajan 2001, section 11.2 (noise level adjustment), with the sum of the innovations
+    instead of that of their squares: a lag has a direction.
+    """
+
+    total: FloatArray
+    weight: FloatArray
+    since_s: FloatArray
+
+    @classmethod
+    def of(cls, table: FloatArray) -> InnovationTrend:
+        return cls(table[:, :2], table[:, 2], table[:, 3])
+
+    @property
+    def table(self) -> FloatArray:
+        return np.column_stack([self.total, self.weight, self.since_s])
+
+    @classmethod
+    def none(cls, n: int) -> FloatArray:
+        """(n, 4) without innovations."""
+        return np.tile([0.0, 0.0, 0.0, math.inf], (n, 1))
+
+    def with_manoeuvres(
+        self, covariance: FloatArray, dt_s: FloatArray, walk: float, tuning: Tuning
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Before reports ``dt_s`` later: the covariances (n, 4, 4), q (n,), and the seconds since a manoeuvre.
+
+        A manoeuvre detected now began about the memory of the sum ago: the noise of that time is added at once.
+        """
+        size = np.abs(dt_s)
+        fast = walk * tuning.manoeuvre_noise
+        lags = np.sum(self.total**2, axis=1) > ChiSquare(1.0 - tuning.manoeuvre_probability).limit(2) * self.weight
+        begins = lags & (self.since_s > tuning.manoeuvre_s)
+        if begins.any():
+            before_s = size[begins] * tuning.innovation_memory / (1.0 - tuning.innovation_memory)
+            covariance = covariance.copy()
+            covariance[begins] += process_noise(before_s, fast)
+        since_s = np.where(lags, 0.0, self.since_s + size)
+        return covariance, np.where(since_s > tuning.manoeuvre_s, walk, fast), since_s
+
+    def updated(self, innovation: FloatArray, total: FloatArray, since_s: FloatArray, tuning: Tuning) -> FloatArray:
+        """(n, 4) after innovations (n, 2) with covariances (n, 2, 2)."""
+        root_xx = np.sqrt(total[:, 0, 0])
+        slope = total[:, 0, 1] / root_xx
+        x = innovation[:, 0] / root_xx
+        y = (innovation[:, 1] - slope * x) / np.sqrt(np.maximum(total[:, 1, 1] - slope**2, 1e-12))
+        # A single outlier is no lag.
+        shrunk = np.minimum(tuning.max_innovation / np.maximum(np.hypot(x, y), 1e-12), 1.0)
+        rho = tuning.innovation_memory
+        sums = rho * self.total + shrunk[:, None] * np.column_stack([x, y])
+        return InnovationTrend(sums, rho**2 * self.weight + 1.0, since_s).table
 
 
 def follow(
-    reports: States, *, acceleration_m2_per_s3: float, features: int = 2, tuning: Tuning = DEFAULT_TUNING
+    reports: States,
+    *,
+    acceleration_m2_per_s3: float,
+    features: int = 2,
+    trend: FloatArray | None = None,
+    tuning: Tuning = DEFAULT_TUNING,
 ) -> FilteredTracks:
     """The filtered track state after each report of a source with track ids.
 
@@ -386,6 +457,7 @@ def follow(
     acceleration_m2_per_s3 : power density of the velocity's random walk.
     features : 2 to use positions only, with the reported velocity at the start of a track; 4 to use both, for sources
         that measure velocities independently (Doppler).
+    trend : (n, 4) :attr:`FilteredTracks.trend` at the first report of each track, where that report is a filtered state.
 
     Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2.
     """
@@ -396,6 +468,7 @@ def follow(
     usable = reports.usable
     state, covariance = reports.state.copy(), reports.covariance.copy()
     nis, began = np.full(len(reports), np.nan), np.zeros(len(reports), bool)
+    trends = InnovationTrend.none(len(reports)) if trend is None else trend.copy()
     limit = ChiSquare(1.0 - tuning.new_track_probability).limit(features)
     before = np.empty(0, np.int64)
     for now in _by_turn(reports, usable):
@@ -405,7 +478,9 @@ def follow(
             continue
         before = before[: len(now)]
         dt = reports.time_s[now] - reports.time_s[before]
-        predicted, p_predicted = moved(state[before], covariance[before], dt, acceleration_m2_per_s3)
+        recent = InnovationTrend.of(trends[before])
+        p_before, walk, since_s = recent.with_manoeuvres(covariance[before], dt, acceleration_m2_per_s3, tuning)
+        predicted, p_predicted = moved(state[before], p_before, dt, walk)
         innovation = reports.state[now, :features] - predicted[:, :features]
         total = p_predicted[:, :features, :features] + reports.covariance[now, :features, :features]
         updated = Gaussian(predicted, p_predicted).updated(
@@ -416,8 +491,13 @@ def follow(
         continues = now[~starts]
         state[continues], covariance[continues] = updated.mean[~starts], updated.covariance[~starts]
         nis[continues], began[now[starts]] = chi_sq[~starts], True
+        trends[now] = np.where(
+            starts[:, None],
+            InnovationTrend.none(1),
+            recent.updated(innovation[:, :2], total[:, :2, :2], since_s, tuning),
+        )
         before = now
-    return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began)
+    return FilteredTracks(States(reports.time_s, state, covariance, reports.track, reports.rows), nis, began, trends)
 
 
 def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tuning = DEFAULT_TUNING) -> bool:

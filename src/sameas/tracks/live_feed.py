@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import MODELS
 from sameas.kernels.zones import merge_rows
-from sameas.tracks.alignment import States, Succession, are_unfiltered, follow
+from sameas.tracks.alignment import InnovationTrend, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.duplicate_ids import Branches
@@ -440,9 +440,13 @@ class LiveFeed:
             ),
             number[use], np.arange(len(use)),
         )  # fmt: skip
-        tracks = follow(measured, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning).states
+        tracks = follow(
+            measured, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning,
+            trend=np.where(is_start[:, None], table.trend[refiltered], InnovationTrend.none(1)),
+        )  # fmt: skip
         updated = np.flatnonzero(~is_start)
-        self._write(refiltered[updated], measured.take(updated), tracks.take(updated))
+        table.trend[refiltered[updated]] = tracks.trend[updated]
+        self._write(refiltered[updated], measured.take(updated), tracks.states.take(updated))
 
     def _write(self, at: IntArray, measured: States, tracks: States) -> None:
         """Writes the measured and filtered states of reports into their rows."""
@@ -547,7 +551,7 @@ class _Rows:
         ("time_s", (), -math.inf), ("measured", (4,), math.nan), ("measured_covariance", (4, 4), math.nan),
         ("filtered", (4,), math.nan), ("filtered_covariance", (4, 4), math.nan), ("state", (4,), math.nan),
         ("covariance", (4, 4), math.nan), ("p_stationary", (), 0.0), ("sensor_m", (2,), math.nan),
-        ("heights", (4,), math.nan), ("late_s", (), -math.inf),
+        ("heights", (4,), math.nan), ("late_s", (), -math.inf), ("trend", (4,), math.nan),
     )  # fmt: skip
     time_s: FloatArray
     measured: FloatArray
@@ -560,6 +564,7 @@ class _Rows:
     sensor_m: FloatArray
     heights: FloatArray
     late_s: FloatArray
+    trend: FloatArray
 
     def __init__(self, n: int) -> None:
         for name, shape, empty in self.ARRAYS:
@@ -579,7 +584,7 @@ class _Rows:
         rows = cls(0)
         rows.p_stationary, rows.sensor_m, rows.heights = np.zeros(n), np.full((n, 2), np.nan), np.full((n, 4), np.nan)
         rows.number, rows.serial, rows.name = np.full(n, -1), np.full(n, -1), np.full(n, "", object)
-        rows.late_s = np.full(n, -np.inf)
+        rows.late_s, rows.trend = np.full(n, -np.inf), InnovationTrend.none(n)
         return rows
 
     @classmethod

@@ -47,6 +47,12 @@ class Tuning:
     new_track_probability : a report beyond the χ² limit that correct reports exceed with this probability restarts its
         track.
 
+    innovation_memory, max_innovation : weight of the previous innovations of a track, per report, and the maximum of
+        one, in σ, where a lag of its filter is detected.
+    manoeuvre_probability : a lag is detected beyond the χ² limit that tracks without one exceed with this probability.
+    manoeuvre_noise, manoeuvre_s : factor on the motion noise in a manoeuvre, and its length: 0.13 m/s² for a minute is
+        100 times the noise assumed for ships, a turn at 0.26 g for a minute that for aircraft.
+
     common_instants, common_records : maximum number of instants at which two sources are compared, and maximum number
         of records at all of them; more records reduce the instants, down to ``min_instants``.
     skipped_share : share of the common time skipped at its start, when some objects have not reported yet.
@@ -135,6 +141,11 @@ class Tuning:
     innovation_ratio: float = 1.0 / 3.0
     min_innovations: int = 30
     new_track_probability: float = 1e-9
+    innovation_memory: float = 0.8
+    max_innovation: float = 3.0
+    manoeuvre_probability: float = 1e-3
+    manoeuvre_noise: float = 100.0
+    manoeuvre_s: float = 60.0
 
     common_instants: int = 16
     common_records: int = 4000
