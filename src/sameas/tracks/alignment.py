@@ -457,7 +457,7 @@ def follow(
     acceleration_m2_per_s3 : power density of the velocity's random walk.
     features : 2 to use positions only, with the reported velocity at the start of a track; 4 to use both, for sources
         that measure velocities independently (Doppler).
-    trend : (n, 4) :attr:`FilteredTracks.trend` at the first report of each track, where that report is a filtered state.
+    trend : (n, 4) :attr:`FilteredTracks.trend` at the first report of each track, where that is a filtered state.
 
     Source: METHOD 1 (prediction); Bar-Shalom, Li and Kirubarajan 2001, sections 5.2 and 6.2.
     """
