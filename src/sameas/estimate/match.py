@@ -252,7 +252,8 @@ def match(
     brightness : magnitudes of every row of both tables, as evidence; None uses positions only.
     precision : whether the sizes of the quoted errors are evidence: faint objects have larger ones.
     evidence : columns used as evidence, of one source or related columns of both.
-    max_iterations : maximum number of EM iterations.
+    max_iterations : EM iterations after which no further error model is tried; its iterations are at most two
+        thirds of these more.
     sampling : size of the sample of large sources from which estimates are made.
     tuning : limits, such as the number of pairs below which probabilities are averaged over errors.
     progress : called with the name of each step.
@@ -352,8 +353,11 @@ def _fit(
         model, gain = result.better_model()
         if gain < tuning.min_gain:
             break
-        search = replace(search, gate_errors=model)
-        result = _rerun(search, result, None, max_iterations)
+        changed = replace(search, gate_errors=model)
+        again = _rerun(changed, result, None, max_iterations)
+        if again.is_worse_than(result):
+            break
+        search, result = changed, again
     if errors is None:
         search, result = _fit_tail(search, result, max_iterations)
     if tuning.fits_trends and errors is None and result.converged:
@@ -371,8 +375,11 @@ def _fit(
 
 
 def _rerun(search: _GateSearch, result: _GateResult, errors: Errors | None, max_iterations: int) -> _GateResult:
-    """The result of a changed search with the remaining iterations, at least 5; all iterations are counted."""
-    again = search.run(errors, max(max_iterations - result.iterations, 5))
+    """The result of a changed search with the remaining iterations, at least two thirds of all; all are counted.
+
+    With each error model the gate is doubled anew; five times take 12 to 18 iterations.
+    """
+    again = search.run(errors, max(max_iterations - result.iterations, 2 * max_iterations // 3, 5))
     return replace(again, iterations=result.iterations + again.iterations)
 
 
@@ -421,8 +428,11 @@ def _fit_trends(search: _GateSearch, result: _GateResult, max_iterations: int) -
         )  # fmt: skip
         if gain < (tuning.min_trend_gain if search.trends else tuning.min_gain):
             break
-        search = replace(search, gate_errors=model, trends=trends)
-        result = _rerun(search, result, None, max_iterations)
+        changed = replace(search, gate_errors=model, trends=trends)
+        again = _rerun(changed, result, None, max_iterations)
+        if again.is_worse_than(result):
+            break
+        search, result = changed, again
     return search, result
 
 
@@ -439,6 +449,7 @@ class _GateResult:
     """The state after the EM iterations with one gate.
 
     whole : all candidates. estimates : of all or of a sample. p_counted : (m,) probabilities of their pairs.
+    too_narrow : whether the iterations ended before the gate was wide enough.
     """
 
     whole: Setting
@@ -449,6 +460,11 @@ class _GateResult:
     converged: bool
     learned_from: tuple[int, int]
     tuning: MatchTuning
+    too_narrow: bool = False
+
+    def is_worse_than(self, other: _GateResult) -> bool:
+        """Whether pairs are lost beyond this gate only."""
+        return self.too_narrow and not other.too_narrow
 
     @property
     def sampled(self) -> bool:
@@ -581,8 +597,11 @@ class _GateSearch:
             result = self._run_gate(estimates, whole, limit, max_iterations - iterations)
             result = replace(result, iterations=iterations + result.iterations)
             estimates, p_counted, iterations = result.estimates, result.p_counted, result.iterations
-            if self.gate is not None or iterations >= max_iterations or not result.must_widen():
-                return replace(result, estimates=estimates.with_evidence(p_counted, last=True))
+            too_narrow = self.gate is None and result.must_widen()
+            if not too_narrow or iterations >= max_iterations:
+                estimates = estimates.with_evidence(p_counted, last=True)
+                converged = result.converged and not too_narrow
+                return replace(result, estimates=estimates, converged=converged, too_narrow=too_narrow)
             estimates = estimates.with_evidence(p_counted)
             limit = min(2.0 * limit, self.tuning.max_gate_sigmas)
 
