@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from sameas import match, plots
 from sameas.evidence import Errors
 from sameas.io import read_table, write_table
-from sameas.plots.residuals import containment
+from sameas.plots.match import containment
 from sameas.representation import count
 from sameas.sky import SkyMatch
 from sameas.space import sphere_offset

@@ -18,7 +18,7 @@ from sameas.space import sphere_offset
 pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
 
 from sameas import plots
-from sameas.plots.residuals import containment, rayleigh_mixture
+from sameas.plots.match import containment, rayleigh_mixture
 from sameas.plots.sheet import TangentAxes, ellipse, nice_length
 
 DEC = 40.0

@@ -21,9 +21,8 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
-from sameas.plots.brightness import brightness, certainty
 from sameas.plots.group import group, most_ambiguous
-from sameas.plots.residuals import normalised, residuals, scatter
+from sameas.plots.match import brightness, certainty, normalised, residuals, scatter
 from sameas.plots.sheet import required, save
 from sameas.sky.crossmatch import SkyMatch
 

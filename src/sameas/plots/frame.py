@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.errors import InputError
-from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, nice_length, sheet, tidy
+from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, nice_length, required, sheet, tidy
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import FrameIdentification
 from sameas.sky.frame.image import Frame
@@ -34,15 +33,11 @@ def picture(found: FrameIdentification, frame: Frame, *, brightest: int | None =
 
     brightest : maximum number of identified stars to mark, the brightest first; None: all.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise InputError("plots need matplotlib: pip install 'sameas[plots]'") from error
     rows, columns = found.measured.shape
     side = 11.0
     wide, high = (side, side * rows / columns) if columns >= rows else (side * columns / rows, side)
     wide, high = max(wide, 5.0), max(high, 4.0)
-    figure = Figure(figsize=(wide + 0.5, high + 1.45), dpi=DOTS_PER_INCH, facecolor=NIGHT)
+    figure = required()(figsize=(wide + 0.5, high + 1.45), dpi=DOTS_PER_INCH, facecolor=NIGHT)
     total = high + 1.45
     axes = figure.add_axes((0.25 / (wide + 0.5), 0.62 / total, wide / (wide + 0.5), high / total))
     grey = stretched(binned(frame.image, binning(frame.shape)))

@@ -9,7 +9,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.plots.residuals import containment
+from sameas.plots.match import containment
 from sameas.plots.sheet import FAINT, FIRST, FOUND, INK, SECOND, TangentAxes, ellipse, nice_length, sheet, tidy
 from sameas.records import Records
 from sameas.result import Identification
