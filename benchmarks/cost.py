@@ -21,7 +21,7 @@ from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes, Rule
 from sameas.kernels import compiled
 from sameas.registration import Shift, register
-from sameas.simulate.exposures import Sky, exposure
+from sameas.simulate.catalogues import Sky, exposure
 
 #: Target: largest ratio of the times.
 MAX_RATIO = 5.0

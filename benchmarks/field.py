@@ -26,17 +26,19 @@ from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.evidence import Column, Magnitudes, Related
 from sameas.records import Records
 from sameas.score.pairs import is_true_pair, reliability
-from sameas.simulate.exposures import Exposure, Sky, exposure
-from sameas.simulate.scenes import SimulatedScene
-from sameas.simulate.surveys import (
+from sameas.simulate.catalogues import (
     BlendedField,
     Counterparts,
+    Exposure,
+    Sky,
     blended_field,
     counterparts,
     couples_field,
+    exposure,
     formal_field,
     growing_field,
 )
+from sameas.simulate.scenes import SimulatedScene
 from sameas.sky.crossmatch import nearest
 from sameas.space import displaced
 

@@ -20,7 +20,7 @@ from sameas import Identification, identify
 from sameas.estimate.match import Estimate, match
 from sameas.evidence import Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.exposures import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.simulate.catalogues import Exposure, Sky, exposure, misquoted, with_outliers
 from sameas.simulate.scenes import SimulatedScene
 
 Pairs = tuple[np.ndarray, np.ndarray]

@@ -13,7 +13,7 @@ from sameas import PoissonField
 from sameas.estimate.match import Estimate, match
 from sameas.estimate.quantity import Quantity
 from sameas.evidence import Magnitudes
-from sameas.simulate.exposures import Exposure, Sky, exposure, misquoted, with_outliers
+from sameas.simulate.catalogues import Exposure, Sky, exposure, misquoted, with_outliers
 from sameas.space import displaced
 
 Change = Callable[[np.random.Generator, Exposure], Exposure]

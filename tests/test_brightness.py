@@ -13,7 +13,7 @@ from sameas.estimate.photometry import Photometry, Sample, density_of, fit_relat
 from sameas.evidence import Brightness, Chain, Magnitudes, SourceMagnitudes
 from sameas.evidence.detection import DetectionCurve, Hats, ShareCurve, knots_of, logit, share_error
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.exposures import Sky, exposure, misquoted, with_outliers
+from sameas.simulate.catalogues import Sky, exposure, misquoted, with_outliers
 
 
 def calibration(answer, scene):

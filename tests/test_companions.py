@@ -14,8 +14,8 @@ from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import DEFAULT_MATCH, match
 from sameas.estimate.sample import Setting
 from sameas.score.pairs import is_true_pair
+from sameas.simulate.catalogues import couples_field
 from sameas.simulate.scenes import SimulatedScene
-from sameas.simulate.surveys import couples_field
 
 WITHOUT = replace(DEFAULT_MATCH, em=replace(DEFAULT_MATCH.em, companions=None))
 

@@ -12,8 +12,8 @@ from sameas.arrays import FloatArray
 from sameas.estimate.match import Estimate, match
 from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair
+from sameas.simulate.catalogues import growing_field
 from sameas.simulate.scenes import SimulatedScene
-from sameas.simulate.surveys import growing_field
 
 Field = tuple[SimulatedScene, tuple[FloatArray, FloatArray], FloatArray]
 Found = tuple[Identification, Estimate]

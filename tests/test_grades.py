@@ -7,7 +7,7 @@ from sameas.estimate.grades import PSEUDO_COUNT, Grades, Scale
 from sameas.estimate.match import match
 from sameas.evidence import Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
-from sameas.simulate.exposures import Sky, exposure
+from sameas.simulate.catalogues import Sky, exposure
 
 FLAT = Sky(
     catalogue_sigma_arcsec=(0.15, 0.15), motion_sigma_mas_per_yr=(5.0, 5.0), unknown_motion=0.0,

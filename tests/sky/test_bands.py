@@ -6,7 +6,7 @@ import pytest
 from sameas import InputError, plots
 from sameas.report import match as report
 from sameas.score.pairs import is_true_pair
-from sameas.simulate.exposures import Sky, exposure
+from sameas.simulate.catalogues import Sky, exposure
 from sameas.sky.bands import magnitudes_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match

@@ -1,10 +1,17 @@
 """The public names of simulated scenes."""
 
-from .exposures import Exposure as Exposure
-from .exposures import Sky as Sky
-from .exposures import exposure as exposure
-from .exposures import misquoted as misquoted
-from .exposures import with_outliers as with_outliers
+from .catalogues import BlendedField as BlendedField
+from .catalogues import Counterparts as Counterparts
+from .catalogues import Exposure as Exposure
+from .catalogues import Sky as Sky
+from .catalogues import blended_field as blended_field
+from .catalogues import counterparts as counterparts
+from .catalogues import couples_field as couples_field
+from .catalogues import exposure as exposure
+from .catalogues import formal_field as formal_field
+from .catalogues import growing_field as growing_field
+from .catalogues import misquoted as misquoted
+from .catalogues import with_outliers as with_outliers
 from .frames import Camera as Camera
 from .frames import Gaussian as Gaussian
 from .frames import Lens as Lens
@@ -27,10 +34,3 @@ from .sensors import Bias as Bias
 from .sensors import Sensor as Sensor
 from .sensors import Tracker as Tracker
 from .sensors import TrueMotion as TrueMotion
-from .surveys import BlendedField as BlendedField
-from .surveys import Counterparts as Counterparts
-from .surveys import blended_field as blended_field
-from .surveys import counterparts as counterparts
-from .surveys import couples_field as couples_field
-from .surveys import formal_field as formal_field
-from .surveys import growing_field as growing_field
