@@ -1,4 +1,4 @@
-"""ARPA: the targets of a ship's radar, from TTM and TLL sentences of its log.
+"""A ship's log of NMEA 0183 sentences: the targets of its radar (ARPA) from TTM and TLL, next to its AIS.
 
 TTM gives range and bearing, speed and course, each true or relative by a flag of its own; TLL gives latitude and
 longitude computed by the radar. Where a log has both, they are the same targets, and only TTM, the measurement, is
@@ -9,18 +9,20 @@ radar is in no sentence; it comes from the description of the source.
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, naming
-from sameas.io.sensors.ais import own_ship
+from sameas.io.sensors import ais
 from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, forward_filled
-from sameas.io.sensors.nmea import Log, Sentence, latitude, longitude, time_of_day, with_date
+from sameas.io.sensors.format import SensorFile, SensorFormat
+from sameas.io.sensors.nmea import Log, Sentence, latitude, log_of, longitude, time_of_day, with_date
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 #: The sentences of targets.
@@ -142,7 +144,7 @@ _OWN_SHIP: Mapping[str, Callable[[Sentence], dict[str, float | None]]] = {
     "RMC": lambda s: _position(3)(s) if s.field(2) != "V" else {},
     "GGA": lambda s: _position(2)(s) if s.field(6) != "0" else {},
     "GLL": lambda s: _position(1)(s) if s.field(6) != "V" else {},
-    "VDO": own_ship,
+    "VDO": ais.own_ship,
 }
 
 
@@ -244,3 +246,31 @@ def _notes(source: str, log: Log, columns: Mapping[str, Any]) -> tuple[str, ...]
     if not np.isfinite(columns["station_lat_deg"]).any():
         notes.append(f"{source}: the log lacks own ship's position; give it in the description of the source")
     return tuple(notes)
+
+
+def _of_log(log: Log, source: str, start_s: float | None) -> list[Reports]:
+    """AIS and radar targets of a log; two sources where it has both."""
+    kinds = {sentence.kind for sentence in log.sentences}
+    has_ais, has_arpa = "VDM" in kinds, bool(kinds & set(SENTENCES))
+    if not (has_ais or has_arpa):
+        listed = ", ".join(sorted(kinds)) or "none"
+        raise InputError(f"{source}: no AIS (VDM) and no radar targets (TTM, TLL) among its sentences: {listed}")
+    both = has_ais and has_arpa
+    sources = [ais.read(log, f"{source}:ais" if both else source, start_s)] if has_ais else []
+    if has_arpa:
+        # Damaged lines are counted once, with the first source.
+        rest = replace(log, damaged=()) if both else log
+        sources.append(read(rest, f"{source}:arpa" if both else source, start_s))
+    return sources
+
+
+def _recognises(file: SensorFile) -> bool:
+    return any(re.search(r"[!$][A-Z]{4,9}[A-Z0-9]?,", line) for line in file.head_lines)
+
+
+FORMAT = SensorFormat(
+    "nmea",
+    "NMEA 0183: AIS (VDM) and tracked radar targets (TTM, TLL)",
+    lambda file: _of_log(log_of(file.lines, file.unended), file.source, file.start_s),
+    _recognises,
+)

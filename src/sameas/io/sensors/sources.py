@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import Argument, InputError, Message, reading
-from sameas.io.sensors import aircraft, asterix, mode_s, sbs, ship_log, signalk, tables
+from sameas.io.sensors import aircraft, arpa, asterix, mode_s, sbs, signalk, tables
 from sameas.io.sensors.format import ReadOptions, SensorFile, SensorFormat
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.reports import Reports
@@ -34,7 +34,7 @@ from sameas.tracks.source import Description, source_tables
 
 #: The formats, in the order in which they are tried.
 FORMATS: tuple[SensorFormat, ...] = (
-    asterix.FORMAT, ship_log.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
+    asterix.FORMAT, arpa.FORMAT, aircraft.FORMAT, signalk.FORMAT, sbs.FORMAT, mode_s.FORMAT, tables.FORMAT,
 )  # fmt: skip
 #: Their descriptions, by name.
 REPORT_FORMATS: Mapping[str, str] = {known.name: known.label for known in (FORMATS[-1], *FORMATS[1:-1], FORMATS[0])}
