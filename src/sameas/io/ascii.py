@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
 from sameas.io.csv import TableHead, content_of, distinct, is_number, table_of
@@ -51,11 +51,6 @@ def read(path: Path, hdu: None) -> Table:
     text = content_of(path)
     names, row = _names(text, path)
     return rows_of(text, names, row, path)
-
-
-def provenance(path: Path) -> dict[str, Any]:
-    """Empty: the format has no provenance."""
-    return {}
 
 
 def words(line: bytes) -> list[bytes]:

@@ -1,8 +1,8 @@
 """The description of a file format, and what the formats share: provenance as text, units, text cells.
 
-A format is one module with its ``FORMAT``, ``read(path, hdu)``, ``write(table, path, provenance)`` and
-``provenance(path)``; :data:`sameas.io.tables.FORMATS` lists it. The module imports its library inside
-these functions, so that the list is cheap to import.
+A format is one module with its ``FORMAT``, ``read(path, hdu)`` and, unless it is only read,
+``write(table, path, provenance)`` and ``provenance(path)``; :data:`sameas.io.tables.FORMATS` lists it. The module
+imports its library inside these functions, so that the list is cheap to import.
 """
 
 from __future__ import annotations

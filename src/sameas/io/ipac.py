@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sameas.io.csv import content_of
 from sameas.io.format import Format
@@ -36,8 +36,3 @@ def read(path: Path, hdu: None) -> Table:
     table.meta = {key: value for key, value in table.meta.items() if value}
     table.meta.update({name: keyword["value"] for name, keyword in keywords.items()})
     return table
-
-
-def provenance(path: Path) -> dict[str, Any]:
-    """Empty: the format has no provenance."""
-    return {}

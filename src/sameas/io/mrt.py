@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sameas.io.csv import content_of
 from sameas.io.format import Format
@@ -48,11 +48,6 @@ def read(path: Path, hdu: None) -> Table:
         # Units outside the standard are kept as text.
         warnings.simplefilter("ignore")
         return text_tables.read(text.splitlines(), format="cds")
-
-
-def provenance(path: Path) -> dict[str, Any]:
-    """Empty: the format has no provenance."""
-    return {}
 
 
 def _description(path: Path) -> str:

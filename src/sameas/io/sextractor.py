@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
 from sameas.io.ascii import rows_of, words
@@ -52,11 +52,6 @@ def read(path: Path, hdu: None) -> Table:
     head_lines, width = _head(memoryview(text)[: 1 << 20].tobytes(), path)
     columns = _columns(head_lines, width, path)
     return _with_descriptions(rows_of(text, [column.name for column in columns], 0, path), columns)
-
-
-def provenance(path: Path) -> dict[str, Any]:
-    """Empty: the format has no provenance."""
-    return {}
 
 
 def _head(first: bytes, path: Path) -> tuple[list[_HeadLine], int]:

@@ -221,6 +221,8 @@ def read_provenance(path: str | os.PathLike[str], *, format: str | None = None) 
     """
     path = Path(path)
     known = _format_in(path, format)
+    if known.read_only:  # these formats have none
+        return {}
     with reading(str(path), "its provenance cannot be read"):
         facts = dict(known.module().provenance(path))
         check_facts(facts, path)

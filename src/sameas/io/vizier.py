@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from sameas.errors import InputError
 from sameas.io.csv import TableHead, content_of, distinct, table_of
@@ -69,11 +69,6 @@ def read(path: Path, hdu: None) -> Table:
         title = f" ({comments.meta['name'].rpartition('; ')[2]})" if "name" in comments.meta else ""
         table.meta["sameas_notes"] = [f"{path} holds several tables of VizieR; used the first{title}"]
     return table
-
-
-def provenance(path: Path) -> dict[str, Any]:
-    """Empty: the comments of VizieR are in the metadata of the table."""
-    return {}
 
 
 def _end_of_rows(text: bytes, begin: int) -> int | None:
