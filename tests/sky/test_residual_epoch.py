@@ -69,3 +69,33 @@ def test_offsets_and_right_epochs_raise_no_doubt():
     doubts = _doubts(gaia, old, (2016.0, None))
     assert any("follow the proper motions" in doubt for doubt in doubts)
     assert any("offset='find'" in doubt for doubt in doubts)
+
+
+MISREAD = {
+    "without cos": (lambda east, north, cos: (east / cos, north), "pmra did not contain cos(dec): multiply it"),
+    "exchanged": (lambda east, north, cos: (north, east), "pmra and pmdec were exchanged: give pm{side}='pmdec,pmra'"),
+    "sign east": (lambda east, north, cos: (-east, north), "pmra had the other sign"),
+    "sign north": (lambda east, north, cos: (east, -north), "pmdec had the other sign"),
+    "arcsec": (lambda east, north, cos: (1e-3 * east, 1e-3 * north), "were in arcsec/yr, not mas/yr"),
+    "unequal": (lambda east, north, cos: (0.3 * east, 0.6 * north), " north, which no epoch explains: are they in the"),
+}
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+@pytest.mark.parametrize("misread", MISREAD)
+def test_motions_in_another_convention_are_not_taken_for_a_wrong_epoch(misread: str, swapped: bool) -> None:
+    """Each was once doubted as a wrong epoch, up to the year 26612."""
+    change, words = MISREAD[misread]
+    rng = np.random.default_rng(3)
+    n, cos = 800, np.cos(np.radians(60.0))
+    ra, dec = 100.0 + rng.uniform(0.0, 1.0, n), 60.0 + rng.uniform(-0.25, 0.25, n)
+    motion = rng.normal(0.0, 12.0, (n, 2))
+    off = -16.0 * 1e-3 * motion + rng.normal(0.0, 0.1, (n, 2))
+    old = Table({"RA": ra + off[:, 0] / 3600.0 / np.cos(np.radians(dec)), "DEC": dec + off[:, 1] / 3600.0})
+    old["sigma_arcsec"] = 0.1
+    pmra, pmdec = change(motion[:, 0], motion[:, 1], cos)
+    gaia = Table({"ra": ra, "dec": dec, "pmra": pmra, "pmdec": pmdec})
+    gaia["ra_error"] = gaia["dec_error"] = gaia["pmra_error"] = gaia["pmdec_error"] = 0.1
+    tables, epochs = ((old, gaia), (2000.0, 2016.0)) if swapped else ((gaia, old), (2016.0, 2000.0))
+    doubts = [doubt for doubt in _doubts(*tables, epochs) if "follow the proper motions" in doubt]
+    assert len(doubts) == 1 and words.format(side=2 if swapped else 1) in doubts[0], doubts

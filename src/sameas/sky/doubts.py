@@ -14,7 +14,8 @@ swapped columns.
 
 With a wrong epoch (:func:`epoch_doubt`) residuals grow along the proper motions. The catalogue with proper motions μ
 was moved to an epoch T. If the other one was observed at T + δ, each pair has a residual −μ δ, plus a common offset.
-Both are fitted by least squares.
+Both are fitted by least squares. Motions in another convention (without cos δ, exchanged, with the other sign, in
+arcsec/yr) are tested in the same way, and preferred where they lower χ² further.
 """
 
 from __future__ import annotations
@@ -429,6 +430,8 @@ class EpochTuning:
     fewest, max_pairs : with fewer pairs no doubt is reported; more are sampled regularly.
     significant_sigmas : minimum significance of δ, and of an offset in addition. significant_years : minimum of |δ|.
     significant_share : the fastest 5 % of the objects must move by at least this fraction of their errors in δ years.
+    largest_axis_ratio, epochs_jyr : an epoch does not explain δ that differ by more than this share between east and
+        north, nor one outside this range.
     """
 
     min_p_pair: float = 0.9
@@ -438,6 +441,8 @@ class EpochTuning:
     significant_sigmas: float = 5.0
     significant_years: float = 0.3
     significant_share: float = 0.3
+    largest_axis_ratio: float = 0.3
+    epochs_jyr: tuple[float, float] = (1800.0, 2100.0)
 
 
 EPOCH = EpochTuning()
@@ -451,7 +456,8 @@ def epoch_doubt(
     scale: float,
     tuning: EpochTuning = EPOCH,
 ) -> tuple[str, bool]:
-    """A doubt about the epoch of one catalogue (empty if none), and whether that epoch also explains a common offset.
+    """A doubt about the epoch of one catalogue, or about the convention of the motions (empty if none), and whether the
+    epoch also explains a common offset.
 
     epoch_jyr : common epoch of the match. scale : ratio of residuals to quoted errors.
     """
@@ -475,24 +481,122 @@ def epoch_doubt(
         return "", False
     motion, residual, precision = sign * motion[used], residual[used], precision[used]
     design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
-    years, error, gain = _fitted(design, residual, precision)
-    years_only, error_only, gain_only = _fitted(design[:, :, :1], residual, precision)
+    solution, covariance, gain = _least_squares(design, residual, precision)
+    years, error = float(solution[0]), math.sqrt(float(covariance[0, 0]))
     significant_gain = tuning.significant_sigmas**2
     motion_sigmas = np.sqrt(np.einsum("mv,mvw,mw->m", motion, precision, motion))
     if abs(years) < max(tuning.significant_years, tuning.significant_sigmas * error):
         return "", False
     if np.quantile(motion_sigmas, 0.95) * abs(years) < tuning.significant_share:
         return "", False
-    explains = gain - gain_only < significant_gain
-    years, error = (years_only, error_only) if explains else (years, error)
     assumed_jyr = questioned.epoch_jyr
     assert assumed_jyr is not None
+    text = f"residuals follow the proper motions of {moved.name}, "
+    astrometry = astrometry[used]
+    displaced = sign * (epoch_jyr - astrometry.epoch_jyr)[:, None] * motion
+    moved_residuals = _MovedResiduals(displaced, residual if moved is first else -residual, precision)
+    possible = tuning.epochs_jyr[0] <= assumed_jyr + years <= tuning.epochs_jyr[1]
+    min_gain = gain + (significant_gain if possible else -significant_gain)
+    misread = moved_residuals.misreading(np.cos(np.radians(astrometry.dec_deg)), min_gain)
+    if misread is not None:
+        return Message(text, *misread.words(moved, 1 if moved is first else 2)), False
+    factors = moved_residuals.different_factors(tuning)
+    if factors or not possible:
+        fits = factors or f"as if the epoch of {questioned.name} were {assumed_jyr + years:.0f}"
+        return f"{text}{fits}, which no epoch explains: are they in the right columns, and their units right?", False
+    alone, covariance_alone, gain_only = _least_squares(design[:, :, :1], residual, precision)
+    explains = gain - gain_only < significant_gain
+    if explains:
+        years, error = float(alone[0]), math.sqrt(float(covariance_alone[0, 0]))
     decimals = max(0, math.ceil(-math.log10(error)))
-    text = (
-        f"residuals follow the proper motions of {moved.name}, as if the epoch of {questioned.name} were "
+    text += (
+        f"as if the epoch of {questioned.name} were "
         f"{assumed_jyr + years:.{decimals}f} ± {error:.{decimals}f}, not {in_years(assumed_jyr)}: "
     )
     return Message(text, naming(f"give {{epoch{side}:YEAR}}")), explains
+
+
+@dataclass(frozen=True)
+class _MovedResiduals:
+    """Residuals of a catalogue that was moved by its proper motions, as a test of these.
+
+    displaced : (m, 2) arcsec by which the objects were moved, east and north. residual : (m, 2) arcsec, their position
+    minus that in the other catalogue. precision : (m, 2, 2) of the residuals.
+    """
+
+    displaced: FloatArray
+    residual: FloatArray
+    precision: FloatArray
+
+    def misreading(self, cos_dec: FloatArray, min_gain: float) -> _MotionMisreading | None:
+        """The misreading of the motions that lowers χ² most, with an offset, and by more than ``min_gain``; or None.
+
+        cos_dec : (m,) cosine of declination.
+        """
+        offset = np.broadcast_to(np.eye(2), (len(self.residual), 2, 2))
+        before, best = _chi_square(self.residual, self.precision), None
+        for misread in _MOTION_MISREADINGS:
+            remaining = self.residual + misread.corrected(self.displaced, cos_dec) - self.displaced
+            after = _chi_square(remaining, self.precision) - _least_squares(offset, remaining, self.precision)[2]
+            if before - after > min_gain:
+                min_gain, best = before - after, misread
+        return best
+
+    def different_factors(self, tuning: EpochTuning) -> str:
+        """The factors on the motions east and north that fit best, as text, if they differ; else empty."""
+        if not self.displaced.any():
+            return ""
+        design = np.concatenate([self.displaced[:, :, None] * np.eye(2), np.zeros_like(self.precision) + np.eye(2)], 2)
+        solution, covariance, _ = _least_squares(design, self.residual, self.precision)
+        east, north = 1.0 - solution[:2]
+        error = math.sqrt(float(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
+        least = tuning.largest_axis_ratio * max(abs(solution[0]), abs(solution[1]))
+        if abs(east - north) < max(tuning.significant_sigmas * error, least):
+            return ""
+        return f"which fit best multiplied by {east:.2f} east and {north:.2f} north"
+
+
+@dataclass(frozen=True)
+class _MotionMisreading:
+    """One possible misreading of the columns of proper motion.
+
+    meaning : text with the names of the columns. remedy : template of :func:`naming`, with the side (1 or 2).
+    corrected : displacements (m, 2) east and north after correction, given those before and cos δ (m,).
+    """
+
+    meaning: str
+    remedy: str
+    corrected: Callable[[FloatArray, FloatArray], FloatArray]
+
+    def words(self, catalogue: Catalogue, side: int) -> tuple[str, Message]:
+        """The meaning and the remedy, for a catalogue and its side (1 or 2)."""
+        ra, dec = ("" if column is None else column.name for column in catalogue.choice.motion[1:3])
+        return f"{self.meaning.format(ra=ra, dec=dec)}: ", naming(self.remedy.format(ra=ra, dec=dec, side=side))
+
+
+_MOTION_MISREADINGS = (
+    _MotionMisreading(
+        "as if {ra} did not contain cos(dec)",
+        "multiply it by cos(dec)",
+        lambda moved, cos_dec: moved * np.column_stack([cos_dec, np.ones_like(cos_dec)]),
+    ),
+    _MotionMisreading(
+        "as if {ra} and {dec} were exchanged",
+        "give {{pm{side}:'{dec},{ra}'}}",
+        lambda moved, cos_dec: moved[:, ::-1],
+    ),
+    _MotionMisreading("as if {ra} had the other sign", "was it lost?", lambda moved, cos_dec: moved * [-1.0, 1.0]),
+    _MotionMisreading("as if {dec} had the other sign", "was it lost?", lambda moved, cos_dec: moved * [1.0, -1.0]),
+    _MotionMisreading(
+        "as if {ra} and {dec} were in arcsec/yr, not mas/yr",
+        "give the columns their unit, arcsec / yr",
+        lambda moved, cos_dec: 1e3 * moved,
+    ),
+)
+
+
+def _chi_square(residual: FloatArray, precision: FloatArray) -> float:
+    return float(np.einsum("mv,mvw,mw->", residual, precision, residual))
 
 
 def _questioned(first: Catalogue, second: Catalogue) -> int | None:
@@ -508,8 +612,10 @@ def _questioned(first: Catalogue, second: Catalogue) -> int | None:
     return None
 
 
-def _fitted(design: FloatArray, residual: FloatArray, precision: FloatArray) -> tuple[float, float, float]:
-    """Least squares: the first parameter, its standard error, and the decrease of χ² by all parameters.
+def _least_squares(
+    design: FloatArray, residual: FloatArray, precision: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Least squares: the (k,) parameters, their (k, k) covariance, and the decrease of χ² by all of them.
 
     design (m, 2, k), residual (m, 2), precision (m, 2, 2).
     """
@@ -517,7 +623,7 @@ def _fitted(design: FloatArray, residual: FloatArray, precision: FloatArray) -> 
     information = np.einsum("mvk,mvl->kl", weighted, design) + 1e-12 * np.eye(design.shape[2])
     projection = np.einsum("mvk,mv->k", weighted, residual)
     solution = np.linalg.solve(information, projection)
-    return float(solution[0]), math.sqrt(float(np.linalg.inv(information)[0, 0])), float(solution @ projection)
+    return solution, np.linalg.inv(information), float(solution @ projection)
 
 
 __all__ = ["EpochTuning", "epoch_doubt"]
