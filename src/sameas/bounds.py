@@ -115,43 +115,35 @@ def _first_number(path: Path) -> int | None:
         return None
 
 
-@dataclass(frozen=True)
-class Tables:
-    """Limits on a table; a file of 400 kB can name a hundred thousand columns.
-
-    columns : the widest known catalogues have a thousand.
-    facts : values of the metadata, each counted as often as it is referenced: YAML can repeat a value a thousand
-        million times.
-    rows, rows_per_byte : a file may always have this many rows, and more in proportion to its size.
-    """
-
-    columns: int = 5000
-    rows: int = 10_000_000
-    rows_per_byte: int = 4
-    facts: int = 1_000_000
+#: Columns of a table: the widest known catalogues have a thousand; a file of 400 kB can name a hundred thousand.
+MOST_COLUMNS = 5000
+#: A file may always have this many rows, and more in proportion to its size.
+MOST_ROWS, ROWS_PER_BYTE = 10_000_000, 4
+#: Values of the metadata, each counted as often as it is referenced: YAML can repeat a value a thousand million times.
+MOST_FACTS = 1_000_000
 
 
-def check_columns(count: int, path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
+def check_columns(count: int, path: str | os.PathLike[str]) -> None:
     """Refuse a table with more columns than any real one has."""
-    most = (bounds or Tables()).columns
-    if count > most:
-        raise InputError(f"{path}: has {count} columns; tables of up to {most} are read; leave out what is not needed")
+    if count > MOST_COLUMNS:
+        raise InputError(
+            f"{path}: has {count} columns; tables of up to {MOST_COLUMNS} are read; leave out what is not needed"
+        )
 
 
-def check_rows(count: int, path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
+def check_rows(count: int, path: str | os.PathLike[str]) -> None:
     """Refuse a file of so few bytes a row that it cannot hold positions: rows that are all equal take no space."""
-    limits, size = bounds or Tables(), os.path.getsize(path)
-    if count > max(limits.rows, limits.rows_per_byte * size):
+    size = os.path.getsize(path)
+    if count > max(MOST_ROWS, ROWS_PER_BYTE * size):
         raise InputError(
             f"{path}: claims {count} rows in {size} bytes, which cannot hold a position each; is it the right file?"
         )
 
 
-def check_facts(facts: Mapping[Any, Any], path: str | os.PathLike[str], bounds: Tables | None = None) -> None:
+def check_facts(facts: Mapping[Any, Any], path: str | os.PathLike[str]) -> None:
     """Refuse metadata that expand to more values than any real table has, or that contain themselves."""
-    most = (bounds or Tables()).facts
-    if _unfolded(facts, most + 1, {}) > most:
-        raise InputError(f"{path}: its metadata unfold to more than {most} values; leave them out")
+    if _unfolded(facts, MOST_FACTS + 1, {}) > MOST_FACTS:
+        raise InputError(f"{path}: its metadata unfold to more than {MOST_FACTS} values; leave them out")
 
 
 def _unfolded(value: Any, endless: int, counts: dict[int, int]) -> int:

@@ -576,28 +576,21 @@ def write_margin(catalogue: HatsCatalogue, cell: Cell, margin_arcsec: float, fol
     return write_rows([rows], partition_file(folder, cell))
 
 
-def write_hats(
-    table: Table, folder: Path, *, ra: str = "ra", dec: str = "dec", cells: Iterable[Cell] | None = None,
-    max_rows: int = 1_000_000,
-) -> list[Cell]:  # fmt: skip
-    """Write a table as a HATS catalogue; returns its partitions.
+def write_hats(table: Table, folder: Path, *, max_rows: int = 1_000_000) -> list[Cell]:
+    """Write a table with columns ``ra`` and ``dec``, degrees, as a HATS catalogue; returns its partitions.
 
-    ra, dec : columns of positions, degrees. cells : the partitions; by default of at most ``max_rows`` rows each.
+    max_rows : of a partition.
     """
-    position = np.column_stack([np.asarray(table[ra], np.float64), np.asarray(table[dec], np.float64)])
+    position = np.column_stack([np.asarray(table[name], np.float64) for name in ("ra", "dec")])
     place = cells_of(position, FINEST)
     order = np.argsort(place, kind="stable")
     table, place = table[order], place[order]
-    if cells is None:
-        cells = [one for k in range(12) for one in _split(Cell(0, k), place, max_rows)]
-    full = []
+    cells = [one for k in range(12) for one in _split(Cell(0, k), place, max_rows)]
     for cell in cells:
         begin, end = np.searchsorted(place, cell.stretch[0])
-        if begin < end:
-            write_rows([arrow_of(table[begin:end], place[begin:end], {})], partition_file(folder, cell))
-            full.append(cell)
-    finish_catalogue(folder, full, catalogue_properties(folder.name, ra, dec), {})
-    return full
+        write_rows([arrow_of(table[begin:end], place[begin:end], {})], partition_file(folder, cell))
+    finish_catalogue(folder, cells, catalogue_properties(folder.name, "ra", "dec"), {})
+    return cells
 
 
 def _split(cell: Cell, place: IntArray, max_rows: int) -> list[Cell]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import FloatArray, IntArray
 from sameas.plots.sheet import DOTS_PER_INCH, FAINT, FILL, FIRST, FOUND, INK, SECOND, nice_length, required, sheet, tidy
 from sameas.representation import count, counted
 from sameas.sky.frame.identified import FrameIdentification
@@ -343,13 +343,13 @@ WHITE = 0.0008
 LARGEST = 2400
 
 
-def stretched(image: NDArray[np.float32], masked: BoolArray | None = None) -> NDArray[np.uint8]:
+def stretched(image: NDArray[np.float32]) -> NDArray[np.uint8]:
     """(rows, columns) grey values 0 … 255: asinh of the intensity above the sky.
 
-    image : (rows, columns). masked : invalid pixels, which get the value of the sky.
+    image : (rows, columns); NaN gets the value of the sky.
     """
     values = np.asarray(image, np.float32)
-    used = np.isfinite(values) if masked is None else np.isfinite(values) & ~masked
+    used = np.isfinite(values)
     values = values - _sky_gradient(np.where(used, values, np.nan))
     sample = values[used]
     if len(sample) > 1_000_000:

@@ -87,7 +87,7 @@ def _correlations(pattern: str, names: tuple[str, ...]) -> Correlations:
     return tuple((i, j, pattern.format(a=names[i], b=names[j])) for i in range(n) for j in range(i + 1, n))
 
 
-def _own_axes(ra: str, dec: str, unit: str = "") -> tuple[ErrorNames, ...]:
+def _own_axes(ra: str, dec: str) -> tuple[ErrorNames, ...]:
     """The usual names of the errors of the columns ``ra`` and ``dec``."""
     patterns = (
         "e_{}",
@@ -103,7 +103,7 @@ def _own_axes(ra: str, dec: str, unit: str = "") -> tuple[ErrorNames, ...]:
     )
     stems = [(pattern.format(ra), pattern.format(dec)) for pattern in patterns]
     suffixed = [(a + s, b + s) for a, b in stems for s in ("_arcsec", "_mas", "_deg")]
-    return tuple(ErrorNames("axes", pair, unit) for pair in stems + suffixed)
+    return tuple(ErrorNames("axes", pair) for pair in stems + suffixed)
 
 
 _GAIA_MOTION = MotionNames(

@@ -63,7 +63,7 @@ def _faults(feed: Feed, feeds: Sequence[Feed]) -> Iterator[Fault]:
     yield from _floods(feed)
 
 
-def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
+def clock_jumps(feed: Feed) -> list[Fault]:
     """Jumps of a clock within its file: from one line on, the stamps of all moving tracks are early or late.
 
     A manoeuvre or an outlier affects one track only, so the evidence of each track is bounded.
@@ -78,7 +78,7 @@ def clock_jumps(feed: Feed, least_log_odds: float = 0.0) -> list[Fault]:
     at = np.asarray(reports.rows)
     for _ in range(tuning.clock_jumps):
         jump = jump_of(steps, at, seconds, tuning.fault_prior, tuning)
-        if jump is None or jump[0] <= least_log_odds:
+        if jump is None or jump[0] <= 0.0:
             break
         log_odds, row, jump_s, votes = jump
         when = float(reports.time_s[int(np.flatnonzero(at == row)[0])])

@@ -20,13 +20,11 @@ PCAPNG = b"\x0a\x0d\x0d\x0a"
 
 @dataclass(frozen=True)
 class Block:
-    """One block. packet : its number (1 in a bare file). offset : in the packet. data : after the block header.
+    """One block. data : after the block header.
 
     received_s : time of the packet, NaN in a bare file. problem : why there is no data.
     """
 
-    packet: int
-    offset: int
     category: int
     data: bytes
     received_s: float = float("nan")
@@ -36,10 +34,10 @@ class Block:
 def blocks_of(content: bytes, received_s: float = float("nan")) -> Iterator[Block]:
     """The blocks in a file, or in a datagram received at this time. Invalid bytes become a block with a problem."""
     if content[:4] in _PCAP:
-        for number, (received_s, payload) in enumerate(_packets(content), start=1):
-            yield from _split(payload, number, received_s)
+        for received_s, payload in _packets(content):
+            yield from _split(payload, received_s)
     else:
-        yield from _split(content, 1, received_s)
+        yield from _split(content, received_s)
 
 
 def looks_like(content: bytes) -> bool:
@@ -52,15 +50,15 @@ def looks_like(content: bytes) -> bool:
     return 4 <= length <= len(content) and (length == len(content) or content[length] < 248)
 
 
-def _split(data: bytes, packet: int, received_s: float) -> Iterator[Block]:
+def _split(data: bytes, received_s: float) -> Iterator[Block]:
     at = 0
     while at < len(data):
         length = int.from_bytes(data[at + 1 : at + 3], "big")
         if length < 4 or at + length > len(data):
             problem = f"length {length} of the block at byte {at} does not fit; nothing after it can be read"
-            yield Block(packet, at, data[at], b"", received_s, problem)
+            yield Block(data[at], b"", received_s, problem)
             return
-        yield Block(packet, at, data[at], data[at + 3 : at + length], received_s)
+        yield Block(data[at], data[at + 3 : at + length], received_s)
         at += length
 
 
@@ -292,6 +290,6 @@ def letters(item: bytes) -> str | None:
     return text or None
 
 
-def octal(item: bytes, bits: int = 12) -> str:
-    """Mode A code: the lowest bits in octal digits."""
-    return f"{unsigned(item) & (1 << bits) - 1:0{bits // 3}o}"
+def octal(item: bytes) -> str:
+    """Mode A code: the lowest 12 bits in octal digits."""
+    return f"{unsigned(item) & 0xFFF:04o}"
