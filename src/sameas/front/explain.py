@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray
 from sameas.errors import InputError, reading
 from sameas.report.explain import source_numbers, texts_of
-from sameas.report.prose import entry, moment
+from sameas.report.prose import Lines, entry, moment
 from sameas.representation import count
 from sameas.result.explanation import probability_text
 
@@ -36,21 +36,6 @@ ALONE = "From the table alone; match again for the terms of the odds and the cos
 CHANGED = "is not as sameas wrote it"
 #: Tables of a picture's folder.
 _TABLES = ("objects", "identities")
-
-
-@dataclass(frozen=True, repr=False)
-class Lines:
-    """A text; ``print`` it, or use its ``lines``."""
-
-    lines: tuple[str, ...]
-
-    def __str__(self) -> str:
-        return "\n".join(self.lines)
-
-    def __repr__(self) -> str:
-        from sameas.report.prose import in_first_lines
-
-        return in_first_lines(self.lines)
 
 
 def explain(

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from sameas.errors import InputError
 from sameas.front.match import as_source, call_text, id_of
 from sameas.front.options import COLUMN_OPTIONS, fields_of, refuse_unknown, renamed
+from sameas.report.prose import Result, in_one
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -30,7 +31,7 @@ PLOTS = ("picture", "quality")
 
 
 @dataclass(frozen=True, repr=False)
-class MatchFrame:
+class MatchFrame(Result):
     """An image identified with a catalogue, returned by :func:`match_frame`. ``len()`` is the number of pairs.
 
     Attributes
@@ -38,6 +39,8 @@ class MatchFrame:
     sky : measurements, stars of the field, plate model, and the core's result in pixels.
     frame, catalogue : the input. request : all options. call : the call that made it.
     """
+
+    offers = ".table .pairs .wcs .report() .explain(star) .plot() .write(path or folder)"
 
     sky: FrameIdentification
     frame: Frame
@@ -82,7 +85,6 @@ class MatchFrame:
     def report(self) -> str:
         """The report that the command prints."""
         from sameas.report.frame import frame_lines
-        from sameas.report.prose import in_one
 
         return in_one(frame_lines(self.summary))
 
@@ -161,17 +163,6 @@ class MatchFrame:
         return (
             f"Match of {self.frame.name} with {self.catalogue.name}: {stars}, {count(found['missing'])} stars missing"
         )
-
-    def __repr__(self) -> str:
-        from sameas.report.prose import in_lines
-
-        offers = ".table .pairs .wcs .report() .explain(star) .plot() .write(path or folder)"
-        return in_lines(self.headline, self.doubts, offers)
-
-    def _repr_html_(self) -> str:
-        from sameas.report.prose import in_html
-
-        return in_html(self.headline, self.report(), self.plot)
 
 
 def match_frame(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.errors import InputError
 from sameas.front.match import call_text, id_of
 from sameas.front.options import refuse_unknown, side_parameters, with_side_options
+from sameas.report.prose import Result, in_one
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -28,7 +29,7 @@ MOST = 8
 
 
 @dataclass(frozen=True, repr=False)
-class MatchMany:
+class MatchMany(Result):
     """A match of several catalogues, returned by :func:`match_many`. ``len()`` is the number of objects.
 
     Attributes
@@ -37,6 +38,8 @@ class MatchMany:
     request : all options, which :meth:`write` stores in the file. least : number of catalogues in which an object of
         :attr:`table` must be. call : the call that made it.
     """
+
+    offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
 
     sky: ManyMatch
     request: Request[ManyOptions]
@@ -76,8 +79,6 @@ class MatchMany:
 
     def report(self) -> str:
         """The report that the command prints."""
-        from sameas.report.prose import in_one
-
         return in_one(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
@@ -190,17 +191,6 @@ class MatchMany:
         names = ", ".join(f"{catalogue.name} ({counted(len(catalogue), 'row')})" for catalogue in self.sky.catalogues)
         several = int((self.objects.n_members > 1).sum())
         return f"Match of {names}: {counted(len(self), 'object')}, {count(several)} of them in several"
-
-    def __repr__(self) -> str:
-        from sameas.report.prose import in_lines
-
-        offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
-        return in_lines(self.headline, self.doubts, offers)
-
-    def _repr_html_(self) -> str:
-        from sameas.report.prose import in_html
-
-        return in_html(self.headline, self.report(), self.plot)
 
 
 @with_side_options(MOST)

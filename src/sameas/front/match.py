@@ -19,6 +19,7 @@ from sameas.front.options import refuse_unknown, side_parameters, with_side_opti
 from sameas.front.partitioned import PartitionedMatch, both_hats
 from sameas.front.tables import kind_of
 from sameas.records import Records
+from sameas.report.prose import DOUBT, Lines, Result, expected, in_one
 
 if TYPE_CHECKING:
     from astropy.table import Table
@@ -37,7 +38,7 @@ PLOTS = ("residuals", "normalised", "scatter", "certainty", "brightness", "ambig
 
 
 @dataclass(frozen=True, repr=False)
-class Match:
+class Match(Result):
     """The result of :func:`match`. ``len(match)`` is the number of identified pairs.
 
     Attributes
@@ -49,6 +50,8 @@ class Match:
     request : the sources and options, which :meth:`write` records in the output.
     notes : warnings about the input. call : the Python call, for the output's provenance.
     """
+
+    offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
 
     identification: Identification
     estimate: Estimate
@@ -163,14 +166,11 @@ class Match:
 
     def report(self) -> str:
         """The report that the command prints."""
-        from sameas.report.prose import in_one
-
         return in_one(self.report_lines())
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : rewords messages that name arguments (the command names options)."""
         from sameas.report.match import catalogue_lines
-        from sameas.report.prose import DOUBT
 
         yield from (f"{DOUBT}{note}" for note in self.notes)
         if self.sky is not None:
@@ -268,24 +268,12 @@ class Match:
     @property
     def headline(self) -> str:
         """Summary in one line."""
-        from sameas.report.prose import expected
         from sameas.representation import counted
 
         sizes = [f"{records.source} ({counted(records.n_table, 'row')})"
                  for records in (self.identification.first, self.identification.second)]  # fmt: skip
         pairs, wrong = counted(len(self), "pair"), expected(self.expected_wrong)
         return f"Match of {' and '.join(sizes)}: {pairs}, {wrong} expected wrong"
-
-    def __repr__(self) -> str:
-        from sameas.report.prose import in_lines
-
-        offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
-        return in_lines(self.headline, self.doubts, offers)
-
-    def _repr_html_(self) -> str:
-        from sameas.report.prose import in_html
-
-        return in_html(self.headline, self.report(), self.plot)
 
 
 def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
@@ -301,22 +289,13 @@ def draw(found: SkyMatch, name: str, record: Any = None) -> Figure:
 
 
 @dataclass(frozen=True, repr=False)
-class RecordStory:
+class RecordStory(Lines):
     """The explanation of one record; ``print`` it.
 
     lines : the text. explanation : the same as values.
     """
 
-    lines: tuple[str, ...]
     explanation: Explanation
-
-    def __str__(self) -> str:
-        return "\n".join(self.lines)
-
-    def __repr__(self) -> str:
-        from sameas.report.prose import in_first_lines
-
-        return in_first_lines(self.lines)
 
 
 def id_of(records: Records, id: Any, row: int | None) -> Any:

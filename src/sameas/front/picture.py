@@ -15,7 +15,6 @@ import numpy as np
 
 from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.front.explain import Lines
 from sameas.front.match import call_text
 from sameas.front.provenance import made_by
 from sameas.front.tables import table_of
@@ -40,7 +39,7 @@ from sameas.report.picture import (
     read_lines,
     scene_lines,
 )
-from sameas.report.prose import in_html, in_lines, in_one, span
+from sameas.report.prose import Lines, Result, in_one, span
 from sameas.representation import count, counted
 from sameas.tracks.registration import SourceBiases
 from sameas.tracks.reports import Reports
@@ -147,7 +146,7 @@ class PictureOutputs:
 
 
 @dataclass(frozen=True, repr=False)
-class MatchPicture:
+class MatchPicture(Result):
     """A picture of many sensors, returned by :func:`match_picture`. ``len()`` is the number of instants.
 
     Attributes
@@ -156,6 +155,8 @@ class MatchPicture:
     sources : the input. scene : the sources in one plane, corrected for their offsets. biases : the offsets.
     source_doubts : doubts about whole sources. call : the call that made it.
     """
+
+    offers = ".objects .pairs .report() .explain(object) .plot(at) .write(folder)"
 
     picture: Picture
     sources: Sequence[SensorSource]
@@ -261,13 +262,6 @@ class MatchPicture:
         times = f"{counted(summary.instants, 'instant')}, {span(summary.first_s, summary.last_s)}"
         confirmed = counted(sum(summary.by_sources), "confirmed object")
         return f"Picture of {listed([one.description.name for one in self.sources])}: {confirmed}; {times}"
-
-    def __repr__(self) -> str:
-        offers = ".objects .pairs .report() .explain(object) .plot(at) .write(folder)"
-        return in_lines(self.headline, self.doubts, offers)
-
-    def _repr_html_(self) -> str:
-        return in_html(self.headline, self.report(), self.plot)
 
     def facts(self, command: str) -> dict[str, Any]:
         """The provenance of the outputs; it depends on the command and the input files only."""

@@ -6,9 +6,10 @@ import base64
 import html
 import io
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar, Protocol
 
 import numpy as np
 
@@ -80,8 +81,6 @@ def in_one(lines: Iterable[str]) -> str:
     return "\n".join(part for line in lines for part in (wrapped(line) if line.startswith((DOUBT, ALARM)) else [line]))
 
 
-# Representation of results: a few lines as text, the report and a plot in a notebook.
-
 #: Number of doubts, and characters of each, in the short form (chosen).
 DOUBTS, LETTERS = 4, 160
 #: Number of lines in the short form of a long text.
@@ -90,35 +89,65 @@ LINES = 10
 SMALL_DPI = 55
 
 
-def in_lines(headline: str, doubts: Sequence[str], offers: str) -> str:
-    """A result in at most seven lines: headline, doubts, and the names of its attributes and methods."""
-    lines = [headline, *(f"  doubt: {textwrap.shorten(doubt, LETTERS, placeholder=' …')}" for doubt in doubts[:DOUBTS])]
-    if len(doubts) > DOUBTS:
-        lines.append(f"  and {counted(len(doubts) - DOUBTS, 'more doubt')}")
-    return "\n".join([*lines, f"  {offers}"])
+@dataclass(frozen=True, repr=False)
+class Lines:
+    """A text; ``print`` it, or use its ``lines``. In a prompt it shows ten lines at most."""
+
+    lines: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    def __repr__(self) -> str:
+        if len(self.lines) <= LINES:
+            return str(self)
+        return "\n".join([*self.lines[: LINES - 1], f"… print() shows all {len(self.lines)} lines"])
 
 
-def in_first_lines(lines: Sequence[str]) -> str:
-    """The first lines of a text, ten at most, with a hint on how to see the others."""
-    if len(lines) <= LINES:
-        return "\n".join(lines)
-    return "\n".join([*lines[: LINES - 1], f"… print() shows all {len(lines)} lines"])
+class Result(Protocol):
+    """The short forms of a result: at most seven lines in a prompt; in a notebook its report and a small plot.
 
+    offers : the names of its attributes and methods.
+    """
 
-def in_html(headline: str, report: str, plot: Callable[[], Figure]) -> str:
-    """The report and a small plot as HTML for a notebook; without the plot where it cannot be drawn."""
-    parts = [f"<b>{html.escape(headline)}</b>"]
-    try:
-        drawn = io.BytesIO()
-        plot().savefig(drawn, format="png", dpi=SMALL_DPI)
-    except InputError:  # matplotlib is missing, or nothing to plot
-        pass
-    else:
-        data = base64.b64encode(drawn.getvalue()).decode()
-        parts.append(f'<br><img alt="{html.escape(headline)}" src="data:image/png;base64,{data}">')
-    # Some notebooks style <pre> with a proportional font, in which columns are not aligned.
-    parts.append(f'<pre style="line-height:1.2;font-family:monospace">{html.escape(report)}</pre>')
-    return "".join(parts)
+    offers: ClassVar[str]
+
+    @property
+    def headline(self) -> str:
+        """Summary in one line."""
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """One sentence for each doubt about the input or the result."""
+
+    def report(self) -> str:
+        """The report that the command prints."""
+
+    def plot(self) -> Figure:
+        """A figure."""
+
+    def __repr__(self) -> str:
+        doubts = self.doubts
+        lines = [self.headline]
+        lines += [f"  doubt: {textwrap.shorten(doubt, LETTERS, placeholder=' …')}" for doubt in doubts[:DOUBTS]]
+        if len(doubts) > DOUBTS:
+            lines.append(f"  and {counted(len(doubts) - DOUBTS, 'more doubt')}")
+        return "\n".join([*lines, f"  {self.offers}"])
+
+    def _repr_html_(self) -> str:
+        headline = html.escape(self.headline)
+        parts = [f"<b>{headline}</b>"]
+        try:
+            drawn = io.BytesIO()
+            self.plot().savefig(drawn, format="png", dpi=SMALL_DPI)
+        except InputError:  # matplotlib is missing, or nothing to plot
+            pass
+        else:
+            data = base64.b64encode(drawn.getvalue()).decode()
+            parts.append(f'<br><img alt="{headline}" src="data:image/png;base64,{data}">')
+        # Some notebooks style <pre> with a proportional font, in which columns are not aligned.
+        parts.append(f'<pre style="line-height:1.2;font-family:monospace">{html.escape(self.report())}</pre>')
+        return "".join(parts)
 
 
 def expected(wrong: float) -> str:
