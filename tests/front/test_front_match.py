@@ -232,6 +232,8 @@ def test_doubts_name_the_argument_of_their_catalogue():
     found = sameas.match(gaia, {"ra": [10.0, 10.1], "dec": [0.0, 0.0]}, sigma2=0.1, epoch2=2000.0)
     for words in ("give epoch1=YEAR", "give pm_sigma1=MAS_PER_YR"):
         assert any(words in doubt for doubt in found.doubts) and words in repr(found)
+    of_gaia = [doubt for doubt in found.doubts if "epoch is not stated" in doubt or "no column of errors" in doubt]
+    assert len(of_gaia) == 2 and all(doubt.startswith("first: ") for doubt in of_gaia)
     assert (
         "pm_sigma1=MAS_PER_YR" in " ".join(found.report().split()) and max(map(len, found.report().splitlines())) <= 100
     )

@@ -58,7 +58,7 @@ class MatchMany(Result):
     def doubts(self) -> tuple[str, ...]:
         """One sentence for each doubt about the input or the result."""
         sides = enumerate(self.sky.catalogues, 1)
-        of_input = (self.request.words(doubt, side) for side, catalogue in sides for doubt in catalogue.doubts)
+        of_input = (self.request.words(doubt, side) for side, catalogue in sides for doubt in catalogue.named_doubts)
         return (*of_input, *self.sky.doubts)
 
     @cached_property

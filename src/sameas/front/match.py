@@ -81,7 +81,7 @@ class Match(Result):
         """Warnings about the input and the result, one sentence each."""
         if self.sky is None:
             return (*self.notes, *self.estimate.notes)
-        sides: tuple[tuple[str, ...], ...] = (self.sky.first.doubts, self.sky.second.doubts)
+        sides: tuple[tuple[str, ...], ...] = (self.sky.first.named_doubts, self.sky.second.named_doubts)
         if self.request is not None:
             request = self.request
             sides = tuple(tuple(request.words(one, side) for one in doubts) for side, doubts in enumerate(sides, 1))

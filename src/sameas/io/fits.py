@@ -379,7 +379,7 @@ def _bytes(name: str, values: NDArray[Any], mask: Any) -> NDArray[Any]:
         return cells
     row = next(i for i, text in enumerate(values) if not all(t.isascii() for t in np.atleast_1d(text)))
     raise InputError(
-        f"column {name} has letters that FITS cannot hold (row {row}: {values[row]}); "
+        f"column {name!r} has letters that FITS cannot hold (row {row}: {values[row]}); "
         "write .vot, .ecsv or .parquet instead"
     )
 

@@ -66,7 +66,7 @@ def catalogue_lines(catalogue: Catalogue, side: int, path: str = "", words: Call
             lines += entry(label, text)
     for note in catalogue.table.meta.get("sameas_notes", ()):  # notes of the reader
         lines += entry("file", note)
-    return lines + _doubt_lines(catalogue.doubts, words)
+    return lines + _doubt_lines(catalogue.named_doubts, words)
 
 
 def coverage_lines(moved: str, coverage: Coverage, doubts: Sequence[str] = ()) -> list[str]:

@@ -188,6 +188,11 @@ class Catalogue:
         return len(self.ids)
 
     @property
+    def named_doubts(self) -> tuple[Message, ...]:
+        """The doubts, each with the catalogue's name before it."""
+        return tuple(Message(f"{self.name}: ", doubt) for doubt in self.doubts)
+
+    @property
     def magnitude_name(self) -> str | None:
         """The column of the magnitude."""
         return self.choice.magnitude
