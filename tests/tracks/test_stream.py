@@ -9,7 +9,7 @@ import pytest
 from tests.tracks.test_asterix import block, plot
 
 from sameas.errors import InputError
-from sameas.io.sensors import ReadOptions, nmea, read_reports
+from sameas.io.sensors import ReadOptions, asterix, nmea, read_reports
 from sameas.io.sensors.stream import ReportStream, format_of
 from sameas.tracks.reports import joined
 
@@ -75,6 +75,64 @@ def test_a_datagram_cut_off_does_not_spoil_the_next():
     stream.feed(data, 1_714_560_000.0, last=True)
     [reports] = stream.reports()
     assert len(reports) == 2 and stream.damaged["an ASTERIX block that is cut off"] == 1
+
+
+def blocks_at(times):
+    return [block(48, plot(40_000.0 + t, 2 * t + 1) + plot(40_000.5 + t, 2 * t + 2)) for t in times]
+
+
+def numbers_of(stream):
+    return sorted(int(name) for reports in stream.reports() for name in reports.track_id)
+
+
+@pytest.mark.parametrize("piece", [7, 60, 1000])
+@pytest.mark.parametrize(
+    ("spoil", "lost"),
+    [
+        (lambda b: [*b[:4], b[4][:-3], *b[5:]], {9, 10}),  # the last bytes of a block
+        (lambda b: [*b[:4], b[4][:2] + b[4][9:], *b[5:]], {9, 10}),  # bytes of its header and its first record
+        (lambda b: [*b[:4], b[4][20:], *b[5:]], {9, 10}),  # the beginning of a block
+        (lambda b: [*b[:4], b[4][:12], b[6][15:], *b[7:]], {9, 10, 11, 12, 13, 14}),  # across three blocks
+        (lambda b: [*b[:4], b"\x07ETX garbage \x30\x00 \x15\x01\xff", *b[4:]], set()),  # foreign bytes in between
+        (lambda b: [b[0][9:], *b[1:]], {1, 2}),  # a connection that begins within a block
+        (lambda b: [*b[:4], b[4][:1] + b"\xff" + b[4][2:], *b[5:]], {9, 10}),  # a wrong length
+        (lambda b: [*b[:4], bytes(300), *b[4:]], set()),
+    ],
+)
+def test_an_asterix_stream_is_read_on_after_lost_or_foreign_bytes(piece, spoil, lost):
+    data = b"".join(spoil(blocks_at(range(12))))
+    stream = ReportStream("feed", "asterix")
+    found = []
+    for at in range(0, len(data), piece):
+        stream.feed(data[at : at + piece], 1_714_560_000.0)
+        found += numbers_of(stream)
+    assert set(found) == set(range(1, 25)) - lost and len(found) == len(set(found))
+    assert stream.damaged["bytes that are no ASTERIX block"] == 1
+
+
+def test_a_false_length_does_not_stop_an_asterix_stream_for_long():
+    stream = ReportStream("feed", "asterix")
+    stream.feed(b"\x30\xff\xf0" + bytes(range(200)), 0.0)
+    stream.feed(b"".join(blocks_at(range(2))), 0.0)
+    assert numbers_of(stream) == [1, 2, 3, 4] and sum(stream.damaged.values()) == 1
+
+
+def test_blocks_of_categories_that_are_not_read_are_no_damage():
+    other = [block(34, b"\xf6\x01\x02\x01\x00\x00\x00\x40\x10\x20"), block(253, b"\x01\x02\x03\x04\x05")]
+    stream = ReportStream("feed", "asterix")
+    data = b"".join(b for pair in zip(blocks_at(range(6)), other * 3, strict=True) for b in pair)
+    for at in range(0, len(data), 5):
+        stream.feed(data[at : at + 5], 0.0)
+    assert numbers_of(stream) == list(range(1, 13)) and not +stream.damaged
+    assert stream.passed_over["block of category 253"] >= 1
+
+
+def test_an_asterix_file_is_read_on_after_damage():
+    blocks = blocks_at(range(8))
+    content = b"".join([*blocks[:3], blocks[3][:-4], *blocks[4:]])
+    [reports] = asterix.read(content, "radar", 1_714_521_600.0)
+    assert sorted(map(int, reports.track_id)) == [1, 2, 3, 4, 5, 6, 9, 10, 11, 12, 13, 14, 15, 16]
+    assert "bytes at byte" in " ".join(reports.damaged.sentences())
 
 
 def test_damaged_lines_are_counted_and_reading_continues():

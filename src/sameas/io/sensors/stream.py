@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sameas.errors import InputError
 from sameas.io.sensors import aircraft, ais, arpa, asterix, nmea, sbs, signalk, tables
-from sameas.io.sensors.asterix.records import looks_like
+from sameas.io.sensors.asterix.records import looks_cut_off, looks_like, split_blocks
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
 
@@ -99,10 +99,7 @@ class ReportStream:
         if self.format is None:
             self.format = format_of(data)
         if self.format == "asterix":
-            rest = self._feed_blocks(data, received_s)
-            if rest and last:
-                self.damaged["an ASTERIX block that is cut off"] += 1
-                rest = b""
+            rest = self._feed_blocks(data, received_s, last)
         else:
             rest = self._feed_lines(data, received_s, last)
         if rest:
@@ -120,21 +117,16 @@ class ReportStream:
             self.format = format_of("\n".join(line for _, line in self._lines).encode() + b"\n")
         return rest
 
-    def _feed_blocks(self, data: bytes, received_s: float) -> bytes:
+    def _feed_blocks(self, data: bytes, received_s: float, last: bool) -> bytes:
         """Adds complete blocks; the rest is an incomplete one."""
-        at = 0
-        while at + 3 <= len(data):
-            length = int.from_bytes(data[at + 1 : at + 3], "big")
-            if length < 4:
-                self.damaged["bytes that are no ASTERIX block"] += 1
-                data = data[:at]
-                break
-            if at + length > len(data):
-                break
-            at += length
-        if at:
-            self._datagrams.append((received_s, data[:at]))
-        return data[at:]
+        split = split_blocks(data, final=last)
+        for start, end in split.gaps:
+            cut_off = last and end == len(data) and looks_cut_off(data[start:])
+            self.damaged["an ASTERIX block that is cut off" if cut_off else "bytes that are no ASTERIX block"] += 1
+        content = b"".join(data[start:end] for start, end in split.blocks)
+        if content:
+            self._datagrams.append((received_s, content))
+        return data[split.end :]
 
     @property
     def own_ship(self) -> tuple[float, float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ class Block:
 
 
 def blocks_of(content: bytes, received_s: float = float("nan")) -> Iterator[Block]:
-    """The blocks in a file, or in a datagram received at this time. Invalid bytes become a block with a problem."""
+    """The blocks in a file, or in a datagram received at this time. Bytes of no block become one with a problem."""
     if content[:4] in _PCAP:
         for received_s, payload in _packets(content):
             yield from _split(payload, received_s)
@@ -45,21 +46,139 @@ def looks_like(content: bytes) -> bool:
     if content[:4] in _PCAP:
         return True
     length = int.from_bytes(content[1:3], "big")
-    if len(content) < 6 or content[0] not in (1, 2, 4, 8, 9, 10, 11, 19, 20, 21, 23, 34, 48, 62, 63, 65, 247):
+    if len(content) < 6 or content[0] not in _LIKELY:
         return False
     return 4 <= length <= len(content) and (length == len(content) or content[length] < 248)
 
 
 def _split(data: bytes, received_s: float) -> Iterator[Block]:
-    at = 0
-    while at < len(data):
-        length = int.from_bytes(data[at + 1 : at + 3], "big")
-        if length < 4 or at + length > len(data):
-            problem = f"length {length} of the block at byte {at} does not fit; nothing after it can be read"
-            yield Block(data[at], b"", received_s, problem)
-            return
-        yield Block(data[at], data[at + 3 : at + length], received_s)
-        at += length
+    split = split_blocks(data, final=True)
+    for start, end in sorted([*split.blocks, *split.gaps]):
+        if (start, end) in split.gaps:
+            cut_off = end == len(data) and looks_cut_off(data[start:])
+            what = "are a block that is cut off" if cut_off else "are no block; reading continues after them"
+            yield Block(data[start], b"", received_s, f"{end - start} bytes at byte {start} {what}")
+        else:
+            yield Block(data[start], data[start + 3 : end], received_s)
+
+
+# Framing. A block has its category and its length, and no mark at which it begins. Where bytes of a stream are missing
+# or foreign, a block has the wrong length, and the header after it is none. The next place is searched at which a block
+# of a known category begins, whose records end where it ends, and which another block follows.
+
+#: Categories that are sent along with the ones that are read; I010, the sensor, is the first item of all of them.
+_LIKELY = (1, 2, 4, 8, 9, 10, 11, 19, 20, 21, 23, 34, 48, 62, 63, 65, 247)
+_HEADER = re.compile(b"[" + b"".join(b"\\x%02x" % category for category in _LIKELY) + b"][\\x00-\\x1f]", re.DOTALL)
+#: Bytes in which a block may begin that are kept while none is found; longer blocks are rare, and lost here.
+_KEPT = 8192
+
+
+@dataclass(frozen=True)
+class BlockSplit:
+    """Places (start, end) in bytes. blocks : the blocks. gaps : bytes that belong to none. end : where an incomplete
+    block may begin."""
+
+    blocks: list[tuple[int, int]]
+    gaps: list[tuple[int, int]]
+    end: int
+
+
+def split_blocks(data: bytes, *, final: bool) -> BlockSplit:
+    """The blocks in consecutive bytes, found again after bytes that are missing or foreign.
+
+    final : whether nothing follows: a datagram, a file, the end of a connection. Otherwise the last block is taken at
+        once if its records end with it; whether another follows is not yet known.
+
+    Example
+    -------
+    >>> one = bytes.fromhex("30 000D D0 0102 054600 0A002000")
+    >>> split_blocks(one + b"#" + one[4:] + one + one, final=True)
+    BlockSplit(blocks=[(0, 13), (23, 36), (36, 49)], gaps=[(13, 23)], end=49)
+    """
+    blocks: list[tuple[int, int]] = []
+    gaps: list[tuple[int, int]] = []
+    at, n = 0, len(data)
+    while at < n:
+        end = _end_of_block(data, at)
+        # Where nothing follows yet, the records of the block must end with it.
+        if 0 <= end <= n and (_begins(data, end) if end < n else final or _is_sound(data, at, end)):
+            blocks.append((at, end))
+            at = end
+            continue
+        found = _next_block(data, at + 1, final=final)
+        if found is not None:
+            if 0 <= end <= found and _is_sound(data, at, end):
+                # Foreign bytes between two blocks; without them, the block has lost some of its own.
+                blocks.append((at, end))
+                at = end
+            gaps.append((at, found))
+            at = found
+        elif final:
+            gaps.append((at, n))
+            at = n
+        elif n - at > _KEPT and not (end > n and data[at] in _LIKELY and _head_is_sound(data, at)):
+            gaps.append((at, n - _KEPT))
+            at = n - _KEPT
+            break
+        else:
+            break
+    return BlockSplit(blocks, gaps, at)
+
+
+def looks_cut_off(data: bytes) -> bool:
+    """Whether bytes that are no block begin with the header of a longer one."""
+    return data[0] in _LIKELY and (len(data) < 3 or int.from_bytes(data[1:3], "big") > len(data))
+
+
+def _end_of_block(data: bytes, at: int) -> int:
+    """The end of the block that begins at ``at``, -1 where its header is incomplete or no header."""
+    length = int.from_bytes(data[at + 1 : at + 3], "big") if at + 3 <= len(data) else 0
+    return at + length if length >= 4 else -1
+
+
+def _begins(data: bytes, at: int) -> bool:
+    """Whether a block of a likely category seems to begin here, or of any category that one of these follows."""
+    end = _end_of_block(data, at)
+    likely = data[at] in _LIKELY
+    if likely and (len(data) - at < 4 or (end > 0 and data[at + 3] >= 0x80)):
+        return True
+    return 0 < end <= len(data) and (end == len(data) or (data[end] in _LIKELY and (likely or _begins(data, end))))
+
+
+def _next_block(data: bytes, at: int, *, final: bool) -> int | None:
+    """Where the next block begins, from ``at`` on; None where none is found."""
+    for header in _HEADER.finditer(data, at):
+        start = header.start()
+        end = _end_of_block(data, start)
+        if end < 0 or end > len(data) or not _is_sound(data, start, end):
+            continue
+        # Categories that are not read have no records to check: another block must follow.
+        if data[start] in CATEGORIES and (end == len(data) or _begins(data, end)):
+            return start
+        if end < len(data) and data[end] in CATEGORIES and _begins(data, end):
+            return start
+    return None
+
+
+def _is_sound(data: bytes, start: int, end: int) -> bool:
+    """Whether the records of a block end where it ends, and name their sensor; for a category that is not read, whether
+    its first record does."""
+    if data[start] not in CATEGORIES:
+        return data[start] in _LIKELY and end - start >= 6 and data[start + 3] >= 0x80
+    try:
+        return all("010" in items for items in records_of(CATEGORIES[data[start]], data[start + 3 : end]))
+    except DamagedRecord:
+        return False
+
+
+def _head_is_sound(data: bytes, start: int) -> bool:
+    """Whether an incomplete block begins with a record of its category."""
+    if data[start] not in CATEGORIES:
+        return data[start + 3] >= 0x80
+    try:
+        return "010" in next(records_of(CATEGORIES[data[start]], data[start + 3 :]), {})
+    except DamagedRecord:
+        return False
 
 
 def _packets(content: bytes) -> Iterator[tuple[float, bytes]]:
