@@ -4,6 +4,8 @@ import json
 import re
 import socket
 import xml.etree.ElementTree as ET
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,8 +13,10 @@ from tests.live.conftest import EVIL, SITE, START_S, replay, settings
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
+from sameas.live.frame import OwnShipState
 from sameas.live.keeper import Keeper
-from sameas.live.outputs import FORMATS, Sink, geojson, metrics, sinks_of
+from sameas.live.outputs import FORMATS, Sink, TargetNumbers, geojson, metrics, nmea, sinks_of
+from sameas.tracks.heights import GEOMETRIC, PRESSURE, HeightModel, _Line
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +65,54 @@ def test_ttm_and_tll_round_trip(frame):
         assert reports.speed_m_per_s[k] == pytest.approx(one["speed_m_per_s"], abs=0.1)
 
 
+def ships(numbers, x_m=None):
+    """A frame with these confirmed objects, at these distances east of own ship."""
+    places = x_m or {n: 1000.0 + n for n in numbers}
+    listed = [
+        {"object": n, "stage": "confirmed", "x_m": places[n], "y_m": 0.0, "speed_m_per_s": 1.0, "course_deg": 0.0}
+        for n in numbers
+    ]
+    return SimpleNamespace(own_ship=OwnShipState(0.0, 0.0), cpa={}, time_s=START_S, listed=lambda: listed)
+
+
+def test_no_two_targets_have_the_same_number_and_a_target_keeps_its_own():
+    numbers = TargetNumbers()
+    numbers.update(ships([5, 105, 205]))
+    first = dict(numbers.by_object)
+    assert len(set(first.values())) == 3 and first[5] == 5
+    assert not numbers.update(ships([7, 105, 205, 305, 5])) and len(set(numbers.by_object.values())) == 5
+    assert all(numbers.by_object[n] == first[n] for n in first)
+
+
+def test_a_target_that_ended_is_sent_as_lost_once_and_its_number_rests():
+    numbers = TargetNumbers()
+    list(nmea(ships([5, 6]), numbers))
+    ended = b"".join(nmea(ships([6, 105]), numbers)).decode()
+    assert re.findall(r"RATTM,(\d\d),[^\r]*,L,", ended) == ["05"] and numbers.by_object[105] != 5
+    assert b",L," not in b"".join(nmea(ships([6, 105]), numbers))
+    [reports] = nmea_reports(ended)
+    assert sorted(reports.track_id) == sorted(f"{n:02d}" for n in numbers.by_object.values())
+
+
+def nmea_reports(lines):
+    stream = ReportStream("out", "nmea")
+    stream.feed(lines.encode(), START_S)
+    return stream.reports()
+
+
+def test_of_more_than_a_hundred_targets_the_nearest_have_numbers():
+    far = {n: 100.0 * n for n in range(1, 131)}
+    numbers = TargetNumbers()
+    numbers.update(ships(list(far), far))
+    assert set(numbers.by_object) == set(range(1, 101)) and numbers.unnumbered == 30
+    # Two that change order by a little keep theirs; one that comes near gets one.
+    numbers.update(ships(list(far), far | {101: 9_950.0}))
+    assert 101 not in numbers.by_object
+    lost = numbers.update(ships(list(far), far | {120: 50.0}))
+    assert 120 in numbers.by_object and 100 not in numbers.by_object and len(set(numbers.by_object.values())) == 100
+    assert lost == []  # its number is in use again at once
+
+
 def test_signal_k_deltas_round_trip(frame):
     [reports] = read_back(frame, "signalk", "signalk")
     truth = {one["mmsi"]: one for one in frame.listed()}
@@ -74,6 +126,29 @@ def test_cursor_on_target_is_valid_xml_for_any_ship_name(frame):
     assert len(found) == 5 and EVIL in {one.find("detail/contact").get("callsign") for one in found}
     assert all(one.get("type") == "a-u-S" and 0.0 < float(one.find("point").get("ce")) < 200.0 for one in found)
     assert all(abs(float(one.find("point").get("lat")) - SITE[0]) < 0.2 for one in found)
+
+
+@pytest.mark.parametrize(
+    ("model", "hae", "sigma"),
+    [
+        (HeightModel(GEOMETRIC), 3000.0, 20.0),
+        (HeightModel(PRESSURE), 3000.0, np.sqrt(20.0**2 + 250.0**2 + 120.0**2)),
+        (HeightModel(PRESSURE, _Line(50.0, 0.02, 15.0, 40)), 3110.0, np.hypot(1.02 * 20.0, 15.0)),
+    ],
+)
+def test_cursor_on_target_has_the_height_above_the_ellipsoid(frame, model, hae, sigma):
+    count = len(frame.objects["object"])
+    height = np.ma.masked_all(count)
+    height[0] = 3000.0
+    flying = replace(
+        frame, heights=model,
+        objects=frame.objects | {"height_m": height, "sigma_height_m": np.ma.where(height.mask, np.nan, 20.0)},
+    )  # fmt: skip
+    points = [ET.fromstring(part).find("point") for part in FORMATS["cot"](flying)]
+    [known] = [point for point in points if point.get("hae") != "9999999.0"]
+    assert float(known.get("hae")) == pytest.approx(hae, abs=0.1)
+    assert float(known.get("le")) == pytest.approx(1.645 * sigma, rel=0.01)
+    assert all(point.get("le") == "9999999.0" for point in points if point is not known)
 
 
 def test_lines_and_geojson_contain_every_object(frame):

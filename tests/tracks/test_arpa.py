@@ -138,3 +138,29 @@ def test_a_log_of_ais_and_radar_is_two_sources(tmp_path):
     ships, radar = read_reports(tmp_path / "log.nmea")
     assert (ships.source, ships.kind, radar.source, radar.kind) == ("log.nmea:ais", "ais", "log.nmea:arpa", "arpa")
     assert ships.damaged.lines.tolist() == [4] and len(radar.damaged) == 0
+
+
+def test_a_number_used_again_is_another_target():
+    lost = reports(ZDA, ttm(), ttm(time="130216.00"), ttm(status="L", time="130217.00"), ttm(time="130218.00"))
+    assert lost.track_id.tolist() == ["01", "01", "01/2"]
+    jumped = reports(ZDA, ttm(), ttm(distance="4.50", time="130218.00"), ttm(distance="4.51", time="130221.00"))
+    assert jumped.track_id.tolist() == ["01", "01/2", "01/2"]
+    acquired = reports(ZDA, ttm(status="Q"), ttm(time="130218.00"), ttm(status="Q", time="130221.00"))
+    assert acquired.track_id.tolist() == ["01", "01", "01/2"]
+    silent = reports(ZDA, ttm(), ttm(time="130915.50"))
+    assert silent.track_id.tolist() == ["01", "01/2"]
+
+
+def test_a_fast_target_keeps_its_number():
+    # 40 kn across the bow at 0.3 nm, and a far one that scatters.
+    near = [ttm(distance="0.30", bearing=f"{b}", time=f"1302{15 + k}.00") for k, b in enumerate((330, 350, 10, 30))]
+    far = [ttm("02", distance="20.0", bearing=f"{90 + 0.5 * (k % 2)}", time=f"1302{15 + k}.00") for k in range(4)]
+    assert set(reports(ZDA, *near, *far).track_id) == {"01", "02"}
+
+
+def test_a_stream_remembers_the_numbers_that_were_lost():
+    ship = arpa.OwnShip()
+    first = reports(ZDA, ttm(), ship=ship)
+    with pytest.raises(InputError):
+        reports(ZDA, ttm(status="L", time="130217.00"), ship=ship)
+    assert [*first.track_id, *reports(ZDA, ttm(time="130218.00"), ship=ship).track_id] == ["01", "01/2"]

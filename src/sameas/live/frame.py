@@ -19,6 +19,7 @@ from sameas.maps.sheet import ellipse_axes
 from sameas.picture.live import LiveState
 from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
 from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.heights import HeightModel
 
 #: Columns of the rows that are sent to the web page: of an object, and of a record.
 OBJECT = (
@@ -62,6 +63,7 @@ class Frame:
         object, by the number of the object.
     cpa : distance (m) and time (s) of the closest approach to own ship, by the number of the object; closing objects
         only.
+    heights : conversion of the objects' heights to heights above the ellipsoid.
     """
 
     tick: int
@@ -72,6 +74,7 @@ class Frame:
     members: Mapping[int, tuple[tuple[str, str], ...]] = field(repr=False)
     alarms: tuple[Alarm, ...] = ()
     own_ship: OwnShipState | None = None
+    heights: HeightModel | None = None
 
     @classmethod
     def of(
@@ -81,6 +84,7 @@ class Frame:
         plane: LocalPlane | None,
         alarms: Sequence[Alarm] = (),
         own_ship: OwnShipState | None = None,
+        heights: HeightModel | None = None,
     ) -> Frame:
         """The frame of a state."""
         objects, records = object_columns(state), record_columns(state)
@@ -93,6 +97,7 @@ class Frame:
         return cls(
             tick, state.now.instant_s, plane, with_degrees(objects, plane), with_degrees(records, plane),
             {number: tuple(tracks) for number, tracks in members.items()}, tuple(alarms), own_ship,
+            heights,
         )  # fmt: skip
 
     @cached_property
@@ -146,12 +151,16 @@ class Frame:
                  if name in o]  # fmt: skip
         digits = {"lat_deg": 7, "lon_deg": 7, "probability": 6}
         columns = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
+        if self.heights is not None and "height_m" in o:
+            height, sigma = (np.ma.filled(o[name], np.nan) for name in ("height_m", "sigma_height_m"))
+            above = zip(("hae_m", "sigma_hae_m"), self.heights.above_ellipsoid(height, sigma), strict=True)
+            columns |= {name: _numbers(values, 1) for name, values in above}
         out = []
         for k, number in enumerate(o["object"].tolist()):
             one: dict[str, Any] = {
                 "object": number,
                 "stage": str(o["stage"][k]),
-                **{name: columns[name][k] for name in names},
+                **{name: column[k] for name, column in columns.items()},
             }
             one |= {
                 name: str(o[name][k]) for name in ("label", "mmsi", "icao", "callsign", "name", "type") if o[name][k]

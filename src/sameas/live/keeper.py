@@ -15,7 +15,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -162,13 +162,11 @@ class Keeper:
             return None
         with self.lock:
             self._tick += 1
-            frame = Frame.of(self._tick, state, self.picture.plane, (), self._own_ship(instant_s, state))
+            own_ship = self._own_ship(instant_s, state)
+            frame = Frame.of(self._tick, state, self.picture.plane, (), own_ship, self.picture.height_model)
             alarms = [*_identity_alarms(state), *self._source_alarms(instant_s), *self._fault_alarms(frame),
                       *self._cpa_alarms(frame), *self._folder_alarms()]  # fmt: skip
-            frame = Frame(
-                frame.tick, frame.time_s, frame.plane, frame.objects, frame.records, frame.members, tuple(alarms),
-                frame.own_ship,
-            )  # fmt: skip
+            frame = replace(frame, alarms=tuple(alarms))
             self._raise_alarms(alarms, instant_s)
             self.deltas.append(Delta.between(self.frame, frame))
             self.frame = frame
@@ -530,7 +528,8 @@ class Keeper:
             url: {
                 "connected": wire.state.connected, "connections": wire.state.connections, "error": wire.state.error,
                 "bytes": wire.state.received, "dropped": wire.queue.dropped,
-                "damaged": sum(wire.stream.damaged.values()), "unused": dict(wire.stream.passed_over),
+                "damaged": sum(wire.stream.damaged.values()), "damage": dict(+wire.stream.damaged),
+                "unused": dict(wire.stream.passed_over),
             }
             for url, wire in self.wires.items()
         }  # fmt: skip
@@ -538,6 +537,8 @@ class Keeper:
             "ok": bool(ticking), "tick": self._tick, "time_s": None if self.frame is None else self.frame.time_s,
             "objects": 0 if self.frame is None else len(self.frame.objects["object"]),
             "faults": self.counters["faults"], "sources": sources, "wires": wires,
+            "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
+                        for sink in self.sinks},
         }  # fmt: skip
 
 

@@ -14,8 +14,9 @@ import re
 import socket
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 from urllib.parse import urlsplit
 from xml.sax.saxutils import quoteattr
@@ -28,6 +29,8 @@ from sameas.live.frame import Frame
 _KNOT_M_PER_S, _MILE_M = 1852.0 / 3600.0, 1852.0
 #: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0
+#: Half the interval of 90 % of a normal distribution, in σ.
+_LE_90 = 1.6449
 #: Largest datagram in bytes, below the MTU of Ethernet, so that it is not fragmented.
 _DATAGRAM = 1400
 #: Most characters of a sentence between the $ and the star.
@@ -55,15 +58,59 @@ def jsonl(frame: Frame) -> Iterator[bytes]:
         yield json.dumps({"time_s": frame.time_s, **one}, ensure_ascii=False, allow_nan=False).encode() + b"\n"
 
 
-def nmea(frame: Frame) -> Iterator[bytes]:
+#: Targets that TTM and TLL can number: two digits (IEC 61162-1).
+_NUMBERS = 100
+#: An object without a number gets that of another one if it is nearer to own ship by this factor.
+_NEARER = 0.8
+
+
+@dataclass
+class TargetNumbers:
+    """The target numbers 00 to 99 of objects; an object keeps its number, and no two have the same.
+
+    by_object : the numbers in use. unnumbered : confirmed objects that have none, since all are in use: with own ship
+    the farthest. A number that is free again is the last to be given to another object.
+    """
+
+    by_object: dict[int, int] = field(default_factory=dict)
+    unnumbered: int = 0
+    _free: list[int] = field(default_factory=lambda: list(range(_NUMBERS)))
+
+    def update(self, frame: Frame) -> list[int]:
+        """Numbers the confirmed objects of a frame; the numbers whose objects ended or lost theirs to nearer ones."""
+        own, confirmed = frame.own_ship, _confirmed(frame)
+        rank: dict[int, float] = {}
+        for one in confirmed:
+            placed = own is not None and one["x_m"] is not None
+            rank[one["object"]] = math.hypot(one["x_m"] - own.x_m, one["y_m"] - own.y_m) if placed and own else math.inf
+        order = sorted(rank, key=lambda n: (rank[n] * (_NEARER if n in self.by_object else 1.0),
+                                            n not in self.by_object, n))  # fmt: skip
+        numbered, self.unnumbered = set(order[:_NUMBERS]), max(len(order) - _NUMBERS, 0)
+        lost = [self.by_object.pop(n) for n in list(self.by_object) if n not in numbered]
+        self._free += lost
+        for n in sorted(numbered - set(self.by_object)):
+            number = n % _NUMBERS if n % _NUMBERS in self._free and n % _NUMBERS not in lost else self._free[0]
+            self._free.remove(number)
+            self.by_object[n] = number
+        return [number for number in lost if number in self._free]
+
+
+def nmea(frame: Frame, numbers: TargetNumbers | None = None) -> Iterator[bytes]:
     """TTM of every object where own ship is known, and TLL where latitudes are known.
 
-    The target number is the object's modulo 100; the name is the object's, else its MMSI, else its label.
+    The name is the object's, else its MMSI, else its label. A number whose object has ended is sent once with status L.
+    numbers : of the targets before; updated.
     """
     own, clock = frame.own_ship, datetime.fromtimestamp(frame.time_s, UTC).strftime("%H%M%S.%f")[:9]
+    numbers = TargetNumbers() if numbers is None else numbers
+    for lost in numbers.update(frame):
+        yield sentence(f"RATTM,{lost:02d},,,T,,,T,,,N,,L,,{clock},A")
+        yield sentence(f"RATLL,{lost:02d},,,,,,{clock},L,")
     for one in _confirmed(frame):
+        if one["object"] not in numbers.by_object:
+            continue
         number, name = (
-            f"{one['object'] % 100:02d}",
+            f"{numbers.by_object[one['object']]:02d}",
             _plain(one.get("name") or one.get("mmsi") or one.get("label") or ""),
         )
         if own is not None and one["x_m"] is not None:
@@ -99,7 +146,12 @@ def sentence(body: str) -> bytes:
 
 
 def cot(frame: Frame) -> Iterator[bytes]:
-    """One event per object: type ``a-u-S`` at sea, ``a-u-A`` in the air; ``ce`` is the radius of 90 % probability."""
+    """One event per object: type ``a-u-S`` at sea, ``a-u-A`` in the air.
+
+    ``hae`` is the height above the ellipsoid where a height is known; a pressure height is converted, or taken as it is
+    with the error of an unknown atmosphere. ``ce`` and ``le`` are errors of 90 % probability, as TAK reads them:
+    the radius of a circle, and half the interval of the height. 9999999 is unknown.
+    """
     start, stale = _iso(frame.time_s), _iso(frame.time_s + STALE_S)
     for one in _confirmed(frame):
         if one.get("lat_deg") is None:
@@ -107,6 +159,9 @@ def cot(frame: Frame) -> Iterator[bytes]:
         kind = "a-u-A" if one.get("icao") else "a-u-S"
         variance = max(one["var_x_m2"] or 0.0, one["var_y_m2"] or 0.0)
         radius = math.sqrt(variance) * math.sqrt(-2.0 * math.log(0.1))
+        hae, sigma = one.get("hae_m"), one.get("sigma_hae_m")
+        height = 'hae="9999999.0"' if hae is None else f'hae="{hae:.1f}"'
+        error = 'le="9999999.0"' if hae is None or sigma is None else f'le="{_LE_90 * sigma:.1f}"'
         track = ""
         if one["speed_m_per_s"] is not None:
             track = f'<track course="{one["course_deg"]:.1f}" speed="{one["speed_m_per_s"]:.2f}"/>'
@@ -114,7 +169,7 @@ def cot(frame: Frame) -> Iterator[bytes]:
         yield (
             f'<?xml version="1.0" encoding="UTF-8"?><event version="2.0" uid="sameas.{one["object"]}" type="{kind}" '
             f'how="m-f" time="{start}" start="{start}" stale="{stale}"><point lat="{one["lat_deg"]:.7f}" '
-            f'lon="{one["lon_deg"]:.7f}" hae="9999999.0" ce="{radius:.1f}" le="9999999.0"/>'
+            f'lon="{one["lon_deg"]:.7f}" {height} ce="{radius:.1f}" {error}/>'
             f"<detail><contact callsign={callsign}/>{track}</detail></event>"
         ).encode()
 
@@ -220,6 +275,8 @@ class Sink:
             raise InputError(f"output {self.url!r}: cannot be sent to", "give udp://HOST:PORT or stdout:")
         if self.format not in FORMATS:
             raise InputError(f"output {self.url!r}: format is {self.format!r}", f"give one of {', '.join(FORMATS)}")
+        self.numbers = TargetNumbers()
+        self._encode = partial(nmea, numbers=self.numbers) if self.format == "nmea" else FORMATS[self.format]
         self._socket: socket.socket | None = None
         if parts.scheme == "udp":
             self._address = (parts.hostname or "127.0.0.1", int(parts.port or 0))
@@ -235,11 +292,11 @@ class Sink:
     def send(self, frame: Frame) -> None:
         """Encodes and sends a frame."""
         if self._socket is None:
-            for part in FORMATS[self.format](frame):
+            for part in self._encode(frame):
                 sys.stdout.buffer.write(part)
             sys.stdout.buffer.flush()
             return
-        for datagram in _datagrams(FORMATS[self.format](frame), joined=self.format in ("nmea", "jsonl", "signalk")):
+        for datagram in _datagrams(self._encode(frame), joined=self.format in ("nmea", "jsonl", "signalk")):
             try:
                 self._socket.sendto(datagram, self._address)
             except OSError:
@@ -298,6 +355,10 @@ def metrics(health: Mapping[str, Any], durations_s: Sequence[float]) -> str:
         lines.append(f"# TYPE sameas_wire_{name}_total counter")
         for url, numbers in health["wires"].items():
             lines.append(f"sameas_wire_{name}_total{{wire={_label(url)}}} {numbers[name]}")
+    for name in ("failed", "unnumbered"):
+        lines.append(f"# TYPE sameas_output_{name} {'counter' if name == 'failed' else 'gauge'}")
+        for url, numbers in health.get("outputs", {}).items():
+            lines.append(f"sameas_output_{name}{{output={_label(url)}}} {numbers[name]}")
     return "\n".join(lines) + "\n"
 
 

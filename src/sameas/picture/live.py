@@ -107,6 +107,8 @@ class LivePicture:
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
         self._heights: HeightModel | None = None
+        #: Conversion of the heights of the last instant; None if none was reported.
+        self.height_model: HeightModel | None = None
         self._recent: dict[str, deque[Reports]] = {name: deque() for name in names}
         self._sightings: deque[Columns] = deque()
         self._last_s = -math.inf
@@ -185,7 +187,8 @@ class LivePicture:
                 "of time"
             )
         feeds = tuple(self._feed(feed, instant_s) for feed in self._feeds.values())
-        scene = Scene(feeds, self.plane, self.tuning, self._heights or HeightModel.as_given(feeds))
+        self.height_model = self._heights or HeightModel.as_given(feeds)
+        scene = Scene(feeds, self.plane, self.tuning, self.height_model)
         carried = self._start() if self._carried is None else self._named(self._carried)
         state: LiveState
         if isinstance(carried, PlotPicture):

@@ -195,6 +195,21 @@ class HeightModel:
         corrected = (heights.height_m - offset.offset_m) / (1.0 + offset.gain)
         return replace(heights, height_m=corrected, sigma_m=sigma, notes=(*heights.notes, offset.note))
 
+    def above_ellipsoid(
+        self, height_m: FloatArray, sigma_m: FloatArray, tuning: HeightTuning = DEFAULT_TUNING
+    ) -> tuple[FloatArray, FloatArray]:
+        """(n,) heights above the ellipsoid and their 1σ, from heights of ``kind``.
+
+        Without an estimated relation a pressure height is taken as it is, with the error of an unknown atmosphere.
+        """
+        if self.kind == GEOMETRIC:
+            return height_m, sigma_m
+        if self.line is None:
+            extra = np.hypot(tuning.pressure_m, tuning.pressure_share * height_m)
+            return height_m, np.hypot(sigma_m, extra)
+        height = height_m + self.line.offset_m + self.line.gain * height_m
+        return height, np.hypot((1.0 + self.line.gain) * sigma_m, self.line.sigma_m)
+
 
 def kind_of(columns: Sequence[HeightColumns]) -> str:
     """The kind to which heights are converted: PRESSURE if any source has pressure heights."""

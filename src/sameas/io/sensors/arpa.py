@@ -4,6 +4,10 @@ TTM gives range and bearing, speed and course, each true or relative by a flag o
 longitude computed by the radar. Where a log has both, they are the same targets, and only TTM, the measurement, is
 used. OSD, HDT and THS give the heading of own ship; RMC, GGA, GLL and own AIS (VDO) its position. The accuracy of the
 radar is in no sentence; it comes from the description of the source.
+
+Target numbers have two digits and are used again: ``05`` is the first target with this number, ``05/2`` the second. A
+target with a known number is another one if the radar had lost the number (status L), acquires it (Q) after it was
+tracked, has not reported it for :data:`SILENT_S`, or reports it where the target cannot have moved to.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,14 +36,48 @@ _UNITS = {"N": (MILE_M, KNOT_M_PER_S), "K": (1000.0, 1.0 / 3.6), "S": (1609.344,
 _STATUS = {"L": "lost", "Q": "being acquired", "T": "tracked"}
 
 
+#: Seconds without a report after which a target number belongs to another target. ARPA reports each rotation.
+SILENT_S = 120.0
+#: A target moves by at most the first in m/s, relative to own ship, and is reported within the second in metres and the
+#: third as a share of its range (chosen).
+FASTEST_M_PER_S, NEAR_M, NEAR_SHARE = 80.0, 400.0, 0.05
+#: Largest number of target numbers that are remembered; radars have 100, or 1000.
+MOST_NUMBERS = 10_000
+
+
+@dataclass
+class Target:
+    """The last report of a target number. use : how many targets have had it. x, y : from own ship, or on the Earth, in
+    metres."""
+
+    use: int = 1
+    time_s: float = math.nan
+    x: float = math.nan
+    y: float = math.nan
+    tracked: bool = False
+    lost: bool = False
+
+    def is_another(self, now: Target, range_m: float) -> bool:
+        """Whether the target of the next report with this number is not the same."""
+        elapsed_s = now.time_s - self.time_s
+        reach_m = NEAR_M + NEAR_SHARE * range_m + FASTEST_M_PER_S * abs(elapsed_s)
+        return (
+            self.lost
+            or (self.tracked and not now.tracked)
+            or elapsed_s > SILENT_S
+            or math.hypot(now.x - self.x, now.y - self.y) > reach_m
+        )
+
+
 @dataclass
 class OwnShip:
-    """Own ship before these lines. has_ttm : whether TTM sentences have occurred."""
+    """Own ship before these lines. has_ttm : whether TTM sentences have occurred. targets : by number."""
 
     heading: float = math.nan
     lat: float = math.nan
     lon: float = math.nan
     has_ttm: bool = False
+    targets: dict[str, Target] = field(default_factory=dict)
 
 
 def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | None = None) -> Reports:
@@ -62,7 +100,10 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
     damaged = list(log.damaged)
     passed_over: Counter[str] = Counter()
     own = _own_ship(log, ship)
-    indices, rows = [], []
+    indices: list[int] = []
+    rows: list[dict[str, Any]] = []
+    # Number of the target, and its row, None where it is lost.
+    events: list[tuple[str, int | None]] = []
     for index, sentence in enumerate(log.sentences):
         if sentence.kind != kind:
             if sentence.kind in SENTENCES:
@@ -75,10 +116,14 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
             continue
         if row is None:
             passed_over["target lost by the radar"] += 1
+            events.append((sentence.field(1), None))
         else:
+            events.append((row["track_id"], len(rows)))
             indices.append(index)
             rows.append(row)
     if not rows:
+        for number, _ in events:
+            ship.targets.setdefault(number, Target(use=0)).lost = True
         reasons = "; ".join(Damaged.of(damaged).sentences()) or "every target is lost"
         raise NoReports(
             f"{source}: no radar target that can be used: {reasons}",
@@ -90,6 +135,7 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
         # Positions do not need own ship; it is dropped unless known for all of them.
         del columns["station_lat_deg"], columns["station_lon_deg"]
     columns["time_s"] = _times(log, columns.pop("day_s"), np.array(indices), source, start_s)
+    columns["track_id"] = _track_ids(columns, events, ship.targets)
     return Reports.of(
         source,
         "arpa",
@@ -98,6 +144,33 @@ def read(log: Log, source: str, start_s: float | None = None, ship: OwnShip | No
         passed_over=passed_over,
         notes=_notes(source, log, columns),
     )
+
+
+def _track_ids(
+    columns: Mapping[str, Any], events: list[tuple[str, int | None]], targets: dict[str, Target]
+) -> list[str]:
+    """The ids of the rows: the number of the target, and which target with this number it is. Updates ``targets``."""
+    if "range_m" in columns:
+        range_m, bearing = np.asarray(columns["range_m"], np.float64), np.deg2rad(columns["bearing_deg"])
+        x, y = range_m * np.sin(bearing), range_m * np.cos(bearing)
+    else:
+        lat, lon = (np.asarray(columns[name], np.float64) for name in ("lat_deg", "lon_deg"))
+        range_m = np.zeros(len(lat))
+        x, y = 60.0 * MILE_M * lon * np.cos(np.deg2rad(lat)), 60.0 * MILE_M * lat
+    if len(targets) > MOST_NUMBERS:
+        targets.clear()
+    out: list[str] = []
+    for number, row in events:
+        if row is None:
+            targets.setdefault(number, Target(use=0)).lost = True
+            continue
+        now = Target(1, float(columns["time_s"][row]), float(x[row]), float(y[row]), bool(columns["tracked"][row]))
+        before = targets.get(number)
+        if before is not None:
+            now.use = before.use + before.is_another(now, float(range_m[row]))
+        targets[number] = now
+        out.append(number if now.use == 1 else f"{number}/{now.use}")
+    return out
 
 
 def _own_ship(log: Log, ship: OwnShip) -> dict[str, FloatArray]:
