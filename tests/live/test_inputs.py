@@ -9,7 +9,9 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors.stream import ReportStream
-from sameas.live.inputs import BoundedQueue, Wire
+from sameas.live.inputs import BoundedQueue, Replay, Wire
+from sameas.live.keeper import _is_time_zone
+from sameas.tracks.reports import Reports
 
 LINE = json.dumps({"time": 1714560000, "lat": 50.1, "lon": -1.2, "mmsi": "235070762"}).encode() + b"\n"
 
@@ -228,3 +230,32 @@ def test_a_line_cut_off_by_a_broken_connection_is_not_continued_by_the_next():
         return wire
 
     assert asyncio.run(run()).take()[0].mmsi.tolist()[:1] == ["235070762"]
+
+
+def moments(name, times):
+    return name, Reports.of(name, "table", {"time_s": times, "x_m": [0.0] * len(times), "y_m": [0.0] * len(times)})
+
+
+def test_a_source_in_another_time_zone_is_named_before_a_replay():
+    replay = Replay([moments("radar", [0.0, 600.0]), moments("ais", [10.0, 500.0]), moments("net", [7205.0, 7700.0])])
+    [doubt] = replay.apart()
+    assert doubt.startswith("net: its reports are 1.8 h after all others; its first is 2.0 h after theirs")
+    assert not Replay([moments("radar", [0.0, 600.0]), moments("ais", [10.0, 500.0])]).apart()
+
+
+def test_a_replay_that_waits_loses_no_time_of_the_reports():
+    replay = Replay([moments("radar", [0.0, 600.0])], 10.0)
+    replay.begin(100.0)
+    replay.wait(30.0)
+    assert replay.now_s(131.0) == 10.0
+
+
+def test_a_delay_of_whole_hours_is_a_time_zone():
+    assert [_is_time_zone(s) for s in (7205.0, -3598.0, 19800.0, 700.0, 0.0, 4000.0)] == [
+        True,
+        True,
+        True,
+        False,
+        False,
+        False,
+    ]

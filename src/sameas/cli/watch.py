@@ -19,7 +19,7 @@ from sameas.cli.outcome import answering
 from sameas.cli.picture import duration_s
 from sameas.cli.terminal import Printer, share_compilation
 from sameas.errors import InputError
-from sameas.report.prose import ALARM
+from sameas.report.prose import ALARM, DOUBT
 from sameas.representation import counted
 
 LOG = logging.getLogger("sameas.live")
@@ -98,10 +98,13 @@ def watch(
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
         say = Printer(quiet, sys.stderr if to_stdout else None)
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
+        say(f"{DOUBT}{line}" for line in (replay.apart() if replay else ()))
         server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
         asyncio.run(_run(keeper, server, until_s, say))
         state = keeper.health()
         say([f"Watched: {counted(state['tick'], 'instant')}, {counted(state['objects'], 'object')} in the last"])
+        if keeper.waited_s > 5.0:
+            say([f"  The replay waited {keeper.waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
         for name, one in state["sources"].items():
             aside = {word: one[word] for word in ("late", "repeated", "jumps", "refused") if one[word]}
             words = "".join(f", {n} {word}" for word, n in aside.items())

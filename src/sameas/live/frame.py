@@ -150,7 +150,7 @@ class Frame:
                                    "climb_m_per_s", "var_x_m2", "cov_xy_m2", "var_y_m2", "probability")
                  if name in o]  # fmt: skip
         digits = {"lat_deg": 7, "lon_deg": 7, "probability": 6}
-        columns = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
+        columns: dict[str, list[float | None]] = {name: _numbers(o[name], digits.get(name, 2)) for name in names}
         if self.heights is not None and "height_m" in o:
             height, sigma = (np.ma.filled(o[name], np.nan) for name in ("height_m", "sigma_height_m"))
             above = zip(("hae_m", "sigma_hae_m"), self.heights.above_ellipsoid(height, sigma), strict=True)

@@ -307,6 +307,18 @@ def _udp_socket(host: str, port: int, interface: str) -> socket.socket:
     return udp
 
 
+def in_words(seconds: float) -> str:
+    """A time in the largest unit that fits.
+
+    >>> in_words(7200.0), in_words(90.0), in_words(12.3)
+    ('2.0 h', '1.5 min', '12 s')
+    """
+    for unit, size in (("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= size:
+            return f"{seconds / size:.1f} {unit}"
+    return f"{seconds:.0f} s"
+
+
 @dataclass
 class Replay:
     """Replays the reports of files in the order of their times, at ``pace`` times real time.
@@ -344,6 +356,10 @@ class Replay:
         start_s = self.first_s if from_s is None else from_s
         self._began_s = clock_s - (start_s - self.first_s) / self.pace
 
+    def wait(self, seconds: float) -> None:
+        """Stops the replay for this many seconds of the clock."""
+        self._began_s += seconds
+
     def now_s(self, clock_s: float) -> float:
         """The replayed time at this time of the clock."""
         return self.first_s + self.pace * (clock_s - self._began_s)
@@ -352,6 +368,24 @@ class Replay:
     def done(self) -> bool:
         """Whether all reports have been taken."""
         return all(k >= len(reports) for k, (_, reports) in zip(self._next, self.sources, strict=True))
+
+    def apart(self) -> list[str]:
+        """Sentences on the sources that have no time in common with any other, as with a clock in another time zone."""
+        spans = [(name, float(reports.time_s[0]), float(reports.time_s[-1])) for name, reports in self.sources]
+        out = []
+        for k, (name, first_s, last_s) in enumerate(spans):
+            others = [one for n, one in enumerate(spans) if n != k]
+            if not others or any(first_s <= last and first <= last_s for _, first, last in others):
+                continue
+            later_s = first_s - max(last for _, _, last in others)
+            earlier_s = min(first for _, first, _ in others) - last_s
+            where = "between those of the others"
+            if later_s > 0.0 or earlier_s > 0.0:
+                where = f"{in_words(max(later_s, earlier_s))} {'after' if later_s > 0.0 else 'before'} all others"
+            shift_s = first_s - min(first for _, first, _ in others)
+            zone = f"; its first is {in_words(abs(shift_s))} {'after' if shift_s > 0 else 'before'} theirs"
+            out.append(f"{name}: its reports are {where}{zone}: is its clock in another time zone, or its date wrong?")
+        return out
 
     def take(self, until_s: float) -> list[tuple[str, Reports]]:
         """The reports up to this time that have not been taken yet."""

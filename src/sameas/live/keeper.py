@@ -113,6 +113,8 @@ class Keeper:
         #: Alarms that began, with their times, for the terminal, which takes them.
         self.begun: deque[tuple[float, Alarm]] = deque(maxlen=KEPT_DELTAS)
         self.counters: Counter[str] = Counter()
+        #: Seconds by which a replay waited for the picture.
+        self.waited_s = 0.0
         self.durations_s: deque[float] = deque(maxlen=KEPT_DURATIONS)
         self.lock = threading.Lock()
         self.sinks = sinks_of(settings.watch.outputs)
@@ -325,7 +327,8 @@ class Keeper:
                 out.append(Alarm(f"silent {name}", "source", text))
             elif abs(state.delay_s) > watch.clock_s:
                 sense = "behind" if state.delay_s > 0.0 else "ahead of"
-                text = f"{name}: its time stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt"
+                zone = " (a time zone?)" if _is_time_zone(state.delay_s) else ""
+                text = f"{name}: its time stamps are {abs(state.delay_s):.0f} s {sense} the times of receipt{zone}"
                 out.append(Alarm(f"clock {name}", "source", text))
         for url, wire in self.wires.items():
             if wire.queue.dropped > self.counters[f"dropped {url}"]:
@@ -442,8 +445,12 @@ class Keeper:
                 if due and (search is None or search.done()):
                     self._searched_s = self.picture.instant_s
                     search = asyncio.create_task(asyncio.to_thread(self.search))
-                # Missed ticks are not caught up: the next one has all reports.
-                next_s = max(next_s + every_s, self.clock())
+                # Missed ticks are not caught up: the next one has all reports. A replay waits instead.
+                next_s, now_s = next_s + every_s, self.clock()
+                if self.replay is not None and now_s > next_s:
+                    self.replay.wait(now_s - next_s)
+                    self.waited_s += now_s - next_s
+                next_s = max(next_s, now_s)
                 wait_s = max(next_s - self.clock(), 0.0)
                 if stop is None:
                     await asyncio.sleep(wait_s)
@@ -540,6 +547,11 @@ class Keeper:
             "outputs": {f"{sink.format} {sink.url}": {"failed": sink.failed, "unnumbered": sink.numbers.unnumbered}
                         for sink in self.sinks},
         }  # fmt: skip
+
+
+def _is_time_zone(seconds: float) -> bool:
+    """Whether a difference is a multiple of a quarter of an hour, within a minute: time zones are such."""
+    return abs(seconds) > 600.0 and abs(seconds - 900.0 * round(seconds / 900.0)) < 60.0
 
 
 def _wires(settings: Settings, clock: Callable[[], float]) -> dict[str, Wire]:
