@@ -1,5 +1,6 @@
 """Detection of stars: positions within their errors; defects, neighbours, trails and edges are flagged."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,14 @@ def test_an_empty_sky_has_hardly_any_detection():
 
 
 @pytest.mark.slow
+def test_a_negative_is_refused_by_its_cause():
+    rng = np.random.default_rng(5)
+    frame = frame_of(rng, **grid(rng, 320), camera=Camera(shape=(320, 320))).frame
+    negative = replace(frame, image=frame.image.max() - frame.image)
+    with pytest.raises(InputError, match=r"\d\d dark spots above 4σ: it seems to be a negative.*largest value"):
+        detect(negative)
+
+
 def test_hot_pixels_and_cosmic_rays_are_masked_and_stars_are_not():
     rng = np.random.default_rng(7)
     camera = Camera(shape=(640, 640), hot_pixels=150, hot_e=5000.0, cosmics=60, saturation_e=1e9)

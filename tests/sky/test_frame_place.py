@@ -188,7 +188,8 @@ def test_a_wrong_scale_or_aim_is_refused() -> None:
     stars = sky(rng, 120, 0.6)
     seen, _ = picture(rng, stars, pointing(120.0, 35.0, 1.2, 30.0))
     for aim in (Aim(120.0, 35.0, 0.1, (1.5, 1.9)), Aim(120.3, 35.3, 0.05, (1.0, 1.4))):
-        with pytest.raises(InputError, match="give a larger radius, a wider range of scales or a deeper catalogue"):
+        advice = r"a larger radius than 0\.\d+°, a wider range of scales than 1.* to 1\.\d″ per pixel \(are pixels"
+        with pytest.raises(InputError, match=advice):
             place(seen, stars, aim)
 
 

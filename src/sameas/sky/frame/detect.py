@@ -204,10 +204,26 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
         frame, background = _without_defects(frame, background, psf, tuning)
     light = _above_sky(frame, background)
     xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas, tuning)
+    _refuse_negative(frame, light, background, psf, len(xy), detection)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
     stars = _deblended(light, background, psf, xy, snr, detection)
     return _measurements(frame, background, psf, stars, detection)
+
+
+def _refuse_negative(
+    frame: Frame, light: FloatArray, background: Background, psf: PSF, n_stars: int, detection: Detection
+) -> None:
+    """Refuses an image with hardly any stars and many dark spots, as of a scanned photographic negative."""
+    if n_stars >= detection.tuning.max_stars_of_negative:
+        return
+    dark = len(_peaks_of(-light, background, psf, detection.threshold_sigmas, detection.tuning)[0])
+    if dark > detection.tuning.min_dark_ratio * max(n_stars, 1):
+        raise InputError(
+            f"{frame.name}: {n_stars} bright and {dark} dark spots above {detection.threshold_sigmas:g}σ: it seems to "
+            "be a negative, with dark stars on a bright sky",
+            "subtract its pixels from their largest value",
+        )
 
 
 def _above_sky(frame: Frame, background: Background) -> FloatArray:

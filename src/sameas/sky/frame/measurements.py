@@ -52,6 +52,8 @@ class DetectionTuning:
     first_sigma_px : standard deviation of the initial PSF.
     sharpest_sigma_px : standard deviation of the sharpest possible star before the PSF is measured (FWHM 1.3 px).
     psf_stars : maximum number of stars for the PSF.
+    max_stars_of_negative, min_dark_ratio : an image is a negative if it has fewer stars than the first, and more dark
+        spots than this ratio to them.
     shape_snr : stars below this signal to noise ratio get no individual shape.
     wider : a star wider than the PSF by this factor gets its own window. longer : trailed if longer by this factor.
     neighbour_passes : number of passes that subtract all neighbours and remeasure every star.
@@ -84,6 +86,8 @@ class DetectionTuning:
     first_sigma_px: float = 1.3
     sharpest_sigma_px: float = 0.55
     psf_stars: int = 200
+    max_stars_of_negative: int = 20
+    min_dark_ratio: float = 10.0
     shape_snr: float = 15.0
     wider: float = 1.3
     longer: float = 2.0

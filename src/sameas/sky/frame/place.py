@@ -282,7 +282,9 @@ def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
 
 
 def _advice(hints: Sequence[Hint]) -> str:
-    without_aim = all(isinstance(hint, AllSky) for hint in hints)
-    return (
-        "give an aim, " if without_aim else "give a larger radius, "
-    ) + "a wider range of scales or a deeper catalogue"
+    aims, skies = ([hint for hint in hints if isinstance(hint, kind)] for kind in (Aim, AllSky))
+    radius = f" than {aims[0].radius_deg:.2g}°" if aims else ""
+    area = "an aim" if len(skies) == len(hints) else f"a larger radius{radius}"
+    scales = " than {:.3g} to {:.3g}″ per pixel".format(*(aims or skies)[0].scale_arcsec) if aims or skies else ""
+    binned = " (are pixels binned?)" if aims else ""
+    return f"give {area}, a wider range of scales{scales}{binned} or a deeper catalogue"
