@@ -282,9 +282,11 @@ def _refusal(hint: Hint, best: Verdict | None, second: float) -> str:
 
 
 def _advice(hints: Sequence[Hint]) -> str:
-    aims, skies = ([hint for hint in hints if isinstance(hint, kind)] for kind in (Aim, AllSky))
+    aims = [hint for hint in hints if isinstance(hint, Aim)]
+    skies = [hint for hint in hints if isinstance(hint, AllSky)]
     radius = f" than {aims[0].radius_deg:.2g}°" if aims else ""
     area = "an aim" if len(skies) == len(hints) else f"a larger radius{radius}"
-    scales = " than {:.3g} to {:.3g}″ per pixel".format(*(aims or skies)[0].scale_arcsec) if aims or skies else ""
+    tried = [hint.scale_arcsec for hint in (*aims, *skies)]
+    scales = f" than {tried[0][0]:.3g} to {tried[0][1]:.3g}″ per pixel" if tried else ""
     binned = " (are pixels binned?)" if aims else ""
     return f"give {area}, a wider range of scales{scales}{binned} or a deeper catalogue"
