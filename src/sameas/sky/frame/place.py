@@ -286,7 +286,7 @@ def _advice(hints: Sequence[Hint]) -> str:
     skies = [hint for hint in hints if isinstance(hint, AllSky)]
     radius = f" than {aims[0].radius_deg:.2g}°" if aims else ""
     area = "an aim" if len(skies) == len(hints) else f"a larger radius{radius}"
-    tried = [hint.scale_arcsec for hint in (*aims, *skies)]
+    tried = [aim.scale_arcsec for aim in aims] + [sky.scale_arcsec for sky in skies]
     scales = f" than {tried[0][0]:.3g} to {tried[0][1]:.3g}″ per pixel" if tried else ""
     binned = " (are pixels binned?)" if aims else ""
     return f"give {area}, a wider range of scales{scales}{binned} or a deeper catalogue"
