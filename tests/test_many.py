@@ -437,7 +437,7 @@ def test_the_joint_density_of_parts_is_the_marginal_of_the_stacked_observations(
     records = [Records.of(rng.normal(size=(1, len(h))), sigma=0.5 + k) for k, h in enumerate(parts)]
     region = Region(np.array([0.1, 0.2, 0.3]), np.diag([4.0, 9.0, 16.0]) + 0.5)
     sources = [Observations(r, LinearPart(h)) for r, h in zip(records, parts, strict=True)]
-    from sameas.many.joint import joint_density
+    from sameas.many.observations import joint_density
 
     joint = joint_density(sources, np.zeros((1, 3), int), region)
     centre = np.asarray(region.centre)

@@ -9,8 +9,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.many.identify import identify_many, identify_sequentially
-from sameas.many.joint import joint_density
-from sameas.many.observations import Region, records_of
+from sameas.many.observations import Region, joint_density, records_of
 from sameas.many.rules import PoissonObjects
 from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.plot_tracker import PlotTracker

@@ -209,7 +209,7 @@ def joint_in_plane(
     sets: IntArray, place: FloatArray, precision: FloatArray, log_peak: FloatArray, centre: FloatArray,
     prior: FloatArray, log_density: FloatArray,
 ) -> None:  # fmt: skip
-    """Write ln J (k,) of sets of records in the plane (:mod:`sameas.many.joint`).
+    """Write ln J (k,) of sets of records in the plane (:mod:`sameas.many.observations`).
 
     sets : (k, size) records. place, precision, log_peak : (n, 2), (n, 2, 2), (n,) z, R⁻¹ and −½ ln|2π R| of records.
     centre, prior : (2,), (2, 2) centre and information of the region, 0 without a region.

@@ -4,6 +4,6 @@
 - Source after source, for comparison: :func:`sameas.identify_sequentially`.
 - One position from several estimates of it: :mod:`sameas.many.fusion`.
 
-Stages: observations → joint densities → pooled records → rules and their terms → sets → partition and marginals →
-objects → explanation.
+Stages: observations and their joint density → pooled records → rules and their terms → sets → partition and marginals
+→ objects → explanation.
 """

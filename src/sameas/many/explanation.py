@@ -16,9 +16,8 @@ from scipy.sparse import csr_array
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.many.joint import NO_RECORD
 from sameas.many.marginals import Answer
-from sameas.many.observations import records_of
+from sameas.many.observations import NO_RECORD, records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms, pairs_of
 from sameas.many.sets import Sets

@@ -21,10 +21,9 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence import PoissonField, Rule
 from sameas.gate import DEFAULT_GATE, Pairs
-from sameas.many.joint import NO_RECORD
 from sameas.many.marginals import EXACT, Answer, answer
 from sameas.many.objects import Objects
-from sameas.many.observations import Region, Source
+from sameas.many.observations import NO_RECORD, Region, Source
 from sameas.many.pooled import PooledRecords, numbered_groups, pooled
 from sameas.many.rules import MissedObjects, Pairwise, PoissonObjects, SetPrior, SetRule, parts_of, terms_of
 from sameas.many.sets import TUNING, ManyTuning, Sets, candidate_sets

@@ -25,7 +25,7 @@ from scipy.sparse import csr_array, hstack, vstack
 from scipy.sparse.csgraph import connected_components, reverse_cuthill_mckee
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.many.joint import NO_RECORD
+from sameas.many.observations import NO_RECORD
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import MissedObjects
 from sameas.many.sets import TUNING, ManyTuning, Sets

@@ -17,9 +17,8 @@ from scipy.sparse import csr_array
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.explanation import ObjectExplanation, Weights
-from sameas.many.joint import NO_RECORD, Joint
 from sameas.many.marginals import Answer
-from sameas.many.observations import Source, records_of
+from sameas.many.observations import NO_RECORD, Joint, Source, records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
 from sameas.many.sets import Sets

@@ -3,8 +3,8 @@
 Sources and records are ordered by content, equal ones by id. All later stages use that order, so the result does not
 depend on the order of sources or rows. Two records are a pair if they pass the gate. The gate compares features, so it
 applies where both sources observe the whole state. Where one of them observes a part, two records pass if they can be
-one object of the region: their χ² (:mod:`sameas.many.joint`) is at most the quantile of the gate's completeness, for
-as many degrees of freedom as they have features. A group is a connected component of all pairs.
+one object of the region: their χ² (:mod:`sameas.many.observations`) is at most the quantile of the gate's
+completeness, for as many degrees of freedom as they have features. A group is a connected component of all pairs.
 """
 
 from __future__ import annotations
@@ -23,8 +23,7 @@ from sameas.gate import DEFAULT_COMPLETENESS, ChiSquare, Pairs
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.kalman import joint_in_plane
-from sameas.many.joint import NO_RECORD, Observers
-from sameas.many.observations import Observations, Region, Source, records_of
+from sameas.many.observations import NO_RECORD, Observations, Observers, Region, Source, records_of
 from sameas.ragged import Ragged, ordered_by
 from sameas.records import Records
 from sameas.representation import in_short

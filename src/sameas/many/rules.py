@@ -12,8 +12,8 @@
 
     ln w(T) = ln J(T) + Σ over the linear terms (constant + Σ_{i∈T} gain_i) + Σ over the rules of pairs Σ c_ij ln r_ij,
 
-with J of :mod:`sameas.many.joint`; one record alone weighs 0. A hypothesis weighs Σ ln w of its sets, and under a count
-prior also ln P of its number of merges, Σ (k − 1).
+with J of :mod:`sameas.many.observations`; one record alone weighs 0. A hypothesis weighs Σ ln w of its sets, and under
+a count prior also ln P of its number of merges, Σ (k − 1).
 
 A rule of pairs compares two records, and k − 1 comparisons determine a set of k, so its pairs have shares c_ij:
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.many.joint import NO_RECORD
+from sameas.many.observations import NO_RECORD
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Terms
 from sameas.ragged import Ragged, ranges
@@ -55,7 +55,7 @@ class Sets:
 
     Attributes
     ----------
-    members : (k, S) record number per source, :data:`~sameas.many.joint.NO_RECORD` for none.
+    members : (k, S) record number per source, :data:`~sameas.many.observations.NO_RECORD` for none.
     size : (k,) number of records.
     log_weight : (k,) ln w; 0 for one record.
     group : (k,) group of the set, ascending. start : (g+1,) first set of each group.

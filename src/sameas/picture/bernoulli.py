@@ -9,7 +9,7 @@ With r_i the probability that known object i exists, and A its records,
     w(A) = ρ ∏_{s∈A} (1−q_s) ∏_{s∉A} q_s J(A) for others,           w({z}) = ρ (1−q_s) ∏_{t≠s} q_t J(z) + β_s,
 
 the local hypotheses of Poisson multi-Bernoulli filters (Williams 2015, IEEE Trans. AES 51, 1664), with J of
-:mod:`sameas.many.joint`. ln q_s is the mean over the records of A of its values at their places.
+:mod:`sameas.many.observations`. ln q_s is the mean over the records of A of its values at their places.
 """
 
 from __future__ import annotations

@@ -32,9 +32,8 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.identify import identify_many
-from sameas.many.joint import Joint, joint_density
 from sameas.many.objects import Objects
-from sameas.many.observations import Observations, Region, Source, records_of
+from sameas.many.observations import Joint, Observations, Region, Source, joint_density, records_of
 from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
 from sameas.picture.scan import objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning

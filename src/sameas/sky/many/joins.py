@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import IntArray
 from sameas.errors import InputError
-from sameas.many.joint import NO_RECORD
+from sameas.many.observations import NO_RECORD
 from sameas.records import Records
 from sameas.sky.many.match import ManyMatch
 from sameas.sky.output_columns import meta_of

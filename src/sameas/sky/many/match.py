@@ -22,9 +22,9 @@ from sameas.estimate.coverage import Coverage
 from sameas.evidence import Errors
 from sameas.gate import Pairs
 from sameas.gaussian import mahalanobis_sq
-from sameas.many.joint import NO_RECORD, Joint, Observers
 from sameas.many.marginals import Answer, answer
 from sameas.many.objects import Objects
+from sameas.many.observations import NO_RECORD, Joint, Observers
 from sameas.many.pooled import PooledRecords, pooled
 from sameas.many.rules import Linear, Terms
 from sameas.many.sets import Sets, candidate_sets

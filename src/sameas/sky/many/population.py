@@ -11,8 +11,8 @@ densities and errors estimated as in :mod:`sameas.estimate`, by the same cells a
 
 The position and motion of a star are fitted to records at different epochs (:func:`fitted`). A star is at x at a
 reference epoch T and moves by v. A record of epoch t without a motion measures z = x + (t − T) v; one with a motion
-measures x and v, propagated to T. With Λ, η and χ² summed over the records of a set as in :mod:`sameas.many.joint`, on
-the tangent plane at the set's first record, the density of their positions is
+measures x and v, propagated to T. With Λ, η and χ² summed over the records of a set as in
+:mod:`sameas.many.observations`, on the tangent plane at the set's first record, the density of their positions is
 
     ln J = Σ ln norm + 2 ln 2π − ½ ln|Λ| − ½ χ²,
 
@@ -39,7 +39,7 @@ from sameas.estimate.em import DEFAULT_EM
 from sameas.estimate.error_model import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
-from sameas.many.joint import NO_RECORD
+from sameas.many.observations import NO_RECORD
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.sky import column_values
