@@ -86,22 +86,22 @@ RING_ORDERS = 3
 class Side:
     """One of the two catalogues, as every part reads it.
 
-    stored : its partitions. understood : its recognised columns, without rows. epoch_jyr : to which it is moved, None
+    stored : its partitions. catalogue : without rows, its columns recognised. epoch_jyr : to which it is moved, None
     for not. cell_order : of the cells in which records are counted. far : its far records with all columns, None until
-    they are known. far_place : (f, 3) their directions at that epoch. far_reach_arcsec : (f,) 10σ of their errors.
+    they are known. far_direction : (f, 3) their directions at that epoch. far_reach_arcsec : (f,) 10σ of their errors.
     """
 
     stored: HatsCatalogue
-    understood: Catalogue
+    catalogue: Catalogue
     epoch_jyr: float | None
     cell_order: int
     far: pa.Table | None = field(repr=False, default=None)
-    far_place: FloatArray = field(repr=False, default_factory=lambda: np.empty((0, 3)))
+    far_direction: FloatArray = field(repr=False, default_factory=lambda: np.empty((0, 3)))
     far_reach_arcsec: FloatArray = field(repr=False, default_factory=lambda: np.empty(0))
 
     def columns(self, magnitudes: str, evidence: Sequence[Column | Related] = ()) -> list[str]:
         """The columns that the identification needs."""
-        names = set(_strings_in(self.understood.choice))
+        names = set(_strings_in(self.catalogue.choice))
         for one in evidence:
             names |= {c.values for c in (one.columns if isinstance(one, Related) else (one,))}
         bands = {name.strip() for side in magnitudes.split(":") for name in side.split(",")}
@@ -112,8 +112,8 @@ class Side:
     def rows(self, table: pa.Table) -> Rows:
         """The rows of a table with their records, moved to the epoch."""
         cells = numbers_of(table, CELL)
-        catalogue = self.understood.with_rows(table_of(table.drop_columns([CELL])))
-        choice = self.understood.choice
+        catalogue = self.catalogue.with_rows(table_of(table.drop_columns([CELL])))
+        choice = self.catalogue.choice
         by_position = (choice.ra.name, choice.dec.name) == self.stored.position and choice.frame == "icrs"
         return Rows(catalogue, cells, self.records(catalogue), self.cell_order, by_position)
 
@@ -236,7 +236,7 @@ class Work:
         if one.far is not None and len(one.far):
             import pyarrow as pa
 
-            distance = np.linalg.norm(one.far_place - near[:3], axis=1) * ARCSEC_PER_RADIAN
+            distance = np.linalg.norm(one.far_direction - near[:3], axis=1) * ARCSEC_PER_RADIAN
             cells = numbers_of(one.far, CELL)
             added = (distance <= near[3] + one.far_reach_arcsec) & ~healpix.within(stretch, cells)
             if added.any():

@@ -227,7 +227,7 @@ def estimate(
     steps, cells = drawn(counts, tuning.sampling)
     volume = places.within(counts, cells, steps)
     sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, progress, tuning)
-    final = tuple(replace(s, understood=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
+    final = tuple(replace(s, catalogue=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
     halo, margin = _halos(work, tuning)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
@@ -287,7 +287,7 @@ class _Chunks:
     def of(cls, side: Side, columns: list[str], tuning: RunTuning) -> _Chunks:
         chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.chunk_rows, columns)]
         order = max(_order_of(np.sort(chunk.stored), tuning.records_per_cell) for chunk in chunks)
-        if side.understood.error_is_unknown:
+        if side.catalogue.error_is_unknown:
             return cls(order, 0.0)
         sigma = np.concatenate([chunk.sigma_arcsec for chunk in chunks])
         return cls(order, float(np.median(sigma)) if len(sigma) else 0.0)
@@ -333,7 +333,7 @@ def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
     import pyarrow as pa
 
     return replace(
-        side, far=table.take(pa.array(kept)), far_place=rows.direction, far_reach_arcsec=10.0 * rows.sigma_arcsec
+        side, far=table.take(pa.array(kept)), far_direction=rows.direction, far_reach_arcsec=10.0 * rows.sigma_arcsec
     )
 
 
@@ -369,9 +369,7 @@ def _learn_from_sample(
 
 def _motion(work: Work) -> float:
     return (
-        work.far_arcsec
-        if any(side.epoch_jyr is not None and side.understood.has_motion for side in work.sides)
-        else 0.0
+        work.far_arcsec if any(side.epoch_jyr is not None and side.catalogue.has_motion for side in work.sides) else 0.0
     )
 
 
