@@ -14,6 +14,7 @@ from typer.core import TyperCommand, TyperGroup
 
 import sameas
 from sameas.cli.options import ellipses_split
+from sameas.front.options import NO_RADIUS, RADIUS
 
 
 class _AsTyped:
@@ -79,19 +80,8 @@ COMMANDS = {
 }
 
 
-#: Commands that use position errors instead of a radius, and their message.
+#: Commands that use position errors instead of a radius.
 _WITH_ERRORS = {"match", "many"}
-_NO_RADIUS = (
-    "No radius is needed: how far to look follows from the errors of the positions; where the tables do not state "
-    "these, they are estimated, or give --sigma ARCSEC."
-)
-
-
-def _is_radius(option: str | None) -> bool:
-    """Whether an unknown option is the name of the search radius in another program."""
-    from sameas.front.options import RADIUS
-
-    return option is not None and option.strip("-").replace("-", "_") in RADIUS
 
 
 class _Recorded(TyperCommand):
@@ -104,9 +94,10 @@ class _Recorded(TyperCommand):
             return super().parse_args(ctx, ellipses_split(args))
         except Exception as error:
             unknown: Any = error
-            if self.name in _WITH_ERRORS and _is_radius(getattr(unknown, "option_name", None)):
+            name = getattr(unknown, "option_name", None) or ""
+            if self.name in _WITH_ERRORS and name.strip("-").replace("-", "_") in RADIUS:
                 unknown.possibilities = None  # similar in letters only
-                unknown.message = f"No such option: {unknown.option_name}. {_NO_RADIUS}"
+                unknown.message = f"No such option: {name}. No radius is needed: {NO_RADIUS}, or give --sigma ARCSEC."
             raise
 
 

@@ -114,6 +114,10 @@ def renamed(text: str, side: int, columns: Mapping[str, Any]) -> str:
 RADIUS = {
     "radius", "within", "max_sep", "max_error", "separation", "seplimit", "tolerance", "match_radius", "radius_arcsec",
 }  # fmt: skip
+#: Why there is none here.
+NO_RADIUS = (
+    "how far to look follows from the errors of the positions; where the tables do not state these, they are estimated"
+)
 
 
 def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> None:
@@ -122,8 +126,7 @@ def refuse_unknown(given: Iterable[str], known: Sequence[str], call: str) -> Non
         if name not in known:
             if name in RADIUS and "sigma" in known:
                 raise InputError(
-                    f"{call} has no option {name!r}, for it needs none: how far to look follows from the errors of the "
-                    "positions; where the tables do not state these, they are estimated",
+                    f"{call} has no option {name!r}, for it needs none: {NO_RADIUS}",
                     "give sigma=ARCSEC, or choose from the pairs by their sep_arcsec",
                 )
             close = difflib.get_close_matches(name.lower(), known, n=3, cutoff=0.6)
