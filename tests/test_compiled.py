@@ -130,7 +130,7 @@ def test_cached_kernels_are_loaded_without_the_compiler(tmp_path):
     program = """
 import sys
 import numpy as np
-from sameas.kernels.summary import greatest_pair, per_record
+from sameas.kernels.records import greatest_pair, per_record
 
 position, value = np.array([1, 0, 1, 1], np.int32), np.array([0.25, 0.5, 0.75, 0.75])
 print(*greatest_pair.compiled(position, 3, value), *per_record.compiled(position, 3, value > 0.6, value)[3])
@@ -152,7 +152,7 @@ print(numba.njit(lambda words: words.upper())("us"))
 def test_a_kernel_is_read_ahead_only_if_it_is_in_the_cache(tmp_path):
     program = """
 import numpy as np
-from sameas.kernels.summary import greatest_pair, per_record
+from sameas.kernels.records import greatest_pair, per_record
 
 greatest_pair.read_cached()
 per_record.read_cached()
@@ -177,7 +177,7 @@ def test_ctrl_c_while_a_cached_kernel_is_loaded_raises_after_it(tmp_path):
 import os, signal
 import numpy as np
 from numba.core.codegen import JITCPUCodegen
-from sameas.kernels.summary import greatest_pair
+from sameas.kernels.records import greatest_pair
 
 signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where the tests run in the background
 library = JITCPUCodegen._library_class
@@ -259,7 +259,7 @@ COSTLY = {"max", "min", "argmax", "argmin", "flatnonzero", "nonzero", "sum", "pr
 
 @pytest.mark.parametrize(
     "name",
-    ["assign", "components", "coverage", "messages", "mixture", "posterior", "search", "summary", "zones"],
+    ["assign", "components", "coverage", "messages", "mixture", "posterior", "records", "search", "zones"],
 )
 def test_kernels_of_a_match_are_loaded_without_linear_algebra(name):
     tree = ast.parse((Path(compiled.__file__).parent / f"{name}.py").read_text())

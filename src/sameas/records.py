@@ -235,7 +235,7 @@ def _packed_matrices(matrices: FloatArray, n: int, d: int, source: str) -> Float
         matrices = np.broadcast_to(matrices, (n, d, d))
     if matrices.shape != (n, d, d):
         raise InputError(f"{source}: covariance has shape {matrices.shape}; give ({d}, {d}) or ({n}, {d}, {d})")
-    from sameas.kernels.checks import pack
+    from sameas.kernels.records import pack
 
     packed = np.empty((n, d * (d + 1) // 2))
     if not pack(np.ascontiguousarray(matrices), packed):
@@ -257,7 +257,7 @@ def _unusable(
     values: FloatArray, packed: FloatArray, space: Space, d: int, source: str, invalid: str
 ) -> NDArray[np.int8] | None:
     """(n,) 0 for usable rows, else the index of the reason; None if all rows are usable."""
-    from sameas.kernels.checks import BEYOND_POLE, NOT_POSITIVE, check_rows
+    from sameas.kernels.records import BEYOND_POLE, NOT_POSITIVE, check_rows
 
     if invalid not in ("refuse", "set aside"):
         raise InputError(f'{source}: invalid={invalid!r}; give "refuse" or "set aside"')

@@ -33,7 +33,7 @@ KERNELS_OF_A_MATCH = {
     "posterior": ("exact",),
     "messages": ("bounds", "messages"),
     "mixture": ("log_odds", "cells", "fit", "grade", "count_pairs", "count_alone"),
-    "summary": ("per_record", "greatest_pair", "by_row"),
+    "records": ("per_record", "greatest_pair", "by_row"),
 }
 #: A compilation mark older than this, in seconds, was left behind by a process that was stopped.
 LONGEST_S = 120.0

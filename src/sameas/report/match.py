@@ -222,7 +222,7 @@ def _row_counts(
 
 def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], log_odds: FloatArray) -> int:
     """The number of records that are the most probable candidate of several records of the other side."""
-    from sameas.kernels.summary import greatest_pair
+    from sameas.kernels.records import greatest_pair
 
     best = greatest_pair(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
     return int(np.count_nonzero(np.bincount(claimed[best[best >= 0]]) > 1))

@@ -233,7 +233,7 @@ class Identification:
     def _answers(
         self, records: Records, position: NDArray[np.int32], other: tuple[NDArray[np.int32], IntArray]
     ) -> Answers:
-        from sameas.kernels.summary import by_row, per_record
+        from sameas.kernels.records import by_row, per_record
 
         n_records, chosen = len(records), self.chosen
         summary, group_of = threads.both(
