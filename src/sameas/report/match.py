@@ -234,19 +234,21 @@ def _pairs(match: SkyMatch) -> list[str]:
     largest = statistics.pop("records in the largest")
     sizes = ", ".join(f"{count(n)} {words}" for words, n in statistics.items() if n)
     groups = count(len(result.groups)) + (f": {sizes}; the largest has {counted(largest, 'record')}" if sizes else "")
-    k = len(result.matches)
-    ambiguous = int(np.count_nonzero(result.matches.p_match < AMBIGUOUS))
     methods = ", ".join(f"{counted(n, 'group')} by {words}" for words, n in result.posterior.counts().items() if n)
-    wrong, missed = result.expected_wrong, result.expected_missed
+    return [*entry("groups", groups), *_identified(result), *entry("probabilities", methods or "none")]
+
+
+def _identified(found: Identification) -> list[str]:
+    """The number of identified pairs, and how many are expected to be wrong."""
+    wrong, pairs = found.expected_wrong, len(found.matches)
+    ambiguous = int(np.count_nonzero(found.matches.p_match < AMBIGUOUS))
     return [
-        *entry("groups", groups),
-        *entry("pairs", f"{count(k)} identified among {counted(len(result.pairs), 'candidate')}"),
+        *entry("pairs", f"{count(pairs)} identified among {counted(len(found.pairs), 'candidate')}"),
         *entry(
             "expected wrong",
-            f"{wrong:.1f} of the identified ({percent(wrong / max(k, 1))}); missed: {missed:.1f}",
+            f"{wrong:.1f} of the identified ({percent(wrong / max(pairs, 1))}); missed: {found.expected_missed:.1f}",
         ),
         *entry("ambiguous", f"{count(ambiguous)} identified with a probability below {AMBIGUOUS:g}"),
-        *entry("probabilities", methods or "none"),
     ]
 
 
@@ -333,8 +335,6 @@ def records_lines(found: Identification, estimate: Estimate) -> list[str]:
     shares = [f"{percent(share)} of {name}" for share, name in ((estimate.share_1, one), (estimate.share_2, two))]
     scale = estimate.quantities.get("error_scale")
     errors = f"typically {estimate.typical_scale:.2f} times the quoted ones" if scale is None else quoted_errors(scale)
-    wrong, pairs = found.expected_wrong, len(found.matches)
-    ambiguous = int(np.count_nonzero(found.matches.p_match < AMBIGUOUS))
     return [
         "Estimated",
         *entry("common objects", f"{estimate.quantities['common']}: {', '.join(shares)}"),
@@ -345,12 +345,7 @@ def records_lines(found: Identification, estimate: Estimate) -> list[str]:
         "Found",
         *_records_row(found.first, found.answers_1),
         *_records_row(found.second, found.answers_2),
-        *entry("pairs", f"{count(pairs)} identified among {counted(len(found.pairs), 'candidate')}"),
-        *entry(
-            "expected wrong",
-            f"{wrong:.1f} of the identified ({percent(wrong / max(pairs, 1))}); missed: {found.expected_missed:.1f}",
-        ),
-        *entry("ambiguous", f"{count(ambiguous)} identified with a probability below {AMBIGUOUS:g}"),
+        *_identified(found),
     ]
 
 
