@@ -7,16 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sameas.cli.options import (
-    Debug,
-    Folder,
-    Quiet,
-    frame_option,
-    known_format,
-    one_of,
-    option,
-    with_columns,
-)
+from sameas.cli.options import Debug, Folder, Quiet, frame_option, known_format, one_of, option, with_columns
 from sameas.cli.outcome import INPUT_ERROR, answering
 from sameas.front.options import fields_of
 
@@ -84,8 +75,7 @@ def frame(
         float | None, option("--saturation", panel=_IMAGE, metavar="ADU", help="Saturation level.")
     ] = None,
     order: Annotated[
-        int | None,
-        option("--order", metavar="1…5", min=1, max=5, help="Order of the plate model; by default by BIC."),
+        int | None, option("--order", metavar="1…5", min=1, max=5, help="Order of the plate model; by default by BIC.")
     ] = None,
     magnitudes: Annotated[
         str,
@@ -94,8 +84,7 @@ def frame(
         ),
     ] = "auto",
     faintest: Annotated[
-        float | None,
-        option("--faintest", metavar="MAG", help="Faintest star used; by default the frame's limit."),
+        float | None, option("--faintest", metavar="MAG", help="Faintest star used; by default the frame's limit.")
     ] = None,
     no_motion: Annotated[bool, option("--no-motion", help="Leave the stars at the catalogue's epoch.")] = False,
     brightest: Annotated[

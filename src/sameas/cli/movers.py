@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sameas.cli.options import (
-    Debug,
-    Overwrite,
-    Quiet,
-    frame_option,
-    known_format,
-    option,
-    option_of,
-    with_columns,
-)
+from sameas.cli.options import Debug, Overwrite, Quiet, frame_option, known_format, option, option_of, with_columns
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
@@ -125,8 +116,7 @@ def movers(
         ),
     ] = None,
     site: Annotated[
-        str | None,
-        option("--site", metavar="LAT,LON,M", help="Observer: degrees, east positive, metres. [header's]"),
+        str | None, option("--site", metavar="LAT,LON,M", help="Observer: degrees, east positive, metres. [header's]")
     ] = None,
     below_limit: Annotated[
         float | None,
@@ -143,8 +133,7 @@ def movers(
     ] = 2,
     overwrite: Overwrite = True,
     out_format: Annotated[
-        str | None,
-        option("--out-format", metavar="NAME", callback=known_format, help="Format of OUT, as --format."),
+        str | None, option("--out-format", metavar="NAME", callback=known_format, help="Format of OUT, as --format.")
     ] = None,
     quiet: Quiet = False,
     debug: Debug = False,

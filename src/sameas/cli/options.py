@@ -137,8 +137,7 @@ def ellipses_split(arguments: Sequence[str]) -> list[str]:
 
 THE_MATCH, FILES = "The match", "Files"
 Output = Annotated[
-    Path | None,
-    option("-o", "--output", metavar="OUT", help="The joined table; its format is that of the extension."),
+    Path | None, option("-o", "--output", metavar="OUT", help="The joined table; its format is that of the extension.")
 ]
 ToEpoch = Annotated[
     float | None,
@@ -164,12 +163,10 @@ ErrorScale = Annotated[
     ),
 ]
 Overwrite = Annotated[
-    bool,
-    option("--overwrite/--no-overwrite", panel=FILES, show_default=True, help="Whether OUT may exist already."),
+    bool, option("--overwrite/--no-overwrite", panel=FILES, show_default=True, help="Whether OUT may exist already.")
 ]
 DryRun = Annotated[
-    bool,
-    option("--dry-run", show_default=True, help="Print how the catalogues are read; match and write nothing."),
+    bool, option("--dry-run", show_default=True, help="Print how the catalogues are read; match and write nothing.")
 ]
 Quiet = Annotated[bool, option("--quiet", "-q", show_default=True, help="Print only doubts and errors.")]
 Debug = Annotated[bool, option("--debug", show_default=True, help="Show the traceback of an error.")]

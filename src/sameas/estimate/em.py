@@ -395,13 +395,7 @@ class Estimates:
         if (photometry is None and columns is None) or self.n_common < self.tuning.min_pairs:
             return self
         if photometry is not None:
-            evidence: LearningPairs = (
-                self.setting.pairs,
-                p_counted,
-                self.p_partner,
-                self.shares(),
-                self.covered,
-            )
+            evidence: LearningPairs = (self.setting.pairs, p_counted, self.p_partner, self.shares(), self.covered)
             photometry = photometry.fitted(*evidence, last=last)
         if columns is not None:
             columns = columns.fitted(

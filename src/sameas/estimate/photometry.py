@@ -208,11 +208,7 @@ HASH_FACTOR = 2_654_435_769
 #: Pairs and their probabilities (m,), probabilities of a partner (n₁,), (n₂,), shares at the records' positions (n₁,),
 #: (n₂,), and whether records are covered.
 LearningPairs = tuple[
-    Pairs,
-    FloatArray,
-    tuple[FloatArray, FloatArray],
-    tuple[FloatArray, FloatArray],
-    tuple[BoolArray, BoolArray],
+    Pairs, FloatArray, tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray], tuple[BoolArray, BoolArray]
 ]
 
 

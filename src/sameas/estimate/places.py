@@ -41,13 +41,7 @@ from sameas.estimate.photometry import Photometry
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, MeasuredMagnitudes, Related, Rule
 from sameas.gate import ChiSquare, Pairs, Radius
-from sameas.kernels.coverage import (
-    check_cells_nested,
-    covered_cells,
-    refine_nested,
-    refine_share_nested,
-    score_nested,
-)
+from sameas.kernels.coverage import check_cells_nested, covered_cells, refine_nested, refine_share_nested, score_nested
 from sameas.records import Records
 from sameas.representation import in_short
 

@@ -420,7 +420,4 @@ class Brightness(Rule):
 def comparisons_of(sides: tuple[SourceMagnitudes, SourceMagnitudes], pairs: Pairs) -> tuple[Comparisons, Comparisons]:
     """The comparisons of all pairs: source 1 with source 2, and the reverse."""
     one, two = sides
-    return (
-        one.compared(pairs.i, two.measured.take(pairs.j)),
-        two.compared(pairs.j, one.measured.take(pairs.i)),
-    )
+    return (one.compared(pairs.i, two.measured.take(pairs.j)), two.compared(pairs.j, one.measured.take(pairs.i)))

@@ -180,11 +180,7 @@ def _write_reports(
 
 
 def night_movers(
-    night: Night,
-    options: MoverOptions,
-    *,
-    progress: Progress = lambda stage: None,
-    say: Say = lambda lines: None,
+    night: Night, options: MoverOptions, *, progress: Progress = lambda stage: None, say: Say = lambda lines: None
 ) -> NightMovers:
     """The movers of a night of detections, named where elements are given. progress, say : as :func:`read_night`."""
     progress("searching")

@@ -277,12 +277,7 @@ def _params(document: Any, meta: Mapping[str, Any]) -> None:
         if key == "description":
             element.description = str(value)
             continue
-        kinds = {
-            str: ("unicodeChar", "*"),
-            bool: ("boolean", None),
-            int: ("long", None),
-            float: ("double", None),
-        }
+        kinds = {str: ("unicodeChar", "*"), bool: ("boolean", None), int: ("long", None), float: ("double", None)}
         datatype, arraysize = kinds.get(type(value), ("unicodeChar", "*"))
         text = value if type(value) in kinds else str(value)
         element.params.append(Param(document, name=key, datatype=datatype, arraysize=arraysize, value=text))

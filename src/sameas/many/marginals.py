@@ -228,12 +228,7 @@ class Answer:
 
 
 def answer(
-    sets: Sets,
-    pooled: PooledRecords,
-    counts: MissedObjects | None,
-    *,
-    time_limit_s: float,
-    tuning: ManyTuning = TUNING,
+    sets: Sets, pooled: PooledRecords, counts: MissedObjects | None, *, time_limit_s: float, tuning: ManyTuning = TUNING
 ) -> Answer:
     """The best partition of every group and the probabilities of all sets; counts : the count prior, or None."""
     if counts is None:

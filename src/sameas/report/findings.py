@@ -115,9 +115,7 @@ def _brightness(match: SkyMatch) -> list[str]:
             f"{e.quantities['scatter']}; {percent(relation.unrelated)} of the pairs are off the relation",
         )
     for curve, (mine, other) in zip(
-        (e.detection_1, e.detection_2),
-        ((match.first, match.second), (match.second, match.first)),
-        strict=True,
+        (e.detection_1, e.detection_2), ((match.first, match.second), (match.second, match.first)), strict=True
     ):
         if curve is not None:
             lines += entry("completeness", f"of {mine.name} {other.name} shows {_completeness(curve)}")

@@ -90,13 +90,7 @@ def estimate_lines(match: SkyMatch, words: Callable[[str], str] = str) -> list[s
 
 def summary_lines(match: SkyMatch) -> list[str]:
     """The results: rows, groups, pairs, residuals before and after motion, identified shares by magnitude."""
-    return [
-        *_rows(match),
-        *_pairs(match),
-        "",
-        *_residuals(match),
-        *_magnitudes(match),
-    ]
+    return [*_rows(match), *_pairs(match), "", *_residuals(match), *_magnitudes(match)]
 
 
 def blends_lines(blended: Table, resolution_arcsec: float) -> list[str]:
@@ -314,11 +308,7 @@ def _bins(title: str, magnitude: FloatArray, identified: BoolArray) -> list[str]
     at = np.searchsorted(inner, magnitude, side="right")
     number = np.bincount(at, minlength=len(inner) + 1)
     share = np.bincount(at, identified, len(inner) + 1) / np.maximum(number, 1)
-    names = [
-        f"<{inner[0]:g}",
-        *(f"{a:g}–{b:g}" for a, b in pairwise(inner)),
-        f"≥{inner[-1]:g}",
-    ]
+    names = [f"<{inner[0]:g}", *(f"{a:g}–{b:g}" for a, b in pairwise(inner)), f"≥{inner[-1]:g}"]
     shares = [f"{100 * s:.1f}" if n else "–" for s, n in zip(share, number, strict=True)]
     table = (("magnitude", names), ("rows", [count(n) for n in number]), ("identified, %", shares))
     return [f"  {title}"] + [

@@ -299,10 +299,7 @@ def sky_field(
         raise InputError(f"sky_field: the numbers of objects are {counts}; give none below 0")
     positions = (area or WholeSky()).draw(rng, sum(counts))
     numbers = np.arange(sum(counts))
-    detected = (
-        numbers[: n_common + n_only_1],
-        np.concatenate([numbers[:n_common], numbers[n_common + n_only_1 :]]),
-    )
+    detected = (numbers[: n_common + n_only_1], np.concatenate([numbers[:n_common], numbers[n_common + n_only_1 :]]))
     sources, truths = [], []
     for objects, name in zip(detected, names, strict=True):
         truth = rng.permutation(objects)

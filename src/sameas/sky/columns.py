@@ -491,10 +491,7 @@ def _motion(search: ColumnSearch, convention: Convention) -> tuple[tuple[Any, ..
             e if stated == tuple(names[1:3]) else _error_of(search, s) for s, e in zip(stated, errors[1:3], strict=True)
         ]
         names[1:3] = stated
-    for k, text, option in (
-        (0, options.parallax, "parallax"),
-        (3, options.radial_velocity, "radial_velocity"),
-    ):
+    for k, text, option in ((0, options.parallax, "parallax"), (3, options.radial_velocity, "radial_velocity")):
         if text:
             names[k] = None if text.lower() == "none" else search.required(text, option)
             errors[k] = _error_of(search, names[k])

@@ -89,18 +89,7 @@ def _correlations(pattern: str, names: tuple[str, ...]) -> Correlations:
 
 def _own_axes(ra: str, dec: str) -> tuple[ErrorNames, ...]:
     """The usual names of the errors of the columns ``ra`` and ``dec``."""
-    patterns = (
-        "e_{}",
-        "{}_error",
-        "{}_err",
-        "{}err",
-        "{}Err",
-        "sigma_{}",
-        "{}_sigma",
-        "err_{}",
-        "{}_std",
-        "{}_unc",
-    )
+    patterns = ("e_{}", "{}_error", "{}_err", "{}err", "{}Err", "sigma_{}", "{}_sigma", "err_{}", "{}_std", "{}_unc")
     stems = [(pattern.format(ra), pattern.format(dec)) for pattern in patterns]
     suffixed = [(a + s, b + s) for a, b in stems for s in ("_arcsec", "_mas", "_deg")]
     return tuple(ErrorNames("axes", pair) for pair in stems + suffixed)
@@ -112,8 +101,7 @@ _GAIA_MOTION = MotionNames(
 )
 _VIZIER_MOTION = MotionNames(("Plx", "pmRA", "pmDE", "RV"), ("e_Plx", "e_pmRA", "e_pmDE", "e_RV"))
 _LSST_MOTION = MotionNames(
-    ("parallax", "pmRa", "pmDec", "radialVelocity"),
-    ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr"),
+    ("parallax", "pmRa", "pmDec", "radialVelocity"), ("parallaxErr", "pmRaErr", "pmDecErr", "radialVelocityErr")
 )
 _ASTROPY_MOTION = MotionNames(
     ("parallax", "pm_ra_cosdec", "pm_dec", "radial_velocity"),
@@ -170,43 +158,11 @@ PLAIN_MAGNITUDES = (
 BANDS = (
     "G", "V", "VT", "Hp", "R", "Rc", "r", "I", "Ic", "i", "g", "B", "BT", "z", "y", "u", "U", "J", "H", "K", "Ks", "W1",
 )  # fmt: skip
-PLAIN_IDS = (
-    "id",
-    "source_id",
-    "designation",
-    "name",
-    "obj_id",
-    "objid",
-    "objectId",
-    "number",
-    "_2MASS",
-    "HIP",
-)
-PLAIN_EPOCHS = (
-    "ref_epoch",
-    "epoch",
-    "epoch_jyr",
-    "mjd",
-    "obs_mjd",
-    "jd",
-    "obs_date",
-    "date_obs",
-    "obstime",
-    "Date",
-)
+PLAIN_IDS = ("id", "source_id", "designation", "name", "obj_id", "objid", "objectId", "number", "_2MASS", "HIP")
+PLAIN_EPOCHS = ("ref_epoch", "epoch", "epoch_jyr", "mjd", "obs_mjd", "jd", "obs_date", "date_obs", "obstime", "Date")
 PLAIN_CIRCLES = tuple(
     ErrorNames("circle", (stem + suffix,))
-    for stem in (
-        "sigma",
-        "pos_err",
-        "poserr",
-        "e_pos",
-        "pos_error",
-        "pos_sigma",
-        "positional_error",
-        "err",
-        "error",
-    )
+    for stem in ("sigma", "pos_err", "poserr", "e_pos", "pos_error", "pos_sigma", "positional_error", "err", "error")
     for suffix in ("", "_arcsec", "_mas", "_deg")
 )
 
@@ -219,16 +175,7 @@ CONFIDENCE_RADII = (
 )
 
 # Header keywords for the time of observation. Not EPOCH: in FITS it is the equinox.
-HEADER_EPOCHS = (
-    "REF_EPOCH",
-    "REFEPOCH",
-    "epoch_jyr",
-    "MJD-AVG",
-    "MJD-MID",
-    "DATE-AVG",
-    "MJD-OBS",
-    "DATE-OBS",
-)
+HEADER_EPOCHS = ("REF_EPOCH", "REFEPOCH", "epoch_jyr", "MJD-AVG", "MJD-MID", "DATE-AVG", "MJD-OBS", "DATE-OBS")
 
 # Columns that VizieR computes in addition to the catalogue's own.
 VIZIER_COMPUTED = ("_RAJ2000", "_RA", "_RA_icrs", "_RA.icrs", "_RAB1950")

@@ -202,10 +202,7 @@ def _position(lat: int) -> Callable[[Sentence], dict[str, float | None]]:
     """A reader of the position whose latitude is in this field."""
 
     def position_of(s: Sentence) -> dict[str, float | None]:
-        return {
-            "lat": latitude(s.field(lat), s.field(lat + 1)),
-            "lon": longitude(s.field(lat + 2), s.field(lat + 3)),
-        }
+        return {"lat": latitude(s.field(lat), s.field(lat + 1)), "lon": longitude(s.field(lat + 2), s.field(lat + 3))}
 
     return position_of
 
@@ -268,11 +265,7 @@ def _range_and_bearing(s: Sentence, own: Mapping[str, float]) -> dict[str, Any]:
 
 def _station(own: Mapping[str, float]) -> dict[str, Any]:
     """Position and heading of own ship."""
-    return {
-        "station_lat_deg": own["lat"],
-        "station_lon_deg": own["lon"],
-        "station_heading_deg": own["heading"],
-    }
+    return {"station_lat_deg": own["lat"], "station_lon_deg": own["lon"], "station_heading_deg": own["heading"]}
 
 
 def _course(angle: float | None, flag: str, heading: float) -> float | None:

@@ -574,8 +574,7 @@ def _times(
         )
     if start_s is None:
         raise InputError(
-            f"{source}: {choice.name!r} has the time of day only",
-            naming("give {start}, the UTC date of the first row"),
+            f"{source}: {choice.name!r} has the time of day only", naming("give {start}, the UTC date of the first row")
         )
     return unwrapped(
         times, DAY_S, start_s

@@ -45,12 +45,7 @@ _QUALITY = ("DQ", "MASK", "BPM", "FLAGS", "QUALITY")
 _ERROR = ("ERR", "ERROR", "SIGMA", "UNCERT", "RMS")
 _VARIANCE = ("VAR", "VARIANCE")
 #: Flags of the bits in masks of the Rubin pipelines, by their keywords; other bits mark detections.
-_PLANES = {
-    "MP_BAD": Flag.MASKED,
-    "MP_NO_DATA": Flag.MASKED,
-    "MP_SAT": Flag.SATURATED,
-    "MP_CR": Flag.COSMIC,
-}
+_PLANES = {"MP_BAD": Flag.MASKED, "MP_NO_DATA": Flag.MASKED, "MP_SAT": Flag.SATURATED, "MP_CR": Flag.COSMIC}
 
 
 @in_short
@@ -138,11 +133,7 @@ class Frame:
 
 
 def read(
-    path: str | Path,
-    *,
-    hdu: int | str | None = None,
-    mask: str | Path | None = None,
-    given: Given | None = None,
+    path: str | Path, *, hdu: int | str | None = None, mask: str | Path | None = None, given: Given | None = None
 ) -> Frame:
     """One image of a FITS file.
 
@@ -164,13 +155,7 @@ def read(
         facts = Facts.of(header, given or Given(), name=name, notes=notes)
     bad = None if mask is None else _load(Path(mask), None)[0]["image"]
     return Frame.of(
-        planes["image"],
-        facts=facts,
-        mask=bad,
-        flags=planes["quality"],
-        sigma=planes["sigma"],
-        header=header,
-        name=name,
+        planes["image"], facts=facts, mask=bad, flags=planes["quality"], sigma=planes["sigma"], header=header, name=name
     )
 
 

@@ -145,11 +145,7 @@ class Verdict:
 
 
 def verify(
-    problem: PlateProblem,
-    pointing: Pointing,
-    volume: SearchVolume,
-    tolerance_px: float,
-    tuning: OddsTuning = TUNING,
+    problem: PlateProblem, pointing: Pointing, volume: SearchVolume, tolerance_px: float, tuning: OddsTuning = TUNING
 ) -> Verdict:
     """The pointing refined by the measurements, with its odds.
 

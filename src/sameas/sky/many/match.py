@@ -531,8 +531,7 @@ def _at_common_epoch(catalogues: list[Catalogue], given: float | None) -> tuple[
         ), catalogues
     if given is not None or any(catalogue.has_motion for catalogue in catalogues):
         raise InputError(
-            f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it",
-            naming("give {epoch:YEAR}"),
+            f"{unknown[0]}: its epoch is not known, so stars cannot be moved to or from it", naming("give {epoch:YEAR}")
         )
     without_epochs = [
         replace(c, astrometry=replace(c.astrometry, epoch_jyr=np.full(len(c), np.nan))) for c in catalogues

@@ -312,8 +312,7 @@ def _one(catalogue: Catalogue, wanted: DetectionColumns) -> tuple[dict[str, Any]
     time = _chosen(catalogue, wanted.time, TIMES, "time")
     if time is None:
         raise InputError(
-            f"{catalogue.name}: no column of times (known names: {', '.join(TIMES[:6])}, …)",
-            naming("give {time:NAME}"),
+            f"{catalogue.name}: no column of times (known names: {', '.join(TIMES[:6])}, …)", naming("give {time:NAME}")
         )
     exposure = None if wanted.exposure == "none" else _chosen(catalogue, wanted.exposure, EXPOSURES, "exposure")
     band = None if wanted.band == "none" else _chosen(catalogue, wanted.band, BANDS, "band")
