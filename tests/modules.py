@@ -20,7 +20,7 @@ KINDS = {
 #: A module and its only importer stay separate above this total number of lines.
 TWO_IDEAS = 700
 #: Modules shorter than SMALL lines need at least FEW importers, unless their folder is in KINDS.
-SMALL, FEW = 60, 5
+SMALL, FEW = 100, 5
 
 
 @dataclass(frozen=True)
