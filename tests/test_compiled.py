@@ -2,7 +2,9 @@
 compilation."""
 
 import ast
+import importlib
 import os
+import pkgutil
 import subprocess
 import sys
 from collections import Counter
@@ -11,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sameas import Plane, Records, identify
+from sameas import Plane, Records, identify, kernels
 from sameas.estimate.match import match
 from sameas.evidence import Field, Magnitudes
 from sameas.kernels import compiled
@@ -250,6 +252,23 @@ for name in sys.argv[1:]:
         for names in (["inner"], ["inner", "outer"], ["outer", "inner"])
     ]
     assert printed == [["12.0", "1"], ["12.0", "0", "13.0", "1"], ["13.0", "0", "12.0", "0"]]
+
+
+def test_borrowing_parts_own_no_arrays():
+    """They would leak an array that they receive from a function, and give away one that they do not own."""
+    for module in pkgutil.iter_modules(kernels.__path__, "sameas.kernels."):
+        importlib.import_module(module.name)
+
+    def returns_arrays(function):
+        annotation = str(function.__annotations__.get("return"))
+        named = function.__globals__.get(annotation)  # such as a named tuple of arrays
+        return "Array" in annotation or (isinstance(named, type) and issubclass(named, tuple))
+
+    borrowing = [function for function, options in compiled._parts.items() if not options.get("_nrt", True)]
+    assert len(borrowing) > 30
+    for function in borrowing:
+        for used in (function, *compiled._called(function).values()):
+            assert not returns_arrays(used), f"{function.__module__}.{function.__name__}: {used.__name__}"
 
 
 #: What numba defines in ``numba.np.arraymath``, which imports ``scipy.linalg``: a kernel that calls one of these names

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import inlined, part, small_by
+from sameas.kernels.compiled import borrowing_part, inlined, part, small_by
 from sameas.kernels.eliminate import eliminate, scratch
 
 # Exact sums by eliminating records one by one.
@@ -88,7 +88,7 @@ def elimination(records: int, pairs: int) -> Elimination:
     )
 
 
-@part
+@borrowing_part
 def plan_elimination(n: int, work: Elimination) -> bool:
     """Find an order of few partial sums for the n records of the graph; False if every order found needs too many."""
     most = len(work.sum)
@@ -106,7 +106,7 @@ def plan_elimination(n: int, work: Elimination) -> bool:
     return fewest < most
 
 
-@part
+@borrowing_part
 def _plan_from(first: int, n: int, limit: int, work: Elimination) -> int:
     """Order the n records, beginning with ``first``; the number of partial sums, or ``limit`` if not fewer."""
     start, neighbour, state, bit, n_left = work.start, work.neighbour, work.state, work.bit, work.n_left
@@ -197,7 +197,7 @@ def _of_least_rank(n_active: int, active: IntArray, rank: IntArray) -> int:
     return best
 
 
-@part
+@borrowing_part
 def sum_core(
     n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimination, p_pair: FloatArray, p_alone: FloatArray,
     p_taken: FloatArray,
@@ -211,7 +211,7 @@ def sum_core(
     _backward(n, odds_alone, work, p_pair, p_alone, p_taken)
 
 
-@part
+@borrowing_part
 def log_sum_core(n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimination) -> float:
     """ln of the sum over all hypotheses; arguments as :func:`sum_core`, after :func:`plan_elimination`."""
     log_scale = _forward(n, odds, odds_alone, work)
@@ -223,7 +223,7 @@ def log_sum_core(n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimina
 # a reference, which takes as long as ten sums.
 
 
-@part
+@borrowing_part
 def _forward(n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimination) -> float:
     """Write the partial sums of all steps; returns ln of what they were divided by."""
     value, sum_start, sum_size, own_bit, order = work.sum, work.sum_start, work.sum_size, work.own_bit, work.order
@@ -268,13 +268,13 @@ def _forward(n: int, odds: FloatArray, odds_alone: FloatArray, work: Elimination
     return log_scale
 
 
-@part
+@borrowing_part
 def next_state(s: int, bits: int) -> int:
     """The next state after s with no other than these bits; −1 after the last."""
     return (s - bits) & bits if s != bits else -1
 
 
-@part
+@borrowing_part
 def _backward(
     n: int, odds_alone: FloatArray, work: Elimination, p_pair: FloatArray, p_alone: FloatArray, p_taken: FloatArray
 ) -> None:
@@ -321,7 +321,7 @@ def _backward(
             _rescale(value, now, sum_size[t])
 
 
-@part
+@borrowing_part
 def _rescale(value: FloatArray, begin: int, size: int) -> float:
     """Divide partial sums by the largest if that is beyond RESCALE_BEYOND; returns the divisor, else 1."""
     largest = 0.0
@@ -374,7 +374,7 @@ def forest(records: int) -> Forest:
     )
 
 
-@part
+@borrowing_part
 def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, work: Forest) -> int:
     """Fold the leaves of n₁ + n₂ records, whose ``odds_alone`` must be set; returns the number of leaves.
 
@@ -422,7 +422,7 @@ def fold(n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArr
     return leaves
 
 
-@part
+@borrowing_part
 def unfold(leaves: int, n1: int, first: Int32Array, second: Int32Array, work: Forest, p_pair: FloatArray) -> None:
     """Write ``p_pair`` of the leaves' pairs, from ``p_alone`` and ``p_taken`` of the core's records."""
     p_taken, p_alone = work.p_taken, work.p_alone
@@ -438,7 +438,7 @@ def unfold(leaves: int, n1: int, first: Int32Array, second: Int32Array, work: Fo
         p_taken[other] += p
 
 
-@part
+@borrowing_part
 def core_of(
     n1: int,
     n2: int,
@@ -482,13 +482,13 @@ CLOSED, ELIMINATED, LOCAL = 0, 1, 2
 MAX_DEPTH, MAX_LOG_PRIOR = 600.0, 300.0
 
 
-@part
+@borrowing_part
 def bounded_exp(x: float) -> float:
     """exp(x) for x ≤ 0, at least exp(−MAX_DEPTH), so never 0."""
     return math.exp(max(x, -MAX_DEPTH))
 
 
-@part
+@borrowing_part
 def by_row(
     n1: int,
     n2: int,
@@ -538,7 +538,7 @@ def by_row(
     return n, nc
 
 
-@part
+@borrowing_part
 def star(low: int, high: int, weight: FloatArray, share: FloatArray) -> None:
     """Write ``share`` where one record has all the pairs of the group: the softmax of their weights and 0 (alone)."""
     top = 0.0
@@ -570,7 +570,7 @@ def _sums(first: int, last: int, start: IntArray, start1: IntArray, start2: IntA
     return 10.0 * float(np.sum(pairs * 2.0 ** (np.minimum(np.minimum(one, two), 50) - 1)))
 
 
-@part
+@borrowing_part
 def two_at_most(
     n1: int, n2: int, first: Int32Array, second: Int32Array, odds: FloatArray, odds_alone: FloatArray,
     share: FloatArray,
@@ -638,10 +638,39 @@ def exact(
         if 1 < min(n1, n2) <= most:
             records = max(records, n1 + n2)
             pairs = max(pairs, start[g + 1] - start[g])
-    tree, graph = forest(records), elimination(records, pairs)
-    odds, core_odds = np.empty(pairs), np.empty(pairs)
-    record = np.empty(records, np.int64)
-    core_alone, p_alone, p_taken = np.empty(records), np.empty(records), np.empty(records)
+    work = forest(records), elimination(records, pairs)
+    of_pairs = np.empty(pairs), np.empty(pairs)
+    of_core = np.empty(records, np.int64), np.empty(records), np.empty(records), np.empty(records)
+    _exact(
+        first, last, start, start1, start2, local1, local2, weight, u, v, most, work, of_pairs, of_core, share, method
+    )  # fmt: skip
+
+
+@borrowing_part
+def _exact(
+    first: int,
+    last: int,
+    start: IntArray,
+    start1: IntArray,
+    start2: IntArray,
+    local1: Int32Array,
+    local2: Int32Array,
+    weight: FloatArray,
+    u: FloatArray,
+    v: FloatArray,
+    most: int,
+    work: tuple[Forest, Elimination],
+    of_pairs: tuple[FloatArray, FloatArray],
+    of_core: tuple[IntArray, FloatArray, FloatArray, FloatArray],
+    share: FloatArray,
+    method: NDArray[np.int8],
+) -> None:
+    """:func:`exact` with workspaces for the largest group: of its pairs (odds, odds in the core) and of the records of
+    its core (number, odds of having no partner, probabilities of none and of one)."""
+    tree, graph = work
+    odds, core_odds = of_pairs
+    record, core_alone, p_alone, p_taken = of_core
+    alone = tree.odds_alone
     for g in range(first, last):
         low, high = start[g], start[g + 1]
         n1, n2 = start1[g + 1] - start1[g], start2[g + 1] - start2[g]
@@ -653,14 +682,14 @@ def exact(
         if min(n1, n2) > most:
             continue
         for r in range(n1):
-            tree.odds_alone[r] = bounded_exp(-u[start1[g] + r])
+            alone[r] = bounded_exp(-u[start1[g] + r])
         for c in range(n2):
-            tree.odds_alone[n1 + c] = bounded_exp(-v[start2[g] + c])
+            alone[n1 + c] = bounded_exp(-v[start2[g] + c])
         one, two, p_pair = local1[low:high], local2[low:high], share[low:high]
         for e in range(low, high):
             odds[e - low] = math.exp(max(weight[e] - u[start1[g] + local1[e]] - v[start2[g] + local2[e]], -700.0))
         if min(n1, n2) == 2 and max(n1, n2) <= MAX_RECORDS_AGAINST_TWO:
-            two_at_most(n1, n2, one, two, odds, tree.odds_alone, p_pair)
+            two_at_most(n1, n2, one, two, odds, alone, p_pair)
             method[g] = ELIMINATED
             continue
         leaves = fold(n1, n2, one, two, odds[: high - low], tree)
@@ -669,7 +698,7 @@ def exact(
             if not plan_elimination(n, graph):
                 continue
             for x in range(n):
-                core_alone[x] = tree.odds_alone[record[x]]
+                core_alone[x] = alone[record[x]]
             sum_core(n, core_odds, core_alone, graph, p_pair, p_alone, p_taken)
             for x in range(n):
                 tree.p_alone[record[x]], tree.p_taken[record[x]] = p_alone[x], p_taken[x]

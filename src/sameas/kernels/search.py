@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from sameas.arrays import FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import part, small
+from sameas.kernels.compiled import borrowing_part, part, small
 from sameas.kernels.zones import ROOM, Grid, Reach, Side, count_without, first_from, folded, near, sine
 
 DEG = math.pi / 180.0
@@ -277,7 +277,7 @@ def _precedes(content: FloatArray, a: int, b: int) -> bool:
     return False
 
 
-@part
+@borrowing_part
 def spread_2d(packed: FloatArray, k: int, at: int) -> tuple[float, float, float]:
     """(xx, xy, yy) of row k of a packed covariance of two features, which begins in column ``at``."""
     p = packed.shape[1] - at
@@ -288,7 +288,7 @@ def spread_2d(packed: FloatArray, k: int, at: int) -> tuple[float, float, float]
     return packed[k, at], packed[k, at + 1], packed[k, at + 2]
 
 
-@part
+@borrowing_part
 def turned(xx: float, xy: float, yy: float, c: float, s: float) -> tuple[float, float, float]:
     """A covariance rotated counter-clockwise by the angle of cosine c and sine s."""
     return (
@@ -298,7 +298,7 @@ def turned(xx: float, xy: float, yy: float, c: float, s: float) -> tuple[float, 
     )
 
 
-@part
+@borrowing_part
 def close_series(dlon: float, dlat: float) -> tuple[float, ...]:
     """Sine and cosine of half of two angles in degrees: (sin ½Δα, cos ½Δα, sin ½Δδ, cos ½Δδ).
 
@@ -315,7 +315,7 @@ def close_series(dlon: float, dlat: float) -> tuple[float, ...]:
     return sin_lon, cos_lon, sin_lat, cos_lat
 
 
-@part
+@borrowing_part
 def close_residual(dlon: float, dlat: float, cosines: float) -> tuple[float, float]:
     """(east, north) in arcsec of two directions less than CLOSE_DEG apart in either; cosines: cos δ₁ + cos δ₂."""
     sin_lon, cos_lon, sin_lat, cos_lat = close_series(dlon, dlat)
@@ -327,7 +327,7 @@ def close_residual(dlon: float, dlat: float, cosines: float) -> tuple[float, flo
     return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v
 
 
-@part
+@borrowing_part
 def close_turn(dlon: float, dlat: float, latitudes: float) -> float:
     """tan of half the rotation between the axes of two directions less than CLOSE_DEG apart; latitudes: δ₁ + δ₂."""
     sin_lon, cos_lon, _, cos_lat = close_series(dlon, dlat)
@@ -335,7 +335,7 @@ def close_turn(dlon: float, dlat: float, latitudes: float) -> float:
     return sin_lon * math.copysign(sine(abs(middle)), middle) / (cos_lon * cos_lat)
 
 
-@part
+@borrowing_part
 def wide_residual(dlon: float, dlat: float, latitudes: float) -> tuple[float, float]:
     """(east, north) in arcsec of any two directions; see space.Sphere."""
     half_lon = 0.5 * DEG * dlon
@@ -347,7 +347,7 @@ def wide_residual(dlon: float, dlat: float, latitudes: float) -> tuple[float, fl
     return 2.0 * ARCSEC * arc * u, 2.0 * ARCSEC * arc * v
 
 
-@part
+@borrowing_part
 def wide_turn(dlon: float, dlat: float, latitudes: float) -> float:
     """tan of half the rotation between the axes of any two directions."""
     across = math.sin(0.5 * DEG * dlon) * math.sin(0.5 * DEG * latitudes)
@@ -355,13 +355,13 @@ def wide_turn(dlon: float, dlat: float, latitudes: float) -> float:
     return across / max(along, 1e-300)
 
 
-@part
+@borrowing_part
 def shorter_way(dlon: float) -> float:
     """A difference of two longitudes of 0 … 360° as −180 … 180°."""
     return dlon - (360.0 if dlon > 180.0 else (-360.0 if dlon < -180.0 else 0.0))
 
 
-@part
+@borrowing_part
 def sphere_spread(
     packed1: FloatArray, k1: int, packed2: FloatArray, k2: int, at: int, turn: float
 ) -> tuple[float, float, float]:
@@ -430,7 +430,7 @@ def sweep_sphere(
             return count_without(out[0], count, room[0][t]), np.int64(room[0][t])
 
 
-@part
+@borrowing_part
 def residuals(
     one: Side, two: Side, of1: Int32Array, of2: Int32Array, found: int, circles: bool, terms: FloatArray
 ) -> None:
@@ -459,7 +459,7 @@ def residuals(
         turn[t] = wide_turn(dlon[t], dlat[t], latitudes[t])
 
 
-@part
+@borrowing_part
 def measured_on_sphere(
     one: Side,
     two: Side,

@@ -18,7 +18,7 @@ from collections import namedtuple
 import numpy as np
 
 from sameas.arrays import ByteArray, FloatArray, Int32Array, IntArray
-from sameas.kernels.compiled import part, small
+from sameas.kernels.compiled import borrowing_part, small
 
 #: A laid out source. guard : (n, 4) coordinates and variances, see :func:`into_zones`. content : covariances (n, p),
 #: on a plane features and covariances (n, d + p), without rows if the guard has everything. rows : (n,).
@@ -143,12 +143,31 @@ def into_cells(
     (z+1,), starts, scale (z,)) of ``spans.Grid``, written, with places from ``base`` on. Returns False if two records
     have the same content and ``rank`` is empty: call again with ranks.
     """
-    first, starts, scale = grid
     x_low, x_extent = frame
-    most = cut(ends, x_extent, first, scale)
+    most = cut(ends, x_extent, grid[0], grid[2])
     cell, order = np.empty(most, np.int32), np.empty(most, np.int32)
     fill = np.empty(most + 1, np.int32)
     guard, rows, cosine = np.empty((most, 4)), np.empty(most, np.int32), np.empty(most)
+    workspace = cell, order, fill, guard, rows, cosine
+    return _into_cells(features, covariance, turning, ends, x_low, rank, base, grid, side, workspace)
+
+
+@borrowing_part
+def _into_cells(
+    features: FloatArray,
+    covariance: FloatArray,
+    turning: bool,
+    ends: IntArray,
+    x_low: float,
+    rank: IntArray,
+    base: int,
+    grid: tuple[IntArray, Int32Array, FloatArray],
+    side: Side,
+    workspace: tuple[Int32Array | FloatArray, ...],
+) -> bool:
+    """:func:`into_cells` with a workspace for the largest zone."""
+    first, starts, scale = grid
+    cell, order, fill, guard, rows, cosine = workspace
     sorted_ = True
     for z in range(len(scale)):
         low, high = ends[z], ends[z + 1]
@@ -175,7 +194,7 @@ def into_cells(
     return sorted_
 
 
-@part
+@borrowing_part
 def cut(ends: IntArray, x_extent: float, first: IntArray, scale: FloatArray) -> int:
     """Write the first cell of every zone to ``first`` (z+1,), its cells per unit to ``scale``; returns the largest
     number of cells of a zone."""
@@ -189,7 +208,7 @@ def cut(ends: IntArray, x_extent: float, first: IntArray, scale: FloatArray) -> 
     return most
 
 
-@part
+@borrowing_part
 def cosines(guard: FloatArray, cosine: FloatArray) -> None:
     """Write the cosine of y to the third column of ``guard``, through the contiguous ``cosine``, for vectorisation."""
     for t in range(len(guard)):
@@ -200,7 +219,7 @@ def cosines(guard: FloatArray, cosine: FloatArray) -> None:
         guard[t, 2] = cosine[t]
 
 
-@part
+@borrowing_part
 def by_cell(
     guard: FloatArray, x_low: float, scale: float, cell: Int32Array, fill: Int32Array, order: Int32Array
 ) -> None:
@@ -219,13 +238,13 @@ def by_cell(
         order[place] = t
 
 
-@part
+@borrowing_part
 def cell_of(at: float, count: int) -> int:
     """The cell at a distance of ``at`` cells from the first one's edge, limited to the first and the last."""
     return np.int64(min(max(at, 0.0), count - 1.0))
 
 
-@part
+@borrowing_part
 def sort_cells(
     features: FloatArray,
     covariance: FloatArray,
@@ -245,7 +264,7 @@ def sort_cells(
     return True
 
 
-@part
+@borrowing_part
 def sort_run(
     features: FloatArray, covariance: FloatArray, rank: IntArray, rows: Int32Array, guard: FloatArray, order: Int32Array
 ) -> bool:
@@ -275,7 +294,7 @@ def sort_run(
     return True
 
 
-@part
+@borrowing_part
 def precedes(features: FloatArray, covariance: FloatArray, rank: IntArray, a: int, b: int) -> int:
     """1 if row a comes before row b, −1 if after, 0 if both have the same content and there is no rank."""
     for v in range(features.shape[1]):
@@ -307,7 +326,7 @@ def take_rows(features: FloatArray, covariance: FloatArray, rows: Int32Array, co
             content[k, copied + v] = covariance[rows[k], v]
 
 
-@part
+@borrowing_part
 def sine(degrees: float) -> float:
     """The sine of 0 … 90°, by its series: the library's would take as long as the rest of the loop."""
     x = degrees * (math.pi / 180.0)
@@ -361,13 +380,13 @@ def merge_rows(
 # Look-up.
 
 
-@part
+@borrowing_part
 def folded(value: float, period: float) -> float:
     """A difference reduced to half a period either way."""
     return value - period * math.floor(value / period + 0.5) if period < np.inf else value
 
 
-@part
+@borrowing_part
 def first_from(guard: FloatArray, start: int, stop: int, x: float) -> int:
     """The first of the records start … stop − 1 of a zone that is not before x, or stop."""
     while start < stop:
@@ -379,7 +398,7 @@ def first_from(guard: FloatArray, start: int, stop: int, x: float) -> int:
     return start
 
 
-@part
+@borrowing_part
 def zones_within(grid: Grid, y: float, reach: float) -> tuple[int, int]:
     """(first, last) zone within reach of y; on a ring, numbers continue beyond its ends."""
     last = len(grid.scale) - 1.0
@@ -394,7 +413,7 @@ def zones_within(grid: Grid, y: float, reach: float) -> tuple[int, int]:
     return np.int64(bottom), np.int64(top)
 
 
-@part
+@borrowing_part
 def inside(grid: Grid, guard: FloatArray, zone: int, x: float, window: float) -> tuple[int, int]:
     """(low, high) of the stretch of a zone that contains the window x ± window, and perhaps some more records."""
     first = np.uint64(grid.first[zone])
@@ -408,7 +427,7 @@ def inside(grid: Grid, guard: FloatArray, zone: int, x: float, window: float) ->
     return low, high
 
 
-@part
+@borrowing_part
 def across(
     grid: Grid, guard: FloatArray, zone: int, x: float, window: float, folds: tuple[float, float] | None
 ) -> tuple[int, ...]:
@@ -423,7 +442,7 @@ def across(
     return start, low, first_from(guard, low, stop, x - window + period), stop
 
 
-@part
+@borrowing_part
 def reach_of_record(
     one: Side, grid: Grid, reach: Reach, folds: tuple[float, float] | None, k: int
 ) -> tuple[bool | float | int, ...]:
@@ -441,7 +460,7 @@ def reach_of_record(
     return bottom, top, window, reach.opening, folds[0] < np.inf and (x < window or x + window >= folds[0])
 
 
-@part
+@borrowing_part
 def near(
     one: Side,
     two: Side,
@@ -493,7 +512,7 @@ def near(
         done = 0
 
 
-@part
+@borrowing_part
 def piecewise(
     guard1: FloatArray,
     guard2: FloatArray,
@@ -518,7 +537,7 @@ def piecewise(
     return (count, skip + 1) if skip < both else (count, np.int64(0))
 
 
-@part
+@borrowing_part
 def near_in(
     guard1: FloatArray,
     guard2: FloatArray,
@@ -546,7 +565,7 @@ def near_in(
     return count
 
 
-@part
+@borrowing_part
 def is_near(
     guard: FloatArray, c: int, x: float, y: float, a: float, b: float, opening: float, folds: tuple[float, float] | None
 ) -> bool:
@@ -600,7 +619,7 @@ def transposed(pairs: IntArray, starts: IntArray, out: IntArray) -> None:
         starts[q] += 1
 
 
-@part
+@borrowing_part
 def count_without(place1: Int32Array, count: int, k: int) -> int:
     """The number of candidates without those of record k, which are the last."""
     while count > 0 and place1[count - 1] == k:
