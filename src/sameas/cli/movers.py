@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sameas.cli.options import Debug, Overwrite, Quiet, frame_option, known_format, option, option_of, with_columns
+from sameas.cli.options import Debug, OutFormat, Overwrite, Quiet, frame_option, option, option_of, with_columns
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
 from sameas.front.options import SIDE_OPTIONS
@@ -132,9 +132,7 @@ def movers(
         int, option("--processes", "-j", panel=_FRAMES, metavar="N", min=1, show_default=True, help="Frames at a time.")
     ] = 2,
     overwrite: Overwrite = True,
-    out_format: Annotated[
-        str | None, option("--out-format", metavar="NAME", callback=known_format, help="Format of OUT, as --format.")
-    ] = None,
+    out_format: OutFormat = None,
     quiet: Quiet = False,
     debug: Debug = False,
     **columns: Any,

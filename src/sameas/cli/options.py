@@ -165,6 +165,9 @@ ErrorScale = Annotated[
 Overwrite = Annotated[
     bool, option("--overwrite/--no-overwrite", panel=FILES, show_default=True, help="Whether OUT may exist already.")
 ]
+OutFormat = Annotated[
+    str | None, option("--out-format", metavar="NAME", callback=known_format, help="Format of OUT, as --format.")
+]
 DryRun = Annotated[
     bool, option("--dry-run", show_default=True, help="Print how the catalogues are read; match and write nothing.")
 ]

@@ -90,13 +90,6 @@ def ring(cells: IntArray, order: int, fine: int) -> IntArray:
     return around[~np.isin(around >> (2 * (fine - order)), cells)]
 
 
-def neighbours(cells: IntArray, order: int) -> IntArray:
-    """The cells of the same order that touch a set of cells from outside."""
-    near = np.asarray(_nested().neighbours(np.asarray(cells, np.uint64), order, num_threads=1)).astype(np.int64)
-    near = _distinct(near[near >= 0])
-    return np.setdiff1d(near, cells, assume_unique=True)
-
-
 def _distinct(cells: IntArray) -> IntArray:
     """The distinct cells, ascending; ``np.unique`` uses a hash table, five times as slow for cell numbers."""
     cells = np.sort(cells)

@@ -474,7 +474,7 @@ class Halo:
         stretch, ring = coarse.stretch, healpix.ring(coarse.cells, coarse.order, thin)
         for _ in range(rings - 1):
             stretch = healpix.joined(np.concatenate([stretch, healpix.stretches(ring, thin)]))
-            ring = healpix.neighbours(ring, thin)
+            ring = healpix.ring(ring, thin, thin)
             ring = ring[~healpix.within(stretch, ring << 2 * (healpix.FINEST - thin))]
         stretch = healpix.joined(np.concatenate([stretch, healpix.stretches(ring, thin)]))
         finest = min(order + finer, healpix.FINEST)
