@@ -151,6 +151,14 @@ def test_cursor_on_target_has_the_height_above_the_ellipsoid(frame, model, hae, 
     assert all(point.get("le") == "9999999.0" for point in points if point is not known)
 
 
+def test_an_aircraft_has_no_closest_approach_to_a_ship(frame):
+    assert frame.cpa
+    number = next(iter(frame.cpa))
+    icao = np.where(frame.objects["object"] == number, "400801", frame.objects["icao"])
+    flying = replace(frame, objects=frame.objects | {"icao": icao})
+    assert set(frame.cpa) - set(flying.cpa) == {number}
+
+
 def test_lines_and_geojson_contain_every_object(frame):
     lines = [json.loads(line) for line in b"".join(FORMATS["jsonl"](frame)).splitlines()]
     assert {one["object"] for one in lines} == set(frame.objects["object"].tolist())

@@ -135,6 +135,25 @@ def test_an_identified_object_that_returns_gets_its_old_number():
     assert o["stage"][mine][-1] == "confirmed"
 
 
+def test_an_aircraft_over_a_ship_takes_its_address_and_its_number_along():
+    """For some instants an aircraft was one object with a ship below: she kept its address, it stayed tentative."""
+    rng, times = np.random.default_rng(2), np.arange(0.0, 401.0, 5.0)
+    ship, v_ship = straight([[0.0, 0.0]], [[3.0, 0.0]], times)
+    plane, v_plane = straight([[-3_400.0, 0.0]], [[20.0, 0.0]], times)
+    radar = feed(rng, describe("radar", "tracks"), times, ship, v_ship, 900.0, ["r"])
+    adsb = feed(rng, describe("adsb", "ads-b"), times, plane, v_plane, 400.0, ["4008aa"], {"icao": ["4008aa"]})
+    ais = feed(rng, describe("ais", "ais"), times, ship, v_ship, 400.0, ["235000001"], {"mmsi": ["235000001"]})
+    o = Picture.of(Scene.of([radar, ais, adsb]), times, watch=ALONE).objects
+    together = o["n_sources"] == 3
+    assert together.any(), "they were never one object: the scene tests nothing"
+    first, last = (set(o["object"][(o["icao"] != "") & (o["time_s"] == t)].tolist()) for t in (times[1], times[-1]))
+    assert first == last and len(last) == 1
+    [number] = last
+    assert o["stage"][(o["object"] == number) & (o["time_s"] == times[-1])].tolist() == ["confirmed"]
+    for t in times:
+        assert np.count_nonzero(o["icao"][o["time_s"] == t] != "") == 1
+
+
 def test_a_ship_that_brakes_unusually_hard_keeps_its_number():
     times = np.arange(0.0, 601.0, 60.0)
     rng = np.random.default_rng(6)

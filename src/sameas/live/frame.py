@@ -28,6 +28,8 @@ OBJECT = (
 )  # fmt: skip
 RECORD = ("n", "source", "row", "x", "y", "major", "minor", "angle", "p", "alone", "age", "bearing", "sb", "sx", "sy",
           "track_id")  # fmt: skip
+#: An object at a greater height in metres is no ship.
+FLYING_M = 150.0
 _STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 
@@ -102,14 +104,19 @@ class Frame:
 
     @cached_property
     def cpa(self) -> dict[int, tuple[float, float]]:
-        """Distance (m) and time (s) of the closest approach to own ship, by number, where it is still ahead."""
+        """Distance (m) and time (s) of the closest approach to own ship, by number, where it is still ahead.
+
+        Aircraft, which have an ICAO address or are higher than :data:`FLYING_M`, pass over ships and have none.
+        """
         own, objects = self.own_ship, self.objects
         if own is None or not len(objects["object"]):
             return {}
         place = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("x_m", "y_m")]) - (own.x_m, own.y_m)
         speed = np.column_stack([np.ma.filled(objects[name], np.nan) for name in ("vx_m_per_s", "vy_m_per_s")])
         metres, seconds = closest_approach(place, speed - (own.vx_m_per_s, own.vy_m_per_s))
-        closing = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended"))
+        height = np.ma.filled(objects.get("height_m", np.full(len(metres), np.nan)), np.nan)
+        flies = (objects["icao"] != "") | (np.nan_to_num(height) > FLYING_M)
+        closing = np.flatnonzero(np.isfinite(metres) & (objects["stage"] != "ended") & ~flies)
         return {int(objects["object"][k]): (float(metres[k]), float(seconds[k])) for k in closing}
 
     @cached_property

@@ -38,6 +38,8 @@ T = TypeVar("T")
 LOG = logging.getLogger("sameas.live")
 #: An alarm ends when its condition has been absent for this many seconds of picture time.
 ALARM_ENDS_S = 10.0
+#: An active alarm of closest approach ends beyond this multiple of its limits.
+CPA_HOLDS = 1.2
 #: CPA in metres that raises an alarm unless it is given, 0.5 nm, while own ship is at least this fast, m/s (1 kn).
 CPA_M, UNDER_WAY_M_PER_S = 926.0, 0.514
 #: Number of deltas that are kept for listeners that reconnect.
@@ -311,7 +313,13 @@ class Keeper:
         label = dict(zip(frame.objects["object"].tolist(), frame.objects["label"].tolist(), strict=True))
         mmsi = dict(zip(frame.objects["object"].tolist(), frame.objects["mmsi"].tolist(), strict=True))
         for number, (metres, seconds) in frame.cpa.items():
-            if metres < cpa_m and seconds < watch.tcpa_s and stages[number] in ("confirmed", "coasting"):
+            # An alarm that is active holds a little longer, so that one approach is not many alarms.
+            holds = CPA_HOLDS if f"cpa {number}" in self._alarms else 1.0
+            if (
+                metres < holds * cpa_m
+                and seconds < holds * watch.tcpa_s
+                and stages[number] in ("confirmed", "coasting")
+            ):
                 if own and mmsi[number] == own:
                     continue
                 text = f"{label[number] or f'object {number}'} will pass at {metres:.0f} m in {seconds / 60.0:.1f} min"

@@ -150,9 +150,15 @@ function sites(c) {
   });
 }
 
-// The origin of range rings, bearings and ranges.
+// The origin of range rings, bearings and ranges; further ones by the value of the choice: their words, and the place.
+const centres = {};
+function centreName() {
+  const chosen = el("ring").value;
+  return chosen in centres ? centres[chosen].words : data.sensors[+chosen].name;
+}
 function ringCentre() {
   const chosen = el("ring").value;
+  if (chosen in centres) return centres[chosen].place();
   if (chosen === "object") {
     const row = picked !== null && now.rowOf.get(picked);
     return row !== false && row !== undefined && Number.isFinite(objects.x[row])

@@ -91,6 +91,7 @@ function applyDelta(delta) {
   present.t = delta.t;
   present.own = delta.own;
   present.cpa = delta.cpa || {};
+  beginOwnShip();
   applyAlarms(delta.alarms || []);
   dropOldFrames();
 }
@@ -146,7 +147,34 @@ function showApproaches() {
 const acknowledge = id =>
   fetch(`alarms/${id}/acknowledge`, { method: "POST", headers: { "X-Sameas": "1" } }).catch(() => {});
 
-// ---- own ship ----
+// ---- own ship: the origin of ranges and bearings; the list has the closest approaches to it ----
+// Later approaches are noise of the courses.
+const MOST_TCPA_S = 2 * 3600;
+const approachOf = r => {
+  const near = watching ? present.cpa[numberOf(r)] : null;
+  return near && near[1] <= MOST_TCPA_S ? near : null;
+};
+function beginOwnShip() {
+  if (!present.own || centres.own) return;
+  centres.own = { words: "own ship", place: () => (present.own ? [present.own.x, present.own.y] : null) };
+  const option = text("option", "about own ship");
+  option.value = "own";
+  el("ring").prepend(option);
+  if (el("ring").dataset.chosen !== "yes") el("ring").value = "own";
+  COLUMNS.splice(
+    COLUMNS.findIndex(c => c.key === "course"),
+    1,
+    {
+      key: "cpa",
+      words: "CPA nm",
+      number: true,
+      of: r => approachOf(r)?.[0] ?? NaN,
+      say: r => (approachOf(r) ? (approachOf(r)[0] / MILE).toFixed(2) : ""),
+    },
+  );
+  heads();
+}
+el("ring").addEventListener("change", () => (el("ring").dataset.chosen = "yes"));
 overlays.push(c => {
   const own = present.own;
   if (!own || !watching) return;
@@ -161,7 +189,7 @@ overlays.push(c => {
   strokeOnHalo(c, path, colour.accent, 2);
 });
 furtherFacts.push(r => {
-  const near = watching ? present.cpa[numberOf(r)] : null;
+  const near = approachOf(r);
   return near
     ? [
         ["CPA", distance(near[0])],

@@ -95,7 +95,7 @@ function state(r) {
     ["Course", Number.isFinite(courseOf(r)) ? course(courseOf(r)) : ""],
     ["Height", heightWords(r)],
     [
-      from && !own ? `From ${data.sensors[+el("ring").value].name}` : "",
+      from && !own ? `From ${centreName()}` : "",
       from && Number.isFinite(range) ? `${course(bearing)}  ${distance(range)}` : "",
     ],
     ...[

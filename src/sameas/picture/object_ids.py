@@ -175,11 +175,12 @@ class TrackHistory(ColumnTable):
         Parameters
         ----------
         track, number, unique : (m,) the tracks of its scan, their objects, and whether their ids are unique.
-        alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept.
+        alive : ascending numbers of the objects that have not ended. Of ended objects only unique ids are kept: a track
+            that was part of another object for a while returns with its own number.
         """
         fade = math.exp(-(instant_s - self.instant_s) / tuning.history_s) if len(self) else 0.0
         in_scan = np.isin(self.track, track)
-        keep = (places_in(alive, self.number) >= 0) | (self.unique & self.last & ~in_scan)
+        keep = (places_in(alive, self.number) >= 0) | self.unique
         earlier = TrackHistory(
             instant_s, self.track, self.number, np.where(in_scan, fade * self.share, self.share), self.last & ~in_scan,
             self.unique,
@@ -200,6 +201,17 @@ class TrackHistory(ColumnTable):
         out = np.zeros(len(tracks), np.int64)
         at, row = self.of(tracks)
         out[at[self.last[row]]] = self.number[row[self.last[row]]]
+        return out
+
+    def main_ended(self, tracks: IntArray, alive: IntArray) -> IntArray:
+        """(k,) the object that each track was in most of the time, of those that are not ``alive``; 0 for none."""
+        out, best = np.zeros(len(tracks), np.int64), np.zeros(len(tracks))
+        at, row = self.of(tracks)
+        ended = ~np.isin(self.number[row], alive)
+        at, row = at[ended], row[ended]
+        np.maximum.at(best, at, self.share[row])
+        is_best = self.share[row] == best[at]
+        out[at[is_best]] = self.number[row[is_best]]
         return out
 
     def _with(self, more: TrackHistory) -> TrackHistory:
@@ -358,7 +370,8 @@ class NamedObjects(PictureObjects):
         if not len(new):
             return number
         for column in range(detections.tracks.shape[1]):
-            previous = np.where(detections.unique[new, column], self.history.last_of(detections.tracks[new, column]), 0)
+            tracks = detections.tracks[new, column]
+            previous = np.where(detections.unique[new, column], self.history.main_ended(tracks, self.number), 0)
             free = (previous > 0) & (number == 0) & ~np.isin(previous, self.number) & ~np.isin(previous, number)
             _, first = np.unique(previous, return_index=True)
             once = np.isin(np.arange(len(new)), first)

@@ -274,7 +274,10 @@ class Watch:
     def _texts(
         self, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects
     ) -> Mapping[int, NDArray[Any]]:
-        """By number of the object, its texts: each of its newest record that has it, else the previous one."""
+        """By number of the object, its texts: each of its newest record that has it, else the previous one.
+
+        A previous one is dropped if a record of another object has it now: it was that object's.
+        """
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
         newest = np.full((len(members), len(TEXTS)), "", dtype=object)
@@ -296,6 +299,23 @@ class Watch:
         for row, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
             previous = object_texts[numbers[row]]
             object_texts[numbers[row]] = np.where(newest[k] != "", newest[k], previous)
+        # By text that a record has now, the objects with such records.
+        holders: dict[tuple[int, str], set[int]] = {}
+        number_of = dict(zip(objects.detection.tolist(), numbers, strict=True))
+        for column, name in enumerate(TEXTS[:-2]):
+            for value, k in zip(texts[name][record].tolist(), at.tolist(), strict=True):
+                if value != "" and k in number_of:
+                    holders.setdefault((column, value), set()).add(number_of[k])
+        for number, words in object_texts.items():
+            foreign = [
+                column
+                for column, value in enumerate(words[:-2].tolist())
+                if value != "" and number not in holders.get((column, value), {number})
+            ]
+            if foreign:
+                # Mode A code and type came with them.
+                kept = np.where(np.isin(np.arange(len(TEXTS)), [*foreign, len(TEXTS) - 2, len(TEXTS) - 1]), "", words)
+                object_texts[number] = kept.astype(object)
         return object_texts
 
 
