@@ -296,6 +296,21 @@ def test_stars_that_move_across_a_border_are_matched(tmp_path):
 
 
 @pytest.mark.slow
+def test_doubts_about_the_columns_of_partitions_are_reported(tmp_path):
+    """Motions without errors, and rows without one, are doubted as in tables."""
+    ra, dec = np.random.default_rng(3).uniform([40.0, 0.0], [40.2, 0.2], (2000, 2)).T
+    error = np.where(np.arange(2000) % 50, 0.1, 0.0)
+    one = Table({"ra": ra, "dec": dec, "ra_error": error, "dec_error": error, "pmra": 0 * ra, "pmdec": 0 * ra})
+    one["ref_epoch"] = 2016.0
+    two = Table({"ra": ra, "dec": dec, "epoch": np.full(2000, 2000.0)})
+    paths = stored(tmp_path, (one, two), (500, 500))
+    found = sameas.match(*paths, sigma_unit1="arcsec", sigma2=0.1)
+    rows, motion = sorted(found.doubts)
+    assert rows.startswith("a, in its first rows: ") and rows.endswith("or a positive error and are set aside")
+    assert motion.startswith("a, in its first rows: pmra has no column of errors") and "pm_sigma1" in motion
+    assert "pmra has no column of errors" in found.report()
+
+
 def test_a_broken_partition_is_named_and_finished_ones_are_kept(tmp_path):
     tables = sky((0.0, 0.0), 3_000, 0.3, seed=11)
     a, b = stored(tmp_path, tables, (400, 400))

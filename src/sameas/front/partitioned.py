@@ -12,7 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from sameas.errors import InputError
+from sameas.errors import InputError, Message
 from sameas.front.options import FILE_OPTIONS, fields_of
 from sameas.front.provenance import made_by
 from sameas.front.request import Request
@@ -140,7 +140,12 @@ class PartitionedMatch:
     def doubts(self) -> tuple[str, ...]:
         """One sentence for each doubt."""
         twice = (self.request.twice,) if self.request.twice else ()
-        return (*twice, *self.estimated.doubts)
+        of_input = (
+            self.request.words(_of_first_rows(catalogue.name, doubt), side)
+            for side, catalogue in enumerate(self.estimated.catalogues, 1)
+            for doubt in catalogue.doubts
+        )
+        return (*twice, *of_input, *self.estimated.doubts)
 
     def report(self) -> str:
         """The interpretation of the input, and the estimates."""
@@ -187,6 +192,12 @@ class PartitionedMatch:
             f"Match of {one.name} and {two.name}, {len(one.cells)} and {len(two.cells)} partitions: "
             ".write(path) identifies them; .report() tells what was estimated"
         )
+
+
+def _of_first_rows(name: str, doubt: str) -> Message:
+    """A doubt about the first rows of some partitions, without the remedy that is refused for partitions."""
+    refused = isinstance(doubt, Message) and any(argument.name == "fill_errors" for argument in doubt.arguments)
+    return Message(f"{name}, in its first rows: ", doubt.partition("; ")[0] if refused else doubt)
 
 
 def _made(folder: Path) -> Path:

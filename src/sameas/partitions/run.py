@@ -138,9 +138,9 @@ class Task:
 class Estimated:
     """Two catalogues with their columns recognised, and all estimates: the input of every part.
 
-    work : settings of all parts. counts : records of both by cell. catalogues : with a sample of their rows. moved :
-    one sentence on the common epoch. rows : numbers of rows. doubts : what looks wrong. sample : numbers of records
-    from which was estimated.
+    work : settings of all parts. counts : records of both by cell. catalogues : with a sample of their rows, and the
+    doubts about the rows from which columns are recognised. moved : one sentence on the common epoch. rows : numbers of
+    rows. doubts : what looks wrong. sample : numbers of records from which was estimated.
     """
 
     work: Work
@@ -232,7 +232,8 @@ def estimate(
     halo, margin = _halos(work, tuning)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
-    return Estimated(work, counts, (sampled[0], sampled[1]), moved, (rows[0], rows[1]),
+    one, two = (replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True))
+    return Estimated(work, counts, (one, two), moved, (rows[0], rows[1]),
                      (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
 
