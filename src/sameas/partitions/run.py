@@ -232,8 +232,8 @@ def estimate(
     halo, margin = _halos(work, tuning)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
-    one, two = (replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True))
-    return Estimated(work, counts, (one, two), moved, (rows[0], rows[1]),
+    catalogues = [replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True)]
+    return Estimated(work, counts, (catalogues[0], catalogues[1]), moved, (rows[0], rows[1]),
                      (*assumed, *learned.estimate.notes), learned.estimate.learned_from)  # fmt: skip
 
 
