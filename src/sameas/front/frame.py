@@ -40,7 +40,7 @@ class MatchFrame(Result):
     frame, catalogue : the input. request : all options. call : the call that made it.
     """
 
-    offers = ".table .pairs .wcs .report() .explain(star) .plot() .write(path or folder)"
+    _offers = ".table .pairs .wcs .report() .explain(star) .plot() .write(path or folder)"
 
     sky: FrameIdentification
     frame: Frame

@@ -39,7 +39,7 @@ class MatchMany(Result):
         :attr:`table` must be. call : the call that made it.
     """
 
-    offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
+    _offers = ".table .joined(2) .objects .report() .explain(id, source=1) .plot() .write(path)"
 
     sky: ManyMatch
     request: Request[ManyOptions]

@@ -51,7 +51,7 @@ class Match(Result):
     notes : warnings about the input. call : the Python call, for the output's provenance.
     """
 
-    offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
+    _offers = ".table .joined('1or2') .pairs .report() .explain(id) .plot() .write(path)"
 
     identification: Identification
     estimate: Estimate

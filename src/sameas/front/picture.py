@@ -156,7 +156,7 @@ class MatchPicture(Result):
     source_doubts : doubts about whole sources. call : the call that made it.
     """
 
-    offers = ".objects .pairs .report() .explain(object) .plot(at) .write(folder)"
+    _offers = ".objects .pairs .report() .explain(object) .plot(at) .write(folder)"
 
     picture: Picture
     sources: Sequence[SensorSource]

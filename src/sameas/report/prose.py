@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -104,27 +104,31 @@ class Lines:
         return "\n".join([*self.lines[: LINES - 1], f"… print() shows all {len(self.lines)} lines"])
 
 
-class Result(Protocol):
+class Result:
     """The short forms of a result: at most seven lines in a prompt; in a notebook its report and a small plot.
 
-    offers : the names of its attributes and methods.
+    A result has the four members below; ``_offers`` are the names of its attributes and methods.
     """
 
-    offers: ClassVar[str]
+    _offers: ClassVar[str]
 
     @property
     def headline(self) -> str:
         """Summary in one line."""
+        raise NotImplementedError
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """One sentence for each doubt about the input or the result."""
+        raise NotImplementedError
 
     def report(self) -> str:
         """The report that the command prints."""
+        raise NotImplementedError
 
     def plot(self) -> Figure:
         """A figure."""
+        raise NotImplementedError
 
     def __repr__(self) -> str:
         doubts = self.doubts
@@ -132,7 +136,7 @@ class Result(Protocol):
         lines += [f"  doubt: {textwrap.shorten(doubt, LETTERS, placeholder=' …')}" for doubt in doubts[:DOUBTS]]
         if len(doubts) > DOUBTS:
             lines.append(f"  and {counted(len(doubts) - DOUBTS, 'more doubt')}")
-        return "\n".join([*lines, f"  {self.offers}"])
+        return "\n".join([*lines, f"  {self._offers}"])
 
     def _repr_html_(self) -> str:
         headline = html.escape(self.headline)
