@@ -192,6 +192,7 @@ def test_too_few_pairs_are_not_learned_from():
         ([(1.0, 2.0, -1.0)], "odds of -1.0"),
         ([(2.0, 1.0, 3.0)], "from 2.0 to 1.0"),
         ([(1.0,)], "has 1 cells"),
+        ([(14.0, 17.0, 3.0), (5.0, 14.5, 8.0)], "from 5 to 14.5 and from 14 overlap"),
     ],
 )
 def test_invalid_tables_of_odds_are_refused(odds, words):

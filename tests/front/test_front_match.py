@@ -14,6 +14,8 @@ from guises import GUISES
 
 import sameas
 from sameas import InputError, Records, Sphere
+from sameas.evidence import Column
+from sameas.front.tables import odds_of
 from sameas.io import read_provenance, read_table
 from sameas.sky import Catalogue, CatalogueOptions
 
@@ -330,3 +332,16 @@ def test_a_right_ascension_that_is_infinite_is_set_aside_without_a_warning(stars
 def test_columns_that_are_no_table_are_refused_with_a_clear_message(columns, words):
     with pytest.raises(sameas.InputError, match=words):
         sameas.match(columns, {"ra": [1.0], "dec": [1.0]})
+
+
+def test_a_table_of_odds_that_is_none_or_has_no_effect_is_told(stars, tmp_path):
+    """Probabilities were once taken for odds, and single magnitudes for a prior that applies to no row."""
+    (tmp_path / "p.csv").write_text("low,high,prob\n10,20,0.8\n")
+    (tmp_path / "values.csv").write_text("mag,odds\n12.00001,8\n15.00001,3\n")
+    second = Table(stars.second)
+    second["brightness"] = np.linspace(11.0, 19.0, len(second))
+    evidence = [Column(2, "brightness", odds=odds_of(tmp_path / "values.csv"))]
+    report = " ".join(sameas.match(stars.first, second, sigma=0.05, evidence=evidence).report().split())
+    assert "odds as given, other than 1 for 0 of " in report and "numbers need ranges" in report
+    with pytest.raises(InputError, match="its last column is prob; give odds"):
+        odds_of(tmp_path / "p.csv")

@@ -11,6 +11,7 @@ columns, one of each source, adds ln p(c₁, c₂ | one object) − ln p(c₁ | 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -59,6 +60,13 @@ class OddsTable:
                 raise InputError(f"table of odds: row {number} has odds of {row[-1]}; give positive numbers")
             if len(row) == 3 and not float(row[0]) < float(row[1]):
                 raise InputError(f"table of odds: row {number} is from {row[0]} to {row[1]}; give the lower end first")
+        ranges = sorted((float(row[0]), float(row[1])) for row in self.rows if len(row) == 3)
+        for (low, high), (next_low, _) in itertools.pairwise(ranges):
+            if next_low < high:
+                raise InputError(
+                    f"table of odds: the ranges from {low:g} to {high:g} and from {next_low:g} overlap; "
+                    "give each value once"
+                )
 
     def log_odds(self, values: Any) -> FloatArray:
         """(n,) ln odds at values (n,)."""

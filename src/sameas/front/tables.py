@@ -70,6 +70,9 @@ def odds_of(source: Any) -> OddsTable:
         source = _odds_file(source)
     if not isinstance(source, Table):
         return OddsTable(source)
+    last = source.colnames[-1]
+    if len(source.colnames) in (2, 3) and last.lower().startswith(("prob", "p_")):
+        raise InputError(f"table of odds: its last column is {last}", "give odds, p / (1 - p), and call them odds")
     rows = [tuple(row) for row in source.iterrows()]
     if len(source.colnames) == 4:
         rows = [(low, high, one / max(other, 1e-6)) for low, high, one, other in rows if one > 0.0]

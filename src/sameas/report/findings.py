@@ -155,7 +155,11 @@ def column_lines(columns: ColumnEvidence, names: tuple[str, str]) -> list[str]:
     for source, side in enumerate(columns.sides):
         for column in side:
             if column.log_odds is not None:
-                lines += entry("column", f"{column.name} of {names[source]}: odds as given")
+                some = int(np.count_nonzero(column.log_odds))
+                words = f"odds as given, other than 1 for {count(some)} of {count(len(column.log_odds))} records"
+                if not some:
+                    words += ": no value is in the table; numbers need ranges, low, high, odds"
+                lines += entry("column", f"{column.name} of {names[source]}: {words}")
     return lines
 
 
