@@ -241,6 +241,22 @@ def test_a_close_approach_is_an_alarm_until_it_has_passed(tmp_path):
     keeper.close()
 
 
+def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch):
+    """A registration that compiled for a minute between two ticks cost a replay at pace 8 eight minutes."""
+    keeper = Keeper(settings(every_s=0.05), tmp_path, replay=replay(pace=20.0))
+    ticks, sleep = [], asyncio.sleep
+
+    async def stalled(seconds):
+        await sleep(seconds + 1.5 * (len(ticks) == 3))
+
+    tick = keeper.tick
+    monkeypatch.setattr(keeper, "tick", lambda: ticks.append(frame := tick()) or frame)
+    monkeypatch.setattr("sameas.live.keeper.asyncio.sleep", stalled)
+    asyncio.run(keeper.run(until=lambda: len(ticks) >= 8))
+    steps_s = np.diff([frame.time_s for frame in ticks])
+    assert keeper.waited_s > 1.4 and steps_s.max() < 20.0 * 1.0
+
+
 def test_unusable_reports_do_not_stop_the_keeper(keeper):
     ticked(keeper, 20.0)
     keeper._add("radar", Reports.of("radar", "table", {"time_s": [START_S], "x_m": [0.0], "y_m": [0.0]}), 0.0)

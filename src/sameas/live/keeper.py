@@ -440,6 +440,12 @@ class Keeper:
         next_s = self.clock()
         try:
             while until is None or not until():
+                # Missed ticks are not caught up: the next one has all reports. A replay waits instead.
+                late_s = max(self.clock() - next_s, 0.0)
+                next_s += late_s
+                if self.replay is not None:
+                    self.replay.wait(late_s)
+                    self.waited_s += late_s
                 await asyncio.to_thread(self._tick_and_send)
                 for listener in self._listeners:
                     listener.set()
@@ -453,12 +459,7 @@ class Keeper:
                 if due and (search is None or search.done()):
                     self._searched_s = self.picture.instant_s
                     search = asyncio.create_task(asyncio.to_thread(self.search))
-                # Missed ticks are not caught up: the next one has all reports. A replay waits instead.
-                next_s, now_s = next_s + every_s, self.clock()
-                if self.replay is not None and now_s > next_s:
-                    self.replay.wait(now_s - next_s)
-                    self.waited_s += now_s - next_s
-                next_s = max(next_s, now_s)
+                next_s += every_s
                 wait_s = max(next_s - self.clock(), 0.0)
                 if stop is None:
                     await asyncio.sleep(wait_s)
