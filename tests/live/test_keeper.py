@@ -250,7 +250,12 @@ def test_a_replay_skips_nothing_while_kernels_are_compiled(tmp_path, monkeypatch
         await sleep(seconds + 1.5 * (len(ticks) == 3))
 
     tick = keeper.tick
-    monkeypatch.setattr(keeper, "tick", lambda: ticks.append(frame := tick()) or frame)
+
+    def kept():
+        ticks.append(tick())
+        return ticks[-1]
+
+    monkeypatch.setattr(keeper, "tick", kept)
     monkeypatch.setattr("sameas.live.keeper.asyncio.sleep", stalled)
     asyncio.run(keeper.run(until=lambda: len(ticks) >= 8))
     steps_s = np.diff([frame.time_s for frame in ticks])
