@@ -65,6 +65,33 @@ def test_new_records_join_their_most_probable_object():
     assert company(with_hysteresis(found, was(found, "left"), 0.0)[0]) == "right"
 
 
+def abreast(shift_m):
+    """Two vessels with AIS 40 m apart, their tracks of two radars, and those of the first shifted to each other."""
+    ais = Records.of([[0.0, 0.0], [40.0, 0.0]], sigma=10.0, source="ais", ids=["left", "right"])
+    sides = [[shift_m, 0.0], [40.0 - shift_m, 0.0]]
+    west = Records.of(sides, sigma=15.0, source="west", ids=["left", "right"])
+    east = Records.of([[0.0, 0.0], [40.0, 0.0]], sigma=15.0, source="east", ids=["left", "right"])
+    return identify_many([ais, west, east], rule=RULE)
+
+
+@pytest.mark.parametrize("shift_m", np.linspace(19.0, 29.0, 6))
+def test_an_exchange_of_two_tracks_is_one_change(shift_m):
+    found, bound = abreast(shift_m), np.log(4.0)
+    before = np.full(len(found.pooled), -1)
+    for s, source in enumerate(found.pooled.sources):
+        names = source.ids[source.rows]
+        before[found.pooled.start[s] : found.pooled.start[s + 1]] = np.where(names == "left", 1, 2)
+
+    def log_odds_against(shown):
+        return float(np.subtract(*(x.sets.log_weight[x.answer.chosen].sum() for x in (found, shown))))
+
+    odds = log_odds_against(with_hysteresis(found, before, np.log(1e6))[0])
+    shown, kept = with_hysteresis(found, before, bound)
+    # It breaks two links, but is shown when b times as probable, not b².
+    assert kept.any() == (0.0 < odds < bound)
+    assert log_odds_against(shown) == pytest.approx(odds if kept.any() else 0.0)
+
+
 def moored(seed, looks=60):
     """Two vessels moored side by side, AIS 18 m apart, and their common echo in the tracks of two radars."""
     rng = np.random.default_rng(seed)

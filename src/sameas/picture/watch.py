@@ -39,7 +39,7 @@ from sameas.records import Records
 from sameas.representation import in_short
 from sameas.tracks.scene import Instant
 
-#: Default b of :func:`with_hysteresis`: odds per link (chosen).
+#: Default b of :func:`with_hysteresis`: odds of a change (chosen).
 BOUND = 4.0
 
 
@@ -55,8 +55,10 @@ def with_hysteresis(
         ln P(partition) − ln b · links,
 
     with P from all scans, and ``links`` the number of links that the partition breaks: n − 1 where it splits the
-    records of one object of the previous instant into n parts. An answer b times as probable per link is shown at once.
-    Joining breaks no link, and only records of named tracks have a previous object. Probabilities do not change.
+    records of one object of the previous instant into n parts. Joining breaks no link, and only records of named tracks
+    have a previous object. Two trackers that exchange two ships' ids once are one change, which breaks two links or
+    more; so where this partition and the most probable one differ, each connected part of the difference is kept only
+    while the other answer is less than b times as probable. Probabilities do not change.
     Source: the decision of least expected loss when a reversed change has a cost (Berger 1985, section 2).
 
     Parameters
@@ -77,6 +79,9 @@ def with_hysteresis(
     with_links = replace(sets, log_weight=sets.log_weight + log_bound * _links(sets, previous_object))
     best = best_sets(with_links, n, possible & resolve, time_limit_s=search_s, tuning=LIVE)
     chosen = np.where(resolve, best, answer.chosen)
+    change = _components(sets, chosen ^ answer.chosen, n)[sets.members.max(axis=1)]
+    gain = np.bincount(change, sets.log_weight * (answer.chosen.astype(np.int64) - chosen), n)
+    chosen = np.where(gain[change] < log_bound, chosen, answer.chosen)
     log_loss = _log_weight(sets, answer.chosen) - _log_weight(sets, chosen)
     kept = replace(identification, answer=replace(answer, chosen=chosen, gap=answer.gap + np.maximum(log_loss, 0.0)))
     return kept, ~answer.chosen[kept.set_of_object]
