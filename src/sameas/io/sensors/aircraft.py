@@ -19,6 +19,7 @@ from sameas.arrays import FloatArray
 from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
 from sameas.io.sensors.format import (
     SensorFormat,
+    json_lines,
     of_json,
     plain_text,
     round_covariance,
@@ -120,13 +121,7 @@ def _snapshots(lines: Sequence[str], damaged: list[tuple[int, str]]) -> Iterator
     try:
         numbered = [(1, of_json("\n".join(lines)))]
     except ValueError:
-        numbered = []
-        for number, line in enumerate(lines, start=1):
-            if line.strip():
-                try:
-                    numbered.append((number, of_json(line)))
-                except ValueError:
-                    damaged.append((number, "no JSON"))
+        numbered = json_lines(lines, damaged)
     for number, snapshot in numbered:
         if not isinstance(snapshot, dict) or not isinstance(snapshot.get("aircraft"), list):
             damaged.append((number, "no list of aircraft"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -159,6 +159,18 @@ def of_json(text: str) -> Any:
         return json.loads(text)
     except RecursionError:
         raise ValueError("no JSON: nested too deep") from None
+
+
+def json_lines(lines: Sequence[str], damaged: list[tuple[int, str]]) -> list[tuple[int, Any]]:
+    """Line numbers and values of lines of JSON; blank lines are skipped, others appended to ``damaged``."""
+    numbered = []
+    for number, line in enumerate(lines, start=1):
+        if line.strip():
+            try:
+                numbered.append((number, of_json(line)))
+            except ValueError:
+                damaged.append((number, "no JSON"))
+    return numbered
 
 
 def plain_text(value: Any) -> str | None:

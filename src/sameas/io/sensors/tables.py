@@ -37,7 +37,7 @@ from sameas.io.sensors.clock import (
     seconds,
     unwrapped,
 )
-from sameas.io.sensors.format import SensorFile, SensorFormat, of_json, round_covariance
+from sameas.io.sensors.format import SensorFile, SensorFormat, json_lines, of_json, round_covariance
 from sameas.tracks.reports import Damaged, Reports
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.
@@ -367,17 +367,11 @@ def cells_of_json(lines: Sequence[str], source: str) -> TableText:
     rows: list[dict[str, Any]] = []
     line_numbers: list[int] = []
     damaged: list[tuple[int, str]] = []
-    objects: list[tuple[int, Any]] = []
     try:
         document = of_json("\n".join(lines))
         objects = list(enumerate(document, start=1)) if isinstance(document, list) else [(1, document)]
     except ValueError:
-        for number, line in enumerate(lines, start=1):
-            if line.strip():
-                try:
-                    objects.append((number, of_json(line)))
-                except ValueError:
-                    damaged.append((number, "no JSON"))
+        objects = json_lines(lines, damaged)
     for number, value in objects:
         if isinstance(value, dict):
             rows.append(_flattened(value))
