@@ -440,7 +440,7 @@ class ChiSquare:
         return upper_quantile(1.0 - self.completeness, d)
 
     def __call__(self, first: Records, second: Records) -> Pairs:
-        limit = self.limit(_features(first, second))
+        limit = self.limit(feature_count(first, second))
         description = f"χ² ≤ {limit:.2f} (loses {1 - self.completeness:.1e} of the true)"
         return _candidates(first, second, limit, False, description, self.tuning)
 
@@ -480,7 +480,7 @@ class Box:
         return _candidates(first, second, self.sigmas**2, True, f"each feature within {self.sigmas:g} σ", self.tuning)
 
 
-def _features(first: Records, second: Records) -> int:
+def feature_count(first: Records, second: Records) -> int:
     """The number of features of two sources, which must be in one space."""
     for source in (first, second):
         if not isinstance(source, Records):
@@ -494,5 +494,5 @@ def _features(first: Records, second: Records) -> int:
 
 
 def _candidates(first: Records, second: Records, limit: float, box: bool, description: str, tuning: Tuning) -> Pairs:
-    _features(first, second)
+    feature_count(first, second)
     return Pairs(first, second, *search(first, second, limit, box, tuning), gate=description)

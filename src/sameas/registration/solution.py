@@ -22,6 +22,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.estimate.match import match
 from sameas.evidence import Errors, Rule
+from sameas.gate.gate import feature_count
 from sameas.gaussian import LOG_2PI, inverse, log_determinant, mahalanobis_sq, propagated, symmetric
 from sameas.prior import EVIDENCE_ALONE, Prior
 from sameas.records import Records
@@ -436,11 +437,7 @@ def register(
     >>> abs(found.parameters["shift_x"].value - 21.0) < 0.5, found.established, len(found.identification.matches)
     (True, True, 40)
     """
-    if first.d != second.d or first.space != second.space:
-        raise InputError(
-            f"{first.source} has {first.d} features in {first.space}, {second.source} {second.d} in {second.space}; "
-            "bring both to one feature space"
-        )
+    feature_count(first, second)
     for records in (first, second):
         if not len(records):
             raise InputError(f"{records.source} has no usable records; no offset can be found")
