@@ -82,6 +82,22 @@ def test_titles_state_the_result(stars: SkyMatch) -> None:
     assert title.startswith("Proper motion reduces the residuals: median distance 1.")
 
 
+def test_logarithmic_axes_have_plain_numbers() -> None:
+    """Counts of one decade were 2 × 10⁰, 3 × 10⁰ …"""
+    rng = np.random.default_rng(2)
+    ra, dec = rng.uniform([40.0, 0.0], [40.5, 0.5], (60, 2)).T
+    options = CatalogueOptions(sigma=0.1, epoch=2000.0)
+    one, two = (
+        Catalogue.of({"ra": ra, "dec": dec + rng.normal(0.0, 2e-5, 60)}, name, options=options) for name in "ab"
+    )
+    figure = plots.residuals(match(one, two))
+    bar = figure.axes[-1]
+    assert bar.get_ylabel() == "pairs per cell" and bar.get_yscale() == "log"
+    figure.canvas.draw()
+    labels = [label.get_text() for label in bar.get_yticklabels(which="both")]
+    assert any(labels) and not any("times" in label for label in labels), labels
+
+
 def test_a_long_subtitle_wraps() -> None:
     from sameas.plots.sheet import sheet
 

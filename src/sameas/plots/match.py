@@ -61,7 +61,16 @@ def residuals(match: SkyMatch) -> Figure:
     bar = figure.colorbar(mesh, ax=(left, right), pad=0.01, aspect=35, format="%g")
     bar.set_label("pairs per cell", fontsize=10)
     bar.ax.tick_params(labelsize=9)
+    _plain_ticks(bar.ax)
     return figure
+
+
+def _plain_ticks(axes: Axes) -> None:
+    """Numbers on the logarithmic y axis as 20 and 600, not 2 × 10¹ and 6 × 10²."""
+    from matplotlib.ticker import LogFormatter
+
+    axes.yaxis.set_minor_formatter(LogFormatter())
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
 def _counted(offsets: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]:
@@ -475,6 +484,7 @@ def brightness(match: SkyMatch) -> Figure:
             _alone(middle, curve, f"{mine} alone", colour)
     left.set_ylim(0.0, 105.0)
     middle.set_yscale("log")
+    _plain_ticks(middle)
     for axes in (left, middle):
         if axes.lines:
             axes.legend(frameon=False, fontsize=9)
