@@ -86,6 +86,17 @@ def test_correlations_of_two_reports_agree_with_the_formulas(rng, way):
 
 
 @pytest.mark.parametrize("way", WAYS)
+def test_a_covariance_of_rank_1_has_a_root_whatever_its_rounding(way):
+    """Plots nearer than their assumed height had such covariances, and no instant could be decided any more."""
+    thin = np.zeros((1, 4, 4))
+    thin[0, :2, :2] = [[4.0, 2.0], [2.0, 1.0 - 1e-15]]
+    root_before, root, motion = np.empty((3, 1, 2, 2))
+    first, old = np.zeros(1, np.int64), thin[:, :2, :2].copy()
+    getattr(report_factors, way)(first, first, thin, thin, old, old, root_before, root, motion)
+    np.testing.assert_allclose(root[0], [[2.0, 0.0], [1.0, 0.0]])
+
+
+@pytest.mark.parametrize("way", WAYS)
 def test_weights_of_covariance_intersection_are_optimal(rng, way):
     information = spd(rng, 6, 3, 4)
     weights = np.empty((6, 3))

@@ -148,3 +148,14 @@ def test_without_pymap3d_the_install_line_is_named(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "pymap3d", None)
     with pytest.raises(InputError, match=r"need pymap3d: pip install 'sameas\[targets\]'"):
         LocalPlane(0.0, 0.0).of_geodetic([0.0], [0.0])
+
+
+def test_a_plot_nearer_than_its_assumed_height_has_an_error_in_every_direction():
+    """Ships 3 to 9 km from an air radar without heights: 1σ was 20 km along the bearing, and 0 across it."""
+    ranges = np.array([3000.0, 5000.0, 9000.0])
+    ground = polar_to_geodetic(
+        range_m=ranges, bearing_deg=[20.0, 110.0, 290.0], sensor_lat_deg=50.7, sensor_lon_deg=-1.1,
+        height_m=5000.0, sigma_range_m=70.0, sigma_bearing_deg=0.06, sigma_height_m=3500.0,
+    )  # fmt: skip
+    small, large = np.sqrt(np.linalg.eigvalsh(ground.covariance)).T
+    assert (large <= ranges * 1.001).all() and (small > 1.0).all()

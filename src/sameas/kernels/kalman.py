@@ -145,10 +145,13 @@ def innovation_model(
 
 @part
 def _cholesky_2(covariance: FloatArray, root: FloatArray) -> None:
-    """Write the lower Cholesky factor L (2, 2) of the position's part of a covariance."""
+    """Write the lower Cholesky factor L (2, 2) of the position's part of a covariance.
+
+    A covariance of nearly rank 1 may have a slightly negative determinant by rounding; it counts as rank 1.
+    """
     root[0, 0] = math.sqrt(covariance[0, 0])
     root[1, 0] = covariance[1, 0] / root[0, 0]
-    root[1, 1] = math.sqrt(covariance[1, 1] - root[1, 0] * root[1, 0])
+    root[1, 1] = math.sqrt(max(covariance[1, 1] - root[1, 0] * root[1, 0], 0.0))
     root[0, 1] = 0.0
 
 

@@ -115,6 +115,8 @@ class Keeper:
         #: Alarms that began, with their times, for the terminal, which takes them.
         self.begun: deque[tuple[float, Alarm]] = deque(maxlen=KEPT_DELTAS)
         self.counters: Counter[str] = Counter()
+        # The last exception of a tick.
+        self._fault = ""
         #: Seconds by which a replay waited for the picture.
         self.waited_s = 0.0
         self.durations_s: deque[float] = deque(maxlen=KEPT_DURATIONS)
@@ -160,7 +162,9 @@ class Keeper:
             state: PictureState[Any] = self.picture.advance(instant_s)
         except Exception as error:
             # A fault in one tick must not end the watch: the next tick has other reports.
-            LOG.exception("tick at %.1f s", instant_s)
+            # One that stays must not fill the terminal.
+            LOG.error("tick at %.1f s: %r", instant_s, error, exc_info=repr(error) != self._fault)
+            self._fault = repr(error)
             self.counters["faults"] += 1
             self._raise_alarms([Alarm("fault", "fault", f"the picture could not be advanced: {error}")], instant_s)
             return None

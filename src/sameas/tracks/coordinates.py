@@ -183,7 +183,8 @@ def polar_to_geodetic(
     The elevation of a target at its height is computed on the ellipsoid. The covariance on the ground is
     J diag(σ_r², σ_h², σ_b²) Jᵀ, with ∂g/∂r = 1/cos ε and ∂g/∂h = −tan ε along the line of sight (ε the elevation) and
     g σ_b across it; ½ g² σ_b⁴ is added along it, for the curvature of the arc of a wide beam (Lerro and Bar-Shalom
-    1993). Above 80° elevation J is that at 80°.
+    1993). Above 80° elevation J is that at 80°. The variance along is at most r²; where it is above g², it
+    replaces g² in that across, so that a target straight above the sensor has an error in both directions.
 
     Parameters
     ----------
@@ -204,7 +205,9 @@ def polar_to_geodetic(
     sigma_b = np.radians(np.asarray(sigma_bearing_deg, dtype=np.float64))
     ground = r * np.cos(np.radians(elevation))
     along = (sigma_range_m / np.cos(lean)) ** 2 + (np.tan(lean) * sigma_height_m) ** 2 + 0.5 * ground**2 * sigma_b**4
-    across = (ground * sigma_b) ** 2
+    # A target whose height is nearly unknown may be anywhere between the sensor and its slant range.
+    along = np.where(along > r**2, np.maximum(r, sigma_range_m) ** 2, along)
+    across = np.maximum(ground**2, np.where(along > ground**2, along, 0.0)) * sigma_b**2
     # The bearing of the line of sight at a far target differs from that at the sensor.
     back, _, _ = geodesy().geodetic2aer(lat0, lon0, h0, lat, lon, height)
     return GroundPositions(
