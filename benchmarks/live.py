@@ -65,6 +65,7 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one scene of ten cycles each")
     options = parser.parse_args()
     compiled.compile_all()
+    gc.freeze()
     gc.set_threshold(100_000, 50, 100)  # as in the command
     seeds, count = (1, 10) if options.quick else (2, 60)
     notes = (

@@ -99,7 +99,7 @@ def compile_scales() -> None:
 
 def _main() -> None:
     compiled.compile_all()
-    gc.set_threshold(100_000, 50, 100)  # as in the command itself
+    gc.set_threshold(400_000, 50, 100)  # as in the command itself
     try:
         compile_sums()
         compile_scales()

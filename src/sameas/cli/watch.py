@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import logging
 import signal
 import sys
@@ -99,6 +100,9 @@ def watch(
         until_s = None if duration is None else time.monotonic() + (duration_s(duration) or 0.0)
         say(f"{DOUBT}{line}" for line in (replay.apart() if replay else ()))
         server = None if no_map else _server(keeper, host, port, token, viewer_token, say)
+        # What is imported stays. Each collection of the rest stops the picture, so there are many short ones.
+        gc.freeze()
+        gc.set_threshold(100_000, 50, 100)
         asyncio.run(_run(keeper, server, until_s, say))
         state = keeper.health()
         say([f"Watched: {counted(state['tick'], 'instant')}, {counted(state['objects'], 'object')} in the last"])
