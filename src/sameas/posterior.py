@@ -18,12 +18,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, Scalar
 from sameas.assignment import Hypothesis
 from sameas.groups import Groups, laid_out
 from sameas.kernels import threads
@@ -39,7 +38,6 @@ METHODS = (
 )
 ELIMINATED, APPROXIMATE, THINNED = 1, 2, 3
 _NONE = np.empty(0, np.int64)
-Scalar = TypeVar("Scalar", bound=np.generic)
 
 #: No limit on the records of a group.
 EVERY = 2**62

@@ -212,7 +212,7 @@ def suspected_blends(
     chosen = chosen[:: max(1, len(chosen) // tuning.max_pairs)]
     if len(chosen) < tuning.min_neighbours:
         return None
-    rows = ((answer.pairs.j, answer.pairs.i)[coarse])[answer.chosen]
+    rows = np.compress(answer.chosen, (answer.pairs.j, answer.pairs.i)[coarse])
     is_unmatched = np.ones(len(fine), np.bool_)
     is_unmatched[rows] = False
     sampled_pairs = errors.pairs(answer.pairs.part(chosen))

@@ -120,7 +120,7 @@ def _outermost(points: FloatArray) -> FloatArray:
 
     def beyond(first: int, last: int) -> FloatArray:
         x, y = (points[first:last] - centre).T
-        return np.asarray(points[first:last][x * x + y * y >= least_sq])
+        return np.compress(x * x + y * y >= least_sq, points[first:last], axis=0)
 
     points = np.concatenate(threads.over(beyond, threads.even(len(points))))
     corners = _farthest(points)

@@ -190,7 +190,8 @@ def weighted_median(values: FloatArray, weights: FloatArray) -> float:
         below = np.cumsum(np.bincount(bin_, weights, BINS))
         at = int(np.searchsorted(below, half))
         half -= float(below[at - 1]) if at else 0.0
-        values, weights = values[bin_ == at], weights[bin_ == at]
+        some = np.flatnonzero(bin_ == at)
+        values, weights = values[some], weights[some]
     order = np.argsort(values, kind="stable")
     cumulated = np.cumsum(weights[order])
     return float(values[order][min(int(np.searchsorted(cumulated, half)), len(values) - 1)])

@@ -92,7 +92,7 @@ class _Share:
         records, at = (answer.first, answer.pairs.i) if source == 1 else (answer.second, answer.pairs.j)
         partner = np.clip(np.bincount(at, answer.p_pair, len(records)), 0.0, 1.0)
         covered = coverage.covered[source - 1]
-        partner = partner[covered]
+        partner = np.compress(covered, partner)
         unsure = float((partner * (1.0 - partner)).sum())
         return cls(len(partner), float(partner.sum()), unsure, len(records) / max(learned_from, 1) - 1.0)
 
@@ -129,7 +129,7 @@ def _error_scale(answer: Identification) -> Quantity:
     """
     d, weight = answer.pairs.d, answer.p_pair
     used = weight > 1e-3
-    middle = weighted_median(np.sqrt(answer.pairs.mahalanobis_sq[used]), weight[used])
+    middle = weighted_median(np.sqrt(np.compress(used, answer.pairs.mahalanobis_sq)), np.compress(used, weight))
     expected = math.sqrt(quantile(0.5, d))
     log_density = (
         (d - 1) * math.log(expected) - 0.5 * expected**2 - (0.5 * d - 1) * math.log(2.0) - math.lgamma(0.5 * d)
@@ -171,7 +171,7 @@ def decisive(answer: Identification) -> Mapping[str, float]:
 
 def _typical(values: FloatArray, chosen: BoolArray) -> float:
     """The median absolute value of the chosen ones."""
-    some = values[chosen]
+    some = np.compress(chosen, values)
     return median(np.abs(some, out=some))
 
 

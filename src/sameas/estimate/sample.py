@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.estimate.cells import GridLevel, finest
 from sameas.estimate.coverage import Coverage
 from sameas.gate import Pairs
@@ -113,10 +113,10 @@ class Setting:
 def _competing(pairs: Pairs, counted_1: BoolArray, counted_2: BoolArray) -> tuple[IntArray, BoolArray, BoolArray]:
     """Indices of the pairs of counted records and of their candidates, and masks of the records of these pairs."""
     touched_1, touched_2 = counted_1.copy(), counted_2.copy()
-    one, two = counted_1[pairs.i], counted_2[pairs.j]
-    touched_2[pairs.j[one]] = True
-    touched_1[pairs.i[two]] = True
-    kept = np.flatnonzero(touched_1[pairs.i] | touched_2[pairs.j])
+    one, two = taken(counted_1, pairs.i), taken(counted_2, pairs.j)
+    touched_2[np.compress(one, pairs.j)] = True
+    touched_1[np.compress(two, pairs.i)] = True
+    kept = np.flatnonzero(taken(touched_1, pairs.i) | taken(touched_2, pairs.j))
     touched_1[pairs.i[kept]] = True
     touched_2[pairs.j[kept]] = True
     return kept, touched_1, touched_2

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sameas.arrays import FloatArray
+from sameas.arrays import FloatArray, taken
 from sameas.errors import InputError
 from sameas.evidence.residuals import AS_QUOTED, Errors
 from sameas.evidence.rule import Evidence, Rule
@@ -123,7 +123,9 @@ def _at(value: ArrayLike, n: int, rows: np.ndarray, name: str) -> FloatArray:
 
 def _sum_of_both(log_1: FloatArray, log_2: FloatArray, pairs: Pairs) -> FloatArray:
     """(m,) the sum of the values of both records of each pair; numbers, or (n₁,) and (n₂,)."""
-    total = (log_1 if log_1.ndim == 0 else log_1[pairs.i]) + (log_2 if log_2.ndim == 0 else log_2[pairs.j])
+    total = (log_1 if log_1.ndim == 0 else taken(log_1, pairs.i)) + (
+        log_2 if log_2.ndim == 0 else taken(log_2, pairs.j)
+    )
     return total if total.ndim else np.full(len(pairs), total)
 
 

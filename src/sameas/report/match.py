@@ -15,7 +15,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, median
+from sameas.arrays import BoolArray, FloatArray, median, taken
 from sameas.estimate.coverage import Coverage
 from sameas.estimate.match import Estimate
 from sameas.gate.gate import quantile
@@ -219,7 +219,7 @@ def _claims(claimant: NDArray[np.int32], claimed: NDArray[np.int32], log_odds: F
     from sameas.kernels.records import greatest_pair
 
     best = greatest_pair(claimant, int(claimant.max(initial=-1)) + 1, log_odds)
-    return int(np.count_nonzero(np.bincount(claimed[best[best >= 0]]) > 1))
+    return int(np.count_nonzero(np.bincount(taken(claimed, np.compress(best >= 0, best))) > 1))
 
 
 def _pairs(match: SkyMatch) -> list[str]:
@@ -265,7 +265,7 @@ def _residuals(match: SkyMatch) -> list[str]:
         by_axis = np.ascontiguousarray(offset.T)  # sums along rows of memory are some ten times as fast
         mean, rms = by_axis.mean(axis=1), np.sqrt(np.mean(by_axis**2, axis=1))
         cells = f"{mean[0]:+9.4f}{rms[0]:10.4f}{mean[1]:+9.4f}{rms[1]:10.4f}"
-        medians = f"{median(np.hypot(*by_axis)):12.4f}{median(distance[~np.isnan(distance)]):14.2f}"
+        medians = f"{median(np.hypot(*by_axis)):12.4f}{median(np.compress(~np.isnan(distance), distance)):14.2f}"
         lines.append(f"  {label:{LABEL}}{cells}{medians}")
     return [*lines, f"  {'expected from errors':{LABEL}}{'':50}{expected:14.2f}"]
 

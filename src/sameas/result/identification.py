@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.assignment import Hypothesis, assign
 from sameas.errors import InputError
 from sameas.evidence import Evidence
@@ -129,12 +129,12 @@ class Identification:
     @cached_property
     def rows_1(self) -> IntArray:
         """(m,) row of each candidate in the table of source 1."""
-        return self.first.rows[self.pairs.i]
+        return taken(self.first.rows, self.pairs.i)
 
     @cached_property
     def rows_2(self) -> IntArray:
         """(m,) row of each candidate in the table of source 2."""
-        return self.second.rows[self.pairs.j]
+        return taken(self.second.rows, self.pairs.j)
 
     @cached_property
     def matches(self) -> Matches:
@@ -142,13 +142,13 @@ class Identification:
         pairs, groups = self.pairs, self.groups
         place = np.flatnonzero(self.best.chosen)
         of_row = np.full(self.first.n_table, -1)
-        of_row[self.first.rows[pairs.i[groups.order[place]]]] = place
-        place = of_row[of_row >= 0]
+        of_row[taken(self.first.rows, pairs.i[groups.order[place]])] = place
+        place = np.compress(of_row >= 0, of_row)
         pair = groups.order[place]
         columns = (pairs.i, pairs.j, self.p_pair, pairs.residual, pairs.mahalanobis_sq)
         works = [partial(np.take, self.best.weight, place), *(partial(np.take, of, pair, axis=0) for of in columns)]
         log_odds, i, j, p_match, residual, distance_sq = threads.each(works, len(pair))
-        rows = self.first.rows[i], self.second.rows[j]
+        rows = taken(self.first.rows, i), taken(self.second.rows, j)
         return Matches(*rows, pair, p_match, log_odds, residual, np.sqrt(distance_sq, out=distance_sq))
 
     @cached_property
@@ -180,12 +180,12 @@ class Identification:
     @cached_property
     def expected_wrong(self) -> float:
         """Expected number of wrong pairs among the identified ones: Σ (1 − p)."""
-        return float(np.sum(1.0 - self.p_pair[self.chosen]))
+        return float(np.sum(1.0 - np.compress(self.chosen, self.p_pair)))
 
     @cached_property
     def expected_missed(self) -> float:
         """Expected number of true pairs among the candidates that are not identified."""
-        return float(np.sum(self.p_pair[~self.chosen]))
+        return float(np.sum(np.compress(~self.chosen, self.p_pair)))
 
     def residual_statistics(self) -> dict[str, Any]:
         """Mean and rms of the identified residuals per axis, and the median normalised distance with its expectation.

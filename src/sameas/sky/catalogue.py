@@ -49,7 +49,7 @@ def _error_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.error.kind == "unknown":
         return ""
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
-    known = sigma[np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg)]
+    known = np.compress(np.isfinite(sigma) & np.isfinite(astrometry.ra_deg) & np.isfinite(astrometry.dec_deg), sigma)
     if not len(known):
         return "no row has both a position and a positive error: no row can be matched"
     middle = median(known)
@@ -478,7 +478,7 @@ def _precision_doubt(table: Table, choice: ColumnChoice, astrometry: Astrometry)
         return ""
     step, name = max(steps)
     sigma = 1e-3 * np.sqrt(0.5 * (astrometry.variance(0) + astrometry.variance(1)))
-    known = sigma[np.isfinite(sigma)]
+    known = np.compress(np.isfinite(sigma), sigma)
     if len(known) and step < _HARMLESS_STEP * median(known):
         return ""
     return f"{name} is in single precision: positions are rounded to {step:.2g} arcsec; store it in double precision"

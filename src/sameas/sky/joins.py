@@ -24,7 +24,7 @@ import numpy as np
 from astropy.table import Column, MaskedColumn, Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
@@ -453,7 +453,7 @@ class _JoinedColumns:
         absent = self.rows.absent
         if not len(values):
             return np.ma.MaskedArray(np.zeros((len(absent), *values.shape[1:]), values.dtype), absent)
-        selected = values[self.rows.pair]  # −1 reads the last pair, masked below
+        selected = taken(values, self.rows.pair)  # −1 reads the last pair, masked below
         selected[absent] = 0
         return np.ma.MaskedArray(selected, absent)
 

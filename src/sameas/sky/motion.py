@@ -418,7 +418,8 @@ def _errors(sigma: ArrayLike, n: int, source: str) -> list[FloatArray]:
     if not 2 <= k <= 6:
         raise InputError(f"{source}: sigma has shape {np.shape(sigma)}; give ({n}, 2) up to ({n}, 6)")
     errors = _floats(sigma, (n, k), f"{source}: sigma")
-    _refuse(np.any(errors < 0.0, axis=1), f"{source}: negative errors", "leave unknown errors empty")
+    if (errors < 0.0).any():  # of all at once: by row takes ten times as long
+        _refuse(np.any(errors < 0.0, axis=1), f"{source}: negative errors", "leave unknown errors empty")
     return list(errors.T)
 
 
