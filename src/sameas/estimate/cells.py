@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, inner
+from sameas.arrays import BoolArray, FloatArray, IntArray, inner, within_turn
 from sameas.estimate.discs import Discs
 from sameas.kernels import threads
 from sameas.records import Records
@@ -303,7 +303,7 @@ class _SphereCells:
         points = np.empty((len(first) + len(second), 2))
 
         def project(features: FloatArray, into: FloatArray) -> None:
-            into[:, 0] = np.mod(features[:, 0] - west, 360.0)
+            into[:, 0] = within_turn(features[:, 0] - west)
             into[:, 1] = np.sin(np.radians(features[:, 1]))
 
         halves = points[: len(first)], points[len(first) :]
@@ -336,10 +336,10 @@ class _SphereCells:
             whole: FloatArray = cell_sizes(occupied, begin, volume)
             if self.outline is None:
                 return whole
-            ring = np.searchsorted(begin, occupied, side="right") - 1
-            number, height = occupied - begin[ring], (self.high - self.low) / len(volume)
-            width = self.arc / (begin[ring + 1] - begin[ring])
-            south, north = (np.sin(np.radians(self.low + height * at)) for at in (ring, ring + 1))
+            height, every = (self.high - self.low) / len(volume), np.arange(len(volume))
+            ring = np.repeat(every, np.diff(np.searchsorted(occupied, begin)))
+            number, width = occupied - begin[ring], (self.arc / np.diff(begin))[ring]
+            south, north = (np.sin(np.radians(self.low + height * at))[ring] for at in (every, every + 1))
             low = np.column_stack([number * width, south])
             part: FloatArray = self.outline.part(low, np.column_stack([(number + 1) * width, north]))
             return whole * part
@@ -420,7 +420,7 @@ def _arc(longitudes: Sequence[FloatArray]) -> tuple[float, float]:
     west, east = _extremes(longitudes)
     if east - west < 180.0:
         return west, east - west
-    bins, longitude = 720, np.mod(np.concatenate(longitudes), 360.0)
+    bins, longitude = 720, within_turn(np.concatenate(longitudes))
     empty = np.bincount((longitude * (bins / 360.0)).astype(np.int64) % bins, minlength=bins) == 0
     if not empty.any():
         return 0.0, 360.0
@@ -431,6 +431,6 @@ def _arc(longitudes: Sequence[FloatArray]) -> tuple[float, float]:
     gaps = ends[1::2] - ends[::2]
     widest = int(np.argmax(gaps))
     after = (ends[2 * widest + 1] + begin) % bins * (360.0 / bins)
-    from_there = np.mod(longitude - after, 360.0)
+    from_there = within_turn(longitude - after)
     west = float(from_there.min())
     return after + west, float(from_there.max()) - west

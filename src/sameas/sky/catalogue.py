@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sameas.arrays import BoolArray, FloatArray, median
+from sameas.arrays import BoolArray, FloatArray, median, within_turn
 from sameas.errors import InputError, Message, naming
 from sameas.records import Records
 from sameas.representation import counted, in_short
@@ -371,7 +371,7 @@ def _astrometry(
     if options.missing_pm_mas_per_yr is not None:
         missing = replace(missing, pm_sigma_mas_per_yr=options.missing_pm_mas_per_yr)
     astrometry = Astrometry.of(
-        np.mod(np.where(np.isfinite(ra), ra, np.nan), 360.0),
+        within_turn(np.where(np.isfinite(ra), ra, np.nan)),
         dec,
         epoch_jyr=np.where(np.isnan(epoch), 2000.0, epoch),
         sigma=sigma,

@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from sameas.arrays import BoolArray, FloatArray, IntArray, median
+from sameas.arrays import BoolArray, FloatArray, IntArray, median, within_turn
 from sameas.errors import InputError, Message, naming
 from sameas.estimate.blends import suspected_blends
 from sameas.estimate.companions import close_neighbours
@@ -295,7 +295,7 @@ def by_position(records: Records) -> Records:
     along_bits = 64 - _RING_BITS - row_bits
     ring = np.minimum((lat - south) * (rings / max(north - south, 1e-300)), rings - 1).astype(np.uint64)
     if lon.min() < 0.0 or lon.max() > 360.0:
-        lon = np.mod(lon, 360.0)
+        lon = within_turn(lon)
     along = (lon * ((2.0**along_bits - 1.0) / 360.0)).astype(np.uint64)
     key = np.left_shift(ring, np.uint64(along_bits + row_bits), out=ring)  # in place, which saves four arrays
     key |= np.left_shift(along, np.uint64(row_bits), out=along)
@@ -332,7 +332,8 @@ def _records_per_cell(position_deg: FloatArray, side_arcsec: float, tuning: Cros
     side = side_arcsec / 3600.0
     ring = np.floor(lat / side)
     if len(ring) > tuning.sampled_from_rows:
-        sampled = np.flatnonzero(np.mod(ring - ring[np.argmin(lat)], tuning.sampled_rings) == 0.0)
+        turns = (ring - ring[np.argmin(lat)]) / tuning.sampled_rings
+        sampled = np.flatnonzero(np.floor(turns) == turns)
         lon, ring = lon[sampled], ring[sampled]
     along = np.floor(lon * np.cos(np.radians(ring * side)) / side)
     # Doubles hold integers up to 2⁵³: with cells below 5 mas some cells of different rings get the same number.

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, within_turn
 from sameas.errors import InputError
 from sameas.gaussian import propagated
 from sameas.records import unpack
@@ -240,7 +240,7 @@ def position_at(astrometry: Astrometry, epoch_jyr: ArrayLike) -> Position:
     n = len(astrometry)
     epochs = _epochs(epoch_jyr, n, "position_at")
     if np.array_equal(epochs, astrometry.epoch_jyr):
-        return Position(np.mod(astrometry.ra_deg, 360.0), astrometry.dec_deg, 1e-6 * astrometry.position_covariance)
+        return Position(within_turn(astrometry.ra_deg), astrometry.dec_deg, 1e-6 * astrometry.position_covariance)
     ra, dec, covariance = np.empty(n), np.empty(n), np.empty((n, 2, 2))
     for rows in _chunks(n):
         part = astrometry[rows]
@@ -306,7 +306,7 @@ def _path(part: Astrometry, epochs: FloatArray) -> _GreatCircle:
     distance_ratio = 1.0 / np.sqrt(ahead * ahead + across * across)
     cos, sin = distance_ratio * ahead, distance_ratio * across
     change_of_ra, dec, end = _arc(np.radians(part.dec_deg), cos, sin, start)
-    ra_deg = np.mod(part.ra_deg + np.degrees(change_of_ra), 360.0)
+    ra_deg = within_turn(part.ra_deg + np.degrees(change_of_ra))
     return _GreatCircle(ra_deg, np.degrees(dec), span, transverse, radial, distance_ratio, cos, sin, start, end)
 
 
