@@ -133,7 +133,7 @@ def _outermost(points: FloatArray) -> FloatArray:
 
 def _some_of(points: FloatArray) -> FloatArray:
     """At most about :data:`SOME` of the points, at equal steps of the row."""
-    return points[:: max(1, len(points) // SOME)]
+    return np.ascontiguousarray(points[:: max(1, len(points) // SOME)])
 
 
 def _farthest(points: FloatArray) -> FloatArray:
@@ -300,7 +300,7 @@ class _SphereCells:
         if arc >= 360.0:
             return cls(low, high, 0.0, 360.0)
         west -= across
-        points = np.empty((len(first) + len(second), 2))
+        points = np.empty((2, len(first) + len(second))).T  # columns in a row: arithmetic takes half the time
 
         def project(features: FloatArray, into: FloatArray) -> None:
             into[:, 0] = within_turn(features[:, 0] - west)
