@@ -197,10 +197,10 @@ def _row_counts(
     covered : (n,) records that the other catalogue covers. record, other : (m,) the records of this and of the other
     catalogue in each candidate pair. reasons : for excluded rows, of both catalogues.
     """
-    unidentified = np.ones(len(records), np.bool_)
-    unidentified[record[result.matches.pair]] = False
-    not_covered = int(np.count_nonzero(~covered & unidentified))
-    identified = len(records) - int(np.count_nonzero(unidentified))
+    identified = len(result.matches)
+    not_covered = int(np.count_nonzero(~covered))
+    if not_covered:
+        not_covered -= int(np.count_nonzero(~covered[record[result.matches.pair]]))
     set_aside = records.set_aside.counts()
     return {
         **{f"set aside: {reason}": count(set_aside.get(reason, 0)) for reason in reasons},
