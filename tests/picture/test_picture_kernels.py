@@ -9,7 +9,7 @@ from sameas.gate.zones import _percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
 from sameas.kernels.intersection import sum_of_records, weights_of_least_determinant
-from sameas.kernels.kalman import innovation_model, report_factors, states_moved, tracks_moved
+from sameas.kernels.kalman import innovation_model, report_factors, states_moved, tracks_moved, update_in_plane
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_factors import growth
@@ -94,6 +94,15 @@ def test_a_covariance_of_rank_1_has_a_root_whatever_its_rounding(way):
     first, old = np.zeros(1, np.int64), thin[:, :2, :2].copy()
     getattr(report_factors, way)(first, first, thin, thin, old, old, root_before, root, motion)
     np.testing.assert_allclose(root[0], [[2.0, 0.0], [1.0, 0.0]])
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_an_innovation_covariance_that_is_negative_by_rounding_is_no_fault(way):
+    noise = np.array([[[1e7, 1e7], [1e7, 1e7 - 1e-6]]])
+    out = np.empty((1, 4)), np.empty((1, 4, 4)), np.empty(1), np.empty(1)
+    mean, slope = np.zeros((1, 4)), np.zeros((1, 2, 4))
+    getattr(update_in_plane, way)(mean, np.eye(4)[None], slope, noise, np.array([[10.0, 10.0]]), *out)
+    assert all(np.isfinite(each).all() for each in out) and 0.0 <= out[3][0] < 1.0
 
 
 @pytest.mark.parametrize("way", WAYS)
