@@ -157,6 +157,11 @@ def _update(
         east -= slope[0, at] * mean[v]
         north -= slope[1, at] * mean[v]
     determinant = a * c - b * b
+    if not determinant > 0.0:
+        # Negative by rounding only, as in kalman.update_in_plane.
+        a, c = max(a, 1e-6), max(c, 1e-6)
+        b = max(min(b, 0.999 * math.sqrt(a * c)), -0.999 * math.sqrt(a * c))
+        determinant = a * c - b * b
     x, y = solve_2(a, b, c, determinant, east, north)
     for v in range(d):
         mean[v] += one[v] * x + other[v] * y
