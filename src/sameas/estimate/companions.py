@@ -243,14 +243,14 @@ def _sampled_rows(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, I
     return np.flatnonzero(sampled[level.of_first]), np.flatnonzero(sampled[level.of_second])
 
 
-def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[_Source, _Source] | None:
-    """Both sources, sampled; None with too many records or dimensions."""
+def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[float, _Source, _Source] | None:
+    """The typical error of a residual, and both sources, sampled; None with too many records or dimensions."""
     if setting.pairs.d > tuning.max_dimensions or not 0 < sum(setting.n_counted) <= tuning.max_records:
         return None
     rows = _sampled_rows(setting.levels, tuning.n_records)
     unit = typical_error(setting.pairs.first, setting.pairs.second)
     one, two = (s.part(some) for s, some in zip(_sources(setting, unit), rows, strict=True))
-    return one, two
+    return unit, one, two
 
 
 def _sampled_centres(source: _Source, reach: float, d: int, most: int) -> IntArray:
@@ -324,8 +324,7 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     sampled = None if sum(setting.n_counted) < sum(map(len, setting.counted)) else _sampled_sources(setting, tuning)
     if sampled is None:
         return None
-    unit = typical_error(setting.pairs.first, setting.pairs.second)
-    d, (one, two) = setting.pairs.d, sampled
+    d, (unit, one, two) = setting.pairs.d, sampled
     of_1, of_2 = _Neighbours.of(one, d, tuning), _Neighbours.of(two, d, tuning)
     if of_1 is None or of_2 is None:
         return None
@@ -369,7 +368,7 @@ def close_neighbours(
     sampled = _sampled_sources(setting, tuning)
     if sampled is None:
         return None
-    one, two = (_close_neighbours(source, tuning.same_object_radius, setting.pairs.d) for source in sampled)
+    one, two = (_close_neighbours(source, tuning.same_object_radius, setting.pairs.d) for source in sampled[1:])
     return one, two
 
 

@@ -475,7 +475,8 @@ def _offset_doubts(result: Identification, estimate: Estimate, tuning: Crossmatc
         return ()
     rotation, share = offset
     one, other = result.first.source, result.second.source
-    off = f"{other} is offset from {one} by up to {share:.1g} of a pair's error ({rotation}): "
+    share_words = f"{share:.1g}" if share < 9.5 else f"{share:.0f}"
+    off = f"{other} is offset from {one} by up to {share_words} of a pair's error ({rotation}): "
     return (Message(off, naming("give {offset:'find'} to remove it")),)
 
 
