@@ -243,8 +243,8 @@ def _sampled_rows(levels: Sequence[GridLevel], enough: int) -> tuple[IntArray, I
     return np.flatnonzero(sampled[level.of_first]), np.flatnonzero(sampled[level.of_second])
 
 
-def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[float, _Source, _Source] | None:
-    """The typical error of a residual, and both sources, sampled; None with too many records or dimensions."""
+def _sampled_sources(setting: Setting, tuning: CompanionsTuning) -> tuple[FloatArray, _Source, _Source] | None:
+    """The typical error of a residual by axis, and both sources, sampled; None with too many records or dimensions."""
     if setting.pairs.d > tuning.max_dimensions or not 0 < sum(setting.n_counted) <= tuning.max_records:
         return None
     rows = _sampled_rows(setting.levels, tuning.n_records)
