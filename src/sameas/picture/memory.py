@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import expit
 
-from sameas.arrays import BoolArray, FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
@@ -414,8 +414,10 @@ class TrackMemory:
         """
         tracks, tuning = self.tracks, scan.tuning
         one, other = tracks.place[numbers[1 - side][pair]], tracks.place[numbers[1 - side][rival]]
-        covariance = scan.reported_covariance[:, :2, :2]
-        chi_sq = mahalanobis_sq(scan.state[one, :2] - scan.state[other, :2], covariance[one] + covariance[other])
+        place, covariance = scan.state[:, :2], scan.reported_covariance[:, :2, :2]
+        chi_sq = mahalanobis_sq(
+            taken(place, one) - taken(place, other), taken(covariance, one) + taken(covariance, other)
+        )
         rate = self.swaps.established(SWAP_QUANTILE, tuning)[tracks.source[numbers[1 - side][pair]]]
         period_s = np.array([d.timing.period_s or tuning.period_s for d in scan.now.descriptions])[scan.source]
         is_recent = scan.now.instant_s - scan.time_s <= 1.5 * period_s

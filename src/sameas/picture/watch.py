@@ -286,6 +286,11 @@ class Watch:
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
         newest = np.full((len(members), len(TEXTS)), "", dtype=object)
+        # By text that a record has now, the numbers of the objects with such records.
+        holders: dict[tuple[int, str], set[int]] = {}
+        number_of = np.zeros(len(members) + 1, np.int64)  # the last place is that of objects without records
+        number_of[objects.detection] = objects.number
+        number_of[-1] = 0
         for column, name in enumerate(TEXTS):
             values = texts[name][record]
             with_value = np.flatnonzero(values != "")
@@ -298,19 +303,15 @@ class Watch:
                 )
             ]
             newest[at[order], column] = values[order]
+            for value, number in zip(values[with_value], number_of[at[with_value]].tolist(), strict=True):
+                if number:
+                    holders.setdefault((column, value), set()).add(number)
         numbers = objects.number.tolist()
         object_texts = {number: self.texts.get(number, NO_TEXTS) for number in numbers}
         has_text = np.append((newest != "").any(axis=1), False)[objects.detection]
         for row, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
             previous = object_texts[numbers[row]]
             object_texts[numbers[row]] = np.where(newest[k] != "", newest[k], previous)
-        # By text that a record has now, the objects with such records.
-        holders: dict[tuple[int, str], set[int]] = {}
-        number_of = dict(zip(objects.detection.tolist(), numbers, strict=True))
-        for column, name in enumerate(TEXTS[:-2]):
-            for value, k in zip(texts[name][record].tolist(), at.tolist(), strict=True):
-                if value != "" and k in number_of:
-                    holders.setdefault((column, value), set()).add(number_of[k])
         for number, words in object_texts.items():
             foreign = [
                 column
