@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from sameas.errors import InputError
-from sameas.tracks.alignment import States, follow, moved
+from sameas.tracks.alignment import States, aged, follow, moved
 
 Q = 0.2
 
@@ -195,3 +195,25 @@ def test_invalid_input_is_refused():
     named = States.of([0.0], np.zeros((1, 2)), np.eye(2), speed_m_per_s=8.0, track=["a"])
     with pytest.raises(InputError, match="give 2 "):
         follow(named, acceleration_m2_per_s3=Q, features=3)
+
+
+def test_a_gap_of_a_day_is_no_manoeuvre():
+    """Such as after a damaged time of day: a noise a hundred times larger for a day left covariances of 10²⁰ m²."""
+    made, _ = changing(np.random.default_rng(13), tracks=20, looks=90)
+    late = made.time_s + np.where(made.time_s >= 267.0, 86_400.0, 0.0)
+    reports = States(late, made.state, made.covariance, made.track, made.rows)
+    tracks = follow(reports, acceleration_m2_per_s3=0.01)
+    assert (np.linalg.eigvalsh(tracks.states.covariance) > 0.0).all()
+    after = tracks.states.covariance[np.flatnonzero(made.time_s == 267.0)]
+    assert after[:, 0, 0].max() < 1.01 * 625.0
+    # The random walk of a day, of which the position after it excludes three quarters.
+    assert after[:, 2, 2].max() < 0.01 * 86_400.0
+
+
+def test_a_covariance_that_is_singular_by_rounding_is_aged():
+    axis = np.array([1.0, -0.16])
+    covariance = np.zeros((2, 4, 4))
+    covariance[:, 2:, 2:] = np.eye(2)
+    covariance[0, :2, :2] = 8e20 * np.outer(axis, axis)
+    covariance[1, :2, :2] = 25.0**2 * np.eye(2)
+    assert aged(covariance, 1e-9).tolist() == [True, False]

@@ -250,14 +250,20 @@ class Succession:
         return np.sort(self.rows[past & ~superseded])
 
 
+#: Determinant of a covariance (2, 2), relative to the product of its variances, below which it is singular.
+SINGULAR = 1e-12
+
+
 def aged(covariance: FloatArray, density_per_m2: float) -> BoolArray:
     """(n,) whether more than one other object is expected within a state's own 1σ ellipse: π √|P| ρ > 1.
 
     Such a record no longer distinguishes objects. Depending on its motion and the density of objects, that takes
-    seconds or hours.
+    seconds or hours. So is one whose covariance is so large in one direction that it is singular by rounding.
     """
-    area = math.pi * np.sqrt(np.maximum(np.linalg.det(covariance[:, :2, :2]), 0.0))
-    return np.asarray(area * density_per_m2 > 1.0)
+    determinant = np.linalg.det(covariance[:, :2, :2])
+    area = math.pi * np.sqrt(np.maximum(determinant, 0.0))
+    is_singular = ~(determinant > SINGULAR * covariance[:, 0, 0] * covariance[:, 1, 1])
+    return np.asarray((area * density_per_m2 > 1.0) | is_singular)
 
 
 @dataclass(frozen=True)
@@ -415,14 +421,18 @@ class InnovationTrend:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Before reports ``dt_s`` later: the covariances (n, 4, 4), q (n,), and the seconds since a manoeuvre.
 
-        A manoeuvre detected now began about the memory of the sum ago: the noise of that time is added at once.
+        A manoeuvre detected now began about the memory of the sum ago, at most its length: the noise of that time is
+        added at once. After a longer gap nothing is known of a manoeuvre.
         """
         size = np.abs(dt_s)
         fast = walk * tuning.manoeuvre_noise
         lags = np.sum(self.total**2, axis=1) > ChiSquare(1.0 - tuning.manoeuvre_probability).limit(2) * self.weight
+        lags &= size <= tuning.manoeuvre_s
         begins = lags & (self.since_s > tuning.manoeuvre_s)
         if begins.any():
-            before_s = size[begins] * tuning.innovation_memory / (1.0 - tuning.innovation_memory)
+            before_s = np.minimum(
+                size[begins] * tuning.innovation_memory / (1.0 - tuning.innovation_memory), tuning.manoeuvre_s
+            )
             covariance = covariance.copy()
             covariance[begins] += process_noise(before_s, fast)
         since_s = np.where(lags, 0.0, self.since_s + size)
