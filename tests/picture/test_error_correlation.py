@@ -103,3 +103,23 @@ def test_evidence_is_averaged_over_motions_and_interpolated_between_correlations
         for t in range(4):
             each = [np.interp(share + (1 - share) * r, CORRELATIONS, p) for r, p in zip(rho[:, t], log_p, strict=True)]
             np.testing.assert_allclose(evidence[:, s, t], 1.0 + np.bincount(source, each, 3), rtol=1e-9)
+
+
+@pytest.mark.parametrize("way", ["interpreted", "compiled"])
+def test_errors_of_kilometres_in_one_direction_give_finite_evidence(way):
+    """Plots nearer to a radar than their assumed height: fully correlated, both errors cancel but for rounding."""
+    rng = np.random.default_rng(4)
+
+    def cholesky(angle, along_m):
+        axis, across = (np.stack([np.cos(at), np.sin(at)], axis=-1) for at in (angle, angle + np.pi / 2.0))
+        root = np.stack([along_m[:, None] * axis, 0.03 * across], axis=-1)
+        return np.linalg.cholesky(root @ root.transpose(0, 2, 1))
+
+    angle, along_m = rng.uniform(0.0, np.pi, 300), 10.0 ** rng.uniform(3.0, 5.0, 300)
+    one, other = cholesky(angle, along_m), cholesky(angle + 1e-9, along_m)
+    both = one @ one.transpose(0, 2, 1) + other @ other.transpose(0, 2, 1)
+    shared = one @ other.transpose(0, 2, 1) + other @ one.transpose(0, 2, 1)
+    log_p, shares = np.empty((300, len(CORRELATIONS))), np.array([0.0, 0.5, 1.0])
+    shift, motion = rng.normal(size=(300, 2)), np.zeros((300, 2, 2))
+    getattr(correlated_shifts, way)(shift, both, shared, motion, CORRELATIONS, shares, 1e-6, log_p)
+    assert np.isfinite(log_p).all()

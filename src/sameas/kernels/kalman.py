@@ -254,13 +254,14 @@ def correlated_shifts(
         x, y = shift[k, 0], shift[k, 1]
         for c in range(len(correlations)):
             rho, total, least = correlations[c], 0.0, math.inf
-            p = both[k, 0, 0] - rho * shared[k, 0, 0] + added_m2
+            # At least a positive semidefinite matrix plus ``added_m2``, but for rounding.
+            p = max(both[k, 0, 0] - rho * shared[k, 0, 0], 0.0) + added_m2
             q = both[k, 0, 1] - rho * shared[k, 0, 1]
-            r = both[k, 1, 1] - rho * shared[k, 1, 1] + added_m2
+            r = max(both[k, 1, 1] - rho * shared[k, 1, 1], 0.0) + added_m2
             for share in shares:
                 a, b, d = p + share * motion[k, 0, 0], q + share * motion[k, 0, 1], r + share * motion[k, 1, 1]
-                determinant = a * d - b * b
-                half = 0.5 * (d * x * x - 2.0 * b * x * y + a * y * y) / determinant
+                determinant = max(a * d - b * b, added_m2 * (a + d - added_m2))
+                half = max(0.5 * (d * x * x - 2.0 * b * x * y + a * y * y) / determinant, 0.0)
                 # Relative to the smallest exponent so far, so that not all terms underflow.
                 if half < least:
                     total, least = total * math.exp(half - least) + 1.0 / math.sqrt(determinant), half

@@ -232,6 +232,8 @@ class ErrorCorrelation:
         """The estimate after n independent observations; log_p : (n, k) their ln p for each of
         :data:`CORRELATIONS`."""
         log_probable = self.log_probable.copy()
+        # An observation whose covariance is singular by rounding is none.
+        log_p = np.where(np.isfinite(log_p).all(axis=1, keepdims=True), log_p, 0.0)
         # Sources have few distinct Δt: log-likelihoods are summed per Δt first.
         elapsed_ms = np.rint(1e3 * elapsed_s).astype(np.int64)
         key, group = np.unique(source * (elapsed_ms.max(initial=0) + 1) + elapsed_ms, return_inverse=True)
