@@ -11,7 +11,7 @@ import numpy as np
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.kernels.compiled import part, small, small_by
-from sameas.kernels.linear import solve_2
+from sameas.kernels.linear import positive_2, solve_2
 
 
 def _work(rows: IntArray | FloatArray, *_: Any) -> float:
@@ -195,12 +195,7 @@ def update_in_plane(
             c += h[1, v] * other[v]
             x -= h[0, v] * mean[row, v]
             y -= h[1, v] * mean[row, v]
-        determinant = a * c - b * b
-        if not determinant > 0.0:
-            # The difference of covariances thousands of times larger: S is positive but for rounding.
-            a, c = max(a, 1e-6), max(c, 1e-6)
-            b = max(min(b, 0.999 * math.sqrt(a * c)), -0.999 * math.sqrt(a * c))
-            determinant = a * c - b * b
+        a, b, c, determinant = positive_2(a, b, c)
         east, north = solve_2(a, b, c, determinant, x, y)  # S⁻¹ times the innovation
         for v in range(d):
             updated_mean[row, v] = mean[row, v] + one[v] * east + other[v] * north

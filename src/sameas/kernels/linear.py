@@ -53,6 +53,18 @@ def solve_2(a: float, b: float, c: float, determinant: float, x: float, y: float
     return (c * x - b * y) / determinant, (a * y - b * x) / determinant
 
 
+@part
+def positive_2(a: float, b: float, c: float) -> tuple[float, float, float, float]:
+    """(a, b, c, determinant) of a covariance S = [[a, b], [b, c]], made positive definite where it is so but for
+    rounding: as a difference of covariances thousands of times larger."""
+    determinant = a * c - b * b
+    if not determinant > 0.0:
+        a, c = max(a, 1e-6), max(c, 1e-6)
+        b = max(min(b, 0.999 * math.sqrt(a * c)), -0.999 * math.sqrt(a * c))
+        determinant = a * c - b * b
+    return a, b, c, determinant
+
+
 @kernel
 def best_motion(
     signal: np.ndarray, weight: np.ndarray, down: IntArray, right: IntArray, least: float, first: int, last: int,

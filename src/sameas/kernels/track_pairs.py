@@ -13,7 +13,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.kernels.compiled import part, small
-from sameas.kernels.linear import solve_2
+from sameas.kernels.linear import positive_2, solve_2
 
 #: Components of the errors if both tracks are one object, and if they are in convoy.
 ONE, CONVOY = 6, 8
@@ -156,12 +156,7 @@ def _update(
         c += slope[1, at] * other[v]
         east -= slope[0, at] * mean[v]
         north -= slope[1, at] * mean[v]
-    determinant = a * c - b * b
-    if not determinant > 0.0:
-        # Negative by rounding only, as in kalman.update_in_plane.
-        a, c = max(a, 1e-6), max(c, 1e-6)
-        b = max(min(b, 0.999 * math.sqrt(a * c)), -0.999 * math.sqrt(a * c))
-        determinant = a * c - b * b
+    a, b, c, determinant = positive_2(a, b, c)
     x, y = solve_2(a, b, c, determinant, east, north)
     for v in range(d):
         mean[v] += one[v] * x + other[v] * y
