@@ -21,6 +21,7 @@ from sameas.posterior import (
     _bethe,
     _Messages,
     _neighbourhoods,
+    by_messages,
     log_evidence,
     posterior,
 )
@@ -276,6 +277,19 @@ def test_messages_stop_only_after_convergence():
     np.testing.assert_allclose(p_messages, sure.p_pair[grouped.order], rtol=0, atol=1e-6)
 
 
+def test_estimation_sums_groups_exactly_where_that_costs_no_more_than_messages():
+    """Messages are over-confident on short cycles, which biases sums over a field."""
+    n1, n2, ratios = torus_field(np.random.default_rng(11), 300, 1.5)
+    _, grouped, best, sure = solved(n1, n2, ratios, PerPair(0.0))
+    fast = by_messages(grouped, best)
+    assert (fast.method != APPROXIMATE).all()
+    np.testing.assert_allclose(fast.p_pair, sure.p_pair, rtol=1e-9, atol=1e-12)
+    rough = by_messages(grouped, best, Tuning(rough_sums=2.0))
+    assert (rough.method == APPROXIMATE).any()
+    exact_sum = sure.p_pair.sum()
+    assert abs(rough.p_pair.sum() - exact_sum) > 100 * abs(fast.p_pair.sum() - exact_sum)
+
+
 def test_balls_do_not_depend_on_the_number_of_threads(monkeypatch):
     n1, n2, ratios = torus_field(np.random.default_rng(4), 1200, 6)
     # One row has far more pairs than the others, so no thread may size its buffers by its own rows only.
@@ -459,7 +473,7 @@ def test_no_sum_is_read_before_it_is_written(monkeypatch):
 
     def shares():
         share, method = np.zeros(len(best.weight)), np.zeros(len(grouped), np.int8)
-        state = best.weight, best.dual_1, best.dual_2, EVERY, share, method
+        state = best.weight, best.dual_1, best.dual_2, EVERY, math.inf, share, method
         getattr(kernels.exact, "function", kernels.exact)(0, len(grouped), *shape, *state)
         return share
 

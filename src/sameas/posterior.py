@@ -60,7 +60,9 @@ class Tuning:
     tolerance, rough_tolerance : relative change of a message at convergence, for single probabilities and for sums over
         many pairs.
     linearisations : how many times a prior of the count is linearised about the expected number of pairs.
-    rough_small, rough_improbable : ``small`` and ``improbable`` for sums over many pairs.
+    rough_small, rough_improbable : ``small`` and ``improbable`` for sums over many pairs; with a linear prior, groups
+        of at most ``rough_records`` records on one side are summed exactly that need at most ``rough_sums`` partial
+        sums a pair, about what messages cost.
     """
 
     small: int = 16
@@ -74,6 +76,8 @@ class Tuning:
     rough_tolerance: float = 1e-4
     linearisations: int = 6
     rough_small: int = 4
+    rough_records: int = 1000
+    rough_sums: float = 64.0
     rough_improbable: float = 1e-5
 
 
@@ -228,16 +232,17 @@ def _scaled_to_one(groups: Groups, share: FloatArray) -> FloatArray:
 
 
 def by_messages(groups: Groups, best: Hypothesis, tuning: Tuning = DEFAULT_TUNING) -> Posterior:
-    """Probabilities of all pairs, exact in small groups, by sum-product messages only in others: fast.
+    """Probabilities of all pairs: exact where that is as fast as sum-product messages, by messages elsewhere.
 
     Messages are over-confident on short cycles; use them for sums over many pairs, as in estimation. Pairs that are
     proved to be less probable than 1e-5 get zero.
     """
     share = np.zeros(len(groups.order))
     method = np.zeros(len(groups), np.int8)
-    _exact(groups, best, share, method, tuning.rough_small)
+    linear = best.prior.slope is not None
+    _exact(groups, best, share, method, tuning.rough_records if linear else tuning.rough_small, tuning.rough_sums)
     change, large = 0.0, method == APPROXIMATE
-    if best.prior.slope is None:
+    if not linear:
         change = _Messages.of(groups, best, method, share, tuning.rough_tolerance, tuning).change
     elif large.any():
         bound = share.copy()
@@ -352,10 +357,18 @@ class _Messages:
         return cls(weight, *claims, float(max(changes, default=0.0)))
 
 
-def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[np.int8], most: int = EVERY) -> None:
+def _exact(
+    groups: Groups,
+    best: Hypothesis,
+    share: FloatArray,
+    method: NDArray[np.int8],
+    most: int = EVERY,
+    sums_per_pair: float = math.inf,
+) -> None:
     """Fill ``share`` and ``method`` of the groups that can be summed exactly; mark the others APPROXIMATE.
 
-    most : groups of more records than this on both sides are skipped.
+    most : groups of more records than this on both sides are skipped. sums_per_pair : with a linear prior, groups that
+    need more partial sums are skipped.
     """
     from sameas.kernels.posterior import exact, exact_counted
 
@@ -363,7 +376,7 @@ def _exact(groups: Groups, best: Hypothesis, share: FloatArray, method: NDArray[
     shape = (groups.start, groups.start_1, groups.start_2, groups.local_1, groups.local_2)
     duals, prior = (best.dual_1, best.dual_2), best.prior
     if prior.slope is not None:
-        threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, share, method), bounds)
+        threads.over(lambda a, b: exact(a, b, *shape, best.weight, *duals, most, sums_per_pair, share, method), bounds)
     else:
         state = (best.weight, best.chosen, *duals, prior.start, prior.table, best.multiplier)
         threads.over(lambda a, b: exact_counted(a, b, *shape, *state, most, share, method), bounds)

@@ -89,9 +89,8 @@ def elimination(records: int, pairs: int) -> Elimination:
 
 
 @borrowing_part
-def plan_elimination(n: int, work: Elimination) -> bool:
-    """Find an order of few partial sums for the n records of the graph; False if every order found needs too many."""
-    most = len(work.sum)
+def plan_elimination(n: int, most: int, work: Elimination) -> bool:
+    """Find an order of fewer than ``most`` partial sums for the n records of the graph; False if none is found."""
     best = np.int64(0)  # int64, not a literal: numba would compile a second version for the literal
     last = best
     fewest = _plan_from(best, n, most, work)
@@ -604,11 +603,12 @@ def two_at_most(
 
 
 def _sums_of_small(first: int, last: int, start: IntArray, start1: IntArray, start2: IntArray, *rest: Any) -> float:
-    """The same, with 1 item for each group of more than ``most`` records on both sides, which is skipped."""
-    most = rest[5]
+    """The same, of at most ``sums_per_pair``; 1 item for a group of more than ``most`` records on both sides."""
+    most, sums_per_pair = rest[5:7]
     pairs, one, two = (np.diff(starts[first : last + 1]) for starts in (start, start1, start2))
     records = np.minimum(one, two)
-    return 10.0 * float(np.sum(np.where(records <= most, pairs * 2.0 ** (np.minimum(records, 50) - 1), 0.1)))
+    sums = pairs * np.minimum(2.0 ** (np.minimum(records, 50) - 1), sums_per_pair)
+    return 10.0 * float(np.sum(np.where(records <= most, sums, 0.1)))
 
 
 @small_by(_sums_of_small)
@@ -624,13 +624,14 @@ def exact(
     u: FloatArray,
     v: FloatArray,
     most: int,
+    sums_per_pair: float,
     share: FloatArray,
     method: NDArray[np.int8],
 ) -> None:
     """Write the exact posterior ``share`` (m,) of the pairs of the groups first … last − 1, under a linear prior.
 
     method (g,) receives CLOSED, ELIMINATED or LOCAL. LOCAL groups have no share written: both sides have more than
-    ``most`` records, or the elimination needs too many sums.
+    ``most`` records, or the elimination needs more than ``sums_per_pair`` partial sums a pair, or MAX_SUMS.
     """
     records, pairs = np.int64(2), np.int64(1)
     for g in range(first, last):
@@ -642,7 +643,8 @@ def exact(
     of_pairs = np.empty(pairs), np.empty(pairs)
     of_core = np.empty(records, np.int64), np.empty(records), np.empty(records), np.empty(records)
     _exact(
-        first, last, start, start1, start2, local1, local2, weight, u, v, most, work, of_pairs, of_core, share, method
+        first, last, start, start1, start2, local1, local2, weight, u, v, most, sums_per_pair, work, of_pairs, of_core,
+        share, method
     )  # fmt: skip
 
 
@@ -659,6 +661,7 @@ def _exact(
     u: FloatArray,
     v: FloatArray,
     most: int,
+    sums_per_pair: float,
     work: tuple[Forest, Elimination],
     of_pairs: tuple[FloatArray, FloatArray],
     of_core: tuple[IntArray, FloatArray, FloatArray, FloatArray],
@@ -695,7 +698,8 @@ def _exact(
         leaves = fold(n1, n2, one, two, odds[: high - low], tree)
         if leaves < n1 + n2 - 1:
             n = core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
-            if not plan_elimination(n, graph):
+            max_sums = np.int64(min(float(len(graph.sum)), sums_per_pair * (high - low)))
+            if not plan_elimination(n, max_sums, graph):
                 continue
             for x in range(n):
                 core_alone[x] = alone[record[x]]
@@ -752,7 +756,7 @@ def log_sums(
             out[g] = total + math.log(tree.odds_alone[root])
             continue
         n = core_of(n1, n2, one, two, odds, tree, record, graph, core_odds)
-        if not plan_elimination(n, graph):
+        if not plan_elimination(n, np.int64(len(graph.sum)), graph):
             out[g] = np.nan
             continue
         for x in range(n):
