@@ -12,7 +12,7 @@ from astropy.table import Table
 from sameas.errors import InputError
 from sameas.evidence import Errors
 from sameas.sky.catalogue import Catalogue, CatalogueOptions, ellipse_covariance
-from sameas.sky.crossmatch import SkyMatch, match
+from sameas.sky.crossmatch import MatchOptions, SkyMatch, match
 from sameas.space import sphere_offset
 
 pytest.importorskip("matplotlib", reason="plots need the extra sameas[plots]")
@@ -80,6 +80,57 @@ def test_a_result_without_matches_is_drawn(strangers: SkyMatch, tmp_path: Path, 
 def test_titles_state_the_result(stars: SkyMatch) -> None:
     title = plots.residuals(stars).get_suptitle()
     assert title.startswith("Proper motion reduces the residuals: median distance 1.")
+
+
+@pytest.fixture(scope="module")
+def still() -> SkyMatch:
+    """Two catalogues without proper motions whose names are long; the second covers half of the first."""
+    rng = np.random.default_rng(3)
+    ra, dec = rng.uniform([40.0, 0.0], [41.0, 0.5], (400, 2)).T
+    ra[0], mag = 40.1, rng.uniform(12.0, 18.0, 400)
+    west = ra < 40.5
+    options = CatalogueOptions(sigma=0.1)
+    names = "a_survey_of_the_northern_sky_release_3", "a_survey_of_the_southern_sky_release_2"
+    one = Catalogue.of({"ra": ra, "dec": dec, "gmag": mag}, names[0], options=options)
+    dec = dec + rng.normal(0.0, 2e-5, 400)
+    two = Catalogue.of({"ra": ra[west], "dec": dec[west], "gmag": mag[west]}, names[1], options=options)
+    return match(one, two)
+
+
+def test_catalogues_without_motion_have_one_map_of_residuals(still: SkyMatch) -> None:
+    """There were two maps that were the same, titled "Proper motion changes little"."""
+    figure = plots.residuals(still)
+    assert len(figure.axes) == 2 and figure.axes[1].get_ylabel() == "pairs per cell"
+    assert figure.get_suptitle().strip() == "Half of the identified pairs lie within 51.4 mas"
+    assert figure.axes[0].get_xlabel() == "east offset [arcsec]"
+
+
+def test_an_offset_that_was_removed_is_not_called_motion() -> None:
+    rng = np.random.default_rng(4)
+    ra, dec = rng.uniform([40.0, 0.0], [40.5, 0.5], (300, 2)).T
+    options = CatalogueOptions(sigma=0.1)
+    one, two = (
+        Catalogue.of({"ra": ra, "dec": dec + shift + rng.normal(0.0, 2e-5, 300)}, name, options=options)
+        for name, shift in (("a", 0.0), ("b", 1e-3))
+    )
+    figure = plots.residuals(match(one, two, MatchOptions(offset="find")))
+    assert figure.get_suptitle().startswith("The offset found reduces the residuals: median distance 3.")
+    assert figure.axes[1].get_title(loc="left") == "offset removed"
+
+
+@pytest.mark.parametrize("name", ["residuals", "normalised", "scatter", "certainty", "brightness"])
+def test_long_names_are_neither_cut_off_nor_overlap(still: SkyMatch, name: str) -> None:
+    figure = getattr(plots, name)(still)
+    figure.draw_without_rendering()
+    labels = [label for axes in figure.axes for label in (axes.xaxis.label, axes.yaxis.label) if label.get_text()]
+    boxes = [label.get_window_extent() for label in labels]
+    assert all(box.x0 >= 0 and box.y0 >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1 for box in boxes)
+    assert not any(one.overlaps(two) for k, one in enumerate(boxes) for two in boxes[:k])
+
+
+def test_the_share_identified_is_of_the_rows_covered(still: SkyMatch) -> None:
+    heights = [bar.get_height() for bar in plots.certainty(still).axes[1].patches]
+    assert min(heights) > 90.0
 
 
 def test_logarithmic_axes_have_plain_numbers() -> None:

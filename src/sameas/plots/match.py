@@ -13,11 +13,11 @@ from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.evidence import Errors
 from sameas.evidence.detection import DetectionCurve
-from sameas.plots.sheet import DENSITY, FAINT, FILL, FIRST, FOUND, INK, SECOND, sheet, tidy
+from sameas.plots.sheet import DENSITY, FAINT, FILL, FIRST, FOUND, INK, SECOND, sheet, short, tidy
 from sameas.records import unpack
 from sameas.report.findings import by_source
-from sameas.report.prose import percent
-from sameas.representation import count
+from sameas.report.prose import expected, percent, times
+from sameas.representation import count, counted
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
 if TYPE_CHECKING:
@@ -32,33 +32,40 @@ IN_PANEL = 0.95
 IN_INSET = 0.98
 #: Cells per side of a panel.
 BINS = 120
+#: Offsets are the same before and after if none changes by more than this fraction of their median (chosen).
+SAME = 0.01
+#: Smallest half width of a panel, arcsec; smaller offsets are rounding.
+LEAST_ANGLE = 1e-6
 
 
 def residuals(match: SkyMatch) -> Figure:
-    """Two density maps of the offsets first minus second: catalogues at their own epochs, and at the common epoch.
+    """Density maps of the offsets first minus second: as in the catalogues, and after motion and removed offsets.
 
-    Both have the scale of the first; an inset magnifies the second.
+    Both have the scale of the first; an inset magnifies the second. One map if nothing was moved.
     """
     still, moved = match.offsets_without_motion, match.result.matches.residual
-    subtitle = f"{count(len(moved))} identified pairs. {_sentence(match, match.moved)}"
-    figure = sheet(_finding(still, moved), subtitle, 11.0, 6.25)
-    figure.set_layout_engine("compressed")
-    if not len(moved):
-        return figure
-    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
     names = f"{match.first.name} minus {match.second.name}"
-    limit = _nice(np.quantile(np.abs(still).max(axis=1), IN_PANEL))
-    limit = max(limit, _nice(np.quantile(np.abs(moved).max(axis=1), IN_INSET)))
-    fullest = max(_counted(offsets, limit)[1].max() for offsets in (still, moved))
-    for axes, offsets, title in ((left, still, _epochs(match)), (right, moved, _common(match))):
-        mesh = _map(axes, offsets, limit, fullest)
-        tidy(axes, f"east offset, {names} [arcsec]", "north offset [arcsec]", title)
-        _numbers(axes, offsets, limit)
-    right.set_ylabel("")
+    subtitle = f"{count(len(moved))} identified pairs, {names}. {_sentence(match, match.moved)}"
+    if not len(moved):
+        return sheet("No pair was identified", subtitle, 11.0, 6.25)
+    maps, title = [(moved, "")], f"Half of the identified pairs lie within {_angle(max(_median(moved), LEAST_ANGLE))}"
+    if np.abs(still - moved).max() > max(SAME * _median(moved), LEAST_ANGLE):
+        maps, title = [(still, _epochs(match)), (moved, _common(match))], _finding(match, still, moved)
+    figure = sheet(title, subtitle, 11.0 if len(maps) > 1 else 8.0, 6.25)
+    figure.set_layout_engine("compressed")
+    panels = figure.subplots(1, len(maps), sharex=True, sharey=True, squeeze=False)[0]
+    limit = _nice(np.quantile(np.abs(maps[0][0]).max(axis=1), IN_PANEL))
     close = _nice(np.quantile(np.abs(moved).max(axis=1), IN_INSET))
+    limit = max(limit, close, LEAST_ANGLE)
+    factor, unit = _unit(limit)
+    fullest = max(_counted(offsets, limit)[1].max() for offsets, _ in maps)
+    for axes, (offsets, words) in zip(panels, maps, strict=True):
+        mesh = _map(axes, factor * offsets, factor * limit, fullest)
+        tidy(axes, f"east offset [{unit}]", f"north offset [{unit}]" if axes is panels[0] else "", words)
+        _numbers(axes, offsets, limit)
     if close < 0.34 * limit:
-        _magnified(right, moved, close, limit)
-    bar = figure.colorbar(mesh, ax=(left, right), pad=0.01, aspect=35, format="%g")
+        _magnified(panels[-1], factor * moved, factor * close, factor * limit, unit)
+    bar = figure.colorbar(mesh, ax=list(panels), pad=0.01, aspect=35, format="%g")
     bar.set_label("pairs per cell", fontsize=10)
     bar.ax.tick_params(labelsize=9)
     _plain_ticks(bar.ax)
@@ -100,9 +107,9 @@ def _numbers(axes: Axes, offsets: FloatArray, limit: float) -> None:
     rms = np.sqrt(np.mean(offsets**2, axis=0))
     outside = np.mean(np.abs(offsets).max(axis=1) > limit)
     lines = [
-        f"median distance  {_arcsec(np.median(distance))}",
-        f"95 % within  {_arcsec(np.quantile(distance, 0.95))}",
-        f"rms  {_arcsec(rms[0])} east, {_arcsec(rms[1])} north",
+        f"median distance  {_angle(np.median(distance))}",
+        f"95 % within  {_angle(np.quantile(distance, 0.95))}",
+        f"rms  {_angle(rms[0])} east, {_angle(rms[1])} north",
     ]
     if outside > 0:
         lines.append(f"{_percent(outside)} lie outside the panel")
@@ -112,38 +119,58 @@ def _numbers(axes: Axes, offsets: FloatArray, limit: float) -> None:
     )  # fmt: skip
 
 
-def _magnified(axes: Axes, offsets: FloatArray, close: float, limit: float) -> None:
+def _magnified(axes: Axes, offsets: FloatArray, close: float, limit: float, unit: str) -> None:
     """An inset with the middle of the map, in finer cells with their own colour scale."""
     inset = axes.inset_axes((0.60, 0.08, 0.38, 0.38))
     _map(inset, offsets, close, _counted(offsets, close)[1].max())
     inset.set_xticks([])
     inset.set_yticks([])
-    words = f"{limit / close:.0f} × magnified: ±{close:g}″"
+    words = f"{limit / close:.0f} × magnified: ±{close:g} {unit}"
     inset.text(0.5, -0.04, words, transform=inset.transAxes, ha="center", va="top", fontsize=9.5, color=INK)
     axes.indicate_inset_zoom(inset, edgecolor=INK, linewidth=0.8, alpha=0.6)
 
 
-def _finding(still: FloatArray, moved: FloatArray) -> str:
-    if not len(moved):
-        return "No pair was identified"
-    before, after = (float(np.median(np.hypot(*offsets.T))) for offsets in (still, moved))
-    change = f"median distance {_arcsec(before)} → {_arcsec(after)}"
+def _finding(match: SkyMatch, still: FloatArray, moved: FloatArray) -> str:
+    before, after = _median(still), _median(moved)
+    change = f"median distance {_angle(before)} → {_angle(after)}"
+    cause = " and ".join(["proper motion"] * _has_moved(match) + ["the offset found"] * _has_offset(match))
+    cause = cause[:1].upper() + cause[1:]
+    verb = "" if " and " in cause else "s"
     if after < 0.9 * before:
-        return f"Proper motion reduces the residuals: {change}"
+        return f"{cause} reduce{verb} the residuals: {change}"
     if after > 1.1 * before:
-        return f"Proper motion increases the residuals: {change}"
-    return f"Proper motion changes little: the median distance of the identified pairs is {_arcsec(after)}"
+        return f"{cause} increase{verb} the residuals: {change}"
+    return f"{cause} change{verb} little: the median distance of the identified pairs is {_angle(after)}"
+
+
+def _has_moved(match: SkyMatch) -> bool:
+    """Whether a catalogue with proper motions was moved to the common epoch."""
+    epoch = match.epoch_jyr
+    return epoch is not None and any(
+        one.has_motion and one.epoch_jyr is not None and abs(one.epoch_jyr - epoch) > 0.01
+        for one in (match.first, match.second)
+    )
+
+
+def _has_offset(match: SkyMatch) -> bool:
+    """Whether a shift, rotation or warp of the second catalogue was removed."""
+    return match.rotation is not None or match.warp is not None
+
+
+def _median(offsets: FloatArray) -> float:
+    return float(np.median(np.hypot(*offsets.T)))
 
 
 def _epochs(match: SkyMatch) -> str:
     one, two = match.first.epoch_jyr, match.second.epoch_jyr
-    if one is None or two is None:
-        return "as observed"
-    return f"without motion ({one:.2f} against {two:.2f})"
+    return "as in the catalogues" if one is None or two is None else f"as in the catalogues ({one:.2f}, {two:.2f})"
 
 
 def _common(match: SkyMatch) -> str:
-    return "nothing was moved" if match.epoch_jyr is None else f"with motion (both at {match.epoch_jyr:.2f})"
+    words = ["offset removed"] * _has_offset(match)
+    if match.epoch_jyr is not None:
+        words.append(f"both at {match.epoch_jyr:.2f}")
+    return ", ".join(words)
 
 
 def _sentence(match: SkyMatch, text: str) -> str:
@@ -157,8 +184,18 @@ def _nice(value: float) -> float:
     return float(next(step * power for step in (1, 2, 3, 5, 7, 10) if step * power >= 0.999 * value))
 
 
-def _arcsec(value: float) -> str:
-    return f"{value:.2f}″" if value >= 0.1 else f"{1e3 * value:.3g} mas"
+def _unit(largest_arcsec: float) -> tuple[float, str]:
+    """The unit of an axis that ends at this value, and its number per arcsec."""
+    if largest_arcsec >= 0.1:
+        return 1.0, "arcsec"
+    return (1e3, "mas") if largest_arcsec >= 1e-4 else (1e6, "µas")
+
+
+def _angle(arcsec: float) -> str:
+    factor, unit = _unit(arcsec)
+    if factor == 1.0:
+        return f"{arcsec:.2f}″"
+    return f"{factor * arcsec:.3g} {unit}" if arcsec >= 0.1 * LEAST_ANGLE else "0"
 
 
 def _percent(share: float) -> str:
@@ -194,7 +231,7 @@ def _bulk(axes: Axes, distance: FloatArray, errors: Errors) -> None:
     axes.plot(x, rayleigh_mixture(x, errors), color=FOUND, lw=2.2, label="estimated error distribution")
     top = 1.06 * max(height.max(), 0.607)
     for value, colour, text, level in (
-        (np.sqrt(2.0 * np.log(2.0)), SECOND, "due", 0.97),
+        (np.sqrt(2.0 * np.log(2.0)), SECOND, "expected median", 0.97),
         (np.median(distance), INK, "median", 0.88),
     ):
         axes.axvline(value, ymax=level / 1.06, color=colour, lw=1.0, ls=":")
@@ -209,7 +246,8 @@ def _tail(axes: Axes, distance: FloatArray, errors: Errors) -> None:
     """Number of pairs per 0.05 dex of distance, so that a single pair is visible."""
     step = 0.05
     high = np.log10(max(10.0, 1.2 * float(distance.max())))
-    edges = 10.0 ** np.arange(-1.0, high + step, step)
+    low = np.clip(np.floor(np.log10(max(float(np.quantile(distance, 0.01)), 1e-9))), -3.0, -1.0)
+    edges = 10.0 ** np.arange(low, high + step, step)
     x = np.geomspace(edges[0], edges[-1], 500)
     per_step = x * np.log(10.0) * step * len(distance)
     axes.stairs(np.histogram(distance, edges)[0], edges, fill=True, color=FILL, baseline=0.3)
@@ -254,7 +292,8 @@ def finding(match: SkyMatch) -> str:
     if scale > 1.1:
         return f"The quoted errors are {scale:.2f} times too small for the typical pair"
     if scale < 0.9:
-        return f"The quoted errors are too large: the typical pair scatters {scale:.2f} times as far"
+        words = f"{scale:.2g} times as far" if scale >= 0.01 else "less than 0.01 times as far"
+        return f"The quoted errors are too large: the typical pair scatters {words}"
     return "The typical pair scatters as its quoted errors"
 
 
@@ -262,7 +301,7 @@ def _detail(match: SkyMatch) -> str:
     words = f"{count(len(match.result.matches))} identified pairs of {match.first.name} and {match.second.name}."
     beyond = match.estimate.tail
     if beyond is not None:
-        share = f"{percent(beyond.share.value)} of them have errors about {beyond.factor:.1f} times the quoted ones"
+        share = f"{percent(beyond.share.value)} of them have errors about {times(beyond.factor)} times the quoted ones"
         words += f" A tail: {share}."
     return words
 
@@ -290,14 +329,17 @@ def scatter(match: SkyMatch) -> Figure:
     quoted, estimated = _sigmas(match)
     sigma = np.hypot(*pairs.residual.T) / DUE
     magnitude, words = _magnitude(match)
-    by_error, sigmas = _bins(quoted), (sigma, quoted, estimated)
+    by_error = _bins(quoted)
+    factor, unit = _unit(float(max(np.median(sigma), np.median(quoted))))
+    quoted = factor * quoted
+    sigmas = factor * sigma, quoted, factor * estimated
     # No panel by quoted error if these hardly differ.
     panels = (len(by_error) > 1 or magnitude is None) + (magnitude is not None)
     axes = figure.subplots(1, panels, squeeze=False)[0]
-    spread = "scatter, σ on each axis  [arcsec]"
+    spread = f"scatter, σ on each axis  [{unit}]"
     if len(by_error) > 1 or magnitude is None:
         _against(axes[0], by_error, quoted, sigmas)
-        tidy(axes[0], "quoted error of the pair, σ on each axis  [arcsec]", spread, "against the quoted error")
+        tidy(axes[0], f"quoted error of the pair, σ on each axis  [{unit}]", spread, "against the quoted error")
         _scaled(axes[0].set_xscale, quoted)
     if magnitude is not None:
         known = np.flatnonzero(np.isfinite(magnitude))
@@ -322,7 +364,7 @@ def _scaled(set_scale: Callable[[str], None], values: FloatArray) -> bool:
 def _subtitle(match: SkyMatch) -> str:
     # Room for one clause only: the reasons after the semicolon are in the report.
     words = by_source(match).partition(";")[0]
-    return words[:1].upper() + words[1:] if words else "The errors were used as given, not estimated"
+    return f"Estimated errors: {words}" if words else "The errors were used as given, not estimated"
 
 
 def _sigmas(match: SkyMatch) -> tuple[FloatArray, FloatArray]:
@@ -345,7 +387,7 @@ def _magnitude(match: SkyMatch) -> tuple[FloatArray | None, str]:
     pairs = match.result.matches
     for catalogue, rows in ((match.first, pairs.rows_1), (match.second, pairs.rows_2)):
         if catalogue.magnitude is not None and np.isfinite(catalogue.magnitude[rows]).sum() >= 2 * LEAST:
-            return catalogue.magnitude[rows], f"{catalogue.magnitude_name} of {catalogue.name}"
+            return catalogue.magnitude[rows], f"{catalogue.magnitude_name} of {short(catalogue.name)}"
     return None, ""
 
 
@@ -382,7 +424,8 @@ def certainty(match: SkyMatch) -> Figure:
     The share is that of the first catalogue; without magnitudes there is no such panel.
     """
     matches = match.result.matches
-    title = f"Of {count(len(matches))} identified pairs {match.result.expected_wrong:.1f} are expected to be wrong"
+    wrong = expected(match.result.expected_wrong)
+    title = f"Of {count(len(matches))} identified pairs {wrong} are expected to be wrong"
     rows = f"{count(len(match.result.first))} usable rows of {match.first.name}"
     figure = sheet(title, f"{rows}, {count(len(match.result.second))} of {match.second.name}.")
     if not len(matches):
@@ -406,14 +449,8 @@ def _by_cut(axes: Axes, match: SkyMatch) -> None:
     first_kept = np.searchsorted(p, cuts)
     below = np.concatenate([[0.0], np.cumsum(p)])[first_kept]
     wrong_above = np.concatenate([[0.0], np.cumsum((1.0 - p)[::-1])])[len(p) - first_kept]
-    axes.plot(doubt, wrong_above, color=SECOND, lw=2.2)
-    axes.plot(doubt, below, color=FIRST, lw=2.2)
-    at = int(np.searchsorted(below, 0.5 * below[-1]))
-    for words, place, shift, colour, side in (
-        ("wrong pairs kept", (doubt[200], wrong_above[200]), (0, 6), SECOND, "left"),
-        ("true pairs given up", (doubt[at], below[at]), (-6, 0), FIRST, "right"),
-    ):
-        axes.annotate(words, place, shift, textcoords="offset points", color=colour, ha=side)
+    axes.plot(doubt, wrong_above, color=SECOND, lw=2.2, clip_on=False, label="wrong pairs kept")
+    axes.plot(doubt, below, color=FIRST, lw=2.2, clip_on=False, label="true pairs lost")
     axes.set_xscale("log")
     axes.set_xlim(1.0, SUREST)
     shown = (1.0, 0.5, 0.1, 0.01, 1e-3, 1e-4)
@@ -423,19 +460,21 @@ def _by_cut(axes: Axes, match: SkyMatch) -> None:
     axes.set_yscale("symlog", linthresh=10.0)
     top = max(float(below.max()), float(wrong_above.max()), 1.0)
     axes.set_yticks(
-        [0.0, *(step * 10.0**power for power in range(8) for step in (2, 5, 10) if step * 10.0**power <= top)]
+        [0.0, *(step * 10.0**power for power in range(8) for step in (1, 2, 5) if step * 10.0**power <= top)]
     )
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_locator(NullLocator())
-    axes.set_ylim(bottom=0.0)
-    tidy(axes, "lowest p_match kept", "expected number of pairs", "pairs kept and lost by a cut in p_match")
+    axes.set_ylim(0.0, 1.05 * top)
+    axes.legend(frameon=False, fontsize=9.5)
+    tidy(axes, "lowest p_match kept", "expected number of pairs", "wrong pairs kept and true pairs lost by a cut")
 
 
 def _share_identified(axes: Axes, match: SkyMatch) -> None:
     magnitude = match.first.magnitude
     assert magnitude is not None
-    usable = match.result.answers_1.usable & np.isfinite(magnitude)
-    identified = usable & ~np.ma.getmaskarray(match.result.answers_1.partner)
+    identified = ~np.ma.getmaskarray(match.result.answers_1.partner)
+    usable = match.result.answers_1.usable & np.isfinite(magnitude) & (match.covered_1 | identified)
+    identified &= usable
     low, high = np.floor(magnitude[usable].min()), np.ceil(magnitude[usable].max())
     edges = np.arange(low, high + 0.5, 0.5)
     total = np.histogram(magnitude[usable], edges)[0]
@@ -449,8 +488,8 @@ def _share_identified(axes: Axes, match: SkyMatch) -> None:
             axes.text(x, 100.0 * y + 1.0, f"{n}", ha="center", va="bottom", fontsize=7.5, rotation=90)
     axes.set_ylim(0.0, 118.0)
     axes.set_yticks(range(0, 101, 20))
-    brightness = f"{match.first.magnitude_name} of {match.first.name}  [mag]"
-    tidy(axes, brightness, "identified  [%]", "share identified (rows above each bar)")
+    brightness = f"{match.first.magnitude_name} of {short(match.first.name)}  [mag]"
+    tidy(axes, brightness, "identified  [%]", "share identified of the rows covered (numbers)")
 
 
 # Completeness by magnitude, density of records without a partner, and the relation of the magnitudes.
@@ -471,31 +510,23 @@ def brightness(match: SkyMatch) -> Figure:
         raise InputError("no magnitudes were used in this match; give both catalogues one, and not magnitudes off")
     relation = e.photometry.first_relation
     names = e.photometry.names[0][0], e.photometry.names[1][0]
-    title = f"Magnitudes change {e.changed_by_brightness} of the answers"
+    title = f"Magnitudes change {counted(e.changed_by_brightness, 'answer')}"
     subtitle = "" if relation is None else f"Zero point {e.quantities['zero_point']}, scatter {e.quantities['scatter']}"
     figure = sheet(title, subtitle, 15.0)
     left, middle, right = figure.subplots(1, 3)
-    for curve, mine, other, colour in (
-        (e.detection_1, match.first.name, match.second.name, FIRST),
-        (e.detection_2, match.second.name, match.first.name, SECOND),
-    ):
+    for curve, mine, colour in ((e.detection_1, match.first, FIRST), (e.detection_2, match.second, SECOND)):
         if curve is not None:
-            _completeness(left, curve, f"{mine}, also in {other}", colour)
-            _alone(middle, curve, f"{mine} alone", colour)
+            _completeness(left, curve, f"{short(mine.name)}, {curve.band}", colour)
+            _alone(middle, curve, f"{short(mine.name)}, {curve.band}", colour)
     left.set_ylim(0.0, 105.0)
     middle.set_yscale("log")
     _plain_ticks(middle)
     for axes in (left, middle):
         if axes.lines:
             axes.legend(frameon=False, fontsize=9)
-    bands = "magnitude in the first band of each  [mag]"
-    tidy(left, bands, "also in the other  [%]", "completeness, ± 1 σ")
-    tidy(
-        middle,
-        "magnitude in the first band of each  [mag]",
-        "per square degree and magnitude",
-        "objects in one catalogue only, ± 1 σ",
-    )
+    bands = "magnitude in the catalogue's first band  [mag]"
+    tidy(left, bands, "also in the other catalogue  [%]", "objects also in the other catalogue, ± 1 σ")
+    tidy(middle, bands, "per square degree and magnitude", "objects in this catalogue only, ± 1 σ")
     _relation(right, match, names)
     return figure
 
@@ -504,7 +535,7 @@ def _completeness(axes: Axes, curve: DetectionCurve, label: str, colour: str) ->
     half = 0.5 * np.diff(curve.edges)
     axes.errorbar(
         curve.middle, 100.0 * curve.probability, 100.0 * curve.standard_error, half, fmt="o-", ms=3.5, lw=1.0,
-        color=colour, label=f"{label} ({curve.band})",
+        color=colour, label=label,
     )  # fmt: skip
 
 
@@ -541,6 +572,6 @@ def _relation(axes: Axes, match: SkyMatch, names: tuple[str, str]) -> None:
         )  # fmt: skip
         reach = 6.0 * float(relation.scatter.max()) + 0.3
         axes.set_ylim(float(relation.offset.min()) - reach, float(relation.offset.max()) + reach)
-    own = ("", "") if names[0] != names[1] else (f" of {first.source}", f" of {second.source}")
+    own = ("", "") if names[0] != names[1] else (f" of {short(first.source)}\n", f" of {short(second.source)}")
     label = f"{names[0]}{own[0]} − {names[1]}{own[1]}  [mag]"
-    tidy(axes, f"{names[1]} of {second.source}  [mag]", label, "identified pairs, mean and scatter")
+    tidy(axes, f"{names[1]} of {short(second.source)}  [mag]", label, "identified pairs, mean and scatter")

@@ -33,6 +33,8 @@ DENSITY = "viridis"
 DOTS_PER_INCH, NOTEBOOK_DPI = 150, 80
 #: Letters of a subtitle per inch before it wraps.
 LETTERS_PER_INCH = 12.0
+#: Longest name on axes and in legends (chosen).
+LETTERS_OF_NAME = 22
 
 
 def required() -> type[Figure]:
@@ -92,6 +94,11 @@ def tidy(axes: Axes, x: str, y: str, title: str = "") -> None:
         spine.set_color(FAINT)
     if title:
         axes.set_title(title, fontsize=11.5, loc="left", color=INK)
+
+
+def short(name: str) -> str:
+    """A name for axes and legends: of a long one its begin and its end."""
+    return name if len(name) <= LETTERS_OF_NAME else f"{name[:11]}…{name[-10:]}"
 
 
 def save(figure: Figure, path: str | os.PathLike[str]) -> None:

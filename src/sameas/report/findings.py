@@ -8,7 +8,7 @@ from sameas.estimate.columns import ColumnEvidence
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
 from sameas.evidence.detection import DetectionCurve
-from sameas.report.prose import entry, percent
+from sameas.report.prose import entry, percent, times
 from sameas.representation import count
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch
 
@@ -185,7 +185,7 @@ def _errors_in_words(match: SkyMatch) -> str:
     words = f"typically {e.typical_scale:.2f} times the quoted ones" if scale is None else quoted_errors(scale)
     if e.tail is None:
         return words
-    far = f"{_share(e.tail.share)} of the pairs have errors about {e.tail.factor:.1f} times the quoted ones"
+    far = f"{_share(e.tail.share)} of the pairs have errors about {times(e.tail.factor)} times the quoted ones"
     return f"{words}; a tail: {far}"
 
 

@@ -62,6 +62,11 @@ def figures(value: float) -> str:
     return f"{value:.4g}" if value < 1e4 else count(round(value))
 
 
+def times(factor: float) -> str:
+    """A factor with one decimal; below 1 with two significant digits."""
+    return f"{factor:.1f}" if factor >= 0.95 else f"{factor:.2g}"
+
+
 def entry(label: str, words: str) -> list[str]:
     """A labelled line, wrapped and indented below the text."""
     return textwrap.wrap(
