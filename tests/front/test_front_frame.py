@@ -78,6 +78,15 @@ def test_stars_and_measurements_are_explained(found):
         found.explain(1, source="x")
 
 
+def test_without_magnitudes_the_plot_has_no_empty_panels(made, found):
+    """There were two empty panels, with axes from 0 to 1."""
+    pytest.importorskip("matplotlib")
+    path, stars = made
+    plain = stars["source_id", "ra", "dec", "ra_error", "dec_error", "ref_epoch"]
+    figure = sameas.match_frame(path, plain, aim=WHERE, scale=(1.9, 2.1)).plot("quality")
+    assert len(figure.axes) == 2 < len(found.plot("quality").axes)
+
+
 @pytest.mark.slow
 def test_a_table_or_everything_is_written(found, tmp_path):
     found.write(tmp_path / "stars.fits")

@@ -27,7 +27,7 @@ function paint() {
   const [u, v] = toScreen(-0.5, -0.5 + high);
   c.imageSmoothingEnabled = view.scale * data.bin < 3;
   c.drawImage(stretched ?? picture, u, v, wide * view.scale, high * view.scale);
-  if (show.grid.checked) graticule(c, w, h);
+  const labels = show.grid.checked ? graticule(c, w, h) : [];
   const inside = (x, y, r) => x > -r && x < w + r && y > -r && y < h + r;
   c.lineWidth = 1.15;
   // Small marks while a whole frame is shown on a small screen, or they would hide it.
@@ -70,6 +70,9 @@ function paint() {
     c.stroke();
   }
   if (show.arrows.checked) arrows(c);
+  // Above the marks, or they would hide them.
+  c.font = "12px ui-monospace, monospace"; c.fillStyle = colour.grid; c.strokeStyle = colour.night; c.lineWidth = 4;
+  for (const label of labels) { c.strokeText(...label); c.fillText(...label); }
   if (picked) {
     const [x, y] = toScreen(...where(picked));
     c.strokeStyle = colour.ink; c.lineWidth = 2; c.beginPath(); c.arc(x, y, 17, 0, 7); c.stroke();
@@ -151,14 +154,15 @@ function graticule(c, w, h) {
   for (const pole of [90, -90]) { const p = fromSky(0, pole); if (!p) continue; const [u, v] = toScreen(...p); if (u > 0 && u < w && v > 0 && v < h) { r0 = -180; r1 = 180; if (pole > 0) d1 = 90; else d0 = -90; } }
   const wide = Math.max(2, w / 190), high = Math.max(2, h / 150);
   const decStep = DEC_STEPS.find(v => (d1 - d0) / v <= high) ?? 30, raStep = RA_STEPS.find(v => (r1 - r0) / v <= wide) ?? 45;
-  c.strokeStyle = colour.grid; c.fillStyle = colour.grid; c.lineWidth = 0.8; c.font = "12px ui-monospace, monospace"; c.globalAlpha = 0.6;
+  c.strokeStyle = colour.grid; c.lineWidth = 0.8; c.globalAlpha = 0.6;
+  const labels = [];
   const line = (points, words, edge) => {
     let last = null, named = false; c.beginPath();
     for (const p of points) { const s = p && toScreen(...p); if (s && last) { c.moveTo(...last); c.lineTo(...s);
         // The label is where the line leaves the image: at the lower edge, or at the left one.
         const crosses = edge === "below" ? (last[1] - (h - 26)) * (s[1] - (h - 26)) <= 0 : (last[0] - 6) * (s[0] - 6) <= 0;
         if (crosses && !named) { const f = edge === "below" ? (h - 26 - last[1]) / (s[1] - last[1] || 1) : (6 - last[0]) / (s[0] - last[0] || 1), x = last[0] + f * (s[0] - last[0]), y = last[1] + f * (s[1] - last[1]);
-          if (x > -1 && x < w - 60 && y > 60 && y < h - 20) { c.save(); c.globalAlpha = 1; c.strokeStyle = colour.night; c.lineWidth = 3; c.strokeText(words, x + 4, y - 4); c.fillText(words, x + 4, y - 4); c.restore(); named = true; } } }
+          if (x > -1 && x < w - 60 && y > 60 && y < h - 20) { labels.push([words, x + 4, y - 4]); named = true; } } }
       last = s; }
     c.stroke();
   };
@@ -166,6 +170,7 @@ function graticule(c, w, h) {
   for (let r = Math.ceil((middle + r0) / raStep) * raStep; r <= middle + r1 + 1e-9; r += raStep) line(steps(Math.max(d0 - decStep, -89.99), Math.min(d1 + decStep, 89.99)).map(d => fromSky(r, d)), raWords(r, raStep), "below");
   for (let d = Math.ceil(d0 / decStep) * decStep; d <= d1 + 1e-9; d += decStep) if (Math.abs(d) < 90) line(steps(middle + r0 - raStep, middle + r1 + raStep).map(r => fromSky(r, d)), decWords(d, decStep), "left");
   c.globalAlpha = 1;
+  return labels;
 }
 function rivalLines(c, i) {
   const [x, y] = toScreen(m.x[i], m.y[i]);
@@ -282,7 +287,8 @@ function diagrams() {
   el("clipped").textContent = clipped ? `; at the edge: ${grouped(clipped)} beyond ± ${fix(limit, limit < 0.1 ? 3 : 2)}″` : "";
   byMagnitude = { list, points: i => [[X(value(i)), Y(clip(m.de[i]))], [X(value(i)), Y(clip(m.dn[i]))]] };
   const zero = summary.brightness.zero_point;
-  el("zero").textContent = zero ? zero.words : "no magnitudes to compare";
+  el("zero").textContent = zero ? zero.words + (data.odd.length ? `; dark: ${grouped(data.odd.length)} brighter or fainter than catalogued` : "") : "no magnitudes to compare";
+  el("magnitudes").hidden = !zero;
   if (zero) {
     const [a, b] = range(known.map(i => m.inst[i]), 0.03), [p, q] = range(known.map(bright), 0.03);
     [c, X, Y] = axes(el("magnitudes"), [b, a], [q, p], "instrumental magnitude", "catalogue magnitude");
@@ -291,6 +297,7 @@ function diagrams() {
   }
   const curve = summary.brightness.completeness;
   el("shown").textContent = curve ? curve.words : "the catalogue has no magnitudes";
+  el("complete").hidden = !curve;
   if (curve) {
     const e = curve.edges_mag; [c, X, Y] = axes(el("complete"), [e[0], e[e.length - 1]], [0, 1.2 * Math.max(...curve.stars, 1)], "magnitude", "stars on the frame");
     curve.stars.forEach((n, k) => { const x = X(e[k]), w = X(e[k + 1]) - x - 1;

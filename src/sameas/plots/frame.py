@@ -92,10 +92,11 @@ def _marks(axes: Axes, found: FrameIdentification, brightest: int | None) -> lis
     missing = found.predicted_px[found.missing]
     axes.plot(m.x_px[unidentified], m.y_px[unidentified], "x", color=YELLOW, ms=3.2, mew=0.6, alpha=0.9)
     axes.plot(*missing.T, "D", color="none", markeredgecolor=RED, ms=4.4, mew=0.7)
-    return _legend(len(marked), len(i), len(unidentified), len(beyond), len(missing))
+    dotted = int(np.count_nonzero(~sure))
+    return _legend(len(marked), len(i), dotted, len(unidentified), len(beyond), len(missing))
 
 
-def _legend(marked: int, identified: int, unidentified: int, beyond: int, missing: int) -> list[Any]:
+def _legend(marked: int, identified: int, dotted: int, unidentified: int, beyond: int, missing: int) -> list[Any]:
     """The handles of the legend, with the number of each mark."""
     from matplotlib.lines import Line2D
 
@@ -104,6 +105,7 @@ def _legend(marked: int, identified: int, unidentified: int, beyond: int, missin
         if identified > marked
         else f"{count(identified)} identified"
     )
+    first += f" (dotted: {count(dotted)} with p < 0.9)" if dotted else ""
     legend = [
         ("o", BLUE, first),
         ("x", YELLOW, f"{count(unidentified)} not in the catalogue{_beyond(beyond)}"),
@@ -181,25 +183,34 @@ def _angle(arcsec: float) -> str:
 
 
 def quality(found: FrameIdentification) -> Figure:
-    """Four panels: residuals over the frame and by magnitude, the photometric relation, and completeness."""
+    """Four panels: residuals over the frame and by magnitude, the photometric relation, and completeness.
+
+    The last two need magnitudes of the catalogue.
+    """
     left, i = found.residual_arcsec, found.pairs[0]
     scatter = found.scatter_arcsec
     subtitle = f"{count(len(i))} identified stars of {found.stars.name} on {found.measured.name}; {_model(found)}"
     title = "No star was identified" if not len(i) else f"Stars lie within {scatter[0]:.2g}″ × {scatter[1]:.2g}″ (1σ)"
-    figure = sheet(title, subtitle, 12.0, 10.4)
+    with_magnitudes = found.zero_point is not None or found.completeness is not None
+    figure = sheet(title, subtitle, 12.0, 10.4 if with_magnitudes else 5.8)
     if not len(i):
         return figure
-    (a, b), (c, d) = figure.subplots(2, 2)
-    _arrows(a, found, left)
-    _against_brightness(b, found, left)
-    _magnitudes(c, found)
-    _complete(d, found)
+    panels = figure.subplots(2 if with_magnitudes else 1, 2).ravel()
+    _arrows(panels[0], found, left)
+    _against_brightness(panels[1], found, left)
+    if with_magnitudes:
+        _magnitudes(panels[2], found)
+        _complete(panels[3], found)
     return figure
 
 
 def _model(found: FrameIdentification) -> str:
     plate = found.plate
-    larger = f", residuals {plate.error_scale:.2f} times the quoted errors" if plate.error_scale > 1.005 else ""
+    larger = (
+        f", root mean square of residuals {plate.error_scale:.2f} times the quoted errors"
+        if plate.error_scale > 1.005
+        else ""
+    )
     return f"plate model of order {plate.order}{larger}"
 
 
@@ -303,7 +314,7 @@ def _zero_words(found: FrameIdentification) -> str:
     assert zero is not None
     words = f"zero point {zero.words}"
     if zero.colour_term:
-        words += f", colour term {zero.colour_term:+.3f}"
+        words += f", colour term {zero.colour_term:+.3f}".replace("-", "−")
     return f"{words}; scatter {zero.scatter:.2f} mag"
 
 
