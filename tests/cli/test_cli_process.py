@@ -15,10 +15,9 @@ import time
 from pathlib import Path
 
 import numpy as np
-import pyarrow
 import pytest
 import typer
-from pyarrow import parquet
+from astropy.table import Table
 
 from sameas.cli.app import COMMANDS
 from sameas.io import read_table, write_table
@@ -251,7 +250,7 @@ def test_a_short_run_imports_no_unneeded_modules(tmp_path, rows, side_deg):
     for name in ("one", "two"):
         off = rng.normal(0.0, 0.1 / 3600.0, (2, rows))
         columns = {"ra": ra + off[0], "dec": dec + off[1], "sigma": np.full(rows, 0.1)}
-        parquet.write_table(pyarrow.table(columns), tmp_path / f"{name}.parquet")
+        write_table(Table(columns, units={"ra": "deg"}), tmp_path / f"{name}.parquet", provenance={})
     probe = """
 import sys
 from sameas.cli import main

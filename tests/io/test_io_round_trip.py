@@ -1,6 +1,7 @@
 """Round trips of every kind of column through every format."""
 
 import gzip
+import json
 import os
 import warnings
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from astropy import units as u
 from astropy.io import fits
 from astropy.table import Column, MaskedColumn, QTable, Table
-from astropy.table.meta import get_yaml_from_table
+from astropy.table.meta import get_header_from_yaml, get_yaml_from_table
 from astropy.time import Time
 from astropy.utils import minversion
 from hypothesis import HealthCheck, given, settings
@@ -19,7 +20,7 @@ from hypothesis import strategies as st
 
 from sameas.errors import InputError
 from sameas.io import read_table, write_table, written_formats
-from sameas.io.parquet import _header_of
+from sameas.io.parquet import _described_by, _header_of
 
 ENDINGS = [".fits", ".vot", ".ecsv", ".csv", ".parquet"]
 ZIPPED = [".fits.gz", ".vot.gz", ".ecsv.gz", ".csv.gz", ".tsv"]
@@ -395,7 +396,7 @@ def test_any_column_name_is_written(ending, tmp_path):
 @pytest.mark.parametrize(
     "more", [None, (1, 2), np.float64(3.0), np.str_("text"), 1j, u.m, Time(2016.0, format="jyear")]
 )
-def test_astropy_reads_our_parquet_like_its_own(more):
+def test_astropy_reads_our_parquet_like_its_own_and_we_read_its(more):
     """Plain values without the half of astropy, anything else with it."""
     if isinstance(more, np.str_) and not minversion("astropy", "7.2"):
         pytest.skip("this astropy cannot write NumPy's text in metadata itself")
@@ -406,4 +407,7 @@ def test_astropy_reads_our_parquet_like_its_own(more):
     table.meta.update(z=1, list=["a", "b"], small=1e-30, none=None, nan=np.nan, nested={"y": 1, "x": [1.5, {"k": "v"}]})
     if more is not None:
         table.meta["more"] = more
-    assert _header_of(table) == get_yaml_from_table(table)
+    lines = get_yaml_from_table(table)
+    assert _header_of(table) == lines
+    ours, theirs = _described_by("\n".join(lines)), get_header_from_yaml(lines)
+    assert json.dumps(ours, default=repr) == json.dumps(theirs, default=repr)

@@ -149,9 +149,9 @@ def _with_file_metadata(table: Table, metadata: Mapping[bytes, bytes], path: Pat
 
 
 def _with_astropys(table: Table, text: str) -> Table:
-    from astropy.table import meta, serialize
+    from astropy.table import serialize
 
-    header = meta.get_header_from_yaml(text.split("\n"))
+    header = _described_by(text)
     for facts in header["datatype"]:
         if facts["name"] in table.colnames:
             column = table[facts["name"]]
@@ -163,6 +163,25 @@ def _with_astropys(table: Table, text: str) -> Table:
         # Masks and sky coordinates that astropy's own writer takes apart.
         table = serialize._construct_mixins_from_columns(table)
     return table
+
+
+def _described_by(text: str) -> dict[str, Any]:
+    """What astropy's YAML says of a table; plain values without the imports that ``_header_of`` avoids."""
+    import yaml
+    from astropy.table import meta
+
+    class Plain(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
+        """Raises for what is not plain."""
+
+    def of_ordered(loader: Plain, node: yaml.SequenceNode) -> dict[Any, Any]:
+        pairs = [pair for mapping in node.value for pair in mapping.value]
+        return {loader.construct_object(k, deep=True): loader.construct_object(v, deep=True) for k, v in pairs}
+
+    Plain.add_constructor("tag:yaml.org,2002:omap", of_ordered)
+    try:
+        return dict(yaml.load(text, Loader=Plain))
+    except (yaml.YAMLError, AttributeError, TypeError, ValueError):
+        return dict(meta.get_header_from_yaml(text.split("\n")))
 
 
 def column_metadata(column: Column) -> dict[str, str] | None:
