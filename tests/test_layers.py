@@ -46,8 +46,7 @@ FLOOR = {room: floor for floor, line in enumerate(FLOORS.strip().splitlines()) f
 #: Packages that must not import sky, tracks or the command line.
 CORE = [room for room in FLOOR if FLOOR[room] <= FLOOR["score"]]
 #: The stages for many sources; each imports earlier ones only.
-MANY = ["observations", "pooled", "rules", "sets", "marginals", "explanation",
-        "objects", "identify"]  # fmt: skip
+MANY = ["observations", "pooled", "rules", "sets", "marginals", "objects", "identify"]
 
 
 def room_of(path):

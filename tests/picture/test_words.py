@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sameas.many.explanation import ObjectExplanation, Rival
+from sameas.many.objects import ObjectExplanation, Rival
 from sameas.picture.picture import Picture
 from sameas.picture.summary import share_error
 from sameas.tracks.reports import Reports

@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
     from sameas.evidence import Errors
     from sameas.front.request import Request
-    from sameas.many.explanation import ObjectExplanation
-    from sameas.many.objects import Objects
+    from sameas.many.objects import ObjectExplanation, Objects
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.many import ManyMatch, ManyOptions
 

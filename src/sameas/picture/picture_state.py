@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.evidence.identity import Alarm
-from sameas.many.explanation import Name, ObjectExplanation
-from sameas.many.objects import Objects
+from sameas.many.objects import Name, ObjectExplanation, Objects
 from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
 from sameas.picture.object_table import ObjectStates, PictureObjects
