@@ -22,7 +22,8 @@ from sameas.io import read_provenance, read_table, write_table
 from sameas.simulate.scenes import Cap, crowded_sky
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import at_common_epoch, match
-from sameas.sky.many import ManyMatch, ManyOptions, joined_many, match_many
+from sameas.sky.joins import joined_many
+from sameas.sky.many import ManyMatch, ManyOptions, match_many
 from sameas.sky.many import match as many_match
 from sameas.sky.many.population import AstrometricRecords, degrees_of_freedom, fitted, pairs_within, patterns_of
 from sameas.space import displaced, sphere_offset

@@ -73,7 +73,7 @@ def of_match(
         **request.facts(),
         "name_1": match.first.name,
         "name_2": match.second.name,
-        **_roles((match.first, match.second), joined_names(match.first.table, match.second.table)),
+        **_roles((match.first, match.second), joined_names([match.first.table, match.second.table])),
         "rows_1": len(match.first),
         "rows_2": len(match.second),
         "used_1": len(result.first),
@@ -195,14 +195,14 @@ def of_many(
     request: Request[ManyOptions], match: ManyMatch, command: str, words: Callable[[str], str] = str
 ) -> dict[str, Any]:
     """Provenance of a match of several catalogues. words : rewords messages that name arguments."""
-    from sameas.sky.many.joins import joined_names as joined_many_names
+    from sameas.sky.joins import joined_names
 
     facts, given = _made_now(command), request.facts()
     for k, catalogue in enumerate(match.catalogues, 1):
         facts |= {name: given[name] for name in (f"input_{k}", f"sha256_{k}")}
         facts |= {f"name_{k}": catalogue.name, f"rows_{k}": len(catalogue), f"epoch_{k}": catalogue.epoch_jyr}
         facts[f"options_{k}"] = given[f"options_{k}"]
-    facts |= _roles(match.catalogues, joined_many_names(match))
+    facts |= _roles(match.catalogues, joined_names([catalogue.table for catalogue in match.catalogues]))
     facts |= {"options_match": given["options_match"], "epoch_object": match.epoch_jyr}
     for k, catalogue in enumerate(match.catalogues, 1):
         if catalogue.name in match.rotations:

@@ -779,7 +779,7 @@ def position_columns(work: Work) -> tuple[str, str]:
     from astropy.table import Table
 
     tables = [Table({name: [0] for name in names}) for names in schemas]
-    output_name = dict(zip(schemas[0], joined_names(*tables)[0], strict=True))
+    output_name = dict(zip(schemas[0], joined_names(tables)[0], strict=True))
     ra, dec = work.sides[0].stored.position
     return output_name[ra], output_name[dec]
 

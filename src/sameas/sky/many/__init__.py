@@ -15,7 +15,6 @@
 [0, 50, 90, 60]
 """
 
-from sameas.sky.many.joins import joined_many
 from sameas.sky.many.match import ManyMatch, ManyOptions, match_many
 
-__all__ = ["ManyMatch", "ManyOptions", "joined_many", "match_many"]
+__all__ = ["ManyMatch", "ManyOptions", "match_many"]
