@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -18,6 +18,7 @@ from sameas.errors import InputError
 from sameas.front.picture import Instants, Method, PictureOutputs, older, pictured, write
 from sameas.io.atomic import filling
 from sameas.io.sensors.sources import read_source_options, read_sources
+from sameas.maps.outline import read_coast
 from sameas.report.picture import doubt_lines, read_lines
 
 _TIMES, _METHOD, _FILES = "The instants", "The method", "Outputs"
@@ -104,65 +105,39 @@ def picture(
     if at is not None and (every or begin or end):
         raise typer.BadParameter("give --at, or --every with --from and --to, not both", param_hint="--at")
     with answering(debug, sensor_option):
-        from sameas.cli.picture import run
-        from sameas.front.picture import Instants, Method, PictureOutputs
-        from sameas.maps.outline import read_coast
+        began, printer = time.perf_counter(), Printer(quiet)
+        when = Instants(duration_s(every), at, begin, end)
+        method = Method(not no_registration, not no_identity, not no_memory, tuple(without or ()))
+        land = None if coast is None else read_coast(coast)
+        outputs = PictureOutputs(output, format, not no_map, not no_image, ctx.meta.get("typed", ""), land)
+        unread: list[InputError] = []
+        with filling(output) as draft:
+            with Pace(quiet) as pace:
 
-        instants = Instants(duration_s(every), at, begin, end)
-        method = Method(
-            registration=not no_registration,
-            identity=not no_identity,
-            memory=not no_memory,
-            without=tuple(without or ()),
-        )
-        outputs = PictureOutputs(
-            output, format, map=not no_map, image=not no_image, command=ctx.meta.get("typed", ""),
-            coast=None if coast is None else read_coast(coast),
-        )  # fmt: skip
-        all_read = run(files or [], sensors, start, instants, method, outputs, quiet)
-    if not all_read:
+                def say(lines: Iterable[str]) -> None:
+                    pace.pause()
+                    printer(lines)
+
+                pace("reading")
+                with _remedies(sensors):
+                    described = read_source_options(sensors) if sensors else None
+                    sources = method.included(read_sources(files or [], described, start=start, set_aside=unread))
+                say(read_lines((source.reports.source, source.lines()) for source in sources))
+                left_out = [f"set aside: {in_options(error.words, sensor_option)}" for error in unread]
+                printer(doubt_lines(left_out))
+                share_compilation(quiet)
+                with _remedies(sensors):
+                    result = pictured(
+                        sources, when, method, call=outputs.command, unread=left_out, progress=pace, say=say
+                    )
+                pace("writing")
+                written = write(result, draft, outputs, notice)
+            seconds = time.perf_counter() - began
+        printer(["", f"Output: {output}/: {', '.join(written)}", f"Time: {seconds:.1f} s"])
+        if left := older(output, written):
+            notice(f"of an earlier picture, and not of this one: {', '.join(str(output / name) for name in left)}")
+    if unread:
         raise typer.Exit(INPUT_ERROR)
-
-
-def run(
-    files: Sequence[str],
-    sensors: Path | None,
-    start: str | None,
-    when: Instants,
-    method: Method,
-    outputs: PictureOutputs,
-    quiet: bool,
-) -> bool:
-    """Make the picture, print the report, write the outputs; returns whether every file could be read."""
-    began = time.perf_counter()
-    printer = Printer(quiet)
-    with filling(outputs.folder) as draft:
-        with Pace(quiet) as pace:
-            pace("reading")
-            with _remedies(sensors):
-                described = read_source_options(sensors) if sensors else None
-                unread: list[InputError] = []
-                sources = read_sources(files, described, start=start, set_aside=unread)
-                sources = method.included(sources)
-            pace.pause()
-            printer(read_lines((source.reports.source, source.lines()) for source in sources))
-            left_out = [f"set aside: {in_options(error.words, sensor_option)}" for error in unread]
-            printer(doubt_lines(left_out))
-            share_compilation(quiet)
-
-            def say(lines: Iterable[str]) -> None:
-                pace.pause()
-                printer(lines)
-
-            with _remedies(sensors):
-                result = pictured(sources, when, method, call=outputs.command, unread=left_out, progress=pace, say=say)
-            pace("writing")
-            written = write(result, draft, outputs, notice)
-        seconds = time.perf_counter() - began
-    printer(["", f"Output: {outputs.folder}/: {', '.join(written)}", f"Time: {seconds:.1f} s"])
-    if left := older(outputs.folder, written):
-        notice(f"of an earlier picture, and not of this one: {', '.join(str(outputs.folder / name) for name in left)}")
-    return not unread
 
 
 @contextmanager
