@@ -7,8 +7,8 @@ import pytest
 from astropy.table import Table
 
 from sameas.errors import InputError
-from sameas.report import match as report
 from sameas.report import prose
+from sameas.report.match import catalogue_lines, estimate_lines, nearest_lines, summary_lines
 from sameas.representation import count
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import MatchOptions, match
@@ -29,12 +29,17 @@ def found():
     return match(first, catalogue("right", ra[:300], dec[:300], seed=2))
 
 
+def report(match):
+    parts = catalogue_lines(match.first, 1), catalogue_lines(match.second, 2), estimate_lines(match)
+    return "\n".join([*(line for lines in parts for line in (*lines, "")), *summary_lines(match)])
+
+
 def lines_of(text, label):
     return [line for line in text.splitlines() if line.strip().startswith(label)]
 
 
 def test_the_report_holds_the_numbers_of_the_match(found):
-    text = report.report(found)
+    text = report(found)
     assert lines_of(text, "identified ")[0].split() == ["identified", "300", "300"]
     assert lines_of(text, "without a partner")[0].split()[-2:] == ["100", "0"]
     assert f"{found.result.expected_wrong:.1f} of the identified" in text
@@ -46,18 +51,18 @@ def test_counts_of_rows_add_up(found):
     for side in (0, 1):
 
         def number(label, side=side):
-            return int(lines_of("\n".join(report.summary_lines(found)), label)[0].split()[-2 + side])
+            return int(lines_of("\n".join(summary_lines(found)), label)[0].split()[-2 + side])
 
         assert number("used") == number("not covered") + number("without") + number("identified ")
 
 
 def test_lines_stay_within_the_width_except_doubts(found):
-    for line in report.report(found).splitlines():
+    for line in report(found).splitlines():
         assert len(line) <= prose.WIDTH or line.startswith(prose.DOUBT)
 
 
 def test_shares_by_magnitude_count_every_measured_row(found):
-    text = "\n".join(report.summary_lines(found))
+    text = "\n".join(summary_lines(found))
     rows = lines_of(text, "rows")[-1].split()[1:]
     assert sum(map(int, rows)) == 400
     shares = lines_of(text, "identified, %")[0].split()[2:]
@@ -67,7 +72,7 @@ def test_shares_by_magnitude_count_every_measured_row(found):
 def test_nearest_neighbours_claims_are_counted():
     first = catalogue("left", np.array([10.0, 10.0005, 10.1]), np.zeros(3), sigma=1e-3)
     second = catalogue("right", np.array([10.0, 10.2]), np.zeros(2), sigma=1e-3, seed=3)
-    lines = report.nearest_lines(match(first, second, MatchOptions(error_scale=1.0)))
+    lines = nearest_lines(match(first, second, MatchOptions(error_scale=1.0)))
     assert re.search(r"right: claimed more than once \(within 5 arcsec\) +1 +1 +0$", lines[1])
     assert re.search(r"left: not identified, but one is within 5 arcsec +1 +1 +–$", lines[4])
 
@@ -75,13 +80,13 @@ def test_nearest_neighbours_claims_are_counted():
 def test_a_match_without_common_objects_is_reported():
     first = catalogue("left", np.array([10.0, 11.0]), np.zeros(2))
     second = catalogue("right", np.array([50.0, 51.0]), np.zeros(2))
-    text = report.report(match(first, second))
+    text = report(match(first, second))
     assert "Residuals: no pair was identified" in text and "no common object is expected" in text
 
 
 def test_a_later_note_replaces_an_earlier_one_on_the_same_subject():
     ra = np.array([10.0, 11.0])
-    lines = report.catalogue_lines(catalogue("left", ra, 0 * ra, id=np.array([7, 7])), 1)
+    lines = catalogue_lines(catalogue("left", ra, 0 * ra, id=np.array([7, 7])), 1)
     assert [line.split(maxsplit=1) for line in lines if line.startswith("  id")] == [
         ["id", "id is not unique, so rows are numbered"]
     ]
@@ -90,7 +95,7 @@ def test_a_later_note_replaces_an_earlier_one_on_the_same_subject():
 def test_notes_from_reading_the_file_are_reported():
     left = catalogue("left", np.array([10.0]), np.zeros(1))
     left.table.meta["sameas_notes"] = ["the file has 2 tables; the first was read"]
-    assert "  file                  the file has 2 tables; the first was read" in report.catalogue_lines(left, 1)
+    assert "  file                  the file has 2 tables; the first was read" in catalogue_lines(left, 1)
 
 
 @pytest.mark.parametrize(
@@ -116,7 +121,7 @@ def printed_report(rng, quoted, outliers=0.0):
         Catalogue.of(Table(list(place), names=("ra", "dec")), name, options=given_errors)
         for place, name in zip(places, ("left", "right"), strict=True)
     )
-    return report.report(match(first, second))
+    return report(match(first, second))
 
 
 @pytest.mark.slow
@@ -139,7 +144,7 @@ def test_columns_of_one_name_are_distinguished():
     rng = np.random.default_rng(8)
     ra, dec, mag = rng.uniform(20, 20.5, 400), rng.uniform(-0.25, 0.25, 400), rng.uniform(9.5, 20.5, 400)
     pair = [catalogue(name, ra, dec, seed=k, mag=mag + 0.3 * k) for k, name in enumerate(("left", "right"))]
-    assert "mag of left − mag of right is" in " ".join(report.report(match(*pair)).split())
+    assert "mag of left − mag of right is" in " ".join(report(match(*pair)).split())
 
 
 def test_chance_pairs_alone_are_reported_as_hardly_any():
@@ -149,12 +154,12 @@ def test_chance_pairs_alone_are_reported_as_hardly_any():
     ]
     found = match(*pair)
     assert 0.5 < found.estimate.common < 10.0
-    assert "left and right have hardly any objects in common" in report.report(found)
+    assert "left and right have hardly any objects in common" in report(found)
 
 
 def test_a_single_record_per_source_suggests_no_offset():
     found = match(catalogue("left", np.array([10.0]), np.zeros(1)), catalogue("right", np.array([10.0]), np.zeros(1)))
-    assert len(found.result.matches) == 1 and "offset=" not in report.report(found)
+    assert len(found.result.matches) == 1 and "offset=" not in report(found)
 
 
 def test_zero_errors_are_refused_with_the_remedy():

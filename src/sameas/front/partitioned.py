@@ -153,7 +153,7 @@ class PartitionedMatch:
 
     def report_lines(self, words: Callable[[str], str] = str) -> Iterator[str]:
         """The lines of :meth:`report`. words : formats a message that names arguments."""
-        from sameas.report.findings import column_lines
+        from sameas.report.match import column_lines
         from sameas.report.prose import DOUBT, entry, figures, percent
         from sameas.representation import count
 

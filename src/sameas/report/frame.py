@@ -7,7 +7,7 @@ from typing import Any
 
 from sameas.estimate.error_model import ErrorModel
 from sameas.estimate.quantity import Quantity
-from sameas.report.findings import error_model_in_words, quoted_errors
+from sameas.report.match import error_model_in_words, quoted_errors
 from sameas.report.prose import DOUBT, entry
 from sameas.representation import count
 from sameas.sky.frame.identified import FEW
