@@ -210,10 +210,10 @@ def test_every_option_is_documented():
 
 
 def test_every_result_column_is_documented():
-    from sameas.sky.joins import _WORDS
+    from sameas.sky.output_columns import PAIR_COLUMNS
 
     page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
-    for name in _WORDS:
+    for name in PAIR_COLUMNS:
         assert f"`{name}`" in page, f"{name} is not documented"
 
 

@@ -42,7 +42,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.output_columns import JOINS, meta_of
+from sameas.sky.output_columns import JOINS, attributes_of
 from sameas.space import Sphere
 
 if TYPE_CHECKING:
@@ -53,28 +53,6 @@ if TYPE_CHECKING:
 NO_PARTNER = -1
 #: Rows of a piece of :class:`JoinedTable`: 20 columns of numbers take 40 MB.
 PIECE_ROWS = 1 << 18
-
-_UNITS = {"sep_arcsec": "arcsec", "dx_arcsec": "arcsec", "dy_arcsec": "arcsec"}
-_WORDS = {
-    "sep_arcsec": "separation at the common epoch",
-    "dx_arcsec": "first minus second, east",
-    "dy_arcsec": "first minus second, north",
-    "mahalanobis": "separation over its quoted error",
-    "log_odds": "ln odds of the pair before one-to-one",
-    "p_match": "probability of the pair",
-    "p_none": "probability that the row has no partner",
-    "p_second": "probability of the most probable other candidate",
-    "id_second": "the most probable other candidate",
-    "match_flag": "1 identified, 2 at least half as probable as the best, 0 other",
-    "group_id": "group of competing records",
-    "group_size": "records in the group",
-    "n_within": "candidates of the row",
-    "covered": "whether the other catalogue covers the place",
-    "p_any": "NWAY: probability that the row has a partner",
-    "p_i": "NWAY: probability of the pair if there is a partner",
-    "dist_bayesfactor": "log10 of the odds of the pair",
-}
-_FEATURE_WORDS = {"separation": "length of the residual, in the unit of the features"}
 
 
 class JoinedSource(Protocol):
@@ -163,8 +141,7 @@ def pair_table(result: Identification) -> Table:
     columns |= {"mahalanobis": found.mahalanobis, "log_odds": found.log_odds}
     table = Table()
     for name, values in columns.items():
-        column = Column(values, unit=_UNITS.get(name), description=_words(name), meta=meta_of(name))
-        table.add_column(column, name=name, copy=False)
+        table.add_column(Column(values, **attributes_of(name)), name=name, copy=False)
     return table
 
 
@@ -194,14 +171,6 @@ def _separation_names(result: Identification) -> list[str]:
     if isinstance(result.first.space, Sphere):
         return ["sep_arcsec", "dx_arcsec", "dy_arcsec"]
     return ["separation", *(f"residual_{axis}" for axis in range(1, result.pairs.d + 1))]
-
-
-def _words(name: str) -> str:
-    if name.startswith("residual_"):
-        return f"first minus second, feature {name.removeprefix('residual_')}"
-    of_pairs = {f"{what}_{side}": f"{what} in the {one} source"
-                for what in ("row", "id") for side, one in ((1, "first"), (2, "second"))}  # fmt: skip
-    return (_WORDS | _FEATURE_WORDS | of_pairs)[name]
 
 
 @dataclass(frozen=True)
@@ -266,7 +235,7 @@ def joined(
 
     Parameters
     ----------
-    join : one of :data:`~sameas.sky.conventions.JOINS`.
+    join : one of :data:`~sameas.sky.output_columns.JOINS`.
     nway_columns : add ``p_any``, ``p_i`` and ``dist_bayesfactor`` by NWAY's names.
     rows : some of :func:`joined_rows`; None: all.
 
@@ -283,8 +252,7 @@ def joined(
             table.add_column(column, name=name, copy=False)
     for name, values in _JoinedColumns(match, rows).columns(nway_columns).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        added = MaskedColumn(values, unit=_UNITS.get(name), description=_words(name), meta=meta_of(name))
-        table.add_column(added, name=unique, copy=False)
+        table.add_column(MaskedColumn(values, **attributes_of(name)), name=unique, copy=False)
     return table
 
 
@@ -536,26 +504,6 @@ def _second_ids(match: Joinable, rows: np.ma.MaskedArray, other: int) -> np.ma.M
 
 #: Minimum probability of a runner-up that is listed (chosen).
 MIN_RUNNER_UP = 1e-3
-#: Unit and description of the added columns.
-_OBJECT_COLUMNS = {
-    "n_catalogues": ("", "number of catalogues that show the object"),
-    "p_object": ("", "probability that exactly these records are one object"),
-    "p_runner_up": ("", "probability of the most probable other answer"),
-    "runner_up": ("", "the most probable other answer for one of the records"),
-    "ra_object": ("deg", "right ascension from all records, at epoch_object"),
-    "dec_object": ("deg", "declination from all records, at epoch_object"),
-    "ra_object_error": ("mas", "its standard error, times cos(dec)"),
-    "dec_object_error": ("mas", "its standard error"),
-    "ra_dec_object_corr": ("", "correlation of both errors"),
-    "pmra_object": ("mas / yr", "proper motion east, times cos(dec), from all records"),
-    "pmdec_object": ("mas / yr", "proper motion north, from all records"),
-    "pmra_object_error": ("mas / yr", "its standard error"),
-    "pmdec_object_error": ("mas / yr", "its standard error"),
-    "epoch_object": ("yr", "Julian year of the position"),
-    "chi_sq": ("", "chi squared of the records about the object, by the quoted errors"),
-    "group_id": ("", "group of competing records"),
-    "group_size": ("", "records in the group"),
-}
 
 
 def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
@@ -586,10 +534,8 @@ def joined_many(match: ManyMatch, *, least: int = 1) -> Table:
     missing = number == NO_PARTNER
     for name, values in _object_columns(match, np.where(missing, 0, number)).items():
         unique = name if name not in table.colnames else f"{name}_sameas"
-        unit, description = _OBJECT_COLUMNS[name]
         mask = np.ma.getmaskarray(values) | missing
-        attributes = {"unit": unit or None, "description": description, "meta": meta_of(name)}
-        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **attributes)
+        table[unique] = MaskedColumn(np.ma.getdata(values), mask=mask, **attributes_of(name))
     return table
 
 

@@ -1,4 +1,4 @@
-"""Columns that sameas adds to tables of the sky, with their UCDs, and the types of joins.
+"""Columns that sameas adds to tables of the sky, with their units, descriptions and UCDs, and the types of joins.
 
 UCDs are IVOA's Unified Content Descriptors, version 1+.
 """
@@ -53,3 +53,54 @@ def meta_of(name: str) -> dict[str, Any]:
     ({'ucd': 'stat.probability'}, {})
     """
     return {"ucd": UCDS[name]} if name in UCDS else {}
+
+
+#: Unit and description of the columns of the joined table of two catalogues.
+PAIR_COLUMNS = {
+    "sep_arcsec": ("arcsec", "separation at the common epoch"),
+    "dx_arcsec": ("arcsec", "first minus second, east"),
+    "dy_arcsec": ("arcsec", "first minus second, north"),
+    "mahalanobis": (None, "separation over its quoted error"),
+    "log_odds": (None, "ln odds of the pair before one-to-one"),
+    "p_match": (None, "probability of the pair"),
+    "p_none": (None, "probability that the row has no partner"),
+    "p_second": (None, "probability of the most probable other candidate"),
+    "id_second": (None, "the most probable other candidate"),
+    "match_flag": (None, "1 identified, 2 at least half as probable as the best, 0 other"),
+    "group_id": (None, "group of competing records"),
+    "group_size": (None, "records in the group"),
+    "n_within": (None, "candidates of the row"),
+    "covered": (None, "whether the other catalogue covers the place"),
+    "p_any": (None, "NWAY: probability that the row has a partner"),
+    "p_i": (None, "NWAY: probability of the pair if there is a partner"),
+    "dist_bayesfactor": (None, "log10 of the odds of the pair"),
+}
+#: The same of the table of pairs, of records that are no catalogues, and of several catalogues.
+OTHER_COLUMNS = {
+    **{f"{what}_{side}": (None, f"{what} in the {one} source")
+       for what in ("row", "id") for side, one in ((1, "first"), (2, "second"))},
+    "separation": (None, "length of the residual, in the unit of the features"),
+    "n_catalogues": (None, "number of catalogues that show the object"),
+    "p_object": (None, "probability that exactly these records are one object"),
+    "p_runner_up": (None, "probability of the most probable other answer"),
+    "runner_up": (None, "the most probable other answer for one of the records"),
+    "ra_object": ("deg", "right ascension from all records, at epoch_object"),
+    "dec_object": ("deg", "declination from all records, at epoch_object"),
+    "ra_object_error": ("mas", "its standard error, times cos(dec)"),
+    "dec_object_error": ("mas", "its standard error"),
+    "ra_dec_object_corr": (None, "correlation of both errors"),
+    "pmra_object": ("mas / yr", "proper motion east, times cos(dec), from all records"),
+    "pmdec_object": ("mas / yr", "proper motion north, from all records"),
+    "pmra_object_error": ("mas / yr", "its standard error"),
+    "pmdec_object_error": ("mas / yr", "its standard error"),
+    "epoch_object": ("yr", "Julian year of the position"),
+    "chi_sq": (None, "chi squared of the records about the object, by the quoted errors"),
+}  # fmt: skip
+
+
+def attributes_of(name: str) -> dict[str, Any]:
+    """Unit, description and metadata of a column of a joined table, as of an astropy ``Column``."""
+    feature = name.removeprefix("residual_")
+    known = PAIR_COLUMNS | OTHER_COLUMNS
+    unit, words = known[name] if feature == name else (None, f"first minus second, feature {feature}")
+    return {"unit": unit, "description": words, "meta": meta_of(name)}
