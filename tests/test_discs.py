@@ -118,9 +118,14 @@ def both_queried(rng, area, n, radius, mean, listed=True):
 
 
 @pytest.mark.parametrize("listed", [True, False])
-@pytest.mark.parametrize(("n", "radius", "mean"), [(300, 60.0, 4.0), (200, 15.0, 3.0), (60, 60.0, 60.0)])
+@pytest.mark.parametrize(
+    ("n", "radius", "mean"), [(300, 60.0, 4.0), (200, 15.0, 3.0), (60, 60.0, 60.0), (1000, 60.0, 20.0)]
+)
 def test_of_two_cone_searches_around_the_same_targets_as_many_pairs_are_wrong_as_expected(n, radius, mean, listed):
-    """The sky between the discs counted as a part of the field: five to seven times as many were wrong as expected."""
+    """The sky between the discs counted as a part of the field: five to seven times as many were wrong as expected.
+
+    Of a thousand discs half overlap another one: these were taken for one, and no discs were found.
+    """
     wrong, expected, variance = 0, 0.0, 0.0
     for seed in range(3):
         first, second, of_first, of_second = both_queried(np.random.default_rng(seed), NARROW, n, radius, mean, listed)

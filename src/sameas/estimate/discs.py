@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
@@ -52,8 +52,9 @@ UNEQUAL = 2.5
 #: Least fraction of the pairs that must be of discs with three records of a source or more: with half a neighbour per
 #: target it is a half; couples of companions have none.
 SEVERAL = 0.33
-#: Least fraction of the records that must lie within 1.25 radii of the middle of their disc.
-WITHIN = 0.95
+#: Least fraction of the records that must lie within ``REACH`` radii of the middle of their disc where no discs
+#: overlap, and most divisions of those that do.
+WITHIN, REACH, MOST_DIVISIONS = 0.95, 1.25, 6
 
 
 @in_short
@@ -175,14 +176,18 @@ def _around_neither(
     discs_of_each = [np.count_nonzero(numbers) for numbers in numbers_of_each]
     if most > UNEQUAL * sum(a**2 / b - a for a, b in zip(n.tolist(), discs_of_each, strict=True)):
         return None
-    count = np.bincount(disc)
-    middle = np.column_stack([np.bincount(disc, axis) for axis in points.T]) / count[:, None]
-    # Discs that overlap have a larger extent, and sparse ones around unlisted targets a smaller one.
-    widest = nine_tenths / float(np.interp(n.sum() / most, *AROUND_TARGETS))
-    radius = min(_half_extent(points, disc, 2.6 * rough), widest)
-    inside = np.linalg.norm(points - middle[disc], axis=1) <= 1.25 * radius
+    limit = REACH * nine_tenths / float(np.interp(n.sum() / most, *AROUND_TARGETS))
+    inside = float(np.mean(np.linalg.norm(points - _middles(points, disc)[disc], axis=1) <= limit))
+    if inside < WITHIN - FULL:
+        return None
+    disc = _divided(points, disc, limit)
+    middle = _middles(points, disc)
+    # Of discs that overlap by chance, those whose middles are about half a radius apart stay together.
+    together = 0.25 * len(middle) * math.pi * (rough * ARCSEC_PER_RADIAN) ** 2 / region
+    radius = _half_extent(points, disc, 2.6 * rough, 0.98 - min(together, 0.1))
     area = _areas(middle / np.linalg.norm(middle, axis=1)[:, None], radius)
-    if inside.mean() < WITHIN or area.sum() > FULL * region:
+    # Discs overlap by chance as often as they fill the region.
+    if inside < WITHIN - area.sum() / region or area.sum() > FULL * region:
         return None
     return radius * ARCSEC_PER_RADIAN, disc, area
 
@@ -206,15 +211,52 @@ def _gathered(points: FloatArray, width: float) -> IntArray | None:
     return np.asarray(connected_components(coo_array((np.ones(len(i)), (i, j)), (n, n)), False)[1], np.int64)
 
 
-def _half_extent(points: FloatArray, group: IntArray, most: float) -> float:
-    """Half of the largest distance in groups of points, up to ``most``; without the widest 2 % of the groups."""
+def _middles(points: FloatArray, group: IntArray) -> FloatArray:
+    """(g, 3) mean of the points of each group."""
+    total = np.column_stack([np.bincount(group, axis) for axis in points.T])
+    return np.asarray(total / np.bincount(group)[:, None])
+
+
+def _divided(points: FloatArray, group: IntArray, reach: float) -> IntArray:
+    """(n,) groups of points, of which those that reach farther from their middle are divided in two, again and again.
+
+    Discs that overlap are gathered into one group.
+    """
+    for _ in range(MOST_DIVISIONS):
+        off = points - _middles(points, group)[group]
+        farthest = np.zeros(int(group.max()) + 1)
+        np.maximum.at(farthest, group, np.linalg.norm(off, axis=1))
+        wide = np.flatnonzero(farthest > reach)
+        if not len(wide):
+            break
+        order = np.argsort(group, kind="stable")
+        start = np.searchsorted(group[order], np.arange(len(farthest) + 1))
+        group = group.copy()
+        for number, k in enumerate(wide.tolist(), start=len(farthest)):
+            rows = order[start[k] : start[k + 1]]
+            group[rows[_in_two(off[rows])]] = number
+    return group
+
+
+def _in_two(points: FloatArray) -> BoolArray:
+    """(n,) which points belong to the second of two clusters (2-means, from both sides of the longest axis)."""
+    second = points @ np.linalg.svd(points, full_matrices=False)[2][0] > 0.0
+    for _ in range(MOST_DIVISIONS):
+        middles = points[~second].mean(axis=0), points[second].mean(axis=0)
+        to_first, to_second = (np.linalg.norm(points - middle, axis=1) for middle in middles)
+        second = to_second < to_first
+    return np.asarray(second)
+
+
+def _half_extent(points: FloatArray, group: IntArray, most: float, share: float) -> float:
+    """Half of the largest distance in groups of points, up to ``most``: its ``share`` quantile over the groups."""
     from scipy.spatial import cKDTree
 
     pairs = cKDTree(points).sparse_distance_matrix(cKDTree(points), most, output_type="ndarray")
     pairs = pairs[group[pairs["i"]] == group[pairs["j"]]]
     extent = np.zeros(int(group.max()) + 1)
     np.maximum.at(extent, group[pairs["i"]], pairs["v"])
-    return 0.5 * float(np.quantile(extent[extent > 0], 0.98))
+    return 0.5 * float(np.quantile(extent[extent > 0], share))
 
 
 def _nearest(centres: FloatArray, others: FloatArray) -> tuple[FloatArray, IntArray]:
