@@ -1,4 +1,4 @@
-"""The joined table: rows of each join and contents of the added columns."""
+"""The joined table: rows of each join, contents and UCDs of the added columns."""
 
 from __future__ import annotations
 
@@ -6,14 +6,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from astropy.io.votable.ucd import check_ucd
 from astropy.table import Table
 
+import sameas
 from sameas.errors import InputError
 from sameas.front.match import Match
+from sameas.io import read_table, write_table
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.crossmatch import CrossmatchTuning, MatchOptions, match
 from sameas.sky.joins import joined
-from sameas.sky.output_columns import JOINS
+from sameas.sky.output_columns import JOINS, UCDS
 
 ARCSEC = 1.0 / 3600.0
 
@@ -210,3 +213,36 @@ def test_columns_that_are_no_plain_arrays_are_written_whole(kind, tmp_path, monk
     write_table(joins.JoinedTable(found), tmp_path / "out.parquet", provenance={})
     expected = ["a", "b"] if kind == "objects" else list(table["note"][3:].isot)
     assert list(read_table(tmp_path / "out.parquet")["note_1"][3:]) == expected
+
+
+@pytest.mark.parametrize("name", UCDS)
+def test_ucds_are_in_the_ivoa_vocabulary(name: str) -> None:
+    assert check_ucd(UCDS[name], check_controlled_vocabulary=True, has_colon=False), UCDS[name]
+
+
+@pytest.fixture(scope="module")
+def identified():
+    rng = np.random.default_rng(3)
+    ra, dec = 80.0 + 0.1 * rng.random(60), 10.0 + 0.1 * rng.random(60)
+    one, two = (
+        Table({"id": np.arange(60), "ra": ra + 3e-5 * rng.normal(size=60), "dec": dec + 3e-5 * rng.normal(size=60)})
+        for _ in range(2)
+    )
+    return sameas.match(one, two, sigma=0.1, sigma_unit="arcsec")
+
+
+def test_every_added_column_has_a_ucd(identified) -> None:
+    own = {"id", "ra", "dec"}
+    for table in (identified.table, identified.pairs):
+        for name in table.colnames:
+            if name.rsplit("_", 1)[0] not in own:
+                assert table[name].meta.get("ucd"), name
+
+
+@pytest.mark.parametrize("ending", ["fits", "vot", "ecsv", "parquet"])
+def test_files_keep_ucds(identified, tmp_path, ending: str) -> None:
+    path = tmp_path / f"out.{ending}"
+    identified.write(path)
+    assert read_table(path)["p_match"].meta["ucd"] == "stat.probability"
+    write_table(read_table(path), tmp_path / f"again.{ending}", provenance={})
+    assert read_table(tmp_path / f"again.{ending}")["sep_arcsec"].meta["ucd"] == "pos.angDistance"

@@ -1,9 +1,19 @@
-"""Sensor files are paired with their descriptions; missing descriptions are inferred from the file."""
+"""Sensor files: formats are recognised from content; descriptions are paired with files, or inferred from them."""
 
+import gzip
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
 import pytest
 
 from sameas.errors import InputError
-from sameas.io.sensors.sources import read_source_options, read_sources
+from sameas.io.sensors import REPORT_FORMATS, ReadOptions, read_reports
+from sameas.io.sensors.clock import at_second, forward_filled, instant, unwrapped
+from sameas.io.sensors.format import SensorFile
+from sameas.io.sensors.sources import format_of, read_source_options, read_sources
 
 PLOTS = "time,range_km,bearing\n2024-05-01T12:00:00Z,5.2,40\n2024-05-01T12:00:03Z,5.1,41\n"
 FIXES = "time,lat,lon,sog,mmsi\n2024-05-01T12:00:00Z,50.1,-1.2,10,235070762\n"
@@ -121,3 +131,110 @@ def test_a_description_that_does_not_fit_its_file_is_an_error_where_others_can_b
     )
     with pytest.raises(InputError, match=r"radar: .*(among: time, d, bearing|did you mean range_m|unit 'furlong')"):
         read_sources([tmp_path / "ais.csv"], read_source_options(tmp_path / "sensors.toml"), set_aside=[])
+
+
+DATA = Path(__file__).parent / "data"
+ORACLE = json.loads((DATA / "asterix_oracle.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("found", "name"),
+    [
+        (b"# log\n!AIVDM,1,1,,B,15M67FC000G?ufbE`FepT@3n00Sa,0*5C\n", "nmea"),
+        (b"1452603731 $RATTM,01,1,1,T,1,1,T,,,N,,T,,,A*00\n", "nmea"),
+        (b'{ "now" : 1.0, "aircraft" : [] }', "aircraft"),
+        (b"MSG,3,1,1,4CA7A8,1,2024/05/01,12:00:00,2024/05/01,12:00:00,,,,,,,,,,,,\n", "sbs"),
+        (b"*8D40621D58C386435CC412692AD6;\n", "mode-s"),
+        (b"1457996400.0,8D40621D58C386435CC412692AD6\n", "mode-s"),
+        (b"time,lat,lon\n1,2,3\n", "table"),
+        (b'{"time": 1, "lat": 2, "lon": 3}\n', "table"),
+        (b"PAR1....", "table"),
+        (bytes.fromhex(ORACLE["records"][0]["block"]), "asterix"),
+        (b"\xd4\xc3\xb2\xa1" + bytes(20), "asterix"),
+    ],
+)
+def test_the_format_is_recognised_from_the_content(found, name):
+    file = SensorFile(Path("file"), found, "file", ReadOptions())
+    assert name in REPORT_FORMATS and format_of(file).name == name
+
+
+def test_gzipped_files_are_read(tmp_path):
+    (tmp_path / "log.gz").write_bytes(gzip.compress((DATA / "ais_sample.nmea").read_bytes()))
+    [packed], [plain] = read_reports(tmp_path / "log.gz"), read_reports(DATA / "ais_sample.nmea")
+    np.testing.assert_array_equal(packed.lat_deg, plain.lat_deg)
+    (tmp_path / "cut.gz").write_bytes((tmp_path / "log.gz").read_bytes()[:-20])
+    with pytest.raises(InputError, match=r"cut.gz: is cut off in the middle; copy it again"):
+        read_reports(tmp_path / "cut.gz")
+
+
+def test_the_start_is_a_date_or_an_instant(tmp_path):
+    (tmp_path / "radar.ast").write_bytes(bytes.fromhex(ORACLE["records"][0]["block"]))
+    for start in ("2024-05-01", "2024-05-01T23:59:58Z", 1714521600.0):
+        [made] = read_reports(tmp_path / "radar.ast", ReadOptions(start=start, source="radar"))
+        assert (made.source, made.time_s[0]) == ("radar", 1714521600.0 + 86399.5)
+    with pytest.raises(InputError, match="start='yesterday' is not an instant; give a date"):
+        read_reports(tmp_path / "radar.ast", ReadOptions(start="yesterday"))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(40), "is binary, but neither ASTERIX, pcap nor Parquet"),
+        (
+            b"$GPZDA,130211.00,12,01,2016,00,00*61\n",
+            "no AIS .VDM. and no radar targets .TTM, TLL. among its sentences: ZDA",
+        ),
+        (b"hello\n", "no format of sensors fits; as a table, its line 1 does not name columns"),
+    ],
+)
+def test_unreadable_files_are_reported(tmp_path, content, words):
+    (tmp_path / "file").write_bytes(content)
+    with pytest.raises(InputError, match=f"file: {words}"):
+        read_reports(tmp_path / "file")
+
+
+def test_wrong_paths_and_formats_are_reported(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        read_reports(tmp_path / "none.csv")
+    with pytest.raises(InputError, match="is a directory"):
+        read_reports(tmp_path)
+    (tmp_path / "a.csv").write_text("time,lat,lon\n1,2,3\n")
+    with pytest.raises(InputError, match="unknown format 'cvs'; give one of table, nmea"):
+        read_reports(tmp_path / "a.csv", ReadOptions(format="cvs"))
+
+
+def test_a_summary_lists_rows_read_damage_and_assumptions():
+    [made] = read_reports(DATA / "ais_sample.nmea", ReadOptions(source="coast"))
+    summary = made.summary()
+    assert summary[0] == "coast: 11 reports (ais, geodetic positions)"
+    assert "1 line damaged: wrong checksum (line 19)" in summary and "1 skipped: AIS message of type 4" in summary
+    assert any("assumed 5 m per axis" in line for line in summary)
+
+
+def test_wrapping_counters_are_unwrapped_and_gaps_kept():
+    values = np.array([50.0, np.nan, 10.0, 55.0, 20.0])
+    np.testing.assert_array_equal(unwrapped(values, 60.0), [50.0, np.nan, 70.0, 55.0, 80.0])
+    np.testing.assert_array_equal(unwrapped([np.nan], 60.0), [np.nan])
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.uniform(0.0, 29.0, 500))
+    np.testing.assert_allclose(unwrapped(times % 60.0, 60.0), times - 60.0 * (times[0] // 60.0))
+
+
+def test_missing_values_are_filled_forward():
+    assert forward_filled(np.array([np.nan, 2.0, np.nan, 5.0])).tolist() == [2.0, 2.0, 2.0, 5.0]
+    assert np.isnan(forward_filled(np.array([np.nan]))).all()
+    assert at_second(np.array([100.0]), np.array([np.nan]))[0] == 100.0
+
+
+def test_invalid_times_are_missing():
+    assert instant("radar") is None and instant("") is None and instant("2024-13-45") is None
+
+
+@pytest.mark.slow
+def test_no_decoder_is_loaded_before_a_file_needs_it():
+    program = "import sys, sameas.io.sensors; print(*sorted({name.split('.')[0] for name in sys.modules}))"
+    loaded = set(
+        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    )
+    assert "numpy" in loaded and not loaded & {"pyais", "rs1090", "pymap3d", "pyarrow", "astropy", "scipy", "numba"}
