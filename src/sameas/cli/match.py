@@ -266,30 +266,22 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     """Match, print, write."""
     large = request.n_bytes >= READ_AHEAD_BYTES
     if large:
-        from sameas.io import parquet
-
-        # Decoded while the modules below are imported.
-        for path in map(Path, request.paths):
-            if path.name.lower().endswith(parquet.FORMAT.extensions):
-                parquet.read_ahead(path)
-        request.begin_checksums()
+        _read_ahead(request)
     from concurrent.futures import ThreadPoolExecutor
 
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.match import identified
-    from sameas.report.match import blends_lines
 
     if joining.pictures is not None:
         from sameas.plots.sheet import required
 
         required()
-    blends_outputs = replace(outputs, path=outputs.path.with_stem(f"{outputs.path.stem}-blends"))
     if joining.blends is not None:
         if not 0.0 < joining.blends < math.inf:
             raise InputError(
                 f"--blends {joining.blends:g}: give the resolution of the first catalogue in arcsec, above 0"
             )
-        blends_outputs.check(request.paths)
+        _of_blends(outputs).check(request.paths)
     outputs.check(request.paths)
     began = time.perf_counter()
     printer = Printer(quiet)
@@ -308,15 +300,7 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
         with ThreadPoolExecutor(1) as side:
             report = side.submit(_report, match, joining)
             try:
-                table = match.joined_table()
-                pace(f"writing {outputs.path}")
-                facts = match.facts(outputs.command, in_options)
-                written = [outputs.write(table, facts, joining.join)]
-                if joining.blends is not None:
-                    pace("blends")
-                    blended, output = match.blends(joining.blends), written
-                    written = [*blends_lines(blended, joining.blends), "", *output]
-                    written.append(blends_outputs.write(blended, facts, "blends"))
+                written = _written(match, joining, outputs, pace)
             finally:
                 lines = report.result()
                 pace.pause()
@@ -325,6 +309,37 @@ def run(request: Request[MatchOptions], joining: Joining, outputs: Outputs, quie
     if joining.pictures is not None:
         printer([f"Pictures: {joining.pictures}/: {', '.join(drawn(match.sky, joining.pictures))}"])
     printer([f"Time: {time.perf_counter() - began:.1f} s; peak memory: {_peak_memory()}"])
+
+
+def _read_ahead(request: Request[MatchOptions]) -> None:
+    """Decode Parquet files and compute checksums in threads, while modules are imported."""
+    from sameas.io import parquet
+
+    for path in map(Path, request.paths):
+        if path.name.lower().endswith(parquet.FORMAT.extensions):
+            parquet.read_ahead(path)
+    request.begin_checksums()
+
+
+def _of_blends(outputs: Outputs) -> Outputs:
+    """The output next to the joined table that lists the blends."""
+    return replace(outputs, path=outputs.path.with_stem(f"{outputs.path.stem}-blends"))
+
+
+def _written(match: Match, joining: Joining, outputs: Outputs, pace: Pace) -> list[str]:
+    """Write the joined table, and the blends if wanted; returns the lines that report them."""
+    from sameas.report.match import blends_lines
+
+    table = match.joined_table()
+    pace(f"writing {outputs.path}")
+    facts = match.facts(outputs.command, in_options)
+    written = [outputs.write(table, facts, joining.join)]
+    if joining.blends is None:
+        return written
+    pace("blends")
+    blended = match.blends(joining.blends)
+    lines = [*blends_lines(blended, joining.blends), "", *written]
+    return [*lines, _of_blends(outputs).write(blended, facts, "blends")]
 
 
 def _report(match: Match, joining: Joining) -> list[str]:

@@ -35,6 +35,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, Column, ColumnChoice, PositionError, in_years
 from sameas.sky.column_values import to_icrs
 from sameas.sky.frame.tangent import directions_deg
+from sameas.sky.motion import Astrometry
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 
 
@@ -466,20 +467,13 @@ def epoch_doubt(
         return "", False
     questioned, other = (first, second) if side == 1 else (second, first)
     moved = questioned if questioned.has_motion else other
-    records, index = (answer.first, answer.pairs.i) if moved is first else (answer.second, answer.pairs.j)
-    use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
-    use = use[:: -(-len(use) // tuning.max_pairs) or 1]
-    astrometry = moved.astrometry[records.rows[index[use]]]
-    motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
     # Residuals are first minus second. A catalogue moved from a later epoch than assumed was moved too far; one moved
     # to an earlier epoch than it should, not far enough.
     sign = (1.0 if moved is first else -1.0) * (1.0 if moved is questioned else -1.0)
-    residual, precision = answer.pairs.residual[use], inverse(answer.pairs.covariance_of(use)) / scale**2
-    usable = np.einsum("mv,mvw,mw->m", residual, precision, residual) < tuning.largest_sigmas**2
-    used = usable & np.isfinite(motion).all(axis=1)
-    if np.count_nonzero(used) < tuning.fewest:
+    astrometry, motion, residual, precision = _moved_pairs(moved, 1 if moved is first else 2, answer, scale, tuning)
+    if len(motion) < tuning.fewest:
         return "", False
-    motion, residual, precision = sign * motion[used], residual[used], precision[used]
+    motion = sign * motion
     design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
     solution, covariance, gain = _least_squares(design, residual, precision)
     years, error = float(solution[0]), math.sqrt(float(covariance[0, 0]))
@@ -492,7 +486,6 @@ def epoch_doubt(
     assumed_jyr = questioned.epoch_jyr
     assert assumed_jyr is not None
     text = f"residuals follow the proper motions of {moved.name}, "
-    astrometry = astrometry[used]
     displaced = sign * (epoch_jyr - astrometry.epoch_jyr)[:, None] * motion
     moved_residuals = _MovedResiduals(displaced, residual if moved is first else -residual, precision)
     possible = tuning.epochs_jyr[0] <= assumed_jyr + years <= tuning.epochs_jyr[1]
@@ -514,6 +507,22 @@ def epoch_doubt(
         f"{assumed_jyr + years:.{decimals}f} ± {error:.{decimals}f}, not {in_years(assumed_jyr)}: "
     )
     return Message(text, naming(f"give {{epoch{side}:YEAR}}")), explains
+
+
+def _moved_pairs(
+    moved: Catalogue, side: int, answer: Identification, scale: float, tuning: EpochTuning
+) -> tuple[Astrometry, FloatArray, FloatArray, FloatArray]:
+    """Some sure pairs with a known proper motion (m): astrometry of the moved catalogue, which is 1 or 2, its motion
+    (m, 2) in arcsec/yr, the residuals (m, 2), and their precisions (m, 2, 2) by errors scaled by ``scale``."""
+    records, index = (answer.first, answer.pairs.i) if side == 1 else (answer.second, answer.pairs.j)
+    use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
+    use = use[:: -(-len(use) // tuning.max_pairs) or 1]
+    astrometry = moved.astrometry[records.rows[index[use]]]
+    motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
+    residual, precision = answer.pairs.residual[use], inverse(answer.pairs.covariance_of(use)) / scale**2
+    near = np.einsum("mv,mvw,mw->m", residual, precision, residual) < tuning.largest_sigmas**2
+    used = near & np.isfinite(motion).all(axis=1)
+    return astrometry[used], motion[used], residual[used], precision[used]
 
 
 @dataclass(frozen=True)

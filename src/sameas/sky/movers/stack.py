@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +38,7 @@ from sameas.sky.frame.centroid import FWHM_PER_SIGMA
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.movers.search import Movers
-from sameas.sky.series import Series, Trails
+from sameas.sky.series import Exposure, Series, Trails
 
 
 @dataclass(frozen=True)
@@ -418,6 +419,31 @@ class _Trail:
         along, across = off @ unit, off @ np.array([-unit[1], unit[0]])
         return np.asarray((np.abs(across) < 1.2 * width) & (np.abs(along) < 0.5 * self.length + beyond * width))
 
+    def fainter_than(self, flux: float) -> float:
+        """Its magnitude minus that of a flux; NaN of none."""
+        return -2.5 * math.log10(self.flux / flux) if flux > 0 else math.nan
+
+    def measured_on(self, exposure: Exposure, row: int) -> Exposure:
+        """The exposure with this trail in place of a measurement."""
+
+        def put(column: NDArray[Any], value: Any) -> NDArray[Any]:
+            column = np.array(column)
+            column[row] = value
+            return column
+
+        scale, spread = exposure.scale_arcsec_per_px, self.covariance[:2, :2]
+        of_plate = (exposure.covariance[row] - scale**2 * exposure.covariance_px[row])[[0, 2]]
+        plate = max(0.5 * float(of_plate.sum()), 0.0)
+        sky = (plate + 0.5 * scale**2 * float(np.trace(spread))) * np.array([1.0, 0.0, 1.0])
+        return replace(
+            exposure, x_px=put(exposure.x_px, self.middle[0]), y_px=put(exposure.y_px, self.middle[1]),
+            covariance_px=put(exposure.covariance_px, spread[[0, 0, 1], [0, 1, 1]]),
+            covariance=put(exposure.covariance, sky), flux=put(exposure.flux, self.flux),
+            flux_err=put(exposure.flux_err, self.flux_err),
+            flags=put(exposure.flags, (exposure.flags[row] | int(Flag.TRAILED)) & ~int(Flag.POOR)),
+            magnitude=put(exposure.magnitude, exposure.magnitude[row] + self.fainter_than(exposure.flux[row])),
+        )  # fmt: skip
+
 
 def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = TRAIL_TUNING) -> Series:
     """The series with unexplained measurements remeasured as trails where these fit better.
@@ -440,9 +466,6 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         width = max(one.psf_fwhm_px, 1.5)
         pixels = _Pixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
         to_sky = ChipMap(at, series.place[rows])
-        x, y, cov = one.x_px.copy(), one.y_px.copy(), one.covariance_px.copy()
-        sky, flux, flux_err = one.covariance.copy(), one.flux.copy(), one.flux_err.copy()
-        marks, bright = np.asarray(one.flags).copy(), one.magnitude.copy()
         done, measured, known = np.zeros(len(rows), bool), np.zeros(len(rows), bool), list[_Trail]()
         candidates = np.flatnonzero(tried)
         for k, start in pixels.candidates(at[candidates]):
@@ -467,26 +490,15 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
             vector[row] = ends[0] - ends[1]
             scale = one.scale_arcsec_per_px
             error[row] = 2.0 * scale * math.sqrt(0.5 * np.trace(trail.covariance[2:, 2:]))
-            spread = trail.covariance[:2, :2]
-            sigma[row] = math.hypot(scale * math.sqrt(0.5 * np.trace(spread)), series.floor_arcsec[n])
-            plate = max(0.5 * float((sky[own] - scale**2 * cov[own])[[0, 2]].sum()), 0.0)
-            sky[own] = (plate + 0.5 * scale**2 * float(np.trace(spread))) * np.array([1.0, 0.0, 1.0])
-            fainter = -2.5 * math.log10(trail.flux / flux[own]) if flux[own] > 0 else math.nan
-            x[own], y[own] = trail.middle
-            cov[own] = spread[[0, 0, 1], [0, 1, 1]]
-            flux[own], flux_err[own] = trail.flux, trail.flux_err
-            magnitude[row] += fainter
-            bright[own] += fainter
-            marks[own] = (marks[own] | int(Flag.TRAILED)) & ~int(Flag.POOR)
+            sigma[row] = math.hypot(scale * math.sqrt(0.5 * np.trace(trail.covariance[:2, :2])), series.floor_arcsec[n])
+            magnitude[row] += trail.fainter_than(one.flux[own])
+            one = trail.measured_on(one, own)
         for line in _long_lines(known, width, 1.8 * tuning.max_px):
-            parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(
-                np.column_stack([x, y])[series.row[rows]], width, math.inf))  # fmt: skip
+            now_at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
+            parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(now_at, width, math.inf))
             unreliable[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
             long += 1
-        exposures[n] = replace(
-            one, x_px=x, y_px=y, covariance_px=cov, covariance=sky, flux=flux, flux_err=flux_err, flags=marks,
-            magnitude=bright,
-        )  # fmt: skip
+        exposures[n] = one
     note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
     return replace(
         series, place=place, sigma_arcsec=sigma, unreliable=unreliable, magnitude=magnitude, exposures=tuple(exposures),
