@@ -8,10 +8,13 @@ from scipy.stats import multivariate_normal
 from sameas.many.observations import records_of
 from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density
 from sameas.picture.picture import Picture, picture_states
-from sameas.picture.scan import Scan
+from sameas.picture.scan import RANGE_BANDS, Scan
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.picture.watch import Watch
+from sameas.tracks.coordinates import LocalPlane
+from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
+from sameas.tracks.source import Description, Site
 
 FACTORS = np.array(DEFAULT_TUNING.error_factors)
 
@@ -41,10 +44,9 @@ def after_pairs(rng, true, n, stated_m, weight=1.0):
             later, first = (np.broadcast_to(stated_m[k] ** 2 * np.eye(2), (n, 2, 2)) for k in (t, s))
             spread = np.hypot(true[s] * stated_m[s], true[t] * stated_m[t])
             # Sources in either order.
-            factors = factors.with_sure_pairs(
-                (np.full(n, t), np.full(n, s)), spread * rng.standard_normal((n, 2)), (later, first),
-                np.zeros((n, 2, 2)), np.full(n, weight),
-            )  # fmt: skip
+            parts = np.full(n, t * RANGE_BANDS), np.full(n, s * RANGE_BANDS)
+            delta = spread * rng.standard_normal((n, 2))
+            factors = factors.with_sure_pairs(parts, delta, (later, first), np.zeros((n, 2, 2)), np.full(n, weight))
     return factors
 
 
@@ -76,7 +78,7 @@ def test_records_and_scan_have_the_same_larger_errors_and_velocities_keep_theirs
     x, v = straight([[0.0, 0.0], [900.0, 0.0]], [[4.0, 0.0], [0.0, 3.0]], times)
     scene = Scene.of([feed(rng, describe("radar", "tracks", 20.0), times, x, v, 0.0, ["1", "2"])])
     before = Scan.of(scene.at(35.0))
-    after = ErrorFactors(("radar",), factor=np.array([2.0]), sigma=np.array([0.1])).applied(before)
+    after = ErrorFactors(("radar",), by_range=np.full((1, RANGE_BANDS), 2.0)).applied(before)
     assert after.reported_covariance[:, :2, :2] == pytest.approx(4.0 * before.reported_covariance[:, :2, :2])
     assert after.reported_covariance[:, 2:, 2:] == pytest.approx(before.reported_covariance[:, 2:, 2:])
     grown = after.covariance - before.covariance
@@ -141,3 +143,54 @@ def test_a_picture_reports_whose_errors_are_wrongly_stated():
         scene, times = crowd(1, stated)
         errors = Picture.of(scene, times).summary.errors
         assert [line.partition(":")[0] for line in errors] == due
+
+
+def map_error(seed, ships=300, seconds=330):
+    """Ships with AIS, whose positions are 0.2 % too far east or west, and a radar without velocities in their middle.
+
+    The error persists and grows to 40 m at 20 km; both sources state much larger errors than they have otherwise.
+    """
+    rng = np.random.default_rng(seed)
+    times = np.arange(0.0, seconds + 1.0, 1.0)
+    start, v = rng.uniform(-15e3, 15e3, (ships, 2)), rng.uniform(-6.0, 6.0, (ships, 2))
+    plane = LocalPlane(50.0, -1.0)
+    radar, ais = [], []
+    for time_s in times:
+        position = start + time_s * v
+        shown = np.flatnonzero(rng.random(ships) < 0.92) if time_s % 3.0 == 0.0 else np.empty(0, np.int64)
+        range_m = np.hypot(*position[shown].T) + 15.0 * rng.standard_normal(len(shown))
+        bearing = np.degrees(np.arctan2(*position[shown].T)) + 0.2 * rng.standard_normal(len(shown))
+        radar += zip(np.full(len(shown), time_s), range_m, bearing % 360.0, shown, strict=True)
+        sent = np.flatnonzero((time_s + np.arange(ships)) % 10.0 == 0.0)
+        place = position[sent] * [1.002, 1.0] + 5.0 * rng.standard_normal((len(sent), 2))
+        ais += zip(np.full(len(sent), time_s), *plane.to_geodetic(place), *v[sent].T, sent, strict=True)
+    time_s, range_m, bearing, number = np.array(radar).T
+    names = np.array([str(int(k)) for k in number], object)
+    columns = {"time_s": time_s, "range_m": range_m, "bearing_deg": bearing, "track_id": names}
+    plots = Reports.of("radar", "table", columns)
+    time_s, lat, lon, east, north, number = np.array(ais).T
+    names = np.array([f"{235_000_000 + int(k)}" for k in number], object)
+    columns = {"time_s": time_s, "lat_deg": lat, "lon_deg": lon, "speed_m_per_s": np.hypot(east, north),
+               "course_deg": np.degrees(np.arctan2(east, north)) % 360.0, "mmsi": names}  # fmt: skip
+    site = Description("radar", "marine radar", site=Site(50.0, -1.0))
+    return Scene.of([(site, plots), (Description("ais", "ais"), Reports.of("ais", "ais", columns))], plane)
+
+
+def test_errors_that_persist_and_grow_with_range_do_not_split_ships():
+    *_, state = picture_states(map_error(1), np.arange(16.0, 331.0, 8.0), Watch())
+    joint = state.members[(state.members >= 0).all(axis=1)]
+    names = state.scan.track[joint]
+    right = sum(int(mmsi) - 235_000_000 == int(track) for track, mmsi in names.tolist())
+    assert right >= 290
+    assert isinstance(state.watch, Watch)
+    by_range = state.watch.memory.error_factors.by_range[0]
+    assert by_range[1] > 1.1 * by_range[3]
+
+
+def test_velocities_from_positions_have_the_factor_of_positions():
+    scene = map_error(2, ships=4, seconds=30)
+    before = Scan.of(scene.at(30.0))
+    after = ErrorFactors(("radar",), by_range=np.full((1, RANGE_BANDS), 0.5)).applied(before)
+    radar = before.source == 0
+    assert after.reported_covariance[radar] == pytest.approx(0.25 * before.reported_covariance[radar])
+    assert after.reported_covariance[~radar] == pytest.approx(before.reported_covariance[~radar])

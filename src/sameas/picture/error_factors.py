@@ -19,6 +19,11 @@ motion's share κ is unknown as well; whether it applies to the errors of measur
 Residuals count against small factors and not in favour of them: with a log-normal prior alone the mean of the factors
 that they allow would be 1.2 to 1.4 where 1 is true, and a source more precise than others has no other evidence.
 
+The errors of a sensor rarely grow with distance as described. One factor, mostly of near objects, would make far ones
+impossible partners. So each octave of distance from the sensor (:attr:`sameas.picture.scan.Scan.range_band`) has its
+own factor f_b, with prior p(f_b | f) = ½ δ(f_b − f) + ½ log-normal about f, where f has the posterior above; its
+evidence are the differences and residuals of that octave alone, given the factors of the other sources' octaves.
+
 A source's offset, which its reports have in common, is not included; see :mod:`sameas.tracks.registration`.
 
 Source: mean-field approximation as in Bishop, Pattern Recognition and Machine Learning, section 10.1.
@@ -40,7 +45,11 @@ bias. It is one vector z ~ N(0, 1) for all reports of a track, e = √s L z + f;
 is s + (1 − s) exp(−Δt/τ). A single track cannot separate a constant error from its position, so s is estimated from
 pairs of tracks that are surely one object, by their differences δ and δ′ some time apart:
 
-    δ′ ~ N(M δ, S − M S Mᵀ),   M = C S⁻¹,   S = P_a + P_b,   C = Σ_{a,b} [s + (1 − s) exp(−Δt/τ)] R.
+    δ′ ~ N(M δ, S − M S Mᵀ),   M = C S⁻¹,   S = P_a + P_b,   C = Σ_{a,b} [s + (1 − s) g exp(−Δt/τ)] R.
+
+g is the share of f that the reports between keep of the motion alone (:mod:`sameas.picture.named_tracks`, G at ρ = 1):
+a filter of plots forgets its error in some reports. Without g, constant errors of filtered tracks would count as a long
+τ, and the pairs, whose f decays by g as well, would see the same error as new evidence at each report.
 
 Source: autocorrelated errors of tracks as in Bar-Shalom, Li and Kirubarajan 2001, section 8.
 """
@@ -57,7 +66,7 @@ from scipy.special import log_softmax, logsumexp
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_density, mahalanobis_sq
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
-from sameas.picture.scan import Scan
+from sameas.picture.scan import RANGE_BANDS, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ordered_by
 from sameas.tracks.alignment import moved
@@ -135,9 +144,12 @@ class ErrorCorrelation:
         mean = np.einsum("nst,s->n", self._weights, np.array(tuning.lasting_shares))
         return np.where(np.isfinite(self._fixed_s), 0.0, mean)[source]
 
-    def correlation(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
-        """(n,) mean correlation s + (1 − s) exp(−Δt/τ) of two reports of tracks of the sources, ``elapsed_s`` apart."""
-        return self.lasting(source, tuning) + self.decaying(source, elapsed_s, tuning)
+    def correlation(
+        self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING, kept: float | FloatArray = 1.0
+    ) -> FloatArray:
+        """(n,) mean correlation s + (1 − s) g exp(−Δt/τ) of two reports of tracks of the sources, ``elapsed_s`` apart;
+        kept : (n,) g."""
+        return self.lasting(source, tuning) + kept * self.decaying(source, elapsed_s, tuning)
 
     def decaying(self, source: IntArray, elapsed_s: FloatArray, tuning: Tuning = DEFAULT_TUNING) -> FloatArray:
         """(n,) the part of the correlation that decays, mean (1 − s) exp(−Δt/τ)."""
@@ -195,7 +207,7 @@ class ErrorCorrelation:
         total, common = errors[0][steady], (errors[1] + errors[1].transpose(0, 2, 1))[steady]
         log_p = np.empty((len(source), len(CORRELATIONS)))
         correlated_shifts(shift, total, common, motion, CORRELATIONS, np.array(tuning.motion_shares), MIN_M2, log_p)
-        return self._with_evidence(source, elapsed_s, log_p, tuning)
+        return self._with_evidence(source, elapsed_s, log_p, np.ones(len(log_p)), tuning)
 
     def with_sure_pairs(
         self,
@@ -204,6 +216,7 @@ class ErrorCorrelation:
         differences: tuple[FloatArray, FloatArray],
         reported: tuple[FloatArray, FloatArray],
         total: FloatArray,
+        kept: FloatArray,
         tuning: Tuning = DEFAULT_TUNING,
     ) -> ErrorCorrelation:
         """The estimate after comparing the differences of sure pairs with earlier ones of the same pairs.
@@ -211,37 +224,39 @@ class ErrorCorrelation:
         Parameters
         ----------
         sources : of both tracks, (n,) each. elapsed_s : (n,) Δt. differences : δ and δ′, (n, 2) each.
-        reported : R of both, (n, 2, 2) each. total : (n, 2, 2) S.
+        reported : R of both, (n, 2, 2) each. total : (n, 2, 2) S. kept : (n, 2) g of both.
         """
         if not len(elapsed_s):
             return self
         out, precision = self, inverse(total)
-        mean_rho = [self.correlation(source, elapsed_s, tuning)[:, None, None] for source in sources]
+        mean_rho = [
+            self.correlation(source, elapsed_s, tuning, kept[:, side])[:, None, None]
+            for side, source in enumerate(sources)
+        ]
         for own, other in ((0, 1), (1, 0)):
             # (c, n, 2, 2): each possible correlation of one source, the present mean of the other.
             common = CORRELATIONS[:, None, None, None] * reported[own] + mean_rho[other] * reported[other]
             slope = common @ precision
             innovation = differences[1] - np.einsum("cnvw,nw->cnv", slope, differences[0])
             log_p = log_density(innovation, total - slope @ common.swapaxes(2, 3) + MIN_M2 * np.eye(2)).T
-            out = out._with_evidence(sources[own], elapsed_s, log_p, tuning)
+            out = out._with_evidence(sources[own], elapsed_s, log_p, kept[:, own], tuning)
         return out
 
     def _with_evidence(
-        self, source: IntArray, elapsed_s: FloatArray, log_p: FloatArray, tuning: Tuning
+        self, source: IntArray, elapsed_s: FloatArray, log_p: FloatArray, kept: FloatArray, tuning: Tuning
     ) -> ErrorCorrelation:
-        """The estimate after n independent observations; log_p : (n, k) their ln p for each of
-        :data:`CORRELATIONS`."""
+        """The estimate after n independent observations; log_p : (n, k) their ln p for each of :data:`CORRELATIONS`.
+        kept : (n,) g."""
         log_probable = self.log_probable.copy()
         # An observation whose covariance is singular by rounding is none.
         log_p = np.where(np.isfinite(log_p).all(axis=1, keepdims=True), log_p, 0.0)
         # Sources have few distinct Δt: log-likelihoods are summed per Δt first.
-        elapsed_ms = np.rint(1e3 * elapsed_s).astype(np.int64)
-        key, group = np.unique(source * (elapsed_ms.max(initial=0) + 1) + elapsed_ms, return_inverse=True)
-        source_of, elapsed_ms = np.divmod(key, elapsed_ms.max(initial=0) + 1)
+        elapsed_ms = np.rint(1e3 * elapsed_s)
+        key, group = np.unique(np.column_stack([source, elapsed_ms, kept]), axis=0, return_inverse=True)
         sums = np.zeros((len(key), len(CORRELATIONS)))
-        np.add.at(sums, group, log_p)
-        rho = _rho(np.asarray(1e-3 * elapsed_ms, np.float64), np.array(tuning.correlation_s))
-        add_evidence(source_of, rho, sums, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
+        np.add.at(sums, group.ravel(), log_p)
+        rho = key[:, 2:] * _rho(1e-3 * key[:, 1], np.array(tuning.correlation_s))
+        add_evidence(key[:, 0].astype(np.int64), rho, sums, CORRELATIONS, np.array(tuning.lasting_shares), log_probable)
         return replace(self, log_probable=log_probable)
 
 
@@ -255,18 +270,20 @@ def _rho(elapsed_s: FloatArray, tau_s: FloatArray) -> FloatArray:
 #: Sources whose joint posterior is computed exactly, and mean-field iterations over blocks of that size.
 BLOCK, STEPS = 3, 5
 #: At most this many pairs and reports of an instant are used, to limit the time; and at most this many reports of a
-#: source: more add no information.
-MAX_PAIRS, MAX_REPORTS, MOST_OF_SOURCE = 64, 32, 2000
+#: part of a source: more add no information.
+MAX_PAIRS, MAX_REPORTS, MOST_OF_PART = 64, 32, 2000
 
 
 @dataclass(frozen=True)
 class ErrorFactors:
     """The estimated factors on the stated errors of sources.
 
-    names : of the sources. log_likely : (S, S, K, K) L_ab for a < b, by the factors of both.
-    log_shifts : (S, K, 2ρ) ln p of the residuals of their tracks, with κ on all of the motion, and with κ on all but
-    the errors of measured velocities. reports : (S,) how many reports these are from.
-    factor : (S,) geometric mean of each source's factor. sigma : (S,) 1σ of its logarithm.
+    names : of the S sources; part s B + b of them is range band b of source s, B = ``RANGE_BANDS``.
+    log_likely : (S B, S B, K, K) L_ab of parts a < b, by the factors of both.
+    log_shifts : (S B, K, 2ρ) ln p of the residuals of their tracks, with κ on all of the motion, and with κ on all but
+    the errors of measured velocities. reports : (S B,) how many reports these are from.
+    factor : (S,) geometric mean of each source's factor. sigma : (S,) 1σ of its logarithm. by_range : (S, B) the factor
+    of each range band.
     """
 
     names: tuple[str, ...] = ()
@@ -275,32 +292,33 @@ class ErrorFactors:
     reports: FloatArray = field(default_factory=lambda: np.empty(0))
     factor: FloatArray = field(default_factory=lambda: np.empty(0))
     sigma: FloatArray = field(default_factory=lambda: np.empty(0))
+    by_range: FloatArray = field(default_factory=lambda: np.empty((0, RANGE_BANDS)))
 
     def of_sources(self, names: tuple[str, ...], tuning: Tuning = DEFAULT_TUNING) -> ErrorFactors:
         """The estimate with new sources at their prior; names : of all sources, those already known first."""
         if names == self.names:
             return self
-        k, known = len(tuning.error_factors), len(self.names)
-        log_likely = np.zeros((len(names), len(names), k, k))
+        k, n, known = len(tuning.error_factors), RANGE_BANDS * len(names), len(self.reports)
+        log_likely = np.zeros((n, n, k, k))
         log_likely[:known, :known] = self.log_likely.reshape(known, known, k, k)
-        log_shifts, reports = np.zeros((len(names), k, 2 * len(CORRELATIONS))), np.zeros(len(names))
+        log_shifts, reports = np.zeros((n, k, 2 * len(CORRELATIONS))), np.zeros(n)
         log_shifts[:known], reports[:known] = self.log_shifts.reshape(known, k, 2 * len(CORRELATIONS)), self.reports
         extended = replace(self, names=names, log_likely=log_likely, log_shifts=log_shifts, reports=reports)
         return extended._with_posterior(tuning)
 
-    def informative(self, source: IntArray, position: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
+    def informative(self, part: IntArray, position: FloatArray, stated: FloatArray, motion: FloatArray) -> IntArray:
         """(k,) the new reports, of (n,), that :meth:`with_shifts` should use.
 
-        source, position : (n,), (n, 2). stated, motion : (n, 2, 2) R + R′ as stated, and D. Where the motion is larger
+        part, position : (n,), (n, 2). stated, motion : (n, 2, 2) R + R′ as stated, and D. Where the motion is larger
         than the errors, residuals would test the motion model instead.
         """
         steady = np.trace(motion, axis1=1, axis2=2) < np.trace(stated, axis1=1, axis2=2)
-        which = np.flatnonzero(steady & (self.reports[source] < MOST_OF_SOURCE))
+        which = np.flatnonzero(steady & (self.reports[part] < MOST_OF_PART))
         return which[evenly(position[which], MAX_REPORTS)]
 
     def with_shifts(
         self,
-        source: IntArray,
+        part: IntArray,
         shift: FloatArray,
         errors: tuple[FloatArray, FloatArray],
         motion: tuple[FloatArray, FloatArray],
@@ -310,10 +328,10 @@ class ErrorFactors:
 
         Parameters
         ----------
-        source, shift : (n,), (n, 2) index in ``names`` and ν. errors : R + R′ and L L′ᵀ as stated. motion : D, and its
-        part from the errors of measured velocities. (n, 2, 2) each.
+        part, shift : (n,), (n, 2) the part of the source, and ν. errors : R + R′ and L L′ᵀ as stated. motion : D, and
+        what is in it from the errors of measured velocities. (n, 2, 2) each.
         """
-        n = len(source)
+        n = len(part)
         if not n:
             return self
         total, common = errors[0], errors[1] + errors[1].transpose(0, 2, 1)
@@ -335,14 +353,14 @@ class ErrorFactors:
         # Half weight: each report enters two successive residuals.
         log_likely = 0.5 * np.logaddexp(both_cases, log_outlier[:, None])
         log_shifts = self.log_shifts.copy()
-        for s in np.unique(source).tolist():
-            log_shifts[s] += log_likely[:, source == s].sum(axis=1)
-        reports = self.reports + np.bincount(source, minlength=len(self.names))
+        for p in np.unique(part).tolist():
+            log_shifts[p] += log_likely[:, part == p].sum(axis=1)
+        reports = self.reports + np.bincount(part, minlength=len(self.reports))
         return replace(self, log_shifts=log_shifts, reports=reports)
 
     def with_sure_pairs(
         self,
-        sources: tuple[IntArray, IntArray],
+        parts: tuple[IntArray, IntArray],
         delta: FloatArray,
         stated: tuple[FloatArray, FloatArray],
         motion: FloatArray,
@@ -353,13 +371,13 @@ class ErrorFactors:
 
         Parameters
         ----------
-        sources : indices in ``names`` of both, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
+        parts : of both sources, (n,) each. delta : (n, 2) δ. stated : R of both, (n, 2, 2) each.
         motion : (n, 2, 2) D. weight : (n,) 1 − ρ².
         """
         if not len(delta):
             return self
-        swap = sources[0] > sources[1]
-        first, second = np.minimum(*sources), np.maximum(*sources)
+        swap = parts[0] > parts[1]
+        first, second = np.minimum(*parts), np.maximum(*parts)
         one, other = (np.where(swap[:, None, None], *both) for both in (stated[::-1], stated))
         log_p, log_likely = (
             weight[:, None, None] * _log_density(delta, one, other, motion, tuning),
@@ -369,14 +387,21 @@ class ErrorFactors:
         return replace(self, log_likely=log_likely)._with_posterior(tuning)
 
     def applied(self, scan: Scan) -> Scan:
-        """The scan with the position errors of its records multiplied by the factors; velocity errors stay."""
+        """The scan with the position errors of its records multiplied by the factors; errors of velocities only if
+        these come from positions."""
         names = {name: k for k, name in enumerate(self.names)}
-        of_source = np.array([self.factor[names[d.name]] if d.name in names else 1.0 for d in scan.now.descriptions])
-        factor = np.where(scan.placed, of_source[scan.source], 1.0) if len(scan) else np.empty(0)
+        as_stated = np.ones(RANGE_BANDS)
+        factors = [self.by_range[names[d.name]] if d.name in names else as_stated for d in scan.now.descriptions]
+        factor = (
+            np.where(scan.placed, np.array(factors)[scan.source, scan.range_band], 1.0) if len(scan) else np.empty(0)
+        )
         if np.all(np.abs(factor - 1.0) < 1e-9):
             return scan
         scale = np.ones((len(scan), 4))
         scale[:, :2] = factor[:, None]
+        # Velocities from positions have correlated errors: those are wrong by the same factor.
+        from_positions = np.nan_to_num(scan.reported_covariance[:, :2, 2:]).any(axis=(1, 2))
+        scale[from_positions, 2:] = factor[from_positions, None]
         reported = scale[:, :, None] * scan.reported_covariance * scale[:, None, :]
         change = np.nan_to_num(reported - scan.reported_covariance)
         _, extra = moved(np.zeros((len(scan), 4)), change, scan.now.instant_s - scan.time_s, np.zeros(len(scan)))
@@ -391,11 +416,12 @@ class ErrorFactors:
         ]
 
     def _with_posterior(self, tuning: Tuning) -> ErrorFactors:
-        """The estimate with ``factor`` and ``sigma`` updated to all evidence."""
-        logs, n = np.log(np.array(tuning.error_factors)), len(self.names)
-        own = _log_prior(logs, tuning) + logsumexp(self.log_shifts, axis=2)
-        # L symmetrised: by the factor of the first source, then of the second.
-        pairwise = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
+        """The estimate with ``factor``, ``sigma`` and ``by_range`` updated to all evidence."""
+        logs, n, k = np.log(np.array(tuning.error_factors)), len(self.names), len(tuning.error_factors)
+        own = _log_prior(logs, tuning) + logsumexp(self.log_shifts.reshape(n, RANGE_BANDS, k, -1).sum(axis=1), axis=2)
+        # L symmetrised: by the factor of the first part, then of the second.
+        of_parts = self.log_likely + self.log_likely.transpose(1, 0, 3, 2)
+        pairwise = of_parts.reshape(n, RANGE_BANDS, n, RANGE_BANDS, k, k).sum(axis=(1, 3))
         weight = np.exp(log_softmax(own, axis=1))
         blocks = [np.arange(begin, min(begin + BLOCK, n)) for begin in range(0, n, BLOCK)]
         for _ in range(STEPS if len(blocks) > 1 else 1):
@@ -404,7 +430,21 @@ class ErrorFactors:
                 field_ = np.einsum("stfg,tg->sf", pairwise[np.ix_(block, others)], weight[others])
                 weight[block] = _marginals(own[block] + field_, pairwise[np.ix_(block, block)])
         mean = weight @ logs
-        return replace(self, factor=np.exp(mean), sigma=np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0)))
+        sigma = np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0))
+        by_range = self._by_range(weight, of_parts, logs, tuning)
+        return replace(self, factor=np.exp(mean), sigma=sigma, by_range=by_range)
+
+    def _by_range(self, weight: FloatArray, pairwise: FloatArray, logs: FloatArray, tuning: Tuning) -> FloatArray:
+        """(S, B) the factors of the range bands. weight : (S, K) posterior of the sources' factors. pairwise :
+        (S B, S B, K, K) L of parts, symmetrised."""
+        n, k = weight.shape
+        ratio = np.exp(-0.5 * ((logs - logs[:, None]) / tuning.error_factor_sigma) ** 2)
+        change = 0.5 * np.eye(k) + 0.5 * ratio / ratio.sum(axis=1, keepdims=True)
+        own = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0) + logsumexp(self.log_shifts, axis=2)
+        of_part = np.repeat(weight, RANGE_BANDS, axis=0)
+        for _ in range(STEPS):
+            of_part = np.exp(log_softmax(own + np.einsum("stfg,tg->sf", pairwise, of_part), axis=1))
+        return np.exp(of_part @ logs).reshape(n, RANGE_BANDS)
 
 
 def evenly(position: FloatArray, max_rows: int) -> IntArray:

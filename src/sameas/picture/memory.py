@@ -52,7 +52,7 @@ from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly
 from sameas.picture.named_tracks import NamedTracks
 from sameas.picture.object_table import ColumnTable
-from sameas.picture.scan import Scan, objects_per_m2
+from sameas.picture.scan import RANGE_BANDS, Scan, objects_per_m2
 from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import places_in
@@ -491,22 +491,26 @@ class TrackMemory:
         source = correlation.numbers(scan)[scan.source]
         restart = np.isnan(elapsed)
         restart[due] = True
-        track_pairs = self.track_pairs.anchored(at, restart, scan.now.instant_s, delta)
+        log_kept = np.zeros(len(scan))
+        log_kept[tracks.place] = tracks.log_kept
+        track_pairs = self.track_pairs.anchored(at, restart, scan.now.instant_s, delta, log_kept[places])
         a, b = places[due].T
+        kept = np.exp(np.minimum(log_kept[places[due]] - self.track_pairs.anchor_kept[at[due]], 0.0))
         reported, total = scan.reported_covariance[:, :2, :2], scan.covariance[:, :2, :2]
         # Correlation of a pair's difference with its previous one.
         rho = sum(
-            (correlation.correlation(source[record], elapsed[due], scan.tuning) * _trace(reported[record])
-             for record in (a, b)), np.zeros(len(a)),
+            (_trace(reported[record]) * correlation.correlation(source[record], elapsed[due], scan.tuning, g)
+             for record, g in zip((a, b), kept.T, strict=True)), np.zeros(len(a)),
         ) / _trace(total[a] + total[b])  # fmt: skip
+        part = source * RANGE_BANDS + scan.range_band
         factors = self.error_factors.with_sure_pairs(
-            (source[a], source[b]), delta[due],
+            (part[a], part[b]), delta[due],
             tuple(reported[record] / scan.error_factor[record, None, None] ** 2 for record in (a, b)),
             total[a] + total[b] - reported[a] - reported[b], 1.0 - rho**2, scan.tuning,
         )  # fmt: skip
         correlation = correlation.with_sure_pairs(
             (source[a], source[b]), elapsed[due], (self.track_pairs.anchor[at[due]], delta[due]),
-            (reported[a], reported[b]), total[a] + total[b], scan.tuning,
+            (reported[a], reported[b]), total[a] + total[b], kept, scan.tuning,
         )  # fmt: skip
         tracks = replace(tracks, error_correlation=correlation, error_factors=factors)
         return replace(self, tracks=tracks, track_pairs=track_pairs)

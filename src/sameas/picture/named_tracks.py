@@ -32,7 +32,7 @@ from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
 from sameas.picture.object_table import ColumnTable
-from sameas.picture.scan import Scan
+from sameas.picture.scan import RANGE_BANDS, Scan
 from sameas.ragged import places_in
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
@@ -50,6 +50,8 @@ class Step(ColumnTable):
         new report.
     new_report : whether the track has a new report. source : number of its source.
     elapsed_s : seconds between the track's last two reports.
+    log_kept : Σ ln g over all reports of the track, g the mean share of f that a report keeps by its motion alone, G at
+        ρ = 1 and s = 0.
     log_own : ln p of the new report given the track's previous reports, 0 without one.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
     instant_s : the present instant.
@@ -70,6 +72,7 @@ class Step(ColumnTable):
     shift: FloatArray
     new_report: BoolArray
     elapsed_s: FloatArray
+    log_kept: FloatArray
     log_own: FloatArray
     error_mean: FloatArray
     error_covariance: FloatArray
@@ -99,7 +102,7 @@ class NamedTracks:
     number : (m,) ascending. place : (m,) the track's record in the scan of the instant.
     track_of_record : (n,) number of the track of each record of that scan, −1 for records without an id.
     error_mean, error_covariance : (m, 4), (m, 4, 4) of (e, z), given the track's own reports.
-    lasting : (n, 2, 2) B of each record of the scan.
+    log_kept : (m,) as of :class:`Step`. lasting : (n, 2, 2) B of each record of the scan.
     scan : of the instant; None before the first.
     error_correlation, error_factors : of all sources. source : (m,) index of the track's source in
         ``error_correlation.names``.
@@ -114,6 +117,7 @@ class NamedTracks:
     track_of_record: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     error_mean: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     error_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 4, 4)))
+    log_kept: FloatArray = field(default_factory=lambda: np.empty(0))
     lasting: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     scan: Scan | None = None
     error_correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
@@ -156,12 +160,13 @@ class NamedTracks:
         error_mean = np.append(step.error_mean, np.zeros((1, 4)), axis=0)[at]
         error_covariance = np.append(step.error_covariance, np.zeros((1, 4, 4)), axis=0)[at]
         error_covariance[at < 0] = prior_covariance(scan.covariance[started, :2, :2], lasting[started])
+        log_kept = np.append(step.log_kept, 0.0)[at]
         now_s = scan.now.instant_s
         is_new = number >= self.n_numbers
         by_name, absent = self._names_after(scan, place[is_new], number[is_new], number)
         tracks = NamedTracks(
             now_s, self.n_numbers + int(np.count_nonzero(is_new)), by_name, absent, number, place, track_of_record,
-            error_mean, error_covariance, lasting, scan, correlation, source, factors,
+            error_mean, error_covariance, log_kept, lasting, scan, correlation, source, factors,
         )  # fmt: skip
         return tracks, step
 
@@ -218,6 +223,9 @@ class NamedTracks:
         slope, noise = np.empty((len(at), 2, 4)), np.empty((len(at), 2, 2))
         share, decaying = correlation.lasting(source, scan.tuning), correlation.decaying(source, elapsed, scan.tuning)
         innovation_model(root_last, root, old, new, share, decaying, slope, noise)
+        # |R| / |P| is the square of the mean g of both axes.
+        log_kept = np.log(np.prod(root_last[:, [0, 1], [0, 1]], axis=1)) - 0.5 * np.log(np.linalg.det(old))
+        log_kept = self.log_kept[at] + np.where(new_report, log_kept, 0.0)
         error_mean, error_covariance = self.error_mean[at], self.error_covariance[at]
         error_covariance[:, :2, :2] += drift
         updated_mean, updated_covariance, log_own, chi_sq = error_update(
@@ -231,7 +239,7 @@ class NamedTracks:
         step = Step(
             number, source, previous.state[last, :2], moved, moved + shift, new, drift,
             np.sqrt(share)[:, None, None] * root, scan.reported_covariance[place, :2, :2], slope, noise, shift,
-            new_report, elapsed, log_own, updated_mean, updated_covariance, scan.now.instant_s,
+            new_report, elapsed, log_kept, log_own, updated_mean, updated_covariance, scan.now.instant_s,
         )  # fmt: skip
         consistent = ~new_report | (chi_sq <= ChiSquare(1.0 - scan.tuning.new_track_probability).limit(2))
         return step if consistent.all() else step.take(np.flatnonzero(consistent)), correlation, factors
@@ -265,14 +273,15 @@ class NamedTracks:
         factors = self.error_factors.of_sources(correlation.names, scan.tuning)
         to_stated = 1.0 / previous.error_factor[last, None, None], 1.0 / scan.error_factor[place, None, None]
         as_stated = to_stated[0] ** 2 * r_last + to_stated[1] ** 2 * r_new
-        sample = factors.informative(source, position, as_stated, motion)
+        part = source * RANGE_BANDS + scan.range_band[place]
+        sample = factors.informative(part, position, as_stated, motion)
         last = last[sample]
         # The part of the motion covariance that comes from errors of measured velocities.
         dt, moving = times_s[0][k[sample], None, None], previous.moving[last, None, None]
         cross, velocity = (previous.reported_covariance[last, v, 2:] for v in (slice(2), slice(2, 4)))
         by_velocity = np.where(moving, dt * (cross + cross.transpose(0, 2, 1) + dt * velocity), 0.0)
         factors = factors.with_shifts(
-            source[sample], shift[sample],
+            part[sample], shift[sample],
             (as_stated[sample], (to_stated[0] * to_stated[1])[sample] * common(sample)),
             (motion[sample], growth(by_velocity)), scan.tuning,
         )  # fmt: skip

@@ -18,6 +18,9 @@ from sameas.tracks.alignment import States, moved
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import POSITION, Instant
 
+#: Octaves of distance by which the errors of one sensor may differ.
+RANGE_BANDS = 4
+
 
 @dataclass(frozen=True)
 class Scan:
@@ -37,6 +40,8 @@ class Scan:
     manoeuvre_covariance : (n, 4, 4) part of the covariance that allows for a manoeuvre
         (:mod:`sameas.picture.track_pairs`).
     heights : (n, 3) height and its 1σ, metres, and vertical speed, m/s; NaN where a record has none.
+    range_band : (n,) octave of the distance from the sensor: 0 beyond half the range of its coverage, 1 beyond a
+        quarter, … ``RANGE_BANDS`` − 1; 0 without a sensor or a range.
     error_factor : (n,) by which the stated 1σ of positions is multiplied (:mod:`sameas.picture.error_factors`).
     tuning : of the picture.
     """
@@ -59,6 +64,7 @@ class Scan:
     moving: BoolArray
     manoeuvre_covariance: FloatArray
     heights: FloatArray
+    range_band: IntArray
     error_factor: FloatArray
     tuning: Tuning = DEFAULT_TUNING
 
@@ -150,6 +156,7 @@ _EMPTY: dict[str, NDArray[Any]] = {
     "state": np.empty((0, 4)),
     "covariance": np.empty((0, 4, 4)),
     "heights": np.empty((0, 3)),
+    "range_band": np.empty(0, np.int64),
 }
 
 
@@ -175,7 +182,18 @@ def _part(
         "reported_state": reported_state, "reported_covariance": reported_covariance,
         "state": state, "covariance": covariance,
         "heights": np.full((n, 3), np.nan) if heights is None else heights[table],
+        "range_band": _range_bands(feed, row, reported_state[:, :2]),
     }  # fmt: skip
+
+
+def _range_bands(feed: Feed, row: IntArray, position: FloatArray) -> IntArray:
+    """(n,) :attr:`Scan.range_band` of reports at these positions (n, 2)."""
+    range_m = feed.description.coverage.range_m
+    if feed.sensor_m is None or not range_m:
+        return np.zeros(len(row), np.int64)
+    share = np.hypot(*(position - feed.sensor_m[row]).T) / range_m
+    octave = np.nan_to_num(np.floor(-np.log2(np.clip(share, 0.5**RANGE_BANDS, 1.0))))
+    return np.asarray(np.clip(octave, 0, RANGE_BANDS - 1), np.int64)
 
 
 def _with_covariance(source: Source, table: IntArray, extra: FloatArray) -> Source:

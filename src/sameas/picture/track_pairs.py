@@ -102,7 +102,8 @@ class TrackPairs(ColumnTable):
     chi_sq : χ² of δ at the instant.
     anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
         before.
-    anchor_new : (k, 2) whether each track has a new report since. sure : whether the pair is surely one object.
+    anchor_new : (k, 2) whether each track has a new report since. anchor_kept : (k, 2) ``Step.log_kept`` of both then.
+    sure : whether the pair is surely one object.
     offset, n_offsets : (k, 2), (k,) mean and number of values of δ taken at least ``lasting_s`` apart. offset_s : time
         of the last one. offset_new : (k, 2) whether each track has a new report since. offset_chi_sq, log_offset : χ²
         of the mean by the stated errors, and its contribution to ln r; see :meth:`with_offsets`.
@@ -123,6 +124,7 @@ class TrackPairs(ColumnTable):
     anchor_s: FloatArray = field(default_factory=lambda: np.empty(0))
     anchor: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     anchor_new: BoolArray = field(default_factory=lambda: np.empty((0, 2), bool))
+    anchor_kept: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     sure: BoolArray = field(default_factory=lambda: np.empty(0, bool))
     offset: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     n_offsets: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
@@ -156,7 +158,8 @@ class TrackPairs(ColumnTable):
         zero = np.zeros(k)
         return cls(
             first, second, np.arange(k), zero, zero, log_n, log_n, chi_sq,
-            np.full(k, np.nan), np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(k, bool),
+            np.full(k, np.nan), np.full_like(delta, np.nan), np.zeros(delta.shape, bool), np.zeros(delta.shape),
+            np.zeros(k, bool),
             np.zeros_like(delta), np.zeros(k, np.int64), np.full(k, -np.inf),
             np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s),
             np.zeros((k, len(DEFAULT_TUNING.swap_rates))), errors,
@@ -241,7 +244,8 @@ class TrackPairs(ColumnTable):
             np.clip(log_convoy + log_in_convoy - log_independent, -bound, bound),
             np.where(new_report, log_ratio + log_reported + gain - log_now, log_ratio),
             np.where(new_report, log_now, log_reported), log_now,
-            chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new, self.sure[rows],
+            chi_sq, self.anchor_s[rows], self.anchor[rows], self.anchor_new[rows] | is_new,
+            self.anchor_kept[rows], self.sure[rows],
             self.offset[rows], self.n_offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
             np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
@@ -318,19 +322,23 @@ class TrackPairs(ColumnTable):
         out.log_offset[due] = np.where(known, np.minimum(student + 0.5 * chi_sq, 0.0), 0.0)
         return out
 
-    def anchored(self, sure: IntArray, restart: BoolArray, instant_s: float, delta: FloatArray) -> TrackPairs:
+    def anchored(
+        self, sure: IntArray, restart: BoolArray, instant_s: float, delta: FloatArray, log_kept: FloatArray
+    ) -> TrackPairs:
         """The pairs with new anchors for later comparison.
 
-        sure : (m,) rows of the pairs that are surely one object at the instant. delta : (m, 2) their δ. restart : (m,)
-        whether the next comparison is with this δ.
+        sure : (m,) rows of the pairs that are surely one object at the instant. delta, log_kept : (m, 2) their δ, and
+        ``Step.log_kept`` of both tracks. restart : (m,) whether the next comparison is with this δ.
         """
-        anchor_s, anchor, anchor_new = self.anchor_s.copy(), self.anchor.copy(), self.anchor_new.copy()
-        at, is_sure = sure[restart], np.zeros(len(self), bool)
-        anchor_s[at], anchor[at], anchor_new[at] = instant_s, delta[restart], False
-        is_sure[sure] = True
-        return replace(self, anchor_s=anchor_s, anchor=anchor, anchor_new=anchor_new, sure=is_sure)
+        out = replace(self, **{name: getattr(self, name).copy() for name in _ANCHORS}, sure=np.zeros(len(self), bool))
+        at = sure[restart]
+        out.anchor_s[at], out.anchor[at], out.anchor_new[at] = instant_s, delta[restart], False
+        out.anchor_kept[at], out.sure[sure] = log_kept[restart], True
+        return out
 
 
+#: Columns that :meth:`TrackPairs.anchored` changes.
+_ANCHORS = ("anchor_s", "anchor", "anchor_new", "anchor_kept")
 #: Columns that :meth:`TrackPairs.with_offsets` changes.
 _OFFSETS = ("offset", "n_offsets", "offset_s", "offset_new", "offset_chi_sq", "log_offset")
 
