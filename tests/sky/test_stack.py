@@ -103,7 +103,7 @@ def test_light_of_an_unlisted_star_on_other_frames_makes_nothing_certain():
     found, _ = search(tied, min_probability=0.0)
     found = replace(found.only(np.zeros(1, int)), log_missed=np.array([-2.0]))
     detected = np.array([[True] * 3 + [False] * 6])
-    seen = np.zeros((1, 9), bool), detected, TUNING
+    seen = np.zeros((1, 9), bool), detected
     bright = _evidence(found, np.full((1, 9), 100.0), np.full((1, 9), 10.0), *seen)[0] - 2.0
     assert 3.8 < bright <= np.log(1 / TUNING.unlisted)
     # Frames without light refute as before.

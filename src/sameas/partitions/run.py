@@ -110,7 +110,7 @@ class RunTuning:
     sampling: Sampling = Sampling()  # noqa: RUF009
 
 
-DEFAULT_RUN = RunTuning()
+TUNING = RunTuning()
 #: Most records of both catalogues in a piece, and most candidates (0.4 kB each). A worker then takes 0.6 GB, with the
 #: libraries and the sums. Smaller pieces spend a larger part of the work on halos.
 PIECE_ROWS, PIECE_PAIRS = 300_000, 750_000
@@ -178,7 +178,6 @@ def estimate(
     workers: int | None = None,
     executor: Executor | None = None,
     progress: Progress = lambda stage: None,
-    tuning: RunTuning = DEFAULT_RUN,
     part_tuning: PartTuning = DEFAULT_PART,
     scratch: Path,
 ) -> Estimated:
@@ -204,7 +203,7 @@ def estimate(
         if side.fill_errors:
             raise InputError("fill_errors: typical errors would depend on the partition", "give every row an error")
     progress("columns")
-    samples = tuple(_first_rows(one, chosen, tuning) for one, chosen in zip(stored, columns, strict=True))
+    samples = tuple(_first_rows(one, chosen) for one, chosen in zip(stored, columns, strict=True))
     columns_of(samples[0], samples[1], options.evidence)  # refuses columns that do not exist
     epochs = completed_epochs(samples, options.epoch_jyr)
     epoch, moved = common_epoch(*epochs, options.epoch_jyr)
@@ -212,24 +211,24 @@ def estimate(
     work = Work(
         (bare[0], bare[1]), options.magnitudes, tuple(options.evidence), join, nway_columns, np.inf, tuning=part_tuning
     )
-    chunks = [_Chunks.of(side, work.columns(k), tuning) for k, side in enumerate(bare, 1)]
+    chunks = [_Chunks.of(side, work.columns(k)) for k, side in enumerate(bare, 1)]
     order = max(one.order for one in chunks)
-    far = max(tuning.far_arcsec, tuning.far_sigmas * max(one.sigma_arcsec for one in chunks))
+    far = max(TUNING.far_arcsec, TUNING.far_sigmas * max(one.sigma_arcsec for one in chunks))
     sigma = math.hypot(*(one.sigma_arcsec for one in chunks)) or 1.0
     work = replace(work, sides=tuple(replace(side, cell_order=order) for side in bare), far_arcsec=far)  # type: ignore[arg-type]
-    counted = _count_all(work, scratch, workers, executor, progress, tuning)
+    counted = _count_all(work, scratch, workers, executor, progress)
     work = replace(work, sides=tuple(_with_far(s, counted[k], work) for k, s in enumerate(work.sides)))  # type: ignore[arg-type]
     rows = tuple(sum(one.rows for one in side) for side in counted)
     progress("sample")
     counts = Counts.sum([one.counts for side in counted for one in side])
     del counted
     places = Places.of(counts, healpix.area_arcsec2(order))
-    steps, cells = drawn(counts, tuning.sampling)
+    steps, cells = drawn(counts, TUNING.sampling)
     volume = places.within(counts, cells, steps)
-    sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, progress, tuning)
+    sampled, learned, assumed = _learn_from_sample(work, sigma, places, steps, cells, volume, options, progress)
     final = tuple(replace(s, catalogue=without_rows(c)) for s, c in zip(work.sides, sampled, strict=True))
     work = replace(work, sides=(final[0], final[1]), learned=learned)
-    halo, margin = _halos(work, tuning)
+    halo, margin = _halos(work)
     work = replace(work, halo_arcsec=halo, margin_arcsec=margin)
     assert learned.estimate is not None
     catalogues = [replace(c, doubts=first.doubts) for c, first in zip(sampled, epochs, strict=True)]
@@ -247,19 +246,19 @@ def completed_epochs(catalogues: Sequence[Catalogue], epoch_jyr: float | None) -
     return catalogues[0], catalogues[1]
 
 
-def _first_rows(stored: HatsCatalogue, options: CatalogueOptions, tuning: RunTuning) -> Catalogue:
+def _first_rows(stored: HatsCatalogue, options: CatalogueOptions) -> Catalogue:
     """The first rows of some partitions, with columns recognised."""
     import pyarrow as pa
     from astropy.table import Table, vstack
     from pyarrow import parquet
 
     tables = []
-    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, tuning.column_partitions)}):
+    for k in sorted({int(k) for k in np.linspace(0, len(stored.cells) - 1, TUNING.column_partitions)}):
         cell = stored.cells[k]
         for file in stored._files(cell)[:1]:
             try:
                 with parquet.ParquetFile(file) as opened:
-                    batch = next(opened.iter_batches(batch_size=tuning.column_rows, use_threads=False), None)
+                    batch = next(opened.iter_batches(batch_size=TUNING.column_rows, use_threads=False), None)
             except MemoryError:
                 raise
             except Exception as error:  # Arrow raises many types on damaged files
@@ -285,9 +284,9 @@ class _Chunks:
     sigma_arcsec: float
 
     @classmethod
-    def of(cls, side: Side, columns: list[str], tuning: RunTuning) -> _Chunks:
-        chunks = [side.rows(table) for table in side.stored.chunks(tuning.chunks, tuning.chunk_rows, columns)]
-        order = max(_order_of(np.sort(chunk.stored), tuning.records_per_cell) for chunk in chunks)
+    def of(cls, side: Side, columns: list[str]) -> _Chunks:
+        chunks = [side.rows(table) for table in side.stored.chunks(TUNING.chunks, TUNING.chunk_rows, columns)]
+        order = max(_order_of(np.sort(chunk.stored), TUNING.records_per_cell) for chunk in chunks)
         if side.catalogue.error_is_unknown:
             return cls(order, 0.0)
         sigma = np.concatenate([chunk.sigma_arcsec for chunk in chunks])
@@ -306,16 +305,16 @@ def _order_of(stored: IntArray, records_per_cell: float) -> int:
 
 
 def _count_all(
-    work: Work, scratch: Path, workers: int | None, executor: Executor | None, progress: Progress, tuning: RunTuning
+    work: Work, scratch: Path, workers: int | None, executor: Executor | None, progress: Progress
 ) -> tuple[list[Counted], list[Counted]]:
     """The counts of every partition of both catalogues, in parallel."""
     store(work, scratch)
     tasks = [(side, cell) for side in (1, 2) for cell in work.sides[side - 1].stored.cells]
     by_task: dict[tuple[int, Cell], Counted] = {}
     rows = sum(int(side.stored.partition_rows.sum()) for side in work.sides)
-    if executor is None and rows <= tuning.max_rows_in_process:
+    if executor is None and rows <= TUNING.max_rows_in_process:
         workers = 1
-    with Workers(workers, executor, tuning) as pool:
+    with Workers(workers, executor) as pool:
         for n, (task, counted) in enumerate(pool.each(count_partition, str(scratch), tasks), 1):
             by_task[task] = counted
             progress(f"counting partition {n} of {len(tasks)}")
@@ -339,16 +338,22 @@ def _with_far(side: Side, counted: Sequence[Counted], work: Work) -> Side:
 
 
 def _learn_from_sample(
-    work: Work, sigma: float, places: Places, steps: int, cells: IntArray, volume: float,
-    options: MatchOptions, progress: Progress, tuning: RunTuning,
-) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:  # fmt: skip
+    work: Work,
+    sigma: float,
+    places: Places,
+    steps: int,
+    cells: IntArray,
+    volume: float,
+    options: MatchOptions,
+    progress: Progress,
+) -> tuple[list[Catalogue], Learned, tuple[str, ...]]:
     """The sample's catalogues with errors and epochs completed, the estimates, and doubts on what was assumed.
 
     sigma : median error of a residual, arcsec. cells : (c,) of the sample, ``steps`` orders coarser than the counts;
     volume : theirs.
     """
     order = work.sides[0].cell_order - steps
-    margin = tuning.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
+    margin = TUNING.margin_gates * 6.4 * sigma + 2.0 * _motion(work)
     fine = max(min(healpix.order_of_width(margin), 24), order)
     around = healpix.ring(cells, order, fine) if healpix.width_arcsec(fine) >= margin or fine > order else cells
     stretch = healpix.joined(np.concatenate([healpix.stretches(cells, order), healpix.stretches(around, fine)]))
@@ -374,7 +379,7 @@ def _motion(work: Work) -> float:
     )
 
 
-def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
+def _halos(work: Work) -> tuple[float, float]:
     """Width, arcsec, of the first halo of a part, and of one that is wide enough for nearly all parts: the extent of
     the sample's groups, a gate on either side, and the motion of records."""
     from sameas.groups import laid_out
@@ -395,9 +400,9 @@ def _halos(work: Work, tuning: RunTuning) -> tuple[float, float]:
 
     def width(share: float) -> float:
         extent = float(np.quantile(extents, share))
-        return max(min(extent, 32.0 * reach) + 2.0 * reach, tuning.min_halo_arcsec) + _motion(work)
+        return max(min(extent, 32.0 * reach) + 2.0 * reach, TUNING.min_halo_arcsec) + _motion(work)
 
-    return width(tuning.halo_share), width(tuning.margin_share)
+    return width(TUNING.halo_share), width(TUNING.margin_share)
 
 
 def _group_extents(group: IntArray, n: int, lon: FloatArray, lat: FloatArray) -> FloatArray:
@@ -509,11 +514,11 @@ def summary_file(folder: Path, task: Task) -> Path:
 class Workers:
     """A context manager of worker processes, or of the caller's executor."""
 
-    def __init__(self, number: int | None, executor: Executor | None, tuning: RunTuning) -> None:
+    def __init__(self, number: int | None, executor: Executor | None) -> None:
         self.number = threads.count() if number is None else number
         if self.number < 1:
             raise InputError(f"workers is {number}; give 1 or more")
-        self.executor, self.tuning = executor, tuning
+        self.executor = executor
         self._own: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Workers:
@@ -544,7 +549,7 @@ class Workers:
             except BrokenProcessPool as error:
                 failures = 1 if done else failures + 1
                 self._own = None
-                if failures >= self.tuning.max_failures:
+                if failures >= TUNING.max_failures:
                     at = ", ".join(str(_cell_of_task(task)) for task in left[: len(done) + self.number][:3])
                     raise InputError(
                         f"workers died {failures} times, at one of the partitions {at} …; finished parts are kept",
@@ -645,7 +650,6 @@ def write(
     executor: Executor | None = None,
     progress: Progress = lambda stage: None,
     piece_rows: int = PIECE_ROWS,
-    tuning: RunTuning = DEFAULT_RUN,
 ) -> Written:
     """Decide all parts and write them as a HATS collection; parts written by an interrupted run are kept.
 
@@ -658,7 +662,7 @@ def write(
         name; workers keep dying; the disk is full.
     """
     try:
-        return _write_locked(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning)
+        return _write_locked(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows)
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise InputError(
@@ -672,9 +676,15 @@ def write(
 
 
 def _write_locked(
-    estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
-    executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning,
-) -> Written:  # fmt: skip
+    estimated: Estimated,
+    path: Path,
+    facts: dict[str, Any],
+    margin_arcsec: float,
+    workers: int | None,
+    executor: Executor | None,
+    progress: Progress,
+    piece_rows: int,
+) -> Written:
     scratch = path / ".sameas-run"
     if (path / "collection.properties").exists():
         shutil.rmtree(scratch, ignore_errors=True)  # of a run that was killed in its last step
@@ -694,17 +704,22 @@ def _write_locked(
                 stack.enter_context(closing(held(scratch)))
             if (path / "collection.properties").exists():
                 raise InputError(f"{path}: another run has just written it", "give another name, or remove it")
-            written = _write_all(
-                estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, tuning, last
-            )
+            written = _write_all(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, last)
         shutil.rmtree(scratch)
     return written
 
 
 def _write_all(
-    estimated: Estimated, path: Path, facts: dict[str, Any], margin_arcsec: float, workers: int | None,
-    executor: Executor | None, progress: Progress, piece_rows: int, tuning: RunTuning, last: Callable[[], None],
-) -> Written:  # fmt: skip
+    estimated: Estimated,
+    path: Path,
+    facts: dict[str, Any],
+    margin_arcsec: float,
+    workers: int | None,
+    executor: Executor | None,
+    progress: Progress,
+    piece_rows: int,
+    last: Callable[[], None],
+) -> Written:
     """Write the collection, by the only run in its folder, continuing what another run left.
 
     last : called before the last step, which completes the collection.
@@ -720,7 +735,7 @@ def _write_all(
     tasks = [(task, str(catalogue), facts)
              for task, summary in zip(all_tasks, summaries, strict=True) if summary is None]  # fmt: skip
     finished, cpu = [summary for summary in summaries if summary is not None], 0.0
-    with Workers(workers if len(tasks) > 1 else 1, executor, tuning) as pool:
+    with Workers(workers if len(tasks) > 1 else 1, executor) as pool:
         for n, (_, summary) in enumerate(pool.each(decide_partition, str(scratch), tasks), 1):
             finished.append(summary)
             cpu += summary["cpu_seconds"]

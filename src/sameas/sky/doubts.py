@@ -450,12 +450,7 @@ EPOCH = EpochTuning()
 
 
 def epoch_doubt(
-    first: Catalogue,
-    second: Catalogue,
-    epoch_jyr: float | None,
-    answer: Identification,
-    scale: float,
-    tuning: EpochTuning = EPOCH,
+    first: Catalogue, second: Catalogue, epoch_jyr: float | None, answer: Identification, scale: float
 ) -> tuple[str, bool]:
     """A doubt about the epoch of one catalogue, or about the convention of the motions (empty if none), and whether the
     epoch also explains a common offset.
@@ -470,30 +465,30 @@ def epoch_doubt(
     # Residuals are first minus second. A catalogue moved from a later epoch than assumed was moved too far; one moved
     # to an earlier epoch than it should, not far enough.
     sign = (1.0 if moved is first else -1.0) * (1.0 if moved is questioned else -1.0)
-    astrometry, motion, residual, precision = _moved_pairs(moved, 1 if moved is first else 2, answer, scale, tuning)
-    if len(motion) < tuning.fewest:
+    astrometry, motion, residual, precision = _moved_pairs(moved, 1 if moved is first else 2, answer, scale)
+    if len(motion) < EPOCH.fewest:
         return "", False
     motion = sign * motion
     design = np.concatenate([motion[:, :, None], np.broadcast_to(np.eye(2), (len(motion), 2, 2))], axis=2)
     solution, covariance, gain = _least_squares(design, residual, precision)
     years, error = float(solution[0]), math.sqrt(float(covariance[0, 0]))
-    significant_gain = tuning.significant_sigmas**2
+    significant_gain = EPOCH.significant_sigmas**2
     motion_sigmas = np.sqrt(np.einsum("mv,mvw,mw->m", motion, precision, motion))
-    if abs(years) < max(tuning.significant_years, tuning.significant_sigmas * error):
+    if abs(years) < max(EPOCH.significant_years, EPOCH.significant_sigmas * error):
         return "", False
-    if np.quantile(motion_sigmas, 0.95) * abs(years) < tuning.significant_share:
+    if np.quantile(motion_sigmas, 0.95) * abs(years) < EPOCH.significant_share:
         return "", False
     assumed_jyr = questioned.epoch_jyr
     assert assumed_jyr is not None
     text = f"residuals follow the proper motions of {moved.name}, "
     displaced = sign * (epoch_jyr - astrometry.epoch_jyr)[:, None] * motion
     moved_residuals = _MovedResiduals(displaced, residual if moved is first else -residual, precision)
-    possible = tuning.epochs_jyr[0] <= assumed_jyr + years <= tuning.epochs_jyr[1]
+    possible = EPOCH.epochs_jyr[0] <= assumed_jyr + years <= EPOCH.epochs_jyr[1]
     min_gain = gain + (significant_gain if possible else -significant_gain)
     misread = moved_residuals.misreading(np.cos(np.radians(astrometry.dec_deg)), min_gain)
     if misread is not None:
         return Message(text, *misread.words(moved, 1 if moved is first else 2)), False
-    factors = moved_residuals.different_factors(tuning)
+    factors = moved_residuals.different_factors()
     if factors or not possible:
         fits = factors or f"as if the epoch of {questioned.name} were {assumed_jyr + years:.0f}"
         return f"{text}{fits}, which no epoch explains: are they in the right columns, and their units right?", False
@@ -510,17 +505,17 @@ def epoch_doubt(
 
 
 def _moved_pairs(
-    moved: Catalogue, side: int, answer: Identification, scale: float, tuning: EpochTuning
+    moved: Catalogue, side: int, answer: Identification, scale: float
 ) -> tuple[Astrometry, FloatArray, FloatArray, FloatArray]:
     """Some sure pairs with a known proper motion (m): astrometry of the moved catalogue, which is 1 or 2, its motion
     (m, 2) in arcsec/yr, the residuals (m, 2), and their precisions (m, 2, 2) by errors scaled by ``scale``."""
     records, index = (answer.first, answer.pairs.i) if side == 1 else (answer.second, answer.pairs.j)
-    use = np.flatnonzero(answer.p_pair > tuning.min_p_pair)
-    use = use[:: -(-len(use) // tuning.max_pairs) or 1]
+    use = np.flatnonzero(answer.p_pair > EPOCH.min_p_pair)
+    use = use[:: -(-len(use) // EPOCH.max_pairs) or 1]
     astrometry = moved.astrometry[records.rows[index[use]]]
     motion = 1e-3 * np.column_stack([astrometry.pm_ra_mas_per_yr, astrometry.pm_dec_mas_per_yr])
     residual, precision = answer.pairs.residual[use], inverse(answer.pairs.covariance_of(use)) / scale**2
-    near = np.einsum("mv,mvw,mw->m", residual, precision, residual) < tuning.largest_sigmas**2
+    near = np.einsum("mv,mvw,mw->m", residual, precision, residual) < EPOCH.largest_sigmas**2
     used = near & np.isfinite(motion).all(axis=1)
     return astrometry[used], motion[used], residual[used], precision[used]
 
@@ -551,7 +546,7 @@ class _MovedResiduals:
                 min_gain, best = before - after, misread
         return best
 
-    def different_factors(self, tuning: EpochTuning) -> str:
+    def different_factors(self) -> str:
         """The factors on the motions east and north that fit best, as text, if they differ; else empty."""
         if not self.displaced.any():
             return ""
@@ -559,8 +554,8 @@ class _MovedResiduals:
         solution, covariance, _ = _least_squares(design, self.residual, self.precision)
         east, north = 1.0 - solution[:2]
         error = math.sqrt(float(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1]))
-        least = tuning.largest_axis_ratio * max(abs(solution[0]), abs(solution[1]))
-        if abs(east - north) < max(tuning.significant_sigmas * error, least):
+        least = EPOCH.largest_axis_ratio * max(abs(solution[0]), abs(solution[1]))
+        if abs(east - north) < max(EPOCH.significant_sigmas * error, least):
             return ""
         return f"which fit best multiplied by {east:.2f} east and {north:.2f} north"
 

@@ -282,7 +282,7 @@ class Series:
 _UNITS = {"_deg": "deg", "_arcsec": "arcsec", "_mag": "mag"}
 
 
-def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) -> Series:
+def tie(exposures: Sequence[Exposure]) -> Series:
     """A series of frames of one field, tied together, with stationary sources marked.
 
     Raises
@@ -290,7 +290,7 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     InputError : fewer than two frames; frames of different fields; frames of the same time.
     """
     ordered = tuple(sorted(exposures, key=lambda e: e.mjd_utc))
-    middle = _checked(ordered, tuning)
+    middle = _checked(ordered)
     frame = np.concatenate([np.full(len(e), k) for k, e in enumerate(ordered)])
     row = np.concatenate([np.arange(len(e)) for e in ordered])
     everything = {
@@ -302,23 +302,23 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
         np.concatenate([e.ra_deg for e in ordered]), np.concatenate([e.dec_deg for e in ordered]), middle
     )
     variance = 0.5 * (everything["covariance_px"][:, 0] + everything["covariance_px"][:, 2]) * scale[frame] ** 2
-    good = (everything["snr"] >= tuning.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
-    tied, ties = _tied(place, frame, variance, good, len(ordered), tuning)
-    floor = _floors(tied, frame, variance, good, len(ordered), tuning)
+    good = (everything["snr"] >= DEFAULT_TUNING.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
+    tied, ties = _tied(place, frame, variance, good, len(ordered))
+    floor = _floors(tied, frame, variance, good, len(ordered))
     sigma = np.sqrt(variance + floor[frame] ** 2)
-    reach = tuning.reach_px * float(np.median(scale))
+    reach = DEFAULT_TUNING.reach_px * float(np.median(scale))
     days = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
     stationary = _stationary(
-        tied, frame, days, sigma, reach, tuning.drift_px * float(np.median(scale)), len(ordered), tuning
+        tied, frame, days, sigma, reach, DEFAULT_TUNING.drift_px * float(np.median(scale)), len(ordered)
     )
     chip = np.column_stack([everything["x_px"], everything["y_px"]])
     dithered_px = _dither_px(tied, chip, frame, stationary, len(ordered))
     fixed = np.zeros(len(frame), bool)
-    if dithered_px > 2.0 * tuning.reach_px:
+    if dithered_px > 2.0 * DEFAULT_TUNING.reach_px:
         # Only for dithered frames: otherwise chip defects are stationary on the sky too.
-        fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered), tuning)
+        fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered))
     names = np.concatenate([e.names for e in ordered])
-    names = np.where(everything["p_star"] >= tuning.min_p_star, names, "")
+    names = np.where(everything["p_star"] >= DEFAULT_TUNING.min_p_star, names, "")
     stars = gather(
         tied, frame, sigma, names, stationary & ~fixed, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
@@ -328,13 +328,13 @@ def tie(exposures: Sequence[Exposure], tuning: SeriesTuning = DEFAULT_TUNING) ->
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= tuning.min_p_star, stationary,
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= DEFAULT_TUNING.min_p_star, stationary,
         fixed & ~stationary, (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
-        _notes(ordered, ties, tuning),
+        _notes(ordered, ties),
     )  # fmt: skip
 
 
-def _checked(exposures: tuple[Exposure, ...], tuning: SeriesTuning) -> tuple[float, float]:
+def _checked(exposures: tuple[Exposure, ...]) -> tuple[float, float]:
     """The middle of the field, degrees; frames of different fields or of the same time are refused."""
     if len(exposures) < 2:
         raise InputError(f"{len(exposures)} frame could be used; movers need two frames, better three")
@@ -347,7 +347,7 @@ def _checked(exposures: tuple[Exposure, ...], tuning: SeriesTuning) -> tuple[flo
     for e, unit in zip([e for e in exposures if len(e)], middles, strict=True):
         off = math.degrees(math.acos(min(1.0, float(unit @ centre))))
         diagonal = math.hypot(*e.shape) * e.scale_arcsec_per_px / 3600.0
-        if off > tuning.overlap * diagonal:
+        if off > DEFAULT_TUNING.overlap * diagonal:
             raise InputError(
                 f"{e.name}: points {off:.2f}° from the middle of the other frames, which are {diagonal:.2f}° across; "
                 "search the frames of each field by themselves"
@@ -375,16 +375,16 @@ def _projected(ra_deg: FloatArray, dec_deg: FloatArray, middle: tuple[float, flo
 
 
 def _tied(
-    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
+    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int
 ) -> tuple[FloatArray, IntArray]:
     """Positions in the common system, and the number of sources that tie each frame to it."""
     tied, ties = place.copy(), np.zeros(frames, np.int64)
     reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
     known = place[good & (frame == reference)]
     for iteration in range(3):
-        if len(known) < tuning.min_ties:
+        if len(known) < DEFAULT_TUNING.min_ties:
             return place, ties
-        reach = tuning.tie_arcsec / (1.0 if iteration == 0 else 2.0)
+        reach = DEFAULT_TUNING.tie_arcsec / (1.0 if iteration == 0 else 2.0)
         tree = cKDTree(known)
         sums, counts = np.zeros_like(known), np.zeros(len(known))
         for k in range(frames):
@@ -395,7 +395,7 @@ def _tied(
             nearest_back = cKDTree(tied[rows]).query(known, distance_upper_bound=reach)[1]
             mutual = np.isfinite(distance)
             mutual[mutual] = nearest_back[at[mutual]] == np.flatnonzero(mutual)
-            if mutual.sum() < tuning.min_ties:
+            if mutual.sum() < DEFAULT_TUNING.min_ties:
                 continue
             solution, used = _affine(place[rows[mutual]], known[at[mutual]], variance[rows[mutual]])
             ties[k] = used
@@ -424,19 +424,17 @@ def _affine(source: FloatArray, target: FloatArray, variance: FloatArray) -> tup
     return solution, int(keep.sum())
 
 
-def _floors(
-    place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int, tuning: SeriesTuning
-) -> FloatArray:
+def _floors(place: FloatArray, frame: IntArray, variance: FloatArray, good: BoolArray, frames: int) -> FloatArray:
     """(f,) robust scatter of bright sources about their median positions in excess of their errors, arcsec per axis."""
     floor = np.full(frames, 0.05)
     first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
-    if len(first) < tuning.min_ties:
+    if len(first) < DEFAULT_TUNING.min_ties:
         return floor
     tree = cKDTree(place[first])
     offsets, variances = [], []
     for k in range(frames):
         rows = np.flatnonzero(good & (frame == k))
-        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * tuning.tie_arcsec)
+        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * DEFAULT_TUNING.tie_arcsec)
         found = np.isfinite(distance)
         residual = np.full((len(first), 2), np.nan)
         residual[at[found]] = place[rows[found]]
@@ -458,15 +456,20 @@ def _floors(
 
 
 def _stationary(
-    place: FloatArray, frame: IntArray, minutes: FloatArray, sigma: FloatArray, reach: float, least_drift: float,
-    frames: int, tuning: SeriesTuning,
-) -> BoolArray:  # fmt: skip
+    place: FloatArray,
+    frame: IntArray,
+    minutes: FloatArray,
+    sigma: FloatArray,
+    reach: float,
+    least_drift: float,
+    frames: int,
+) -> BoolArray:
     """(n,) mask of the measurements with counterparts at the same position in other frames, without a drift.
 
     The other frames are at most ``compared``, evenly over the series, so that the cost per frame is constant.
     """
     n = len(frame)
-    others = np.unique(np.linspace(0, frames - 1, min(frames, tuning.compared)).astype(np.int64))
+    others = np.unique(np.linspace(0, frames - 1, min(frames, DEFAULT_TUNING.compared)).astype(np.int64))
     # Sums for a line fitted to the neighbours and the measurement itself.
     weight = 1.0 / sigma**2
     s0, s1, s2, hits = weight.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -498,9 +501,9 @@ def _stationary(
         error = np.sqrt(s0 / determinant)
         speed = np.hypot(*drift.T)
     drifting = np.nan_to_num(speed, nan=0.0) * span > least_drift
-    significant = np.nan_to_num(speed / error, nan=0.0) > tuning.drift_sigmas
+    significant = np.nan_to_num(speed / error, nan=0.0) > DEFAULT_TUNING.drift_sigmas
     compared = len(others) - np.isin(frame, others)
-    often = hits >= np.maximum(2.0, tuning.often * compared)
+    often = hits >= np.maximum(2.0, DEFAULT_TUNING.often * compared)
     few = hits >= (2.0 if frames > 3 else 1.0)
     return (often & ~(drifting & significant)) | (few & ~significant)
 
@@ -518,10 +521,10 @@ def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, stationary:
     return float(np.ptp(np.array(middles), axis=0).max()) if len(middles) > 1 else 0.0
 
 
-def _notes(exposures: tuple[Exposure, ...], ties: IntArray, tuning: SeriesTuning) -> tuple[str, ...]:
-    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < tuning.min_ties]
+def _notes(exposures: tuple[Exposure, ...], ties: IntArray) -> tuple[str, ...]:
+    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < DEFAULT_TUNING.min_ties]
     return tuple(
-        f"{name}: fewer than {tuning.min_ties} sources link it to the others; its own plate solution is used"
+        f"{name}: fewer than {DEFAULT_TUNING.min_ties} sources link it to the others; its own plate solution is used"
         for name in loose
     )
 
@@ -591,17 +594,25 @@ class Stars:
 
 
 def gather(
-    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, flux: FloatArray,
-    flux_err: FloatArray, whole: BoolArray, magnitude: FloatArray, frames: int, blur_arcsec: float,
-    tuning: StarTuning = TUNING,
-) -> Stars:  # fmt: skip
+    place: FloatArray,
+    frame: IntArray,
+    sigma: FloatArray,
+    name: NDArray[Any],
+    stationary: BoolArray,
+    flux: FloatArray,
+    flux_err: FloatArray,
+    whole: BoolArray,
+    magnitude: FloatArray,
+    frames: int,
+    blur_arcsec: float,
+) -> Stars:
     """The stars among the measurements of a series.
 
     place : (n, 2) in the common system. frame : (n,). sigma : (n,) error per axis. name : (n,) catalogue star.
     stationary : (n,) mask. flux, flux_err : (n,). whole : (n,) mask of complete fluxes. magnitude : (n,) on the scale
     of the catalogue, NaN where not known. blur_arcsec : extra position scatter of faint stars.
     """
-    rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, stationary, frames, tuning)
+    rows, names = _rows(place, frame, np.hypot(sigma, blur_arcsec), name, stationary, frames)
     at, measured = np.maximum(rows, 0), rows >= 0
     weight = np.where(measured, 1.0 / sigma[at] ** 2, 0.0)
     total = weight.sum(axis=1)
@@ -611,8 +622,8 @@ def gather(
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(measured & (flux[at] > 0), 1.0857 * flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
-    often = usable.sum(axis=1) >= max(2.0, tuning.often * frames)
-    zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None], tuning)
+    often = usable.sum(axis=1) >= max(2.0, TUNING.often * frames)
+    zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None])
     zero_offset, scale = _catalogue_scale(magnitude, _instrumental(flux) + zero[frame])
     zero = zero + zero_offset
     light = np.where(whole[at], raw + zero, np.nan)
@@ -630,9 +641,8 @@ def _instrumental(flux: FloatArray) -> FloatArray:
 
 
 def _rows(
-    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, frames: int,
-    tuning: StarTuning,
-) -> tuple[IntArray, NDArray[Any]]:  # fmt: skip
+    place: FloatArray, frame: IntArray, sigma: FloatArray, name: NDArray[Any], stationary: BoolArray, frames: int
+) -> tuple[IntArray, NDArray[Any]]:
     """(s, f) measurement of each star in each frame, −1 for none, and (s,) names.
 
     Stars measured in one frame only are kept if they are in the catalogue.
@@ -657,7 +667,7 @@ def _rows(
             star_records = Records.of(
                 sums[free] / weights[free, None], sigma=1.0 / np.sqrt(weights[free]), source="stars"
             )
-            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(math.log(tuning.odds))
+            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(math.log(TUNING.odds))
             found = identify(frame_records, star_records, rule=rule, prior=prior).matches
             rows[free[found.rows_2], k] = in_frame[found.rows_1]
             new[found.rows_1] = False
@@ -674,13 +684,11 @@ def _rows(
     return rows[keep], names[keep]
 
 
-def _ensemble(
-    raw: FloatArray, error: FloatArray, usable: BoolArray, tuning: StarTuning
-) -> tuple[FloatArray, FloatArray, IntArray, float]:
+def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[FloatArray, FloatArray, IntArray, float]:
     """(f,) zero points with mean 0, their errors and numbers of stars, and the floor, by iterated weighted means."""
     frames = raw.shape[1]
     ensemble = usable.sum(axis=0)
-    good = ensemble >= tuning.min_ensemble
+    good = ensemble >= TUNING.min_ensemble
     usable = usable & good
     usable &= usable.sum(axis=1, keepdims=True) > 1
     if not usable.any():
@@ -688,7 +696,7 @@ def _ensemble(
     zero, floor = np.zeros(frames), 0.02
     values, variance = np.where(usable, raw, 0.0), np.where(usable, error, 1.0) ** 2
     robust = np.ones_like(values)
-    for _ in range(tuning.iterations):
+    for _ in range(TUNING.iterations):
         weight = np.where(usable, robust / (variance + floor**2), 0.0)
         mean = (weight * (values + zero)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
         step = (weight * (mean[:, None] - values)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-30) - zero
@@ -700,7 +708,7 @@ def _ensemble(
         share = 1.0 - 1.0 / max(float(usable.sum(axis=1)[usable.any(axis=1)].mean()), 2.0)
         floor = math.sqrt(max(spread**2 / share - float(np.median(variance[precise])), 1e-6))
         sigmas = np.abs(residual) / np.sqrt(variance + floor**2)
-        robust = np.minimum(1.0, tuning.huber / np.maximum(sigmas, 1e-9))
+        robust = np.minimum(1.0, TUNING.huber / np.maximum(sigmas, 1e-9))
         if np.abs(step - step[good].mean())[good].max() < 1e-6:
             break
     weight = np.where(usable, robust / (variance + floor**2), 0.0).sum(axis=0)

@@ -29,9 +29,9 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import Flag, Measurements
-from sameas.sky.frame.photometry import Completeness, PhotometryTuning, ZeroPoint, instrumental
+from sameas.sky.frame.photometry import Completeness, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
-from sameas.sky.frame.plate import MatchedStars, PlateModel, PlateTuning, fit_plate
+from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.frame.tangent import Pointing, directions_deg
 
@@ -62,7 +62,6 @@ class RefinementTuning:
     pairs_beyond_linear : with more pairs than this the first plate may have an order above 1.
     saturated_mag : standard error of the magnitude of a saturated star, which loses part of its light.
     min_p_detect : minimum detection probability of a candidate star.
-    plate, photometry : parameters of the two fits.
     """
 
     margin_px: float = 2.0
@@ -70,8 +69,6 @@ class RefinementTuning:
     saturated_mag: float = 0.5
     pairs_beyond_linear: int = 30
     min_p_detect: float = 0.01
-    plate: PlateTuning = field(default_factory=PlateTuning)
-    photometry: PhotometryTuning = field(default_factory=PhotometryTuning)
 
 
 TUNING = RefinementTuning()
@@ -91,7 +88,6 @@ class Refinement:
     iterations: int = 8
     converged_px: float = 0.01
     magnitudes: Literal["auto", "off"] = "auto"
-    tuning: RefinementTuning = field(default=TUNING, repr=False)
 
 
 @in_short
@@ -230,26 +226,26 @@ def identify_frame(
     Example: ``identify_frame(measurements, stars, placement).plate.describe()``.
     """
     refinement = refinement or Refinement()
-    tuning, records, faintest = refinement.tuning, measured.records(), None
-    plate = _first_plate(measured, stars, placement, tuning)
+    records, faintest = measured.records(), None
+    plate = _first_plate(measured, stars, placement)
     px, covariance = _predicted(plate, stars)
     for iteration in range(1, refinement.iterations + 1):
-        candidate = _candidates(px, stars, measured, faintest, tuning.margin_px)
+        candidate = _candidates(px, stars, measured, faintest, TUNING.margin_px)
         # With the first plate magnitudes would support wrong pairs as well as right ones.
-        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars, tuning)
+        magnitudes = None if iteration == 1 or refinement.magnitudes == "off" else _brightness(measured, stars)
         result, estimate = match(records, _records(px, covariance, candidate, stars), brightness=magnitudes)
-        completeness = _completeness(px, stars, result, measured, tuning)
+        completeness = _completeness(px, stars, result, measured)
         if completeness is not None:
-            faintest = completeness.faintest(tuning.min_p_detect)
-        pairs = _matched(measured, stars, result, tuning.min_p_pair)
-        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order, tuning=tuning.plate)
+            faintest = completeness.faintest(TUNING.min_p_detect)
+        pairs = _matched(measured, stars, result, TUNING.min_p_pair)
+        plate = fit_plate(pairs, placement.pointing, measured.shape, order=refinement.order)
         previous_px, inside = px, _within(px, measured.shape, 0.0)
         px, covariance = _predicted(plate, stars)
         converged = bool(np.nanmax(np.abs(px - previous_px)[inside], initial=0.0) < refinement.converged_px)
         if converged and iteration > 1:
             break
     i, j, p = result.matches.rows_1, result.matches.rows_2, result.matches.p_match
-    zero = ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], p, tuning.photometry)
+    zero = ZeroPoint.of(measured.flux[i], stars.magnitude[j], stars.colour[j], p)
     notes = _notes(result, estimate, plate, converged)
     return FrameIdentification(
         measured, stars, placement, plate, result, estimate, px, covariance, candidate, zero, completeness, iteration,
@@ -257,14 +253,12 @@ def identify_frame(
     )  # fmt: skip
 
 
-def _first_plate(
-    measured: Measurements, stars: StarField, placement: Placement, tuning: RefinementTuning
-) -> PlateModel:
+def _first_plate(measured: Measurements, stars: StarField, placement: Placement) -> PlateModel:
     """The plate fitted to the pairs of the placement."""
     i, j = placement.rows_measured, placement.rows_stars
     pairs = _pairs(measured, stars, i, j, np.ones(len(i)))
-    order = None if len(i) > tuning.pairs_beyond_linear else 1
-    return fit_plate(pairs, placement.pointing, measured.shape, order=order, tuning=tuning.plate)
+    order = None if len(i) > TUNING.pairs_beyond_linear else 1
+    return fit_plate(pairs, placement.pointing, measured.shape, order=order)
 
 
 def _matched(measured: Measurements, stars: StarField, result: Identification, min_p_pair: float) -> MatchedStars:
@@ -327,9 +321,7 @@ def _records(px: FloatArray, covariance: FloatArray, candidate: BoolArray, stars
     return Records(px[rows], covariance[rows], rows, stars.ids, source=stars.name)
 
 
-def _brightness(
-    measured: Measurements, stars: StarField, tuning: RefinementTuning
-) -> tuple[Magnitudes, Magnitudes] | None:
+def _brightness(measured: Measurements, stars: StarField) -> tuple[Magnitudes, Magnitudes] | None:
     """Instrumental and catalogue magnitudes; None if the catalogue has none.
 
     Measurements at the edge, or without the shape of a star, get no magnitude. Saturated ones keep theirs with a large
@@ -339,7 +331,7 @@ def _brightness(
         return None
     usable = measured.clean(Flag.BLENDED | Flag.SATURATED) & (measured.flux > 0.0)
     flux = np.where(usable, measured.flux, np.nan)
-    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, tuning.saturated_mag, 0.0)
+    saturation_error = np.where((measured.flags & Flag.SATURATED) != 0, TUNING.saturated_mag, 0.0)
     error = np.hypot(POGSON * measured.flux_err / flux, saturation_error)
     return Magnitudes(-2.5 * np.log10(flux), error, ("instrumental",)), Magnitudes(
         stars.magnitude, names=("catalogue",)
@@ -347,15 +339,15 @@ def _brightness(
 
 
 def _completeness(
-    px: FloatArray, stars: StarField, result: Identification, measured: Measurements, tuning: RefinementTuning
+    px: FloatArray, stars: StarField, result: Identification, measured: Measurements
 ) -> Completeness | None:
     """The identified share of the stars on the frame, by magnitude."""
     p_identified = np.zeros(len(stars))
     np.add.at(p_identified, result.rows_2, result.p_pair)
-    inside = _measurable(px, measured, -tuning.margin_px)
+    inside = _measurable(px, measured, -TUNING.margin_px)
     if not inside.any():
         return None
-    return Completeness.of(stars.magnitude[inside], p_identified[inside], tuning.photometry)
+    return Completeness.of(stars.magnitude[inside], p_identified[inside])
 
 
 def _notes(result: Identification, estimate: Estimate, plate: PlateModel, converged: bool) -> tuple[str, ...]:

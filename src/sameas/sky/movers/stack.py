@@ -108,20 +108,17 @@ class Stack:
         return len(self.flux)
 
 
-def stack(
-    found: Movers, series: Series, frames: Iterable[Frame], tuning: StackTuning = TUNING,
-    place: FloatArray | None = None,
-) -> Stack:  # fmt: skip
+def stack(found: Movers, series: Series, frames: Iterable[Frame], place: FloatArray | None=None) -> Stack:  # fmt: skip
     """The tracklets measured in the pixels of the frames.
 
     found : tracklets of the series. frames : calibrated, in the order of ``series.exposures``, used one at a time.
     place : (k, f, 2) arcsec, positions of movers below the limit of single frames; None for tracklets of detections.
     """
-    k, f = min(len(found), tuning.max_tracklets), len(series.exposures)
+    k, f = min(len(found), TUNING.max_tracklets), len(series.exposures)
     scale = series.scale_arcsec_per_px
     blind = place is not None
     place = (predicted(found, series) if place is None else place)[:k]
-    size, half = 2 * tuning.half_px + 1, _fixed_halves(place, scale, tuning)
+    size, half = 2 * TUNING.half_px + 1, _fixed_halves(place, scale)
     chip, flux, error = np.full((k, f, 2), np.nan), np.full((k, f), np.nan), np.full((k, f), np.nan)
     along = np.zeros((k, f, size, size), np.float32)
     fixed = [None if h is None else np.zeros((f, 2 * h + 1, 2 * h + 1), np.float32) for h in half]
@@ -133,12 +130,12 @@ def stack(
         to_chip = chip_map(series, n)
         chip[:, n] = to_chip(place[:, n])
         width = max(_width(series, n), 1.5)
-        hidden[:, n] = _near_star(series, n, place[:, n], tuning.hidden_widths * width * scale)
+        hidden[:, n] = _near_star(series, n, place[:, n], TUNING.hidden_widths * width * scale)
         measured = _FramePixels(frame, width / FWHM_PER_SIGMA)
-        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng, tuning)
+        flux[:, n], error[:, n] = _forced(measured, chip[:, n], to_chip, place[:, n], width, scale, rng)
         noise = measured.noise()
         for i in range(k):
-            along[i, n] = measured.cut(to_chip(_grid(place[i, n], tuning.half_px, scale))) / noise
+            along[i, n] = measured.cut(to_chip(_grid(place[i, n], TUNING.half_px, scale))) / noise
             h, cut = half[i], fixed[i]
             if h is not None and cut is not None:
                 cut[n] = measured.cut(to_chip(_grid(place[i].mean(axis=0), h, scale))) / noise
@@ -146,7 +143,7 @@ def stack(
     factor = 10 ** (-0.4 * np.nan_to_num(np.where(np.isfinite(zero), np.nanmean(zero) - zero, 0.0)))
     flux, error = flux / factor, error / factor
     detected = np.zeros((k, f), bool) if blind else _detected(found, series)[:k]
-    log_ratio = np.zeros(k) if blind else _evidence(found, flux, error, hidden, detected, tuning)
+    log_ratio = np.zeros(k) if blind else _evidence(found, flux, error, hidden, detected)
     p = found.p_tracklet[:k]
     with np.errstate(divide="ignore", over="ignore"):
         odds = np.log(np.maximum(p, 1e-300)) - np.log(np.maximum(1 - p, 1e-16)) + log_ratio
@@ -173,11 +170,11 @@ def predicted(found: Movers, series: Series) -> FloatArray:
     return path
 
 
-def _fixed_halves(place: FloatArray, scale: float, tuning: StackTuning) -> list[int | None]:
+def _fixed_halves(place: FloatArray, scale: float) -> list[int | None]:
     """Half-size of the cut-out fixed on the sky of each tracklet, px; None if its motion is too large."""
     motion_px = np.abs(place - place.mean(axis=1, keepdims=True)).max(axis=(1, 2), initial=0.0) / scale
-    half = np.ceil(motion_px + 0.6 * tuning.half_px).astype(int)
-    return [max(int(h), tuning.half_px) if h <= tuning.max_half_px else None for h in half]
+    half = np.ceil(motion_px + 0.6 * TUNING.half_px).astype(int)
+    return [max(int(h), TUNING.half_px) if h <= TUNING.max_half_px else None for h in half]
 
 
 class ChipMap:
@@ -266,19 +263,24 @@ class _FramePixels:
 
 
 def _forced(
-    measured: _FramePixels, chip: FloatArray, to_chip: ChipMap, place: FloatArray, width: float, scale: float,
-    rng: np.random.Generator, tuning: StackTuning,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    measured: _FramePixels,
+    chip: FloatArray,
+    to_chip: ChipMap,
+    place: FloatArray,
+    width: float,
+    scale: float,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
     """(k,) fluxes at the positions, and their errors from control positions around each."""
     flux, error = measured.flux(chip), np.full(len(chip), np.nan)
     for i in np.flatnonzero(np.isfinite(flux)):
-        angle = rng.uniform(0, 2 * math.pi, tuning.controls)
-        radius = width * scale * (2.0 + (tuning.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, tuning.controls)))
+        angle = rng.uniform(0, 2 * math.pi, TUNING.controls)
+        radius = width * scale * (2.0 + (TUNING.far_widths - 2.0) * np.sqrt(rng.uniform(0, 1, TUNING.controls)))
         control_places = place[i] + radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
         control_flux = measured.flux(to_chip(control_places))
         control_flux = control_flux[np.isfinite(control_flux)]
         least = measured.noise() * 2.0 * math.sqrt(math.pi) * measured.sigma
-        if len(control_flux) >= tuning.controls // 3:
+        if len(control_flux) >= TUNING.controls // 3:
             # Stars near the track widen the upper half of the controls; the lower half gives the noise.
             middle = float(np.percentile(control_flux, 40.0))
             low = float(np.percentile(control_flux, 12.0))
@@ -304,9 +306,7 @@ def _detected(found: Movers, series: Series) -> BoolArray:
     return out
 
 
-def _evidence(
-    found: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray, tuning: StackTuning
-) -> FloatArray:
+def _evidence(found: Movers, flux: FloatArray, error: FloatArray, hidden: BoolArray, detected: BoolArray) -> FloatArray:
     """(k,) log ratio by the frames without a detection."""
     usable = np.isfinite(flux) & ~hidden
     measured = usable & detected
@@ -315,13 +315,13 @@ def _evidence(
     mean = np.where(mean > 0, mean, np.nan)[:, None]
     missed = usable & ~detected & np.isfinite(mean)
     with np.errstate(invalid="ignore", divide="ignore"):
-        variance = error**2 + (tuning.variable * mean) ** 2
-        log_visible = math.log1p(-tuning.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
+        variance = error**2 + (TUNING.variable * mean) ** 2
+        log_visible = math.log1p(-TUNING.absent) - 0.5 * ((flux - mean) ** 2 / variance + np.log(variance))
         log_absent = -0.5 * ((flux / error) ** 2 + np.log(error**2))
-        log_ratio = np.logaddexp(log_visible, math.log(tuning.absent) + log_absent) - log_absent
+        log_ratio = np.logaddexp(log_visible, math.log(TUNING.absent) + log_absent) - log_absent
     # An unlisted star on the track would give much light: the evidence is limited, per frame and of all.
     gain = np.where(missed, np.minimum(log_ratio, 3.0), 0.0).sum(axis=1)
-    gain -= np.logaddexp(math.log1p(-tuning.unlisted), math.log(tuning.unlisted) + gain)
+    gain -= np.logaddexp(math.log1p(-TUNING.unlisted), math.log(TUNING.unlisted) + gain)
     # This replaces the misses counted by the search.
     return np.asarray(gain - found.log_missed[: len(flux)])
 
@@ -445,7 +445,7 @@ class _Trail:
         )  # fmt: skip
 
 
-def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = TRAIL_TUNING) -> Series:
+def with_trails(series: Series, frames: Iterable[Frame]) -> Series:
     """The series with unexplained measurements remeasured as trails where these fit better.
 
     frames : calibrated, in the order of ``series.exposures``, used one at a time. Other measurements of parts of a
@@ -464,7 +464,7 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
         if not tried.any() or len(rows) < 6:
             continue
         width = max(one.psf_fwhm_px, 1.5)
-        pixels = _Pixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width, tuning)
+        pixels = _Pixels.of(frame, at[~free], one.snr[series.row[rows]][~free], width)
         to_sky = ChipMap(at, series.place[rows])
         done, measured, known = np.zeros(len(rows), bool), np.zeros(len(rows), bool), list[_Trail]()
         candidates = np.flatnonzero(tried)
@@ -493,16 +493,16 @@ def with_trails(series: Series, frames: Iterable[Frame], tuning: TrailTuning = T
             sigma[row] = math.hypot(scale * math.sqrt(0.5 * np.trace(trail.covariance[:2, :2])), series.floor_arcsec[n])
             magnitude[row] += trail.fainter_than(one.flux[own])
             one = trail.measured_on(one, own)
-        for line in _long_lines(known, width, 1.8 * tuning.max_px):
+        for line in _long_lines(known, width, 1.8 * TRAIL_TUNING.max_px):
             now_at = np.column_stack([one.x_px, one.y_px])[series.row[rows]]
             parts = free & (known[line[0]].covers(at, width, math.inf) | known[line[0]].covers(now_at, width, math.inf))
             unreliable[rows[parts]], vector[rows[parts]], error[rows[parts]] = True, np.nan, np.nan
             long += 1
         exposures[n] = one
-    note = f"{long} trails longer than {2 * tuning.max_px:.0f} px, as of satellites, are removed"
+    note = f"{long} trails longer than {2 * TRAIL_TUNING.max_px:.0f} px, as of satellites, are removed"
     return replace(
         series, place=place, sigma_arcsec=sigma, unreliable=unreliable, magnitude=magnitude, exposures=tuple(exposures),
-        trails=Trails(vector, error, tuning.min_widths), notes=(*series.notes, *([note] if long else [])),
+        trails=Trails(vector, error, TRAIL_TUNING.min_widths), notes=(*series.notes, *([note] if long else [])),
     )  # fmt: skip
 
 
@@ -542,17 +542,16 @@ class _Pixels:
     noise: float
     inverse_gain: float
     width: float
-    tuning: TrailTuning
 
     @classmethod
-    def of(cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float, tuning: TrailTuning) -> _Pixels:
+    def of(cls, frame: Frame, sources: FloatArray, snr: FloatArray, width: float) -> _Pixels:
         """The pixels of a frame. sources : (n, 2) pixels of known sources, excluded. snr : (n,)."""
         image = np.asarray(frame.image, np.float64).copy()
         good = ((frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) == 0) & np.isfinite(image)
         level = float(np.median(image[good][::7]))
         steps = np.diff(image[::3], axis=1)[good[::3, 1:] & good[::3, :-1]]
         noise = max(1.4826 * float(np.median(np.abs(steps))) / math.sqrt(2.0), 1e-9)
-        radius = width * (tuning.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0)))
+        radius = width * (TRAIL_TUNING.hidden_widths + 0.6 * np.log10(np.maximum(snr / 10.0, 1.0)))
         for (x, y), r in zip(sources, radius, strict=True):
             a, b = max(int(y - r), 0), max(int(x - r), 0)
             v, u = np.mgrid[a : int(y + r) + 2, b : int(x + r) + 2]
@@ -562,8 +561,14 @@ class _Pixels:
         sigma = width / FWHM_PER_SIGMA
         smooth = gaussian_filter(image.astype(np.float32), sigma, mode="nearest") - np.float32(level)
         gain = frame.facts.gain_e_per_adu
-        return cls(image, good, smooth * (2 * math.sqrt(math.pi) * sigma / noise), noise,
-                   1.0 / gain if gain > 0 else 0.0, width, tuning)  # fmt: skip
+        return cls(
+            image,
+            good,
+            smooth * (2 * math.sqrt(math.pi) * sigma / noise),
+            noise,
+            1.0 / gain if gain > 0 else 0.0,
+            width,
+        )
 
     def candidates(self, at: FloatArray) -> list[tuple[int, FloatArray]]:
         """The pixels (n, 2) that may be on a trail, as indices, the most significant first, with its ends (2, 2).
@@ -571,8 +576,8 @@ class _Pixels:
         The sum of the star's filter along a line, S = Σ s/√count, is used: a trail is tried if S² exceeds that of the
         star alone by half of the gain required of a fit.
         """
-        steps = np.arange(1, max(int(self.tuning.max_px / self.width), 2) + 1) * self.width
-        angle = np.arange(self.tuning.angles) * math.pi / self.tuning.angles
+        steps = np.arange(1, max(int(TRAIL_TUNING.max_px / self.width), 2) + 1) * self.width
+        angle = np.arange(TRAIL_TUNING.angles) * math.pi / TRAIL_TUNING.angles
         direction = np.column_stack([np.cos(angle), np.sin(angle)])
         offsets = np.concatenate([-steps[::-1], [0.0], steps])
         points = at[:, None, None] + direction[None, :, None] * offsets[None, None, :, None]  # (n, angles, steps, 2)
@@ -583,7 +588,7 @@ class _Pixels:
         # A trail has uniform brightness: it ends at a gap, and much brighter parts are other sources.
         top = np.max(s[..., max(m - 1, 0) : m + 2], axis=(1, 2))[:, None, None]
         s = np.minimum(s, 1.3 * np.maximum(top, 1.0))
-        gap = s < np.maximum(self.tuning.gap * top, 0.5)
+        gap = s < np.maximum(TRAIL_TUNING.gap * top, 0.5)
         gap = np.concatenate(
             [np.logical_or.accumulate(gap[..., :m][..., ::-1], axis=-1)[..., ::-1], np.zeros((*s.shape[:2], 1), bool),
              np.logical_or.accumulate(gap[..., m + 1 :], axis=-1)], axis=-1,
@@ -599,10 +604,10 @@ class _Pixels:
         best_angle, a, b = np.unravel_index(best, total.shape[1:])
         alone = np.maximum(s[:, 0, m], 0.0)
         order = np.argsort(-score)
-        chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * self.tuning.gain]
+        chosen = [k for k in order if score[k] > 0 and score[k] ** 2 - alone[k] ** 2 > 0.5 * TRAIL_TUNING.gain]
         best = direction[best_angle]
         ends = [np.stack([at[k] - a[k] * self.width * best[k], at[k] + b[k] * self.width * best[k]]) for k in chosen]
-        return list(zip(map(int, chosen), ends, strict=True))[: self.tuning.max_fits]
+        return list(zip(map(int, chosen), ends, strict=True))[: TRAIL_TUNING.max_fits]
 
     def fitted(self, at: FloatArray, ends: FloatArray) -> _Trail | None:
         """The trail fitted from initial ends (2, 2); None if a star fits as well, or the fit fails."""
@@ -651,8 +656,8 @@ class _Pixels:
         unit = half / max(size, 1e-9)
         spread = math.sqrt(max(float(unit @ covariance[2:4, 2:4] @ unit), 1e-12))
         gain = 2.0 * (point.cost - fit.cost) / chi
-        long = 2.0 * size > self.tuning.min_widths * self.width and size > self.tuning.min_sigmas * spread
-        if gain < self.tuning.gain or not long:
+        long = 2.0 * size > TRAIL_TUNING.min_widths * self.width and size > TRAIL_TUNING.min_sigmas * spread
+        if gain < TRAIL_TUNING.gain or not long:
             return None
         trail = _Trail(fit.x[:2], half, covariance[:4, :4], float(fit.x[4] * flux),
                        float(flux * math.sqrt(covariance[4, 4])))  # fmt: skip
