@@ -15,7 +15,7 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.sky.frame.image import Frame, Image
-from sameas.sky.frame.measurements import TUNING, DetectionTuning
+from sameas.sky.frame.measurements import TUNING
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Background:
     correlation: FloatArray
 
     @classmethod
-    def of(cls, frame: Frame, *, box_px: int = 64, tuning: DetectionTuning = TUNING) -> Background:
+    def of(cls, frame: Frame, *, box_px: int = 64) -> Background:
         """The background of a frame; ``box_px`` should be about ten times the width of a star.
 
         Raises
@@ -56,7 +56,7 @@ class Background:
             level.astype(np.float32),
             np.where(usable, variance, np.inf).astype(np.float32),
             1 / gain if known else 0.0,
-            _correlation(normal, tuning),
+            _correlation(normal),
         )
 
     def factor(self, sigma_px: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -98,9 +98,9 @@ def _meshes(frame: Frame, box_px: int) -> tuple[FloatArray, FloatArray]:
         raise InputError(f"{frame.name}: too few usable pixels for a background ({error})") from error
 
 
-def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
+def _correlation(normal: FloatArray) -> FloatArray:
     """The noise correlation at small offsets, from normalised pixels without stars."""
-    reach, half = tuning.noise_reach_px, tuning.noise_side_px // 2
+    reach, half = TUNING.noise_reach_px, TUNING.noise_side_px // 2
     independent = np.zeros((2 * reach + 1, 2 * reach + 1))
     independent[reach, reach] = 1
     rows, columns = (slice(max(0, size // 2 - half), size // 2 + half) for size in normal.shape)
@@ -112,10 +112,10 @@ def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
         return independent
     smooth = uniform_filter(np.nan_to_num(part), 3)
     # Masked pixels have no noise and are excluded from the scatter; stars are excluded with their surroundings.
-    limit = tuning.star_sigmas * 1.4826 * np.median(np.abs(smooth[usable]))
+    limit = TUNING.star_sigmas * 1.4826 * np.median(np.abs(smooth[usable]))
     bright = maximum_filter(np.abs(smooth) > limit, 9)
     sky = usable & ~bright
-    if sky.sum() < tuning.min_noise_pixels:
+    if sky.sum() < TUNING.min_noise_pixels:
         return independent
     values = np.where(sky, part - np.median(part[sky]), 0.0)
     size = [2 * n for n in part.shape]
@@ -125,4 +125,4 @@ def _correlation(normal: FloatArray, tuning: DetectionTuning) -> FloatArray:
     index = np.arange(-reach, reach + 1)
     covariance = product[np.ix_(index, index)] / np.maximum(count[np.ix_(index, index)], 1)
     rho = covariance / covariance[reach, reach]
-    return np.where(np.abs(rho) < tuning.min_correlation, 0.0, rho)
+    return np.where(np.abs(rho) < TUNING.min_correlation, 0.0, rho)

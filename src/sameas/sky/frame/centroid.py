@@ -27,7 +27,7 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.sky.frame.background import Background
-from sameas.sky.frame.measurements import TUNING, DetectionTuning
+from sameas.sky.frame.measurements import TUNING
 
 FWHM_PER_SIGMA = math.sqrt(8 * math.log(2))
 #: Minimum standard deviation of the PSF: averaging over a pixel makes a star at least this wide.
@@ -208,12 +208,7 @@ class Subtracted:
 
 
 def centroids(
-    light: FloatArray,
-    background: Background,
-    xy: FloatArray,
-    windows: FloatArray,
-    subtracted: Subtracted | None = None,
-    tuning: DetectionTuning = TUNING,
+    light: FloatArray, background: Background, xy: FloatArray, windows: FloatArray, subtracted: Subtracted | None = None
 ) -> Centroids:
     """Windowed centroids near ``xy`` (n, 2) in windows (n, 2, 2).
 
@@ -221,18 +216,18 @@ def centroids(
     """
     n = len(xy)
     largest = np.sqrt(np.linalg.eigvalsh(windows)[:, 1]) if n else np.empty(0)
-    half = np.clip(np.ceil(tuning.stamp_sigmas * largest).astype(int) + 1, 4, tuning.max_width_px)
+    half = np.clip(np.ceil(TUNING.stamp_sigmas * largest).astype(int) + 1, 4, TUNING.max_width_px)
     # Half-widths are rounded up to a geometric series, so that stamps have few sizes.
-    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), tuning.max_width_px)
+    half = np.minimum(np.ceil(4 * 1.3 ** np.ceil(np.log(half / 4) / np.log(1.3))).astype(int), TUNING.max_width_px)
     parts: list[tuple[IntArray, Centroids]] = []
     for size in np.unique(half):
         members = np.flatnonzero(half == size)
-        step = max(1, tuning.pixels_at_once // (2 * size + 1) ** 2)
+        step = max(1, TUNING.pixels_at_once // (2 * size + 1) ** 2)
         for first in range(0, len(members), step):
             rows = members[first : first + step]
             stamps = cut_stamps(light, background, np.rint(xy[rows]).astype(int), int(size))
             stamps = stamps if subtracted is None else subtracted.add_back(stamps, rows)
-            parts.append((rows, _iterated(stamps, xy[rows], windows[rows], background, tuning)))
+            parts.append((rows, _iterated(stamps, xy[rows], windows[rows], background)))
     return _concatenated(n, parts)
 
 
@@ -255,16 +250,14 @@ def cut_stamps(light: FloatArray, background: Background, centre: IntArray, half
     )
 
 
-def _iterated(
-    stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background, tuning: DetectionTuning
-) -> Centroids:
+def _iterated(stamps: Stamps, start: FloatArray, windows: FloatArray, background: Background) -> Centroids:
     """The centroids of stamps from a start (n, 2) by the iteration x ← x + 2 Σ w I d / Σ w I."""
     inverse = np.asarray(np.linalg.inv(windows), float)
     limit = np.sqrt(np.trace(windows, axis1=1, axis2=2))[:, None]
     reach = 0.5 + 0.8 * limit  # a centroid farther from its start has moved to another star
     xy, moving = start.copy(), np.arange(len(start))
     converged = np.zeros(len(start), bool)
-    for _ in range(tuning.centroid_steps):
+    for _ in range(TUNING.centroid_steps):
         part = Stamps(*(plane[moving] for plane in stamps))  # type: ignore[arg-type]
         dx, dy, w = _window(part, xy[moving], inverse[moving])
         wi = w * part.light
@@ -275,7 +268,7 @@ def _iterated(
         valid = np.isfinite(step).all(axis=1) & (total > 0)
         step = np.where(valid[:, None], np.clip(step, -0.5 * limit[moving], 0.5 * limit[moving]), 0.0)
         xy[moving] += step
-        short = (np.abs(step) < tuning.converged_px).all(axis=1)
+        short = (np.abs(step) < TUNING.converged_px).all(axis=1)
         diverged = (np.abs(xy[moving] - start[moving]) > reach[moving]).any(axis=1)
         converged[moving[short & valid]] = True
         moving = moving[~short & ~diverged]
@@ -348,12 +341,7 @@ def _concatenated(n: int, parts: list[tuple[IntArray, Centroids]]) -> Centroids:
 
 
 def adaptive(
-    light: FloatArray,
-    background: Background,
-    xy: FloatArray,
-    start: FloatArray,
-    subtracted: Subtracted | None = None,
-    tuning: DetectionTuning = TUNING,
+    light: FloatArray, background: Background, xy: FloatArray, start: FloatArray, subtracted: Subtracted | None = None
 ) -> tuple[Centroids, FloatArray]:
     """Centroids in windows adapted to the shape of each star, and the window matrices (n, 2, 2).
 
@@ -361,8 +349,8 @@ def adaptive(
     (Bernstein & Jarvis 2002, AJ 123, 583, sect. 3.1).
     """
     windows = start.copy()
-    measured = centroids(light, background, xy, windows, subtracted, tuning)
-    for _ in range(tuning.shape_steps):
+    measured = centroids(light, background, xy, windows, subtracted)
+    for _ in range(TUNING.shape_steps):
         with np.errstate(all="ignore"):
             values, vectors = np.linalg.eigh(np.nan_to_num(measured.moments, posinf=1.0, neginf=1.0))
         values = np.clip(values, 0.05, None)
@@ -371,7 +359,7 @@ def adaptive(
         values, vectors = np.linalg.eigh(inverse)
         old = np.linalg.eigvalsh(windows)
         low, high = 1 / (2.5 * old[:, 1:]), 1 / (0.4 * old[:, :1])
-        values = np.clip(values, np.maximum(low, 1 / (tuning.max_width_px / 3) ** 2), np.minimum(high, 1 / 0.2))
+        values = np.clip(values, np.maximum(low, 1 / (TUNING.max_width_px / 3) ** 2), np.minimum(high, 1 / 0.2))
         windows = (vectors / values[:, None, :]) @ vectors.transpose(0, 2, 1)
-        measured = centroids(light, background, measured.xy, windows, subtracted, tuning)
+        measured = centroids(light, background, measured.xy, windows, subtracted)
     return measured, windows

@@ -21,12 +21,12 @@ from sameas.errors import InputError
 from sameas.sky.frame.background import Background
 from sameas.sky.frame.centroid import FWHM_PER_SIGMA, PSF, Centroids, Subtracted, adaptive, centroids, cut_stamps
 from sameas.sky.frame.image import Frame
-from sameas.sky.frame.measurements import Detection, DetectionTuning, Flag, Measurements
+from sameas.sky.frame.measurements import TUNING, Detection, Flag, Measurements
 
 _EIGHT_NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 
 
-def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> Frame:
+def flag_defects(frame: Frame, background: Background, psf: PSF) -> Frame:
     """The frame with its defects flagged: HOT, COSMIC, and MASKED for bad columns and rows.
 
     A defect is sharper than any star: the limit is the contrast of a star centred on a pixel. Single pixels are HOT,
@@ -34,8 +34,8 @@ def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: Detecti
     (:mod:`sameas.sky.frame.image`). astroscrappy (van Dokkum 2001, PASP 113, 1420) is not used because it does not
     compare the sharpness with the frame's stars: it flags the cores of stars with a FWHM of 1.5 px.
     """
-    lines = _bad_lines(frame, background, tuning)
-    sharp = _too_sharp(frame, background, psf, tuning) & ~lines
+    lines = _bad_lines(frame, background)
+    sharp = _too_sharp(frame, background, psf) & ~lines
     from scipy.ndimage import label
 
     parts, _ = label(sharp, np.ones((3, 3)))
@@ -44,12 +44,12 @@ def flag_defects(frame: Frame, background: Background, psf: PSF, tuning: Detecti
     return frame.marked(lines, Flag.MASKED).marked(single, Flag.HOT).marked(sharp & ~single, Flag.COSMIC)
 
 
-def _too_sharp(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> BoolArray:
+def _too_sharp(frame: Frame, background: Background, psf: PSF) -> BoolArray:
     """(rows, columns) mask of the pixels that are sharper than any star."""
     from scipy.ndimage import binary_dilation
 
     neighbour_light = np.array([psf.light(float(x), float(y)) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y])
-    contrast = tuning.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(neighbour_light))
+    contrast = TUNING.sharpness_margin * float(psf.light(0.0, 0.0)) / float(np.median(neighbour_light))
     light = frame.image - background.level
     usable = np.isfinite(background.variance)
     variance = np.where(usable, background.variance, 0.0)
@@ -58,15 +58,15 @@ def _too_sharp(frame: Frame, background: Background, psf: PSF, tuning: Detection
     # Bleeding and diffraction of saturated stars may be sharper than stars.
     saturated &= binary_dilation(saturated, np.ones((3, 3))) & ~_isolated(saturated)
     near_saturated = binary_dilation(saturated, np.ones((3, 3)), iterations=2)
-    rows, columns = np.nonzero((light > tuning.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
+    rows, columns = np.nonzero((light > TUNING.defect_sigmas * np.sqrt(variance)) & usable & ~near_saturated)
     work = np.pad(np.where(usable, light, 0.0), 1, mode="reflect")
     central, sky_variance = light[rows, columns], variance[rows, columns]
-    for _ in range(tuning.defect_passes):
+    for _ in range(TUNING.defect_passes):
         shifted = [work[rows + 1 + y, columns + 1 + x] for y in (-1, 0, 1) for x in (-1, 0, 1) if x or y]
         neighbours = np.maximum(np.median(shifted, axis=0), 0.0)
         photons = neighbours * contrast * (1 + 0.2 * contrast)
         noise = np.sqrt(sky_variance * (1 + 0.2 * contrast**2) + background.inverse_gain * photons)
-        sharp = central - contrast * neighbours > tuning.defect_sigmas * noise
+        sharp = central - contrast * neighbours > TUNING.defect_sigmas * noise
         if not (sharp & ~defect[rows, columns]).any():
             break
         defect[rows[sharp], columns[sharp]] = True
@@ -81,7 +81,7 @@ def _isolated(mask: BoolArray) -> BoolArray:
     return np.asarray(mask & (convolve(mask.astype(np.int8), _EIGHT_NEIGHBOURS.astype(np.int8), mode="constant") == 0))
 
 
-def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) -> BoolArray:
+def _bad_lines(frame: Frame, background: Background) -> BoolArray:
     """(rows, columns) mask of the columns and rows whose median differs from their neighbours' by far."""
     from scipy.ndimage import median_filter
 
@@ -92,14 +92,14 @@ def _bad_lines(frame: Frame, background: Background, tuning: DetectionTuning) ->
         # Half of the pixels are enough for a median.
         median = np.median(normal[::2] if axis == 0 else normal[:, ::2], axis=axis)
         deviation = np.abs(median - median_filter(median, 15, mode="reflect"))
-        limit = max(tuning.min_line, tuning.line_sigmas * 1.4826 * float(np.median(deviation)))
+        limit = max(TUNING.min_line, TUNING.line_sigmas * 1.4826 * float(np.median(deviation)))
         line = deviation > limit
         if line.mean() < 0.05:
             bad |= line[None, :] if axis == 0 else line[:, None]
     return bad
 
 
-def significance(light: FloatArray, background: Background, psf: PSF, tuning: DetectionTuning) -> FloatArray:
+def significance(light: FloatArray, background: Background, psf: PSF) -> FloatArray:
     """(rows, columns) signal to noise ratio of a star at the centre of each pixel; 0 where most of it is masked.
 
     Matched filter: Σ k I/v over √(Σ k²/v), k the PSF, v the variance of the sky, infinite for unusable pixels.
@@ -119,7 +119,7 @@ def significance(light: FloatArray, background: Background, psf: PSF, tuning: De
     noise_sq = oaconvolve(weight, kernel**2, mode="same")
     factor = float(background.factor(np.array([psf.sigma_px]))[0][0])
     usable = oaconvolve((weight > 0).astype(np.float32), kernel**2, mode="same")
-    enough = usable > tuning.min_usable * float((kernel**2).sum())
+    enough = usable > TUNING.min_usable * float((kernel**2).sum())
     return np.where(enough, signal * np.sqrt(typical_weight / factor) / np.sqrt(np.maximum(noise_sq, 1e-12)), 0.0)
 
 
@@ -128,9 +128,7 @@ def photon_noise(light: FloatArray, background: Background) -> FloatArray:
     return np.sqrt(1 + background.inverse_gain * np.maximum(light, 0) / background.variance)
 
 
-def peaks(
-    snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float, tuning: DetectionTuning
-) -> tuple[FloatArray, FloatArray]:
+def peaks(snr: FloatArray, noise: FloatArray, psf: PSF, threshold_sigmas: float) -> tuple[FloatArray, FloatArray]:
     """(n, 2) pixels (x, y) of the stars, the most significant first, and their significance (n,).
 
     Stars are maxima of the significance; two maxima without a saddle between them are one star.
@@ -150,13 +148,11 @@ def peaks(
     x, y, value = (np.asarray(table[name], float) for name in names)
     order = np.lexsort((x, y, -value))
     xy, value = np.column_stack([x, y])[order], value[order]
-    keep = _separated(snr, noise, xy, value, tuning.saddle_widths * psf.fwhm_px, tuning)
+    keep = _separated(snr, noise, xy, value, TUNING.saddle_widths * psf.fwhm_px)
     return xy[keep], value[keep]
 
 
-def _separated(
-    snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float, tuning: DetectionTuning
-) -> IntArray:
+def _separated(snr: FloatArray, noise: FloatArray, xy: FloatArray, value: FloatArray, reach_px: float) -> IntArray:
     """Rows of the peaks with a saddle between them and every higher peak within reach."""
     from scipy.ndimage import map_coordinates
     from scipy.spatial import cKDTree
@@ -170,12 +166,12 @@ def _separated(
     # A ridge may pass half a pixel from the centres of its end pixels: the best of three parallel lines is used.
     direction = (xy[lower] - xy[higher]) / np.linalg.norm(xy[lower] - xy[higher], axis=1, keepdims=True)
     normal = np.column_stack([-direction[:, 1], direction[:, 0]])[:, None, :]
-    lines = [segment + offset * normal for offset in (-tuning.ridge_px, 0.0, tuning.ridge_px)]
+    lines = [segment + offset * normal for offset in (-TUNING.ridge_px, 0.0, TUNING.ridge_px)]
     profiles = [map_coordinates(snr, [line[..., 1], line[..., 0]], order=1, mode="nearest") for line in lines]
     saddle = np.max(profiles, axis=0).min(axis=1)
     x, y = xy[lower].astype(int).T
-    random_depth = np.sqrt(tuning.saddle_sigmas**2 + tuning.saddle_photons**2 * (noise[y, x] ** 2 - 1))
-    depth = np.maximum(random_depth, tuning.saddle_share * value[lower])
+    random_depth = np.sqrt(TUNING.saddle_sigmas**2 + TUNING.saddle_photons**2 * (noise[y, x] ** 2 - 1))
+    depth = np.maximum(random_depth, TUNING.saddle_share * value[lower])
     return np.setdiff1d(np.arange(len(xy)), lower[value[lower] - saddle < depth])
 
 
@@ -194,16 +190,15 @@ def detect(frame: Frame, detection: Detection | None = None) -> Measurements:
     [51.0, 20.0, 44.0]
     """
     detection = detection or Detection()
-    tuning = detection.tuning
-    background = Background.of(frame, box_px=detection.box_px, tuning=tuning)
+    background = Background.of(frame, box_px=detection.box_px)
     if detection.defects:
-        sharpest = PSF(tuning.sharpest_sigma_px**2 * np.eye(2))
-        frame, background = _without_defects(frame, background, sharpest, tuning)
+        sharpest = PSF(TUNING.sharpest_sigma_px**2 * np.eye(2))
+        frame, background = _without_defects(frame, background, sharpest)
     psf = _mean_psf(frame, background, detection)
     if detection.defects:
-        frame, background = _without_defects(frame, background, psf, tuning)
+        frame, background = _without_defects(frame, background, psf)
     light = _above_sky(frame, background)
-    xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas, tuning)
+    xy, snr = _peaks_of(light, background, psf, detection.threshold_sigmas)
     _refuse_negative(frame, light, background, psf, len(xy), detection)
     if not len(xy):
         raise InputError(f"{frame.name}: no star above {detection.threshold_sigmas:g}σ; lower threshold_sigmas")
@@ -215,10 +210,10 @@ def _refuse_negative(
     frame: Frame, light: FloatArray, background: Background, psf: PSF, n_stars: int, detection: Detection
 ) -> None:
     """Refuses an image with hardly any stars and many dark spots, as of a scanned photographic negative."""
-    if n_stars >= detection.tuning.max_stars_of_negative:
+    if n_stars >= TUNING.max_stars_of_negative:
         return
-    dark = len(_peaks_of(-light, background, psf, detection.threshold_sigmas, detection.tuning)[0])
-    if dark > detection.tuning.min_dark_ratio * max(n_stars, 1):
+    dark = len(_peaks_of(-light, background, psf, detection.threshold_sigmas)[0])
+    if dark > TUNING.min_dark_ratio * max(n_stars, 1):
         raise InputError(
             f"{frame.name}: {n_stars} bright and {dark} dark spots above {detection.threshold_sigmas:g}σ: it seems to "
             "be a negative, with dark stars on a bright sky",
@@ -232,32 +227,30 @@ def _above_sky(frame: Frame, background: Background) -> FloatArray:
 
 
 def _peaks_of(
-    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float, tuning: DetectionTuning
+    light: FloatArray, background: Background, psf: PSF, threshold_sigmas: float
 ) -> tuple[FloatArray, FloatArray]:
-    snr, noise = significance(light, background, psf, tuning), photon_noise(light, background)
-    return peaks(snr, noise, psf, threshold_sigmas, tuning)
+    snr, noise = significance(light, background, psf), photon_noise(light, background)
+    return peaks(snr, noise, psf, threshold_sigmas)
 
 
-def _without_defects(
-    frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning
-) -> tuple[Frame, Background]:
+def _without_defects(frame: Frame, background: Background, psf: PSF) -> tuple[Frame, Background]:
     """The frame with its defects flagged, and the background with infinite variance there."""
-    frame = flag_defects(frame, background, psf, tuning)
+    frame = flag_defects(frame, background, psf)
     unusable = (frame.flags & (Flag.HOT | Flag.COSMIC | Flag.MASKED)) != 0
     return frame, replace(background, variance=np.where(unusable, np.inf, background.variance).astype(np.float32))
 
 
 def _mean_psf(frame: Frame, background: Background, detection: Detection) -> PSF:
     """The PSF of bright, single, unsaturated stars, measured twice: from a first guess, then from the result."""
-    tuning, light = detection.tuning, _above_sky(frame, background)
-    psf = PSF(tuning.first_sigma_px**2 * np.eye(2))
+    light = _above_sky(frame, background)
+    psf = PSF(TUNING.first_sigma_px**2 * np.eye(2))
     for _ in range(2):
-        xy, snr = _peaks_of(light, background, psf, max(detection.threshold_sigmas, 8.0), tuning)
-        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: tuning.psf_stars]
+        xy, snr = _peaks_of(light, background, psf, max(detection.threshold_sigmas, 8.0))
+        xy = _single(frame, xy, snr, 4 * psf.fwhm_px)[: TUNING.psf_stars]
         if len(xy) < 3:
             return psf
         start = np.broadcast_to(psf.matrix, (len(xy), 2, 2))
-        stars, windows = adaptive(light, background, xy, start, tuning=tuning)
+        stars, windows = adaptive(light, background, xy, start)
         good = stars.converged & ~stars.at_edge & (stars.usable > 0.9) & (stars.weight > 0)
         if good.sum() < 3:
             return psf
@@ -306,21 +299,21 @@ def _deblended(
     light: FloatArray, background: Background, psf: PSF, xy: FloatArray, snr: FloatArray, detection: Detection
 ) -> _Deblended:
     """The stars measured in passes: subtract all stars, add each one back alone, measure it again."""
-    tuning, window_fraction = detection.tuning, psf.window_fraction()
+    window_fraction = psf.window_fraction()
     windows = np.broadcast_to(psf.window(), (len(xy), 2, 2))
-    stars = centroids(light, background, xy, windows, tuning=tuning)
+    stars = centroids(light, background, xy, windows)
     blended_xy = stars.xy
-    for _ in range(tuning.neighbour_passes):
+    for _ in range(TUNING.neighbour_passes):
         subtracted = Subtracted(stars.xy, np.maximum(stars.weight, 0) / window_fraction, psf)
-        residual = light - _model(subtracted, light.shape, tuning)
-        stars = centroids(residual, background, xy, windows[: len(xy)], subtracted, tuning)
+        residual = light - _model(subtracted, light.shape)
+        stars = centroids(residual, background, xy, windows[: len(xy)], subtracted)
         is_star = _is_star(stars, snr, detection.threshold_sigmas, psf)
         if not is_star.all():
             stars = Centroids(**{name: value[is_star] for name, value in vars(stars).items()})
             snr, blended_xy, xy = snr[is_star], blended_xy[is_star], xy[is_star]
     flux = np.maximum(stars.weight, 0) / window_fraction
     subtracted = Subtracted(stars.xy, flux, psf)
-    return _Deblended(stars, flux, snr, blended_xy, light - _model(subtracted, light.shape, tuning), subtracted)
+    return _Deblended(stars, flux, snr, blended_xy, light - _model(subtracted, light.shape), subtracted)
 
 
 def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> BoolArray:
@@ -334,12 +327,12 @@ def _is_star(stars: Centroids, snr: FloatArray, threshold: float, psf: PSF) -> B
     return np.asarray(is_star | (np.arange(len(snr)) == 0))
 
 
-def _model(subtracted: Subtracted, shape: tuple[int, ...], tuning: DetectionTuning) -> FloatArray:
+def _model(subtracted: Subtracted, shape: tuple[int, ...]) -> FloatArray:
     """(rows, columns) model light of all stars."""
     model = np.zeros(shape)
     half = int(np.ceil(4 * subtracted.psf.fwhm_px))
     reach = np.arange(-half, half + 1)
-    step = max(1, tuning.pixels_at_once // len(reach) ** 2)
+    step = max(1, TUNING.pixels_at_once // len(reach) ** 2)
     for first in range(0, len(subtracted.xy), step):
         xy, flux = subtracted.xy[first : first + step], subtracted.flux[first : first + step]
         centre = np.rint(xy).astype(int)
@@ -358,35 +351,34 @@ class _Shapes:
     rows: IntArray
     matrices: FloatArray
     centroids: Centroids
-    tuning: DetectionTuning
 
     @classmethod
-    def of(cls, background: Background, psf: PSF, stars: _Deblended, tuning: DetectionTuning) -> _Shapes:
+    def of(cls, background: Background, psf: PSF, stars: _Deblended) -> _Shapes:
         common = stars.centroids
         snr = np.minimum(common.weight / np.sqrt(common.weight_variance), stars.snr)
-        rows = np.flatnonzero(snr > tuning.shape_snr)
+        rows = np.flatnonzero(snr > TUNING.shape_snr)
         subtracted = Subtracted(stars.subtracted.xy[rows], stars.subtracted.flux[rows], psf)
         start = np.broadcast_to(psf.matrix, (len(rows), 2, 2))
-        own_centroids, matrices = adaptive(stars.residual, background, common.xy[rows], start, subtracted, tuning)
-        return cls(rows, matrices, own_centroids, tuning)
+        own_centroids, matrices = adaptive(stars.residual, background, common.xy[rows], start, subtracted)
+        return cls(rows, matrices, own_centroids)
 
     def wider(self, psf: PSF, snr: FloatArray) -> BoolArray:
         """(k,) mask of the stars that are significantly wider than the common window."""
         mean = np.sqrt(np.linalg.det(psf.matrix))
         area = np.sqrt(np.linalg.det(self.matrices))
-        return np.asarray(self.centroids.converged & (area > mean * self.tuning.wider**2 * (1 + 4 / snr[self.rows])))
+        return np.asarray(self.centroids.converged & (area > mean * TUNING.wider**2 * (1 + 4 / snr[self.rows])))
 
     def trailed(self, psf: PSF) -> BoolArray:
         """(k,) mask of the stars that are longer than the mean star, and not wider by the same factor."""
         values, mean = np.linalg.eigvalsh(self.matrices), np.linalg.eigvalsh(psf.matrix)
-        longer = self.tuning.longer
+        longer = TUNING.longer
         return np.asarray(
             (values[:, 1] > longer**2 * mean[1]) & (values[:, 1] / values[:, 0] > longer**2 * mean[1] / mean[0])
         )
 
     def extended(self, psf: PSF) -> BoolArray:
         """(k,) mask of the stars that are wider along both axes."""
-        wider = self.tuning.wider
+        wider = TUNING.wider
         return np.asarray(np.linalg.eigvalsh(self.matrices)[:, 0] > wider**2 * np.linalg.eigvalsh(psf.matrix)[0])
 
 
@@ -394,7 +386,7 @@ def _measurements(
     frame: Frame, background: Background, psf: PSF, stars: _Deblended, detection: Detection
 ) -> Measurements:
     """Positions and errors in the common window, or in the star's own window if its shape differs."""
-    common, tuning = stars.centroids, detection.tuning
+    common = stars.centroids
     bright = (common.weight > 30 * np.sqrt(common.weight_variance)) & common.converged
     jacobian = np.median(common.jacobian[bright], axis=0) if bright.sum() >= 5 else _gaussian_jacobian(psf)
     xy, covariance = (
@@ -404,7 +396,7 @@ def _measurements(
     flux, flux_err = stars.flux.copy(), np.sqrt(common.weight_variance) / psf.window_fraction()
     flags = _flags_near(frame, xy, psf.fwhm_px)
     matrices = np.full((len(xy), 2, 2), np.nan)
-    shapes = _Shapes.of(background, psf, stars, tuning)
+    shapes = _Shapes.of(background, psf, stars)
     if len(shapes.rows):
         matrices[shapes.rows] = shapes.matrices
         wider, trailed = shapes.wider(psf, stars.snr), shapes.trailed(psf)
@@ -420,10 +412,10 @@ def _measurements(
         # Longer, but not a trail: an unresolved pair, whose stars may both be off the centroid.
         unresolved = shapes.rows[wider & ~own_shape]
         flags[unresolved] |= np.uint16(Flag.BLENDED)
-        covariance[unresolved] += tuning.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
+        covariance[unresolved] += TUNING.pair_share * (shapes.matrices[wider & ~own_shape] - psf.matrix)
     covariance = _with_systematic_errors(covariance, stars, psf, flags, detection)  # also sets flags
     order = np.argsort(-flux, kind="stable")
-    return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order, tuning)
+    return _table(frame, background, psf, xy, covariance, flux, flux_err, matrices, stars.snr, flags, order)
 
 
 def _with_systematic_errors(
@@ -436,7 +428,7 @@ def _with_systematic_errors(
     flags[np.hypot(*shift.T) > 0.3 * sigma + 0.01] |= np.uint16(Flag.BLENDED)
     flags[common.at_edge] |= np.uint16(Flag.EDGE)
     flags[~common.converged] |= np.uint16(Flag.POOR)
-    covariance = covariance + detection.tuning.shift_share**2 * shift[:, :, None] * shift[:, None, :]
+    covariance = covariance + TUNING.shift_share**2 * shift[:, :, None] * shift[:, None, :]
     floor = detection.floor_px**2 + psf.phase_error_px() ** 2
     saturated = (flags & Flag.SATURATED) != 0
     covariance = covariance + (floor + np.where(saturated, (0.03 * psf.fwhm_px) ** 2, 0.0))[:, None, None] * np.eye(2)
@@ -458,7 +450,6 @@ def _table(
     snr: FloatArray,
     flags: NDArray[np.uint16],
     order: IntArray,
-    tuning: DetectionTuning,
 ) -> Measurements:
     values, vectors = np.linalg.eigh(np.where(np.isfinite(matrices), matrices, np.eye(2)))
     has_shape = np.isfinite(matrices).all(axis=(1, 2))
@@ -478,7 +469,7 @@ def _table(
         shape=frame.shape,
         psf_fwhm_px=psf.fwhm_px,
         name=frame.name,
-        notes=_notes(frame, background, psf, tuning),
+        notes=_notes(frame, background, psf),
         blind=_blind(frame, psf),
     )
 
@@ -493,12 +484,12 @@ def _blind(frame: Frame, psf: PSF) -> BoolArray | None:
     return np.asarray(uniform_filter(frame.masked.astype(np.float32), size, mode="nearest") > 0.5)
 
 
-def _notes(frame: Frame, background: Background, psf: PSF, tuning: DetectionTuning) -> tuple[str, ...]:
+def _notes(frame: Frame, background: Background, psf: PSF) -> tuple[str, ...]:
     count = {flag: int(((frame.flags & flag) != 0).sum()) for flag in (Flag.HOT, Flag.COSMIC, Flag.MASKED)}
     notes = [f"stars {psf.fwhm_px:.2f} px wide at half maximum, Moffat β {psf.beta:.1f}"]
     notes += [f"{n} pixels {Flag.words(flag)}" for flag, n in count.items() if n]
     axes = np.sqrt(np.linalg.eigvalsh(psf.matrix))
-    if axes[1] > tuning.longer * axes[0]:
+    if axes[1] > TUNING.longer * axes[0]:
         notes.append(f"doubt: the stars are trailed, {axes[1] / axes[0]:.1f} times longer than wide")
     shared = float(background.factor(np.array([psf.sigma_px]))[1][0])
     if shared > 1.2:

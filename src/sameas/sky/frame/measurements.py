@@ -6,7 +6,7 @@ FITS headers, DS9 and SExtractor count from 1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from typing import TYPE_CHECKING, Any
 
@@ -111,7 +111,6 @@ class Detection:
     box_px: int = 64
     defects: bool = True
     floor_px: float = 0.002
-    tuning: DetectionTuning = field(default=TUNING, repr=False)
 
     def __post_init__(self) -> None:
         if not self.threshold_sigmas > 0 or self.box_px < 8 or not self.floor_px >= 0:
