@@ -2,7 +2,7 @@
 
 One feature per object and instant: its position, or null where bearings do not intersect, and all other columns as
 properties; missing values are null. One feature per object is its track, the line through its positions in time order.
-With records given, further features are the lines from an object to its records. Lines are split at the antimeridian.
+Lines are split at the antimeridian.
 """
 
 from __future__ import annotations
@@ -27,16 +27,12 @@ Columns = Mapping[str, NDArray[Any]]
 DECIMALS, DIGITS = 7, 9
 
 
-def write_geojson(
-    objects: Columns, path: str | os.PathLike[str], *, records: Columns | None = None, overwrite: bool = True
-) -> None:
+def write_geojson(objects: Columns, path: str | os.PathLike[str]) -> None:
     """Writes the objects of a picture as a FeatureCollection, atomically.
 
     Parameters
     ----------
     objects : columns as of :class:`sameas.picture.Picture`, lat_deg and lon_deg among them.
-    records : columns of its records; adds the lines between objects and their records.
-    overwrite : False refuses a path that exists.
 
     Raises
     ------
@@ -48,10 +44,9 @@ def write_geojson(
                 f"cannot write {path}: the objects have no {name}; GeoJSON needs latitudes and longitudes, which a "
                 "picture in metres of its own does not have; write CSV or Parquet"
             )
-    lines = iter(()) if records is None else _lines(objects, records)
-    with replacing(path, overwrite=overwrite) as draft, draft.open("w", encoding="utf-8") as out:
+    with replacing(path) as draft, draft.open("w", encoding="utf-8") as out:
         out.write('{"type": "FeatureCollection", "features": [')
-        for k, feature in enumerate(chain(_points(objects), _tracks(objects), lines)):
+        for k, feature in enumerate(chain(_points(objects), _tracks(objects))):
             out.write((",\n" if k else "\n") + json.dumps(feature, ensure_ascii=False, allow_nan=False))
         out.write("\n]}\n")
 
@@ -73,11 +68,11 @@ def _points(objects: Columns) -> Iterator[dict[str, Any]]:
 def _tracks(objects: Columns) -> Iterator[dict[str, Any]]:
     """A feature for each object with two or more positions: the line through them, and their times."""
     rows: dict[int, list[tuple[float, list[float]]]] = {}
-    for (time_s, number), position in zip(_keys(objects), _positions(objects), strict=True):
+    times, numbers = np.asarray(objects["time_s"], dtype=np.float64).tolist(), np.asarray(objects["object"]).tolist()
+    for time_s, number, position in zip(times, numbers, _positions(objects), strict=True):
         if position is not None:
             rows.setdefault(number, []).append((time_s, position))
     labels = _values(objects["label"]) if "label" in objects else [None] * len(objects["object"])
-    numbers = np.asarray(objects["object"]).tolist()
     names = {number: label for number, label in zip(numbers, labels, strict=True) if label}
     for number, points in rows.items():
         if len(points) < 2:
@@ -104,35 +99,8 @@ def _line_parts(positions: list[list[float]]) -> list[list[list[float]]]:
     return lines
 
 
-def _lines(objects: Columns, records: Columns) -> Iterator[dict[str, Any]]:
-    """A feature for each object and instant with two or more positioned records."""
-    home = dict(zip(_keys(objects), _positions(objects), strict=True))
-    ends: dict[tuple[float, int], list[list[float]]] = {}
-    for key, position in zip(_keys(records), _positions(records), strict=True):
-        if position is not None and home.get(key) is not None:
-            ends.setdefault(key, []).append(position)
-    stamps = _stamps([time_s for time_s, _ in ends])
-    for (time_s, number), record_positions in ends.items():
-        if len(record_positions) > 1:
-            pieces = [
-                piece
-                for position in record_positions
-                for piece in _split_at_antimeridian(home[time_s, number], position)
-            ]
-            geometry = {"type": "MultiLineString", "coordinates": pieces}
-            properties = {**stamps.get(time_s, {}), "time_s": time_s, "object": number}
-            yield {"type": "Feature", "geometry": geometry, "properties": properties}
-
-
-def _keys(columns: Columns) -> list[tuple[float, int]]:
-    """Time and object of every row."""
-    times = np.asarray(columns["time_s"], dtype=np.float64)
-    return list(zip(times.tolist(), np.asarray(columns["object"]).tolist(), strict=True))
-
-
-def _split_at_antimeridian(begin: list[float] | None, end: list[float]) -> list[list[list[float]]]:
+def _split_at_antimeridian(begin: list[float], end: list[float]) -> list[list[list[float]]]:
     """The parts of a line segment; two where it crosses the antimeridian (RFC 7946, 3.1.9)."""
-    assert begin is not None
     width = end[0] - begin[0]
     if abs(width) <= 180.0:
         return [[begin, end]]

@@ -69,14 +69,14 @@ def checksum(path: str | os.PathLike[str]) -> str:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def first_bytes(path: Path, count: int = 4096) -> bytes:
-    """The first ``count`` bytes of a file, decompressed if its name ends in .gz."""
+def first_bytes(path: Path) -> bytes:
+    """The first :data:`_HEAD_BYTES` bytes of a file, decompressed if its name ends in .gz."""
     try:
         if path.suffix.lower() == ".gz":
             with gzip.open(path) as file:
-                return file.read(count)
+                return file.read(_HEAD_BYTES)
         with path.open("rb") as file:
-            return file.read(count)
+            return file.read(_HEAD_BYTES)
     except (gzip.BadGzipFile, zlib.error) as error:
         raise InputError(f"{path}: is not a gzip file, though its name ends in .gz") from error
     except EOFError as error:
@@ -258,7 +258,7 @@ def _format_in(path: Path, name: str | None) -> Format:
         raise InputError(f"{path}: no such file{_similar_names(path)}")
     if path.is_fifo():
         raise InputError(f"{path}: is a pipe, and a table is read more than once; save it as a file first")
-    first = first_bytes(path, _HEAD_BYTES)
+    first = first_bytes(path)
     if not first:
         raise InputError(f"{path}: is empty")
     known = _recognised(path, first) if name is None else _named(name, path)

@@ -287,7 +287,7 @@ def _stretched(
     """
     away = np.array(scene.tuning.trial_sigmas)
     nodes = np.concatenate([theta[None, :], (theta + away[:, None, None] * root.T).reshape(-1, len(theta))])
-    candidates = candidates_at(scene, nodes, 1.0).with_overlap_of(0)
+    candidates = candidates_at(scene, nodes, 1.0).with_overlap_of_first()
     common_at = weighed(scene, candidates, np.repeat(common, len(nodes)), scene.tuning.search_message_tolerance).common
     log_density = weighed(scene, candidates, common_at, scene.tuning.message_tolerance).gain - 0.5 * np.sum(
         prior.precision * nodes**2, axis=1

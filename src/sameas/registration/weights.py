@@ -110,9 +110,9 @@ class CandidatePairs:
     expected: FloatArray
     in_common: FloatArray
 
-    def with_overlap_of(self, s: int) -> CandidatePairs:
-        """The same pairs, with the overlap of offset s for all offsets."""
-        same = np.full(len(self.volume), s)
+    def with_overlap_of_first(self) -> CandidatePairs:
+        """The same pairs, with the overlap of the first offset for all offsets."""
+        same = np.zeros(len(self.volume), np.int64)
         return replace(self, volume=self.volume[same], expected=self.expected[same], in_common=self.in_common[same])
 
 

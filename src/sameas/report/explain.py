@@ -148,7 +148,7 @@ def match_lines(table: Table, facts: Mapping[str, Any], record: str, source: int
     lines += entry("candidates", f"{count(_value(table, 'n_within', best))} within the gate")
     lines += ["", f"Answers ({other})"]
     lines += _answers(table, facts, rows, best, source)
-    rivals = _group(table, best, "group_id")
+    rivals = _group(table, best)
     details = [_pair(table, facts, int(row), names) for row in rivals if row not in rows]
     return [*lines, *_competing(details)]
 
@@ -201,7 +201,7 @@ def many_lines(table: Table, facts: Mapping[str, Any], record: str, source: int,
         lines += entry(
             "next best", f"{second}, probability {probability_text(float(_value(table, 'p_runner_up', row)))}"
         )
-    rivals = [int(other) for other in _group(table, row, "group_id") if other != row]
+    rivals = [int(other) for other in _group(table, row) if other != row]
     return lines + _competing(
         [f"{' = '.join(members(other))}, probability {probability_text(float(_value(table, 'p_object', other)))}"
          for other in rivals]
@@ -394,12 +394,12 @@ def _pair(table: Table, facts: Mapping[str, Any], row: int, names: Sequence[str]
     )
 
 
-def _group(table: Table, row: int, column: str) -> IntArray:
+def _group(table: Table, row: int) -> IntArray:
     """The rows of the same group, including this one; none where the row has no group."""
-    if _is_absent(table, column, row):
+    if _is_absent(table, "group_id", row):
         return np.empty(0, np.int64)
-    same = np.asarray(np.ma.filled(table[column], -1)) == _value(table, column, row)
-    return np.flatnonzero(same & ~_absent(table[column]))
+    same = np.asarray(np.ma.filled(table["group_id"], -1)) == _value(table, "group_id", row)
+    return np.flatnonzero(same & ~_absent(table["group_id"]))
 
 
 def _competing(details: Sequence[str]) -> list[str]:

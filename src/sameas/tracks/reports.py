@@ -301,14 +301,10 @@ def _absent(like: NDArray[Any], n: int) -> NDArray[Any]:
     return np.full((n, *like.shape[1:]), np.nan if like.dtype.kind == "f" else -1, like.dtype)
 
 
-def of_rows(rows: Sequence[Mapping[str, Any]], names: Iterable[str] = ()) -> dict[str, Any]:
-    """Columns for :meth:`Reports.of` from one mapping per report; missing keys are absent.
-
-    names : columns to make even if no row has them.
-    """
-    all_names = dict.fromkeys([*names, *(name for row in rows for name in row)])
+def of_rows(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Columns for :meth:`Reports.of` from one mapping per report; missing keys are absent."""
     columns: dict[str, Any] = {}
-    for name in all_names:
+    for name in dict.fromkeys(name for row in rows for name in row):
         cells = [row.get(name) for row in rows]
         if name in _MATRICES:
             columns[name] = np.array([(np.nan,) * 3 if cell is None else cell for cell in cells], float).reshape(-1, 3)

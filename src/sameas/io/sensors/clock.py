@@ -106,14 +106,14 @@ def forward_filled(values: FloatArray) -> FloatArray:
     return np.asarray(values[rows[np.maximum(last, 0)]])
 
 
-def at_second(clock_s: FloatArray, second: FloatArray, tolerance_s: float = 5.0) -> FloatArray:
+def at_second(clock_s: FloatArray, second: FloatArray) -> FloatArray:
     """Times of positions (n,), from the receive times ``clock_s`` (n,) and the UTC seconds within the minute (n,).
 
-    The latest time with this second that is at most ``tolerance_s`` after the receive time; the receive time where the
+    The latest time with this second that is at most 5 s after the receive time; the receive time where the
     second is NaN.
     """
     age = np.mod(clock_s - second, 60.0)
-    age = np.where(age > 60.0 - tolerance_s, age - 60.0, age)
+    age = np.where(age > 55.0, age - 60.0, age)
     return np.where(np.isfinite(second), clock_s - age, clock_s)
 
 

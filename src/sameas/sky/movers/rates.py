@@ -17,6 +17,8 @@ from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 #: Angular speed of the Earth about the Sun, arcsec per minute (Gauss's constant).
 _EARTH_ARCSEC_PER_MIN = 0.01720209895 * ARCSEC_PER_RADIAN / 1440.0
+#: Radius of the orbit to which rates are relative, in the main belt.
+ORBIT_AU = 2.7
 #: Obliquity of the ecliptic of J2000, degrees (IAU 1976).
 _TILT = math.radians(23.4392911)
 #: Direction of the pole of the ecliptic, ICRS.
@@ -31,14 +33,14 @@ def sun_longitude_deg(mjd: FloatArray) -> FloatArray:
     return (280.460 + 0.9856474 * days + 1.915 * np.sin(anomaly) + 0.020 * np.sin(2 * anomaly) - 3.82e-5 * days) % 360.0
 
 
-def reference_rate(elongation_deg: FloatArray, au: float = 2.7) -> FloatArray:
-    """Rate in ecliptic longitude, arcsec/min, of a circular orbit in the ecliptic; elongation east of the Sun."""
+def reference_rate(elongation_deg: FloatArray) -> FloatArray:
+    """Rate in longitude, arcsec/min, of a circular orbit at 2.7 au in the ecliptic; elongation east of the Sun."""
     angle = np.radians(elongation_deg)
     cos, sin = np.cos(angle), np.sin(angle)
-    distance = cos + np.sqrt(cos**2 + au**2 - 1.0)
+    distance = cos + np.sqrt(cos**2 + ORBIT_AU**2 - 1.0)
     # The Sun is at (1, 0) from the Earth, so the Earth moves along −y.
     x, y = distance * cos - 1.0, distance * sin
-    vx, vy = -y / au**1.5, x / au**1.5 + 1.0
+    vx, vy = -y / ORBIT_AU**1.5, x / ORBIT_AU**1.5 + 1.0
     return np.asarray(_EARTH_ARCSEC_PER_MIN * (vy * cos - vx * sin) / distance)
 
 
