@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.picture.picture_state import Carried, PictureState
-from sameas.picture.tuning import DEFAULT_TUNING, Tuning
+from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.ragged import ranges
 from sameas.tracks.alignment import States
 from sameas.tracks.faults import Fault, log_odds_of_silence, source_faults
@@ -109,9 +109,7 @@ def _key(track: PictureTrack) -> IntArray:
     return np.asarray(track.at.astype(np.int64) << 32 | track.object.astype(np.int64))
 
 
-def deceptions(
-    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
-) -> tuple[Fault, ...]:
+def deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> tuple[Fault, ...]:
     """The deceptions in the records of a picture with a probability above ``sure_deception``, in order of time."""
     if not len(records["time_s"]):
         return ()
@@ -123,52 +121,51 @@ def deceptions(
     alarms: list[Fault] = []
     for own in [track for track in tracks if feeds[track.source].description.kind in CORRELATED_KINDS]:
         others = index.partners(own)
-        alarms += _dragged(own, others, feeds, instants, tuning)
-        alarms += _silent(own, others, feeds, instants, tuning)
-    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > tuning.sure_deception}
+        alarms += _dragged(own, others, feeds, instants)
+        alarms += _silent(own, others, feeds, instants)
+    dragged = {(fault.source, fault.track) for fault in alarms if fault.probability > DEFAULT_TUNING.sure_deception}
     for feed in feeds:
-        alarms += [fault for fault in _jumped(feed, tuning) if (fault.source, fault.track) not in dragged]
-    alarms = [fault for fault in alarms if fault.probability > tuning.sure_deception]
+        alarms += [fault for fault in _jumped(feed) if (fault.source, fault.track) not in dragged]
+    alarms = [fault for fault in alarms if fault.probability > DEFAULT_TUNING.sure_deception]
     return tuple(sorted(alarms, key=lambda fault: fault.first_s))
 
 
-def faults_and_deceptions(
-    feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]], tuning: Tuning = DEFAULT_TUNING
-) -> tuple[Fault, ...]:
+def faults_and_deceptions(feeds: Sequence[Feed], records: Mapping[str, NDArray[Any]]) -> tuple[Fault, ...]:
     """The faults of the sources, and the deceptions in the records of a picture that they do not explain.
 
     A clock that jumps or a source that freezes displaces all its ships; that is not a deception by each of them.
     """
     faults = source_faults(feeds)
     displacing = [fault for fault in faults if fault.kind in ("clock", "frozen")]
-    return (*faults, *(
-        one for one in (deceptions(feeds, records, tuning) if records else ())
-        if not any(one.source == fault.source and one.first_s > fault.first_s - tuning.silent_s for fault in displacing)
-    ))  # fmt: skip
+
+    def displaced(one: Fault) -> bool:
+        return any(
+            one.source == fault.source and one.first_s > fault.first_s - DEFAULT_TUNING.silent_s for fault in displacing
+        )
+
+    return (*faults, *(one for one in (deceptions(feeds, records) if records else ()) if not displaced(one)))
 
 
-def _companions(
-    own: PictureTrack, others: Sequence[PictureTrack], tuning: Tuning
-) -> Iterator[tuple[PictureTrack, int]]:
+def _companions(own: PictureTrack, others: Sequence[PictureTrack]) -> Iterator[tuple[PictureTrack, int]]:
     """The tracks that were one object with it for ``min_instants`` instants, and the index of the last of these."""
     for other in others:
         both, i, j = np.intersect1d(own.at, other.at, return_indices=True)
         together = own.object[i] == other.object[j]
-        if together.sum() >= tuning.min_instants:
+        if together.sum() >= DEFAULT_TUNING.min_instants:
             yield other, int(both[together][-1])
 
 
 def _dragged(
-    track: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    track: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray
 ) -> Iterator[Fault]:
     """An alarm if the track's positions moved away from those of the sensors that tracked the same object before."""
     contradicting, begins = [], []
     after = np.zeros(len(track.at), bool)
-    for other, last in _companions(track, others, tuning):
+    for other, last in _companions(track, others):
         common_instants, i, j = np.intersect1d(track.at, other.at, return_indices=True)
-        chi_sq = _disagreement(track, other, i, j, instants, tuning)
-        contradicts = (common_instants > last) & (chi_sq > tuning.apart_sigmas**2)
-        if contradicts.sum() >= tuning.apart_instants and contradicts[-1]:
+        chi_sq = _disagreement(track, other, i, j, instants)
+        contradicts = (common_instants > last) & (chi_sq > DEFAULT_TUNING.apart_sigmas**2)
+        if contradicts.sum() >= DEFAULT_TUNING.apart_instants and contradicts[-1]:
             contradicting.append((other, float(np.sqrt(np.sum((track.position[i[-1]] - other.position[j[-1]]) ** 2)))))
             begins.append(int(common_instants[contradicts][0]))
             after |= track.at >= common_instants[contradicts][0]
@@ -181,7 +178,7 @@ def _dragged(
     log_undetected = sum(
         min(
             float(-np.log(feed.q_at(track.position[unaccompanied], float(instants[track.at[unaccompanied][0]]))).sum()),
-            tuning.empty_vote,
+            DEFAULT_TUNING.empty_vote,
         )
         for feed in feeds
         if feed.sensor_m is not None
@@ -189,7 +186,11 @@ def _dragged(
         and feed.reports.track is not None
     )
     sensors = sorted({feeds[other.source].description.name for other, _ in contradicting})
-    log_odds = math.log(tuning.false_position_odds) + log_undetected - (len(sensors) - 1) * math.log(tuning.sensor_swap)
+    log_odds = (
+        math.log(DEFAULT_TUNING.false_position_odds)
+        + log_undetected
+        - (len(sensors) - 1) * math.log(DEFAULT_TUNING.sensor_swap)
+    )
     name, first = feeds[track.source].description.name, float(instants[min(begins)])
     distance_m = max(distance for _, distance in contradicting)
     words = (
@@ -200,18 +201,16 @@ def _dragged(
     yield Fault("dragged", name, first, float(instants[track.at[-1]]), log_odds, words, track.track)
 
 
-def _disagreement(
-    own: PictureTrack, other: PictureTrack, i: IntArray, j: IntArray, instants: FloatArray, tuning: Tuning
-) -> FloatArray:
+def _disagreement(own: PictureTrack, other: PictureTrack, i: IntArray, j: IntArray, instants: FloatArray) -> FloatArray:
     """(k,) χ² of the positions ``j`` of the other track against the path of the own one about its reports ``i``.
 
     The other track may be late or early on the path by some seconds, 1σ ``tracker_lag_s``.
     """
-    lag_s = tuning.tracker_lag_s * np.linspace(-tuning.apart_sigmas, tuning.apart_sigmas, 41)
+    lag_s = DEFAULT_TUNING.tracker_lag_s * np.linspace(-DEFAULT_TUNING.apart_sigmas, DEFAULT_TUNING.apart_sigmas, 41)
     times = instants[own.at[i]] + lag_s[:, None]
     path = np.stack([np.interp(times, instants[own.at], axis) for axis in own.position.T], axis=-1)
     chi_sq = np.sum((path - other.position[j]) ** 2, axis=2) / (own.variance[i] + other.variance[j])
-    return np.asarray((chi_sq + (lag_s[:, None] / tuning.tracker_lag_s) ** 2).min(axis=0))
+    return np.asarray((chi_sq + (lag_s[:, None] / DEFAULT_TUNING.tracker_lag_s) ** 2).min(axis=0))
 
 
 @dataclass(frozen=True)
@@ -257,11 +256,11 @@ def _jumps_of(feed: Feed, n_around: int) -> list[_Jump]:
     return sorted(jumps, key=lambda jump: jump.times_s)
 
 
-def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
+def _jumped(feed: Feed) -> Iterator[Fault]:
     """Alarms on tracks of a cooperative source that jump farther than their objects can move, and stay there."""
     if feed.description.kind not in CORRELATED_KINDS or (feed.raw_reports and feed.raw_reports.counted_clock):
         return
-    name, jumps = feed.description.name, _jumps_of(feed, tuning.jump_reports)
+    name, jumps = feed.description.name, _jumps_of(feed, DEFAULT_TUNING.jump_reports)
     exchanged: set[int] = set()
     for k, jump in enumerate(jumps):
         if k in exchanged:
@@ -269,7 +268,7 @@ def _jumped(feed: Feed, tuning: Tuning) -> Iterator[Fault]:
         later = (n for n in range(k + 1, len(jumps)) if n not in exchanged and jumps[n].track != jump.track)
         n_other = next((n for n in later if jump.exchanges(jumps[n])), None)
         log_odds = 0.5 * (feed.tuning.position_sigmas * jump.distance_m / jump.reach_m) ** 2
-        log_odds = min(log_odds + math.log(tuning.false_position_odds), 50.0)
+        log_odds = min(log_odds + math.log(DEFAULT_TUNING.false_position_odds), 50.0)
         kind, within = "jumped", f"within {jump.times_s[1] - jump.times_s[0]:.0f} s"
         words = (
             f"{name}: {jump.track} jumps by {jump.distance_m:.0f} m {within}, faster than it can move: another sender "
@@ -296,18 +295,18 @@ def _has_partner(own: PictureTrack, others: Sequence[PictureTrack]) -> BoolArray
 
 
 def _silent(
-    own: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray, tuning: Tuning
+    own: PictureTrack, others: Sequence[PictureTrack], feeds: Sequence[Feed], instants: FloatArray
 ) -> Iterator[Fault]:
     """An alarm if the track's reports end while its source continues and a sensor still tracks the ship."""
     reports = feeds[own.source].reports
     assert reports.track is not None
     times = np.unique(reports.time_s[reports.track.astype(str) == own.track])
-    if len(times) < tuning.min_reports:
+    if len(times) < DEFAULT_TUNING.min_reports:
         return
     pauses, end = np.diff(times), float(reports.time_s.max())
     longest = float(pauses.max())
     seen_until, sensors = -math.inf, set()
-    for other, last in _companions(own, others, tuning):
+    for other, last in _companions(own, others):
         if instants[last] < times[-1] - longest or other.at[-1] <= last:
             continue
         # The sensor's track must continue without large gaps.
@@ -317,9 +316,9 @@ def _silent(
         seen_until = max(seen_until, until)
         sensors.add(feeds[other.source].description.name)
     silent_s = min(seen_until, end) - float(times[-1])
-    if silent_s < tuning.silent_s or not sensors:
+    if silent_s < DEFAULT_TUNING.silent_s or not sensors:
         return
-    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), tuning.silent_odds)
+    log_odds = log_odds_of_silence(silent_s, longest, len(pauses), DEFAULT_TUNING.silent_odds)
     name = feeds[own.source].description.name
     words = (
         f"{name}: {own.track} has gone silent: {' and '.join(sorted(sensors))} saw it for {silent_s:.0f} s more, its "

@@ -78,7 +78,7 @@ class SeriesTuning:
     overlap: float = 0.7
 
 
-DEFAULT_TUNING = SeriesTuning()
+TUNING = SeriesTuning()
 
 
 @in_short
@@ -302,23 +302,21 @@ def tie(exposures: Sequence[Exposure]) -> Series:
         np.concatenate([e.ra_deg for e in ordered]), np.concatenate([e.dec_deg for e in ordered]), middle
     )
     variance = 0.5 * (everything["covariance_px"][:, 0] + everything["covariance_px"][:, 2]) * scale[frame] ** 2
-    good = (everything["snr"] >= DEFAULT_TUNING.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
+    good = (everything["snr"] >= TUNING.tie_snr) & ((everything["flags"] & ~int(Flag.BLENDED)) == 0)
     tied, ties = _tied(place, frame, variance, good, len(ordered))
     floor = _floors(tied, frame, variance, good, len(ordered))
     sigma = np.sqrt(variance + floor[frame] ** 2)
-    reach = DEFAULT_TUNING.reach_px * float(np.median(scale))
+    reach = TUNING.reach_px * float(np.median(scale))
     days = np.array([e.mjd_utc for e in ordered])[frame] * 1440.0
-    stationary = _stationary(
-        tied, frame, days, sigma, reach, DEFAULT_TUNING.drift_px * float(np.median(scale)), len(ordered)
-    )
+    stationary = _stationary(tied, frame, days, sigma, reach, TUNING.drift_px * float(np.median(scale)), len(ordered))
     chip = np.column_stack([everything["x_px"], everything["y_px"]])
     dithered_px = _dither_px(tied, chip, frame, stationary, len(ordered))
     fixed = np.zeros(len(frame), bool)
-    if dithered_px > 2.0 * DEFAULT_TUNING.reach_px:
+    if dithered_px > 2.0 * TUNING.reach_px:
         # Only for dithered frames: otherwise chip defects are stationary on the sky too.
         fixed = _stationary(chip, frame, days, sigma / scale[frame], 0.5, 0.5, len(ordered))
     names = np.concatenate([e.names for e in ordered])
-    names = np.where(everything["p_star"] >= DEFAULT_TUNING.min_p_star, names, "")
+    names = np.where(everything["p_star"] >= TUNING.min_p_star, names, "")
     stars = gather(
         tied, frame, sigma, names, stationary & ~fixed, everything["flux"], everything["flux_err"],
         (everything["flags"] & int(_PARTIAL)) == 0, everything["magnitude"], len(ordered),
@@ -328,7 +326,7 @@ def tie(exposures: Sequence[Exposure]) -> Series:
     each = [(tied - place)[frame == k] for k in range(len(ordered))]
     shift = np.array([np.median(off, axis=0) if len(off) else [0.0, 0.0] for off in each])
     return Series(
-        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= DEFAULT_TUNING.min_p_star, stationary,
+        ordered, middle, frame, row, tied, sigma, everything["p_star"] >= TUNING.min_p_star, stationary,
         fixed & ~stationary, (everything["flags"] & int(_SPOILT)) != 0, magnitude, floor, shift, ties, stars,
         _notes(ordered, ties),
     )  # fmt: skip
@@ -347,7 +345,7 @@ def _checked(exposures: tuple[Exposure, ...]) -> tuple[float, float]:
     for e, unit in zip([e for e in exposures if len(e)], middles, strict=True):
         off = math.degrees(math.acos(min(1.0, float(unit @ centre))))
         diagonal = math.hypot(*e.shape) * e.scale_arcsec_per_px / 3600.0
-        if off > DEFAULT_TUNING.overlap * diagonal:
+        if off > TUNING.overlap * diagonal:
             raise InputError(
                 f"{e.name}: points {off:.2f}° from the middle of the other frames, which are {diagonal:.2f}° across; "
                 "search the frames of each field by themselves"
@@ -382,9 +380,9 @@ def _tied(
     reference = int(np.argmax(np.bincount(frame[good], minlength=frames)))
     known = place[good & (frame == reference)]
     for iteration in range(3):
-        if len(known) < DEFAULT_TUNING.min_ties:
+        if len(known) < TUNING.min_ties:
             return place, ties
-        reach = DEFAULT_TUNING.tie_arcsec / (1.0 if iteration == 0 else 2.0)
+        reach = TUNING.tie_arcsec / (1.0 if iteration == 0 else 2.0)
         tree = cKDTree(known)
         sums, counts = np.zeros_like(known), np.zeros(len(known))
         for k in range(frames):
@@ -395,7 +393,7 @@ def _tied(
             nearest_back = cKDTree(tied[rows]).query(known, distance_upper_bound=reach)[1]
             mutual = np.isfinite(distance)
             mutual[mutual] = nearest_back[at[mutual]] == np.flatnonzero(mutual)
-            if mutual.sum() < DEFAULT_TUNING.min_ties:
+            if mutual.sum() < TUNING.min_ties:
                 continue
             solution, used = _affine(place[rows[mutual]], known[at[mutual]], variance[rows[mutual]])
             ties[k] = used
@@ -428,13 +426,13 @@ def _floors(place: FloatArray, frame: IntArray, variance: FloatArray, good: Bool
     """(f,) robust scatter of bright sources about their median positions in excess of their errors, arcsec per axis."""
     floor = np.full(frames, 0.05)
     first = np.flatnonzero(good & (frame == int(np.argmax(np.bincount(frame[good], minlength=frames)))))
-    if len(first) < DEFAULT_TUNING.min_ties:
+    if len(first) < TUNING.min_ties:
         return floor
     tree = cKDTree(place[first])
     offsets, variances = [], []
     for k in range(frames):
         rows = np.flatnonzero(good & (frame == k))
-        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * DEFAULT_TUNING.tie_arcsec)
+        distance, at = tree.query(place[rows], distance_upper_bound=0.5 * TUNING.tie_arcsec)
         found = np.isfinite(distance)
         residual = np.full((len(first), 2), np.nan)
         residual[at[found]] = place[rows[found]]
@@ -469,7 +467,7 @@ def _stationary(
     The other frames are at most ``compared``, evenly over the series, so that the cost per frame is constant.
     """
     n = len(frame)
-    others = np.unique(np.linspace(0, frames - 1, min(frames, DEFAULT_TUNING.compared)).astype(np.int64))
+    others = np.unique(np.linspace(0, frames - 1, min(frames, TUNING.compared)).astype(np.int64))
     # Sums for a line fitted to the neighbours and the measurement itself.
     weight = 1.0 / sigma**2
     s0, s1, s2, hits = weight.copy(), np.zeros(n), np.zeros(n), np.zeros(n)
@@ -501,9 +499,9 @@ def _stationary(
         error = np.sqrt(s0 / determinant)
         speed = np.hypot(*drift.T)
     drifting = np.nan_to_num(speed, nan=0.0) * span > least_drift
-    significant = np.nan_to_num(speed / error, nan=0.0) > DEFAULT_TUNING.drift_sigmas
+    significant = np.nan_to_num(speed / error, nan=0.0) > TUNING.drift_sigmas
     compared = len(others) - np.isin(frame, others)
-    often = hits >= np.maximum(2.0, DEFAULT_TUNING.often * compared)
+    often = hits >= np.maximum(2.0, TUNING.often * compared)
     few = hits >= (2.0 if frames > 3 else 1.0)
     return (often & ~(drifting & significant)) | (few & ~significant)
 
@@ -522,9 +520,9 @@ def _dither_px(place: FloatArray, chip: FloatArray, frame: IntArray, stationary:
 
 
 def _notes(exposures: tuple[Exposure, ...], ties: IntArray) -> tuple[str, ...]:
-    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < DEFAULT_TUNING.min_ties]
+    loose = [e.name for e, n in zip(exposures, ties, strict=True) if n < TUNING.min_ties]
     return tuple(
-        f"{name}: fewer than {DEFAULT_TUNING.min_ties} sources link it to the others; its own plate solution is used"
+        f"{name}: fewer than {TUNING.min_ties} sources link it to the others; its own plate solution is used"
         for name in loose
     )
 
@@ -547,7 +545,7 @@ class StarTuning:
     huber: float = 2.0
 
 
-TUNING = StarTuning()
+STAR_TUNING = StarTuning()
 
 
 @in_short
@@ -622,7 +620,7 @@ def gather(
     with np.errstate(divide="ignore", invalid="ignore"):
         error = np.where(measured & (flux[at] > 0), 1.0857 * flux_err[at] / flux[at], np.nan)
     usable = np.isfinite(raw) & np.isfinite(error) & whole[at]
-    often = usable.sum(axis=1) >= max(2.0, TUNING.often * frames)
+    often = usable.sum(axis=1) >= max(2.0, STAR_TUNING.often * frames)
     zero, zero_error, ensemble, floor = _ensemble(raw, error, usable & often[:, None])
     zero_offset, scale = _catalogue_scale(magnitude, _instrumental(flux) + zero[frame])
     zero = zero + zero_offset
@@ -667,7 +665,7 @@ def _rows(
             star_records = Records.of(
                 sums[free] / weights[free, None], sigma=1.0 / np.sqrt(weights[free]), source="stars"
             )
-            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(math.log(TUNING.odds))
+            rule, prior = Field(max(len(in_frame), 1) / area), PerPair(math.log(STAR_TUNING.odds))
             found = identify(frame_records, star_records, rule=rule, prior=prior).matches
             rows[free[found.rows_2], k] = in_frame[found.rows_1]
             new[found.rows_1] = False
@@ -688,7 +686,7 @@ def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[Fl
     """(f,) zero points with mean 0, their errors and numbers of stars, and the floor, by iterated weighted means."""
     frames = raw.shape[1]
     ensemble = usable.sum(axis=0)
-    good = ensemble >= TUNING.min_ensemble
+    good = ensemble >= STAR_TUNING.min_ensemble
     usable = usable & good
     usable &= usable.sum(axis=1, keepdims=True) > 1
     if not usable.any():
@@ -696,7 +694,7 @@ def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[Fl
     zero, floor = np.zeros(frames), 0.02
     values, variance = np.where(usable, raw, 0.0), np.where(usable, error, 1.0) ** 2
     robust = np.ones_like(values)
-    for _ in range(TUNING.iterations):
+    for _ in range(STAR_TUNING.iterations):
         weight = np.where(usable, robust / (variance + floor**2), 0.0)
         mean = (weight * (values + zero)).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-30)
         step = (weight * (mean[:, None] - values)).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-30) - zero
@@ -708,7 +706,7 @@ def _ensemble(raw: FloatArray, error: FloatArray, usable: BoolArray) -> tuple[Fl
         share = 1.0 - 1.0 / max(float(usable.sum(axis=1)[usable.any(axis=1)].mean()), 2.0)
         floor = math.sqrt(max(spread**2 / share - float(np.median(variance[precise])), 1e-6))
         sigmas = np.abs(residual) / np.sqrt(variance + floor**2)
-        robust = np.minimum(1.0, TUNING.huber / np.maximum(sigmas, 1e-9))
+        robust = np.minimum(1.0, STAR_TUNING.huber / np.maximum(sigmas, 1e-9))
         if np.abs(step - step[good].mean())[good].max() < 1e-6:
             break
     weight = np.where(usable, robust / (variance + floor**2), 0.0).sum(axis=0)

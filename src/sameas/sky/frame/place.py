@@ -31,7 +31,6 @@ from sameas.sky.frame.pointing_hints import (
     AllSky,
     ApproximateWcs,
     Hint,
-    SearchTuning,
     SkyIndex,
     candidates,
 )
@@ -122,7 +121,6 @@ def place(
     *,
     index: SkyIndex | None = None,
     odds: float = DEFAULT_ODDS,
-    tuning: SearchTuning = TUNING,
 ) -> Placement:
     """The placement of a frame by the first hint whose best placement has high enough odds.
 
@@ -133,7 +131,6 @@ def place(
     hints : one or several of :class:`ApproximateWcs`, :class:`Aim`, :class:`AllSky`, tried in this order.
     index : :func:`sky_index` for :class:`AllSky` hints, reusable between frames; built if not given.
     odds : minimum odds of a placement against chance, and against the next best placement.
-    tuning : parameters of the search.
 
     Raises
     ------
@@ -149,7 +146,7 @@ def place(
     problem, order_1, order_2 = problem_of(measured, stars)
     refusals = []
     for hint in hints:
-        best, second = _best_verdict(problem, hint, index, math.log(odds), tuning)
+        best, second = _best_verdict(problem, hint, index, math.log(odds))
         if best is not None and _is_established(best, second, math.log(odds)):
             return _placement(problem, best, second, hint, measured, (order_1, order_2))
         refusals.append(_refusal(hint, best, second))
@@ -176,15 +173,15 @@ def problem_of(measured: MeasuredStars, stars: Stars) -> tuple[PlateProblem, Int
 
 
 def _best_verdict(
-    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float, tuning: SearchTuning
+    problem: PlateProblem, hint: Hint, index: SkyIndex | None, least_log_odds: float
 ) -> tuple[Verdict | None, float]:
     """The best verdict under one hint, and the log-odds of the next best, different one."""
     undistorted = _undistorted(problem, hint)
     volume, tolerance = hint.search_volume(undistorted), 0.01 * undistorted.half_diagonal_px
     best, second = None, -math.inf
-    for pointings in candidates(undistorted, hint, index, tuning):
-        for pointing in _distinct(pointings, undistorted, tuning.verified):
-            verdict = verify(undistorted, pointing, volume, tolerance, tuning.odds)
+    for pointings in candidates(undistorted, hint, index):
+        for pointing in _distinct(pointings, undistorted, TUNING.verified):
+            verdict = verify(undistorted, pointing, volume, tolerance)
             if not math.isfinite(verdict.log_odds) or not hint.allows(verdict.pointing, undistorted):
                 continue
             if best is None or verdict.log_odds > best.log_odds:
