@@ -25,15 +25,13 @@ from sameas.cli.options import (
 )
 from sameas.cli.outcome import answering
 from sameas.errors import InputError
-from sameas.front.options import SIDE_OPTIONS
+from sameas.front.options import MOST, SIDE_OPTIONS
 
 if TYPE_CHECKING:
     from sameas.cli.outputs import Outputs
     from sameas.front.request import Request
     from sameas.sky.many import ManyOptions
 
-#: Most catalogues of ``sameas.sky.many``, each of which has numbered options.
-MOST = 8
 _PANEL = "Columns and files: of all catalogues, or with a number of one (--sigma2 0.1)"
 _PANELS = dict.fromkeys(["", *map(str, range(1, MOST + 1))], _PANEL)
 
@@ -84,8 +82,7 @@ def many(
         from sameas.sky.many import ManyOptions
 
         options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
-        for check in (options.of_two().errors, options.of_two().gate):
-            check()
+        options.of_two().check()
         request = Request(tuple(map(str, files)), options, columns)
         _check(request, least)
         wanted = None if dry_run or output is None else Outputs(output, out_format, overwrite, ctx.meta["typed"])

@@ -239,8 +239,7 @@ def match_options(
         options = replace(options, density_per_deg2=(one, two))
     if magnitudes not in (AUTO, OFF) and magnitudes.count(":") != 1:
         raise InputError(f"--magnitudes {magnitudes}: give auto, off, or columns of both catalogues, A,…:B,…")
-    for check in (options.errors, options.gate, options.density):
-        check()
+    options.check()
     return options
 
 

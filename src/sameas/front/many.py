@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from sameas.errors import InputError
 from sameas.front.match import call_text, id_of
-from sameas.front.options import refuse_unknown, side_parameters, with_side_options
+from sameas.front.options import MOST, refuse_unknown, side_parameters, with_side_options
 from sameas.report.prose import Result, in_one
 
 if TYPE_CHECKING:
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from sameas.many.objects import ObjectExplanation, Objects
     from sameas.sky.catalogue import Catalogue
     from sameas.sky.many import ManyMatch, ManyOptions
-
-#: Largest number of catalogues, that of ``sameas.sky.many``; each has options of its own.
-MOST = 8
 
 
 @dataclass(frozen=True, repr=False)
@@ -247,8 +244,7 @@ def match_many(
         raise InputError(f"least is {least}; give 1 to {len(sources)}, in how many catalogues an object must be")
     stated = {name: value for name, value in columns.items() if value is not None}
     options = ManyOptions(to_epoch, gate_sigmas, error_scale, offset=offset)
-    for check in (options.of_two().errors, options.of_two().gate):
-        check()
+    options.of_two().check()
     request = Request(tuple(map(as_source, sources)), options, stated, tuple(names or ()))
     catalogues = request.catalogues()
     found = identified(request, catalogues, progress=progress)

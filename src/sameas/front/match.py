@@ -409,8 +409,7 @@ def match(
         to_epoch, gate_sigmas, error_scale, density, magnitudes, offset, precision,
         tuple(_listed(evidence)),
     )  # fmt: skip
-    for check in (options.errors, options.gate, options.density):
-        check()
+    options.check()
     request = Request(tuple(map(as_source, (first, second))), options, stated, tuple(names or ()))
     if both_hats(first, second):
         return PartitionedMatch(request, join, nway_columns, call, progress)

@@ -69,6 +69,8 @@ FILE_OPTIONS = (
     ColumnOption("hdu", "hdu", "HDU", "Number or name of the FITS extension."),
 )
 SIDE_OPTIONS = (*COLUMN_OPTIONS, *FILE_OPTIONS)
+#: Largest number of catalogues, that of ``sameas.sky.many``; each has options of its own.
+MOST = 8
 
 
 def of_side(columns: Mapping[str, Any], parameter: str, side: int) -> Any:

@@ -13,10 +13,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
@@ -375,11 +376,10 @@ def counterparts(
         rng.permutation(sources),
         rng.permutation(np.concatenate([np.arange(common), np.arange(sources, objects)])),
     )
-    scene = SimulatedScene(
-        _sources(rng, place[one], np.exp(rng.uniform(math.log(low), math.log(high), sources)), "xray"),
-        _sources(rng, place[two], np.full(records, CATALOGUE_SIGMA_ARCSEC), "optical"),
-        one, two, np.zeros(sources, np.bool_), np.zeros(records, np.bool_),
-    )  # fmt: skip
+    sigma = np.exp(rng.uniform(math.log(low), math.log(high), sources))
+    xray = _measured_as(rng, place[one], "xray", sigma)
+    optical = _measured_as(rng, place[two], "optical", np.full(records, CATALOGUE_SIGMA_ARCSEC))
+    scene = _scene_without_false((xray, optical), (one, two))
     flux, bright = rng.normal(0.0, 0.6, objects), np.arange(objects) < sources
     # Counts rise as 10^(0.3 m) to magnitude 26; the sources' magnitudes follow their fluxes.
     counted = 26.0 + np.log10(rng.uniform(size=objects)) / 0.3
@@ -389,9 +389,18 @@ def counterparts(
     return Counterparts(scene, flux[one], magnitude[two], colour[two], kind[two], rng.normal(size=records), area)
 
 
-def _sources(rng: np.random.Generator, place: FloatArray, sigma: FloatArray, name: str) -> Records:
-    offset = sigma[:, None] * rng.standard_normal((len(place), 2))
-    return Records.of(displaced(place, offset), sigma=sigma, space=Sphere(), source=name)
+def _measured_as(
+    rng: np.random.Generator, place: FloatArray, name: str, sigma: ArrayLike, quoted: ArrayLike | None = None
+) -> Records:
+    """Records at these places with errors of 1σ ``sigma`` arcsec on each axis, scalar or (n,), and the errors quoted."""
+    offset = np.reshape(sigma, (-1, 1)) * rng.standard_normal((len(place), 2))
+    return Records.of(displaced(place, offset), sigma=sigma if quoted is None else quoted, space=Sphere(), source=name)
+
+
+def _scene_without_false(sides: Sequence[Records], truths: Sequence[IntArray]) -> SimulatedScene:
+    """The scene of two sources all of whose records are of real objects."""
+    none = [np.zeros(len(truth), np.bool_) for truth in truths]
+    return SimulatedScene(sides[0], sides[1], truths[0], truths[1], none[0], none[1])
 
 
 def formal_field(
@@ -495,13 +504,10 @@ def growing_field(
     true = np.full(objects, quoted_arcsec), np.asarray(error_arcsec(magnitude, distance), np.float64)
     for name, sigma in zip(("first", "second"), true, strict=True):
         truth = rng.permutation(np.flatnonzero(rng.uniform(size=objects) >= missing))
-        measured = displaced(place[truth], sigma[truth, None] * rng.standard_normal((len(truth), 2)))
-        sides.append(Records.of(measured, sigma=np.full(len(truth), quoted_arcsec), space=Sphere(), source=name))
+        sides.append(_measured_as(rng, place[truth], name, sigma[truth], np.full(len(truth), quoted_arcsec)))
         truths.append(truth)
         magnitudes.append(magnitude[truth] + rng.normal(0.0, 0.05, len(truth)))
-    none = [np.zeros(len(truth), np.bool_) for truth in truths]
-    scene = SimulatedScene(sides[0], sides[1], truths[0], truths[1], none[0], none[1])
-    return scene, (magnitudes[0], magnitudes[1]), true[1][truths[1]]
+    return _scene_without_false(sides, truths), (magnitudes[0], magnitudes[1]), true[1][truths[1]]
 
 
 def couples_field(
@@ -557,16 +563,13 @@ def couples_field(
     sides, truths = [], []
     for name, sigma in zip(("first", "second"), sigma_arcsec, strict=True):
         truth = rng.permutation(np.flatnonzero(rng.uniform(size=objects) >= missing))
-        measured = displaced(place[truth], sigma * rng.standard_normal((len(truth), 2)))
-        sides.append(Records.of(measured, sigma=sigma, space=Sphere(), source=name))
+        sides.append(_measured_as(rng, place[truth], name, sigma))
         truths.append(truth)
-    none = [np.zeros(len(truth), np.bool_) for truth in truths]
-    return SimulatedScene(sides[0], sides[1], truths[0], truths[1], none[0], none[1])
+    return _scene_without_false(sides, truths)
 
 
 def _with_formal_errors(
     rng: np.random.Generator, place: FloatArray, quoted: tuple[float, float], scale: float, floor: float, name: str
 ) -> Records:
     sigma = np.exp(rng.uniform(math.log(quoted[0]), math.log(quoted[1]), len(place)))
-    offset = np.hypot(scale * sigma, floor)[:, None] * rng.standard_normal((len(place), 2))
-    return Records.of(displaced(place, offset), sigma=sigma, space=Sphere(), source=name)
+    return _measured_as(rng, place, name, np.hypot(scale * sigma, floor), sigma)

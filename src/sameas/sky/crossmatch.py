@@ -146,6 +146,12 @@ class MatchOptions:
             raise InputError("density: give two positive numbers, records per square degree of either catalogue")
         return self.density_per_deg2[0] / ARCSEC2_PER_DEG2, self.density_per_deg2[1] / ARCSEC2_PER_DEG2
 
+    def check(self) -> None:
+        """Refuse invalid values, before any file is read."""
+        self.errors()
+        self.gate()
+        self.density()
+
 
 @in_short
 @dataclass(frozen=True)
