@@ -392,7 +392,7 @@ def counterparts(
 def _measured_as(
     rng: np.random.Generator, place: FloatArray, name: str, sigma: ArrayLike, quoted: ArrayLike | None = None
 ) -> Records:
-    """Records at these places with errors of 1σ ``sigma`` arcsec on each axis, scalar or (n,), and the errors quoted."""
+    """Records at these places with errors of 1σ ``sigma`` arcsec on each axis, which are quoted unless others are."""
     offset = np.reshape(sigma, (-1, 1)) * rng.standard_normal((len(place), 2))
     return Records.of(displaced(place, offset), sigma=sigma if quoted is None else quoted, space=Sphere(), source=name)
 

@@ -379,25 +379,14 @@ def _refined(
     rate = np.full(tracks, float(np.median(tuning.plot_rates)))
     scales, converged, axes = np.full(2, scale), False, 2 * tracks
     lasting_m2 = pairs.lasting_m2
-    frame = pairs.frame
     jacobian = pairs.jacobian[:, :, fitted]
-    rows = np.arange(len(pairs.plot))
+    design = _design(pairs, jacobian)
     for step in range(tuning.max_steps):
-        residual = pairs.residual - jacobian @ theta - np.einsum("mav,mv->ma", frame, hull[pairs.track])
+        residual = pairs.residual - jacobian @ theta - np.einsum("mav,mv->ma", pairs.frame, hull[pairs.track])
         variance = scales**2 * pairs.variance
-        log_ratio = (
-            np.log(rate[pairs.track]) - LOG_2PI - 0.5 * np.log(variance).sum(axis=1)
-            - 0.5 * np.sum(residual**2 / variance, axis=1) - np.log(pairs.background)
-        )  # fmt: skip
-        ratio = np.exp(np.clip(log_ratio, -700.0, 300.0))
-        weight = ratio / (1.0 + np.bincount(pairs.plot, ratio, len(plots))[pairs.plot])
+        weight = _probabilities(pairs, residual, variance, rate, len(plots))
         total = np.bincount(pairs.track, weight, tracks)
         rate = (total + tuning.rate_prior) / (pairs.scans + tuning.rate_prior / np.median(tuning.plot_rates))
-        # Unknowns: the biases, then the east and north of each track's echo on the hull.
-        design = np.zeros((len(rows), 2, p + axes))
-        design[:, :, :p] = jacobian
-        for axis in (0, 1):
-            design[rows, :, p + 2 * pairs.track + axis] = frame[:, :, axis]
         weighted = design * (weight[:, None] / variance)[:, :, None]
         target = residual + np.einsum("map,p->ma", design, np.concatenate([theta, hull.ravel()]))
         information = np.einsum("map,maq->pq", weighted, design)
@@ -428,6 +417,31 @@ def _refined(
         int(plots.scan.max()) + 1, float(np.sum(total > tuning.min_plots)), 0.0, (), converged, tuning,
         float(np.median(speed)) if sure.any() else 0.0,
     )  # fmt: skip
+
+
+def _design(pairs: Candidates, jacobian: FloatArray) -> FloatArray:
+    """(m, 2, p + 2 t) derivatives of the residuals by p biases, then by east and north of t echoes on their hulls."""
+    rows, p = np.arange(len(pairs.plot)), jacobian.shape[2]
+    design = np.zeros((len(rows), 2, p + 2 * len(pairs.scans)))
+    design[:, :, :p] = jacobian
+    for axis in (0, 1):
+        design[rows, :, p + 2 * pairs.track + axis] = pairs.frame[:, :, axis]
+    return design
+
+
+def _probabilities(
+    pairs: Candidates, residual: FloatArray, variance: FloatArray, rate: FloatArray, plots: int
+) -> FloatArray:
+    """(m,) probability of each pair of a plot and a track, with residuals and their variances (m, 2).
+
+    rate : (t,) expected plots of each track per scan. plots : their number.
+    """
+    log_ratio = (
+        np.log(rate[pairs.track]) - LOG_2PI - 0.5 * np.log(variance).sum(axis=1)
+        - 0.5 * np.sum(residual**2 / variance, axis=1) - np.log(pairs.background)
+    )  # fmt: skip
+    ratio = np.exp(np.clip(log_ratio, -700.0, 300.0))
+    return np.asarray(ratio / (1.0 + np.bincount(pairs.plot, ratio, plots)[pairs.plot]))
 
 
 def _variance_inflation(time_s: FloatArray, error: FloatArray) -> float:
