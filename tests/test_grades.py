@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from sameas import Records
 from sameas.estimate.grades import PSEUDO_COUNT, Grades, Scale
 from sameas.estimate.match import match
-from sameas.evidence import Magnitudes
+from sameas.evidence import Errors, Magnitudes
 from sameas.score.pairs import is_true_pair, score_probabilities
 from sameas.simulate.catalogues import Sky, exposure
 
@@ -199,9 +200,10 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
         .fitted(pairs, answer.p_pair, partner, (np.ones(n1, bool), np.ones(n2, bool)))
         .rule
     )
-    common, alone = np.zeros((3, 3)), [np.zeros(3), np.zeros(3)]
+    common, squares, alone = np.zeros((3, 3)), np.zeros((3, 3)), [np.zeros(3), np.zeros(3)]
     for i, j, p in zip(pairs.i, pairs.j, answer.p_pair, strict=True):
         common[grades[0][i], grades[1][j]] += p
+        squares[grades[0][i], grades[1][j]] += p * p
     for source in range(2):
         for grade, p in zip(grades[source], partner[source], strict=True):
             alone[source][grade] += 1.0 - p
@@ -209,14 +211,47 @@ def test_what_is_learned_is_the_ratio_of_the_counts(found):
     assert np.exp(rule.log_ratio) == pytest.approx(common / common.sum() / chance, rel=0.05, abs=9 * PSEUDO_COUNT)
     apart = common.sum(axis=1)[:, None] * common.sum(axis=0) * chance
     apart /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-    counted = common + 9 * PSEUDO_COUNT * apart / apart.sum()
-    own = -np.log1p(-answer.p_pair / counted[grades[0][pairs.i], grades[1][pairs.j]])
-    assert rule(pairs).terms["precision"] == pytest.approx(
-        rule.log_ratio[grades[0][pairs.i], grades[1][pairs.j]] - own, rel=0.05, abs=0.05
-    )
+    pseudo = 9 * PSEUDO_COUNT * apart / apart.sum()
+    at = grades[0][pairs.i], grades[1][pairs.j]
+    remaining = np.maximum(1.0 - answer.p_pair / (squares + pseudo)[at], (pseudo / (common + pseudo))[at])
+    assert rule(pairs).terms["precision"] == pytest.approx(rule.log_ratio[at] + np.log(remaining), rel=0.05, abs=0.05)
 
 
 def test_uninformative_magnitudes_do_not_disable_grades(frames):
     scene, rng = frames[0].scene, np.random.default_rng(3)
     one, two = (Magnitudes(rng.normal(15.0, 1.0, len(records))) for records in (scene.first, scene.second))
     assert "precision" in match(scene.first, scene.second, brightness=(one, two))[0].evidence.terms
+
+
+def faint_objects(rng, n):
+    """(n,) errors in arcsec of objects in both sources: each grows with its magnitude, which differs by a colour."""
+    first = 18.9 - rng.exponential(1.8, n)
+    second = first + rng.normal(0.0, 0.1, n)
+    return 3.5e-3 * 10.0 ** (0.3 * (first - 18.9)), np.clip(0.25 * 10.0 ** (0.4 * (second - 18.5)), 0.077, 0.25)
+
+
+@pytest.mark.slow
+def test_chance_pairs_of_rare_grades_do_not_support_each_other():
+    """Of sources whose errors are strongly correlated too many pairs were wrong, by 3.8 standard deviations."""
+    mistaken, expected, variance = 0, 0.0, 0.0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        n, alone = 10_000, (3_000, 5_000)
+        sizes = faint_objects(rng, n)
+        side = np.sqrt(n * np.pi / 0.15) * 3.0 * 0.09
+        at, sides = rng.uniform(0.0, side, (n, 2)), []
+        for source, more in enumerate(alone):
+            kept = np.flatnonzero(rng.random(n) < 0.85)
+            extra = np.clip(faint_objects(rng, 4 * more)[source], None, 0.25)
+            extra = np.sort(extra)[-more:]
+            error = rng.normal(size=(len(kept), 2)) * sizes[source][kept, None]
+            place = np.concatenate([at[kept] + error, rng.uniform(0.0, side, (more, 2))])
+            sides.append((place, np.concatenate([sizes[source][kept], extra]), np.append(kept, np.full(more, -1))))
+        first, second = (Records.of(place, sigma=size) for place, size, _ in sides)
+        found, _ = match(first, second, errors=Errors())
+        pairs = found.matches
+        i, j = pairs.rows_1, pairs.rows_2
+        mistaken += int(np.count_nonzero((sides[0][2][i] != sides[1][2][j]) | (sides[0][2][i] < 0)))
+        p = pairs.p_match
+        expected, variance = expected + float((1.0 - p).sum()), variance + float((p * (1.0 - p)).sum())
+    assert mistaken - expected < 3.0 * np.sqrt(variance)

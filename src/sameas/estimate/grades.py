@@ -30,6 +30,8 @@ from sameas.representation import in_short
 RECORDS_PER_CELL, MAX_GRADES = 20.0, 16
 #: Pseudo-pairs per cell of the table, distributed as for unrelated grades.
 PSEUDO_COUNT = 0.1
+#: The most that the uncertainty of a cell's count takes from its logarithm: a rare pair must stay possible.
+MAX_LOSS = 1.0
 #: The evidence is used if twice its gain in ln likelihood exceeds this per cell of the table. Uninformative grades stay
 #: below 4, even in crowded fields with uncertain pairs; for stars it reaches 30 and more.
 MIN_GAIN = 6.0
@@ -160,10 +162,17 @@ class Grades:
         at = count_pairs(pairs.i, pairs.j, *self.grades, p_counted, common)
         unrelated = _margin(common, 1)[:, None] * _margin(common, 0) * chance
         unrelated /= chance.sum(axis=1)[:, None] * chance.sum(axis=0)
-        counted = common + PSEUDO_COUNT * k1 * k2 * unrelated / unrelated.sum()
-        log_ratio = np.log(counted / counted.sum()) - np.log(chance)
-        # The pair's own contribution to ln of the counts, subtracted from its evidence.
-        own = -np.log1p(-np.minimum(p_counted / counted.ravel()[at], 1.0 - 1e-9))
+        pseudo = PSEUDO_COUNT * k1 * k2 * unrelated / unrelated.sum()
+        counted = common + pseudo
+        # The information about ln of a count: Σ p² (of certain pairs their number).
+        information = np.zeros((k1, k2))
+        count_pairs(pairs.i, pairs.j, *self.grades, p_counted**2, information)
+        information += pseudo
+        log_ratio = np.log(counted / counted.sum()) - np.minimum(0.5 / information, MAX_LOSS) - np.log(chance)
+        # The pair's own contribution to ln of the count, subtracted from its evidence: without it the count of its
+        # cell falls by p / Σ p², because the other pairs become less probable, but not below the pseudo-pairs.
+        remaining = np.maximum(1.0 - p_counted / information.ravel()[at], (pseudo / counted).ravel()[at])
+        own = -np.log(remaining)
         twice_gain = 2.0 * float(p_counted @ (log_ratio.ravel()[at] - own))
         significant = twice_gain > MIN_GAIN * (k1 * k2 - 1)
         rule = Precision(self.grades, log_ratio, TrainingPairs(pairs, at, own)) if significant else None
