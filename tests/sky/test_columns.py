@@ -328,6 +328,15 @@ def test_single_letter_bands_are_magnitudes_if_unit_or_ucd_says_so(names, units,
     assert (choice.magnitude, choice.magnitude_error) == expected
 
 
+def test_bands_without_a_unit_are_named() -> None:
+    """A table with VT was read with "magnitude none", and no word of the column."""
+    table = Table({"ra": [10.0], "dec": [1.0], "VT": [11.2], "z": [0.3], "sigma_arcsec": [0.1]})
+    words = "not used: VT, whose unit is not stated; if it is mag, give magnitude='VT'"
+    assert words in map(str, choose(table, CatalogueOptions(), "t").notes)
+    for chosen in ("VT", "none"):
+        assert not choose(table, CatalogueOptions(magnitude=chosen), "t").notes
+
+
 def test_vector_columns_are_no_magnitudes() -> None:
     table = made(*SEXTRACTOR[:-1])
     table["MAG_AUTO"] = np.zeros((3, 2))

@@ -211,6 +211,8 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     if not_used:
         notes = (*notes, f"not used: {', '.join(not_used)}")
     magnitude, magnitude_error = magnitudes
+    if magnitude is None and options.magnitude is None:
+        notes = (*notes, *_unused_bands(search))
     if error.kind == "unknown":
         survey_errors = survey_of(convention.title, _year(search, epoch), _texts(search))
         error = error if survey_errors is None else PositionError("survey", survey=survey_errors)
@@ -610,8 +612,25 @@ def _magnitude(search: ColumnSearch, convention: Convention) -> tuple[str | None
     by_ucd = next((n for n in search.table.colnames if search.ucd(n).startswith(("phot.mag;", "phot_mag"))), None)
     if by_ucd:
         return by_ucd, None
-    units = {
-        name: column_values.unit_of(search.table, name) for name in conventions.BANDS if name in search.table.colnames
-    }
+    units = _bands(search)
     band = next((name for name, unit in units.items() if unit is not None and unit.to_string() == "mag"), None)
     return band, _error_of(search, band)
+
+
+def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:
+    """Columns with the name of a band, and their units."""
+    return {
+        name: column_values.unit_of(search.table, name) for name in conventions.BANDS if name in search.table.colnames
+    }
+
+
+def _unused_bands(search: ColumnSearch) -> tuple[Message, ...]:
+    """A note if columns with the names of bands state no unit."""
+    unknown = [
+        name for name, unit in _bands(search).items() if unit is None and not (len(name) == 1 and name.islower())
+    ]
+    names = [name for name in unknown if column_values.holds_numbers(search.table, name)]
+    if not names:
+        return ()
+    not_used = f"not used: {', '.join(names)}, whose unit is not stated; if it is mag, give "
+    return (Message(not_used, Argument("magnitude", repr(names[0]))),)
