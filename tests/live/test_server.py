@@ -5,11 +5,17 @@ import re
 import urllib.error
 import urllib.request
 
+import numpy as np
 import pytest
 from tests.live.conftest import EVIL, START_S, served
 
+from sameas.cli.watch import _source_lines
 from sameas.live.keeper import Delta
+from sameas.live.outputs import metrics
 from sameas.live.server import Access, _event
+from sameas.picture.live import Registered
+from sameas.registration import Parameter
+from sameas.tracks.registration import SourceBiases
 
 
 def ask(url, method="GET", **headers):
@@ -87,6 +93,22 @@ def test_objects_metrics_and_health_are_served(keeper):
         status, headers, body = ask(url)
         assert status == 200 and "connect-src 'self'" in body and "script-src 'sha256-" in body
         assert EVIL not in body and headers["x-frame-options"] == "DENY"
+
+
+def test_biases_are_served_and_printed(keeper):
+    azimuth = {"azimuth_deg": Parameter(1.5, 0.1, "deg")}
+    for established, words in ((False, "NOT ESTABLISHED"), (True, "subtracted")):
+        found = SourceBiases("radar", ("ais",), azimuth, established=established, theta=np.zeros(6),
+                             covariance=1e-9 * np.eye(6))  # fmt: skip
+        keeper.picture.take_off(Registered((found,)))
+        health = keeper.health()
+        biases = health["sources"]["radar"]["biases"]
+        assert biases["text"] == "azimuth +1.500 ± 0.100°" and biases["established"] == established
+        assert health["sources"]["ais"]["biases"] is None
+        assert _source_lines("radar", health["sources"]["radar"])[1] == f"    azimuth +1.500 ± 0.100°, {words}"
+        served_words = metrics(health, [])
+        assert 'sameas_source_bias{source="radar",bias="azimuth_deg"} 1.5' in served_words
+        assert f'sameas_source_biases_established{{source="radar"}} {int(established)}' in served_words
 
 
 def test_requests_with_another_host_name_are_refused(keeper):

@@ -109,14 +109,18 @@ def watch(
         if keeper.waited_s > 5.0:
             say([f"  The replay waited {keeper.waited_s:.0f} s for the picture: it was slower than --pace {pace:g}"])
         for name, one in state["sources"].items():
-            aside = {word: one[word] for word in ("late", "repeated", "jumps", "refused") if one[word]}
-            words = "".join(f", {n} {word}" for word, n in aside.items())
-            say(
-                [
-                    f"  {name}: {counted(one['reports'], 'report')}{words}"
-                    + (f"; {one['error']}" if one["error"] else "")
-                ]
-            )
+            say(_source_lines(name, one))
+
+
+def _source_lines(name: str, health: dict[str, Any]) -> list[str]:
+    """Printable: the counters of a source, and its biases; health : of the source, from ``Keeper.health``."""
+    aside = {word: health[word] for word in ("late", "repeated", "jumps", "refused") if health[word]}
+    words = "".join(f", {n} {word}" for word, n in aside.items())
+    error = f"; {health['error']}" if health["error"] else ""
+    lines = [f"  {name}: {counted(health['reports'], 'report')}{words}{error}"]
+    if (biases := health["biases"]) is not None:
+        lines.append(f"    {biases['text']}, {'subtracted' if biases['established'] else 'NOT ESTABLISHED'}")
+    return lines
 
 
 def _settings(

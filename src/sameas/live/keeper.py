@@ -530,17 +530,29 @@ class Keeper:
         with self.lock:
             return bool(self._try_journal(lambda journal: journal.acknowledge(alarm_id, who, self.clock())))
 
+    def biases(self) -> dict[str, dict[str, Any]]:
+        """By source with estimated biases, their text, whether they are established and so subtracted, and values."""
+        return {
+            name: {
+                "text": found.values, "established": found.established, "log_evidence": round(found.log_evidence, 1),
+                "values": {bias: {"value": one.value, "sigma": one.standard_error, "unit": one.unit}
+                           for bias, one in found.parameters.items()},
+            }
+            for name, found in self.picture.estimates.items() if found.parameters
+        }  # fmt: skip
+
     def health(self) -> dict[str, Any]:
         """Whether the picture advances, and the counters of every source and wire."""
         age_s = None if self.frame is None else self.now_s() - self.frame.time_s
         late_s = max(10.0 * self.settings.watch.every_s * (self.replay.pace if self.replay else 1.0), 10.0)
         ticking = age_s is not None and age_s < late_s
-        counts = self.picture.counts
+        counts, biases = self.picture.counts, self.biases()
         sources = {
             name: {
                 "reports": counts[name].taken, "late": counts[name].late, "repeated": counts[name].repeated,
                 "jumps": counts[name].jumps, "refused": state.refused, "error": state.error,
                 "delay_s": None if math.isnan(state.delay_s) else round(state.delay_s, 3),
+                "biases": biases.get(name),
             }
             for name, state in self.sources.items()
         }  # fmt: skip

@@ -351,6 +351,17 @@ def metrics(health: Mapping[str, Any], durations_s: Sequence[float]) -> str:
         lines.append(f"# TYPE sameas_source_{name}_total counter")
         for source, numbers in health["sources"].items():
             lines.append(f"sameas_source_{name}_total{{source={_label(source)}}} {numbers[name]}")
+    with_biases = {source: one["biases"] for source, one in health["sources"].items() if one.get("biases")}
+    for key, suffix in (("value", ""), ("sigma", "_sigma")):
+        lines.append(f"# TYPE sameas_source_bias{suffix} gauge")
+        for source, found in with_biases.items():
+            for bias, numbers in found["values"].items():
+                lines.append(
+                    f"sameas_source_bias{suffix}{{source={_label(source)},bias={_label(bias)}}} {numbers[key]:g}"
+                )
+    lines.append("# TYPE sameas_source_biases_established gauge")
+    for source, found in with_biases.items():
+        lines.append(f"sameas_source_biases_established{{source={_label(source)}}} {int(found['established'])}")
     for name in ("bytes", "dropped", "damaged", "connections"):
         lines.append(f"# TYPE sameas_wire_{name}_total counter")
         for url, numbers in health["wires"].items():

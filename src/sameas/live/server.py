@@ -231,6 +231,7 @@ def _event(kind: str, keeper: Keeper, frame: Frame, delta: Delta) -> str:
             },
             "cpa": {n: [round(metres), round(seconds)] for n, (metres, seconds) in frame.cpa.items()},
             "alarms": keeper.alarm_list()[:100],
+            "biases": {name: [found["text"], found["established"]] for name, found in keeper.biases().items()},
         }  # fmt: skip
     return f"id: {delta.tick}\nevent: {kind}\ndata: {json.dumps(content, allow_nan=False, separators=(',', ':'))}\n\n"
 

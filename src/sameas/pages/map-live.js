@@ -91,6 +91,7 @@ function applyDelta(delta) {
   present.t = delta.t;
   present.own = delta.own;
   present.cpa = delta.cpa || {};
+  showBiases(delta.biases || {});
   beginOwnShip();
   applyAlarms(delta.alarms || []);
   dropOldFrames();

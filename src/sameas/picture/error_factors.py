@@ -431,20 +431,28 @@ class ErrorFactors:
                 weight[block] = _marginals(own[block] + field_, pairwise[np.ix_(block, block)])
         mean = weight @ logs
         sigma = np.sqrt(np.maximum(weight @ logs**2 - mean**2, 0.0))
-        by_range = self._by_range(weight, of_parts, logs, tuning)
-        return replace(self, factor=np.exp(mean), sigma=sigma, by_range=by_range)
+        factor = np.exp(mean)
+        return replace(
+            self, factor=factor, sigma=sigma, by_range=self._by_range(factor, weight, of_parts, logs, tuning)
+        )
 
-    def _by_range(self, weight: FloatArray, pairwise: FloatArray, logs: FloatArray, tuning: Tuning) -> FloatArray:
-        """(S, B) the factors of the range bands. weight : (S, K) posterior of the sources' factors. pairwise :
-        (S B, S B, K, K) L of parts, symmetrised."""
+    def _by_range(
+        self, factor: FloatArray, weight: FloatArray, pairwise: FloatArray, logs: FloatArray, tuning: Tuning
+    ) -> FloatArray:
+        """(S, B) the factors of the range bands: that of the source where it has evidence of one band only.
+
+        factor, weight : (S,), (S, K) mean and posterior of the sources' factors. pairwise : (S B, S B, K, K) L of
+        parts, symmetrised.
+        """
         n, k = weight.shape
+        log_pairs = np.einsum("stfg,tg->sf", pairwise, np.repeat(weight, RANGE_BANDS, axis=0))
+        has_evidence = (self.reports > 0) | log_pairs.any(axis=1)
+        several = has_evidence.reshape(n, RANGE_BANDS).sum(axis=1) > 1
         ratio = np.exp(-0.5 * ((logs - logs[:, None]) / tuning.error_factor_sigma) ** 2)
         change = 0.5 * np.eye(k) + 0.5 * ratio / ratio.sum(axis=1, keepdims=True)
-        own = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0) + logsumexp(self.log_shifts, axis=2)
-        of_part = np.repeat(weight, RANGE_BANDS, axis=0)
-        for _ in range(STEPS):
-            of_part = np.exp(log_softmax(own + np.einsum("stfg,tg->sf", pairwise, of_part), axis=1))
-        return np.exp(of_part @ logs).reshape(n, RANGE_BANDS)
+        prior = np.repeat(np.log(weight @ change + 1e-300), RANGE_BANDS, axis=0)
+        mean = np.exp(log_softmax(prior + logsumexp(self.log_shifts, axis=2) + log_pairs, axis=1)) @ logs
+        return np.where(several[:, None], np.exp(mean).reshape(n, RANGE_BANDS), factor[:, None])
 
 
 def evenly(position: FloatArray, max_rows: int) -> IntArray:

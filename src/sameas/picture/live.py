@@ -106,6 +106,7 @@ class LivePicture:
         self._feeds = {d.name: LiveFeed(d, self.plane, lag_s, tuning=tuning) for d in descriptions}
         self._carried: Watch | PlotPicture | None = watch
         self._biases: dict[str, SourceBiases] = {}
+        self._estimates: dict[str, SourceBiases] = {}
         self._heights: HeightModel | None = None
         #: Conversion of the heights of the last instant; None if none was reported.
         self.height_model: HeightModel | None = None
@@ -136,6 +137,11 @@ class LivePicture:
     def biases(self) -> Mapping[str, SourceBiases]:
         """By source, the biases that are subtracted."""
         return dict(self._biases)
+
+    @property
+    def estimates(self) -> Mapping[str, SourceBiases]:
+        """By source, the biases that are subtracted, else those last estimated, which are not established."""
+        return self._estimates | self._biases
 
     @property
     def errors(self) -> tuple[str, ...]:
@@ -241,6 +247,7 @@ class LivePicture:
         """Subtracts the established biases at later instants; for the other sources the previous ones stay."""
         self._heights = found.heights or self._heights
         for biases in found.biases:
+            self._estimates[biases.source] = biases
             if biases.established and biases.theta is not None:
                 self._biases[biases.source] = biases
 

@@ -67,14 +67,18 @@ class SourceBiases:
     theta: FloatArray | None = field(default=None, repr=False, compare=False)
     covariance: FloatArray | None = field(default=None, repr=False, compare=False)
 
+    @property
+    def values(self) -> str:
+        """Printable: each bias with its standard error; "" for a source that is not corrected."""
+        return ", ".join(_TEXTS[name].format(it.value, it.standard_error) for name, it in self.parameters.items())
+
     def __str__(self) -> str:
         if not self.parameters:
             return f"{self.source}: not corrected" + (", the reference for the others" if not self.notes else "")
-        values = ", ".join(_TEXTS[name].format(it.value, it.standard_error) for name, it in self.parameters.items())
         others = " and ".join(self.against)
         by = f"{self.pairs:.0f} pairs of {self.tracks:.0f} tracks at {self.instants} instants with {others}"
         verdict = "" if self.established else "NOT ESTABLISHED, "
-        return f"{self.source}: {verdict}{values}; by {by} (log evidence {self.log_evidence:.0f})"
+        return f"{self.source}: {verdict}{self.values}; by {by} (log evidence {self.log_evidence:.0f})"
 
     def lines(self) -> tuple[str, ...]:
         """Printable: the biases, then the notes."""
