@@ -216,7 +216,7 @@ class Watch:
             memory = memory.with_sure(members, identification.probability)
         memory = memory.with_real(detections.tracks[_certain_pairs(members, identification, self.stages)])
         objects = self.objects.advance(now.instant_s, detections, objects_per_m2(now), self.stages, self.tuning)
-        object_texts = self._texts(scan, members, texts, objects)
+        object_texts = RecordTexts.of(scan, members, texts, objects).of_objects(objects, self.texts)
         carried = replace(self, memory=memory, objects=objects, texts=object_texts)
         return PictureState(now, scan, objects_now, detections.states, carried)
 
@@ -276,17 +276,24 @@ class Watch:
             speed,
         )
 
-    def _texts(
-        self, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects
-    ) -> Mapping[int, NDArray[Any]]:
-        """By number of the object, its texts: each of its newest record that has it, else the previous one.
 
-        A previous one is dropped if a record of another object has it now: it was that object's.
-        """
+@dataclass(frozen=True)
+class RecordTexts:
+    """The texts of the records of an instant, one column of :data:`TEXTS` each.
+
+    newest : (n, texts) of each detected object, that of its newest record with it; "" for none. holders : by column and
+    text, the numbers of the objects that have a record with it.
+    """
+
+    newest: NDArray[Any]
+    holders: Mapping[tuple[int, str], set[int]]
+
+    @classmethod
+    def of(cls, scan: Scan, members: IntArray, texts: Mapping[str, NDArray[Any]], objects: NamedObjects) -> RecordTexts:
+        """members : (n, S) records of the detected objects. texts : (records,) by column."""
         at, source = np.nonzero(members >= 0)
         record = members[at, source]
         newest = np.full((len(members), len(TEXTS)), "", dtype=object)
-        # By text that a record has now, the numbers of the objects with such records.
         holders: dict[tuple[int, str], set[int]] = {}
         number_of = np.zeros(len(members) + 1, np.int64)  # the last place is that of objects without records
         number_of[objects.detection] = objects.number
@@ -297,32 +304,34 @@ class Watch:
             if not len(with_value):
                 continue
             # The newest is written last; of ties the first in alphabetical order.
-            order = with_value[
-                np.lexsort(
-                    [np.argsort(np.argsort(values[with_value].astype(str)[::-1])), scan.time_s[record[with_value]]]
-                )
-            ]
+            alphabetical = np.argsort(np.argsort(values[with_value].astype(str)[::-1]))
+            order = with_value[np.lexsort([alphabetical, scan.time_s[record[with_value]]])]
             newest[at[order], column] = values[order]
             for value, number in zip(values[with_value], number_of[at[with_value]].tolist(), strict=True):
                 if number:
                     holders.setdefault((column, value), set()).add(number)
-        numbers = objects.number.tolist()
-        object_texts = {number: self.texts.get(number, NO_TEXTS) for number in numbers}
-        has_text = np.append((newest != "").any(axis=1), False)[objects.detection]
-        for row, k in zip(np.flatnonzero(has_text).tolist(), objects.detection[has_text].tolist(), strict=True):
-            previous = object_texts[numbers[row]]
-            object_texts[numbers[row]] = np.where(newest[k] != "", newest[k], previous)
-        for number, words in object_texts.items():
-            foreign = [
-                column
-                for column, value in enumerate(words[:-2].tolist())
-                if value != "" and number not in holders.get((column, value), {number})
-            ]
-            if foreign:
-                # Mode A code and type came with them.
-                kept = np.where(np.isin(np.arange(len(TEXTS)), [*foreign, len(TEXTS) - 2, len(TEXTS) - 1]), "", words)
-                object_texts[number] = kept.astype(object)
-        return object_texts
+        return cls(newest, holders)
+
+    def of_objects(self, objects: NamedObjects, previous: Mapping[int, NDArray[Any]]) -> Mapping[int, NDArray[Any]]:
+        """By number of the object, its texts: those of its records, else the previous ones, except those that another
+        object has now."""
+        out = {number: previous.get(number, NO_TEXTS) for number in objects.number.tolist()}
+        has_text = np.append((self.newest != "").any(axis=1), False)[objects.detection]
+        for number, k in zip(objects.number[has_text].tolist(), objects.detection[has_text].tolist(), strict=True):
+            out[number] = np.where(self.newest[k] != "", self.newest[k], out[number])
+        return {number: self._without_foreign(number, words) for number, words in out.items()}
+
+    def _without_foreign(self, number: int, words: NDArray[Any]) -> NDArray[Any]:
+        """The texts of an object without those that only others have now; Mode A code and type came with them."""
+        foreign = [
+            column
+            for column, value in enumerate(words[:-2].tolist())
+            if value != "" and number not in self.holders.get((column, value), {number})
+        ]
+        if not foreign:
+            return words
+        dropped = np.isin(np.arange(len(TEXTS)), [*foreign, len(TEXTS) - 2, len(TEXTS) - 1])
+        return np.where(dropped, "", words).astype(object)
 
 
 def _existence_odds(track: IntArray, memory: TrackMemory) -> ExistenceOdds:
