@@ -238,18 +238,10 @@ def _repeated(ra: FloatArray, dec: FloatArray, frame: IntArray) -> NDArray[np.bo
 # Tables of detections: columns of times, exposures and bands; positions as in catalogues.
 
 #: Recognised column names, ignoring case, in order of preference.
-TIMES: tuple[str, ...] = (
-    "mjd_utc",
-    "mjd",
-    "mjd_mid",
-    "mjd_obs",
-    "midpointmjdtai",
-    "expmidptmjd",
-    "obstime",
-    "obs_time",
-    "date_obs",
-)
-TIMES += ("jd_utc_mid", "jd_utc", "jd", "time")
+TIMES = (
+    "mjd_utc", "mjd", "mjd_mid", "mjd_obs", "midpointmjdtai", "expmidptmjd", "obstime", "obs_time", "date_obs",
+    "jd_utc_mid", "jd_utc", "jd", "time",
+)  # fmt: skip
 EXPOSURES = ("exposure", "frame", "visit", "expnum", "exposure_id", "obsid", "image")
 BANDS = ("band", "filter", "fid", "filt", "fltr")
 #: Numbers above this are Julian dates, not MJD.

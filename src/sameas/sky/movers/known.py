@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 _ERROR_FACTOR = 2.0
 #: Prior odds that a known object predicted in the field is one of the tracklets (chosen).
 _ODDS = 0.5
+#: Minimum probability of a match (chosen).
+MIN_PROBABILITY = 0.5
 #: Tracklets farther apart are matched field by field, in cells of this size.
 FIELD_DEG = 4.0
 #: Maximum age of elements; older objects were lost.
@@ -76,14 +78,12 @@ class KnownObjects:
             table[name].unit = "arcsec"
 
 
-def name_movers(
-    found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None, min_probability: float = 0.5
-) -> KnownObjects:
+def name_movers(found: Movers, elements: Elements, *, site: tuple[float, float, float] | None = None) -> KnownObjects:
     """The known objects among the tracklets.
 
     found : the tracklets. elements : of known objects; those older than twenty years are ignored. site : latitude,
     longitude (degrees, east positive) and height (metres) of the observer; None for the centre of the Earth, an error
-    of up to 8″ for the main belt. min_probability : minimum probability of a match.
+    of up to 8″ for the main belt.
 
     Example
     -------
@@ -103,9 +103,7 @@ def name_movers(
     is_near = np.zeros(len(elements), bool)
     for rows in fields:
         in_field = found.only(rows)
-        match = _of_field(
-            in_field, unit[in_field.members[in_field.members >= 0]], elements, state, middle, site, min_probability
-        )
+        match = _of_field(in_field, unit[in_field.members[in_field.members >= 0]], elements, state, middle, site)
         is_near[match.near] = True
         owner[rows], p[rows], magnitude[rows] = match.owner, match.p, match.magnitude
         offset[match.rows] = match.offset
@@ -159,7 +157,7 @@ class _FieldMatch:
 
 def _of_field(
     found: Movers, unit_of: FloatArray, all_elements: Elements, state: FloatArray | None, middle: float,
-    site: tuple[float, float, float] | None, min_probability: float,
+    site: tuple[float, float, float] | None,
 ) -> _FieldMatch:  # fmt: skip
     """The match of the tracklets of one field. unit_of : (m, 3) directions of their detections."""
     k, detections = len(found), found.detections
@@ -199,7 +197,7 @@ def _of_field(
     answer = identify(first, second, rule=Field(density), prior=PerPair(math.log(_ODDS)))
     matches = answer.matches
     for row, known, probability in zip(matches.rows_1, matches.rows_2, matches.p_match, strict=True):
-        if probability < min_probability:
+        if probability < MIN_PROBABILITY:
             continue
         owner[row], p[row] = known, probability
         rows = found.members[row][found.members[row] >= 0]

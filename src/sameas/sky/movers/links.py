@@ -34,6 +34,8 @@ _LOG_UNIFORM_MAG = math.log(1.0 / 8.0)
 CHUNK = 200_000
 #: Prior share of the detections that have a next one (chosen; alerts have 0.3, frames less).
 PRIOR_SHARE = 0.02
+#: Maximum number of EM iterations (chosen).
+MAX_ITERATIONS = 8
 
 
 @dataclass(frozen=True)
@@ -323,13 +325,13 @@ def link_probabilities(links: Links, n: int) -> FloatArray:
 
 
 def learn(
-    around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING, *, rounds: int = 8, counts: float = 30.0
+    around: Surroundings, model: MotionModel, tuning: Tuning = DEFAULT_TUNING, *, counts: float = 30.0
 ) -> MotionModel:
     """The model estimated from these detections by EM; no identities are needed.
 
-    rounds : maximum number of iterations. counts : weight of the prior model, in links.
+    counts : weight of the prior model, in links.
     """
-    for _ in range(rounds):
+    for _ in range(MAX_ITERATIONS):
         links = candidate_links(around, model, tuning)
         p = link_probabilities(links, len(around.detections))
         model, before = _maximised(around, links, p, model, tuning, counts), model
