@@ -251,7 +251,9 @@ def sum_of_records(
 def _information(covariance: FloatArray, moving: bool, copy: FloatArray, root: FloatArray, out: FloatArray) -> None:
     """Write the information (4, 4) of a record, 0 on a velocity that is not reported. copy, root : scratch."""
     if moving:
-        copy[:] = covariance
+        for v in range(4):
+            for w in range(4):
+                copy[v, w] = covariance[v, w]
         _inverse(copy, root, out)
         return
     out[:] = 0.0

@@ -303,8 +303,8 @@ def fit(
     without = log_likelihood(start, count, odds, narrow, kept, alone)
     if log_reached - without > min_gain:
         return best, log_reached - without, log_reached
-    best[:core] = alone
-    best[core:] = 0.0
+    for k in range(len(best)):
+        best[k] = alone[k] if k < core else 0.0
     return best, log_reached - without, without
 
 

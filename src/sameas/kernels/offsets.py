@@ -29,7 +29,9 @@ Cells = namedtuple("Cells", "position error rows start low size shape")
 def longer(array: FloatArray | IntArray, length: int) -> FloatArray | IntArray:
     """The array with its first axis extended to ``length``."""
     grown = np.empty((length, *array.shape[1:]), array.dtype)
-    grown[: len(array)] = array
+    old, new = array.reshape(-1), grown.reshape(-1)
+    for k in range(len(old)):  # the assignment of an array to a slice takes numba a second to compile
+        new[k] = old[k]
     return grown
 
 
@@ -49,13 +51,16 @@ def near_pairs(
     i, j, log_normal = np.empty(capacity, np.int64), np.empty(capacity, np.int64), np.empty(capacity)
     residual, precision = np.empty((capacity, d)), np.empty((capacity, d, d))
     matrix, delta, count = np.empty((3, d, d)), np.empty((2, d)), 0
-    farthest = np.array([sigmas * widening * math.sqrt(one.error[:, v, v].max()) for v in (0, d - 1)])
+    farthest_x, farthest_y = 0.0, 0.0
+    for k in range(len(one.error)):
+        farthest_x = max(farthest_x, sigmas * widening * math.sqrt(one.error[k, 0, 0]))
+        farthest_y = max(farthest_y, sigmas * widening * math.sqrt(one.error[k, d - 1, d - 1]))
     for s in range(sets):
         for b in range(many):
             error = covariance_2[s, b]
             # The sum of both σ is a quick upper bound of the residual's.
-            reach_x = farthest[0] + sigmas * widening * math.sqrt(error[0, 0])
-            reach_y = farthest[1] + sigmas * widening * math.sqrt(error[d - 1, d - 1])
+            reach_x = farthest_x + sigmas * widening * math.sqrt(error[0, 0])
+            reach_y = farthest_y + sigmas * widening * math.sqrt(error[d - 1, d - 1])
             left, right = span_of_cells(one, 0, two[s, b, 0], reach_x)
             bottom, top = span_of_cells(one, 1, two[s, b, d - 1], reach_y)
             for strip in range(bottom * one.shape[0], top * one.shape[0], one.shape[0]):

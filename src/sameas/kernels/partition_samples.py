@@ -42,14 +42,21 @@ def sampled(begin: IntArray, entry: IntArray, source: IntArray, weight: FloatArr
     code, key, table = _keys(begin, entry, n)
     member_begin, member_sets = _memberships(begin, entry, n)
     one = np.int64(1)
-    sources = int(source.max()) + 1 if n else 0
+    sources = 0
+    for r in range(n):
+        sources = max(sources, source[r] + 1)
     for s in range(k):
         if chosen[s]:
             for e in range(begin[s], begin[s + 1]):
                 set_of[entry[e]] = s
-    records = np.flatnonzero(set_of >= 0)
-    if len(records) == 0:
+    in_sets, size = np.empty(n, np.int64), 0
+    for r in range(n):
+        if set_of[r] >= 0:
+            in_sets[size] = r
+            size += 1
+    if size == 0:
         return total
+    records = in_sets[:size]
     steps = STEPS * max(len(records), MIN_RECORDS)
     random, burn_in = 1 + 7919 * (n + k) % (MODULUS - 1), int(BURN_IN * steps)
     old, new = np.empty(sources + 1, np.int64), np.empty(sources + 1, np.int64)

@@ -296,14 +296,19 @@ def sum_pruned_groups(
     No linear programme is needed: duals are found by descent, and by annealing where that is not enough. Groups that
     are not solved have a cut of −1.
     """
-    from sameas.kernels.partitions import sum_pruned
+    from sameas.kernels.partitions import FEW_RECORDS, FEW_SETS, sum_few, sum_pruned
 
     n, dual = len(sets), np.zeros(n_records)
     at, record = sets.entries()
     np.maximum.at(dual, record, (sets.log_weight / sets.size)[at])
     share, chosen, cut = np.zeros(n), np.zeros(n, bool), np.full(len(groups), -1.0)
+    remaining, few = groups & (sets.floor <= 0), np.zeros(len(groups), bool)
+    if tuning.small >= FEW_RECORDS:
+        short = np.flatnonzero(remaining & (np.diff(sets.start) <= FEW_SETS))
+        sum_few(short, sets.start, sets.members, sets.log_weight, n_records, share, chosen, few)
+    cut[few] = tuning.cuts[0]
     sum_pruned(
-        np.flatnonzero(groups & (sets.floor <= 0)), sets.start, sets.members, sets.log_weight, tuning.small,
+        np.flatnonzero(remaining & ~few), sets.start, sets.members, sets.log_weight, tuning.small,
         np.array(tuning.cuts), MAX_RECORDS, min(tuning.block_steps, tuning.max_steps), dual, share, chosen, cut,
     )  # fmt: skip
     return share, chosen, cut
