@@ -6,7 +6,11 @@ import pytest
 from tests.browser import CHROMIUM, Browser
 from tests.live.conftest import EVIL, served
 
+from sameas.live.frame import Frame
 from sameas.live.server import Access
+from sameas.picture.live import Registered
+from sameas.registration import Parameter
+from sameas.tracks.registration import SourceBiases
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")]
 
@@ -76,5 +80,64 @@ def test_the_page_reports_a_lost_connection(keeper, tmp_path):
             time.sleep(1.0)
             page.until("document.body.dataset.live === 'broken'", patience_s=20.0)
             assert "no news" in page.js("document.getElementById('live-state').textContent")
+        finally:
+            page.close()
+
+
+def test_ranges_are_from_own_ship_and_an_approach_at_the_limit_is_one_alarm(keeper, tmp_path, monkeypatch):
+    keeper.settings.watch.__dict__.update(cpa_m=500.0, tcpa_s=1200.0)
+    metres = {"now": 450.0}
+
+    def approach(frame):
+        numbers, mmsi = frame.objects["object"].tolist(), frame.objects["mmsi"].tolist()
+        return {n: (metres["now"], 300.0) for n, m in zip(numbers, mmsi, strict=True) if m == "235000111"}
+
+    monkeypatch.setattr(Frame, "cpa", property(approach))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            page.until("mapPage.live && document.querySelectorAll('#alarms li.current').length === 1", 60.0)
+            # Ranges and bearings are from own ship, unless the user chooses another centre.
+            assert page.js("document.getElementById('ring').value") == "own"
+            number = next(n for n, row in keeper.frame.object_rows.items() if EVIL in row)
+            page.js(f"mapPage.pick({number})")
+            page.until("document.querySelector('#object')?.textContent.includes('From own ship')")
+            facts = "document.querySelector('#object').textContent"
+            assert page.js(f"{facts}.includes('TCPA')") and "°" in page.js(facts)
+            # The list has the closest approach of the ship that has one, in nautical miles.
+            heads = "[...document.querySelectorAll('#list th')]"
+            place = page.js(f"{heads}.findIndex(e => e.textContent.startsWith('CPA'))")
+            assert place > 0
+            cells = f"[...document.querySelectorAll('#rows tr')].map(e => e.children[{place}]?.textContent)"
+            page.until(f"{cells}.filter(e => e).join() === '0.24'")
+            # Within 1.2 times the limit an active alarm stays; beyond, it ends.
+            metres["now"] = 580.0
+            page.until(f"{cells}.filter(e => e).join() === '0.31'")
+            tick = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 6}")
+            assert page.js("document.querySelectorAll('#alarms li.current').length") == 1
+            metres["now"] = 620.0
+            page.until("document.querySelectorAll('#alarms li.current').length === 0")
+            # It is not raised again before the limit itself.
+            metres["now"] = 580.0
+            tick = page.js("mapPage.live.tick")
+            page.until(f"mapPage.live.tick > {tick + 6}")
+            assert page.js("document.querySelectorAll('#alarms li.current').length") == 0
+            assert len([one for one in keeper.alarm_list() if one["kind"] == "cpa"]) == 1 and page.errors == []
+        finally:
+            page.close()
+
+
+def test_the_legend_shows_the_biases_of_a_source(keeper, tmp_path):
+    azimuth = {"azimuth_deg": Parameter(1.5, 0.1, "deg")}
+    keeper.picture.take_off(Registered((SourceBiases("radar", ("ais",), azimuth, established=False),)))
+    with served(keeper) as url:
+        page = Browser(tmp_path / "profile", url)
+        try:
+            lines = "[...document.querySelectorAll('#sources .bias')].filter(e => !e.hidden)"
+            shown = f"{lines}.map(e => e.textContent).join()"
+            page.until(f"mapPage.live && {shown} === 'azimuth +1.500 ± 0.100°, not established'")
+            assert page.errors == []
+            page.picture(tmp_path / "legend.png")
         finally:
             page.close()
