@@ -37,7 +37,14 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
 
     def printed(side: int, catalogue: Catalogue) -> None:
         pace.pause()
-        printer([*catalogue_lines(catalogue, side, request.paths[side - 1], partial(_in_own_terms, request, side)), ""])
+        printer(
+            [
+                *catalogue_lines(
+                    catalogue, side, request.paths[side - 1], partial(request.in_own_terms, in_options, side)
+                ),
+                "",
+            ]
+        )
         if side < len(request.paths):
             pace(f"reading {request.paths[side]}")
 
@@ -57,11 +64,6 @@ def _keep_freed_memory() -> None:
     # M_MMAP_MAX, M_TRIM_THRESHOLD and M_TOP_PAD of glibc's malloc.h.
     for parameter, value in ((-4, 0), (-1, KEPT_BYTES), (-2, KEPT_BYTES // 4)):
         set_malloc(parameter, value)
-
-
-def _in_own_terms(request: Request[Any], side: int, text: str) -> str:
-    """A message about one catalogue, with the command's options for that catalogue."""
-    return in_options(request.words(text, side))
 
 
 @dataclass(frozen=True)

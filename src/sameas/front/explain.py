@@ -81,7 +81,7 @@ def explain(
     with reading(str(path), CHANGED):
         kind = _kind(facts, path)
         number = 0 if kind == "frame" else _number(facts, source, path)
-        small = kind == "match" and _is_small(facts)
+        small = kind == "match" and int(facts["rows_1"]) + int(facts["rows_2"]) <= REPEATED
     if again and kind != "match":
         raise InputError(f"{path}: only a match of two catalogues is repeated; leave again out")
     if again or small:
@@ -128,10 +128,6 @@ def _number(facts: Mapping[str, Any], source: int | str, path: Path) -> int:
     if number not in names.values():
         raise InputError(f"{path}: it has no source {source}; give one of {', '.join(names)}, or its number")
     return number
-
-
-def _is_small(facts: Mapping[str, Any]) -> bool:
-    return int(facts["rows_1"]) + int(facts["rows_2"]) <= REPEATED
 
 
 def _repeated(

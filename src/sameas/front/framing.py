@@ -290,7 +290,7 @@ def found_on(
     own_hints = hints(request.pointing, frame, whole_sky=request.catalogue.lower() != GAIA)
     cone = search_cone(own_hints, frame.shape)
     progress("reading the catalogue")
-    stars = _catalogue(request, cone, progress) if given is None else given
+    stars = _cached_catalogue(_key(request, cone), progress) if given is None else given
     moment = frame.facts.mid_time
     moves = stars.epoch_jyr is not None and stars.has_motion
     epoch = None if moment is None else float(moment.tdb.jyear)
@@ -350,8 +350,7 @@ def _provenance(outcome: Mapping[str, Any]) -> dict[str, Any]:
 
 def provenance_of(request: FrameRequest, facts: Mapping[str, Any]) -> dict[str, Any]:
     """The provenance of a table written from Python. facts : the summary."""
-    outcome = {**program(), "file": request.path, **facts}
-    return _provenance(outcome)
+    return _provenance({**program(), "file": request.path, **facts})
 
 
 # ---- caches, shared by the frames of one process ----
@@ -374,10 +373,6 @@ def _key(request: FrameRequest, cone: Cone | None) -> _Key:
     by_field = request.catalogue.lower() == GAIA or Path(request.catalogue).is_dir()
     columns = json.dumps(dict(request.columns), sort_keys=True)
     return request.catalogue, columns, cone if by_field else None, request.faintest
-
-
-def _catalogue(request: FrameRequest, cone: Cone | None, progress: Progress) -> Catalogue:
-    return _cached_catalogue(_key(request, cone), progress)
 
 
 _catalogues: dict[_Key, Catalogue] = {}

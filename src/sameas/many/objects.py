@@ -188,7 +188,7 @@ class Objects:
         return Memberships(
             object=over_table(of_record),
             p_object=over_table(self.probability[of_record]),
-            p_alone=over_table(np.clip(self._p_alone[records], 0.0, 1.0)),
+            p_alone=over_table(np.clip(self.p_alone[records], 0.0, 1.0)),
             partner=over_table(partner.data, np.ma.getmaskarray(partner)),
             p_partner=over_table(np.clip(p_partner, 0.0, 1.0), np.broadcast_to(itself, p_partner.shape)),
         )
@@ -218,7 +218,7 @@ class Objects:
         return out
 
     @cached_property
-    def _p_alone(self) -> FloatArray:
+    def p_alone(self) -> FloatArray:
         """(records,) probability of every record to have no partner."""
         single = np.flatnonzero(self.sets.size == 1)
         out = np.zeros(len(self.pooled))

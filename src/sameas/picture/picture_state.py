@@ -106,10 +106,7 @@ class IdentifiedObjects:
         """(records,) that a record has no partner."""
         out = np.ones(len(self.scan))
         if self.identification is not None:
-            pooled, sets = self.identification.pooled, self.identification.sets
-            lone = np.flatnonzero(sets.size == 1)
-            alone = np.zeros(len(pooled))
-            alone[sets.members[lone].max(axis=1)] = self.identification.answer.probability[lone]
+            pooled, alone = self.identification.pooled, self.identification.p_alone
             for s, source in zip(pooled.given, pooled.sources, strict=True):
                 rows, first = records_of(source).rows, pooled.start[pooled.given.index(s)]
                 if s < self.members.shape[1]:
