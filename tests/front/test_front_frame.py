@@ -78,6 +78,16 @@ def test_stars_and_measurements_are_explained(found):
         found.explain(1, source="x")
 
 
+def test_a_wrong_aim_is_told_from_that_of_the_header(made, tmp_path):
+    """A wrong --aim was answered with advice on radius, scale and catalogue only."""
+    path, stars = made
+    image, header = fits.getdata(path, header=True)
+    header["OBJCTRA"], header["OBJCTDEC"] = "10 00 00", "+20 00 00"
+    fits.PrimaryHDU(image, header).writeto(tmp_path / "aimed.fits")
+    with pytest.raises(InputError, match=r"the header's aim, 150\.0\d+ \+20\.0\d+, is 1.* from the one given"):
+        sameas.match_frame(tmp_path / "aimed.fits", stars, aim=(WHERE[0], WHERE[1] + 1.0), scale=(1.9, 2.1), radius=0.2)
+
+
 def test_without_magnitudes_the_plot_has_no_empty_panels(made, found):
     """There were two empty panels, with axes from 0 to 1."""
     pytest.importorskip("matplotlib")

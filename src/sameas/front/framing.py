@@ -18,6 +18,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 import sameas
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.front.provenance import program
@@ -36,6 +38,7 @@ from sameas.sky.frame.measurements import Detection, Measurements
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
 from sameas.sky.frame.tangent import Pointing
+from sameas.space import unit_vectors
 
 Progress = Callable[[str], None]
 #: Outputs in addition to the table; page and pictures are optional.
@@ -97,6 +100,18 @@ def hints(pointing: PointingOptions, frame: Frame, *, whole_sky: bool = True) ->
             )
         found.append(AllSky(scale))
     return found
+
+
+def _header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], frame: Frame) -> str:
+    """The direction in the header, if it is farther than the radius from the one that was given; else ""."""
+    header, aim = frame.facts.aim_deg, next((hint for hint in own_hints if isinstance(hint, Aim)), None)
+    if pointing.aim_deg is None or header is None or aim is None:
+        return ""
+    chord = float(np.linalg.norm(unit_vectors(*header) - unit_vectors(*pointing.aim_deg)))
+    off_deg = math.degrees(2.0 * math.asin(min(0.5 * chord, 1.0)))
+    if off_deg <= aim.radius_deg:
+        return ""
+    return f"the header's aim, {header[0]:.4f} {header[1]:+.4f}, is {off_deg:.3g}° from the one given"
 
 
 def _solution(frame: Frame) -> Any:
@@ -296,16 +311,22 @@ def found_on(
     epoch = None if moment is None else float(moment.tdb.jyear)
     all_sky = next((hint for hint in own_hints if isinstance(hint, AllSky)), None)
     progress("identifying" if all_sky is None else "searching the whole sky")
-    found = solve(
-        measured,
-        stars,
-        own_hints,
-        epoch_jyr=epoch,
-        refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
-        index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
-        motion=request.motion and not (moves and moment is None),
-        faintest=request.faintest,
-    )
+    try:
+        found = solve(
+            measured,
+            stars,
+            own_hints,
+            epoch_jyr=epoch,
+            refinement=Refinement(order=request.order, magnitudes=request.magnitudes),
+            index=None if all_sky is None or given else _index(_key(request, cone), epoch, frame.shape, all_sky),
+            motion=request.motion and not (moves and moment is None),
+            faintest=request.faintest,
+        )
+    except InputError as error:
+        elsewhere = _header_elsewhere(request.pointing, own_hints, frame)
+        if not elsewhere:
+            raise
+        raise InputError(Message(error.words, "; ", elsewhere), source=error.source) from error
     if moves and moment is None and request.motion:
         text = (
             "doubt: the header has no time of the exposure (DATE-OBS, MJD-OBS, JD), so the stars were left at "
