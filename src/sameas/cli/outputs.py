@@ -37,14 +37,8 @@ def catalogues(request: Request[Any], printer: Printer, pace: Pace) -> list[Cata
 
     def printed(side: int, catalogue: Catalogue) -> None:
         pace.pause()
-        printer(
-            [
-                *catalogue_lines(
-                    catalogue, side, request.paths[side - 1], partial(request.in_own_terms, in_options, side)
-                ),
-                "",
-            ]
-        )
+        words = partial(request.in_own_terms, in_options, side)
+        printer([*catalogue_lines(catalogue, side, request.paths[side - 1], words), ""])
         if side < len(request.paths):
             pace(f"reading {request.paths[side]}")
 
