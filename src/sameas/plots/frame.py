@@ -206,11 +206,7 @@ def quality(found: FrameIdentification) -> Figure:
 
 def _model(found: FrameIdentification) -> str:
     plate = found.plate
-    larger = (
-        f", root mean square of residuals {plate.error_scale:.2f} times the quoted errors"
-        if plate.error_scale > 1.005
-        else ""
-    )
+    larger = f", rms residual {plate.error_scale:.2f} times the quoted errors" if plate.error_scale > 1.005 else ""
     return f"plate model of order {plate.order}{larger}"
 
 

@@ -55,8 +55,8 @@ def residuals(match: SkyMatch) -> Figure:
     figure.set_layout_engine("compressed")
     panels = figure.subplots(1, len(maps), sharex=True, sharey=True, squeeze=False)[0]
     limit = _nice(np.quantile(np.abs(maps[0][0]).max(axis=1), IN_PANEL))
-    close = _nice(np.quantile(np.abs(moved).max(axis=1), IN_INSET))
-    limit = max(limit, close, LEAST_ANGLE)
+    close = max(_nice(np.quantile(np.abs(moved).max(axis=1), IN_INSET)), LEAST_ANGLE)
+    limit = max(limit, close)
     factor, unit = _unit(limit)
     fullest = max(_counted(offsets, limit)[1].max() for offsets, _ in maps)
     for axes, (offsets, words) in zip(panels, maps, strict=True):
