@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.special import expit
 
 from sameas.gaussian import Gaussian, inverse, log_density, mahalanobis_sq, symmetric
 from sameas.kernels.track_pairs import (
@@ -187,9 +188,10 @@ def test_one_swap_bounds_the_joint_odds_of_the_two_pairs_that_it_exchanges():
     p = 0.1
 
     def swaps_of_source_1(side, pair, rival):
-        return np.full(len(pair), p if side == 0 else 0.0)
+        some = np.arange(len(pair) if side == 0 else 0)
+        return some, np.full((len(some), 1), p), np.ones((len(some), 1))
 
-    now = rivals.with_joint_swaps(log_ratio, log_ratio, swaps_of_source_1)
+    now = rivals.with_joint_swaps(log_ratio, np.zeros((4, 1)), log_ratio, swaps_of_source_1)
     # A hidden state with two values, exchanged with probability p: its odds after the prediction step.
     before = np.exp(log_ratio[0] + log_ratio[3] - log_ratio[1] - log_ratio[2])
     expected = ((1.0 - p) * before + p) / ((1.0 - p) + p * before)
@@ -199,16 +201,68 @@ def test_one_swap_bounds_the_joint_odds_of_the_two_pairs_that_it_exchanges():
 
 
 def test_a_swap_that_exchanges_one_pair_only_or_is_impossible_changes_no_history():
+    def swaps_of_source_1(p):
+        def swaps(side, pair, _):
+            return np.arange(len(pair)), np.full((len(pair), 1), p * (side == 0)), np.ones((len(pair), 1))
+
+        return swaps
+
     rivals, log_ratio = two_by_two()
-    assert np.array_equal(rivals.with_joint_swaps(log_ratio, log_ratio, lambda side, pair, _: 0.0 * pair), log_ratio)
+    same = np.zeros((4, 1))
+    unchanged = rivals.with_joint_swaps(log_ratio, same, log_ratio, swaps_of_source_1(0.0))
+    assert unchanged == pytest.approx(log_ratio)
     # Track 1 has no partner: pairs (1, 2) and (1, 3) are less probable than chance.
     alone = np.array([6.0, 5.0, -5.0, -5.0])
-    now = rivals.with_joint_swaps(alone, alone, lambda side, pair, _: np.full(len(pair), 0.1 if side == 0 else 0.0))
-    assert np.array_equal(now[:2], alone[:2])
+    now = rivals.with_joint_swaps(alone, same, alone, swaps_of_source_1(0.1))
+    assert now[:2] == pytest.approx(alone[:2])
 
 
-def test_a_swap_rate_counts_as_far_as_it_is_established():
-    swaps = SwapRates().of_sources(("tracks", "ais"), DEFAULT_TUNING)
-    tracks, ais = swaps.established(0.1, DEFAULT_TUNING)
-    assert ais == 0.0
-    assert 0.0 < tracks < 0.1 * swaps.rate(np.array([0]), DEFAULT_TUNING)[0]
+def test_joint_swaps_are_a_mean_of_probabilities_over_the_swap_models():
+    rivals, log_ratio = two_by_two()
+
+    def one_of_two_models_loses_the_history(side, pair, _):
+        p = np.tile([0.0, 0.5 * (side == 0)], (len(pair), 1))
+        return np.arange(len(pair)), p, np.full((len(pair), 2), 0.5)
+
+    now = rivals.with_joint_swaps(log_ratio, np.zeros((4, 2)), log_ratio, one_of_two_models_loses_the_history)
+    p = expit(log_ratio[0] - log_ratio[1])
+    assert expit(now[0] - now[1]) == pytest.approx(0.5 * p + 0.25, rel=1e-4)
+
+
+def after_reports(rng, chi_sq, swap_probability, count, swaps=None):
+    """ln r with the last report, and the rates, after reports of tracks 2 and 3 at this distance; track pairs as of
+    :func:`two_by_two`. A report is worth N(4, 8) in favour of the true two pairs; the true ids may be swapped."""
+    (rivals, _), tuning = two_by_two(), DEFAULT_TUNING
+    swaps = swaps or SwapRates().of_sources(("ais", "tracks"), tuning)
+    log_ratio, log_reported, by_model = np.zeros(4), np.zeros(4), np.zeros((4, len(tuning.swap_models[0])))
+    near = np.zeros((4, 2, len(tuning.swap_ranges)))
+    near[:, 0] = np.exp(-chi_sq / np.array(tuning.swap_ranges))
+    swapped = np.cumsum(rng.random(count) < swap_probability) % 2 == 1
+    for sign in np.where(swapped, -1.0, 1.0):
+        log_now = sign * rng.normal(4.0, np.sqrt(8.0)) / 4.0 * np.array([1.0, -1.0, -1.0, 1.0])
+        rival = np.column_stack([rivals.best_other(log_ratio + log_reported, 0), np.full(4, -1)])
+        log_ratio, by_model, p_swapped, swaps = swaps.updated(
+            (log_ratio, log_reported, by_model), log_ratio + log_reported, log_now, (rival, np.zeros((4, 2)), near),
+            rivals, (np.ones(4, int), np.zeros(4, int)), -9.0, tuning,
+        )  # fmt: skip
+        assert ((p_swapped >= 0.0) & (p_swapped <= 1.0)).all()
+        log_ratio, log_reported = rivals.bounded(log_ratio, np.ones(4, bool), 1e-4), log_now
+    return log_ratio + log_reported, swaps
+
+
+def test_a_history_is_kept_while_it_is_not_known_whether_a_tracker_swaps(rng):
+    log_ratio, swaps = after_reports(rng, 0.0, 0.0, 10)
+    # By the mean rate, the odds of a pair would be bounded by its inverse.
+    mean = swaps.rate(np.array([1]), DEFAULT_TUNING)[0]
+    assert mean > 1e-3
+    assert log_ratio[0] - log_ratio[1] > np.log(1.0 / mean) + 1.0
+
+
+def test_rate_and_range_of_swaps_are_estimated_together(rng):
+    _, near = after_reports(rng, 0.0, 0.1, 300)
+    assert near.rate(np.array([0, 1]), DEFAULT_TUNING) == pytest.approx([1e-5, 0.1], rel=0.01)
+    short, long = DEFAULT_TUNING.swap_ranges
+    for swap_probability, expected in ((0.0, short), (0.1, long)):
+        _, swaps = after_reports(rng, 4.0, swap_probability, 300, near)
+        ranges = DEFAULT_TUNING.swap_models[1]
+        assert swaps.probability[1, ranges == expected].sum() > 0.99

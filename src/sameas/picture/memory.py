@@ -214,9 +214,6 @@ def _timeouts(tracks: NamedTracks) -> FloatArray:
 
 #: Default ε: one report in ten thousand, for a radar of 20 rotations a minute once in eight hours (chosen).
 REASSIGNED = 1e-4
-#: Swap rates count as far as they are established: quantile of h for :meth:`Rivals.with_joint_swaps` (chosen). With the
-#: mean, ships abreast whose reports cannot show a swap would lose the history that they have.
-SWAP_QUANTILE = 0.1
 
 
 @in_short
@@ -399,30 +396,42 @@ class TrackMemory:
         if tracks.scan is not None:
             log_odds = log_ratio + track_pairs.log_now - math.log(objects_per_m2(tracks.scan.now))
             numbers = by_source_order((first, second), (tracks.source[first], tracks.source[second]))
+            models = self.swaps.probable
             log_ratio = rivals.with_joint_swaps(
-                log_ratio, np.where(agrees, log_odds, -np.inf), partial(self._p_swap, tracks.scan, numbers)
-            )
+                log_ratio, track_pairs.by_model[:, models], np.where(agrees, log_odds, -np.inf),
+                partial(self._swaps_since, tracks.scan, numbers, models),
+            )  # fmt: skip
         log_ratio = rivals.bounded(log_ratio, agrees, self.reassigned)
         return log_ratio, rivals.level(log_ratio, agrees)
 
-    def _p_swap(
-        self, scan: Scan, numbers: tuple[IntArray, IntArray], side: int, pair: IntArray, rival: IntArray
-    ) -> FloatArray:
-        """(n,) probability that the ids of the tracks in which pairs and rivals differ were swapped since a scan.
+    def _swaps_since(
+        self,
+        scan: Scan,
+        numbers: tuple[IntArray, IntArray],
+        models: IntArray,
+        side: int,
+        pair: IntArray,
+        rival: IntArray,
+    ) -> tuple[IntArray, FloatArray, FloatArray]:
+        """Pairs whose track that differs from the rival's may have exchanged ids with it since a scan.
 
-        0 unless both tracks have a report of their source's last scan. numbers : (k,), (k,) indices of the tracks.
+        (m,) indices of pairs and rivals (n,); (m, r), (m, r) probability of a swap under each of ``models``, and that
+        of the model. Both tracks have a report of their source's last scan. numbers : (k,), (k,) indices of the tracks.
         """
         tracks, tuning = self.tracks, scan.tuning
         one, other = tracks.place[numbers[1 - side][pair]], tracks.place[numbers[1 - side][rival]]
-        place, covariance = scan.state[:, :2], scan.reported_covariance[:, :2, :2]
+        source = tracks.source[numbers[1 - side][pair]]
+        period_s = np.array([d.timing.period_s or tuning.period_s for d in scan.now.descriptions])[scan.source]
+        is_recent = scan.now.instant_s - scan.time_s <= 1.5 * period_s
+        which = np.flatnonzero(is_recent[one] & is_recent[other] & self.swaps.may_swap[source])
+        one, other, place, covariance = one[which], other[which], scan.state[:, :2], scan.reported_covariance[:, :2, :2]
         chi_sq = mahalanobis_sq(
             taken(place, one) - taken(place, other), taken(covariance, one) + taken(covariance, other)
         )
-        rate = self.swaps.established(SWAP_QUANTILE, tuning)[tracks.source[numbers[1 - side][pair]]]
-        period_s = np.array([d.timing.period_s or tuning.period_s for d in scan.now.descriptions])[scan.source]
-        is_recent = scan.now.instant_s - scan.time_s <= 1.5 * period_s
-        near = np.exp(-chi_sq / tuning.swap_chi_sq)
-        return np.where(is_recent[one] & is_recent[other] & (near > MIN_SWAP), np.minimum(rate * near, 0.4), 0.0)
+        near = chi_sq < -math.log(MIN_SWAP) * max(tuning.swap_ranges)
+        which, (rates, ranges) = which[near], tuning.swap_models
+        p = rates[models] * np.exp(chi_sq[near, None] * (-1.0 / ranges[models]))
+        return which, p, self.swaps.probability[:, models][source[which]]
 
     def with_real(self, track: IntArray) -> TrackMemory:
         """The memory after other sources confirm tracks (any shape, −1 for none) as real."""

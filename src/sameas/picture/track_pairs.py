@@ -13,9 +13,11 @@ reports. A repeated report adds nothing. The hypotheses:
 The reports also weight the last two hypotheses against each other.
 
 Id swaps: after a report, two tracks of one source at distance χ² have exchanged their ids with probability
-h e^(−χ²/8), and with probability ε at any distance. A pair then has the history of its best rival and its errors are
-unknown, so its state is a mixture of its own and of a pair without history. h is estimated per source
-(:class:`SwapRates`) by how probable the reports are under each of several rates.
+h e^(−χ²/c), and with probability ε at any distance. A pair then has the history of its best rival and its errors are
+unknown, so its state is a mixture of its own and of a pair without history. The rate h and the range c of a source are
+estimated by how probable its reports are under each of several models (:class:`SwapRates`), and r is the mean over the
+models, by their probability. With the mean rate instead, a history would be lost before enough reports have shown that
+a tracker does not swap.
 
 The state of a pair is the mean and covariance of (e_a, z_a, z_b) for one object, z the constant part of the errors, and
 of (e_a, z_a, z_b, d) for a convoy.
@@ -96,8 +98,8 @@ class TrackPairs(ColumnTable):
         (e_a, z_a, z_b, d) for a convoy, in the layout of :mod:`sameas.kernels.track_pairs`: of the pairs of the last
         step, and of the pairs added since. row : row of each pair in the two tables stacked.
     log_convoy : log-odds of convoy against independent motion, given two objects.
-    log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`. log_by_rate : (k, r) the same for
-        each of ``swap_rates``, for their estimation.
+    log_ratio : ln r of the reports before the last one, bounded: see :meth:`stepped`. by_model : (k, r) how much larger
+        it is under each of ``swap_models``.
     log_reported : ln N(δ; 0, P_a + P_b) at the last report of either track. log_now : the same at the instant.
     chi_sq : χ² of δ at the instant.
     anchor_s, anchor : (k,), (k, 2) time at which the pair first was sure or was last compared since, and δ then; NaN
@@ -133,7 +135,7 @@ class TrackPairs(ColumnTable):
     offset_chi_sq: FloatArray = field(default_factory=lambda: np.empty(0))
     log_offset: FloatArray = field(default_factory=lambda: np.empty(0))
     agreed_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    log_by_rate: FloatArray = field(default_factory=lambda: np.empty((0, len(DEFAULT_TUNING.swap_rates))))
+    by_model: FloatArray = field(default_factory=lambda: np.empty((0, len(DEFAULT_TUNING.swap_models[0]))))
     errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
     new_errors: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
     distant: DistantPairs = field(default_factory=DistantPairs)
@@ -162,7 +164,7 @@ class TrackPairs(ColumnTable):
             np.zeros(k, bool),
             np.zeros_like(delta), np.zeros(k, np.int64), np.full(k, -np.inf),
             np.ones(delta.shape, bool), zero, zero, np.full(k, instant_s),
-            np.zeros((k, len(DEFAULT_TUNING.swap_rates))), errors,
+            np.zeros((k, len(DEFAULT_TUNING.swap_models[0]))), errors,
         )  # fmt: skip
 
     def has(self, first: IntArray, second: IntArray) -> BoolArray:
@@ -174,8 +176,7 @@ class TrackPairs(ColumnTable):
         if not len(others):
             return self
         log_ratio, distant = self.distant.without(others.first, others.second)
-        by_rate = others.log_by_rate + log_ratio[:, None]
-        others = replace(others, log_ratio=others.log_ratio + log_ratio, log_by_rate=by_rate)
+        others = replace(others, log_ratio=others.log_ratio + log_ratio)
         new_errors = np.concatenate([self.new_errors, others.errors, others.new_errors])
         both = self.stacked(replace(others, row=len(self.errors) + len(self.new_errors) + others.row))
         both = both.take(np.argsort(keys(both.first, both.second), kind="stable"))
@@ -206,20 +207,14 @@ class TrackPairs(ColumnTable):
         rivals = Rivals.of(a, b, step.source[a], step.source[b])
         by_source = by_source_order((a, b), (step.source[a], step.source[b]))
         log_weight = self.log_ratio[rows] + self.log_reported[rows]
-        best, log_report, p_swap = _swap_hypotheses(log_weight, log_two, step, by_source, rivals, tuning)
-        log_rival = np.append(self.log_ratio[rows], 0.0)[best]
+        swap = _swap_hypotheses(log_weight, log_two, step, by_source, rivals, tuning)
         exchanged = step.source[by_source[1]], step.source[by_source[0]]
-        rate = np.column_stack([swaps.rate(source, tuning) for source in exchanged])
-        gain = updated.log_ratio - self.log_ratio[rows]
-        by_rate = self.log_by_rate[rows], self.log_reported[rows]
-        log_by_rate, swaps = swaps.updated(
-            by_rate, gain, updated.log_now, (best, log_report, p_swap), rivals, exchanged,
-            (reassigned, math.log(per_m2)), tuning,
+        log_ratio, by_model, p_swapped, swaps = swaps.updated(
+            (self.log_ratio[rows], self.log_reported[rows], updated.by_model), updated.log_ratio, updated.log_now,
+            swap, rivals, exchanged, math.log(per_m2), tuning,
         )  # fmt: skip
-        updated = replace(updated, log_by_rate=log_by_rate)
-        # The factor allows for several swaps between two instants, and for swaps among more than two tracks.
-        swapped = log_rival, np.minimum(tuning.swap_caution * rate, max(tuning.swap_rates)) * p_swap
-        return updated._with_id_changes(step, (a, b), rivals, reassigned, swapped, math.log(per_m2), tuning), swaps
+        updated = replace(updated, log_ratio=log_ratio, by_model=by_model)
+        return updated._with_id_changes(step, (a, b), rivals, reassigned, p_swapped, math.log(per_m2), tuning), swaps
 
     def _updated(
         self, step: Step, rows: IntArray, a: IntArray, b: IntArray, tuning: Tuning
@@ -249,27 +244,25 @@ class TrackPairs(ColumnTable):
             self.offset[rows], self.n_offsets[rows], self.offset_s[rows], self.offset_new[rows] | is_new,
             self.offset_chi_sq[rows], self.log_offset[rows],
             np.where(chi_sq <= tuning.manoeuvre_chi_sq, step.instant_s, self.agreed_s[rows]),
-            self.log_by_rate[rows], errors,
+            self.by_model[rows], errors,
         ), log_two  # fmt: skip
 
     def _with_id_changes(
         self, step: Step, tracks: tuple[IntArray, IntArray], rivals: Rivals, reassigned: float,
-        swapped: tuple[FloatArray, FloatArray], log_density_anywhere: float, tuning: Tuning,
+        p_swapped: FloatArray, log_density_anywhere: float, tuning: Tuning,
     ) -> TrackPairs:  # fmt: skip
         """The pairs, allowing that new reports are of other objects than those of their ids.
 
-        swapped : (k, 2) each, ln r of the rivals before the step, and the probability of a swap with them. The states
-        are changed in place.
+        p_swapped : (k,) probability that ids were swapped, which ln r includes. The states are changed in place.
         """
         new_report = step.new_report[tracks[0]] | step.new_report[tracks[1]]
         agrees = self.chi_sq <= tuning.manoeuvre_chi_sq
         best_rival = rivals.max_other(np.where(agrees, self.log_ratio, -np.inf))
         best = np.maximum(best_rival, step.log_elsewhere(tracks, log_density_anywhere))
-        log_same = np.log1p(-reassigned - swapped[1].sum(axis=1)) + self.log_ratio
-        # ln r is bounded, so its exponential cannot overflow.
-        log_changed = np.log(reassigned * np.exp(best) + (np.exp(swapped[0]) * swapped[1]).sum(axis=1))
-        log_ratio = rivals.bounded(np.logaddexp(log_same, log_changed), agrees, reassigned)
-        p_changed = np.where(new_report, expit(log_changed - log_same), 0.0)
+        log_same, log_reassigned = np.log1p(-reassigned) + self.log_ratio, math.log(reassigned) + best
+        log_ratio = rivals.bounded(np.logaddexp(log_same, log_reassigned), agrees, reassigned)
+        p_same = (1.0 - p_swapped) * expit(log_same - log_reassigned)
+        p_changed = np.where(new_report, 1.0 - p_same, 0.0)
         at = np.flatnonzero(p_changed > 1e-3)
         a, b = (track[at] for track in tracks)
         without_history = _without_history(
@@ -348,8 +341,8 @@ def _swap_hypotheses(
     tuning: Tuning,
 ) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     """Of each pair and its most probable rival with the same first track, and with the same second, (k, 2) each: the
-    rival (−1 without one), ln p of the pair's new reports apart from the position if their ids were swapped, and the
-    probability of a swap for h = 1.
+    rival (−1 without one), ln p of the pair's new reports apart from the position if their ids were swapped, and, (k,
+    2, c), the probability of a swap for h = 1 and each range.
 
     tracks : (k,), (k,) of both sources, as of :func:`by_source_order`.
     log_weight : (k,) ln r with the positions of the last reports. log_two : (k,) ln p of the new reports given two
@@ -359,7 +352,8 @@ def _swap_hypotheses(
     with the prediction of its own: the subtracted term is ``log_two`` less that of the other track's report. Leaving
     out either would favour a rival whose last report was an outlier, and inflate the estimated swap rates.
     """
-    rival, (log_report, p_swap) = np.full((len(log_weight), 2), -1), np.zeros((2, len(log_weight), 2))
+    k, ranges = len(log_weight), np.array(tuning.swap_ranges)
+    rival, log_report, p_swap = np.full((k, 2), -1), np.zeros((k, 2)), np.zeros((k, 2, len(ranges)))
     for side, track in ((0, tracks[1]), (1, tracks[0])):
         best = rivals.best_other(log_weight, side)
         at = np.flatnonzero((best >= 0) & step.new_report[track])
@@ -368,12 +362,11 @@ def _swap_hypotheses(
             taken(step.here, one) - taken(step.here, other),
             taken(step.covariance, one) + taken(step.covariance, other),
         )
-        p = np.zeros(len(log_weight))
-        p[at] = np.exp(-chi_sq / tuning.swap_chi_sq)
         # The most probable pair of a set swaps with at most one of the others, and each of these only with it.
-        leads = (best >= 0) & (log_weight >= log_weight[best])
-        total = np.bincount(rivals.sides[side], np.where(leads, 0.0, p))[rivals.sides[side]]
-        p_swap[at, side] = np.where(leads, np.minimum(total, 1.0), p / np.maximum(total, 1.0))[at]
+        leads, sets = log_weight[at] >= log_weight[best[at]], rivals.sides[side][at]
+        for c, p in enumerate(np.exp(-chi_sq / ranges[:, None])):
+            total = np.bincount(sets, np.where(leads, 0.0, p))[sets]
+            p_swap[at, side, c] = np.where(leads, np.minimum(total, 1.0), p / np.maximum(total, 1.0))
         rival[at, side] = best[at]
         log_report[at, side] = -(log_two - step.log_own[tracks[side]])[at]
     return rival, log_report, p_swap
@@ -454,16 +447,19 @@ class Rivals:
         return out
 
     def with_joint_swaps(
-        self, log_ratio: FloatArray, log_odds: FloatArray, p_swap: Callable[[int, IntArray, IntArray], FloatArray]
-    ) -> FloatArray:
+        self, log_ratio: FloatArray, by_model: FloatArray, log_odds: FloatArray,
+        swaps: Callable[[int, IntArray, IntArray], tuple[IntArray, FloatArray, FloatArray]],
+    ) -> FloatArray:  # fmt: skip
         """(k,) ln r, bounded as far as a swap of ids may have exchanged two pairs at once.
 
         A swap of b and b′ exchanges (a, b), (a′, b′) for (a, b′), (a′, b). As ln r of each pair allows for it alone,
         the sum of both is bounded by 2 ln[(1 − p) / p], twice what one swap permits. So the difference Δ of ln r of a
-        pair and of its best rival becomes ½ ln{[(1 − p) e^(2Δ) + p] / [(1 − p) + p e^(2Δ)]}.
+        pair and of its best rival becomes ½ ln{[(1 − p) e^(2Δ) + p] / [(1 − p) + p e^(2Δ)]}, under each swap model.
 
-        log_odds : (k,) of each pair against chance, −∞ where the positions of the instant disagree. p_swap : gives the
-        probability p of pairs (n,) and their rivals (n,), with the same first track (0) or the same second one (1).
+        by_model : (k, r) how much larger ln r is under each model. log_odds : (k,) of each pair against chance, −∞
+        where the positions of the instant disagree. swaps : gives, of pairs (n,) and their rivals (n,) with the same
+        first track (0) or the same second one (1), those that may have been exchanged, (m,), p under each model, (m,
+        r), and the probability of each model, (m, r).
         """
         out = log_ratio.copy()
         padded = np.append(log_odds, -np.inf)
@@ -473,14 +469,16 @@ class Rivals:
             at = np.flatnonzero(padded[best] > -np.inf)  # −1, no rival, reads the last
             # Without a pair (a′, b′) or (a′, b), the swap exchanges one pair only, and ln r allows for it.
             at = at[np.maximum(partner[at], partner[best[at]]) > 0.0]
-            p = p_swap(side, at, best[at])
-            at, p = at[p > 0.0], p[p > 0.0]
-            change = log_ratio[at] - log_ratio[best[at]]
-            log_stay, log_swap = np.log1p(-p), np.log(p)
-            joint = 0.5 * (
-                np.logaddexp(log_stay + 2.0 * change, log_swap) - np.logaddexp(log_stay, log_swap + 2.0 * change)
-            )
-            out[at] += np.logaddexp(0.0, -change) - np.logaddexp(0.0, -joint)
+            which, p, probability = swaps(side, at, best[at])
+            at, rival = at[which], best[at[which]]
+            change = (log_ratio[at] - log_ratio[rival])[:, None] + by_model[at] - by_model[rival]
+            odds_against = np.exp(np.clip(-change, -300.0, 300.0))
+            exchanged = 1.0 / (1.0 + odds_against**2)
+            exchanged += p * (1.0 - 2.0 * exchanged)
+            # ½ logit is the logit of the square roots' ratio.
+            root, rest = np.sqrt(exchanged), np.sqrt(1.0 - exchanged)
+            joint, alone = root / (root + rest), 1.0 / (1.0 + odds_against)
+            out[at] += np.log(np.einsum("nr,nr->n", probability, joint) / np.einsum("nr,nr->n", probability, alone))
         return out
 
     def bounded(self, log_ratio: FloatArray, agrees: BoolArray, reassigned: float) -> FloatArray:
@@ -497,9 +495,9 @@ class Rivals:
 
 @dataclass(frozen=True)
 class SwapRates:
-    """The estimated rates at which trackers swap the ids of near objects.
+    """How often trackers swap the ids of near objects: the probability of each of ``swap_models``, per source.
 
-    log_probable : (S, r) ln of the probability of each of ``swap_rates``, per source, up to a constant.
+    log_probable : (S, r) its ln, up to a constant.
     """
 
     log_probable: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
@@ -509,7 +507,7 @@ class SwapRates:
 
         Sources that name themselves (AIS, ADS-B) have the lowest rate for certain.
         """
-        rates = np.log(np.array(tuning.swap_rates))
+        rates = np.log(tuning.swap_models[0])
         prior = -0.5 * ((rates - math.log(tuning.swap_rate)) / tuning.swap_sigma) ** 2
         never = np.where(rates == rates.min(), 0.0, -np.inf)
         new = [never if KINDS[kind].self_named else prior for kind in kinds[len(self.log_probable) :]]
@@ -517,67 +515,107 @@ class SwapRates:
             return self
         return SwapRates(np.concatenate([self.log_probable.reshape(-1, len(rates)), new]))
 
+    @property
+    def probability(self) -> FloatArray:
+        """(S, r) of each model."""
+        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
+        return np.asarray(weight / weight.sum(axis=1, keepdims=True))
+
+    @property
+    def may_swap(self) -> BoolArray:
+        """(S,) whether a source may swap ids; self-named ones never do."""
+        return np.asarray(np.isfinite(self.log_probable).all(axis=1))
+
+    @property
+    def probable(self) -> IntArray:
+        """The models that are not improbable for every source that may swap ids."""
+        return np.flatnonzero((self.probability[self.may_swap] > MIN_PROBABILITY).any(axis=0))
+
     def rate(self, source: IntArray, tuning: Tuning) -> FloatArray:
         """(n,) mean h of each source."""
-        if not len(source):
-            return np.empty(0)
-        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, initial=-np.inf, keepdims=True))
-        return np.asarray((weight @ np.array(tuning.swap_rates) / weight.sum(axis=1))[source])
+        return np.asarray((self.probability @ tuning.swap_models[0])[source]) if len(source) else np.empty(0)
 
-    def established(self, share: float, tuning: Tuning) -> FloatArray:
-        """(S,) h that each source exceeds with probability 1 − ``share`` or more; 0 for sources that never swap."""
-        if not len(self.log_probable):
-            return np.empty(0)
-        weight = np.exp(self.log_probable - self.log_probable.max(axis=1, keepdims=True))
-        at = np.argmax(np.cumsum(weight, axis=1) >= share * weight.sum(axis=1, keepdims=True), axis=1)
-        return np.where(np.isfinite(self.log_probable).sum(axis=1) > 1, np.array(tuning.swap_rates)[at], 0.0)
+    def of_pairs(self, sources: Sequence[IntArray]) -> FloatArray:
+        """(k, r) probability of each model for pairs of tracks of two sources: the mean of those that may swap ids."""
+        weight = np.where(self.may_swap, 1.0, 1e-9)
+        one, other = (weight[source][:, None] for source in sources)
+        probability = self.probability
+        return np.asarray((one * probability[sources[0]] + other * probability[sources[1]]) / (one + other))
 
     def updated(
-        self, before: tuple[FloatArray, FloatArray], gain: FloatArray, log_now: FloatArray,
+        self, before: tuple[FloatArray, FloatArray, FloatArray], log_ratio: FloatArray, log_now: FloatArray,
         swap: tuple[IntArray, FloatArray, FloatArray], rivals: Rivals, sources: tuple[IntArray, IntArray],
-        limits: tuple[float, float], tuning: Tuning,
-    ) -> tuple[FloatArray, SwapRates]:  # fmt: skip
-        """ln r of pairs for every rate after new reports, (k, r), and the updated rates.
+        log_density_anywhere: float, tuning: Tuning,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, SwapRates]:  # fmt: skip
+        """Of pairs after new reports: ln r and how much larger it is under each model, (k,) and (k, r), and the
+        probability that ids were swapped, (k,); and the updated rates.
 
         A swap of near objects is not evident from one report, only from many later ones. So ln r of every pair is kept
-        for each rate, and the likelihood of a rate is the probability of the reports given its ln r: for a set of
+        for each model, and the likelihood of a model is the probability of the reports given its ln r: for a set of
         pairs, the sum of their weights, including that of no pair, divided by the sum before the reports.
 
-        before : (k, r), (k,) ln r for every rate, and ln N of the positions of the last reports. gain, log_now : (k,)
-        what the new reports add to ln r without swaps, and ln N of the present positions. swap : of
-        :func:`_swap_hypotheses`. sources : (k,), (k,) sources of the tracks that differ within the sets of
-        ``rivals.sides``. limits : ε, and ln of the density of objects anywhere.
+        After a swap, ln r counts the present positions only, not the rival's last ones: where errors are constant, both
+        have the same error. The likelihood of a model counts both: see :func:`_swap_hypotheses`.
+
+        before : (k,), (k,), (k, r) ln r, ln N of the positions of the last reports, and how much larger ln r was under
+        each model. log_ratio, log_now : (k,) ln r with the new reports without swaps, and ln N of the present
+        positions. swap : of :func:`_swap_hypotheses`. sources : (k,), (k,) sources of the tracks that differ within the
+        sets of ``rivals.sides``. log_density_anywhere : ln of the density of objects anywhere.
         """
-        log_ratio, log_reported = before
-        out, log_probable = log_ratio + gain[:, None], self.log_probable.copy()
-        at = np.flatnonzero((swap[2] > MIN_SWAP).any(axis=1))
+        log_old, log_reported, by_model = before
+        p_swapped = np.zeros(len(log_ratio))
+        at = np.flatnonzero((swap[2] > MIN_SWAP).any(axis=(1, 2)))
         if not len(at):
-            return out, self
-        (rival, log_report, p_swap), now = (part[at] for part in swap), log_now[at, None]
-        log_before = log_ratio + log_reported[:, None]
-        stays, p_stays = out[at] + now, np.ones((len(at), len(tuning.swap_rates)))
-        weights, rates = [], np.array(tuning.swap_rates)
+            return log_ratio, by_model, p_swapped, self
+        (rival, log_report, near), now = (part[at] for part in swap), log_now[at]
+        rates, of_range = tuning.swap_models[0], np.repeat(np.arange(len(tuning.swap_ranges)), len(tuning.swap_rates))
+        log_stays = (log_ratio[at] + now)[:, None] + by_model[at]
+        # Weights of the pairs relative to that without swaps: with the present positions only, and with both.
+        p_stays, swapped, swapped_by_both = np.ones_like(log_stays), np.zeros_like(log_stays), np.zeros_like(log_stays)
         for side in range(2):
-            # Self-named sources (AIS, ADS-B) never swap ids.
-            possible = np.isfinite(log_probable[sources[side][at]])
-            p = np.minimum(np.where(possible, rates, rates.min()) * p_swap[:, side, None], 0.4)
+            h = np.where(self.may_swap[sources[side][at]][:, None], rates, rates.min())
+            p = np.minimum(h * near[:, side, of_range], MAX_SWAP)
             p_stays -= p
-            with np.errstate(divide="ignore"):
-                weights.append(np.log(p) + log_before[rival[:, side]] + log_report[:, side, None] + now)
-        log_after = np.logaddexp(np.log(p_stays) + stays, np.logaddexp(*weights))
-        bound = math.log((1.0 - limits[0]) / limits[0])
-        out[at] = np.clip(log_after - now, -2.0 * bound, bound)
+            log_rival = (log_old[rival[:, side]] + now)[:, None] + by_model[rival[:, side]] - log_stays
+            p *= np.exp(np.minimum(log_rival, MAX_LOG_WEIGHT))
+            swapped += p
+            log_last = log_reported[rival[:, side]] + log_report[:, side]
+            swapped_by_both += p * np.exp(np.minimum(log_last, MAX_LOG_WEIGHT))[:, None]
+        swaps = self._with_reports(
+            (log_old + log_reported)[at, None] + by_model[at], log_stays + np.log(p_stays + swapped_by_both),
+            tuple(side[at] for side in rivals.sides), tuple(source[at] for source in sources), log_density_anywhere,
+        )  # fmt: skip
+        log_after, probability = log_stays + np.log(p_stays + swapped), swaps.of_pairs(tuple(s[at] for s in sources))
+        top = log_after.max(axis=1)
+        log_mean = top + np.log((probability * np.exp(log_after - top[:, None])).sum(axis=1))
+        log_ratio, by_model = log_ratio.copy(), by_model.copy()
+        log_ratio[at] = log_mean - now
+        by_model[at] = np.clip(log_after - log_mean[:, None], -MAX_DIFFERENCE, MAX_DIFFERENCE)
+        p_swapped[at] = (probability * swapped / (p_stays + swapped)).sum(axis=1)
+        return log_ratio, by_model, p_swapped, swaps
+
+    def _with_reports(
+        self, log_before: FloatArray, log_after: FloatArray, sides: Sequence[IntArray], sources: Sequence[IntArray],
+        log_density_anywhere: float,
+    ) -> SwapRates:  # fmt: skip
+        """The rates after reports; log_before, log_after : (n, r) weights of pairs. sides, sources : (n,), (n,) sets of
+        pairs, and sources of the tracks that differ within them."""
+        log_probable = self.log_probable.copy()
         # The sets of both tracks of the other source contain the same swap.
         share = 0.5
-        for side in range(2):
-            _, first, label = np.unique(rivals.sides[side][at], return_index=True, return_inverse=True)
-            gained = _log_sums(label, log_after, limits[1]) - _log_sums(label, log_before[at], limits[1])
-            np.add.at(log_probable, sources[side][at][first], share * gained)
-        return out, SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
+        for side, source in zip(sides, sources, strict=True):
+            _, first, label = np.unique(side, return_index=True, return_inverse=True)
+            before, after = (_log_sums(label, weights, log_density_anywhere) for weights in (log_before, log_after))
+            np.add.at(log_probable, source[first], share * (after - before))
+        return SwapRates(log_probable - log_probable.max(axis=1, keepdims=True))
 
 
-#: Minimum probability, for h = 1, of a swap that is counted.
-MIN_SWAP = 1e-3
+#: Minimum probability, for h = 1, of a swap that is counted, and maximum probability of one.
+MIN_SWAP, MAX_SWAP = 1e-3, 0.4
+#: Less probable models of swaps do not change the mean over models.
+MIN_PROBABILITY = 1e-4
+#: Maximum difference of ln r under one model of swaps from ln of the mean, and maximum ln of a relative weight.
+MAX_DIFFERENCE, MAX_LOG_WEIGHT = 20.0, 300.0
 
 
 def _log_sums(label: IntArray, values: FloatArray, least: float) -> FloatArray:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from sameas.arrays import FloatArray
 from sameas.gate import ChiSquare
 from sameas.gate import Tuning as GateTuning
 
@@ -41,8 +44,8 @@ class Tuning:
         that are outliers, with factor_outlier times their errors.
     convoy_log_odds : bound of the log-odds that two objects are in convoy, so that later reports can change them.
     swap_rates : grid of probabilities h, per report, that a tracker swaps two objects at one place.
-    swap_caution : factor on the estimated probability of a swap.
-    swap_rate, swap_sigma : prior median of h and 1σ of ln h. swap_chi_sq : h falls with e^(−χ²/this).
+    swap_ranges : grid of c, where h decreases with the distance as e^(−χ²/c); the prior is uniform.
+    swap_rate, swap_sigma : prior median of h and 1σ of ln h.
     motion_shares : grid of shares of the largest motion noise; the prior is uniform.
     new_track_probability : a track restarts beyond the χ² limit that this share of correct reports exceeds.
     id_timeout_s : a track id without reports keeps its number for this long.
@@ -119,11 +122,10 @@ class Tuning:
     factor_outliers: float = 0.01
     factor_outlier: float = 10.0
     convoy_log_odds: float = 5.0
-    swap_rates: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
-    swap_caution: float = 3.0
-    swap_rate: float = 1e-3
+    swap_rates: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 1e-2, 0.1, 0.3)
+    swap_ranges: tuple[float, ...] = (1.5, 4.0)
+    swap_rate: float = 3e-4
     swap_sigma: float = 2.0
-    swap_chi_sq: float = 8.0
     motion_shares: tuple[float, ...] = (1.0, 0.1, 0.01)
     new_track_probability: float = 1e-9
     id_timeout_s: float = 3600.0
@@ -175,6 +177,12 @@ class Tuning:
 
     min_expected: int = 20
     blocks: int = 12
+
+    @property
+    def swap_models(self) -> tuple[FloatArray, FloatArray]:
+        """(r,), (r,) h and c of every model of swaps: each rate with each range."""
+        rates, ranges = np.array(self.swap_rates), np.array(self.swap_ranges)
+        return np.tile(rates, len(ranges)), np.repeat(ranges, len(rates))
 
 
 DEFAULT_TUNING = Tuning()
