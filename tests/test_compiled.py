@@ -325,14 +325,16 @@ def test_a_kernel_interpreted_for_long_is_compiled(monkeypatch):
     assert not loop.interprets and loop(np.arange(3.0)) == 6.0 and loop._dispatcher is not None
 
 
-def test_one_kernel_interpreted_for_long_is_compiled_if_the_compiler_is_loaded(monkeypatch):
-    """Else a kernel that is called hundreds of times is interpreted in every run, as no run compiles it."""
+@pytest.mark.parametrize("taken", [{"_interpreting_s": 0.6}, {"_longest_call_s": 0.06}])
+def test_one_kernel_interpreted_for_long_is_compiled_if_the_compiler_is_loaded(monkeypatch, taken):
+    """Else a kernel with long calls, or with hundreds of them, is interpreted in every run, as no run compiles it."""
     loop = compiled.small(_doubled)
     loop._is_cached = False
     monkeypatch.setattr(compiled, "_interpreting_s", 0.0)
     monkeypatch.setattr(compiled, "_dispatchers", {})
-    assert loop(np.arange(3.0)) == 6.0 and 0.0 < loop._interpreting_s == compiled._interpreting_s
-    loop._interpreting_s = 2.0 * compiled.KERNEL_LIMIT_S
+    assert loop(np.arange(3.0)) == 6.0
+    assert 0.0 < loop._longest_call_s == loop._interpreting_s == compiled._interpreting_s
+    vars(loop).update(taken)
     assert loop.interprets  # the compiler takes longer to load
     monkeypatch.setattr(compiled, "_dispatchers", {_fresh(): None})
     assert not loop.interprets and loop(np.arange(3.0)) == 6.0 and loop._dispatcher is not None

@@ -39,8 +39,9 @@ MAX_INTERPRETED_IF_LOADED = 2_000
 #: CPU seconds of interpreting after which everything is compiled: with the kernel in the cache, and without (there the
 #: first compilation on this machine has to pay).
 INTERPRETING_LIMIT_S, INTERPRETING_LIMIT_UNCACHED_S = 2.0, 15.0
-#: CPU seconds of interpreting one kernel after which it is compiled, if the compiler is loaded: most take less.
-KERNEL_LIMIT_S = 0.5
+#: CPU seconds of interpreting one kernel, in all and in one call, after which it is compiled if the compiler is loaded:
+#: about what that takes, and a twentieth of it, which every later run would take again.
+KERNEL_LIMIT_S, CALL_LIMIT_S = 0.5, 0.05
 #: Newest numba whose cache is known to have what is called here; the oldest is the required one.
 NEWEST_KNOWN_NUMBA = (0, 68)
 _OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
@@ -76,7 +77,7 @@ class Kernel:
     def __init__(self, function: FunctionType, limit: int, work: Callable[..., float]) -> None:
         self.function, self.limit, self.work = function, limit, work
         self._dispatcher: Any = None
-        self._interpreting_s = 0.0
+        self._interpreting_s = self._longest_call_s = 0.0
         _kernels.add(function)
         self.__name__, self.__doc__, self.__module__ = function.__name__, function.__doc__, function.__module__
 
@@ -93,7 +94,7 @@ class Kernel:
         """Whether a small input would be interpreted now."""
         if self.limit == 0 or self._dispatcher is not None:
             return False
-        if _dispatchers and self._interpreting_s > KERNEL_LIMIT_S:
+        if _dispatchers and (self._interpreting_s > KERNEL_LIMIT_S or self._longest_call_s > CALL_LIMIT_S):
             return False
         if _interpreting_s < INTERPRETING_LIMIT_S:
             return True
@@ -138,6 +139,7 @@ class Kernel:
             result = function(*arguments)
         seconds = time.thread_time() - begin
         self._interpreting_s += seconds
+        self._longest_call_s = max(self._longest_call_s, seconds)
         _interpreting_s += seconds
         return result
 
