@@ -179,7 +179,7 @@ def _described_by(text: str) -> dict[str, Any]:
 
     Plain.add_constructor("tag:yaml.org,2002:omap", of_ordered)
     try:
-        return dict(yaml.load(text, Loader=Plain))
+        return dict(Plain(text).get_single_data())
     except (yaml.YAMLError, AttributeError, TypeError, ValueError):
         return dict(meta.get_header_from_yaml(text.split("\n")))
 
