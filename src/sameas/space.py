@@ -93,6 +93,11 @@ def unit_vectors(lon_deg: ArrayLike, lat_deg: ArrayLike) -> FloatArray:
     return np.stack([cosine * np.cos(lon), cosine * np.sin(lon), np.sin(lat)], axis=-1)
 
 
+def chord_angle_deg(chord: float) -> float:
+    """Degrees between two unit vectors, by the length of their difference."""
+    return math.degrees(2 * math.asin(min(1.0, chord / 2)))
+
+
 def mean_direction(vectors: FloatArray) -> FloatArray:
     """(3,) the unit vector along the mean of unit vectors (n, 3); the north pole if the mean is zero."""
     mean = vectors.mean(axis=0)

@@ -38,7 +38,7 @@ from sameas.sky.frame.measurements import Detection, Measurements
 from sameas.sky.frame.outputs import listing, summary
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
 from sameas.sky.frame.tangent import Pointing
-from sameas.space import unit_vectors
+from sameas.space import chord_angle_deg, unit_vectors
 
 Progress = Callable[[str], None]
 #: Outputs in addition to the table; page and pictures are optional.
@@ -107,8 +107,7 @@ def _header_elsewhere(pointing: PointingOptions, own_hints: Sequence[Hint], fram
     header, aim = frame.facts.aim_deg, next((hint for hint in own_hints if isinstance(hint, Aim)), None)
     if pointing.aim_deg is None or header is None or aim is None:
         return ""
-    chord = float(np.linalg.norm(unit_vectors(*header) - unit_vectors(*pointing.aim_deg)))
-    off_deg = math.degrees(2.0 * math.asin(min(0.5 * chord, 1.0)))
+    off_deg = chord_angle_deg(float(np.linalg.norm(unit_vectors(*header) - unit_vectors(*pointing.aim_deg))))
     if off_deg <= aim.radius_deg:
         return ""
     return f"the header's aim, {header[0]:.4f} {header[1]:+.4f}, is {off_deg:.3g}° from the one given"

@@ -21,7 +21,7 @@ from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_complet
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -662,7 +662,10 @@ def write(
         name; workers keep dying; the disk is full.
     """
     try:
-        return _write_locked(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows)
+        write_all = partial(
+            _write_all, estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows
+        )  # fmt: skip
+        return _locked(path, facts, write_all)
     except OSError as error:
         if error.errno == errno.ENOSPC:
             raise InputError(
@@ -675,16 +678,8 @@ def write(
         raise InputError(f"cannot write {path}: {reason}; finished parts are kept", "call again") from error
 
 
-def _write_locked(
-    estimated: Estimated,
-    path: Path,
-    facts: dict[str, Any],
-    margin_arcsec: float,
-    workers: int | None,
-    executor: Executor | None,
-    progress: Progress,
-    piece_rows: int,
-) -> Written:
+def _locked(path: Path, facts: dict[str, Any], write_all: Callable[[Callable[[], None]], Written]) -> Written:
+    """The result of ``write_all(last)``, by the only run in the folder; see :func:`_write_all`."""
     scratch = path / ".sameas-run"
     if (path / "collection.properties").exists():
         shutil.rmtree(scratch, ignore_errors=True)  # of a run that was killed in its last step
@@ -704,7 +699,7 @@ def _write_locked(
                 stack.enter_context(closing(held(scratch)))
             if (path / "collection.properties").exists():
                 raise InputError(f"{path}: another run has just written it", "give another name, or remove it")
-            written = _write_all(estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows, last)
+            written = write_all(last)
         shutil.rmtree(scratch)
     return written
 

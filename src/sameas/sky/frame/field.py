@@ -17,7 +17,7 @@ from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
 from sameas.sky.column_values import numbers
 from sameas.sky.doubts import COMMON_ERROR
-from sameas.space import sphere_offset, unit_vectors
+from sameas.space import chord_angle_deg, sphere_offset, unit_vectors
 
 
 @dataclass(frozen=True)
@@ -80,9 +80,7 @@ class Cone:
 
     def holds(self, other: Cone) -> bool:
         """Whether another cone lies entirely within this one."""
-        distance_deg = math.degrees(
-            2 * math.asin(min(1.0, float(np.linalg.norm(self.direction - other.direction)) / 2))
-        )
+        distance_deg = chord_angle_deg(float(np.linalg.norm(self.direction - other.direction)))
         return distance_deg + other.radius_deg <= self.radius_deg + 1e-9
 
 

@@ -34,6 +34,7 @@ from sameas.sky.frame.place import Placement, place
 from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
 from sameas.sky.frame.tangent import Pointing, directions_deg
+from sameas.space import chord_angle_deg
 
 #: Error in magnitudes per relative error of the flux.
 POGSON = 2.5 / math.log(10.0)
@@ -463,9 +464,8 @@ def footprint(pointing: Pointing, shape: tuple[int, int]) -> Cone:
     corners = np.array([[0.0, 0.0], [columns - 1.0, 0.0], [0.0, rows - 1.0], [columns - 1.0, rows - 1.0]])
     middle = pointing.to_sky(np.array([[(columns - 1) / 2.0, (rows - 1) / 2.0]]))[0]
     chord = np.linalg.norm(pointing.to_sky(corners) - middle, axis=1).max()
-    radius = math.degrees(2 * math.asin(min(1.0, float(chord) / 2)))
     ra, dec = directions_deg(middle)
-    return Cone(float(ra), float(dec), min(ROOM * radius, 180.0))
+    return Cone(float(ra), float(dec), min(ROOM * chord_angle_deg(float(chord)), 180.0))
 
 
 def search_cone(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
@@ -484,8 +484,6 @@ def search_cone(hints: Sequence[Hint], shape: tuple[int, int]) -> Cone | None:
     middle = np.sum([cone.direction for cone in cones], axis=0)
     ra, dec = directions_deg(middle)
     centre = Cone(float(ra), float(dec), 0.0)
-    distance_deg = [
-        math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(c.direction - centre.direction)) / 2))) for c in cones
-    ]
+    distance_deg = [chord_angle_deg(float(np.linalg.norm(cone.direction - centre.direction))) for cone in cones]
     radius = max(uncertainty_deg + cone.radius_deg for uncertainty_deg, cone in zip(distance_deg, cones, strict=True))
     return replace(centre, radius_deg=min(radius, 180.0))

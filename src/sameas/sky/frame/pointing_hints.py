@@ -28,7 +28,7 @@ from sameas.ragged import Ragged, ranges
 from sameas.representation import in_short
 from sameas.sky.frame.odds import PlateProblem, SearchVolume
 from sameas.sky.frame.tangent import Pointing, from_plane, similarities, to_plane
-from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
+from sameas.space import ARCSEC_PER_RADIAN, chord_angle_deg, unit_vectors
 
 if TYPE_CHECKING:
     from sameas.sky.frame.field import Stars
@@ -316,8 +316,8 @@ class Aim:
     def allows(self, pointing: Pointing, problem: PlateProblem) -> bool:
         """Whether a placement agrees with the hint."""
         middle = pointing.to_sky(problem.middle_px[None])[0]
-        off = math.degrees(2 * math.asin(min(1.0, float(np.linalg.norm(middle - self.direction)) / 2)))
-        return off <= 1.05 * self.radius_deg and _within(self.scale_arcsec, pointing)
+        off_deg = chord_angle_deg(float(np.linalg.norm(middle - self.direction)))
+        return off_deg <= 1.05 * self.radius_deg and _within(self.scale_arcsec, pointing)
 
 
 @dataclass(frozen=True)
