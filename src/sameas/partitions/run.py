@@ -662,9 +662,7 @@ def write(
         name; workers keep dying; the disk is full.
     """
     try:
-        write_all = partial(
-            _write_all, estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows
-        )  # fmt: skip
+        write_all = partial(_write_all, estimated, path, facts, margin_arcsec, workers, executor, progress, piece_rows)
         return _locked(path, facts, write_all)
     except OSError as error:
         if error.errno == errno.ENOSPC:
