@@ -463,7 +463,7 @@ def test_pairs_carry_a_description_of_their_gate():
 
 
 def test_a_source_that_is_not_records_is_refused_with_how_to_make_them():
-    records, positions = Records.of([[0.0, 0.0]], sigma=1.0), cast(Any, [[0.0, 0.0]])
+    records, positions = Records.of([[0.0, 0.0]], sigma=1.0), cast("Any", [[0.0, 0.0]])
     for gate in (ChiSquare(), Radius(3.0), Box()):
         with pytest.raises(InputError, match=r"a source is a list; make it with Records\.of\(features, sigma=…\)"):
             gate(positions, records)

@@ -459,8 +459,8 @@ def test_invalid_input_is_refused_with_a_clear_message():
     line = Records.of([[0.0]], sigma=1.0, source="sonar")
     rule = PoissonObjects(0.1, 0.1)
     part = Observations(line, LinearPart([[1.0, 0.0]]))
-    path, counted = cast(Any, "ais.csv"), cast(Any, CommonObjects(0.1, 0.1))
-    partial = cast(Any, part)
+    path, counted = cast("Any", "ais.csv"), cast("Any", CommonObjects(0.1, 0.1))
+    partial = cast("Any", part)
     cases = [
         (lambda: identify_many([plane], rule=rule), "1 source given"),
         (lambda: identify_many([plane, path], rule=rule), r"source 1 is a str; make it with Records\.of"),

@@ -7,9 +7,8 @@ from sameas import InputError, plots
 from sameas.report import match as report
 from sameas.score.pairs import is_true_pair
 from sameas.simulate.catalogues import Sky, exposure
-from sameas.sky.bands import magnitudes_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, match
+from sameas.sky.crossmatch import MatchOptions, magnitudes_of, match
 
 
 def catalogue(records, magnitudes, bands):

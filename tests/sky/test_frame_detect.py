@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from sameas.errors import InputError
 from sameas.simulate.frames import Camera, Gaussian, Moffat, Trail, frame_of
-from sameas.sky.frame.background import Background
+from sameas.sky.frame.centroid import Background
 from sameas.sky.frame.detect import detect
 from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.measurements import Detection, Flag

@@ -20,8 +20,8 @@ from sameas.sky.frame.image import MasterFrames, read
 from sameas.sky.frame.measurements import Measurements
 from sameas.sky.frame.outputs import ERROR_NAMES, listing, summary
 from sameas.sky.frame.photometry import Completeness, ZeroPoint
+from sameas.sky.frame.plate import Pointing, directions_deg
 from sameas.sky.frame.pointing_hints import Aim, ApproximateWcs
-from sameas.sky.frame.tangent import Pointing, directions_deg
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"

@@ -156,7 +156,7 @@ def test_a_mover_that_leaves_the_frame_is_measured_while_inside():
 
 @pytest.mark.slow
 def test_the_page_blinks_steps_and_explains(tmp_path):
-    from sameas.pages.movers import write_movers_page
+    from sameas.pages.frame import write_movers_page
 
     tied, frames, _ = series(7, seen=(0, 2, 3, 5))
     found, tied = search(tied)
@@ -183,7 +183,7 @@ def test_the_page_blinks_steps_and_explains(tmp_path):
 
 
 def test_the_picture_shows_a_row_of_dots_and_the_stack(tmp_path):
-    from sameas.plots.movers import mover_picture
+    from sameas.plots.frame import mover_picture
 
     tied, frames, _ = series(7, seen=(0, 2, 3, 5))
     found, tied = search(tied)
@@ -203,7 +203,7 @@ def test_the_picture_shows_a_row_of_dots_and_the_stack(tmp_path):
 
 
 def test_the_page_of_a_series_without_movers_says_so(tmp_path):
-    from sameas.pages.movers import write_movers_page
+    from sameas.pages.frame import write_movers_page
 
     tied, frames, _ = series(8, seen=())
     found, tied = search(tied)

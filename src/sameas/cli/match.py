@@ -223,8 +223,7 @@ def match_options(
     precision: bool,
 ) -> MatchOptions:
     """The options of the match. Invalid values are refused before any file is read."""
-    from sameas.sky.bands import AUTO, OFF
-    from sameas.sky.crossmatch import MatchOptions
+    from sameas.sky.crossmatch import AUTO, OFF, MatchOptions
 
     options = MatchOptions(
         to_epoch, gate_sigmas, error_scale, magnitudes=magnitudes, offset=offset, precision=precision

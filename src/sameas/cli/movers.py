@@ -217,7 +217,7 @@ def run_series(
     from sameas.cli.frames import expanded, identified, names_of, print_outcome, run_all
     from sameas.cli.terminal import Printer, share_compilation
     from sameas.front.movers import series_movers
-    from sameas.report.movers import report_lines
+    from sameas.report.frame import report_lines
 
     began, printer = clock.perf_counter(), Printer(quiet)
     options = read_options()
@@ -251,7 +251,7 @@ def run_tables(
     """Read the detections, search, print, write. others : tables of other nights."""
     from sameas.cli.terminal import Pace, Printer, share_compilation
     from sameas.front.movers import night_movers, read_night
-    from sameas.report.movers import report_lines
+    from sameas.report.frame import report_lines
 
     began, printer = clock.perf_counter(), Printer(quiet)
     options, inputs = read_options(), (*paths, *others)

@@ -36,8 +36,8 @@ from sameas.sky.frame.image import Frame, MasterFrames, read
 from sameas.sky.frame.keywords import Given
 from sameas.sky.frame.measurements import Detection, Measurements
 from sameas.sky.frame.outputs import listing, summary
+from sameas.sky.frame.plate import Pointing
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex, sky_index
-from sameas.sky.frame.tangent import Pointing
 from sameas.space import chord_angle_deg, unit_vectors
 
 Progress = Callable[[str], None]

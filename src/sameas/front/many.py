@@ -89,9 +89,9 @@ class MatchMany(Result):
 
     def result_lines(self, words: Callable[[str], str] = str) -> list[str]:
         """Estimates and results, without the interpretation of the input."""
-        from sameas.report.many import estimate_lines, summary_lines
+        from sameas.report.match import many_estimate_lines, many_summary_lines
 
-        return [*estimate_lines(self.sky, words), "", *summary_lines(self.sky)]
+        return [*many_estimate_lines(self.sky, words), "", *many_summary_lines(self.sky)]
 
     def explain(self, id: Any = None, *, row: int | None = None, source: int | str = 1) -> ObjectExplanation:
         """Why a record is in its object: the possible sets of records and their probabilities; ``print`` the result.

@@ -21,7 +21,7 @@ from sameas.front.request import read_catalogue, stem_of
 from sameas.io import checksum, write_table
 from sameas.io.ades import REPORTS, Observer, observations
 from sameas.io.atomic import filling
-from sameas.report.movers import (
+from sameas.report.frame import (
     below_lines,
     excluded_lines,
     known_lines,
@@ -243,7 +243,7 @@ class SeriesMovers:
         title : of the pages. catalogue : of the stars, for the provenance.
         """
         from sameas.front.series import write_folder
-        from sameas.pages.movers import write_movers_page
+        from sameas.pages.frame import write_movers_page
 
         found, series, known, below = self.found, self.field.series, self.known, self.below
         facts = {**program(), "catalogue": catalogue}
@@ -276,7 +276,7 @@ class SeriesMovers:
         """Draw the first candidate, if there is one and matplotlib is installed."""
         if not len(self.pixels) or find_spec("matplotlib") is None:
             return []
-        from sameas.plots.movers import mover_picture
+        from sameas.plots.frame import mover_picture
         from sameas.plots.sheet import save
 
         save(mover_picture(self.found, self.field.series, self.pixels, self.known), folder / "movers.png")

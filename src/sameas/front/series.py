@@ -194,7 +194,7 @@ def write_folder(
     title : of the page. facts : provenance. failed : names of frames that could not be identified, and why.
     reasons : why others are in no series. movers : link to the page of movers, and its words.
     """
-    from sameas.pages.movers import series_field, write_series_page
+    from sameas.pages.frame import series_field, write_series_page
 
     written = write_series(each, folder, facts)
     fields = [
@@ -219,7 +219,7 @@ def folder_of_series(
 
     say : called with the lines of the report, section by section.
     """
-    from sameas.report.movers import star_lines
+    from sameas.report.frame import star_lines
     from sameas.report.prose import DOUBT
 
     each, reasons = series_of(done)

@@ -32,9 +32,9 @@ from sameas.prior import EVIDENCE_ALONE
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.result import Identification
-from sameas.sky.bands import ERROR_NAMES, OFF, columns_of, magnitudes_of
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import PositionError
+from sameas.sky.crossmatch import ERROR_NAMES, OFF, columns_of, magnitudes_of
 from sameas.sky.joins import joined, joined_rows
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 

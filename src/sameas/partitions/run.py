@@ -64,9 +64,8 @@ from sameas.partitions.part import (
     without_rows,
 )
 from sameas.representation import in_short
-from sameas.sky.bands import columns_of
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
-from sameas.sky.crossmatch import MatchOptions, common_epoch
+from sameas.sky.crossmatch import MatchOptions, columns_of, common_epoch
 from sameas.sky.doubts import completed
 from sameas.sky.joins import joined_names
 

@@ -1,5 +1,5 @@
-"""Reports of results as lines of text, one module per command.
+"""Reports of results as lines of text, by command.
 
-:mod:`~sameas.report.match`, :mod:`~sameas.report.many`, :mod:`~sameas.report.frame`, :mod:`~sameas.report.movers`,
-:mod:`~sameas.report.picture`, :mod:`~sameas.report.explain`; shared parts are in :mod:`~sameas.report.prose`.
+:mod:`~sameas.report.match` (also ``many``), :mod:`~sameas.report.frame` (also ``movers``),
+:mod:`~sameas.report.picture` and :mod:`~sameas.report.explain`; shared parts are in :mod:`~sameas.report.prose`.
 """

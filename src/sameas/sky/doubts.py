@@ -34,7 +34,7 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, Column, ColumnChoice, PositionError, in_years
 from sameas.sky.column_values import to_icrs
-from sameas.sky.frame.tangent import directions_deg
+from sameas.sky.frame.plate import directions_deg
 from sameas.sky.motion import Astrometry
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
 

@@ -18,8 +18,16 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.sky.frame.background import Background
-from sameas.sky.frame.centroid import FWHM_PER_SIGMA, PSF, Centroids, Subtracted, adaptive, centroids, cut_stamps
+from sameas.sky.frame.centroid import (
+    FWHM_PER_SIGMA,
+    PSF,
+    Background,
+    Centroids,
+    Subtracted,
+    adaptive,
+    centroids,
+    cut_stamps,
+)
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import TUNING, Detection, Flag, Measurements
 

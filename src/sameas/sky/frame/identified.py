@@ -31,9 +31,8 @@ from sameas.sky.frame.field import Cone, StarField
 from sameas.sky.frame.measurements import Flag, Measurements
 from sameas.sky.frame.photometry import Completeness, ZeroPoint, instrumental
 from sameas.sky.frame.place import Placement, place
-from sameas.sky.frame.plate import MatchedStars, PlateModel, fit_plate
+from sameas.sky.frame.plate import MatchedStars, PlateModel, Pointing, directions_deg, fit_plate
 from sameas.sky.frame.pointing_hints import Aim, AllSky, ApproximateWcs, Hint, SkyIndex
-from sameas.sky.frame.tangent import Pointing, directions_deg
 from sameas.space import chord_angle_deg
 
 #: Error in magnitudes per relative error of the flux.

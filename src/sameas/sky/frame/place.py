@@ -25,6 +25,7 @@ from sameas.records import unpack
 from sameas.representation import in_short
 from sameas.sky.frame.field import Stars
 from sameas.sky.frame.odds import PlateProblem, Verdict, refitted_on, verify
+from sameas.sky.frame.plate import Pointing, sky_of
 from sameas.sky.frame.pointing_hints import (
     TUNING,
     Aim,
@@ -34,7 +35,6 @@ from sameas.sky.frame.pointing_hints import (
     SkyIndex,
     candidates,
 )
-from sameas.sky.frame.tangent import Pointing, sky_of
 from sameas.space import ARCSEC_PER_RADIAN, unit_vectors
 
 #: Minimum odds of an accepted placement (chosen).

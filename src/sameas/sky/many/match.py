@@ -30,9 +30,8 @@ from sameas.many.rules import Linear, Terms
 from sameas.many.sets import Sets, candidate_sets
 from sameas.records import Records
 from sameas.representation import in_short
-from sameas.sky.bands import OFF
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.crossmatch import MatchOptions, SkyMatch, at_common_epoch, by_position
+from sameas.sky.crossmatch import OFF, MatchOptions, SkyMatch, at_common_epoch, by_position
 from sameas.sky.crossmatch import match as match_two
 from sameas.sky.doubts import completed
 from sameas.sky.many.population import (

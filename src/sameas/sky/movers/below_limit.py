@@ -32,8 +32,7 @@ from sameas.errors import InputError, naming
 from sameas.kernels import threads
 from sameas.kernels.linear import best_motion
 from sameas.representation import in_short
-from sameas.sky.frame.background import Background
-from sameas.sky.frame.centroid import FWHM_PER_SIGMA
+from sameas.sky.frame.centroid import FWHM_PER_SIGMA, Background
 from sameas.sky.frame.image import Frame
 from sameas.sky.frame.measurements import Flag
 from sameas.sky.movers.detections import Detections
