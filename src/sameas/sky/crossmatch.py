@@ -224,7 +224,7 @@ class MatchOptions:
         as a mixture of factors.
     density_per_deg2 : (first, second) densities of all records, instead of local ones from the data.
     magnitudes : "auto" uses the magnitudes of both catalogues as evidence, "off" uses positions only; columns by name
-        as "G,BP:J,H" (see ``sky.bands``).
+        as "G,BP:J,H" (see :func:`magnitudes_of`).
     precision : whether the sizes of the quoted errors are used as evidence where magnitudes separate too little.
     offset : "none" assumes that both catalogues are on one frame, and reports a doubt if the pairs show an offset;
         "find" estimates and removes a shift and rotation of the second catalogue, and a smooth warp of the field (see
