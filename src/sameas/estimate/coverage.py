@@ -289,14 +289,20 @@ def _sampled(records: Records) -> IntArray:
 class Coverage:
     """Cells of decreasing size over two sources. Make it with :meth:`Coverage.of`.
 
-    discs : of which the field consists, if one source or both were queried around targets.
+    discs : of which the field consists, if one source or both were queried around targets. of_part : the levels of
+    cells of a part, which are those of all records.
     """
 
     first: Records
     second: Records
     volume: float
-    levels: tuple[GridLevel, ...]
     discs: Discs | None = field(default=None, kw_only=True)
+    of_part: tuple[GridLevel, ...] | None = field(default=None, kw_only=True, repr=False)
+
+    @cached_property
+    def levels(self) -> tuple[GridLevel, ...]:
+        """Cells, coarse to fine."""
+        return levels_of(self.first, self.second)[1] if self.of_part is None else self.of_part
 
     @property
     def counted(self) -> tuple[BoolArray, BoolArray]:
@@ -307,17 +313,23 @@ class Coverage:
     def of(cls, first: Records, second: Records) -> Coverage:
         """Cells over the region of both sources, which must have records."""
         volume, levels, discs = levels_of(first, second)
-        return cls(first, second, volume, levels, discs=discs)
+        coverage = cls(first, second, volume, discs=discs)
+        coverage.__dict__["levels"] = levels
+        return coverage
 
     def part(self, rows_1: IntArray, rows_2: IntArray) -> Coverage:
         """The same cells and footprints, for some of the records, or for all in another order."""
-        coverage = Coverage(
-            self.first.part(rows_1), self.second.part(rows_2), self.volume,
-            tuple(level.part(rows_1, rows_2) for level in self.levels),
-        )  # fmt: skip
+        levels = tuple(level.part(rows_1, rows_2) for level in self.levels)
+        coverage = Coverage(self.first.part(rows_1), self.second.part(rows_2), self.volume, of_part=levels)
         one, two = self.covered
         coverage.__dict__["covered"] = one[rows_1], two[rows_2]
         return coverage
+
+    def release(self) -> None:
+        """Free the cells and densities, a tenth of the memory of a match; computed again when next used."""
+        _ = self.covered, self.common_volume
+        for name in ("levels", "covered_densities", "_points"):
+            self.__dict__.pop(name, None)
 
     def density(
         self, source: int, weights: FloatArray, volumes: Sequence[FloatArray] | None = None

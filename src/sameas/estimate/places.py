@@ -387,7 +387,7 @@ def learn(
     at = places.at(cells[0]), places.at(cells[1])
     covered = places.seen[at[0], 0], places.seen[at[1], 1]
     levels = tuple(_level(places.cells[at[0]], places.cells[at[1]], steps, places.volume) for steps in places.levels)
-    coverage = _SampleCoverage(first, second, volume, levels, counted, covered, places.densities(*at))
+    coverage = _SampleCoverage(first, second, volume, counted, covered, places.densities(*at), of_part=levels)
     columns = ColumnEvidence.of(first, second, evidence)
     columns = columns and replace(columns, folds=places.folds(cells))
     sample = match_sample(

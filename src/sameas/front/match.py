@@ -428,6 +428,7 @@ def identified(
     from sameas.sky import crossmatch
 
     found = request.naming_sides(lambda: crossmatch.match(*catalogues, request.options, progress=progress))
+    found.estimate.coverage.release()
     return Match.of_sky(found, request, **table)
 
 
