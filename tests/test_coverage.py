@@ -209,3 +209,41 @@ def test_densities_in_a_narrow_overlap_are_right(overlap):
     for densities in cover.covered_densities:
         for density, covered in zip(densities, cover.covered, strict=True):
             assert np.median(density[covered]) == pytest.approx(50.0, rel=0.4)
+
+
+def test_released_cells_are_computed_again_and_give_the_same():
+    rng = np.random.default_rng(7)
+    cap = Cap(40.0, 20.0, 0.5)
+    cover = Coverage.of(sky(rng, 3000, cap), sky(rng, 2000, cap))
+    densities, covered, volume = cover.covered_densities, cover.covered, cover.common_volume
+    cover.release()
+    assert not {"levels", "covered_densities", "_points"} & set(vars(cover))
+    assert cover.common_volume == volume
+    for before, after in zip((*covered, *densities[0], *densities[1]), _all_of(cover), strict=True):
+        np.testing.assert_array_equal(before, after)
+
+
+def test_the_part_of_a_released_coverage_has_the_cells_of_the_whole():
+    rng = np.random.default_rng(8)
+    cover = Coverage.of(uniform(rng, 3000), uniform(rng, 3000))
+    rows = np.arange(0, 3000, 3)
+    before = cover.part(rows, rows)
+    cover.release()
+    after = cover.part(rows, rows)
+    after.release()
+    for one, other in zip(before.levels, after.levels, strict=True):
+        np.testing.assert_array_equal(one.of_first, other.of_first)
+        np.testing.assert_array_equal(one.volume, other.volume)
+
+
+def _all_of(cover):
+    return (*cover.covered, *cover.covered_densities[0], *cover.covered_densities[1])
+
+
+def test_a_match_does_not_keep_the_cells():
+    from sameas.front.match import match
+
+    rng = np.random.default_rng(9)
+    ra, dec = rng.uniform(10, 11, 500), rng.uniform(20, 21, 500)
+    found = match({"ra": ra, "dec": dec}, {"ra": ra, "dec": dec + 1e-5})
+    assert "levels" not in vars(found.estimate.coverage)

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -86,20 +87,34 @@ def _assumed_error_doubt(choice: ColumnChoice) -> str:
 def _radians_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.ra.unit != "deg" or choice.ra.reason != "by convention":
         return ""
-    ra, dec = astrometry.ra_deg, astrometry.dec_deg
-    known = np.isfinite(ra) & np.isfinite(dec)
-    if known.any() and (np.abs(dec[known]) <= np.pi / 2).all() and (ra[known] <= 2 * np.pi).all():
+    ra, _ = _known_positions(astrometry, lambda ra, dec: (np.abs(dec) <= np.pi / 2) & (ra <= 2 * np.pi))
+    if len(ra):
         return f"{choice.ra.name}, {choice.dec.name} state no unit and stay below 2π and π/2: are they in radians?"
     return ""
+
+
+def _known_positions(
+    astrometry: Astrometry, within: Callable[[FloatArray, FloatArray], BoolArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Right ascension and declination of the rows with both; none if one of them is not ``within``.
+
+    The first rows decide most cases without a look at the others.
+    """
+    ra, dec = astrometry.ra_deg, astrometry.dec_deg
+    for rows in (slice(1000), slice(None)):
+        known = np.isfinite(ra[rows]) & np.isfinite(dec[rows])
+        known_ra, known_dec = ra[rows][known], dec[rows][known]
+        if not within(known_ra, known_dec).all():
+            return ra[:0], dec[:0]
+    return known_ra, known_dec
 
 
 def _hours_doubt(astrometry: Astrometry, choice: ColumnChoice) -> str:
     if choice.ra.unit != "deg" or choice.ra.reason != "by convention":
         return ""
-    ra, dec = astrometry.ra_deg, astrometry.dec_deg
-    known = np.isfinite(ra) & np.isfinite(dec)
+    ra, dec = _known_positions(astrometry, lambda ra, dec: ra <= 24.0)
     # A wide field (12° by 60°) whose right ascensions end at 24
-    if known.any() and ra[known].max() <= 24.0 and np.ptp(ra[known]) > 12.0 and np.ptp(dec[known]) > 60.0:
+    if len(ra) and np.ptp(ra) > 12.0 and np.ptp(dec) > 60.0:
         return f"{choice.ra.name} states no unit and stays below 24: is it in hours?"
     return ""
 
@@ -371,7 +386,7 @@ def _astrometry(
     if options.missing_pm_mas_per_yr is not None:
         missing = replace(missing, pm_sigma_mas_per_yr=options.missing_pm_mas_per_yr)
     astrometry = Astrometry.of(
-        within_turn(np.where(np.isfinite(ra), ra, np.nan)),
+        within_turn(ra if np.isfinite(ra).all() else np.where(np.isfinite(ra), ra, np.nan)),
         dec,
         epoch_jyr=np.where(np.isnan(epoch), 2000.0, epoch),
         sigma=sigma,
@@ -560,10 +575,11 @@ def _errors(
     correlated = rho is not None or bool(choice.weights) or bool(choice.correlations)
     motion_sigmas = motion if correlated or any(column is not None for column in motion) else []
     unknown = np.full(len(table) if motion_sigmas else 0, np.nan)
-    sigma = np.column_stack(
-        [1e3 * east, 1e3 * north, *(unknown if column is None else column for column in motion_sigmas)]
-    )
-    floored = sigma.copy()
+    sigmas = [east, north, *(unknown if column is None else column for column in motion_sigmas)]
+    sigma = np.empty((len(sigmas), len(table))).T  # each parameter's errors one after the other
+    for k, of_parameter in enumerate(sigmas):
+        np.multiply(of_parameter, 1e3 if k < 2 else 1.0, out=sigma[:, k])
+    floored = sigma.copy(order="K") if correlated or options.sigma_floor_arcsec else sigma
     if options.sigma_floor_arcsec:
         floored[:, :2] = np.hypot(sigma[:, :2], 1e3 * options.sigma_floor_arcsec)
     floored[:, :2][~(floored[:, :2] > 0)] = np.nan
@@ -585,10 +601,12 @@ def _degrees(table: Table, column: Column, source: str) -> FloatArray:
         values = column_values.sexagesimal(table, column.name, source)
     else:
         values = column_values.numbers(table, column.name, source)
+    if column.unit == "deg":
+        return values
     full_turn = _FULL_TURN.get(column.unit, np.inf)
     with np.errstate(invalid="ignore"):
         beyond = np.flatnonzero(np.abs(values) > full_turn * 1.0001)
-    if len(beyond) and column.unit != "deg":
+    if len(beyond):
         raise InputError(
             f"{source}: {column.name!r} is in {column.unit} ({column.reason}), but row {beyond[0]} has "
             f"{values[beyond[0]]:g}; give the column its unit"
