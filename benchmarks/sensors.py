@@ -24,12 +24,12 @@ from benchmarks.autoferry_models import describe_all, models_from_others
 from benchmarks.autoferry_scenes import FOLDER, SCENARIOS, scene_of
 from benchmarks.picture import World, solent
 from benchmarks.tables import Table, report
+from sameas.picture.deception import source_faults
 from sameas.picture.picture import Picture
 from sameas.simulate.boat_radar import BoatRadarScene, boat_radar
 from sameas.simulate.sensors import Bias, SensorOutput
 from sameas.tracks.bias_fit import BiasFit, fit_biases
 from sameas.tracks.biases import AZIMUTH
-from sameas.tracks.faults import source_faults
 from sameas.tracks.feed import Feed
 from sameas.tracks.plot_offsets import Plots, candidates, fit_plots
 from sameas.tracks.reports import Reports

@@ -506,7 +506,7 @@ class _Thinned:
 
     def by_neighbourhoods(self, claims: FloatArray, tuning: Tuning) -> FloatArray:
         """Probability of every pair from the neighbourhood of its record, with these messages (``claims``)."""
-        from sameas.kernels.balls import Graph, balls, by_columns, rank_rivals
+        from sameas.kernels.messages import Graph, balls, by_columns, rank_rivals
         from sameas.kernels.posterior import MAX_DEPTH
 
         g, best = self.groups, self.best

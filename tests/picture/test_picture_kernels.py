@@ -8,8 +8,15 @@ from scipy.sparse.csgraph import connected_components
 from sameas.gate.zones import _percentiles
 from sameas.gaussian import inverse
 from sameas.kernels.components import label_components
-from sameas.kernels.intersection import sum_of_records, weights_of_least_determinant
-from sameas.kernels.kalman import innovation_model, report_factors, states_moved, tracks_moved, update_in_plane
+from sameas.kernels.kalman import (
+    innovation_model,
+    report_factors,
+    states_moved,
+    sum_of_records,
+    tracks_moved,
+    update_in_plane,
+    weights_of_least_determinant,
+)
 from sameas.kernels.zones import merge_rows
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.picture.error_factors import growth

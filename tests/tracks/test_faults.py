@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sameas.io.sensors.clock import unwrapped
+from sameas.io.sensors.format import unwrapped
+from sameas.picture.deception import Fault, source_faults
 from sameas.simulate.boat_radar import boat_radar
-from sameas.tracks.faults import Fault, source_faults
 from sameas.tracks.scene import Scene
 
 

@@ -11,8 +11,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors import REPORT_FORMATS, ReadOptions, read_reports
-from sameas.io.sensors.clock import at_second, forward_filled, instant, unwrapped
-from sameas.io.sensors.format import SensorFile
+from sameas.io.sensors.format import SensorFile, at_second, forward_filled, instant, unwrapped
 from sameas.io.sensors.sources import format_of, read_source_options, read_sources
 
 PLOTS = "time,range_km,bearing\n2024-05-01T12:00:00Z,5.2,40\n2024-05-01T12:00:03Z,5.1,41\n"

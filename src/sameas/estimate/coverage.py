@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray, Int32Array, IntArray, inner, median
-from sameas.estimate.cells import FINEST, GridLevel, levels_of
-from sameas.estimate.discs import Discs
+from sameas.estimate.cells import FINEST, Discs, GridLevel, levels_of
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.representation import in_short

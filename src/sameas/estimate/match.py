@@ -44,7 +44,7 @@ from sameas.estimate.quantity import Quantity, changed_without, decisive, quanti
 from sameas.estimate.sample import Sampling, Setting
 from sameas.evidence import Column, Errors, Magnitudes, Precision, Related
 from sameas.evidence.detection import DetectionCurve
-from sameas.evidence.residuals import AS_QUOTED
+from sameas.evidence.rule import AS_QUOTED
 from sameas.gate import ChiSquare, Pairs, Radius
 from sameas.kernels.compiled import prefer_compiled
 from sameas.records import Records

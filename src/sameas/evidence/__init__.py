@@ -38,13 +38,20 @@ from sameas.evidence.brightness import (
     comparisons_of,
 )  # fmt: skip
 from sameas.evidence.close import CloseObjects, log_neighbour_density, log_surface_density
-from sameas.evidence.columns import Association, CodedColumn, Column, Columns, OddsTable, Related
+from sameas.evidence.columns import (
+    Association,
+    CodedColumn,
+    Column,
+    Columns,
+    OddsTable,
+    Precision,
+    Related,
+    TrainingPairs,
+)
 from sameas.evidence.fields import ConstantCost, DetectionField, Field, PoissonField
 from sameas.evidence.heights import Heights
 from sameas.evidence.identity import MODELS, Alarm, Category, Code, Identity, Model, Size, alarms
-from sameas.evidence.precision import Precision, TrainingPairs
-from sameas.evidence.residuals import Errors
-from sameas.evidence.rule import Evidence, Rule, Sum
+from sameas.evidence.rule import Errors, Evidence, Rule, Sum
 from sameas.evidence.universal import Displacement, Flat, GaussianMixture, Samples, Universal
 
 __all__ = [

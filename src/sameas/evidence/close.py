@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.evidence.residuals import AS_QUOTED
-from sameas.evidence.rule import Evidence, Rule
+from sameas.evidence.rule import AS_QUOTED, Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import LOG_2PI
 from sameas.records import Records

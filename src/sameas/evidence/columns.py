@@ -1,4 +1,4 @@
-"""Columns of one source as evidence: how a number or category of a record changes its odds of having a partner.
+"""Columns and quoted errors as evidence: how a number or category of a record changes its odds of having a partner.
 
 The evidence of a column with the value c is (METHOD 6, equation 6.6)
 
@@ -7,6 +7,11 @@ The evidence of a column with the value c is (METHOD 6, equation 6.6)
 in the limit of certain pairs Sutherland & Saunders' q(m)/n(m). ``sameas.estimate.columns`` estimates it from the pairs,
 for all columns of a source jointly; :class:`OddsTable` is a prior given by the user instead. A :class:`Related` pair of
 columns, one of each source, adds ln p(c₁, c₂ | one object) − ln p(c₁ | one object) − ln p(c₂ | one object).
+
+:class:`Precision` compares the sizes of the quoted errors of both records, which are correlated for one object. Errors
+grow with magnitude. So a shallower source more often misses a record with large errors, and both records of an object
+have either large or small errors: quoted errors substitute for a magnitude where none is given.
+``sameas.estimate.grades`` estimates this evidence.
 """
 
 from __future__ import annotations
@@ -267,6 +272,46 @@ class Columns(Rule):
         if self.associations:
             terms["relations"] = np.sum([related(pairs) for related in self.associations], axis=0)
         return Evidence(terms)
+
+
+@in_short
+@dataclass(frozen=True)
+class TrainingPairs:
+    """The pairs from which a table of grades was estimated.
+
+    cell : (m,) index of each pair's two grades in the flattened table. own : (m,) the pair's own contribution to the
+    table's log ratio there.
+    """
+
+    pairs: Pairs
+    cell: NDArray[np.integer]
+    own: FloatArray
+
+
+@in_short
+@dataclass(frozen=True)
+class Precision(Rule):
+    """ln p(g₁, g₂ | one object) − ln p(g₁, g₂ | two objects), with grades g of the sizes of both records' errors.
+
+    Parameters
+    ----------
+    grades : (n₁,), (n₂,) of every record, from 0. log_ratio : (k₁, k₂) of every two grades.
+    training : the pairs that this was estimated from; None after a change of candidates.
+    """
+
+    grades: tuple[NDArray[np.integer], NDArray[np.integer]] = field(repr=False)
+    log_ratio: FloatArray = field(repr=False)
+    training: TrainingPairs | None = field(repr=False, default=None)
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        if self.training is not None and self.trained_on(pairs):
+            return Evidence({"precision": self.log_ratio.ravel()[self.training.cell] - self.training.own})
+        one, two = self.grades
+        return Evidence({"precision": self.log_ratio[one[pairs.i], two[pairs.j]]})
+
+    def trained_on(self, pairs: Pairs) -> bool:
+        """Whether this was estimated from these pairs."""
+        return self.training is not None and self.training.pairs is pairs
 
 
 __all__ = ["Association", "CodedColumn", "Column", "Columns", "OddsTable", "Related"]

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from sameas.arrays import FloatArray, taken
 from sameas.errors import InputError
-from sameas.evidence.residuals import AS_QUOTED, Errors
-from sameas.evidence.rule import Evidence, Rule
+from sameas.evidence.rule import AS_QUOTED, Errors, Evidence, Rule
 from sameas.gate import Pairs
 from sameas.kernels import threads
 from sameas.representation import in_short

@@ -23,8 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
-from sameas.evidence.residuals import AS_QUOTED
-from sameas.evidence.rule import Evidence, Rule
+from sameas.evidence.rule import AS_QUOTED, Evidence, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density
 from sameas.representation import in_short

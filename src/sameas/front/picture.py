@@ -16,12 +16,12 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.front.match import call_text
-from sameas.front.provenance import made_by
+from sameas.front.request import made_by
 from sameas.front.tables import table_of
 from sameas.io import checksum
 from sameas.io.atomic import filling
 from sameas.io.format import json_text
-from sameas.io.sensors.clock import instant, picture_time
+from sameas.io.sensors.format import instant, picture_time
 from sameas.io.sensors.sources import SensorSource, SourceOptions, read_source_options, read_sources, source_of
 from sameas.io.sensors.tables import TableText
 from sameas.io.sensors.tables import read as read_cells

@@ -29,9 +29,9 @@ from sameas.live.inputs import Replay, Wire
 from sameas.live.journal import Journal, load_state, save_state
 from sameas.live.outputs import sinks_of
 from sameas.live.settings import Settings
+from sameas.picture.deception import Fault
 from sameas.picture.live import LivePicture, estimated, faults_of
 from sameas.picture.picture_state import PictureState
-from sameas.tracks.faults import Fault
 from sameas.tracks.reports import Reports
 
 T = TypeVar("T")

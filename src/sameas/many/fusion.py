@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from sameas.arrays import FloatArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, inverse, symmetric
-from sameas.kernels.intersection import weights_of_least_determinant
+from sameas.kernels.kalman import weights_of_least_determinant
 from sameas.records import Records
 from sameas.representation import in_short
 from sameas.space import Plane

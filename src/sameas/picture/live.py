@@ -22,14 +22,13 @@ from typing import Any
 import numpy as np
 
 from sameas.errors import InputError
-from sameas.picture.deception import faults_and_deceptions, sightings_of
+from sameas.picture.deception import Fault, faults_and_deceptions, sightings_of
 from sameas.picture.picture import Columns, error_lines, gathered
 from sameas.picture.picture_state import PictureState
 from sameas.picture.plot_picture import PlotPicture
 from sameas.picture.watch import Watch
 from sameas.tracks.biases import TIME
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.heights import HeightModel
 from sameas.tracks.live_feed import Counts, LiveFeed, unbiased_now

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
-from sameas.kernels.intersection import sum_of_records
+from sameas.kernels.kalman import sum_of_records
 from sameas.many.fusion import BISECTIONS, OPTIMAL, STEPS
 from sameas.many.objects import Objects
 from sameas.picture.scan import Scan

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import Alarm
+from sameas.picture.deception import Fault
 from sameas.picture.object_table import CONFIRMED
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
-from sameas.tracks.faults import Fault
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene
 

@@ -28,9 +28,9 @@ from sameas.kernels.zones import merge_rows
 from sameas.tracks.alignment import InnovationTrend, States, Succession, are_unfiltered, follow
 from sameas.tracks.biases import TIME, corrected
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.duplicate_ids import Branches
 from sameas.tracks.feed import (
     CORRELATED_KINDS,
+    Branches,
     Feed,
     at_reported_positions,
     in_motion,
@@ -43,8 +43,7 @@ from sameas.tracks.feed import (
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
-from sameas.tracks.reports import Reports
-from sameas.tracks.scans import scans_of
+from sameas.tracks.reports import Reports, scans_of
 from sameas.tracks.source import Description
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 

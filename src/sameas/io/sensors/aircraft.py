@@ -16,13 +16,16 @@ from typing import Any
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, seconds
 from sameas.io.sensors.format import (
+    FEET_PER_MINUTE_M_PER_S,
+    FOOT_M,
+    KNOT_M_PER_S,
     SensorFormat,
     json_lines,
     of_json,
     plain_text,
     round_covariance,
+    seconds,
     sigma_of_containment,
     sigma_of_nacp,
     sigma_of_nacv,

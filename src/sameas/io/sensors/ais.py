@@ -19,8 +19,16 @@ import numpy as np
 
 from sameas.arrays import BoolArray, FloatArray
 from sameas.errors import InputError, naming
-from sameas.io.sensors.clock import KNOT_M_PER_S, MILE_M, at_second, forward_filled, unwrapped
-from sameas.io.sensors.format import AIS_RECKONED_SIGMA_M, AIS_SIGMA_M, round_covariance
+from sameas.io.sensors.format import (
+    AIS_RECKONED_SIGMA_M,
+    AIS_SIGMA_M,
+    KNOT_M_PER_S,
+    MILE_M,
+    at_second,
+    forward_filled,
+    round_covariance,
+    unwrapped,
+)
 from sameas.io.sensors.nmea import Log, Sentence
 from sameas.tracks.coordinates import along_and_across, geodesy
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows

@@ -17,8 +17,16 @@ import numpy as np
 
 from sameas.errors import InputError, naming
 from sameas.io.sensors.aircraft import errors_of, identity_of, notes
-from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, KNOT_M_PER_S, instant, unwrapped
-from sameas.io.sensors.format import SensorFormat, round_covariance, sigma_of_nucp
+from sameas.io.sensors.format import (
+    FEET_PER_MINUTE_M_PER_S,
+    FOOT_M,
+    KNOT_M_PER_S,
+    SensorFormat,
+    instant,
+    round_covariance,
+    sigma_of_nucp,
+    unwrapped,
+)
 from sameas.tracks.reports import Damaged, Reports, of_rows
 
 #: Characters of the longest line, a message and its time (chosen): the patterns take quadratic time.

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from sameas.arrays import FloatArray
-from sameas.io.sensors.clock import DAY_S, forward_filled, instant, seconds, unwrapped
+from sameas.io.sensors.format import DAY_S, forward_filled, instant, seconds, unwrapped
 
 _SENTENCE = re.compile(r"([!$])([A-Z]{1,5}[A-Z0-9]{0,4})((?:,[^*]*)?)(?:\*([0-9A-Fa-f]{2}))?")
 _TAG_BLOCK = re.compile(r"\\([^\\]*)\\")

@@ -15,8 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from sameas.io.sensors.clock import instant
-from sameas.io.sensors.format import SensorFormat, of_json, plain_text
+from sameas.io.sensors.format import SensorFormat, instant, of_json, plain_text
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 _MMSI = re.compile(r"mmsi:(\d{9})$")

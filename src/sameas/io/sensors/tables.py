@@ -27,17 +27,21 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.bounds import check_columns
 from sameas.errors import Argument, InputError, Message, naming
-from sameas.io.sensors.clock import (
+from sameas.io.sensors.format import (
     DAY_S,
     FEET_PER_MINUTE_M_PER_S,
     FOOT_M,
     KNOT_M_PER_S,
     MILE_M,
+    SensorFile,
+    SensorFormat,
     instant,
+    json_lines,
+    of_json,
+    round_covariance,
     seconds,
     unwrapped,
 )
-from sameas.io.sensors.format import SensorFile, SensorFormat, json_lines, of_json, round_covariance
 from sameas.tracks.reports import Damaged, Reports
 
 #: Units by kind of quantity: as written at the end of a name, and their factor to our unit.

@@ -26,8 +26,7 @@ from sameas.io.sensors.asterix.records import (
     records_of,
     unsigned,
 )
-from sameas.io.sensors.clock import DAY_S, unwrapped
-from sameas.io.sensors.format import SensorFormat
+from sameas.io.sensors.format import DAY_S, SensorFormat, unwrapped
 from sameas.tracks.reports import Damaged, NoReports, Reports, of_rows
 
 __all__ = ["FORMAT", "read"]

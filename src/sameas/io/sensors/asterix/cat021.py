@@ -9,8 +9,7 @@ import numpy as np
 
 from sameas.io.sensors.aircraft import errors_of
 from sameas.io.sensors.asterix.records import letters, octal, signed, unsigned
-from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M, MILE_M
-from sameas.io.sensors.format import round_covariance, sigma_of_nucp
+from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, FOOT_M, MILE_M, round_covariance, sigma_of_nucp
 
 #: Items with the time of the position, the preferred first: applicability, reception, report transmission.
 _TIMES = ("071", "073", "077")

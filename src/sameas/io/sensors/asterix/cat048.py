@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sameas.io.sensors.asterix.records import letters, octal, signed, unsigned
-from sameas.io.sensors.clock import FOOT_M, MILE_M
+from sameas.io.sensors.format import FOOT_M, MILE_M
 
 #: Type of detection, by the first three bits of item 020.
 _DETECTIONS = (None, "primary", "secondary", "primary and secondary", "Mode S all-call", "Mode S roll-call",

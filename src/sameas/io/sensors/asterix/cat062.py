@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from sameas.io.sensors.asterix.records import letters, octal, signed, unsigned
-from sameas.io.sensors.clock import FEET_PER_MINUTE_M_PER_S, FOOT_M
+from sameas.io.sensors.format import FEET_PER_MINUTE_M_PER_S, FOOT_M
 from sameas.tracks.coordinates import geodesy
 
 #: Steps of item 500: metres of a standard deviation, degrees of one in WGS84, metres per second of a velocity.
