@@ -134,6 +134,8 @@ class Clustering:
         number of companions (⟨n(n − 1)⟩/⟨n⟩²); 0 where not significant.
     mean_densities : (ρ₁, ρ₂). shares : of the records of each source that have a partner, from the number of close
         records of the other; 0 if not estimated.
+    level : in clumps of more records than a couple of companions, the factor on the local densities that remains;
+        else None. The density of different objects near a record is then ρ (level + w).
     """
 
     unit: FloatArray
@@ -142,6 +144,7 @@ class Clustering:
     multiplicity: float
     mean_densities: tuple[float, float]
     shares: tuple[float, float] = (0.0, 0.0)
+    level: float | None = None
 
     @property
     def d(self) -> int:
@@ -329,21 +332,25 @@ def clustering(setting: Setting, tuning: CompanionsTuning = DEFAULT_COMPANIONS) 
     if of_1 is None or of_2 is None:
         return None
     volume, levels, gain = _fit_rings((of_1, of_2), tuning)
-    if not gain > tuning.min_gain or float(volume.sum()) * max(of_1.density, of_2.density) > tuning.max_companions:
+    if not gain > tuning.min_gain:
         return None
+    densities = of_1.density, of_2.density
+    clumps = Clustering(unit, np.array(tuning.radii), volume, 0.0, densities, level=math.sqrt(levels[0] * levels[1]))
+    if float(volume.sum()) * max(densities) > tuning.max_companions:
+        return clumps
     multiple, squared_mean, noise = 0.0, 0.0, 1.0
     for neighbours, level in zip((of_1, of_2), levels, strict=True):
         p = neighbours.companions(volume, level)
         several = float((np.bincount(neighbours.first, p, neighbours.n_records) ** 2).sum() - (p**2).sum())
         true, chance = float((p * p).sum()), float((p * (1.0 - p)).sum())
         if chance > tuning.max_chance_share * (chance + true):
-            return None
+            return clumps
         # A chance neighbour may itself be one of two companions.
         multiple += several - (chance**2 + 3.0 * chance * true) / neighbours.n_centres
         squared_mean += true**2 / neighbours.n_centres
         noise += 2.0 * several
     multiplicity = multiple / squared_mean if multiple > tuning.min_multiple_sigmas * math.sqrt(noise) else 0.0
-    excess = Clustering(unit, np.array(tuning.radii), volume, multiplicity, (of_1.density, of_2.density))
+    excess = replace(clumps, multiplicity=multiplicity, level=None)
     return replace(excess, shares=_fit_shares(excess, (one, two), tuning))
 
 
@@ -471,6 +478,10 @@ class Companions:
         local = clustering.mean_densities[0] / one.density, clustering.mean_densities[1] / two.density
         excess = clustering.excess_at(np.sqrt((residual**2).sum(axis=1)), one.variance[pairs.i] + two.variance[pairs.j])
         excess *= np.sqrt(local[0][pairs.i] * local[1][pairs.j])
+        if clustering.level is not None:
+            denser = np.log(np.maximum(clustering.level + excess, 1.0))
+            index = np.flatnonzero(denser > 1e-3)
+            return cls(clustering, index, excess[index], np.zeros((2, len(index))), -denser[index], tuning)
         odds, companion = [], []
         for source, relative in zip((one, two), local, strict=True):
             i, k, distance = source.neighbours(tuning.reach)

@@ -257,7 +257,7 @@ class Estimates:
 
     def companion_log_odds(self) -> FloatArray | None:
         """(m,) ln of the odds, before one-to-one, that a pair is two companions; None without companions."""
-        if self.companions is None:
+        if self.companions is None or self.companions.clustering.level is not None:
             return None
         return self.companions.companion_log_odds(len(self.setting.pairs), *self.mean_shares)
 
