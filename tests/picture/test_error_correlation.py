@@ -8,7 +8,7 @@ from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, propagated
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
 from sameas.picture import TrackMemory, Watch
 from sameas.picture.error_factors import CORRELATIONS
-from sameas.picture.scan import Scan
+from sameas.picture.tables import Scan
 from sameas.tracks.scene import Scene
 
 

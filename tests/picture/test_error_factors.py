@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 from sameas.many.observations import records_of
 from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density
 from sameas.picture.picture import Picture, picture_states
-from sameas.picture.scan import RANGE_BANDS, Scan
+from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.picture.watch import Watch
 from sameas.tracks.coordinates import LocalPlane

@@ -15,7 +15,7 @@ from sameas.many.rules import PoissonObjects, pairs_of, terms_of
 from sameas.picture import TrackMemory
 from sameas.picture.memory import PreviousScans
 from sameas.picture.picture import picture_states
-from sameas.picture.scan import Scan
+from sameas.picture.tables import Scan
 from sameas.picture.track_pairs import Rivals, TrackPairs
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch

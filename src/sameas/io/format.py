@@ -1,8 +1,8 @@
 """The description of a file format, and what the formats share: provenance as text, units, text cells.
 
-A format is one module with its ``FORMAT``, ``read(path, hdu)`` and, unless it is only read,
-``write(table, path, provenance)`` and ``provenance(path)``; :data:`sameas.io.tables.FORMATS` lists it. The module
-imports its library inside these functions, so that the list is cheap to import.
+A format is one module with its ``FORMAT``, ``read(path, hdu)``, ``write(table, path, provenance)`` and
+``provenance(path)``, or, if it is only read, a function; :data:`sameas.io.tables.FORMATS` lists it. Libraries are
+imported inside these functions, so that the list is cheap to import.
 """
 
 from __future__ import annotations
@@ -38,12 +38,14 @@ class Format:
 
     Attributes
     ----------
-    name : of its module in ``sameas.io``. label : its name in messages. extensions : of its files, with their dots.
+    name : as given by users, and of its module in ``sameas.io`` unless it is only read. label : its name in messages.
+    extensions : of its files, with their dots.
     signatures : files of the format begin with one of these; may be empty.
     markers : files of the format contain one of these, in lower case, among their first bytes.
     unmarked : whether a file without a known signature or marker may have this format.
     recognised : tests, from the path and the first bytes, whether a text file has this format; its extension may be
-        any of ``TEXT_EXTENSIONS``. read_only : whether it is read but not written.
+        any of ``TEXT_EXTENSIONS``.
+    read : the reader of a format that is only read; the others are read by their module.
     several_tables : whether a file may hold several tables, so that ``hdu`` selects one.
     in_pieces : whether a table can be written piece by piece; the module then has
         ``write_pieces(tables, path, provenance)``, which takes tables with the same columns.
@@ -61,7 +63,12 @@ class Format:
     in_pieces: bool = False
     sidecar: bool = False
     recognised: Callable[[Path, bytes], bool] | None = None
-    read_only: bool = False
+    read: Callable[[Path], Table] | None = None
+
+    @property
+    def read_only(self) -> bool:
+        """Whether it is read but not written."""
+        return self.read is not None
 
     def module(self) -> ModuleType:
         """The module that reads and writes the format."""

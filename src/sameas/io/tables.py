@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from sameas.bounds import check_facts
 from sameas.errors import Argument, InputError, Message, first_line, printable, reading
 from sameas.io import ascii as text
-from sameas.io import csv, ecsv, fits, ipac, mrt, parquet, sextractor, vizier, votable
+from sameas.io import csv, ecsv, fits, parquet, votable
 from sameas.io.atomic import replacing
 from sameas.io.format import TEXT_EXTENSIONS, Format, LazyTable, plain
 
@@ -28,11 +28,7 @@ FORMATS: tuple[Format, ...] = (
     votable.FORMAT,
     ecsv.FORMAT,
     parquet.FORMAT,
-    sextractor.FORMAT,
-    ipac.FORMAT,
-    mrt.FORMAT,
-    vizier.FORMAT,
-    text.FORMAT,
+    *text.FORMATS,
     csv.FORMAT,
 )
 #: Number of bytes for the recognition of a format; VizieR's comments are long.
@@ -159,7 +155,7 @@ def read_table(path: str | os.PathLike[str], *, format: str | None = None, hdu: 
         given = Message(f"{path}: ", Argument("hdu", repr(hdu)), " was given")
         raise InputError(Message(given, ", but only FITS files have several tables to choose from"))
     with reading(str(path), f"cannot be read as {known.label}"):
-        table: Table = known.module().read(path, hdu)
+        table: Table = known.read(path) if known.read is not None else known.module().read(path, hdu)
         check_facts({"": table.meta} | {name: column.meta for name, column in table.columns.items()}, path)
     return table
 

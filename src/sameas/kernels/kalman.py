@@ -1,7 +1,7 @@
 """Compiled loops over states in the plane: their prediction to the next instant (:mod:`sameas.tracks.alignment`) and
 that of named tracks (:mod:`sameas.picture.named_tracks`), Kalman updates, joint densities of sets of records, the
 evidence of swapped tracks, the likelihood of track displacements, fusion by covariance intersection
-(:mod:`sameas.many.fusion`), and the states of objects from their records (:mod:`sameas.picture.object_table`).
+(:mod:`sameas.many.fusion`), and the states of objects from their records (:mod:`sameas.picture.tables`).
 """
 
 from __future__ import annotations

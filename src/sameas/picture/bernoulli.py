@@ -28,7 +28,7 @@ from sameas.gaussian import log_density, mahalanobis_sq
 from sameas.many.observations import records_of
 from sameas.many.pooled import PooledRecords
 from sameas.many.rules import Linear, ObjectsRule, PairTerms, Terms, best_reference, mean_of_pairs
-from sameas.picture.object_table import ObjectTable
+from sameas.picture.tables import ObjectTable
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.records import Records
 

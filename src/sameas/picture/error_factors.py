@@ -20,7 +20,7 @@ Residuals count against small factors and not in favour of them: with a log-norm
 that they allow would be 1.2 to 1.4 where 1 is true, and a source more precise than others has no other evidence.
 
 The errors of a sensor rarely grow with distance as described. One factor, mostly of near objects, would make far ones
-impossible partners. So each octave of distance from the sensor (:attr:`sameas.picture.scan.Scan.range_band`) has its
+impossible partners. So each octave of distance from the sensor (:attr:`sameas.picture.tables.Scan.range_band`) has its
 own factor f_b, with prior p(f_b | f) = ½ δ(f_b − f) + ½ log-normal about f, where f has the posterior above; its
 evidence are the differences and residuals of that octave alone, given the factors of the other sources' octaves.
 
@@ -66,7 +66,7 @@ from scipy.special import log_softmax, logsumexp
 from sameas.arrays import FloatArray, IntArray
 from sameas.gaussian import inverse, log_density, mahalanobis_sq
 from sameas.kernels.kalman import add_evidence, correlated_shifts, update_in_plane
-from sameas.picture.scan import RANGE_BANDS, Scan
+from sameas.picture.tables import RANGE_BANDS, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import ordered_by
 from sameas.tracks.alignment import moved

@@ -51,8 +51,7 @@ from sameas.gaussian import mahalanobis_sq
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly
 from sameas.picture.named_tracks import NamedTracks
-from sameas.picture.object_table import ColumnTable
-from sameas.picture.scan import RANGE_BANDS, Scan, objects_per_m2
+from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan, objects_per_m2
 from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, by_source_order, keys, with_manoeuvres
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import places_in

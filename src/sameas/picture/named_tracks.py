@@ -31,8 +31,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.gate import ChiSquare
 from sameas.kernels.kalman import innovation_model, report_factors, tracks_moved
 from sameas.picture.error_factors import ErrorCorrelation, ErrorFactors, error_update, evenly, growth
-from sameas.picture.object_table import ColumnTable
-from sameas.picture.scan import RANGE_BANDS, Scan
+from sameas.picture.tables import RANGE_BANDS, ColumnTable, Scan
 from sameas.ragged import places_in
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.

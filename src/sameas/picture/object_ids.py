@@ -28,7 +28,7 @@ from sameas.errors import InputError
 from sameas.evidence import Evidence, Field, Rule
 from sameas.gate import Pairs
 from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
-from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
+from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, ColumnTable, ObjectStates, PictureObjects
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.ragged import places_in, ranges, spans_in
 from sameas.records import Records

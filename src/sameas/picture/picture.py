@@ -21,10 +21,10 @@ from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.many.observations import Observations, records_of
 from sameas.picture.deception import faults_and_deceptions
-from sameas.picture.object_table import STAGES
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotPicture, nameless
 from sameas.picture.summary import Summary, Tally
+from sameas.picture.tables import STAGES
 from sameas.picture.watch import TEXTS, Watch
 from sameas.representation import in_short
 from sameas.tracks.coordinates import LocalPlane

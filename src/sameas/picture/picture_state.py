@@ -24,9 +24,8 @@ from sameas.evidence.identity import Alarm
 from sameas.many.objects import Name, ObjectExplanation, Objects
 from sameas.many.observations import records_of
 from sameas.picture.bernoulli import KNOWN
-from sameas.picture.object_table import ObjectStates, PictureObjects
 from sameas.picture.plot_tracker import TrackedPlots
-from sameas.picture.scan import Scan
+from sameas.picture.tables import ObjectStates, PictureObjects, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.representation import in_short
 from sameas.tracks.alignment import States

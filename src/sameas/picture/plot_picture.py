@@ -26,10 +26,9 @@ from scipy.special import logit
 
 from sameas.arrays import IntArray
 from sameas.errors import InputError
-from sameas.picture.object_table import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects
 from sameas.picture.picture_state import PictureState, TrackedObjects, has_velocity
 from sameas.picture.plot_tracker import PlotTracker, TrackedPlots
-from sameas.picture.scan import Scan
+from sameas.picture.tables import COASTING, CONFIRMED, ENDED, TENTATIVE, PictureObjects, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import NO_TEXTS
 from sameas.tracks.alignment import States

@@ -35,7 +35,7 @@ from sameas.many.identify import identify_many
 from sameas.many.objects import Objects
 from sameas.many.observations import Joint, Observations, Region, Source, joint_density, records_of
 from sameas.picture.bernoulli import KNOWN, BernoulliObjects, BernoulliTable, Sighting
-from sameas.picture.scan import objects_per_m2
+from sameas.picture.tables import objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.alignment import aged
 from sameas.tracks.feed import Feed, walk_of

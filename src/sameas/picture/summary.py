@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.evidence.identity import Alarm
 from sameas.picture.deception import Fault
-from sameas.picture.object_table import CONFIRMED
 from sameas.picture.picture_state import Carried, PictureState
 from sameas.picture.plot_picture import PlotObjects
+from sameas.picture.tables import CONFIRMED
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.tracks.feed import Feed
 from sameas.tracks.scene import Scene

@@ -42,8 +42,7 @@ from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, 
 from sameas.kernels.track_pairs import WIDTH, best_others, mix, new_pair_errors, pairs_stepped
 from sameas.picture.error_factors import MIN_M2, ErrorCorrelation
 from sameas.picture.named_tracks import Step
-from sameas.picture.object_table import ColumnTable
-from sameas.picture.scan import Scan
+from sameas.picture.tables import ColumnTable, Scan
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import places_in
 from sameas.tracks.kinds import KINDS

@@ -30,9 +30,8 @@ from sameas.many.rules import PoissonObjects, SetRule
 from sameas.many.sets import ManyTuning, Sets
 from sameas.picture.memory import TrackMemory
 from sameas.picture.object_ids import Detections, ExistenceOdds, NamedObjects, Stages
-from sameas.picture.object_table import object_states
 from sameas.picture.picture_state import IdentifiedObjects, PictureState
-from sameas.picture.scan import Scan, objects_per_m2
+from sameas.picture.tables import Scan, object_states, objects_per_m2
 from sameas.picture.tuning import DEFAULT_TUNING, GATE, Tuning
 from sameas.ragged import places_in
 from sameas.records import Records
