@@ -11,11 +11,12 @@ from sameas.errors import InputError
 from sameas.many.observations import records_of
 from sameas.tracks.alignment import States, moved
 from sameas.tracks.coordinates import LocalPlane
-from sameas.tracks.feed import Feed, need_filtering, position_updates, stationary
+from sameas.tracks.feed import Feed, need_filtering, position_updates
 from sameas.tracks.placement import PlacedReports
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, MissRate, Motion, SensorErrors, Site
+from sameas.tracks.stationary import stationary
 
 PLOTS = {"time_s": [0.0, 3.0], "range_m": [900.0, 910.0], "bearing_deg": [10.0, 11.0]}
 PLACES = {"time_s": [0.0, 3.0], "lat_deg": [50.0, 50.1], "lon_deg": [1.0, 1.0]}

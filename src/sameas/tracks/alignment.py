@@ -481,7 +481,7 @@ def follow(
     trends = InnovationTrend.none(len(reports)) if trend is None else trend.copy()
     limit = ChiSquare(1.0 - tuning.new_track_probability).limit(features)
     before = np.empty(0, np.int64)
-    for now in _by_turn(reports, usable):
+    for now in by_turn(reports, usable):
         if not len(before):
             began[now] = True
             before = now
@@ -522,7 +522,7 @@ def are_unfiltered(reports: States, *, acceleration_m2_per_s3: float, tuning: Tu
     return len(nis) >= tuning.min_innovations and float(np.median(nis)) > tuning.innovation_ratio * MEDIAN
 
 
-def _by_turn(reports: States, usable: BoolArray) -> list[IntArray]:
+def by_turn(reports: States, usable: BoolArray) -> list[IntArray]:
     """The first report of each track, then the second, …; in each list, tracks with more reports come first."""
     rows = np.flatnonzero(usable)
     assert reports.track is not None

@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError, naming
 from sameas.evidence.identity import MODELS
 from sameas.gate import ChiSquare
-from sameas.gaussian import Gaussian, log_density, mahalanobis_sq, symmetric
+from sameas.gaussian import mahalanobis_sq
 from sameas.representation import counted, in_short
 from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, with_minutes
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import AntennaRotation, Reports, scans_of, seen_from
-from sameas.tracks.source import Description, Motion
+from sameas.tracks.source import Description
+from sameas.tracks.stationary import stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -172,57 +172,6 @@ class Branches:
         if float(np.hypot(*(state[:2] - last[:2]))) > last_radius + radius + limit * abs(dt):
             return math.inf
         return float(np.hypot(*(last[:2] + last[2:] * dt - state[:2])))
-
-
-def stationary(reports: States, motion: Motion, tuning: Tuning = DEFAULT_TUNING) -> tuple[States, FloatArray | None]:
-    """The reports with the velocities of stationary objects, and (n,) the probability that each is stationary.
-
-    Vessels at anchor or alongside report a velocity of about 0. The velocity random walk of a vessel under way would
-    move one at anchor by 150 m between two reports three minutes apart; it swings by 15 m. So a reported velocity v
-    with covariance C comes from one of two kinds of objects:
-
-        stationary   v ~ N(0, C + s² 1), a share w of all,  s = motion.stationary_m_per_s, w = motion.stationary_share
-        moving       v ~ N(0, C + V² 1), all others,        V = motion.speed_m_per_s
-
-    The velocity of a stationary object is 0 ± s a priori, without a random walk. The returned state and covariance are
-    the mean and covariance of the mixture of both kinds (Bar-Shalom, Li and Kirubarajan 2001, 1.4.16). There is no
-    threshold: an object at 2 knots moves, one at 0.2 knots is stationary, and in between the covariance includes both.
-    Unreported velocities stay unknown.
-
-    If the motion has no share of stationary objects, the reports are returned unchanged, and None.
-
-    >>> reports = States.of([0.0, 0.0], [[0.0, 0.0]] * 2, np.eye(2), speed_m_per_s=8.0,
-    ...                     velocity=[[0.1, 0.0], [4.0, 0.0]], velocity_covariance=0.09 * np.eye(2))
-    >>> motion = Motion(speed_m_per_s=8.0, stationary_m_per_s=0.1, stationary_share=0.2)
-    >>> now, p_stationary = stationary(reports, motion)
-    >>> p_stationary.round(2).tolist(), now.state[:, 2].round(2).tolist()
-    ([0.99, 0.0], [0.01, 4.0])
-    """
-    slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, motion.stationary_share
-    if not slow or not speed or not share:
-        return reports, None
-    if share >= 1.0:
-        raise InputError(f"motion.stationary_share is {share}; give the share of stationary objects, below 1")
-    p_stationary, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
-    rows = np.flatnonzero(reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2))
-    x, cov = state[rows], covariance[rows]
-    log_stationary, log_moving = (
-        log_density(x[:, 2:], cov[:, 2:, 2:] + sigma**2 * np.eye(2)) for sigma in (slow, speed)
-    )
-    log_odds = math.log(share) - math.log1p(-share) + log_stationary - log_moving
-    p = np.asarray(expit(log_odds))
-    # Update of the state by a measured velocity of 0 ± slow.
-    update = Gaussian(np.zeros_like(x), cov).conditional(cov[:, :, 2:], -x[:, 2:], cov[:, 2:, 2:] + slow**2 * np.eye(2))
-    step = update.mean
-    weight = p[:, None, None]
-    state[rows] = x + p[:, None] * step
-    mixed = (
-        weight * update.covariance
-        + (1.0 - weight) * cov
-        + weight * (1.0 - weight) * step[:, :, None] * step[:, None, :]
-    )
-    covariance[rows], p_stationary[rows] = symmetric(mixed), p
-    return States(reports.time_s, state, covariance, reports.track, reports.rows), p_stationary
 
 
 def track_timeout_s(time_s: FloatArray, track: NDArray[Any] | None, tuning: Tuning = DEFAULT_TUNING) -> float:

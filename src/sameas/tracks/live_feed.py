@@ -37,7 +37,6 @@ from sameas.tracks.feed import (
     known_biases,
     need_filtering,
     repeated,
-    stationary,
     walk_of,
 )
 from sameas.tracks.heights import HeightColumns
@@ -45,6 +44,7 @@ from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
 from sameas.tracks.reports import Reports, scans_of
 from sameas.tracks.source import Description
+from sameas.tracks.stationary import stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
@@ -413,12 +413,10 @@ class LiveFeed:
         rows, is_new : (n,) rows of these tracks, in any order, and whether each is new.
         """
         table = self._rows
-        if not self.to_tracks:
+        if not self.to_tracks and not self.description.motion.stationary_share:
             at = rows[is_new]
-            measured = States(
-                table.time_s[at], table.measured[at], table.measured_covariance[at], None, np.arange(len(at))
-            )
-            self._write(at, measured, measured)
+            table.filtered[at], table.filtered_covariance[at] = table.measured[at], table.measured_covariance[at]
+            table.state[at], table.covariance[at] = table.measured[at], table.measured_covariance[at]
             return
         order = np.lexsort([table.serial[rows], table.time_s[rows], table.number[rows]])
         rows, is_new = rows[order], is_new[order]
@@ -430,35 +428,43 @@ class LiveFeed:
         np.minimum.at(first_new, track[is_new], place[is_new])
         use = np.flatnonzero(place >= first_new[track] - 1)
         is_start = place[use] < first_new[track[use]]
-        refiltered = rows[use]
-        measured = States(
-            table.time_s[refiltered],
-            np.where(is_start[:, None], table.filtered[refiltered], table.measured[refiltered]),
-            np.where(
-                is_start[:, None, None], table.filtered_covariance[refiltered], table.measured_covariance[refiltered]
-            ),
-            number[use], np.arange(len(use)),
-        )  # fmt: skip
+        at = rows[use]
+        measured = States(table.time_s[at], table.measured[at], table.measured_covariance[at], number[use], use)
+        tracks = measured
+        if self.to_tracks:
+            tracks = self._followed(at, is_start, measured)
+        self._write(at, is_start, measured, tracks)
+
+    def _followed(self, at: IntArray, is_start: BoolArray, measured: States) -> States:
+        """The filtered states of reports, by track and time; is_start : (n,) whether one is filtered already."""
+        table = self._rows
+        reports = replace(
+            measured,
+            state=np.where(is_start[:, None], table.filtered[at], measured.state),
+            covariance=np.where(is_start[:, None, None], table.filtered_covariance[at], measured.covariance),
+        )
         tracks = follow(
-            measured, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning,
-            trend=np.where(is_start[:, None], table.trend[refiltered], InnovationTrend.none(1)),
+            reports, acceleration_m2_per_s3=walk_of(self.description), tuning=self.tuning,
+            trend=np.where(is_start[:, None], table.trend[at], InnovationTrend.none(1)),
         )  # fmt: skip
         updated = np.flatnonzero(~is_start)
-        table.trend[refiltered[updated]] = tracks.trend[updated]
-        self._write(refiltered[updated], measured.take(updated), tracks.states.take(updated))
+        table.trend[at[updated]] = tracks.trend[updated]
+        return tracks.states
 
-    def _write(self, at: IntArray, measured: States, tracks: States) -> None:
-        """Writes the measured and filtered states of reports into their rows."""
-        table = self._rows
-        table.filtered[at], table.filtered_covariance[at] = tracks.state, tracks.covariance
+    def _write(self, at: IntArray, is_start: BoolArray, measured: States, tracks: States) -> None:
+        """Writes the filtered states of reports into their rows; is_start : (n,) as of :meth:`_followed`."""
+        table, updated = self._rows, np.flatnonzero(~is_start)
         visible = (
             at_reported_positions(measured, tracks)
             if self.to_tracks and self.description.kind in CORRELATED_KINDS
             else tracks
         )
-        visible, p_stationary = stationary(visible, self.description.motion, self.tuning)
-        table.state[at], table.covariance[at] = visible.state, visible.covariance
-        table.p_stationary[at] = 0.0 if p_stationary is None else p_stationary
+        p_known = np.where(is_start, table.p_stationary[at], np.nan)
+        visible, p_stationary = stationary(visible, self.description.motion, self.tuning, p_known)
+        at = at[updated]
+        table.filtered[at], table.filtered_covariance[at] = tracks.state[updated], tracks.covariance[updated]
+        table.state[at], table.covariance[at] = visible.state[updated], visible.covariance[updated]
+        table.p_stationary[at] = 0.0 if p_stationary is None else p_stationary[updated]
 
     def _claim(self, n: int) -> IntArray:
         """(n,) free rows; the table is extended if there are too few."""

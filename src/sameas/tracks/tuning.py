@@ -25,6 +25,7 @@ class Tuning:
     stamp_step_s : tolerance of the track timeout for the rounding of stamps (ASTERIX: 1/128 s).
     stationary_timeout_s : minimum track timeout of a probably stationary object: two of the intervals at which vessels
         at anchor report (3 min: ITU-R M.1371-5, table 1).
+    rest_s : mean time for which a stationary object stays so.
     at_rest : an object moves if the χ² of its velocity against 0 exceeds this quantile for objects at rest.
     max_speed_sigmas : maximum speed, in units of the typical speed of the source's objects (1σ per axis).
     alternations : an id belongs to two objects if its reports change between their places at least this often; a single
@@ -121,6 +122,7 @@ class Tuning:
     timeout_quantile: float = 0.999
     stamp_step_s: float = 0.01
     stationary_timeout_s: float = 360.0
+    rest_s: float = 3600.0
     at_rest: float = 1.0 - 1e-6
     max_speed_sigmas: float = 5.0
     alternations: int = 4

@@ -1,0 +1,124 @@
+"""Whether an object is stationary: by all its reports, calibrated, and the same live as from a file."""
+
+import numpy as np
+import pytest
+
+from sameas.tracks.alignment import States, moved
+from sameas.tracks.feed import Feed
+from sameas.tracks.live_feed import LiveFeed
+from sameas.tracks.reports import Reports
+from sameas.tracks.source import Description, Motion, SensorErrors
+from sameas.tracks.stationary import stationary
+from sameas.tracks.tuning import DEFAULT_TUNING
+
+VESSELS = Motion(0.01, 8.0, stationary_m_per_s=0.1, stationary_share=0.2)
+SIGMA_M, SIGMA_M_PER_S = 5.0, 0.5
+
+
+def simulated(rng, n, reports, every_s):
+    """Reports of n objects that depart and arrive as the model says, and whether each report is of one at rest."""
+    share, rest_s, step_s = VESSELS.stationary_share, DEFAULT_TUNING.rest_s, 2.0
+    lies = rng.random(n) < share
+    rates = np.array([1.0 / (rest_s * (1.0 - share) / share), 1.0 / rest_s])
+    velocity = np.where(lies[:, None], 0.1, 8.0) * rng.standard_normal((n, 2))
+    place, rows, at_rest = np.zeros((n, 2)), [], []
+    for k in range(reports):
+        position = place + SIGMA_M * rng.standard_normal((n, 2))
+        measured = velocity + SIGMA_M_PER_S * rng.standard_normal((n, 2))
+        rows.append(np.column_stack([np.full(n, k * every_s), position, measured, np.arange(n)]))
+        at_rest.append(lies)
+        for _ in range(round(every_s / step_s)):
+            place = place + step_s * velocity
+            velocity = velocity + np.where(lies[:, None], 0.0, np.sqrt(0.01 * step_s)) * rng.standard_normal((n, 2))
+            changes = rng.random(n) < step_s * rates[lies.astype(int)]
+            lies = lies ^ changes
+            fresh = np.where(lies[:, None], 0.1, 8.0) * rng.standard_normal((n, 2))
+            velocity = np.where(changes[:, None], fresh, velocity)
+    time_s, x, y, vx, vy, track = np.concatenate(rows).T
+    return states(time_s, np.column_stack([x, y]), np.column_stack([vx, vy]), track), np.concatenate(at_rest)
+
+
+def states(time_s, place, velocity, track):
+    return States.of(
+        time_s, place, SIGMA_M**2 * np.eye(2), speed_m_per_s=8.0, velocity=velocity,
+        velocity_covariance=SIGMA_M_PER_S**2 * np.eye(2), track=track,
+    )  # fmt: skip
+
+
+def test_a_vessel_at_anchor_keeps_its_place_by_its_earlier_reports():
+    rng = np.random.default_rng(3)
+    n, age_s = 400, 150.0
+    time_s, track = np.tile([0.0, 180.0, 360.0], n), np.repeat(np.arange(n), 3)
+    velocity = 0.1 * rng.standard_normal((n, 2))[track]
+    place = velocity * time_s[:, None] + SIGMA_M * rng.standard_normal((3 * n, 2))
+    measured = velocity + SIGMA_M_PER_S * rng.standard_normal((3 * n, 2))
+    now, p = stationary(states(time_s, place, measured, track), VESSELS)
+    last = np.flatnonzero(time_s == 360.0)
+    walk = 0.01 * (1.0 - p[last])
+    ahead, covariance = moved(now.state[last], now.covariance[last], age_s, walk)
+    error = ahead[:, :2] - velocity[last] * (360.0 + age_s)
+    square = np.einsum("nv,nvw,nw->n", error, np.linalg.inv(covariance[:, :2, :2]), error)
+    # By each report alone the mean is 0.4.
+    assert square.mean() == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.parametrize("every_s", [10.0, 180.0])
+def test_the_probability_by_all_reports_is_the_frequency(every_s):
+    made, lies = simulated(np.random.default_rng(4), 4000, 8, every_s)
+    _, p = stationary(made, VESSELS)
+    for low, high in ((0.0, 0.01), (0.01, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 0.99), (0.99, 1.1)):
+        some = (p >= low) & (p < high)
+        deviation = 4.0 * np.sqrt(np.sum(p[some] * (1.0 - p[some])) + 1.0) / max(some.sum(), 1)
+        assert abs(p[some].mean() - lies[some].mean()) < deviation + 0.02, (low, some.sum())
+    _, alone = stationary(States(made.time_s, made.state, made.covariance, None, made.rows), VESSELS)
+    loss = [-np.log(np.maximum(np.where(lies, q, 1.0 - q), 1e-12)).mean() for q in (p, alone)]
+    assert loss[0] < 0.5 * loss[1]
+
+
+def test_a_departure_and_an_arrival_are_recognised():
+    time_s = 10.0 * np.arange(40)
+    speed = np.where((time_s >= 100.0) & (time_s < 250.0), 5.0, 0.0)
+    place = np.column_stack([np.cumsum(speed) * 10.0, np.zeros(40)])
+    _, p = stationary(states(time_s, place, np.column_stack([speed, np.zeros(40)]), ["a"] * 40), VESSELS)
+    assert np.all(p[2:10] > 0.95) and np.all(p[10:25] < 0.05) and np.all(p[26:] > 0.9)
+
+
+def test_reports_without_a_velocity_start_again():
+    time_s = np.array([0.0, 180.0, 360.0, 540.0])
+    made = states(time_s, np.zeros((4, 2)), np.zeros((4, 2)), ["a"] * 4)
+    unknown = States.of(time_s, np.zeros((4, 2)), 25.0 * np.eye(2), speed_m_per_s=8.0, track=["a"] * 4)
+    covariance = np.where((time_s == 180.0)[:, None, None], unknown.covariance, made.covariance)
+    _, p = stationary(States(time_s, made.state, covariance, made.track, made.rows), VESSELS)
+    assert p[1] == 0.0 and p[2] == pytest.approx(p[0]) and p[3] > p[2]
+
+
+def test_a_second_report_of_one_time_is_no_evidence():
+    made = States(np.zeros(2), np.zeros((2, 4)), np.zeros((2, 4, 4)), np.array(["a", "a"]), np.arange(2))
+    _, p = stationary(made, VESSELS)
+    assert p[0] == p[1] > 0.9
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_live_feed_gives_the_probabilities_of_the_file(late):
+    rng = np.random.default_rng(5)
+    made, _ = simulated(rng, 20, 12, 10.0)
+    columns = {
+        "time_s": made.time_s, "x_m": made.state[:, 0], "y_m": made.state[:, 1], "vx_m_per_s": made.state[:, 2],
+        "vy_m_per_s": made.state[:, 3], "mmsi": [f"23500{int(k):04d}" for k in made.track],
+    }  # fmt: skip
+    description = Description("ais", "ais", motion=VESSELS, errors=SensorErrors(position_m=5.0, speed_m_per_s=0.5))
+    reports = Reports.of("ais", "ais", columns)
+    whole, live = Feed.of(description, reports), LiveFeed(description, lag_s=30.0)
+    arrival = made.time_s + (rng.uniform(0.0, 25.0, len(made)) if late else 0.0)
+    for instant_s in np.arange(0.0, 140.0, 5.0):
+        arrives = np.flatnonzero((arrival <= instant_s) & (arrival > instant_s - 5.0))
+        live.add(reports.where(arrives))
+        feed = live.feed(instant_s)
+        live.release()
+    rows, of_file = feed.succession.at(110.0), whole.succession.at(110.0)
+    assert feed.reports.track is not None and whole.reports.track is not None
+    order, of_file = rows[np.argsort(feed.reports.track[rows])], of_file[np.argsort(whole.reports.track[of_file])]
+    assert isinstance(feed.reports, States) and isinstance(whole.reports, States)
+    assert feed.reports.time_s[order].tolist() == whole.reports.time_s[of_file].tolist()
+    np.testing.assert_allclose(feed.p_stationary[order], whole.p_stationary[of_file], rtol=1e-9)
+    np.testing.assert_allclose(feed.reports.covariance[order], whole.reports.covariance[of_file], rtol=1e-9)
