@@ -30,29 +30,63 @@ def test_kernels_compiled_beforehand_are_used(tmp_path):
     subprocess.run([sys.executable, "-c", LATER], env=environment, check=True, timeout=300)
 
 
+PICTURE = """
+import numpy as np
+import sameas
+from sameas.cli.warmup import LATER_KERNELS_OF_A_PICTURE
+from sameas.kernels import compiled
+
+compiled.compile_all()
+rng = np.random.default_rng(1)
+seconds, ship = np.repeat(np.arange(0.0, 120.0, 3.0), 30), np.tile(np.arange(30), 40)
+x, y = rng.uniform(-3000.0, 3000.0, (2, 30))
+noise = rng.normal(0.0, 15.0, (2, 2, len(seconds)))
+places = [{"time": seconds, "x_m": x[ship] + dx, "y_m": y[ship] + dy} for dx, dy in noise]
+sameas.match_picture({"ais": {**places[0], "mmsi": 235000001 + ship}, "radar": {**places[1], "track_id": ship}})
+for module, names in LATER_KERNELS_OF_A_PICTURE.items():
+    for name in names:
+        stats = getattr(__import__(f"sameas.kernels.{module}", fromlist=[name]), name).compiled.stats
+        if stats.cache_misses:
+            print(module, name, stats)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
+def test_kernels_of_a_picture_compiled_beforehand_are_used(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-m", "sameas.cli.warmup", "picture"], env=environment, check=True, timeout=300)
+    for module, names in warmup.LATER_KERNELS_OF_A_PICTURE.items():
+        assert all(list(tmp_path.rglob(f"{module}.{name}-*.nbi")) for name in names)
+    later = subprocess.run(
+        [sys.executable, "-c", PICTURE], env=environment, check=True, timeout=300, capture_output=True, text=True
+    )
+    assert later.stdout == ""
+
+
 @pytest.mark.parametrize(("quiet", "said"), [(False, 1), (True, 0)])
 def test_compilation_is_announced_and_shared(quiet, said, monkeypatch, capsys, tmp_path):
     begun = []
     monkeypatch.setattr(compiled, "on_first_compilation", [compiled.announce])
-    monkeypatch.setattr("sameas.cli.warmup.start_second_process", begun.append)
-    terminal.share_compilation(quiet)
+    monkeypatch.setattr("sameas.cli.warmup.start_second_process", lambda cache, result: begun.append((cache, result)))
+    terminal.share_compilation(quiet, "picture")
     for begin in compiled.on_first_compilation:
         begin(tmp_path)
-    assert begun == [tmp_path] and capsys.readouterr().err.count("compiling kernels") == said
+    assert begun == [(tmp_path, "picture")] and capsys.readouterr().err.count("compiling kernels") == said
 
 
 def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):
     begun = []
     monkeypatch.setattr(threading.Thread, "start", lambda thread: begun.append(thread))
-    warmup.start_second_process(tmp_path)
-    warmup.start_second_process(tmp_path)
+    warmup.start_second_process(tmp_path, "match")
+    warmup.start_second_process(tmp_path, "match")
     assert len(begun) == 1
     os.utime(tmp_path / "compiling", (0, 0))
-    warmup.start_second_process(tmp_path)
+    warmup.start_second_process(tmp_path, "match")
     assert len(begun) == 2
     (tmp_path / "compiling").unlink()
     (tmp_path / "posterior.exact-480.py311.nbi").touch()
-    warmup.start_second_process(tmp_path)
+    warmup.start_second_process(tmp_path, "match")
     assert len(begun) == 2
 
 

@@ -125,7 +125,7 @@ def picture(
                 say(read_lines((source.reports.source, source.lines()) for source in sources))
                 left_out = [f"set aside: {in_options(error.words, sensor_option)}" for error in unread]
                 printer(doubt_lines(left_out))
-                share_compilation(quiet)
+                share_compilation(quiet, "picture")
                 with _remedies(sensors):
                     result = pictured(
                         sources, when, method, call=outputs.command, unread=left_out, progress=pace, say=say

@@ -128,13 +128,16 @@ def notice(message: str) -> None:
     sys.stderr.write(f"sameas: {printable(message)}\n")
 
 
-def share_compilation(quiet: bool) -> None:
-    """If kernels have to be compiled, compile some of them in a second process; announce it unless quiet."""
+def share_compilation(quiet: bool, result: str = "match") -> None:
+    """If kernels have to be compiled, compile some of them in a second process; announce it unless quiet.
+
+    result : what the command makes, "match" or "picture".
+    """
     from sameas.kernels import compiled
 
     def in_second_process(cache: Path) -> None:
         from sameas.cli import warmup
 
-        warmup.start_second_process(cache)
+        warmup.start_second_process(cache, result)
 
     compiled.on_first_compilation[:] = [in_second_process] if quiet else [compiled.announce, in_second_process]

@@ -2,8 +2,9 @@
 
 Kernels are compiled at their first call with many items and cached for later runs. The kernels of the search take about
 as long to compile as those of the error scales and of the posterior. While the command compiles the former, a second
-process compiles the latter, which the command then finds in the cache. A match of large tables needs compiled kernels
-in any case: it reads those in the cache while a reader waits for its file.
+process compiles the latter, which the command then finds in the cache; of a picture, those that come after the sums of
+its groups. A match of large tables needs compiled kernels in any case: it reads those in the cache while a reader waits
+for its file.
 """
 
 from __future__ import annotations
@@ -35,19 +36,31 @@ KERNELS_OF_A_MATCH = {
     "mixture": ("log_odds", "cells", "fit", "grade", "count_pairs", "count_alone"),
     "records": ("per_record", "greatest_pair", "by_row"),
 }
+#: Kernels that a picture calls after those that take longest to compile.
+LATER_KERNELS_OF_A_PICTURE = {
+    "posterior": ("exact",),
+    "intersection": ("sum_of_records",),
+    "search": ("sweep_few",),
+    "track_pairs": ("pairs_stepped", "new_pair_errors", "best_others"),
+    "kalman": ("update_in_plane", "joint_in_plane"),
+}
 #: A compilation mark older than this, in seconds, was left behind by a process that was stopped.
 LONGEST_S = 120.0
 
 
-def start_second_process(cache: Path) -> None:
-    """Start the compilation of error scales and posterior in a second process, unless one is running; do not wait.
+#: A kernel that the second process compiles, by what the command makes.
+LAST_KERNELS = {"match": "posterior.exact", "picture": "intersection.sum_of_records"}
 
-    cache : folder of the compiled kernels.
+
+def start_second_process(cache: Path, result: str) -> None:
+    """Start the compilation of a command's later kernels in a second process, unless one is running; do not wait.
+
+    cache : folder of the compiled kernels. result : what the command makes, of :data:`LAST_KERNELS`.
     """
-    if any(cache.glob("posterior.exact-*.nbi")) or not _claimed(cache / "compiling"):
+    if any(cache.glob(f"{LAST_KERNELS[result]}-*.nbi")) or not _claimed(cache / "compiling"):
         return
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    command = [sys.executable, "-m", "sameas.cli.warmup", str(cache)]
+    command = [sys.executable, "-m", "sameas.cli.warmup", result, str(cache)]
     threading.Thread(target=subprocess.run, args=(command,), kwargs=quiet, daemon=True).start()
 
 
@@ -97,16 +110,40 @@ def compile_scales() -> None:
     fit_errors(np.linspace(0.1, 9.0, 20), np.linspace(-5.0, 5.0, 20), 2, Errors())
 
 
-def _main() -> None:
-    compiled.compile_all()
+def compile_pictures() -> None:
+    """Compile :data:`LATER_KERNELS_OF_A_PICTURE` on two ships seen by AIS and a radar, without the search for offsets,
+    whose kernels the command compiles meanwhile."""
+    from sameas.picture import Picture
+    from sameas.tracks import Description, Reports, Scene
+
+    for module, names in LATER_KERNELS_OF_A_PICTURE.items():
+        of_module = importlib.import_module(f"sameas.kernels.{module}")
+        for name in names:
+            getattr(of_module, name).limit = 0
+    seconds = np.repeat(np.arange(0.0, 60.0, 3.0), 2)
+    ship = np.tile([0, 1], len(seconds) // 2)
+    seen = {"x_m": 5.0 * seconds + 40.0 * ship, "y_m": 1000.0 + 30.0 * ship}
+    line, track = np.arange(len(seconds)), ship.astype(str)
+    sources = [
+        (Description("ais", "ais"), Reports("ais", "table", seconds, line, **seen, mmsi=track)),
+        (Description("radar", "marine radar"), Reports("radar", "table", seconds, line, **seen, track_id=track)),
+    ]
+    Picture.of(Scene.of(sources), np.arange(10.0, 60.0, 10.0))
+
+
+def _main(result: str = "match", *caches: str) -> None:
     gc.set_threshold(400_000, 50, 100)  # as in the command itself
     try:
-        compile_sums()
-        compile_scales()
+        if result == "picture":
+            compile_pictures()
+        else:
+            compiled.compile_all()
+            compile_sums()
+            compile_scales()
     finally:
-        for cache in sys.argv[1:]:
+        for cache in caches:
             (Path(cache) / "compiling").unlink(missing_ok=True)
 
 
 if __name__ == "__main__":
-    _main()
+    _main(*sys.argv[1:])

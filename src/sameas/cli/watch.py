@@ -93,7 +93,7 @@ def watch(
         from sameas.live.keeper import Keeper
 
         settings, replay = _settings(files or [], sensors, start, pace, duration_s(every))
-        share_compilation(quiet)
+        share_compilation(quiet, "picture")
         keeper = Keeper(settings, output, replay=replay)
         to_stdout = any(sink.url.startswith("stdout:") for sink in keeper.sinks)
         say = Printer(quiet, sys.stderr if to_stdout else None)
