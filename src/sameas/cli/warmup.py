@@ -122,11 +122,11 @@ def compile_pictures() -> None:
             getattr(of_module, name).limit = 0
     seconds = np.repeat(np.arange(0.0, 60.0, 3.0), 2)
     ship = np.tile([0, 1], len(seconds) // 2)
-    seen = {"x_m": 5.0 * seconds + 40.0 * ship, "y_m": 1000.0 + 30.0 * ship}
+    x, y = 5.0 * seconds + 40.0 * ship, 1000.0 + 30.0 * ship
     line, track = np.arange(len(seconds)), ship.astype(str)
     sources = [
-        (Description("ais", "ais"), Reports("ais", "table", seconds, line, **seen, mmsi=track)),
-        (Description("radar", "marine radar"), Reports("radar", "table", seconds, line, **seen, track_id=track)),
+        (Description("ais", "ais"), Reports("ais", "table", seconds, line, x_m=x, y_m=y, mmsi=track)),
+        (Description("radar", "marine radar"), Reports("radar", "table", seconds, line, x_m=x, y_m=y, track_id=track)),
     ]
     Picture.of(Scene.of(sources), np.arange(10.0, 60.0, 10.0))
 
