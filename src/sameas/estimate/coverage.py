@@ -25,6 +25,8 @@ from sameas.representation import in_short
 from sameas.space import ARCSEC_PER_RADIAN, Sphere, ball_volume, unit_vectors
 
 if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
     from sameas.kernels.coverage import Buckets
 
 # Holes and edges of a source, to the spacing of its records: discs that are empty although many records are expected.
@@ -241,8 +243,9 @@ SHELL_SMOOTHS = (*SMOOTHS, 1.0, 0.5)
 #: Least gain in ln likelihood of the sampled records by neighbours in one ball; every couple of neighbours counts twice
 #: in it. Even fields gain at most 3 in a ball, clumps smaller than cells hundreds.
 MIN_GAIN = 16.0
-#: Neighbours are counted for at most this many records: it takes 1 µs per record and ball.
-MOST_COUNTED = 500_000
+#: Most neighbours of a record in the largest ball, on average; a ball of twice a cell holds 8 in an even field. Pairs
+#: of a record and a neighbour that are held at once: 100 MB.
+MOST_NEIGHBOURS, PAIRS_AT_ONCE = 300, 4_000_000
 #: Pseudo-count of local shares of one half; for other shares, the count with the same information on the logit.
 SHARED_PSEUDO_COUNT = 200.0
 #: A source this many times richer than the other determines the part of a cell where both observe.
@@ -301,6 +304,35 @@ def _sampled(records: Records) -> IntArray:
         return np.arange(n)
     bits = np.ascontiguousarray(records.features[:, 0]).view(np.uint64) * np.uint64(0x9E3779B97F4A7C15)
     return np.flatnonzero(bits < np.uint64(int(SOME / n * 2.0**64)))
+
+
+@dataclass(frozen=True)
+class _Balls:
+    """Numbers of some points within balls around others."""
+
+    tree: cKDTree
+
+    @classmethod
+    def around(cls, points: FloatArray) -> _Balls:
+        from scipy.spatial import cKDTree
+
+        return cls(cKDTree(points))
+
+    def number(self, centres: FloatArray, radius: float) -> int:
+        """Number of pairs of a centre and a point within ``radius``."""
+        return int(self.tree.count_neighbors(type(self.tree)(centres), radius))
+
+    def neighbours(self, centres: FloatArray, radii: FloatArray, near: float) -> FloatArray:
+        """(r, n) points nearer than each of descending ``radii``, and farther than ``near``, which is the least."""
+        ascending, out = np.append(near, radii[::-1]), np.zeros((len(radii), len(centres)))
+        pieces = 1 + self.number(centres, radii[0]) // PAIRS_AT_ONCE
+        for rows in np.array_split(np.argsort(centres[:, 0], kind="stable"), pieces):
+            tree = type(self.tree)(centres[rows])
+            pairs = tree.sparse_distance_matrix(self.tree, radii[0], output_type="ndarray")
+            place = pairs["i"] * len(ascending) + np.searchsorted(ascending, pairs["v"])
+            count = np.bincount(place, minlength=len(rows) * len(ascending)).reshape(len(rows), -1)
+            out[:, rows] = np.cumsum(count[:, 1:], axis=1)[:, ::-1].T
+        return out
 
 
 @in_short
@@ -398,37 +430,37 @@ class Coverage:
         counted : (n,) records of the source that are counted. volume : of the finest cells. sample : (s,) rows that
         decide. without : (s,) their densities by cells, without the record itself.
         """
-        own, other = (self.first, self.second) if source == 1 else (self.second, self.first)
-        d, unit = own.d, self.typical_error
+        d, unit = self.first.d, self.typical_error
         one, two = self._points if source == 1 else self._points[::-1]
         if d > MAX_DIMENSIONS or np.isfinite(one.period).any() or not (unit > 0.0).all() or not counted.any():
             return
-        if max(len(own), len(other)) > MOST_COUNTED:
-            return
-        from scipy.spatial import cKDTree
-
-        scale = unit[:1] if isinstance(own.space, Sphere) else unit
+        scale = unit[:1] if isinstance(self.first.space, Sphere) else unit
         points, others = one.points / scale, two.points / scale
-        tree, per_volume = cKDTree(points[counted]), float(np.prod(unit))
-
-        def neighbours(of: FloatArray, radius: float) -> FloatArray:
-            return np.asarray(tree.query_ball_point(of, radius, return_length=True), np.float64)
-
-        near = neighbours(points[sample], NEAR)
-        weight, all_near = counted[sample].astype(np.float64), None
+        per_volume = float(np.prod(unit))
         radius = (SHELL * volume / per_volume / ball_volume(d)) ** (1.0 / d)
-        while radius**d > SHELL * NEAR**d:
-            shell = per_volume * ball_volume(d) * (radius**d - NEAR**d)
-            number = neighbours(points[sample], radius) - near
-            smooth, score = smoothing(number, np.full(len(sample), shell), without, weight, SHELL_SMOOTHS)
+        n_balls = math.ceil(d * math.log(radius / NEAR) / math.log(SHELL)) - 1
+        if n_balls < 1:
+            return
+        radii = radius * SHELL ** (-np.arange(n_balls) / d)
+        shells = per_volume * ball_volume(d) * (radii**d - NEAR**d)
+        balls, weight = _Balls.around(points[counted]), counted[sample].astype(np.float64)
+        if balls.number(points[sample], radius) > MOST_NEIGHBOURS * len(sample):
+            return
+        accepted: list[tuple[int, float]] = []
+        for ball, number in enumerate(balls.neighbours(points[sample], radii, NEAR)):
+            shell = np.full(len(sample), shells[ball])
+            smooth, score = smoothing(number, shell, without, weight, SHELL_SMOOTHS)
             if score - inner(weight, np.log(without)) > MIN_GAIN:
                 without = (number + smooth) / (shell + smooth / without)
-                all_near = all_near or (neighbours(points, NEAR), neighbours(others, NEAR))
-                for density, of, within in zip(at, (points, others), all_near, strict=True):
-                    density[:] = (neighbours(of, radius) - within + smooth) / (shell + smooth / density)
-            elif all_near is not None:
+                accepted.append((ball, smooth))
+            elif accepted:
                 break
-            radius /= SHELL ** (1.0 / d)
+        if not accepted:
+            return
+        for density, there in zip(at, (points, others), strict=True):
+            numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], NEAR)
+            for (ball, smooth), number in zip(accepted, numbers, strict=True):
+                density[:] = (number + smooth) / (shells[ball] + smooth / density)
 
     @cached_property
     def covered_densities(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
