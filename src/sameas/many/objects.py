@@ -129,7 +129,9 @@ class Objects:
         best = np.full(len(self), -1)
         best_p = np.zeros(len(self))
         of_record = self.object_of_record
-        other = np.setdiff1d(np.flatnonzero(self.answer.probability > 0), self.set_of_object)
+        possible = self.answer.probability > 0
+        possible[self.set_of_object] = False
+        other = np.flatnonzero(possible)
         # Ascending, so that the most probable set is written last; ties go to the first by content.
         other = other[np.lexsort([-other, self.answer.probability[other]])]
         for column in self.sets.members[other].T:

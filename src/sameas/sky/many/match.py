@@ -172,9 +172,8 @@ class Candidates:
 def candidate_indices(match: SkyMatch, first: Records, second: Records) -> tuple[IntArray, IntArray, FloatArray]:
     """The candidates of a match as indices in two sets of records of its catalogues, and their probabilities."""
     result = match.result
-    i, used_1 = _indices_of_rows(first, result.rows_1)
-    j, used_2 = _indices_of_rows(second, result.rows_2)
-    used = used_1 & used_2
+    i, j = _indices_of_table_rows(first)[result.rows_1], _indices_of_table_rows(second)[result.rows_2]
+    used = (i >= 0) & (j >= 0)
     return i[used], j[used], result.p_pair[used]
 
 
@@ -191,8 +190,14 @@ def pairs_on_sphere(first: Records, second: Records, rows_1: IntArray, rows_2: I
 
 def indices_among(records: Records, among: Records) -> IntArray:
     """(n,) index of each of the ``records`` in ``among``, the same records in another order."""
-    order = np.argsort(among.rows)
-    return order[np.searchsorted(among.rows, records.rows, sorter=order)]
+    return _indices_of_table_rows(among)[records.rows]
+
+
+def _indices_of_table_rows(records: Records) -> IntArray:
+    """(table rows,) index of each row among the records, −1 for rows set aside."""
+    index = np.full(records.n_table, -1)
+    index[records.rows] = np.arange(len(records))
+    return index
 
 
 def _plausible(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> csr_array:
@@ -204,17 +209,12 @@ def _plausible(links: Mapping[tuple[int, int], csr_array], a: int, b: int) -> cs
     return plausible
 
 
-def _indices_of_rows(records: Records, rows: IntArray) -> tuple[IntArray, BoolArray]:
-    """Indices of table rows among the records, and a mask of the rows found."""
-    order = np.argsort(records.rows)
-    at = order[np.minimum(np.searchsorted(records.rows, rows, sorter=order), max(len(records) - 1, 0))]
-    return at, records.rows[at] == rows
-
-
 def _coverage_of(match: SkyMatch, first: Records, second: Records) -> Coverage:
     """The coverage of a match with its records in the order of ``first`` and ``second`` (at the common epoch)."""
     coverage = match.estimate.coverage
-    return coverage.part(indices_among(first, coverage.first), indices_among(second, coverage.second))
+    part = coverage.part(indices_among(first, coverage.first), indices_among(second, coverage.second))
+    coverage.release()
+    return part
 
 
 @dataclass(frozen=True)

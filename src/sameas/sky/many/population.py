@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ from sameas.estimate.em import DEFAULT_EM
 from sameas.estimate.error_model import fit_errors
 from sameas.evidence import Errors
 from sameas.gaussian import LOG_2PI, InformationSum, inverse, log_density, propagated
+from sameas.kernels import threads
 from sameas.many.observations import NO_RECORD
 from sameas.records import Records
 from sameas.representation import in_short
@@ -82,10 +84,6 @@ class AstrometricRecords:
 
     def __len__(self) -> int:
         return len(self.direction)
-
-    def at(self, rows: IntArray) -> AstrometricRecords:
-        """Some of the records."""
-        return AstrometricRecords(**{name: values[rows] for name, values in vars(self).items()})
 
     @classmethod
     def of(cls, catalogue: Catalogue, records: Records, epoch_jyr: float | None) -> AstrometricRecords:
@@ -134,7 +132,8 @@ class AstrometricFit(NamedTuple):
 
 def fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.integer]) -> AstrometricFit:
     """The star fitted to each of the ``sets`` (k, catalogues), indices of records or NO_RECORD; no set is empty."""
-    parts = [_fitted(astrometric, sets[low : low + CHUNK]) for low in range(0, max(len(sets), 1), CHUNK)]
+    chunks = [sets[low : low + CHUNK] for low in range(0, max(len(sets), 1), CHUNK)]
+    parts = threads.each([partial(_fitted, astrometric, chunk) for chunk in chunks], len(sets))
     return (
         parts[0]
         if len(parts) == 1
@@ -148,15 +147,23 @@ def _fitted(astrometric: tuple[AstrometricRecords, ...], sets: NDArray[np.intege
     moving, unknown_motion = np.zeros(len(sets), np.int64), np.zeros(len(sets))
     for s, catalogue in enumerate(astrometric):
         k = np.flatnonzero(sets[:, s] != NO_RECORD)
-        members = catalogue.at(sets[k, s])
-        offset, rotation = on_axes_of(anchor[k], members.direction)
-        velocity = np.einsum("kvw,kw->kv", rotation, members.motion)
-        axes = np.zeros((len(k), 4, 4))
+        rows = sets[k, s]
+        offset, rotation = on_axes_of(anchor[k], catalogue.direction[rows])
+        axes, residual = np.zeros((len(k), 4, 4)), np.zeros((len(k), 4))
         axes[:, :2, :2] = axes[:, 2:, 2:] = rotation
-        all_terms.add(k, np.column_stack([offset, velocity]), propagated(axes, members.precision), members.log_norm)
-        motion_terms.add(k, velocity, propagated(rotation, members.motion_precision), members.motion_log_norm)
-        moving[k] += members.moving
-        unknown_motion[k] = np.maximum(unknown_motion[k], np.where(members.moving, 0.0, members.unknown_motion))
+        residual[:, :2] = offset
+        is_moving = catalogue.moving[rows]
+        if is_moving.any():
+            residual[:, 2:] = np.einsum("kvw,kw->kv", rotation, catalogue.motion[rows])
+            motion_terms.add(
+                k,
+                residual[:, 2:],
+                propagated(rotation, catalogue.motion_precision[rows]),
+                catalogue.motion_log_norm[rows],
+            )
+        all_terms.add(k, residual, propagated(axes, catalogue.precision[rows]), catalogue.log_norm[rows])
+        moving[k] += is_moving
+        unknown_motion[k] = np.maximum(unknown_motion[k], np.where(is_moving, 0.0, catalogue.unknown_motion[rows]))
     without_motion = np.flatnonzero(moving == 0)
     prior_precision = np.zeros((len(without_motion), 4, 4))
     prior_precision[:, [2, 3], [2, 3]] = 1.0 / unknown_motion[without_motion, None] ** 2
