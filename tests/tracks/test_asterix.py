@@ -9,7 +9,7 @@ import pytest
 
 from sameas.errors import InputError
 from sameas.io.sensors.asterix import read
-from sameas.io.sensors.asterix.records import CATEGORIES, DamagedRecord, letters, octal, records_of
+from sameas.io.sensors.asterix_records import CATEGORIES, DamagedRecord, letters, octal, records_of
 from sameas.io.sensors.format import RADIUS_95
 
 ORACLE = json.loads((Path(__file__).parent / "data" / "asterix_oracle.json").read_text())

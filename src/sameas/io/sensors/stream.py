@@ -16,7 +16,7 @@ from pathlib import Path
 
 from sameas.errors import InputError
 from sameas.io.sensors import aircraft, ais, arpa, asterix, nmea, sbs, signalk, tables
-from sameas.io.sensors.asterix.records import looks_cut_off, looks_like, split_blocks
+from sameas.io.sensors.asterix_records import looks_cut_off, looks_like, split_blocks
 from sameas.io.sensors.format import ReadOptions, SensorFile
 from sameas.tracks.reports import Damaged, NoReports, Reports
 

@@ -315,7 +315,7 @@ def records_of(category: AsterixCategory, data: bytes) -> Iterator[dict[str, Ite
 
     Example
     -------
-    >>> from sameas.io.sensors.asterix.records import CATEGORIES
+    >>> from sameas.io.sensors.asterix_records import CATEGORIES
     >>> [record] = records_of(CATEGORIES[48], bytes.fromhex("D0 0102 054600 0A002000"))
     >>> {name: value.hex() for name, value in record.items()}
     {'010': '0102', '140': '054600', '040': '0a002000'}
