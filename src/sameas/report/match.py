@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 from astropy.table import Table
@@ -31,7 +32,9 @@ from sameas.result.identification import AMBIGUOUS
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import in_years
 from sameas.sky.crossmatch import ARCSEC2_PER_DEG2, SkyMatch, area_and_densities
-from sameas.sky.many import ManyMatch
+
+if TYPE_CHECKING:
+    from sameas.sky.many import ManyMatch  # with its linear programmes: a fifth of the imports of a match
 
 ORDINALS = ("First", "Second", "Third", "Fourth", "Fifth", "Sixth", "Seventh", "Eighth")
 #: A radius within which nearest neighbours are often accepted.
