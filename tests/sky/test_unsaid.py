@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from astropy import units as u
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import FK4, SkyCoord
+from astropy.io import fits
 from astropy.table import MaskedColumn, Table
 from scipy.spatial import cKDTree
 
+import sameas
 from sameas.errors import InputError
 from sameas.sky.catalogue import Catalogue, CatalogueOptions
 from sameas.sky.column_choice import SURVEYS
@@ -337,3 +341,71 @@ def test_all_problems_are_reported_at_once() -> None:
         catalogue({"ra": [1.0], "dec": [2.0]}, sigma="nosuch", id="nobody", magnitude="dark")
     for words in ("'nosuch' for sigma", "'nobody' for id", "'dark' for magnitude"):
         assert words in str(refused.value)
+
+
+@pytest.mark.parametrize("names", [("RAB1950", "DEB1950"), ("ra1950", "dec1950"), ("RA_B1950", "DEC_B1950")])
+def test_positions_of_the_equinox_b1950_agree_with_astropy(names: tuple[str, str]) -> None:
+    old = SkyCoord([10.0, 200.0, 359.99, 80.0] * u.deg, [-5.0, 60.0, 0.01, 89.5] * u.deg, frame=FK4(equinox="B1950"))
+    there = catalogue(dict(zip(names, (old.ra.deg, old.dec.deg), strict=True)), sigma=0.1)
+    assert there.choice.frame == "B1950" and "equinox B1950, FK4" in there.interpretation[0]
+    found = SkyCoord(*there.records().features.T * u.deg)
+    # FK5 and ICRS differ by 0.025 arcsec.
+    assert found.separation(old.transform_to("icrs")).arcsec.max() < 0.04
+
+
+def test_sexagesimal_positions_of_b1950_are_hours_and_their_motions_are_not_used() -> None:
+    old = SkyCoord("12h00m10.00s +30d00m05.0s", frame=FK4(equinox="B1950"))
+    there = catalogue({"RAB1950": ["12 00 10.00"], "DEB1950": ["+30 00 05.0"], "pmRA": [5.0], "pmDE": [5.0]}, sigma=0.1)
+    assert SkyCoord(*there.records().features.T * u.deg).separation(old.transform_to("icrs")).arcsec.max() < 0.04
+    assert "motion: none" in there.interpretation
+
+
+@pytest.mark.parametrize(
+    ("meta", "frame"),
+    [({"RADESYS": "FK4"}, "B1950"), ({"coosys_system": "eq_FK4"}, "B1950"), ({"EQUINOX": 1950.0}, "B1950"),
+     ({"RADESYS": "FK5", "EQUINOX": 1950.0}, "icrs"), ({"EQUINOX": 2000.0}, "icrs")],
+)  # fmt: skip
+def test_a_header_states_the_equinox_unless_the_columns_do(meta: dict[str, object], frame: str) -> None:
+    table = Table({"ra": [10.0], "dec": [20.0]}, meta=meta)
+    assert catalogue(table, sigma=0.1).choice.frame == frame
+    assert catalogue(Table({"RAJ2000": [10.0], "DEJ2000": [20.0]}, meta=meta), sigma=0.1).choice.frame == "icrs"
+
+
+def test_a_catalogue_of_b1950_read_as_j2000_is_named_as_such() -> None:
+    rng = np.random.default_rng(1)
+    new = SkyCoord(rng.uniform(10.0, 11.5, 400) * u.deg, rng.uniform(40.0, 41.0, 400) * u.deg)
+    old = new[:150].transform_to(FK4(equinox="B1950"))
+    found = sameas.match(
+        {"alpha": old.ra.deg, "delta": old.dec.deg}, {"ra": new.ra.deg, "dec": new.dec.deg},
+        ra1="alpha", dec1="delta", sigma=0.3,
+    )  # fmt: skip
+    assert any("of the equinox B1950" in str(doubt) and "ra1950" in str(doubt) for doubt in found.doubts)
+
+
+def test_columns_that_may_be_the_position_error_are_listed_with_the_option() -> None:
+    table = Table(
+        {"ra": [1.0], "dec": [2.0], "E_MAJ_ERR": [1.0], "E_MIN_ERR": [0.5], "E_PA_ERR": [30.0], "FLUX_ERR": [1.0]}
+    )
+    table["E_MAJ_ERR"].unit = table["E_MIN_ERR"].unit = u.arcsec
+    table["E_PA_ERR"].unit = u.deg
+    notes = "\n".join(map(str, catalogue(table).choice.notes))
+    assert "E_MAJ_ERR, E_MIN_ERR, E_PA_ERR not used; if they are the position's, give " in notes
+    assert "ellipse='E_MAJ_ERR,E_MIN_ERR,E_PA_ERR'" in notes and "FLUX_ERR" not in notes
+
+
+def test_the_error_ellipse_and_magnitude_of_2mass_are_known_with_decl_too() -> None:
+    table = {"ra": [1.0], "decl": [2.0], "err_maj": [0.1], "err_min": [0.08], "err_ang": [45.0], "k_m": [14.0]}
+    there = catalogue(table)
+    assert there.choice.error.kind == "ellipse" and there.choice.magnitude == "k_m"
+
+
+def test_a_fits_table_without_positions_names_the_other_tables_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "events.fits"
+    tables = [Table({"start": [1.0]}), Table({"ra": [1.0], "dec": [2.0]})]
+    hdus = [
+        fits.PrimaryHDU(),
+        *(fits.BinTableHDU(table, name=n) for table, n in zip(tables, ("GTI", "SRCLIST"), strict=True)),
+    ]
+    fits.HDUList(hdus).writeto(path)
+    with pytest.raises(InputError, match=r"extensions 1 \(GTI\), 2 \(SRCLIST\); used 1.*give hdu1=NAME"):
+        sameas.match(path, {"ra": [1.0], "dec": [2.0]}, sigma=0.1)

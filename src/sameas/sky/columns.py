@@ -182,6 +182,10 @@ _POSITION_ERROR = re.compile(
 _DESCRIBED_EPOCH = re.compile(r"\bEp(?:och)?\s*[=:]?\s*J?\s*((?:18|19|20)\d\d(?:\.\d+)?)", re.IGNORECASE)
 
 
+#: Parts of the names of columns of errors.
+_ERROR_WORDS = re.compile(r"err|sigma|unc(?![a-z])|ellipse|(?:^|_)(?:rms|std)(?:_|$)", re.IGNORECASE)
+
+
 def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice:
     """The columns chosen for position, errors, motion, epoch, id and magnitude.
 
@@ -194,6 +198,8 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     """
     search = ColumnSearch(table, options, source)
     convention, not_used = _convention(search)
+    if convention.frame == "icrs" and _states_b1950(search, convention):
+        convention = conventions.of_b1950(replace(convention, title=f"{convention.title}; equinox B1950, FK4"))
     ra, dec = (search.find(name) for name in convention.position)
     if ra is None or dec is None:
         raise InputError(f"{source}: no columns {' and '.join(map(repr, convention.position))}")
@@ -214,6 +220,7 @@ def choose(table: Table, options: CatalogueOptions, source: str) -> ColumnChoice
     if magnitude is None and options.magnitude is None:
         notes = (*notes, *_unused_bands(search))
     if error.kind == "unknown":
+        notes = (*notes, *_unused_errors(search))
         survey_errors = survey_of(convention.title, _year(search, epoch), _texts(search))
         error = error if survey_errors is None else PositionError("survey", survey=survey_errors)
     choice = ColumnChoice(
@@ -276,6 +283,15 @@ def _convention(search: ColumnSearch) -> tuple[Convention, tuple[str, ...]]:
     taken = search.find(chosen[0].position[0])
     all_ra = {search.find(c.position[0]) for c in conventions.CONVENTIONS if _applies(search, c)}
     return chosen[0], tuple(sorted(name for name in all_ra if name and name != taken))
+
+
+def _states_b1950(search: ColumnSearch, convention: Convention) -> bool:
+    """Whether the table's header or VOTable says FK4 or equinox 1950, and the column's name no other."""
+    header = {str(key).upper(): str(value).strip().upper() for key, value in search.table.meta.items()}
+    frame = next((header[key] for key in ("COOSYS_SYSTEM", "RADESYS", "RADECSYS") if key in header), "")
+    equinox = next((header[key] for key in ("COOSYS_EQUINOX", "EQUINOX") if key in header), "")
+    other = any(text in convention.position[0].lower() for text in ("2000", "icrs"))
+    return not other and ("FK4" in frame or (not frame and equinox in ("1950", "1950.0", "B1950", "B1950.0")))
 
 
 def _applies(search: ColumnSearch, convention: Convention) -> bool:
@@ -341,9 +357,11 @@ def _position_by_ucd(search: ColumnSearch) -> Convention | None:
 
 
 def _no_position(search: ColumnSearch) -> Convention:
+    tables = next((note for note in search.table.meta.get("sameas_notes", ()) if "extensions" in note), "")
+    other = f" ({tables})" if tables else ""
     raise InputError(
-        f"{search.source}: no columns of right ascension and declination found among: {search.listing()}",
-        naming("give {ra:NAME} {dec:NAME}"),
+        f"{search.source}: no columns of right ascension and declination found among: {search.listing()}{other}",
+        naming("choose another table: give {hdu:NAME}" if tables else "give {ra:NAME} {dec:NAME}"),
     )
 
 
@@ -353,7 +371,7 @@ def _own_error(search: ColumnSearch, convention: Convention) -> ErrorNames | Non
 
 def _direction(search: ColumnSearch, name: str, convention: Convention, axis: int) -> Column:
     """The column of right ascension or longitude (axis 0), declination or latitude (axis 1)."""
-    right_ascension, unit = axis == 0 and convention.frame == "icrs", convention.unit
+    right_ascension, unit = axis == 0 and convention.frame in ("icrs", "B1950"), convention.unit
     if convention.parts:
         parts = tuple(found for part in convention.parts[axis] if (found := search.find(part)))
         unit_text = f"{'hours' if right_ascension else 'degrees'} in {', '.join(parts)}"
@@ -622,6 +640,22 @@ def _bands(search: ColumnSearch) -> dict[str, u.UnitBase | None]:
     return {
         name: column_values.unit_of(search.table, name) for name in conventions.BANDS if name in search.table.colnames
     }
+
+
+def _unused_errors(search: ColumnSearch) -> tuple[Message, ...]:
+    """A note if columns that are named as errors are angles, by their unit."""
+    names = [
+        name
+        for name in search.table.colnames
+        if _ERROR_WORDS.search(name)
+        and (unit := column_values.unit_of(search.table, name)) is not None
+        and unit.is_equivalent(u.deg)
+    ]
+    if not names:
+        return ()
+    one = f"{', '.join(names[:6])} not used; if {'it is' if len(names) == 1 else 'they are'} the position's, give "
+    own = Argument("ellipse", repr(",".join(names))) if len(names) == 3 else Argument("sigma", repr(names[0]))
+    return (Message(one, own),)
 
 
 def _unused_bands(search: ColumnSearch) -> tuple[Message, ...]:

@@ -8,7 +8,7 @@ Parameters are numbered 0 right ascension (times cos δ), 1 declination, 2 paral
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,8 +17,8 @@ from sameas.arrays import FloatArray
 
 Correlations = tuple[tuple[int, int, str], ...]
 ErrorKind = Literal["circle", "axes", "ellipse", "variances"]
-#: Frame of longitude and latitude.
-SkyFrame = Literal["icrs", "galactic", "ecliptic"]
+#: Frame of longitude and latitude; "B1950" is that of the FK4 with the equinox B1950.
+SkyFrame = Literal["icrs", "galactic", "ecliptic", "B1950"]
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,13 @@ _GAIA_RELEASE_COLUMNS = (
     ("dr2_radial_velocity", 2016.0),  # EDR3 repeats the velocities of DR2 under this name
     ("nu_eff_used_in_astrometry", 2016.0),
 )
-_TWOMASS_MAGNITUDES = (("j_m", "j_msigcom"), ("Jmag", "e_Jmag"), ("ks_m", ""), ("Kmag", "e_Kmag"))
+_TWOMASS_MAGNITUDES = (
+    ("j_m", "j_msigcom"),
+    ("Jmag", "e_Jmag"),
+    ("ks_m", ""),
+    ("k_m", "k_msigcom"),
+    ("Kmag", "e_Kmag"),
+)
 _SEXTRACTOR_MAGNITUDES = (
     ("MAG_AUTO", "MAGERR_AUTO"),
     ("MAG_PSF", "MAGERR_PSF"),
@@ -266,14 +272,17 @@ _HIPPARCOS = tuple(
     for position in (("RAICRS", "DEICRS"), ("RAdeg", "DEdeg"))
 )
 _TWOMASS = (
-    Convention(
-        title="2MASS",
-        position=("ra", "dec"),
-        marks=("err_maj", "pts_key", "j_msigcom"),
-        ids=("designation", "pts_key"),
-        errors=(ErrorNames("ellipse", ("err_maj", "err_min", "err_ang"), "arcsec"),),
-        epochs=("jdate", "date"),
-        magnitudes=_TWOMASS_MAGNITUDES,
+    *(
+        Convention(
+            title="2MASS",
+            position=("ra", declination),
+            marks=("err_maj", "pts_key", "j_msigcom"),
+            ids=("designation", "pts_key"),
+            errors=(ErrorNames("ellipse", ("err_maj", "err_min", "err_ang"), "arcsec"),),
+            epochs=("jdate", "date"),
+            magnitudes=_TWOMASS_MAGNITUDES,
+        )
+        for declination in ("dec", "decl")  # "decl" in the documentation of the All-Sky release, section 2.2a
     ),
     Convention(
         title="2MASS at VizieR (II/246)",
@@ -447,6 +456,10 @@ _GALACTIC_POSITIONS = (
 _ECLIPTIC_POSITIONS = (
     ("ELON", "ELAT"), ("ecl_lon", "ecl_lat"), ("ecliptic_longitude", "ecliptic_latitude"), ("_Elon", "_Elat"),
 )  # fmt: skip
+_B1950_POSITIONS = (
+    ("RAB1950", "DEB1950"), ("RAB1950", "DECB1950"), ("ra1950", "dec1950"), ("ra1950", "de1950"),
+    ("ra_b1950", "dec_b1950"), ("ra_1950", "dec_1950"), ("_RAB1950", "_DEB1950"),
+)  # fmt: skip
 
 
 def plain(position: tuple[str, str], title: str = "plain names", frame: SkyFrame = "icrs") -> Convention:
@@ -463,6 +476,11 @@ def plain(position: tuple[str, str], title: str = "plain names", frame: SkyFrame
         epochs=PLAIN_EPOCHS,
         magnitudes=PLAIN_MAGNITUDES,
     )
+
+
+def of_b1950(convention: Convention) -> Convention:
+    """The convention with positions of the equinox B1950, without motions: those of the FK4 contain its rotation."""
+    return replace(convention, frame="B1950", motions=(), correlations=())
 
 
 # The order only breaks ties: known surveys first.
@@ -492,6 +510,7 @@ CONVENTIONS: tuple[Convention, ...] = (
 OTHER_FRAMES: tuple[Convention, ...] = (
     *(plain(position, "galactic coordinates", "galactic") for position in _GALACTIC_POSITIONS),
     *(plain(position, "ecliptic coordinates", "ecliptic") for position in _ECLIPTIC_POSITIONS),
+    *(of_b1950(plain(position, "equinox B1950, FK4")) for position in _B1950_POSITIONS),
 )
 
 

@@ -31,7 +31,7 @@ from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt
+from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, from_b1950
 from sameas.sky.systematics import WARP_TUNING, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
@@ -193,6 +193,8 @@ class CrossmatchTuning:
     usual_density : (least, largest) ratio of the given density to the observed one that raises no doubt.
     duplicate_sigmas, duplicate_share : close pairs within one catalogue are doubted if they exceed the number expected
         by chance by this many standard deviations and by this share of the records.
+    b1950_records, b1950_arcsec, b1950_share : with hardly any common objects the equinox of a catalogue may be B1950 if
+        this share of about so many of its records then lies that near to a record of the other, and far more than else.
     sort_by_position : whether records are sorted by position. Samples of every k-th record then do not depend on the
         order of the table's rows, and neighbours on the sky are neighbours in memory (a million rows in table order
         take a third longer).
@@ -208,6 +210,9 @@ class CrossmatchTuning:
     usual_density: tuple[float, float] = (0.01, 100.0)
     duplicate_sigmas: float = 5.0
     duplicate_share: float = 0.03
+    b1950_records: int = 2_000
+    b1950_arcsec: float = 2.0
+    b1950_share: float = 0.2
     sort_by_position: bool = True
 
 
@@ -579,6 +584,16 @@ def _duplicate_doubts(result: Identification, estimate: Estimate, tuning: Crossm
     return tuple(doubts)
 
 
+def _fits_as_b1950(old: Records, new: Records, tuning: CrossmatchTuning) -> bool:
+    """Whether far more records of ``old`` than by chance have a neighbour in ``new`` if their equinox is B1950."""
+    some = old.part(np.arange(0, len(old), max(1, len(old) // tuning.b1950_records)))
+    near = [
+        np.count_nonzero(nearest(replace(some, features=at), new).separation_arcsec < tuning.b1950_arcsec)
+        for at in (some.features, from_b1950(some.features))
+    ]
+    return bool(near[1] > near[0] + 5.0 * math.sqrt(near[0] + 5.0) and near[1] > tuning.b1950_share * len(some))
+
+
 def _search_doubts(search: Rotation, warp: Warp | None) -> tuple[str, ...]:
     """Doubts about a rotation that was searched for."""
     if not search.by_chance:
@@ -591,8 +606,14 @@ def _offset_doubts(result: Identification, estimate: Estimate, tuning: Crossmatc
     if _hardly_any_common(result, estimate, tuning):
         few = (
             f"{result.first.source} and {result.second.source} have hardly any objects in common "
-            f"({estimate.quantities['common']} objects); one may be offset from the other by more than their errors: "
+            f"({estimate.quantities['common']} objects); "
         )
+        sides = (result.first, result.second), (result.second, result.first)
+        for old, new in sides:
+            if _fits_as_b1950(old, new, tuning):
+                fit = f"of the equinox B1950 the positions of {old.source} would be those of {new.source}: "
+                return (f"{few}{fit}call its columns ra1950 and dec1950",)
+        few += "one may be offset from the other by more than their errors: "
         return (Message(few, naming("{offset:'find'} searches for it")),)
     offset = residual_rotation(result, estimate.typical_scale)
     if offset is None:

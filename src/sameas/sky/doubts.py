@@ -379,11 +379,23 @@ def _from_galactic(position_deg: FloatArray) -> FloatArray:
     return np.column_stack([ra, dec])
 
 
+def from_b1950(position_deg: FloatArray) -> FloatArray:
+    """(n, 2) positions in ICRS, degrees, of those of the equinox B1950."""
+    ra, dec, _ = to_icrs("B1950", *position_deg.T)
+    return np.column_stack([ra, dec])
+
+
 def _swapped(position_deg: FloatArray) -> FloatArray:
     return np.column_stack([position_deg[:, 1], (position_deg[:, 0] + 180.0) % 360.0 - 180.0])
 
 
 _MISREADINGS = (
+    _Misreading(
+        lambda choice, at: choice.frame == "icrs",
+        from_b1950,
+        "of the equinox B1950, {ra} and {dec}",
+        lambda ra, dec, side: "call them ra1950 and dec1950",
+    ),
     _Misreading(
         lambda choice, at: _no_unit(choice) and bool(at[:, 0].max() <= 24.0),
         lambda at: at * [15.0, 1.0],
