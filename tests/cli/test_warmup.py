@@ -51,6 +51,36 @@ for module, names in LATER_KERNELS_OF_A_PICTURE.items():
 """
 
 
+STARS = """
+import numpy as np
+import sameas
+from sameas.kernels import compiled, mixture, posterior, relation
+
+compiled.compile_all()
+rng = np.random.default_rng(1)
+ra, dec, g = 10.0 + rng.uniform(0.0, 0.2, 300), rng.uniform(-0.1, 0.1, 300), rng.uniform(12.0, 16.0, 300)
+one = {"ra": ra, "dec": dec, "phot_g_mean_mag": g}
+other = {"ra": ra + 1e-5 * rng.standard_normal(300), "dec": dec, "phot_g_mean_mag": g + 0.1 * rng.standard_normal(300)}
+found = sameas.match(one, other, sigma=0.05, magnitudes="phot_g_mean_mag:phot_g_mean_mag")
+assert found.estimate.photometry is not None
+assert relation.learn.compiled.stats.cache_hits and posterior.exact.compiled.stats.cache_hits
+for kernel in (relation.learn, mixture.fit, posterior.exact):
+    if kernel.compiled.stats.cache_misses:
+        print(kernel.__name__, kernel.compiled.stats)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
+def test_kernels_of_a_frame_compiled_beforehand_are_used(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-m", "sameas.cli.warmup", "frame"], env=environment, check=True, timeout=300)
+    later = subprocess.run(
+        [sys.executable, "-c", STARS], env=environment, check=True, timeout=300, capture_output=True, text=True
+    )
+    assert later.stdout == ""
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="compilation is switched off")
 def test_kernels_of_a_picture_compiled_beforehand_are_used(tmp_path):

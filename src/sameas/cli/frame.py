@@ -168,7 +168,7 @@ def _run(requests: list[Any], processes: int, again: bool, quiet: bool, series: 
 
     printer = Printer(quiet)
     many = len(requests) > 1
-    share_compilation(quiet)
+    share_compilation(quiet, "frame")
 
     def tell(outcome: Outcome) -> None:
         if many:

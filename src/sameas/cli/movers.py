@@ -221,7 +221,7 @@ def run_series(
 
     began, printer = clock.perf_counter(), Printer(quiet)
     options = read_options()
-    share_compilation(quiet)
+    share_compilation(quiet, "frame")
     frames = expanded(paths, (*template.darks, *template.flats, *template.biases))
     requests = [replace(template, path=path, name=name) for path, name in zip(frames, names_of(frames), strict=True)]
     tell = partial(print_outcome, printer=printer)
@@ -266,7 +266,7 @@ def run_tables(
             printer(lines)
 
         night = read_night(paths, others, wanted, columns, progress=pace, say=say)
-        share_compilation(quiet)
+        share_compilation(quiet, "frame")
         movers = night_movers(night, options, progress=pace, say=say)
         facts, tables = movers.facts(), movers.tables()
         written = [one.write(tables[name], {**facts, "command": one.command}, name) for name, one in outputs.items()]

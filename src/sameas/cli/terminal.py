@@ -131,7 +131,7 @@ def notice(message: str) -> None:
 def share_compilation(quiet: bool, result: str = "match") -> None:
     """If kernels have to be compiled, compile some of them in a second process; announce it unless quiet.
 
-    result : what the command makes, "match" or "picture".
+    result : what the command makes, "match", "frame" or "picture".
     """
     from sameas.kernels import compiled
 

@@ -1,10 +1,10 @@
 """Kernels before they are called: the first compilation on a machine in two processes, cached kernels in a thread.
 
-Kernels are compiled at their first call with many items and cached for later runs. The kernels of the search take about
-as long to compile as those of the error scales and of the posterior. While the command compiles the former, a second
-process compiles the latter, which the command then finds in the cache; of a picture, those that come after the sums of
-its groups. A match of large tables needs compiled kernels in any case: it reads those in the cache while a reader waits
-for its file.
+Kernels are compiled at their first call with many items and cached for later runs. While the command compiles what it
+calls first, a second process compiles what the command calls later and then finds in the cache: of a match the error
+scales and the posterior, of a frame the fit of magnitudes, of a picture all that comes after the sums of its groups.
+A match of large tables needs compiled kernels in any case: it reads those in the cache while a reader waits for its
+file.
 """
 
 from __future__ import annotations
@@ -49,7 +49,11 @@ LONGEST_S = 120.0
 
 
 #: A kernel that the second process compiles, by what the command makes.
-LAST_KERNELS = {"match": "posterior.exact", "picture": "intersection.sum_of_records"}
+LAST_KERNELS = {
+    "match": "posterior.exact",
+    "frame": "relation.learn",
+    "picture": "intersection.sum_of_records",
+}
 
 
 def start_second_process(cache: Path, result: str) -> None:
@@ -94,6 +98,7 @@ def compile_sums() -> None:
     """Compile the kernels of the posterior on one small group of two by two records."""
     from sameas.posterior import log_evidence, posterior
 
+    compiled.compile_all()
     place = np.array([0, 0, 1, 1], np.int32), np.array([0, 1, 0, 1], np.int32)
     two, ends = np.arange(2, dtype=np.int32), np.array([0, 2])
     group = Groups(np.arange(4), np.array([0, 4]), two, ends, np.array([0, 2, 4]), two, ends, *place)
@@ -107,7 +112,20 @@ def compile_scales() -> None:
     from sameas.estimate.error_model import fit_errors
     from sameas.evidence import Errors
 
+    compiled.compile_all()
     fit_errors(np.linspace(0.1, 9.0, 20), np.linspace(-5.0, 5.0, 20), 2, Errors())
+
+
+def compile_relations() -> None:
+    """Compile the fit of magnitudes, which takes longest to compile of a frame's kernels, on twenty stars."""
+    from sameas.estimate.photometry import Sample, fit_relation
+    from sameas.evidence.brightness import MagnitudeDensity
+    from sameas.kernels.relation import learn
+
+    learn.limit = 0
+    magnitude, one = np.linspace(10.0, 14.0, 20), np.ones(20)
+    sample = Sample.of(magnitude + 0.1, magnitude[:, None], 1e-4 * one, 1e-4 * one[:, None], 0.2 * one, one)
+    fit_relation(sample, MagnitudeDensity(magnitude, np.log(0.2 * one)))
 
 
 def compile_pictures() -> None:
@@ -131,15 +149,19 @@ def compile_pictures() -> None:
     Picture.of(Scene.of(sources), np.arange(10.0, 60.0, 10.0))
 
 
+#: What the second process compiles, by what the command makes: what the command needs last, and takes longest.
+IN_SECOND_PROCESS = {
+    "match": (compile_sums, compile_scales),
+    "frame": (compile_relations, compile_scales, compile_sums),
+    "picture": (compile_pictures,),
+}
+
+
 def _main(result: str = "match", *caches: str) -> None:
     gc.set_threshold(400_000, 50, 100)  # as in the command itself
     try:
-        if result == "picture":
-            compile_pictures()
-        else:
-            compiled.compile_all()
-            compile_sums()
-            compile_scales()
+        for compile_some in IN_SECOND_PROCESS[result]:
+            compile_some()
     finally:
         for cache in caches:
             (Path(cache) / "compiling").unlink(missing_ok=True)
