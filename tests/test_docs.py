@@ -26,6 +26,7 @@ import types
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -210,10 +211,10 @@ def test_every_option_is_documented():
 
 
 def test_every_result_column_is_documented():
-    from sameas.sky.output_columns import PAIR_COLUMNS
+    from sameas.sky.output_columns import COLUMNS
 
     page = (HOME / "docs/files-and-command.md").read_text(encoding="utf-8")
-    for name in PAIR_COLUMNS:
+    for name in takewhile(lambda name: name != "row_1", COLUMNS):  # of the joined table of two catalogues
         assert f"`{name}`" in page, f"{name} is not documented"
 
 

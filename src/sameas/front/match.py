@@ -399,10 +399,9 @@ def match(
         return replace(found, join=join, nway_columns=nway_columns, call=call)
     from sameas.front.request import Request
     from sameas.sky import crossmatch
-    from sameas.sky.output_columns import JOINS
+    from sameas.sky.output_columns import check_join
 
-    if join not in JOINS:
-        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
+    check_join(join)
     if not isinstance(magnitudes, str):
         raise InputError("match: Magnitudes are those of Records", 'name columns of both catalogues, "G,BP:J,H"')
     options = crossmatch.MatchOptions(

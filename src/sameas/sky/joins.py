@@ -42,7 +42,7 @@ from sameas.estimate.coverage import Coverage
 from sameas.kernels import threads
 from sameas.records import Records
 from sameas.result import Answers, Identification
-from sameas.sky.output_columns import JOINS, attributes_of
+from sameas.sky.output_columns import JOINS, attributes_of, check_join
 from sameas.space import Sphere
 
 if TYPE_CHECKING:
@@ -307,8 +307,7 @@ def joined_rows(match: Joinable, join: str) -> JoinedRows:
     ------
     InputError : an unknown join.
     """
-    if join not in JOINS:
-        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
+    check_join(join)
     result = match.result
     if join == "pairs":
         return _every_answer(result)

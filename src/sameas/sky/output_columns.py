@@ -7,28 +7,59 @@ from __future__ import annotations
 
 from typing import Any
 
+from sameas.errors import InputError
+
 #: Types of joins of two catalogues, with the names of STILTS; the first is the default.
 JOINS = ("all1", "1and2", "all2", "1or2", "1not2", "2not1", "1xor2", "pairs")
 
 
 _X, _Y, _RA, _DEC = "pos.cartesian.x", "pos.cartesian.y", "pos.eq.ra", "pos.eq.dec"
+#: Unit, UCD and description of the columns of joined tables.
+COLUMNS: dict[str, tuple[str | None, str | None, str]] = {
+    # Of the joined table of two catalogues.
+    "sep_arcsec": ("arcsec", "pos.angDistance", "separation at the common epoch"),
+    "dx_arcsec": ("arcsec", f"{_RA};arith.diff", "first minus second, east"),
+    "dy_arcsec": ("arcsec", f"{_DEC};arith.diff", "first minus second, north"),
+    "mahalanobis": (None, "stat.fit.residual", "separation over its quoted error"),
+    "log_odds": (None, "stat.likelihood", "ln odds of the pair before one-to-one"),
+    "p_match": (None, "stat.probability", "probability of the pair"),
+    "p_none": (None, "stat.probability", "probability that the row has no partner"),
+    "p_second": (None, "stat.probability", "probability of the most probable other candidate"),
+    "id_second": (None, "meta.id.cross", "the most probable other candidate"),
+    "match_flag": (None, "meta.code", "1 identified, 2 at least half as probable as the best, 0 other"),
+    "group_id": (None, "meta.id.assoc", "group of competing records"),
+    "group_size": (None, "meta.number", "records in the group"),
+    "n_within": (None, "meta.number", "candidates of the row"),
+    "covered": (None, "meta.code", "whether the other catalogue covers the place"),
+    "p_any": (None, "stat.probability", "NWAY: probability that the row has a partner"),
+    "p_i": (None, "stat.probability", "NWAY: probability of the pair if there is a partner"),
+    "dist_bayesfactor": (None, "stat.likelihood", "log10 of the odds of the pair"),
+    # Of the table of pairs, and of records that are no catalogues.
+    "row_1": (None, "meta.record", "row in the first source"),
+    "row_2": (None, "meta.record", "row in the second source"),
+    "id_1": (None, "meta.id", "id in the first source"),
+    "id_2": (None, "meta.id.cross", "id in the second source"),
+    "separation": (None, None, "length of the residual, in the unit of the features"),
+    # Of several catalogues.
+    "n_catalogues": (None, "meta.number", "number of catalogues that show the object"),
+    "p_object": (None, "stat.probability", "probability that exactly these records are one object"),
+    "p_runner_up": (None, "stat.probability", "probability of the most probable other answer"),
+    "runner_up": (None, "meta.id.cross", "the most probable other answer for one of the records"),
+    "ra_object": ("deg", f"{_RA};meta.main", "right ascension from all records, at epoch_object"),
+    "dec_object": ("deg", f"{_DEC};meta.main", "declination from all records, at epoch_object"),
+    "ra_object_error": ("mas", f"stat.error;{_RA};meta.main", "its standard error, times cos(dec)"),
+    "dec_object_error": ("mas", f"stat.error;{_DEC};meta.main", "its standard error"),
+    "ra_dec_object_corr": (None, f"stat.correlation;{_RA};{_DEC}", "correlation of both errors"),
+    "pmra_object": ("mas / yr", f"pos.pm;{_RA}", "proper motion east, times cos(dec), from all records"),
+    "pmdec_object": ("mas / yr", f"pos.pm;{_DEC}", "proper motion north, from all records"),
+    "pmra_object_error": ("mas / yr", f"stat.error;pos.pm;{_RA}", "its standard error"),
+    "pmdec_object_error": ("mas / yr", f"stat.error;pos.pm;{_DEC}", "its standard error"),
+    "epoch_object": ("yr", "time.epoch", "Julian year of the position"),
+    "chi_sq": (None, "stat.fit.chi2", "chi squared of the records about the object, by the quoted errors"),
+}  # fmt: skip
+#: By name of the column; those of frames, which have their units and descriptions in ``sky.frame.outputs``, too.
 UCDS = {
-    # Two catalogues.
-    "sep_arcsec": "pos.angDistance", "dx_arcsec": f"{_RA};arith.diff", "dy_arcsec": f"{_DEC};arith.diff",
-    "mahalanobis": "stat.fit.residual", "log_odds": "stat.likelihood", "p_match": "stat.probability",
-    "p_none": "stat.probability", "p_second": "stat.probability", "id_second": "meta.id.cross",
-    "match_flag": "meta.code", "group_id": "meta.id.assoc", "group_size": "meta.number", "n_within": "meta.number",
-    "covered": "meta.code", "p_any": "stat.probability", "p_i": "stat.probability",
-    "dist_bayesfactor": "stat.likelihood", "id_1": "meta.id", "id_2": "meta.id.cross", "row_1": "meta.record",
-    "row_2": "meta.record",
-    # Three or more catalogues.
-    "n_catalogues": "meta.number", "p_object": "stat.probability", "p_runner_up": "stat.probability",
-    "runner_up": "meta.id.cross", "ra_object": f"{_RA};meta.main", "dec_object": f"{_DEC};meta.main",
-    "ra_object_error": f"stat.error;{_RA};meta.main", "dec_object_error": f"stat.error;{_DEC};meta.main",
-    "ra_dec_object_corr": f"stat.correlation;{_RA};{_DEC}", "pmra_object": f"pos.pm;{_RA}",
-    "pmdec_object": f"pos.pm;{_DEC}", "pmra_object_error": f"stat.error;pos.pm;{_RA}",
-    "pmdec_object_error": f"stat.error;pos.pm;{_DEC}", "epoch_object": "time.epoch", "chi_sq": "stat.fit.chi2",
-    # A frame.
+    **{name: ucd for name, (_, ucd, _) in COLUMNS.items() if ucd is not None},
     "fate": "meta.code.class", "measurement": "meta.id;meta.main", "star": "meta.id.cross", "star_row": "meta.record",
     "remark": "meta.note", "flags": "meta.code.qual", "x_px": f"{_X};instr.det", "y_px": f"{_Y};instr.det",
     "x_image": f"{_X};instr.det", "y_image": f"{_Y};instr.det", "cov_xx_px2": f"stat.variance;{_X};instr.det",
@@ -55,52 +86,14 @@ def meta_of(name: str) -> dict[str, Any]:
     return {"ucd": UCDS[name]} if name in UCDS else {}
 
 
-#: Unit and description of the columns of the joined table of two catalogues.
-PAIR_COLUMNS = {
-    "sep_arcsec": ("arcsec", "separation at the common epoch"),
-    "dx_arcsec": ("arcsec", "first minus second, east"),
-    "dy_arcsec": ("arcsec", "first minus second, north"),
-    "mahalanobis": (None, "separation over its quoted error"),
-    "log_odds": (None, "ln odds of the pair before one-to-one"),
-    "p_match": (None, "probability of the pair"),
-    "p_none": (None, "probability that the row has no partner"),
-    "p_second": (None, "probability of the most probable other candidate"),
-    "id_second": (None, "the most probable other candidate"),
-    "match_flag": (None, "1 identified, 2 at least half as probable as the best, 0 other"),
-    "group_id": (None, "group of competing records"),
-    "group_size": (None, "records in the group"),
-    "n_within": (None, "candidates of the row"),
-    "covered": (None, "whether the other catalogue covers the place"),
-    "p_any": (None, "NWAY: probability that the row has a partner"),
-    "p_i": (None, "NWAY: probability of the pair if there is a partner"),
-    "dist_bayesfactor": (None, "log10 of the odds of the pair"),
-}
-#: The same of the table of pairs, of records that are no catalogues, and of several catalogues.
-OTHER_COLUMNS = {
-    **{f"{what}_{side}": (None, f"{what} in the {one} source")
-       for what in ("row", "id") for side, one in ((1, "first"), (2, "second"))},
-    "separation": (None, "length of the residual, in the unit of the features"),
-    "n_catalogues": (None, "number of catalogues that show the object"),
-    "p_object": (None, "probability that exactly these records are one object"),
-    "p_runner_up": (None, "probability of the most probable other answer"),
-    "runner_up": (None, "the most probable other answer for one of the records"),
-    "ra_object": ("deg", "right ascension from all records, at epoch_object"),
-    "dec_object": ("deg", "declination from all records, at epoch_object"),
-    "ra_object_error": ("mas", "its standard error, times cos(dec)"),
-    "dec_object_error": ("mas", "its standard error"),
-    "ra_dec_object_corr": (None, "correlation of both errors"),
-    "pmra_object": ("mas / yr", "proper motion east, times cos(dec), from all records"),
-    "pmdec_object": ("mas / yr", "proper motion north, from all records"),
-    "pmra_object_error": ("mas / yr", "its standard error"),
-    "pmdec_object_error": ("mas / yr", "its standard error"),
-    "epoch_object": ("yr", "Julian year of the position"),
-    "chi_sq": (None, "chi squared of the records about the object, by the quoted errors"),
-}  # fmt: skip
-
-
 def attributes_of(name: str) -> dict[str, Any]:
     """Unit, description and metadata of a column of a joined table, as of an astropy ``Column``."""
     feature = name.removeprefix("residual_")
-    known = PAIR_COLUMNS | OTHER_COLUMNS
-    unit, words = known[name] if feature == name else (None, f"first minus second, feature {feature}")
+    unit, _, words = COLUMNS[name] if feature == name else (None, None, f"first minus second, feature {feature}")
     return {"unit": unit, "description": words, "meta": meta_of(name)}
+
+
+def check_join(join: str) -> None:
+    """Refuse a type of join that does not exist."""
+    if join not in JOINS:
+        raise InputError(f"join {join!r} is not known; choose one of {', '.join(JOINS)}")
