@@ -18,6 +18,7 @@ from sameas.arrays import FloatArray
 from sameas.maps.sheet import ellipse_axes
 from sameas.picture.live import LiveState
 from sameas.picture.picture import Columns, object_columns, record_columns, with_degrees
+from sameas.picture.tables import STAGES
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.heights import HeightModel
 
@@ -30,7 +31,6 @@ RECORD = ("n", "source", "row", "x", "y", "major", "minor", "angle", "p", "alone
           "track_id")  # fmt: skip
 #: An object at a greater height in metres is no ship.
 FLYING_M = 150.0
-_STAGES = ("tentative", "confirmed", "coasting", "ended")
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class Frame:
         """The rows of :data:`OBJECT` by the number of the object; None for unknown values."""
         o = self.objects
         major, minor, angle = ellipse_axes(o)
-        stage, unknown = [_STAGES.index(name) for name in o["stage"].tolist()], np.full(len(o["object"]), np.nan)
+        stage, unknown = [STAGES.index(name) for name in o["stage"].tolist()], np.full(len(o["object"]), np.nan)
         columns = [
             o["object"].tolist(), stage, _numbers(o["x_m"], 2), _numbers(o["y_m"], 2), _numbers(o["vx_m_per_s"], 2),
             _numbers(o["vy_m_per_s"], 2), _numbers(o["speed_m_per_s"], 2), _numbers(o["course_deg"], 1),

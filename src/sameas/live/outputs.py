@@ -24,9 +24,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from sameas.errors import InputError, reading
+from sameas.io.sensors.format import KNOT_M_PER_S, MILE_M
 from sameas.live.frame import Frame
 
-_KNOT_M_PER_S, _MILE_M = 1852.0 / 3600.0, 1852.0
 #: Seconds after which a Cursor on Target event is stale.
 STALE_S = 15.0
 #: Half the interval of 90 % of a normal distribution, in σ.
@@ -115,13 +115,13 @@ def nmea(frame: Frame, numbers: TargetNumbers | None = None) -> Iterator[bytes]:
         )
         if own is not None and one["x_m"] is not None:
             east, north = one["x_m"] - own.x_m, one["y_m"] - own.y_m
-            bearing, range_nm = math.degrees(math.atan2(east, north)) % 360.0, math.hypot(east, north) / _MILE_M
+            bearing, range_nm = math.degrees(math.atan2(east, north)) % 360.0, math.hypot(east, north) / MILE_M
             cpa, tcpa = frame.cpa.get(one["object"], (math.nan, math.nan))
             speed, course = one["speed_m_per_s"], one["course_deg"]
             fields = [
                 "RATTM", number, f"{range_nm:.3f}", f"{bearing:.1f}", "T",
-                "" if speed is None else f"{speed / _KNOT_M_PER_S:.1f}", "" if course is None else f"{course:.1f}", "T",
-                "" if math.isnan(cpa) else f"{cpa / _MILE_M:.3f}",
+                "" if speed is None else f"{speed / KNOT_M_PER_S:.1f}", "" if course is None else f"{course:.1f}", "T",
+                "" if math.isnan(cpa) else f"{cpa / MILE_M:.3f}",
                 "" if math.isnan(tcpa) else f"{tcpa / 60.0:.2f}", "N",
                 name, "T", "", clock, "A",
             ]  # fmt: skip
