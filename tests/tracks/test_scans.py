@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from sameas.simulate.sensors import Sensor, TrueMotion
-from sameas.tracks.reports import AntennaRotation, Reports, last_exposure, last_rotation, rotation_period_s, scans_of
+from sameas.tracks.reports import Reports
+from sameas.tracks.scans import AntennaRotation, last_exposure, last_rotation, rotation_period_s, scans_of
 from sameas.tracks.scene import Scene
 from sameas.tracks.snapshot import Snapshot
 from sameas.tracks.source import Clutter, Description, MissRate, Resolution, SensorCoverage, SensorErrors, Site, Timing

@@ -33,7 +33,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import NO_TEXTS
 from sameas.tracks.alignment import States
 from sameas.tracks.feed import Feed, walk_of
-from sameas.tracks.reports import usual_period_s
+from sameas.tracks.scans import usual_period_s
 from sameas.tracks.scene import POSITION_AND_VELOCITY, Instant, Scene
 
 

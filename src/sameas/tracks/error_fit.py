@@ -34,7 +34,7 @@ from sameas.arrays import FloatArray, IntArray
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, PlacedReports
-from sameas.tracks.reports import usual_period_s
+from sameas.tracks.scans import usual_period_s
 from sameas.tracks.source import Description
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 

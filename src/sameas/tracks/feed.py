@@ -27,7 +27,8 @@ from sameas.tracks.alignment import States, Succession, are_unfiltered, follow, 
 from sameas.tracks.biases import corrected
 from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.placement import Directions, PlacedReports
-from sameas.tracks.reports import AntennaRotation, Reports, scans_of, seen_from
+from sameas.tracks.reports import Reports
+from sameas.tracks.scans import AntennaRotation, scans_of, seen_from
 from sameas.tracks.source import Description
 from sameas.tracks.stationary import stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning

@@ -42,7 +42,8 @@ from sameas.tracks.feed import (
 from sameas.tracks.heights import HeightColumns
 from sameas.tracks.kinds import KINDS
 from sameas.tracks.placement import Directions, PlacedReports
-from sameas.tracks.reports import Reports, scans_of
+from sameas.tracks.reports import Reports
+from sameas.tracks.scans import scans_of
 from sameas.tracks.source import Description
 from sameas.tracks.stationary import stationary
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning

@@ -24,7 +24,7 @@ from sameas.tracks.alignment import Earlier, States, aged, moved, process_noise
 from sameas.tracks.biases import AZIMUTH, BIASES, GAIN, RANGE, TIME, AzimuthBias, BiasModel, RelativeBias
 from sameas.tracks.feed import Feed
 from sameas.tracks.placement import Directions, SlowBearing
-from sameas.tracks.reports import last_exposure, last_rotation
+from sameas.tracks.scans import last_exposure, last_rotation
 from sameas.tracks.tuning import DEFAULT_TUNING, Tuning
 
 
