@@ -327,12 +327,12 @@ def scatter(match: SkyMatch) -> Figure:
     if not len(pairs):
         return figure
     quoted, estimated = _sigmas(match)
-    sigma = np.hypot(*pairs.residual.T) / DUE
+    in_quoted = np.sqrt(match.result.pairs.mahalanobis_sq[pairs.pair]) / DUE
     magnitude, words = _magnitude(match)
     by_error = _bins(quoted)
-    factor, unit = _unit(float(max(np.median(sigma), np.median(quoted))))
+    factor, unit = _unit(float(np.median(quoted) * max(np.median(in_quoted), 1.0)))
     quoted = factor * quoted
-    sigmas = factor * sigma, quoted, factor * estimated
+    sigmas = in_quoted, quoted, factor * estimated
     # No panel by quoted error if these hardly differ.
     panels = (len(by_error) > 1 or magnitude is None) + (magnitude is not None)
     axes = figure.subplots(1, panels, squeeze=False)[0]
@@ -402,9 +402,14 @@ def _bins(values: FloatArray) -> list[NDArray[np.intp]]:
 def _against(
     axes: Axes, parts: Sequence[NDArray[np.intp]], along: FloatArray, sigmas: tuple[FloatArray, FloatArray, FloatArray]
 ) -> None:
-    """Draws medians per bin: the scatter with its error, the quoted σ and the estimated σ."""
+    """Draws medians per bin: the scatter with its error, the quoted σ and the estimated σ.
+
+    sigmas : the scatter in units of the quoted σ, the quoted σ and the estimated σ. Among pairs of unequal errors, or
+    of long ellipses, the median of the separations alone would be smaller than that of the σ.
+    """
     x = np.array([np.median(along[part]) for part in parts])
     sigma, quoted, estimated = (np.array([np.median(values[part]) for part in parts]) for values in sigmas)
+    sigma *= quoted
     error = OF_MEDIAN * sigma / np.sqrt([len(part) for part in parts])
     mark = "" if len(parts) > 1 else "_"
     axes.plot(x, quoted, "--", marker=mark, ms=18, color=SECOND, lw=2.0, label="as quoted")
