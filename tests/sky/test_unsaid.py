@@ -409,3 +409,21 @@ def test_a_fits_table_without_positions_names_the_other_tables_of_the_file(tmp_p
     fits.HDUList(hdus).writeto(path)
     with pytest.raises(InputError, match=r"extensions 1 \(GTI\), 2 \(SRCLIST\); used 1.*give hdu1=NAME"):
         sameas.match(path, {"ra": [1.0], "dec": [2.0]}, sigma=0.1)
+
+
+def test_errors_of_right_ascension_in_seconds_of_time_are_15_cos_dec_arcsec() -> None:
+    """As in the radio surveys at the CDS (NVSS, VIII/65)."""
+    table = Table({"RAJ2000": [10.0, 20.0], "DEJ2000": [60.0, 0.0]})
+    table["e_RAJ2000"], table["e_DEJ2000"] = [0.1, 0.03] * u.s, [0.6, 0.5] * u.arcsec
+    there = catalogue(table)
+    assert "s of right ascension" in there.interpretation[1]
+    assert np.sqrt(there.records().variances) == pytest.approx(np.array([[0.75, 0.6], [0.45, 0.5]]))
+    table["e_DEJ2000"].unit = u.s
+    with pytest.raises(InputError, match="'e_DEJ2000' is in s, which is not an angle"):
+        catalogue(table)
+
+
+def test_errors_of_positions_in_parts_are_those_of_their_seconds() -> None:
+    table = Table({"RAh": [1], "RAm": [2], "RAs": [3.0], "DE-": ["-"], "DEd": [60], "DEm": [0], "DEs": [0.0]})
+    table["e_RAs"], table["e_DEs"] = [0.1] * u.s, [0.6] * u.arcsec
+    assert np.sqrt(catalogue(table).records().variances) == pytest.approx(np.array([[0.75, 0.6]]))

@@ -20,7 +20,16 @@ from sameas.errors import InputError, Message, naming
 from sameas.records import Records
 from sameas.representation import counted, in_short
 from sameas.sky import column_values, conventions
-from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, in_years
+from sameas.sky.column_choice import (
+    GUESSED,
+    SECONDS_OF_RA,
+    CatalogueOptions,
+    Column,
+    ColumnChoice,
+    Epoch,
+    PositionError,
+    in_years,
+)
 from sameas.sky.column_values import rotated_errors, to_icrs, typical_errors
 from sameas.sky.columns import choose
 from sameas.sky.motion import Astrometry, MissingMotion, Variances, position_at
@@ -561,6 +570,8 @@ def _errors(
         rho = None
     else:
         east, north, rho = _position_sigmas(table, choice.error, source)
+        if choice.error.kind == "axes" and choice.error.columns[0].unit == SECONDS_OF_RA:
+            east = east * (15.0 * np.cos(np.radians(_degrees(table, choice.dec, source))))
     if rotation is not None and choice.error.kind not in ("circle", "number", "survey"):
         east, north, rho = rotated_errors(east, north, rho, rotation)
     motion = [_motion_numbers(table, c, u, source) for c, u in zip(choice.motion_errors, _MOTION_UNITS, strict=True)]
@@ -634,7 +645,8 @@ def _position_sigmas(
             rho = np.nan_to_num(squares[2] / (east * north), posinf=0.0, neginf=0.0) if error.covariance else None
         return east, north, rho
     columns = [
-        column_values.numbers(table, c.name, source) * column_values.factor(c.unit, "deg" if k == 2 else "arcsec")
+        column_values.numbers(table, c.name, source)
+        * (1.0 if c.unit == SECONDS_OF_RA else column_values.factor(c.unit, "deg" if k == 2 else "arcsec"))
         for k, c in enumerate(error.columns)
     ]
     with np.errstate(invalid="ignore"):

@@ -16,6 +16,9 @@ import numpy as np
 from sameas.arrays import FloatArray
 from sameas.sky.conventions import Correlations, SkyFrame
 
+#: Unit of errors of right ascension in seconds of time, as in radio surveys at the CDS: 15 cos δ arcsec each.
+SECONDS_OF_RA = "s of right ascension"
+
 
 @dataclass(frozen=True)
 class Survey:

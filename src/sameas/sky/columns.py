@@ -21,7 +21,16 @@ from astropy.table import Table
 from sameas.arrays import median
 from sameas.errors import Argument, InputError, Message, naming
 from sameas.sky import column_values, conventions
-from sameas.sky.column_choice import GUESSED, CatalogueOptions, Column, ColumnChoice, Epoch, PositionError, survey_of
+from sameas.sky.column_choice import (
+    GUESSED,
+    SECONDS_OF_RA,
+    CatalogueOptions,
+    Column,
+    ColumnChoice,
+    Epoch,
+    PositionError,
+    survey_of,
+)
 from sameas.sky.conventions import Convention, ErrorNames
 
 _SUFFIXES = {
@@ -122,10 +131,15 @@ class ColumnSearch:
             return Column(name, own.to_string(), "unit of the column")
         return Column(name, _suffix_unit(name) or unit, "by its name" if _suffix_unit(name) else "by convention")
 
-    def angles(self, names: tuple[str, ...], unit: str) -> tuple[Column, ...]:
+    def angles(self, names: tuple[str, ...], unit: str, *, of_ra: bool = False) -> tuple[Column, ...]:
         """Columns of small angles, such as the errors of both axes, with their units; one unit is guessed for all
-        columns without."""
+        columns without.
+
+        of_ra : whether the first is of right ascension, and may be in seconds of time.
+        """
         columns = [self.column(name, unit, self.options.sigma_unit or "") for name in names]
+        if of_ra and columns[0].unit == "s":
+            return replace(columns[0], unit=SECONDS_OF_RA), *self.angles(names[1:], unit)
         without = [column.name for column in columns if not column.unit]
         if without:
             guessed = self._guessed_unit(without)
@@ -472,7 +486,7 @@ def _error_columns(
             search.checked(search.column(n, error_names.unit), "arcsec2", "the square of an angle") for n in names
         )
         return PositionError(kind, squares, covariance=search.find(error_names.covariance) or "")
-    columns = search.angles(names[:2], error_names.unit)
+    columns = search.angles(names[:2], error_names.unit, of_ra=kind == "axes")
     if kind == "ellipse":
         columns = (*columns, search.checked(search.column(names[2], "deg"), "deg", "an angle"))
     stated = search.options.correlation

@@ -421,7 +421,7 @@ _IN_PARTS = Convention(
     motions=PLAIN_MOTIONS,
     epochs=PLAIN_EPOCHS,
     magnitudes=PLAIN_MAGNITUDES,
-    errors=_own_axes("RA", "DE"),
+    errors=(*_own_axes("RA", "DE"), ErrorNames("axes", ("e_RAs", "e_DEs"))),
     parts=(("RAh", "RAm", "RAs"), ("DE-", "DEd", "DEm", "DEs")),
 )
 
