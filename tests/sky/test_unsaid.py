@@ -427,3 +427,18 @@ def test_errors_of_positions_in_parts_are_those_of_their_seconds() -> None:
     table = Table({"RAh": [1], "RAm": [2], "RAs": [3.0], "DE-": ["-"], "DEd": [60], "DEm": [0], "DEs": [0.0]})
     table["e_RAs"], table["e_DEs"] = [0.1] * u.s, [0.6] * u.arcsec
     assert np.sqrt(catalogue(table).records().variances) == pytest.approx(np.array([[0.75, 0.6]]))
+
+
+def test_rows_without_proper_motion_are_counted_with_the_scatter_that_is_assumed() -> None:
+    table = {
+        "ra": [1.0, 2.0],
+        "dec": [2.0, 3.0],
+        "pmra": [5.0, np.nan],
+        "pmdec": [5.0, np.nan],
+        "ref_epoch": [2016.0, 2016.0],
+    }
+    notes = [str(note) for note in catalogue(table, sigma=0.1).choice.notes]
+    assert notes == ["1 of 2 rows has no proper motion: 0 ± 10 mas/yr on each axis is assumed; give missing_pm=MAS/YR"]
+    notes = [str(note) for note in catalogue(table, sigma=0.1, missing_pm_mas_per_yr=25.0).choice.notes]
+    assert notes == ["1 of 2 rows has no proper motion: 0 ± 25 mas/yr on each axis is assumed"]
+    assert not catalogue({"ra": [1.0], "dec": [2.0], "pmra": [np.nan], "pmdec": [np.nan]}, sigma=0.1).choice.notes

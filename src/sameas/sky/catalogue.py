@@ -257,7 +257,10 @@ class Catalogue:
         magnitude = _brightness(rows, choice.magnitude, name)
         astrometry, filled_arcsec = _astrometry(rows, choice, options, magnitude, name)
         pm = choice.motion[1]
-        has_motion = pm is not None and bool(np.isfinite(column_values.numbers(rows, pm.name, name)).any())
+        unmoved = [np.isnan(column_values.numbers(rows, c.name, name)) for c in choice.motion[1:3] if c is not None]
+        has_motion = pm is not None and not bool(unmoved[0].all())
+        if has_motion:
+            choice = replace(choice, notes=(*choice.notes, *_missing_motion_note(np.logical_or(*unmoved), options)))
         epoch_doubt = ""
         if has_motion and not np.isfinite(astrometry.epoch_jyr).any():
             choice, epoch_doubt = _with_assumed_epoch(choice)
@@ -469,6 +472,18 @@ def _with_assumed_epoch(choice: ColumnChoice) -> tuple[ColumnChoice, str]:
         naming(f"give {{epoch:YEAR}}{hint}, or {{pm:'none'}}"),
     )
     return replace(choice, epoch=Epoch(jyr=year, reason="assumed")), doubt
+
+
+def _missing_motion_note(unmoved: BoolArray, options: CatalogueOptions) -> tuple[Message, ...]:
+    """A note that some rows have no proper motion, with the scatter that is assumed for it."""
+    number = int(np.count_nonzero(unmoved))
+    if not number:
+        return ()
+    stated = options.missing_pm_mas_per_yr
+    scatter = MissingMotion().pm_sigma_mas_per_yr if stated is None else stated
+    rows = f"{number} of {len(unmoved)} rows {'has' if number == 1 else 'have'} no proper motion"
+    text = f"{rows}: 0 ± {scatter:g} mas/yr on each axis is assumed"
+    return (Message(text, naming("; give {missing_pm:MAS/YR}") if stated is None else ""),)
 
 
 def _not_measured_note(table: Table, choice: ColumnChoice) -> str:
