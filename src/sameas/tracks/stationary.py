@@ -25,10 +25,12 @@ Source: a hidden Markov model of two states (Bar-Shalom, Li and Kirubarajan 2001
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.special import expit, logit
 
-from sameas.arrays import FloatArray, IntArray
+from sameas.arrays import BoolArray, FloatArray, IntArray
 from sameas.errors import InputError
 from sameas.gaussian import Gaussian, log_density, symmetric
 from sameas.tracks.alignment import States, by_turn, moved
@@ -64,27 +66,19 @@ def stationary(
         return reports, None
     if share >= 1.0:
         raise InputError(f"motion.stationary_share is {share}; give the share of stationary objects, below 1")
-    p_stationary, state, covariance = np.zeros(len(reports)), reports.state.copy(), reports.covariance.copy()
-    is_known = reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2)
-    rows = np.flatnonzero(is_known)
-    log_odds = logit(share) + _log_ratio_of_velocity(state[rows, 2:], covariance[rows, 2:, 2:], slow, speed)
-    p_stationary[rows] = expit(log_odds)
+    state, covariance = reports.state.copy(), reports.covariance.copy()
+    has_velocity = reports.usable & (reports.covariance[:, 2, 2] < tuning.unknown_velocity_share * speed**2)
+    rows = np.flatnonzero(has_velocity)
     x, cov = state[rows], covariance[rows]
     # Update of the state by a measured velocity of 0 ± slow.
     update = Gaussian(np.zeros_like(x), cov).conditional(cov[:, :, 2:], -x[:, 2:], cov[:, 2:, 2:] + slow**2 * np.eye(2))
+    log_stationary, log_moving = (log_density(x[:, 2:], cov[:, 2:, 2:] + v**2 * np.eye(2)) for v in (slow, speed))
+    p_stationary = np.zeros(len(reports))
+    p_stationary[rows] = expit(logit(share) + log_stationary - log_moving)
     if reports.track is not None:
         at_rest = state.copy(), covariance.copy()
         at_rest[0][rows], at_rest[1][rows] = x + update.mean, update.covariance
-        previous = np.empty(0, np.int64)
-        for now in by_turn(reports, reports.usable):
-            # A report after one without a velocity is judged alone.
-            pairs = np.flatnonzero((is_known[now[: len(previous)]]) & is_known[previous[: len(now)]])
-            if len(pairs):
-                one, next_one = previous[pairs], now[pairs]
-                p_stationary[next_one] = _following(reports, one, next_one, p_stationary[one], at_rest, motion, tuning)
-            if p_known is not None:
-                p_stationary[now] = np.where(np.isnan(p_known[now]), p_stationary[now], p_known[now])
-            previous = now
+        p_stationary = _by_track(reports, has_velocity, p_stationary, at_rest, motion, tuning, p_known)
     step, p = update.mean, p_stationary[rows]
     weight = p[:, None, None]
     state[rows] = x + p[:, None] * step
@@ -97,20 +91,40 @@ def stationary(
     return States(reports.time_s, state, covariance, reports.track, reports.rows), p_stationary
 
 
-def _log_ratio_of_velocity(velocity: FloatArray, covariance: FloatArray, slow: float, speed: float) -> FloatArray:
-    """(n,) ln p(v | stationary) / p(v | moving)."""
-    log_stationary, log_moving = (log_density(velocity, covariance + s**2 * np.eye(2)) for s in (slow, speed))
-    return np.asarray(log_stationary - log_moving)
-
-
-def _following(
-    reports: States, previous: IntArray, now: IntArray, p_previous: FloatArray,
-    at_rest: tuple[FloatArray, FloatArray], motion: Motion, tuning: Tuning,
+def _by_track(
+    reports: States, has_velocity: BoolArray, p_alone: FloatArray, at_rest: tuple[FloatArray, FloatArray],
+    motion: Motion, tuning: Tuning, p_known: FloatArray | None,
 ) -> FloatArray:  # fmt: skip
-    """(k,) the probability that the reports ``now`` are of stationary objects, given the previous ones of their tracks.
+    """(n,) the probability that reports are of stationary objects, given the previous ones of their tracks.
 
-    at_rest : (n, 4), (n, 4, 4) states and covariances of the reports if stationary.
+    p_alone : (n,) that by each report alone, for the first of a track and those after one without a velocity. at_rest :
+    (n, 4), (n, 4, 4) states and covariances of the reports if stationary.
     """
+    turns, previous = by_turn(reports, reports.usable), np.full(len(reports), -1)
+    for before, now in pairwise(turns):
+        previous[now] = before[: len(now)]
+    follows = (previous >= 0) & has_velocity & has_velocity[previous]
+    log_p = np.zeros((4, len(reports)))
+    log_p[:, follows] = _log_transitions(reports, previous[follows], np.flatnonzero(follows), at_rest, motion, tuning)
+    p = p_alone.copy()
+    for now in turns:
+        some = now[follows[now]]
+        with np.errstate(divide="ignore"):
+            log_previous, log_not = np.log(p[previous[some]]), np.log1p(-p[previous[some]])
+        log_stays, log_departs, log_arrives, log_moves = log_p[:, some]
+        log_stationary = np.logaddexp(log_previous + log_stays, log_not + log_arrives)
+        p[some] = expit(log_stationary - np.logaddexp(log_previous + log_departs, log_not + log_moves))
+        if p_known is not None:
+            p[now] = np.where(np.isnan(p_known[now]), p[now], p_known[now])
+    return p
+
+
+def _log_transitions(
+    reports: States, previous: IntArray, now: IntArray, at_rest: tuple[FloatArray, FloatArray], motion: Motion,
+    tuning: Tuning,
+) -> FloatArray:  # fmt: skip
+    """(4, k) ln of the joint probability of each case, staying, departing, arriving and moving on, and of the reports
+    ``now``, given the previous ones and the state of the object then."""
     slow, speed, share = motion.stationary_m_per_s, motion.speed_m_per_s, motion.stationary_share
     assert slow and speed and share
     dt = reports.time_s[now] - reports.time_s[previous]
@@ -135,16 +149,11 @@ def _following(
     ])  # fmt: skip
     # Probabilities of a change in between.
     changes = -np.expm1(-dt / (tuning.rest_s * (1.0 - share)))
+    p_departs, p_arrives = (1.0 - share) * changes, share * changes
     with np.errstate(divide="ignore"):
-        p_departs, p_arrives = (1.0 - share) * changes, share * changes
-        log_stays, log_departs, log_arrives, log_moves = log_p + np.log(
-            [1.0 - p_departs, p_departs, p_arrives, 1.0 - p_arrives]
-        )
-        log_previous, log_not = np.log(p_previous), np.log1p(-p_previous)
-    log_stationary = np.logaddexp(log_previous + log_stays, log_not + log_arrives)
-    log_moving = np.logaddexp(log_previous + log_departs, log_not + log_moves)
+        out = log_p + np.log([1.0 - p_departs, p_departs, p_arrives, 1.0 - p_arrives])
     # A second report of one time is no further evidence.
-    return np.where(dt > 0.0, expit(log_stationary - log_moving), p_previous)
+    return np.where(dt > 0.0, out, np.array([0.0, -np.inf, -np.inf, 0.0])[:, None])
 
 
 def _of_velocity(dt: FloatArray, path: float, both: float) -> FloatArray:
