@@ -1,5 +1,7 @@
 """Error factors: wrongly stated errors are rescaled to the residuals of certain pairs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from modelled_scenes import describe, feed, straight
@@ -9,6 +11,7 @@ from sameas.many.observations import records_of
 from sameas.picture.error_factors import BLOCK, ErrorFactors, _log_density
 from sameas.picture.picture import Picture, picture_states
 from sameas.picture.tables import RANGE_BANDS, Scan
+from sameas.picture.track_pairs import keys
 from sameas.picture.tuning import DEFAULT_TUNING
 from sameas.picture.watch import Watch
 from sameas.tracks.coordinates import LocalPlane
@@ -185,6 +188,24 @@ def test_errors_that_persist_and_grow_with_range_do_not_split_ships():
     assert isinstance(state.watch, Watch)
     by_range = state.watch.memory.error_factors.by_range[0]
     assert by_range[1] > 1.1 * by_range[3]
+
+
+def test_a_new_estimate_of_a_factor_is_no_evidence_against_pairs():
+    scene = map_error(3, ships=60, seconds=80)
+    *_, state = picture_states(scene, np.arange(16.0, 73.0, 8.0), Watch())
+    memory = state.watch.memory
+    halved = replace(memory.error_factors, by_range=0.5 * memory.error_factors.by_range)
+    smaller = replace(state.watch, memory=replace(memory, tracks=replace(memory.tracks, error_factors=halved)))
+    now = scene.at(80.0)
+    log_ratio = []
+    for watch in (state.watch, smaller):
+        pairs = watch.advance(now).watch.memory.track_pairs
+        history = pairs.log_ratio + pairs.log_reported - pairs.log_now
+        near = pairs.chi_sq < 6.0
+        log_ratio.append(dict(zip(keys(pairs.first, pairs.second)[near].tolist(), history[near].tolist(), strict=True)))
+    lost = np.array([log_ratio[0][pair] - value for pair, value in log_ratio[1].items()])
+    assert len(lost) > 40
+    assert lost.mean() < 0.2
 
 
 def test_velocities_from_positions_have_the_factor_of_positions():

@@ -24,6 +24,9 @@ impossible partners. So each octave of distance from the sensor (:attr:`sameas.p
 own factor f_b, with prior p(f_b | f) = ½ δ(f_b − f) + ½ log-normal about f, where f has the posterior above; its
 evidence are the differences and residuals of that octave alone, given the factors of the other sources' octaves.
 
+A new estimate changes what is known of the errors, not the errors: the previous instant is then judged by it as well
+(:meth:`sameas.picture.named_tracks.NamedTracks.with_present_factors`).
+
 A source's offset, which its reports have in common, is not included; see :mod:`sameas.tracks.registration`.
 
 Source: mean-field approximation as in Bishop, Pattern Recognition and Machine Learning, section 10.1.
@@ -386,25 +389,30 @@ class ErrorFactors:
         np.add.at(log_likely, (first, second), log_p)
         return replace(self, log_likely=log_likely)._with_posterior(tuning)
 
-    def applied(self, scan: Scan) -> Scan:
-        """The scan with the position errors of its records multiplied by the factors; errors of velocities only if
-        these come from positions."""
+    def of_records(self, scan: Scan) -> FloatArray:
+        """(n,) the factor of each record; 1 for directions and for sources that are not in ``names``."""
+        if not len(scan):
+            return np.empty(0)
         names = {name: k for k, name in enumerate(self.names)}
         as_stated = np.ones(RANGE_BANDS)
         factors = [self.by_range[names[d.name]] if d.name in names else as_stated for d in scan.now.descriptions]
-        factor = (
-            np.where(scan.placed, np.array(factors)[scan.source, scan.range_band], 1.0) if len(scan) else np.empty(0)
-        )
-        if np.all(np.abs(factor - 1.0) < 1e-9):
+        return np.where(scan.placed, np.array(factors)[scan.source, scan.range_band], 1.0)
+
+    def applied(self, scan: Scan) -> Scan:
+        """The scan with the position errors of its records multiplied by the factors instead of those applied before;
+        errors of velocities only if these come from positions."""
+        factor = self.of_records(scan)
+        change = factor / scan.error_factor
+        if np.all(np.abs(change - 1.0) < 1e-9):
             return scan
         scale = np.ones((len(scan), 4))
-        scale[:, :2] = factor[:, None]
+        scale[:, :2] = change[:, None]
         # Velocities from positions have correlated errors: those are wrong by the same factor.
         from_positions = np.nan_to_num(scan.reported_covariance[:, :2, 2:]).any(axis=(1, 2))
-        scale[from_positions, 2:] = factor[from_positions, None]
+        scale[from_positions, 2:] = change[from_positions, None]
         reported = scale[:, :, None] * scan.reported_covariance * scale[:, None, :]
-        change = np.nan_to_num(reported - scan.reported_covariance)
-        _, extra = moved(np.zeros((len(scan), 4)), change, scan.now.instant_s - scan.time_s, np.zeros(len(scan)))
+        added = np.nan_to_num(reported - scan.reported_covariance)
+        _, extra = moved(np.zeros((len(scan), 4)), added, scan.now.instant_s - scan.time_s, np.zeros(len(scan)))
         return replace(scan.with_covariance(extra), reported_covariance=reported, error_factor=factor)
 
     def lines(self) -> list[str]:

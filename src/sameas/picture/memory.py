@@ -339,19 +339,34 @@ class TrackMemory:
                 f"the picture is at {self.tracks.instant_s:g} s and was given {scan.now.instant_s:g} s; "
                 "give instants in the order of time"
             )
+        before = self._with_present_factors()
         correlation = replace(self.tracks.error_correlation, fixed_s=self.correlation_s)
-        tracks, step = replace(self.tracks, error_correlation=correlation).advance(scan, track_of_record)
+        tracks, step = replace(before.tracks, error_correlation=correlation).advance(scan, track_of_record)
         kind = {description.name: description.kind for description in scan.now.descriptions}
         known = len(self.swaps.log_probable)
         swaps = self.swaps.of_sources(
             ["" if k < known else kind[name] for k, name in enumerate(tracks.error_correlation.names)], scan.tuning
         )
-        track_pairs, swaps = self.track_pairs.stepped(
+        track_pairs, swaps = before.track_pairs.stepped(
             step, self.reassigned, swaps, objects_per_m2(scan.now), scan.tuning
         )
         track_pairs = track_pairs.with_offsets(step, tracks.error_correlation, scan.tuning)
         existence = self.existence.advance(tracks)
         return replace(self, tracks=tracks, track_pairs=track_pairs, swaps=swaps, existence=existence)
+
+    def _with_present_factors(self) -> TrackMemory:
+        """The memory of the previous instant by the present factors: :meth:`NamedTracks.with_present_factors`."""
+        tracks, changed = self.tracks.with_present_factors()
+        if tracks is self.tracks or tracks.scan is None:
+            return self
+        scan, record = tracks.scan, np.append(tracks.place, -1)
+        a, b = (record[places_in(tracks.number, k)] for k in (self.track_pairs.first, self.track_pairs.second))
+        rows = np.flatnonzero((a >= 0) & (b >= 0) & (changed[a] | changed[b]))
+        a, b, covariance, lasting = a[rows], b[rows], scan.covariance[:, :2, :2], tracks.lasting
+        track_pairs = self.track_pairs.with_errors(
+            rows, scan.state[a, :2] - scan.state[b, :2], (covariance[a], covariance[b]), (lasting[a], lasting[b])
+        )
+        return replace(self, tracks=tracks, track_pairs=track_pairs)
 
     def rule(self) -> PreviousScans:
         """The rule of previous scans for the records of the instant."""

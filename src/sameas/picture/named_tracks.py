@@ -22,7 +22,7 @@ Source: METHOD 1; autocorrelated errors of tracks as in Bar-Shalom, Li and Kirub
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 
 import numpy as np
@@ -36,6 +36,8 @@ from sameas.ragged import places_in
 
 #: At most this many reports of an instant are used to estimate correlation times; more add no information.
 MAX_REPORTS = 256
+#: Smallest change of ln of an error factor for which the errors of tracks are estimated anew (chosen).
+MIN_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,20 @@ class NamedTracks:
     error_correlation: ErrorCorrelation = field(default_factory=ErrorCorrelation)
     source: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
     error_factors: ErrorFactors = field(default_factory=ErrorFactors)
+
+    def with_present_factors(self) -> tuple[NamedTracks, BoolArray]:
+        """The tracks with the previous scan by the present error factors, and (n,) its records whose factor changed.
+
+        A factor that was estimated anew changed no error. Without this, errors would count as having changed by it, and
+        a report that stays where it was as evidence against that. Changes below :data:`MIN_CHANGE` are ignored.
+        """
+        if self.scan is None:
+            return self, np.zeros(0, bool)
+        changed = np.abs(np.log(self.error_factors.of_records(self.scan) / self.scan.error_factor)) > MIN_CHANGE
+        if not changed.any():
+            return self, changed
+        scan = self.error_factors.applied(self.scan)
+        return replace(self, scan=scan, lasting=_lasting_root(scan, self.error_correlation)), changed
 
     def numbers_on(self, scan: Scan) -> IntArray:
         """(n,) the number of each record's track; −1 for records without an id and for new ids."""

@@ -39,7 +39,7 @@ from scipy.special import expit
 
 from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.gaussian import LOG_2PI, distance_and_log_determinant, log_density, mahalanobis_sq
-from sameas.kernels.track_pairs import WIDTH, best_others, mix, new_pair_errors, pairs_stepped
+from sameas.kernels.track_pairs import COVARIANCE, MEAN, WIDTH, best_others, mix, new_pair_errors, pairs_stepped
 from sameas.picture.error_factors import MIN_M2, ErrorCorrelation
 from sameas.picture.named_tracks import Step
 from sameas.picture.tables import ColumnTable, Scan
@@ -180,6 +180,26 @@ class TrackPairs(ColumnTable):
         both = self.stacked(replace(others, row=len(self.errors) + len(self.new_errors) + others.row))
         both = both.take(np.argsort(keys(both.first, both.second), kind="stable"))
         return replace(both, new_errors=new_errors, distant=distant)
+
+    def with_errors(
+        self, rows: IntArray, delta: FloatArray, covariances: tuple[FloatArray, FloatArray],
+        lasting: tuple[FloatArray, FloatArray],
+    ) -> TrackPairs:  # fmt: skip
+        """The table with other errors of the pairs ``rows`` (k,): δ (k, 2), P and B of both tracks, (k, 2, 2) each.
+
+        The last positions are judged by these P, and (e_a, z_a, z_b) of one object is that given δ only. ln r of the
+        previous reports stays, and so does the offset of a convoy, which does not depend on the size of errors.
+        """
+        errors = np.concatenate([self.errors, self.new_errors])[self.row]
+        of_delta = _without_history(delta, covariances, lasting)
+        for part in (slice(*MEAN), slice(*COVARIANCE)):
+            errors[rows, part] = of_delta[:, part]
+        log_now, chi_sq = _log_density_and_chi_sq(delta, covariances[0] + covariances[1])
+        changed = {name: getattr(self, name).copy() for name in ("log_reported", "log_now", "chi_sq")}
+        out = replace(self, row=np.arange(len(self)), errors=errors, new_errors=np.empty((0, WIDTH)), **changed)
+        out.log_reported[rows] += log_now - self.log_now[rows]
+        out.log_now[rows], out.chi_sq[rows] = log_now, chi_sq
+        return out
 
     def stepped(
         self, step: Step, reassigned: float, swaps: SwapRates, per_m2: float, tuning: Tuning = DEFAULT_TUNING
