@@ -193,13 +193,16 @@ def test_errors_that_persist_and_grow_with_range_do_not_split_ships():
 def test_a_new_estimate_of_a_factor_is_no_evidence_against_pairs():
     scene = map_error(3, ships=60, seconds=80)
     *_, state = picture_states(scene, np.arange(16.0, 73.0, 8.0), Watch())
+    assert isinstance(state.watch, Watch)
     memory = state.watch.memory
     halved = replace(memory.error_factors, by_range=0.5 * memory.error_factors.by_range)
     smaller = replace(state.watch, memory=replace(memory, tracks=replace(memory.tracks, error_factors=halved)))
     now = scene.at(80.0)
     log_ratio = []
     for watch in (state.watch, smaller):
-        pairs = watch.advance(now).watch.memory.track_pairs
+        after = watch.advance(now).watch
+        assert isinstance(after, Watch)
+        pairs = after.memory.track_pairs
         history = pairs.log_ratio + pairs.log_reported - pairs.log_now
         near = pairs.chi_sq < 6.0
         log_ratio.append(dict(zip(keys(pairs.first, pairs.second)[near].tolist(), history[near].tolist(), strict=True)))

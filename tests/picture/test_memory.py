@@ -13,7 +13,7 @@ from sameas.many.observations import records_of
 from sameas.many.pooled import pooled
 from sameas.many.rules import PoissonObjects, pairs_of, terms_of
 from sameas.picture import TrackMemory
-from sameas.picture.memory import PreviousScans
+from sameas.picture.memory import FirstContact, PreviousScans
 from sameas.picture.picture import picture_states
 from sameas.picture.tables import Scan
 from sameas.picture.track_pairs import Rivals, TrackPairs
@@ -21,6 +21,7 @@ from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.picture.watch import Watch
 from sameas.prior import PerPair
 from sameas.records import Records
+from sameas.tracks.coordinates import LocalPlane
 from sameas.tracks.reports import Reports
 from sameas.tracks.scene import Scene
 from sameas.tracks.source import Description, Motion, SensorErrors, Timing
@@ -392,3 +393,50 @@ def test_swaps_of_ships_abreast_are_found_over_many_reports():
     west, east = np.array(rates).T
     assert np.median(west) > 0.02
     assert np.median(east) < 0.5 * np.median(west)
+
+
+def overflight(seed, kinds=("ais", "ads-b"), ids=("mmsi", "icao"), sigma_m=(5.0, 30.0), n=20):
+    """Ships that report every 10 s, and as many aircraft at 150 m/s, each of which passes over one."""
+    rng, plane = np.random.default_rng(seed), LocalPlane(50.0, -1.0)
+    ship, v, over = rng.uniform(-15e3, 15e3, (n, 2)), rng.uniform(-4.0, 4.0, (n, 2)), rng.uniform(20.0, 60.0, n)
+    angle = rng.uniform(0.0, 2.0 * np.pi, n)
+    u = 150.0 * np.column_stack([np.sin(angle), np.cos(angle)])
+    sources = []
+    for k, (velocity, every_s) in enumerate(((v, 10.0), (u, 1.0))):
+        time_s, number = (each.ravel() for each in np.meshgrid(np.arange(0.0, 71.0), np.arange(n), indexing="ij"))
+        sent = (time_s + number) % every_s == 0.0
+        time_s, number = time_s[sent], number[sent]
+        place = ship[number] + time_s[:, None] * velocity[number] + over[number, None] * (v - velocity)[number]
+        lat, lon = plane.to_geodetic(place + sigma_m[k] * rng.standard_normal(place.shape))
+        speed, course = np.hypot(*velocity[number].T), np.degrees(np.arctan2(*velocity[number].T)) % 360.0
+        names = np.array([f"{235_000_000 + i}" if ids[k] == "mmsi" else f"{0x400000 + i:06x}" for i in number], object)
+        columns = {"time_s": time_s, "lat_deg": lat, "lon_deg": lon, "speed_m_per_s": speed, "course_deg": course}
+        motion = Motion(4.0, 150.0) if k else Motion(0.01, 8.0)
+        errors = SensorErrors(position_m=76.0 if k else 18.0, speed_m_per_s=1.5 if k else 0.3, course_deg=1.0)
+        described = Description(f"source {k}", kinds[k], motion=motion, errors=errors, timing=Timing(every_s, 0.0, 0.0))
+        sources.append((described, Reports.of(f"source {k}", "table", columns | {ids[k]: names})))
+    return Scene.of(sources, plane)
+
+
+@pytest.mark.parametrize("kinds", [("ais", "ads-b"), ("tracks", "tracks")])
+def test_an_aircraft_over_a_ship_does_not_join_it(kinds):
+    ids = ("mmsi", "icao") if kinds[0] == "ais" else ("track_id", "track_id")
+    scene = overflight(1, kinds, ids)
+    joined = [
+        float(p)
+        for state in picture_states(scene, np.arange(10.0, 71.0), Watch())
+        for p in state.probability[(state.members >= 0).all(axis=1)]
+    ]
+    assert not joined
+
+
+def test_velocities_of_a_new_pair_count_if_they_differ_and_never_join_it():
+    scan = Scan.of(overflight(2, n=3).at(10.0))
+    state = scan.state.copy()
+    state[1, 2:] = state[0, 2:] + 6.0 * np.sqrt(2.0 * scan.covariance[0, 2:, 2:].diagonal()) * [1.0, 0.0]
+    first = FirstContact(replace(scan, state=state), {}, np.empty(0, np.int64), TrackMemory().rule(), np.zeros(0, bool))
+    # The same velocity, one that is 6σ wrong, and that of an aircraft.
+    log_ratio = first._by_velocity(np.array([0, 0, 0]), np.array([0, 1, 3]))
+    assert log_ratio[0] == 0.0 and -7.0 < log_ratio[1] < -1.0
+    assert log_ratio[2] == pytest.approx(2.0 * np.log(1e-4))
+    assert first._by_target(np.array([0, 0]), np.array([1, 3])) == pytest.approx([0.0, np.log(1e-3)])

@@ -44,7 +44,7 @@ def test_one_instant_agrees_with_identify_many():
     scene = Scene.of(sources)
     now = scene.at(times[3])
     found = identify_many(now.sources, rule=now.rule() + now.identity(), region=now.region)
-    state = Watch().advance(now)
+    state = Watch(evidence=lambda now, memory: now.rule() + now.identity()).advance(now)
     o, r = object_columns(state), record_columns(state)
     assert " ".join(OBJECTS.split()) == " ".join(o) and " ".join(RECORDS.split()) == " ".join(r)
     names = [records_of(source).source for source in now.sources]

@@ -15,6 +15,9 @@ picture corrects itself. The stated lasting errors are checked against the mean 
 object (:meth:`sameas.picture.track_pairs.TrackPairs.with_offsets`). Records without an id have no memory; that of a
 track ends with its reports.
 
+A pair that passes the gate for the first time has no history; :meth:`TrackMemory.first_contact` is the rule for pairs
+that were never sure: the velocities of both records, and the kinds of their targets (:class:`FirstContact`).
+
 Track existence (:class:`TrackExistence`) is the probability that a named track is of a real object, by its duration.
 False echoes start tracks too: a tracker that detects the same patch of sea four times in a row gives it a number. Such
 tracks end soon; tracks of real objects continue until the object is lost. The durations of a source's tracks are a
@@ -47,7 +50,7 @@ from sameas.arrays import BoolArray, FloatArray, IntArray, taken
 from sameas.errors import InputError
 from sameas.evidence.rule import Evidence, Rule
 from sameas.gate import Pairs
-from sameas.gaussian import mahalanobis_sq
+from sameas.gaussian import distance_and_log_determinant, mahalanobis_sq
 from sameas.many.pooled import PooledRecords
 from sameas.picture.error_factors import MAX_PAIRS, ErrorFactors, evenly
 from sameas.picture.named_tracks import NamedTracks
@@ -56,6 +59,7 @@ from sameas.picture.track_pairs import MIN_SWAP, Rivals, SwapRates, TrackPairs, 
 from sameas.picture.tuning import DEFAULT_TUNING, Tuning
 from sameas.ragged import places_in
 from sameas.representation import in_short
+from sameas.tracks.kinds import KINDS
 
 
 @dataclass(frozen=True)
@@ -297,6 +301,83 @@ class _RivalHistories(PreviousScans):
         return Evidence({"memory": self._of_pairs(pairs, difference)}, precision=precision)
 
 
+#: Shares of velocities that are right, and that have ten times their stated errors; the rest is of any other object.
+VELOCITY_SHARES = (0.99, 0.01)
+#: Probability that an object which AIS names as a ship is one that ADS-B names as an aircraft, or the reverse (chosen).
+WRONG_TARGET = 1e-3
+#: First digits of the MMSI of search and rescue aircraft, which send both.
+RESCUE_AIRCRAFT = "111"
+
+
+@dataclass(frozen=True)
+class FirstContact(Rule):
+    """The evidence of velocities and kinds of targets on pairs that were never surely one object.
+
+    Positions alone join an aircraft that passes over a ship to it, for an instant. The ratio of the probabilities of
+    the difference Δ of two velocities with covariances V_a, V_b, if both are of one object and if not, is
+
+        r = [0.99 N(Δ; 0, V) + 0.01 N(Δ; 0, 100 V)] / N(Δ; 0, S) + ε²,   V = V_a + V_b,   S = s_a² + s_b²,
+
+    s the usual speeds of both sources' targets. It counts at most as 1: equal velocities do not join two records, since
+    most ships in a harbour have the velocity 0. The history of a pair contains its velocities, as displacements: the
+    lower of both counts. Where one source names ships and the other aircraft, the ratio is :data:`WRONG_TARGET` times
+    that.
+
+    Parameters
+    ----------
+    scan : of the instant. records : by source name, the record of the scan of each row of the source's table, −1 for
+        rows without one. number : (n,) track number of each record, −1 for records without an id.
+    history : of the pairs of tracks. sure : (k,) which of them were sure before. reassigned : ε.
+    """
+
+    scan: Scan = field(repr=False)
+    records: Mapping[str, IntArray] = field(repr=False)
+    number: IntArray = field(repr=False)
+    history: PreviousScans
+    sure: BoolArray = field(repr=False)
+    reassigned: float = REASSIGNED
+
+    def __call__(self, pairs: Pairs) -> Evidence:
+        out = np.zeros(len(pairs))
+        first, second = (self.records.get(side.source) for side in (pairs.first, pairs.second))
+        if first is not None and second is not None:
+            a, b = first[pairs.first.rows[pairs.i]], second[pairs.second.rows[pairs.j]]
+            named = (self.number[a] >= 0) & (self.number[b] >= 0)
+            one, two = np.sort([self.number[a], self.number[b]], axis=0)
+            known = keys(np.asarray(self.history.first), np.asarray(self.history.second))
+            pair = np.where(named, places_in(known, keys(one, two)), -1)
+            at = np.flatnonzero((a >= 0) & (b >= 0) & ~np.append(self.sure, False)[pair])
+            counted = np.minimum(np.append(np.asarray(self.history.log_ratio), 0.0)[pair[at]], 0.0)
+            out[at] = np.minimum(self._by_velocity(a[at], b[at]) - counted, 0.0) + self._by_target(a[at], b[at])
+        return Evidence({"velocity": out})
+
+    def _by_velocity(self, a: IntArray, b: IntArray) -> FloatArray:
+        """(k,) ln r of the velocities of records; 0 where one has none."""
+        scan, out = self.scan, np.zeros(len(a))
+        at = np.flatnonzero(scan.moving[a] & scan.moving[b])
+        a, b = a[at], b[at]
+        covariance = scan.covariance[a, 2:, 2:] + scan.covariance[b, 2:, 2:]
+        delta = scan.state[a, 2:] - scan.state[b, 2:]
+        chi_sq, log_det = distance_and_log_determinant(delta, covariance)
+        variance = scan.speed_m_per_s[a] ** 2 + scan.speed_m_per_s[b] ** 2
+        log_other = -0.5 * (delta**2).sum(axis=1) / variance - np.log(variance)
+        right, wide = np.log(VELOCITY_SHARES)
+        log_same = np.logaddexp(right - 0.5 * chi_sq, wide - math.log(100.0) - 0.005 * chi_sq) - 0.5 * log_det
+        log_ratio = np.logaddexp(log_same - log_other, 2.0 * math.log(self.reassigned))
+        out[at] = np.where(np.isfinite(variance), np.minimum(log_ratio, 0.0), 0.0)
+        return out
+
+    def _by_target(self, a: IntArray, b: IntArray) -> FloatArray:
+        """(k,) ln of :data:`WRONG_TARGET` for a ship and an aircraft, 0 for others."""
+        out, target = np.zeros(len(a)), np.array([KINDS[d.kind].target for d in self.scan.now.descriptions])
+        one, two = target[self.scan.source[a]], target[self.scan.source[b]]
+        differ = np.flatnonzero((one != two) & (one != "") & (two != ""))
+        if len(differ):
+            rescue = np.array([name.startswith(RESCUE_AIRCRAFT) for name in self.scan.texts("mmsi").tolist()])
+            out[differ] = np.where(rescue[a[differ]] | rescue[b[differ]], 0.0, math.log(WRONG_TARGET))
+        return out
+
+
 @in_short
 @dataclass(frozen=True)
 class TrackMemory:
@@ -383,6 +464,22 @@ class TrackMemory:
             numbers[description.name] = np.full(int(scan.table[records].max(initial=-1)) + 1, -1)
             numbers[description.name][scan.table[records]] = self.tracks.track_of_record[records]
         return numbers
+
+    def first_contact(self, history: PreviousScans) -> FirstContact | None:
+        """The rule for pairs of records of the instant that were never sure; None before the first instant.
+
+        history : :meth:`rule`.
+        """
+        scan = self.tracks.scan
+        if scan is None:
+            return None
+        records = {}
+        for s, description in enumerate(scan.now.descriptions):
+            own = np.arange(scan.start[s], scan.start[s + 1])
+            records[description.name] = np.full(int(scan.table[own].max(initial=-1)) + 1, -1)
+            records[description.name][scan.table[own]] = own
+        sure = ~np.isnan(self.track_pairs.anchor_s)
+        return FirstContact(scan, records, self.tracks.track_of_record, history, sure, self.reassigned)
 
     def _precision(self) -> FloatArray:
         """(k,) sum of the precisions of both tracks of each pair, |P|^(−½) in m⁻²."""

@@ -147,7 +147,8 @@ SAVED = ("all_evidence",)
 
 
 def all_evidence(now: Instant, memory: TrackMemory, *, identity: bool = True, previous_scans: bool = True) -> SetRule:
-    """The rule of positions, misses and clutter as described, of heights and identities, and of the memory of tracks.
+    """The rule of positions, misses and clutter as described, of heights and identities, and of the memory of tracks,
+    and of velocities for pairs that it does not know yet.
 
     identity, previous_scans : False to exclude attributes of identity, and the memory.
     """
@@ -156,7 +157,11 @@ def all_evidence(now: Instant, memory: TrackMemory, *, identity: bool = True, pr
         evidence = evidence + now.height()
     if identity:
         evidence = evidence + now.identity()
-    return evidence + memory.rule() if previous_scans else evidence
+    if not previous_scans:
+        return evidence
+    history = memory.rule()
+    first_contact = memory.first_contact(history)
+    return evidence + history if first_contact is None else evidence + history + first_contact
 
 
 @in_short

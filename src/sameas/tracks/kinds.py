@@ -18,7 +18,7 @@ class Kind:
 
     defaults : (value, reason) by name of the quantity. correlation_s : prior correlation time of its position errors,
     seconds (chosen). directions : whether it gives only directions. self_named : whether its objects transmit their
-    own ids, so that no tracker swaps them.
+    own ids, so that no tracker swaps them. target : "vessel" or "aircraft" if all its objects are, else "".
     """
 
     title: str
@@ -26,6 +26,7 @@ class Kind:
     correlation_s: float = 60.0
     directions: bool = False
     self_named: bool = False
+    target: str = ""
 
 
 _VESSEL = {
@@ -114,6 +115,7 @@ KINDS: Mapping[str, Kind] = {
         },
         correlation_s=600.0,  # the antenna's place on the hull is constant, and a receiver's error drifts over minutes
         self_named=True,
+        target="vessel",
     ),
     "ads-b": Kind(
         "aircraft's self-reported positions (ADS-B)",
@@ -131,6 +133,7 @@ KINDS: Mapping[str, Kind] = {
         },
         correlation_s=600.0,  # a receiver's error drifts over minutes
         self_named=True,
+        target="aircraft",
     ),
     "mlat": Kind(
         "aircraft located by the times of arrival at several receivers",
@@ -148,6 +151,7 @@ KINDS: Mapping[str, Kind] = {
         },
         correlation_s=30.0,  # the same receivers for a while
         self_named=True,
+        target="aircraft",
     ),
     "lidar": Kind(
         "clusters of a scanning laser",
