@@ -105,6 +105,19 @@ def test_catalogues_without_motion_have_one_map_of_residuals(still: SkyMatch) ->
     assert figure.axes[0].get_xlabel() == "east offset [arcsec]"
 
 
+def test_residuals_of_few_pairs_are_points_without_a_colour_bar() -> None:
+    """There were 200 single pixels, with a colour bar from 1 to 10 pairs."""
+    rng = np.random.default_rng(4)
+    ra, dec = rng.uniform([40.0, 0.0], [41.0, 1.0], (200, 2)).T
+    off = rng.normal(0.0, 0.5 / 3600.0, (2, 200))
+    one, two = (
+        Catalogue.of({"ra": ra + x, "dec": dec + y}, name, options=CatalogueOptions(sigma=0.5 / np.sqrt(2.0)))
+        for name, x, y in (("one", 0.0, 0.0), ("two", *off))
+    )
+    (axes,) = plots.residuals(match(one, two)).axes
+    assert np.asarray(axes.lines[0].get_xdata()).size == 200
+
+
 def test_an_offset_that_was_removed_is_not_called_motion() -> None:
     rng = np.random.default_rng(4)
     ra, dec = rng.uniform([40.0, 0.0], [40.5, 0.5], (300, 2)).T
@@ -136,10 +149,10 @@ def test_the_share_identified_is_of_the_rows_covered(still: SkyMatch) -> None:
 def test_logarithmic_axes_have_plain_numbers() -> None:
     """Counts of one decade were 2 × 10⁰, 3 × 10⁰ …"""
     rng = np.random.default_rng(2)
-    ra, dec = rng.uniform([40.0, 0.0], [40.5, 0.5], (60, 2)).T
+    ra, dec = rng.uniform([40.0, 0.0], [40.5, 0.5], (600, 2)).T
     options = CatalogueOptions(sigma=0.1, epoch=2000.0)
     one, two = (
-        Catalogue.of({"ra": ra, "dec": dec + rng.normal(0.0, 2e-5, 60)}, name, options=options) for name in "ab"
+        Catalogue.of({"ra": ra, "dec": dec + rng.normal(0.0, 2e-5, 600)}, name, options=options) for name in "ab"
     )
     figure = plots.residuals(match(one, two))
     bar = figure.axes[-1]

@@ -32,6 +32,8 @@ IN_PANEL = 0.95
 IN_INSET = 0.98
 #: Cells per side of a panel.
 BINS = 120
+#: Pairs are drawn as points if no cell has more than this number.
+FEW_PER_CELL = 3
 #: Offsets are the same before and after if none changes by more than this fraction of their median (chosen).
 SAME = 0.01
 #: Smallest half width of a panel, arcsec; smaller offsets are rounding.
@@ -40,6 +42,8 @@ LEAST_ANGLE = 1e-6
 
 def residuals(match: SkyMatch) -> Figure:
     """Density maps of the offsets first minus second: as in the catalogues, and after motion and removed offsets.
+
+    Points instead of a density where pairs are few.
 
     Both have the scale of the first; an inset magnifies the second. One map if nothing was moved.
     """
@@ -65,6 +69,8 @@ def residuals(match: SkyMatch) -> Figure:
         _numbers(axes, offsets, limit)
     if close < 0.34 * limit:
         _magnified(panels[-1], factor * moved, factor * close, factor * limit, unit)
+    if mesh is None:
+        return figure
     bar = figure.colorbar(mesh, ax=list(panels), pad=0.01, aspect=35, format="%g")
     bar.set_label("pairs per cell", fontsize=10)
     bar.ax.tick_params(labelsize=9)
@@ -86,14 +92,19 @@ def _counted(offsets: FloatArray, limit: float) -> tuple[FloatArray, FloatArray]
     return edges, np.histogram2d(offsets[:, 0], offsets[:, 1], bins=(edges, edges))[0]
 
 
-def _map(axes: Axes, offsets: FloatArray, limit: float, fullest: float) -> QuadMesh:
-    """Draws the number of offsets per cell within ±limit, in logarithmic colours; east is left."""
+def _map(axes: Axes, offsets: FloatArray, limit: float, fullest: float) -> QuadMesh | None:
+    """Draws the number of offsets per cell within ±limit, in logarithmic colours, or points if no cell has many; east
+    is left."""
     from matplotlib.colors import LogNorm
 
-    edges, number = _counted(offsets, limit)
-    norm = LogNorm(0.7, max(float(fullest), 10.0))
-    occupied = np.ma.masked_equal(number, 0.0).T
-    mesh = axes.pcolormesh(edges, edges, occupied, cmap=DENSITY, norm=norm, rasterized=True)
+    mesh = None
+    if fullest <= FEW_PER_CELL:
+        axes.plot(*offsets.T, "o", color=INK, markersize=3.0, markeredgewidth=0.0, alpha=0.7)
+    else:
+        edges, number = _counted(offsets, limit)
+        norm = LogNorm(0.7, max(float(fullest), 10.0))
+        occupied = np.ma.masked_equal(number, 0.0).T
+        mesh = axes.pcolormesh(edges, edges, occupied, cmap=DENSITY, norm=norm, rasterized=True)
     axes.set_aspect("equal")
     axes.set_xlim(limit, -limit)
     axes.set_ylim(-limit, limit)
