@@ -449,11 +449,11 @@ def _blend_doubts(result: Identification, estimate: Estimate) -> tuple[str, ...]
         if blends is not None:
             count, within, sigmas = blends
             one, other = coarse.source, fine.source
-            first = "" if coarse is result.first else f", {one} given first,"
+            first = "" if coarse is result.first else f"; {one} must then be the first catalogue"
             doubts.append(
                 f"{one} may show two objects of {other} as one: within {within:.2g} arcsec of {count} of its pairs "
                 f"lies one of {other} without partner, and residuals point there ({sigmas:.0f} standard errors): "
-                f"`blends`{first} lists them, given the resolution of {one}"
+                f"`blends`, with the resolution of {one} in arcsec, lists them{first}"
             )
     return tuple(doubts)
 
