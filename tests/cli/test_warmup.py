@@ -1,5 +1,6 @@
 """Kernels compiled in parallel with the search are those that identification needs."""
 
+import importlib
 import os
 import subprocess
 import sys
@@ -92,6 +93,18 @@ def test_kernels_of_a_picture_compiled_beforehand_are_used(tmp_path):
         [sys.executable, "-c", PICTURE], env=environment, check=True, timeout=300, capture_output=True, text=True
     )
     assert later.stdout == ""
+
+
+def test_the_kernels_that_are_named_exist():
+    named = [
+        (m, n)
+        for group in (warmup.KERNELS_OF_A_MATCH, warmup.LATER_KERNELS_OF_A_PICTURE)
+        for m, names in group.items()
+        for n in names
+    ]
+    named += [tuple(kernel.split(".")) for kernel in warmup.LAST_KERNELS.values()]
+    for module, name in named:
+        assert hasattr(importlib.import_module(f"sameas.kernels.{module}"), name), (module, name)
 
 
 @pytest.mark.parametrize(("quiet", "said"), [(False, 1), (True, 0)])

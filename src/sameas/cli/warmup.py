@@ -39,10 +39,9 @@ KERNELS_OF_A_MATCH = {
 #: Kernels that a picture calls after those that take longest to compile.
 LATER_KERNELS_OF_A_PICTURE = {
     "posterior": ("exact",),
-    "intersection": ("sum_of_records",),
     "search": ("sweep_few",),
     "track_pairs": ("pairs_stepped", "new_pair_errors", "best_others"),
-    "kalman": ("update_in_plane", "joint_in_plane"),
+    "kalman": ("sum_of_records", "update_in_plane", "joint_in_plane"),
 }
 #: A compilation mark older than this, in seconds, was left behind by a process that was stopped.
 LONGEST_S = 120.0
@@ -52,7 +51,7 @@ LONGEST_S = 120.0
 LAST_KERNELS = {
     "match": "posterior.exact",
     "frame": "relation.learn",
-    "picture": "intersection.sum_of_records",
+    "picture": "kalman.sum_of_records",
 }
 
 
