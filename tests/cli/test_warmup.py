@@ -96,14 +96,10 @@ def test_kernels_of_a_picture_compiled_beforehand_are_used(tmp_path):
 
 
 def test_the_kernels_that_are_named_exist():
-    named = [
-        (m, n)
-        for group in (warmup.KERNELS_OF_A_MATCH, warmup.LATER_KERNELS_OF_A_PICTURE)
-        for m, names in group.items()
-        for n in names
-    ]
-    named += [tuple(kernel.split(".")) for kernel in warmup.LAST_KERNELS.values()]
-    for module, name in named:
+    named = set(warmup.LAST_KERNELS.values())
+    for group in (warmup.KERNELS_OF_A_MATCH, warmup.LATER_KERNELS_OF_A_PICTURE):
+        named |= {f"{module}.{name}" for module, names in group.items() for name in names}
+    for module, name in (kernel.split(".") for kernel in named):
         assert hasattr(importlib.import_module(f"sameas.kernels.{module}"), name), (module, name)
 
 
