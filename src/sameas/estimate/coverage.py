@@ -246,6 +246,8 @@ MIN_GAIN = 16.0
 #: Most neighbours of a record in the largest ball, on average; a ball of twice a cell holds 8 in an even field. Pairs
 #: of a record and a neighbour that are held at once: 100 MB.
 MOST_NEIGHBOURS, PAIRS_AT_ONCE = 300, 4_000_000
+#: With more records than this for each sampled one, only those near the sample are searched until it decides.
+SPARSE = 20
 #: Pseudo-count of local shares of one half; for other shares, the count with the same information on the logit.
 SHARED_PSEUDO_COUNT = 200.0
 #: A source this many times richer than the other determines the part of a cell where both observe.
@@ -443,7 +445,13 @@ class Coverage:
             return
         radii = radius * SHELL ** (-np.arange(n_balls) / d)
         shells = per_volume * ball_volume(d) * (radii**d - NEAR**d)
-        balls, weight = _Balls.around(points[counted]), counted[sample].astype(np.float64)
+        near_sample, weight = counted, counted[sample].astype(np.float64)
+        if len(points) > SPARSE * len(sample):
+            reach = radius * float(unit.max())
+            rows = one.in_discs(one.at(sample), np.full(len(sample), reach), reach)
+            near_sample = np.zeros(len(points), np.bool_)
+            near_sample[rows] = counted[rows]
+        balls = _Balls.around(points[near_sample])
         if balls.number(points[sample], radius) > MOST_NEIGHBOURS * len(sample):
             return
         accepted: list[tuple[int, float]] = []
@@ -457,6 +465,7 @@ class Coverage:
                 break
         if not accepted:
             return
+        balls = balls if near_sample is counted else _Balls.around(points[counted])
         for density, there in zip(at, (points, others), strict=True):
             numbers = balls.neighbours(there, radii[[ball for ball, _ in accepted]], NEAR)
             for (ball, smooth), number in zip(accepted, numbers, strict=True):
