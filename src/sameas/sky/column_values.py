@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sameas.arrays import FloatArray, median
 from sameas.errors import InputError, naming
 from sameas.sky.conventions import SkyFrame
+from sameas.space import ARCSEC_PER_RADIAN
 
 _SEXAGESIMAL = re.compile(r"^\s*[+-−]?\s*\d+\s*[:hd°\s]\s*\d+", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[:hdms°'\"′″\s]+", re.IGNORECASE)
@@ -298,15 +299,15 @@ _FK4_POSITION = np.array(
 _FK4_MOTION = np.array(
     [[-0.000551, -0.238565, 0.435739], [0.238514, -0.002667, -0.008541], [-0.435623, 0.012254, 0.002117]]
 )
-#: Julian centuries from B1950 to J2000, and arcsec per radian.
-_CENTURIES, _ARCSEC = 0.500002095577002, 206264.80624709636
+#: Julian centuries from B1950 to J2000.
+_CENTURIES = 0.500002095577002
 
 
 def _from_b1950(lon: FloatArray, lat: FloatArray) -> FloatArray:
     """(3, n) directions at J2000, not normalised, of right ascensions and declinations at B1950, radians."""
     at = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     at = at - _E_TERMS[:, None] + (_E_TERMS @ at) * at
-    return np.asarray(_FK4_POSITION @ at + (-_CENTURIES / _ARCSEC) * (_FK4_MOTION @ at))
+    return np.asarray(_FK4_POSITION @ at + (-_CENTURIES / ARCSEC_PER_RADIAN) * (_FK4_MOTION @ at))
 
 
 def to_icrs(frame: SkyFrame, lon_deg: FloatArray, lat_deg: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -31,7 +31,7 @@ from sameas.representation import in_short
 from sameas.result import Identification
 from sameas.sky import column_values
 from sameas.sky.catalogue import Catalogue
-from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, from_b1950
+from sameas.sky.doubts import completed, disjoint_doubt, epoch_doubt, in_icrs
 from sameas.sky.systematics import WARP_TUNING, Rotation, Warp, find_rotation, find_warp, residual_rotation
 from sameas.space import ARCSEC_PER_RADIAN, sphere_offset, unit_vectors
 
@@ -478,7 +478,7 @@ def _fits_as_b1950(old: Records, new: Records, tuning: CrossmatchTuning) -> bool
     some = old.part(np.arange(0, len(old), max(1, len(old) // tuning.b1950_records)))
     near = [
         np.count_nonzero(nearest(replace(some, features=at), new).separation_arcsec < tuning.b1950_arcsec)
-        for at in (some.features, from_b1950(some.features))
+        for at in (some.features, in_icrs("B1950", some.features))
     ]
     return bool(near[1] > near[0] + 5.0 * math.sqrt(near[0] + 5.0) and near[1] > tuning.b1950_share * len(some))
 

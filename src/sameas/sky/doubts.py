@@ -23,6 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from sameas.result import Identification
 from sameas.sky.catalogue import Catalogue
 from sameas.sky.column_choice import GUESSED, Column, ColumnChoice, PositionError, in_years
 from sameas.sky.column_values import to_icrs
+from sameas.sky.conventions import SkyFrame
 from sameas.sky.frame.plate import directions_deg
 from sameas.sky.motion import Astrometry
 from sameas.space import ARCSEC_PER_RADIAN, mean_direction, unit_vectors
@@ -374,14 +376,9 @@ def _no_unit(choice: ColumnChoice) -> bool:
     return choice.frame == "icrs" and choice.ra.unit == "deg" and choice.ra.reason == "by convention"
 
 
-def _from_galactic(position_deg: FloatArray) -> FloatArray:
-    ra, dec, _ = to_icrs("galactic", *position_deg.T)
-    return np.column_stack([ra, dec])
-
-
-def from_b1950(position_deg: FloatArray) -> FloatArray:
-    """(n, 2) positions in ICRS, degrees, of those of the equinox B1950."""
-    ra, dec, _ = to_icrs("B1950", *position_deg.T)
+def in_icrs(frame: SkyFrame, position_deg: FloatArray) -> FloatArray:
+    """(n, 2) positions in ICRS, degrees, of those in another frame."""
+    ra, dec, _ = to_icrs(frame, *position_deg.T)
     return np.column_stack([ra, dec])
 
 
@@ -392,7 +389,7 @@ def _swapped(position_deg: FloatArray) -> FloatArray:
 _MISREADINGS = (
     _Misreading(
         lambda choice, at: choice.frame == "icrs",
-        from_b1950,
+        partial(in_icrs, "B1950"),
         "of the equinox B1950, {ra} and {dec}",
         lambda ra, dec, side: "call them ra1950 and dec1950",
     ),
@@ -428,7 +425,7 @@ _MISREADINGS = (
     ),
     _Misreading(
         lambda choice, at: choice.frame == "icrs",
-        _from_galactic,
+        partial(in_icrs, "galactic"),
         "as galactic longitude and latitude, {ra} and {dec}",
         lambda ra, dec, side: "call them l and b",
     ),
