@@ -96,7 +96,7 @@ def test_kernels_of_a_picture_compiled_beforehand_are_used(tmp_path):
 
 
 def test_the_kernels_that_are_named_exist():
-    named = set(warmup.LAST_KERNELS.values())
+    named = {kernel for kernel, _ in warmup.IN_SECOND_PROCESS.values()}
     for group in (warmup.KERNELS_OF_A_MATCH, warmup.LATER_KERNELS_OF_A_PICTURE):
         named |= {f"{module}.{name}" for module, names in group.items() for name in names}
     for module, name in (kernel.split(".") for kernel in named):

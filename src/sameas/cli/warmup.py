@@ -47,20 +47,13 @@ LATER_KERNELS_OF_A_PICTURE = {
 LONGEST_S = 120.0
 
 
-#: A kernel that the second process compiles, by what the command makes.
-LAST_KERNELS = {
-    "match": "posterior.exact",
-    "frame": "relation.learn",
-    "picture": "kalman.sum_of_records",
-}
-
-
 def start_second_process(cache: Path, result: str) -> None:
     """Start the compilation of a command's later kernels in a second process, unless one is running; do not wait.
 
-    cache : folder of the compiled kernels. result : what the command makes, of :data:`LAST_KERNELS`.
+    cache : folder of the compiled kernels. result : what the command makes, of :data:`IN_SECOND_PROCESS`.
     """
-    if any(cache.glob(f"{LAST_KERNELS[result]}-*.nbi")) or not _claimed(cache / "compiling"):
+    kernel, _ = IN_SECOND_PROCESS[result]
+    if any(cache.glob(f"{kernel}-*.nbi")) or not _claimed(cache / "compiling"):
         return
     quiet = {"stdin": subprocess.DEVNULL, "stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     command = [sys.executable, "-m", "sameas.cli.warmup", result, str(cache)]
@@ -148,18 +141,20 @@ def compile_pictures() -> None:
     Picture.of(Scene.of(sources), np.arange(10.0, 60.0, 10.0))
 
 
-#: What the second process compiles, by what the command makes: what the command needs last, and takes longest.
+#: By what the command makes: the kernel whose presence in the cache shows that nothing is left to do, and what the
+#: second process compiles, which is what the command needs last and what takes longest.
 IN_SECOND_PROCESS = {
-    "match": (compile_sums, compile_scales),
-    "frame": (compile_relations, compile_scales, compile_sums),
-    "picture": (compile_pictures,),
+    "match": ("posterior.exact", (compile_sums, compile_scales)),
+    "frame": ("relation.learn", (compile_relations, compile_scales, compile_sums)),
+    "picture": ("kalman.sum_of_records", (compile_pictures,)),
 }
 
 
 def _main(result: str = "match", *caches: str) -> None:
     gc.set_threshold(400_000, 50, 100)  # as in the command itself
     try:
-        for compile_some in IN_SECOND_PROCESS[result]:
+        _, works = IN_SECOND_PROCESS[result]
+        for compile_some in works:
             compile_some()
     finally:
         for cache in caches:
